@@ -1,0 +1,171 @@
+//! Measuring the delay from the master, in rounds.
+//!
+//! ```text
+//!            request due                     reply matches
+//!  idle ──────────────────► outstanding ──────────────────► idle (one sample more)
+//!   ▲                            │ no reply by the next turn
+//!   └────────────────────────────┘ repeated, up to a limit, then everything starts over
+//! ```
+//!
+//! RTnet takes the mean of all rounds and never repeats a lost one. Here the median counts, since one
+//! stamp that the host held up by a millisecond moves a mean of 100 by 10 us for good.
+
+use rtnet::counters::Refusal;
+use rtnet::time::{Instant, Span};
+
+use super::line;
+
+/// Rounds unless configured otherwise, as in RTnet.
+pub const DEFAULT_ROUNDS: u32 = 100;
+/// Most rounds that can be asked for: their samples are kept.
+pub const MAX_ROUNDS: u32 = 10_000;
+/// Requests per round before calibration is given up, and some for the begin.
+const ATTEMPTS_PER_ROUND: u32 = 3;
+const ATTEMPTS_EXTRA: u32 = 20;
+
+/// A calibration, running or done.
+pub struct Calibration {
+    rounds: u32,
+    samples: Vec<Span>,
+    /// The request's stamp on this station's clock, while its reply is awaited.
+    outstanding: Option<Instant>,
+    attempts: u32,
+    delay: Option<Span>,
+    repeats: u64,
+}
+
+impl Calibration {
+    /// `rounds` of measuring; 0: no measuring, and a delay of 0.
+    pub fn new(rounds: u32) -> Self {
+        let rounds = rounds.min(MAX_ROUNDS);
+        Self {
+            rounds,
+            samples: Vec::with_capacity(rounds as usize),
+            outstanding: None,
+            attempts: 0,
+            delay: (rounds == 0).then_some(Span::ZERO),
+            repeats: 0,
+        }
+    }
+
+    /// The delay from the master, once measured.
+    pub fn delay(&self) -> Option<Span> {
+        self.delay
+    }
+
+    /// Requests that went unanswered and were repeated.
+    pub fn repeats(&self) -> u64 {
+        self.repeats
+    }
+
+    /// A request may be sent now. `false`: too many had no answer; what was measured is forgotten.
+    pub fn begin_round(&mut self) -> bool {
+        if self.outstanding.take().is_some() {
+            self.repeats += 1;
+        }
+        if self.attempts >= self.rounds * ATTEMPTS_PER_ROUND + ATTEMPTS_EXTRA {
+            self.attempts = 0;
+            self.samples.clear();
+            return false;
+        }
+        self.attempts += 1;
+        true
+    }
+
+    /// The request has left with this stamp.
+    pub fn sent(&mut self, xmit: Instant) {
+        self.outstanding = Some(xmit);
+    }
+
+    /// A reply, received at `rx`; the delay once it was the last. A sample beyond `limit` is refused,
+    /// whichever its sign.
+    pub fn reply(
+        &mut self,
+        request_xmit: u64,
+        reception: u64,
+        xmit: u64,
+        rx: Instant,
+        limit: Span,
+    ) -> Result<Option<Span>, Refusal> {
+        if self.outstanding.is_none_or(|sent| sent.nanos() != request_xmit) {
+            return Err(Refusal::UnexpectedReply);
+        }
+        self.outstanding = None;
+        let sample = line::delay(request_xmit, reception, xmit, rx.nanos());
+        if sample.abs() > limit {
+            return Err(Refusal::ImplausibleReply);
+        }
+        self.samples.push(sample);
+        if self.samples.len() == self.rounds as usize {
+            self.samples.sort_unstable();
+            self.delay = Some(self.samples[self.samples.len() / 2]);
+        }
+        Ok(self.delay)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Span = Span::from_millis(1);
+
+    /// A round whose reply comes after `delay` twice and the master's own 100 ns.
+    fn round(of: &mut Calibration, at: u64, delay: u64) -> Result<Option<Span>, Refusal> {
+        assert!(of.begin_round());
+        of.sent(Instant::from_nanos(at));
+        of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), LIMIT)
+    }
+
+    #[test]
+    fn one_held_up_stamp_does_not_move_the_delay() {
+        let mut calibration = Calibration::new(5);
+        for (i, delay) in [700, 710, 400_000, 690].into_iter().enumerate() {
+            assert_eq!(round(&mut calibration, 1_000 * i as u64, delay), Ok(None));
+        }
+        assert_eq!(round(&mut calibration, 9_000, 705), Ok(Some(Span::from_nanos(705))));
+        assert_eq!(calibration.delay(), Some(Span::from_nanos(705)));
+    }
+
+    #[test]
+    fn a_lost_reply_is_repeated_and_counted() {
+        let mut calibration = Calibration::new(1);
+        assert!(calibration.begin_round());
+        calibration.sent(Instant::from_nanos(10));
+        assert!(calibration.begin_round(), "the reply never came");
+        calibration.sent(Instant::from_nanos(20));
+        let rx = Instant::from_nanos(40);
+        assert_eq!(
+            calibration.reply(10, 0, 0, rx, LIMIT),
+            Err(Refusal::UnexpectedReply),
+            "of the lost round"
+        );
+        assert_eq!(calibration.reply(20, 0, 0, rx, LIMIT), Ok(Some(Span::from_nanos(10))));
+        assert_eq!(calibration.repeats(), 1);
+        assert_eq!(calibration.reply(20, 0, 0, rx, LIMIT), Err(Refusal::UnexpectedReply), "twice");
+    }
+
+    #[test]
+    fn a_master_that_never_answers_ends_the_attempt() {
+        let mut calibration = Calibration::new(2);
+        let attempts = (0..).take_while(|_| calibration.begin_round()).count();
+        assert_eq!(attempts, 26);
+        assert!(calibration.begin_round(), "and it starts over");
+    }
+
+    #[test]
+    fn lying_stamps_are_refused() {
+        let mut calibration = Calibration::new(1);
+        assert_eq!(round(&mut calibration, 0, 2_000_000), Err(Refusal::ImplausibleReply));
+        assert!(calibration.begin_round());
+        calibration.sent(Instant::from_nanos(7));
+        let lie = calibration.reply(7, u64::MAX / 2, 3, Instant::from_nanos(9), LIMIT);
+        assert_eq!(lie, Err(Refusal::ImplausibleReply));
+        assert_eq!(calibration.delay(), None);
+    }
+
+    #[test]
+    fn no_rounds_are_done_at_once() {
+        assert_eq!(Calibration::new(0).delay(), Some(Span::ZERO));
+    }
+}

@@ -1,0 +1,114 @@
+//! The time line: which cycle it is, on this station's clock, and the formulas of TDMA's times.
+
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
+
+/// From this station's clock to the master's, by one Synchronisation: what the master's clock showed
+/// when it sent, plus the delay to here, less what this clock showed on reception.
+pub fn offset(xmit: GlobalTime, delay: Span, rx: Instant) -> Offset {
+    Offset::between(rx, xmit + delay)
+}
+
+/// A cycle's start on this station's clock.
+pub fn cycle_start(sched: GlobalTime, offset: Offset) -> Instant {
+    offset.local(sched)
+}
+
+/// One calibration round: half of what the round trip took besides the master's own time. Stamps
+/// count nanoseconds, the outer two on the slave's clock, the inner two on the master's.
+pub fn delay(request_xmit: u64, reception: u64, reply_xmit: u64, reply_rx: u64) -> Span {
+    let round_trip = reply_rx.wrapping_sub(request_xmit);
+    let at_master = reply_xmit.wrapping_sub(reception);
+    let both_ways = round_trip.wrapping_sub(at_master) as i64;
+    Span::from_nanos(both_ways.wrapping_add(1) >> 1)
+}
+
+/// A cycle and its start, from which all others follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimeLine {
+    /// The cycle that is known best.
+    pub cycle: u32,
+    /// Its start on this station's clock.
+    pub start: Instant,
+    /// Its start on the master's clock, as scheduled.
+    pub sched: GlobalTime,
+    /// From one start to the next.
+    pub period: Span,
+    /// From this station's clock to the master's.
+    pub offset: Offset,
+}
+
+impl TimeLine {
+    /// Cycles from the one known best to `cycle`, shortest way round 2^32.
+    pub fn ahead(&self, cycle: u32) -> i32 {
+        cycle.wrapping_sub(self.cycle) as i32
+    }
+    /// A cycle's start on this station's clock.
+    pub fn start_of(&self, cycle: u32) -> Instant {
+        self.start + self.period * i64::from(self.ahead(cycle))
+    }
+    /// A cycle's start on the master's clock.
+    pub fn sched_of(&self, cycle: u32) -> GlobalTime {
+        self.sched + self.period * i64::from(self.ahead(cycle))
+    }
+}
+
+/// The first cycle from `from` on with `cycle mod period == phase`. After 2^32 - 1 comes 0.
+pub fn next_cycle(from: u32, phase: u32, period: u32) -> u32 {
+    let (period, from64) = (u64::from(period.max(1)), u64::from(from));
+    let wait = (u64::from(phase) + period - from64 % period) % period;
+    u32::try_from(from64 + wait).unwrap_or(phase)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_arithmetic_of_the_example_frames_holds() {
+        let global = GlobalTime::from_nanos;
+        let rx = Instant::from_nanos(600_101_924_444);
+        assert_eq!(
+            delay(600_100_323_344, 1_000_100_492_000, 1_000_101_402_000, 600_101_323_344).nanos(),
+            45_000
+        );
+        let offset = offset(global(1_000_102_002_900), Span::from_nanos(45_000), rx);
+        assert_eq!(offset.nanos(), 400_000_123_456);
+        assert_eq!(cycle_start(global(1_000_102_000_000), offset).nanos(), 600_101_876_544);
+    }
+
+    #[test]
+    fn the_uncalibrated_offset_of_the_first_example_is_45_us_too_small() {
+        let rx = Instant::from_nanos(600_099_924_794);
+        let offset = offset(GlobalTime::from_nanos(1_000_100_003_250), Span::ZERO, rx);
+        assert_eq!(offset.nanos(), 400_000_078_456);
+        assert_eq!(cycle_start(GlobalTime::from_nanos(1_000_100_000_000), offset).nanos(), 600_099_921_544);
+    }
+
+    #[test]
+    fn delay_rounds_half_up_and_may_be_negative() {
+        assert_eq!(delay(0, 0, 0, 3).nanos(), 2);
+        assert_eq!(delay(0, 0, 5, 0).nanos(), -2);
+        assert_eq!(delay(u64::MAX, 7, 7, 1).nanos(), 1, "modulo 2^64");
+    }
+
+    #[test]
+    fn cycles_count_on_across_the_wrap() {
+        let line = TimeLine {
+            cycle: u32::MAX,
+            start: Instant::from_nanos(10_000),
+            sched: GlobalTime::from_nanos(50_000),
+            period: Span::from_nanos(1_000),
+            offset: Offset::default(),
+        };
+        assert_eq!(line.start_of(1).nanos(), 12_000);
+        assert_eq!(line.sched_of(u32::MAX - 1).nanos(), 49_000);
+    }
+
+    #[test]
+    fn the_next_cycle_of_a_phase_starts_over_after_the_wrap() {
+        assert_eq!(next_cycle(7, 0, 1), 7);
+        assert_eq!(next_cycle(7, 1, 4), 9);
+        assert_eq!(next_cycle(9, 1, 4), 9);
+        assert_eq!(next_cycle(u32::MAX, 1, 3), 1, "2^32 - 1 is 0 mod 3");
+    }
+}

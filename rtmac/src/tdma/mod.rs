@@ -1,0 +1,555 @@
+//! The TDMA discipline: [`Tdma`] is a master or a slave with its slots.
+//!
+//! Every cycle has a grid of jobs, at most one of them at a time:
+//!
+//! ```text
+//! job          whose    when                       what
+//! Sync         master   start of each cycle        tells cycle number and time
+//! Reply        master   where a slave asked        answers a calibration request
+//! Request      slave    its first slot             asks, until calibrated; then silent for the reply
+//! Data         both     its slots                  the most urgent frame of the slot's queue
+//! ```
+//!
+//! A job is chosen at its instant less the lead. One whose `latest` instant has passed is skipped,
+//! counted and told of; it is never made up for.
+
+mod calibration;
+mod events;
+pub mod line;
+mod master;
+pub mod schedule;
+mod slave;
+mod slot;
+mod status;
+
+use rtnet::buf::{Buf, Pool};
+use rtnet::counters::Refusal;
+use rtnet::discipline::{
+    Channel, Claimed, Discipline, Event, EventKind, Opportunity, Refused, Returned, SendError, Sent,
+    SyncState, TimeView, Transmission,
+};
+use rtnet::queue::Priority;
+use rtnet::time::{GlobalTime, Instant, Span};
+use rtnet::wire::ethernet::{Address, EtherType, Header};
+
+pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
+use events::Events;
+pub use line::TimeLine;
+use master::Master;
+pub use master::{MAX_PENDING_REPLIES, MasterConfig};
+use slave::{Followed, Slave};
+pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
+pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig};
+use slot::{Slots, Turn};
+pub use status::{Counters, RoleName, TdmaStatus};
+
+use crate::wire::{self, Message, Rtmac};
+
+/// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
+/// within 50 us in 99 of 100 cases on a virtual machine.
+pub const DEFAULT_LEAD: Span = Span::from_micros(50);
+
+/// What to do with a slot whose `latest` instant has passed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum LatePolicy {
+    /// Send nothing (invariant 5).
+    #[default]
+    Skip,
+    /// Send all the same, as RTnet does, up to a cycle late. For comparison runs.
+    Send,
+}
+
+/// What a station is in the cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RoleConfig {
+    /// Gives the time.
+    Master(MasterConfig),
+    /// Follows it.
+    Slave(SlaveConfig),
+}
+
+/// Everything that is configured of a TDMA station.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TdmaConfig {
+    /// The interface's address.
+    pub address: Address,
+    /// Master or slave.
+    pub role: RoleConfig,
+    /// Its slots.
+    pub slots: Vec<SlotConfig>,
+    /// Highest slot id.
+    pub max_slot_id: u8,
+    /// How long before a slot its frame is chosen.
+    pub lead: Span,
+    /// What to do when late.
+    pub late: LatePolicy,
+}
+
+/// What the control thread may ask of a TDMA station.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TdmaCommand {
+    /// Define or change a slot, from the next cycle on.
+    SetSlot(SlotConfig),
+    /// Remove a slot; what is queued in it is dropped.
+    RemoveSlot(Channel),
+}
+
+/// A station of a TDMA network.
+pub struct Tdma {
+    address: Address,
+    lead: Span,
+    late: LatePolicy,
+    role: Role,
+    slots: Slots,
+    /// Synchronisations, requests and replies are sent from here.
+    pool: Pool,
+    pending: Option<Pending>,
+    events: Events,
+    counters: Counters,
+}
+
+enum Role {
+    Master(Master),
+    Slave(Slave),
+}
+
+#[derive(Clone, Copy)]
+enum Job {
+    Sync { cycle: u32, at: Instant, latest: Instant, sched: GlobalTime },
+    Reply { cycle: u32, at: Instant, latest: Instant },
+    Request(Turn),
+    Data(Turn),
+}
+
+/// What is being sent.
+#[derive(Clone, Copy)]
+struct Pending {
+    job: Job,
+    priority: Priority,
+}
+
+impl Job {
+    fn at(&self) -> Instant {
+        match self {
+            Job::Sync { at, .. } | Job::Reply { at, .. } => *at,
+            Job::Request(turn) | Job::Data(turn) => turn.at,
+        }
+    }
+    fn latest(&self) -> Instant {
+        match self {
+            Job::Sync { latest, .. } | Job::Reply { latest, .. } => *latest,
+            Job::Request(turn) | Job::Data(turn) => turn.latest,
+        }
+    }
+    fn cycle(&self) -> u32 {
+        match self {
+            Job::Sync { cycle, .. } | Job::Reply { cycle, .. } => *cycle,
+            Job::Request(turn) | Job::Data(turn) => turn.cycle,
+        }
+    }
+}
+
+impl Tdma {
+    /// A station with its slots; what cannot be is refused by name.
+    pub fn new(config: &TdmaConfig) -> Result<Self, Refused> {
+        let mut slots = Slots::new(config.max_slot_id);
+        for &slot in &config.slots {
+            if slots.get(slot.id).is_some() {
+                return Err(Refused(format!("slot {}: defined twice", slot.id)));
+            }
+            slots.set(slot, 0)?;
+        }
+        let role = match config.role {
+            RoleConfig::Master(master) => Role::Master(Master::new(checked(master, &config.slots)?)),
+            RoleConfig::Slave(slave) if slave.rounds > MAX_ROUNDS => {
+                return Err(Refused(format!("{} calibration rounds: at most {MAX_ROUNDS}", slave.rounds)));
+            }
+            RoleConfig::Slave(slave) => Role::Slave(Slave::new(slave)),
+        };
+        Ok(Self {
+            address: config.address,
+            lead: config.lead,
+            late: config.late,
+            role,
+            slots,
+            // All pending replies are built when their instant comes, one frame at a time.
+            pool: Pool::new(2),
+            pending: None,
+            events: Events::new(),
+            counters: Counters::default(),
+        })
+    }
+
+    fn line(&self) -> Option<&TimeLine> {
+        match &self.role {
+            Role::Master(master) => master.line(),
+            Role::Slave(slave) => slave.line(),
+        }
+    }
+
+    /// The job whose instant is first; at the same instant a Synchronisation before a reply before data.
+    fn next_job(&self) -> Option<Job> {
+        let line = self.line()?;
+        let data = || self.slots.next_turn(line, None).map(|turn| Job::Data(self.tolerant(turn, line)));
+        match &self.role {
+            Role::Slave(slave) if slave.calibration().delay().is_none() => {
+                self.slots.next_turn(line, self.slots.first().map(|slot| slot.id)).map(Job::Request)
+            }
+            Role::Slave(_) => data(),
+            Role::Master(master) => {
+                let config = master.config();
+                let sync = master.next_sync().map(|(cycle, at, sched)| Job::Sync {
+                    cycle,
+                    at,
+                    latest: at + config.sync_latest,
+                    sched,
+                });
+                let reply = master.next_reply().map(|reply| Job::Reply {
+                    cycle: reply.cycle,
+                    at: reply.at,
+                    latest: reply.at + config.reply_latest,
+                });
+                // Replies and slots of one cycle come after its Synchronisation, which begins it.
+                sync.into_iter().chain(reply).chain(data()).min_by_key(Job::at)
+            }
+        }
+    }
+
+    fn tolerant(&self, turn: Turn, line: &TimeLine) -> Turn {
+        match self.late {
+            LatePolicy::Skip => turn,
+            LatePolicy::Send => Turn { latest: turn.at + line.period, ..turn },
+        }
+    }
+
+    /// The next job if its time has come. Jobs that must not or can no longer be done pass on the way.
+    fn due(&mut self, now: Instant) -> Option<Job> {
+        loop {
+            let job = self.next_job()?;
+            if job.at() - self.lead > now {
+                return None;
+            }
+            if !self.may_do(&job) {
+                self.counters.slots_silent += 1;
+            } else if now > job.latest() {
+                self.missed(&job, now - job.latest());
+            } else {
+                return Some(job);
+            }
+            self.pass(&job);
+        }
+    }
+
+    fn may_do(&self, job: &Job) -> bool {
+        match (&self.role, job) {
+            (Role::Slave(slave), Job::Request(turn) | Job::Data(turn)) => {
+                let fits = slave.line().is_some_and(|line| {
+                    self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period)
+                });
+                fits && slave.may_send(turn.cycle)
+            }
+            _ => true,
+        }
+    }
+
+    /// The job's time is over, whether it was done or not.
+    fn pass(&mut self, job: &Job) {
+        match (job, &mut self.role) {
+            (Job::Sync { .. }, Role::Master(master)) => master.advance(),
+            (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
+            (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
+            _ => {}
+        }
+    }
+
+    fn missed(&mut self, job: &Job, late: Span) {
+        let kind = match job {
+            Job::Sync { .. } => {
+                self.counters.syncs_skipped += 1;
+                EventKind::SyncSkipped
+            }
+            Job::Reply { .. } => {
+                self.counters.replies_late += 1;
+                EventKind::Overrun
+            }
+            Job::Request(_) | Job::Data(_) => {
+                self.counters.overruns += 1;
+                EventKind::Overrun
+            }
+        };
+        self.events.note(job.cycle(), kind, late);
+    }
+
+    /// Builds the frame of a job that is due; `None` when there is nothing to send after all.
+    fn build(&mut self, job: Job) -> Option<Transmission> {
+        let (frame, stamp, priority) = match job {
+            Job::Data(turn) => {
+                let (priority, frame) = self.slots.dequeue(turn.id)?;
+                (frame, None, priority)
+            }
+            control => {
+                let (message, to, add) = self.control_message(control)?;
+                let mut frame = self.pool.take()?;
+                message.write(to, self.address, &mut frame);
+                (frame, Some(message.stamp(add)), Priority::FIRST)
+            }
+        };
+        self.pending = Some(Pending { job, priority });
+        Some(Transmission { frame, at: job.at(), latest: job.latest(), stamp })
+    }
+
+    /// A control job's message with its transmit stamp left open, whom it is for, and the stamp's addend.
+    fn control_message(&mut self, job: Job) -> Option<(Message, Address, u64)> {
+        match (job, &mut self.role) {
+            (Job::Sync { cycle, sched, .. }, Role::Master(master)) => {
+                let sync = Message::Sync { cycle, xmit: GlobalTime::default(), sched };
+                Some((sync, Address::BROADCAST, master.config().epoch.nanos()))
+            }
+            (Job::Reply { .. }, Role::Master(master)) => {
+                let asked = master.next_reply()?;
+                let (request_xmit, reception) = (asked.request_xmit, asked.reception.nanos());
+                Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, 0))
+            }
+            (Job::Request(turn), Role::Slave(slave)) => {
+                if !slave.calibration_mut().begin_round() {
+                    self.counters.calibration_timeouts += 1;
+                    self.events.note(turn.cycle, EventKind::CalibrationTimeout, Span::ZERO);
+                    return None;
+                }
+                let slot = self.slots.get(turn.id)?;
+                let reply_cycle = turn.cycle.wrapping_add(slot.period);
+                let reply_offset = slot.offset.nanos() as u64;
+                Some((Message::Request { xmit: 0, reply_cycle, reply_offset }, slave.master(), 0))
+            }
+            _ => None,
+        }
+    }
+
+    fn on_message(&mut self, rx: Instant, header: &Header, message: Message) -> Result<(), Refusal> {
+        let events = &mut self.events;
+        match (message, &mut self.role) {
+            (Message::Sync { .. }, Role::Master(master)) => {
+                if master.on_foreign_sync(header.source) || master.line().is_some() {
+                    let cycle = master.line().map_or(0, |line| line.cycle);
+                    events.note(cycle, EventKind::OtherMaster, Span::ZERO);
+                }
+                Err(Refusal::ForeignSync)
+            }
+            (Message::Sync { cycle, xmit, sched }, Role::Slave(slave)) => {
+                self.counters.syncs_received += 1;
+                let followed = slave.on_sync(rx, header.source, cycle, xmit, sched, events)?;
+                if let (Followed::NewLine, Some(line)) = (followed, slave.line()) {
+                    self.slots.align(line, rx);
+                }
+                Ok(())
+            }
+            (Message::Request { .. }, _) if header.destination != self.address => Err(Refusal::NotMaster),
+            (Message::Request { xmit, reply_cycle, reply_offset }, Role::Master(master)) => {
+                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
+            }
+            (Message::Request { .. }, Role::Slave(_)) => Err(Refusal::NotMaster),
+            (Message::Reply { request_xmit, reception, xmit }, Role::Slave(slave)) => {
+                if header.destination != self.address {
+                    return Err(Refusal::UnexpectedReply);
+                }
+                let done = slave.on_reply(rx, request_xmit, reception, xmit, events)?;
+                if let (true, Some(line)) = (done, slave.line()) {
+                    self.slots.align(line, rx);
+                }
+                Ok(())
+            }
+            (Message::Reply { .. }, Role::Master(_)) => Err(Refusal::UnexpectedReply),
+        }
+    }
+}
+
+/// A master knows its cycle, so that its own slots can be checked against it.
+fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
+    if master.cycle <= Span::ZERO {
+        return Err(Refused(format!("a cycle of {} is none", master.cycle)));
+    }
+    match slots.iter().find(|slot| slot.offset >= master.cycle) {
+        Some(slot) => {
+            let (id, offset, cycle) = (slot.id, slot.offset, master.cycle);
+            Err(Refused(format!("slot {id}: the offset {offset} is beyond the cycle of {cycle}")))
+        }
+        None => Ok(master),
+    }
+}
+
+impl Discipline for Tdma {
+    type Command = TdmaCommand;
+    type Status = TdmaStatus;
+
+    fn claims(&self, header: &Header) -> bool {
+        header.ether_type() == EtherType::RTMAC
+    }
+
+    fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) -> Claimed {
+        let message = match wire::parse(&frame) {
+            Ok(Rtmac::Tdma(message)) => message,
+            Ok(Rtmac::Tunnel(..)) => return Claimed::Tunnel(frame),
+            Err(reason) => return Claimed::Refused(reason),
+        };
+        let Some((header, _)) = Header::parse(&frame) else { return Claimed::Refused(Refusal::Runt) };
+        let Some(rx) = rx else { return Claimed::Refused(Refusal::NoStamp) };
+        match self.on_message(rx, header, message) {
+            Ok(()) => Claimed::Kept,
+            Err(reason) => Claimed::Refused(reason),
+        }
+    }
+
+    fn on_timeout(&mut self, now: Instant) {
+        match &mut self.role {
+            Role::Master(master) => {
+                if master.on_timeout(now)
+                    && let Some(line) = master.line()
+                {
+                    let first =
+                        TimeLine { cycle: 1, start: line.start_of(1), sched: line.sched_of(1), ..*line };
+                    self.slots.align(&first, now);
+                    self.events.note(1, EventKind::MasterActive, Span::ZERO);
+                }
+            }
+            Role::Slave(slave) => slave.on_timeout(now, &mut self.events),
+        }
+    }
+
+    fn opportunity(&mut self, now: Instant) -> Option<Opportunity> {
+        let Some(Job::Data(turn)) = self.due(now) else { return None };
+        let line = self.line()?;
+        let slot = self.slots.get(turn.id)?;
+        let scheduled = line.sched_of(turn.cycle) + slot.offset;
+        Some(Opportunity { channel: turn.id, cycle: turn.cycle, begin: turn.at, scheduled })
+    }
+
+    fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
+        let job = self.due(now)?;
+        let built = self.build(job);
+        self.pass_done(&job);
+        built
+    }
+
+    fn on_sent(&mut self, outcome: Sent) -> Option<Returned> {
+        let Pending { job, priority } = self.pending.take()?;
+        match outcome {
+            Sent::At(stamped) => self.count_sent(&job, Some(stamped)),
+            Sent::StalledUntil(until) => {
+                self.count_sent(&job, None);
+                self.counters.stalled_in_send += 1;
+                self.events.note(job.cycle(), EventKind::StalledInSend, until - job.latest());
+            }
+            Sent::Late(now, frame) => {
+                self.missed(&job, now - job.latest());
+                return job.returned(frame, priority);
+            }
+            Sent::Failed(errno, frame) => {
+                self.counters.send_failed += 1;
+                self.events.note(job.cycle(), EventKind::SendFailed, Span::from_nanos(i64::from(errno)));
+                return job.returned(frame, priority);
+            }
+        }
+        None
+    }
+
+    fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
+        self.slots.enqueue(frame, priority, ch)
+    }
+
+    fn put_back(&mut self, frame: Returned) {
+        if self.slots.put_back(frame).is_err() {
+            self.counters.returned_dropped += 1;
+        }
+    }
+
+    fn payload_limit(&self, ch: Channel) -> Result<usize, SendError> {
+        self.slots.payload_limit(ch)
+    }
+
+    fn next_deadline(&self) -> Option<Instant> {
+        let role = match &self.role {
+            Role::Master(master) => master.deadline(),
+            Role::Slave(slave) => slave.deadline(),
+        };
+        let job = self.next_job().map(|job| job.at() - self.lead);
+        role.into_iter().chain(job).min()
+    }
+
+    fn time(&self) -> TimeView {
+        let state = match &self.role {
+            Role::Master(master) if master.line().is_some() => SyncState::Locked,
+            Role::Master(_) => SyncState::Waiting,
+            Role::Slave(slave) => slave.state(),
+        };
+        let line = self.line();
+        TimeView {
+            state,
+            cycle: line.map_or(0, |line| line.cycle),
+            start: line.map_or(Instant::default(), |line| line.start),
+            offset: line.map_or(Default::default(), |line| line.offset),
+        }
+    }
+
+    fn next_event(&mut self) -> Option<Event> {
+        self.events.take()
+    }
+
+    fn command(&mut self, _now: Instant, command: TdmaCommand) -> Result<(), Refused> {
+        match command {
+            TdmaCommand::SetSlot(slot) => {
+                if let Role::Master(master) = &self.role {
+                    checked(*master.config(), &[slot])?;
+                }
+                let cycle = self.line().map_or(0, |line| line.cycle);
+                self.slots.set(slot, cycle)
+            }
+            TdmaCommand::RemoveSlot(id) => self.slots.remove(id),
+        }
+    }
+
+    fn status(&self) -> TdmaStatus {
+        TdmaStatus::of(self)
+    }
+}
+
+impl Tdma {
+    /// A chosen job does not come again; a slave that asked also leaves the slot of its reply free.
+    fn pass_done(&mut self, job: &Job) {
+        let asked = match (job, self.pending.is_some()) {
+            (Job::Request(turn), true) => self.slots.get(turn.id).map(|slot| (turn, slot.period)),
+            _ => None,
+        };
+        match asked {
+            Some((turn, period)) => {
+                self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
+            }
+            None => self.pass(job),
+        }
+    }
+
+    fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
+        match (job, &mut self.role) {
+            (Job::Sync { .. }, _) => self.counters.syncs_sent += 1,
+            (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
+            (Job::Data(_), _) => self.counters.frames_sent += 1,
+            (Job::Request(_), Role::Slave(slave)) => {
+                self.counters.requests_sent += 1;
+                // A request that was held up would measure the hold-up: its reply is not awaited.
+                if let Some(stamped) = stamped {
+                    slave.calibration_mut().sent(stamped);
+                }
+            }
+            (Job::Request(_), Role::Master(_)) => {}
+        }
+    }
+}
+
+impl Job {
+    /// Only data goes back to its queue; control frames are made anew.
+    fn returned(&self, frame: Buf, priority: Priority) -> Option<Returned> {
+        match self {
+            Job::Data(turn) => Some(Returned { frame, priority, channel: turn.id }),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! The slave: follows the master's time line.
+//!
+//! ```text
+//!            second Synchronisation agrees        last round
+//!  Waiting ──────────────────────► Calibrating ─────────────► Locked ◄──────────┐
+//!                                                               │ one missing    │ a Synchronisation
+//!                                                               ▼                │ that agrees
+//!                                                            Holdover ───────────┤
+//!                                                               │ two missing    │
+//!                                                               ▼                │
+//!                                                              Lost ─────────────┘
+//! ```
+//!
+//! A Synchronisation that disagrees with the line is a *time step*: nothing is sent until the next one
+//! tells whether the master moved (it agrees with the step) or one frame was held up on its way (it
+//! agrees with the line).
+
+use rtnet::counters::Refusal;
+use rtnet::discipline::{EventKind, SyncState};
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
+use rtnet::wire::ethernet::Address;
+
+use super::calibration::Calibration;
+use super::events::Events;
+use super::line::{self, TimeLine};
+
+/// A cycle's Synchronisation is missing when this part of the cycle has gone by without it.
+const GRACE_PARTS: i64 = 16;
+/// Cycles without a Synchronisation that are bridged.
+pub const HOLDOVER_CYCLES: i32 = 1;
+/// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`].
+const STEP_AT_LEAST: Span = Span::from_micros(20);
+const STEP_PARTS: i64 = 100;
+/// The line is good for so many cycles without a Synchronisation, at clocks 200 ppm apart.
+const LINE_GOOD_FOR: i32 = 1_000;
+const DRIFT_PARTS: i64 = 5_000;
+/// A cycle starts at most this long before or after its Synchronisation is received.
+const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
+/// Periods outside this are nobody's.
+const PERIODS: core::ops::RangeInclusive<Span> = Span::from_micros(1)..=Span::from_millis(100_000);
+
+/// What is configured of a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlaveConfig {
+    /// Calibration rounds; 0: none, and a delay of 0.
+    pub rounds: u32,
+    /// How much a Synchronisation may disagree with the line before it is a time step. Default: a
+    /// hundredth of the cycle, and at least 20 us.
+    pub step_limit: Option<Span>,
+}
+
+/// A station that follows.
+pub struct Slave {
+    step_limit: Option<Span>,
+    track: Track,
+    state: SyncState,
+    calibration: Calibration,
+    master: Address,
+    /// A cycle whose number came twice.
+    doubted: Option<u32>,
+    deviation: Span,
+}
+
+enum Track {
+    Nothing,
+    First(Mark),
+    On { line: TimeLine, step: Option<Mark> },
+}
+
+/// One Synchronisation.
+#[derive(Clone, Copy)]
+struct Mark {
+    cycle: u32,
+    sched: GlobalTime,
+    offset: Offset,
+}
+
+/// What became of a Synchronisation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Followed {
+    /// It continues the line.
+    Agrees,
+    /// The line begins, or begins anew: slots are to be aligned to it.
+    NewLine,
+    /// It waits for the next one to confirm it.
+    Pending,
+}
+
+impl Slave {
+    pub fn new(config: SlaveConfig) -> Self {
+        Self {
+            step_limit: config.step_limit,
+            track: Track::Nothing,
+            state: SyncState::Waiting,
+            calibration: Calibration::new(config.rounds),
+            master: Address::BROADCAST,
+            doubted: None,
+            deviation: Span::ZERO,
+        }
+    }
+
+    /// A Synchronisation, received at `rx`.
+    pub fn on_sync(
+        &mut self,
+        rx: Instant,
+        from: Address,
+        cycle: u32,
+        xmit: GlobalTime,
+        sched: GlobalTime,
+        events: &mut Events,
+    ) -> Result<Followed, Refusal> {
+        let delay = self.calibration.delay().unwrap_or(Span::ZERO);
+        let offset = line::offset(xmit, delay, rx);
+        let mark = Mark { cycle, sched, offset };
+        if (line::cycle_start(sched, offset) - rx).abs() > MAX_SYNC_AGE {
+            return Err(Refusal::ImplausibleSync);
+        }
+        let followed = match &mut self.track {
+            Track::Nothing => {
+                self.track = Track::First(mark);
+                Followed::Pending
+            }
+            Track::First(first) => match first.line_to(&mark, self.step_limit) {
+                Some(line) => self.adopt(line),
+                None => {
+                    self.track = Track::First(mark);
+                    Followed::Pending
+                }
+            },
+            Track::On { line, step } => {
+                if cycle == line.cycle || step.is_some_and(|step| step.cycle == cycle) {
+                    self.doubted = Some(cycle);
+                    events.note(cycle, EventKind::DuplicateCycle, mark.deviation_from(line));
+                    return Err(Refusal::DuplicateCycle);
+                }
+                self.deviation = mark.deviation_from(line);
+                if mark.agrees_with(line, self.step_limit) {
+                    *line = TimeLine { cycle, start: mark.start(), sched, offset, ..*line };
+                    *step = None;
+                    Followed::Agrees
+                } else if let Some(line) = step.and_then(|step| step.line_to(&mark, self.step_limit)) {
+                    self.adopt(line)
+                } else {
+                    *step = Some(mark);
+                    events.note(cycle, EventKind::TimeStep, self.deviation);
+                    Followed::Pending
+                }
+            }
+        };
+        self.master = from;
+        if followed == Followed::Pending {
+            return Ok(followed);
+        }
+        let returned = self.state == SyncState::Lost;
+        self.settle(cycle, events);
+        Ok(if returned { Followed::NewLine } else { followed })
+    }
+
+    /// A calibration reply, received at `rx`; `true` when it was the last that was needed.
+    pub fn on_reply(
+        &mut self,
+        rx: Instant,
+        request_xmit: u64,
+        reception: u64,
+        xmit: u64,
+        events: &mut Events,
+    ) -> Result<bool, Refusal> {
+        let Track::On { line, .. } = &mut self.track else { return Err(Refusal::UnexpectedReply) };
+        let Some(delay) = self.calibration.reply(request_xmit, reception, xmit, rx, line.period)? else {
+            return Ok(false);
+        };
+        // The offset grows by the delay, so everything is due that much earlier on this clock.
+        line.start = line.start - delay;
+        line.offset = Offset::between(line.start, line.sched);
+        let cycle = line.cycle;
+        self.settle(cycle, events);
+        Ok(true)
+    }
+
+    /// Time has passed: Synchronisations may be missing.
+    pub fn on_timeout(&mut self, now: Instant, events: &mut Events) {
+        let Track::On { line, .. } = &self.track else { return };
+        let since = now - line.start - line.period / GRACE_PARTS;
+        let missing = since.nanos() / line.period.nanos();
+        if missing < 1 {
+            return;
+        }
+        let cycle = line.cycle.wrapping_add(missing as u32);
+        let next = if missing <= i64::from(HOLDOVER_CYCLES) { SyncState::Holdover } else { SyncState::Lost };
+        match (self.state, next) {
+            (SyncState::Locked, SyncState::Holdover) => events.note(cycle, EventKind::Holdover, since),
+            (SyncState::Locked | SyncState::Holdover | SyncState::Calibrating, SyncState::Lost) => {
+                events.note(cycle, EventKind::SyncLost, since);
+            }
+            // One missing Synchronisation does not interrupt a calibration.
+            _ => return,
+        }
+        self.state = next;
+    }
+
+    /// Whether anything may be sent in `cycle`: not without its Synchronisation or the one before,
+    /// not while a time step is unconfirmed, not in a cycle whose number came twice.
+    pub fn may_send(&self, cycle: u32) -> bool {
+        let Track::On { line, step } = &self.track else { return false };
+        line.ahead(cycle) <= HOLDOVER_CYCLES && step.is_none() && self.doubted != Some(cycle)
+    }
+
+    /// The line that is followed; none while nothing may be sent anyway.
+    pub fn line(&self) -> Option<&TimeLine> {
+        match &self.track {
+            Track::On { line, .. } if self.state != SyncState::Lost => Some(line),
+            _ => None,
+        }
+    }
+
+    /// When the loss of Synchronisations would be noticed.
+    pub fn deadline(&self) -> Option<Instant> {
+        let line = self.line()?;
+        Some(line.start + line.period * i64::from(HOLDOVER_CYCLES + 1) + line.period / GRACE_PARTS)
+    }
+
+    pub fn state(&self) -> SyncState {
+        self.state
+    }
+    pub fn master(&self) -> Address {
+        self.master
+    }
+    pub fn calibration(&self) -> &Calibration {
+        &self.calibration
+    }
+    pub fn calibration_mut(&mut self) -> &mut Calibration {
+        &mut self.calibration
+    }
+    /// By how much the last Synchronisation disagreed with the line.
+    pub fn deviation(&self) -> Span {
+        self.deviation
+    }
+
+    fn adopt(&mut self, line: TimeLine) -> Followed {
+        self.track = Track::On { line, step: None };
+        Followed::NewLine
+    }
+
+    /// There is a line: calibrate on it, or be locked to it.
+    fn settle(&mut self, cycle: u32, events: &mut Events) {
+        let was = self.state;
+        self.state = match self.calibration.delay() {
+            None => SyncState::Calibrating,
+            Some(_) => SyncState::Locked,
+        };
+        if self.state == SyncState::Locked && !matches!(was, SyncState::Locked | SyncState::Holdover) {
+            events.note(cycle, EventKind::Locked, self.calibration.delay().unwrap_or(Span::ZERO));
+        }
+    }
+}
+
+impl Mark {
+    fn start(&self) -> Instant {
+        line::cycle_start(self.sched, self.offset)
+    }
+
+    /// This cycle's start less what the line says of it; of a cycle that came twice: of the same.
+    fn deviation_from(&self, line: &TimeLine) -> Span {
+        self.start() - line.start_of(self.cycle)
+    }
+
+    fn agrees_with(&self, line: &TimeLine, limit: Option<Span>) -> bool {
+        let ahead = line.ahead(self.cycle);
+        let drifted = line.period * i64::from(ahead) / DRIFT_PARTS;
+        (1..=LINE_GOOD_FOR).contains(&ahead)
+            && self.deviation_from(line).abs() <= step_limit(limit, line.period) + drifted
+    }
+
+    /// The line through this Synchronisation and a later one, if they can be of one line.
+    fn line_to(&self, later: &Mark, limit: Option<Span>) -> Option<TimeLine> {
+        let cycles = later.cycle.wrapping_sub(self.cycle) as i32;
+        if !(1..=LINE_GOOD_FOR).contains(&cycles) {
+            return None;
+        }
+        let period = (later.sched - self.sched) / i64::from(cycles);
+        let Mark { cycle, sched, offset } = *self;
+        let line = TimeLine { cycle, start: self.start(), sched, period, offset };
+        let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit);
+        let Mark { cycle, sched, offset } = *later;
+        fits.then(|| TimeLine { cycle, start: later.start(), sched, period, offset })
+    }
+}
+
+fn step_limit(configured: Option<Span>, period: Span) -> Span {
+    configured.unwrap_or((period / STEP_PARTS).max(STEP_AT_LEAST))
+}

@@ -1,0 +1,98 @@
+//! What there is to be seen of a TDMA station.
+
+use rtnet::discipline::{Discipline, SyncState};
+use rtnet::time::{Offset, Span};
+use rtnet::wire::ethernet::Address;
+
+use super::{Role, Tdma};
+
+/// Everything a TDMA station counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Counters {
+    /// Synchronisations sent.
+    pub syncs_sent: u64,
+    /// Synchronisations that came too late for their window and were not sent.
+    pub syncs_skipped: u64,
+    /// Synchronisations received, accepted or not.
+    pub syncs_received: u64,
+    /// Data frames sent.
+    pub frames_sent: u64,
+    /// Slots skipped because they were late.
+    pub overruns: u64,
+    /// Frames sent although the clock read afterwards was beyond `latest`.
+    pub stalled_in_send: u64,
+    /// Frames the kernel refused.
+    pub send_failed: u64,
+    /// Slots passed over because synchronisation did not allow them.
+    pub slots_silent: u64,
+    /// Calibration requests sent.
+    pub requests_sent: u64,
+    /// Times that calibration was given up.
+    pub calibration_timeouts: u64,
+    /// Calibration replies sent.
+    pub replies_sent: u64,
+    /// Calibration replies that were too late and not sent.
+    pub replies_late: u64,
+    /// Frames that missed their slot and whose slot is gone or full.
+    pub returned_dropped: u64,
+}
+
+/// Master or slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RoleName {
+    /// Gives the time.
+    Master,
+    /// Follows it.
+    Slave,
+}
+
+/// A snapshot of a TDMA station.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TdmaStatus {
+    /// Master or slave.
+    pub role: RoleName,
+    /// How far it is with the master's time; a master that speaks is locked.
+    pub state: SyncState,
+    /// The last cycle that was told of.
+    pub cycle: u32,
+    /// From one cycle's start to the next, once known.
+    pub period: Option<Span>,
+    /// From this station's clock to the master's, once known.
+    pub offset: Option<Offset>,
+    /// The measured delay from the master, once known.
+    pub delay: Option<Span>,
+    /// By how much the last Synchronisation disagreed with the line.
+    pub deviation: Span,
+    /// Calibration requests that had no answer and were repeated.
+    pub calibration_repeats: u64,
+    /// The other master that kept this one from speaking.
+    pub yielded_to: Option<Address>,
+    /// Events that found the log full.
+    pub events_lost: u64,
+    /// Everything that is counted.
+    pub counters: Counters,
+}
+
+impl TdmaStatus {
+    pub(super) fn of(tdma: &Tdma) -> Self {
+        let line = tdma.line();
+        let time = tdma.time();
+        let (master, slave) = match &tdma.role {
+            Role::Master(master) => (Some(master), None),
+            Role::Slave(slave) => (None, Some(slave)),
+        };
+        Self {
+            role: if master.is_some() { RoleName::Master } else { RoleName::Slave },
+            state: time.state,
+            cycle: time.cycle,
+            period: line.map(|line| line.period),
+            offset: line.map(|line| line.offset),
+            delay: slave.and_then(|slave| slave.calibration().delay()),
+            deviation: slave.map_or(Span::ZERO, |slave| slave.deviation()),
+            calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
+            yielded_to: master.and_then(|master| master.yielded_to()),
+            events_lost: tdma.events.lost(),
+            counters: tdma.counters,
+        }
+    }
+}

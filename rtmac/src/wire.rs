@@ -1,0 +1,241 @@
+//! RTmac frames and the three frames of TDMA (RTmac 2.0, TDMA 2.1a); all fields big-endian.
+//!
+//! ```text
+//! 0          14     16      17      18        20         22
+//! +----------+------+-------+-------+---------+----------+----------------------------------------+
+//! | Ethernet | type |version| flags | TDMA    | message  | Synchronisation     cycle 4, xmit 8,   |
+//! | header   |      | 2     |bit 0: | version |          |                     sched 8            |
+//! | 0x9021   |      |       |tunnel | 0x0201  |          | Request Calibration xmit 8, cycle 4,   |
+//! +----------+------+-------+-------+---------+----------+                     offset 8           |
+//!            | type 1: TDMA                   |          | Reply Calibration   request 8,         |
+//!            | tunnel: the inner EtherType    |          |                     reception 8, xmit 8|
+//! ```
+//!
+//! A frame's length says nothing of its content: real stations pad with stale memory. Fields are read
+//! by their offsets only.
+
+use rtnet::buf::Buf;
+use rtnet::counters::Refusal;
+use rtnet::discipline::Stamp;
+use rtnet::time::GlobalTime;
+use rtnet::wire::ethernet::{self, Address, EtherType};
+use zerocopy::byteorder::network_endian::{U16, U32, U64};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
+/// The only RTmac version on today's wires.
+pub const RTMAC_VERSION: u8 = 2;
+/// The discipline TDMA.
+pub const TYPE_TDMA: u16 = 0x0001;
+/// Flag: a foreign frame is inside, and the type is its EtherType.
+pub const FLAG_TUNNEL: u8 = 0x01;
+/// The only TDMA version on today's wires.
+pub const TDMA_VERSION: u16 = 0x0201;
+
+/// The RTmac header, behind the Ethernet header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+pub struct Head {
+    kind: U16,
+    /// 2.
+    pub version: u8,
+    /// Bit 0 is the tunnel flag; the others are reserved and ignored.
+    pub flags: u8,
+}
+
+impl Head {
+    /// A discipline's number, or the tunnelled frame's EtherType.
+    pub fn kind(&self) -> u16 {
+        self.kind.get()
+    }
+    /// Whether a foreign frame is inside.
+    pub fn is_tunnel(&self) -> bool {
+        self.flags & FLAG_TUNNEL != 0
+    }
+}
+
+/// An RTmac frame, as far as it concerns anybody here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rtmac<'a> {
+    /// TDMA's own.
+    Tdma(Message),
+    /// A foreign frame's EtherType and payload, with whatever padding followed it.
+    Tunnel(EtherType, &'a [u8]),
+}
+
+/// What TDMA stations tell each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Message {
+    /// From the active master to all: a cycle begins.
+    Sync {
+        /// Counts cycles, modulo 2^32.
+        cycle: u32,
+        /// The master's clock when the frame was sent.
+        xmit: GlobalTime,
+        /// When the cycle was to begin.
+        sched: GlobalTime,
+    },
+    /// From a slave to the master: answer in this cycle, in this slot of mine.
+    Request {
+        /// The slave's own clock when the frame was sent, nanoseconds.
+        xmit: u64,
+        /// The cycle of the answer.
+        reply_cycle: u32,
+        /// The answer's instant in that cycle, nanoseconds from its start.
+        reply_offset: u64,
+    },
+    /// The master's answer; only the difference of its two stamps matters.
+    Reply {
+        /// The request's `xmit`, unchanged.
+        request_xmit: u64,
+        /// The master's own clock when the request arrived, nanoseconds.
+        reception: u64,
+        /// The master's own clock when this frame was sent, nanoseconds.
+        xmit: u64,
+    },
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct TdmaHead {
+    version: U16,
+    message: U16,
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct SyncBody {
+    cycle: U32,
+    xmit: U64,
+    sched: U64,
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct RequestBody {
+    xmit: U64,
+    reply_cycle: U32,
+    reply_offset: U64,
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct ReplyBody {
+    request_xmit: U64,
+    reception: U64,
+    xmit: U64,
+}
+
+const ID_SYNC: u16 = 0x0000;
+const ID_REQUEST: u16 = 0x0010;
+const ID_REPLY: u16 = 0x0011;
+
+const BODY: usize = ethernet::HEADER_LEN + size_of::<Head>() + size_of::<TdmaHead>();
+const _: () = assert!(BODY == 22);
+const _: () = assert!(BODY + size_of::<SyncBody>() == 42 && BODY + size_of::<RequestBody>() == 42);
+const _: () = assert!(BODY + size_of::<ReplyBody>() == 46);
+
+/// Splits an RTmac frame into its head and what follows. The caller has checked the EtherType.
+pub fn head(frame: &[u8]) -> Result<(&Head, &[u8]), Refusal> {
+    let behind = frame.get(ethernet::HEADER_LEN..).ok_or(Refusal::Runt)?;
+    Head::ref_from_prefix(behind).map_err(|_| Refusal::Truncated)
+}
+
+/// Reads an RTmac frame from its first byte on. The caller has checked the EtherType.
+pub fn parse(frame: &[u8]) -> Result<Rtmac<'_>, Refusal> {
+    let (head, rest) = head(frame)?;
+    if head.version != RTMAC_VERSION {
+        return Err(Refusal::RtmacVersion);
+    }
+    if head.is_tunnel() {
+        return Ok(Rtmac::Tunnel(EtherType(head.kind()), rest));
+    }
+    if head.kind() != TYPE_TDMA {
+        return Err(Refusal::OtherDiscipline);
+    }
+    parse_tdma(rest).map(Rtmac::Tdma)
+}
+
+fn parse_tdma(bytes: &[u8]) -> Result<Message, Refusal> {
+    let (head, body) = prefix::<TdmaHead>(bytes)?;
+    if head.version.get() != TDMA_VERSION {
+        return Err(Refusal::TdmaVersion);
+    }
+    match head.message.get() {
+        ID_SYNC => prefix::<SyncBody>(body).map(|(b, _)| Message::Sync {
+            cycle: b.cycle.get(),
+            xmit: GlobalTime::from_nanos(b.xmit.get()),
+            sched: GlobalTime::from_nanos(b.sched.get()),
+        }),
+        ID_REQUEST => prefix::<RequestBody>(body).map(|(b, _)| Message::Request {
+            xmit: b.xmit.get(),
+            reply_cycle: b.reply_cycle.get(),
+            reply_offset: b.reply_offset.get(),
+        }),
+        ID_REPLY => prefix::<ReplyBody>(body).map(|(b, _)| Message::Reply {
+            request_xmit: b.request_xmit.get(),
+            reception: b.reception.get(),
+            xmit: b.xmit.get(),
+        }),
+        _ => Err(Refusal::TdmaMessage),
+    }
+}
+
+fn prefix<T: FromBytes + KnownLayout + Immutable + Unaligned>(bytes: &[u8]) -> Result<(&T, &[u8]), Refusal> {
+    T::ref_from_prefix(bytes).map_err(|_| Refusal::Truncated)
+}
+
+impl Message {
+    /// Writes the whole frame, padded with zeros to the Ethernet minimum.
+    pub fn write(&self, destination: Address, source: Address, frame: &mut Buf) {
+        let ethernet = ethernet::Header::new(destination, source, EtherType::RTMAC);
+        let head = Head { kind: U16::new(TYPE_TDMA), version: RTMAC_VERSION, flags: 0 };
+        let tdma = |id| TdmaHead { version: U16::new(TDMA_VERSION), message: U16::new(id) };
+        let room = frame.room_mut();
+        let mut len = put(room, 0, &ethernet);
+        len = put(room, len, &head);
+        len = match *self {
+            Message::Sync { cycle, xmit, sched } => {
+                len = put(room, len, &tdma(ID_SYNC));
+                let (xmit, sched) = (U64::new(xmit.nanos()), U64::new(sched.nanos()));
+                put(room, len, &SyncBody { cycle: U32::new(cycle), xmit, sched })
+            }
+            Message::Request { xmit, reply_cycle, reply_offset } => {
+                len = put(room, len, &tdma(ID_REQUEST));
+                let (xmit, reply_offset) = (U64::new(xmit), U64::new(reply_offset));
+                put(room, len, &RequestBody { xmit, reply_cycle: U32::new(reply_cycle), reply_offset })
+            }
+            Message::Reply { request_xmit, reception, xmit } => {
+                len = put(room, len, &tdma(ID_REPLY));
+                let (request_xmit, reception) = (U64::new(request_xmit), U64::new(reception));
+                put(room, len, &ReplyBody { request_xmit, reception, xmit: U64::new(xmit) })
+            }
+        };
+        frame.set_len(len);
+        frame.pad_to(ethernet::MIN_FRAME);
+    }
+
+    /// Where this frame's transmit stamp is written, and what is added to the clock: the offset to
+    /// global time for a Synchronisation, nothing for the calibration frames.
+    pub fn stamp(&self, add: u64) -> Stamp {
+        let at_byte = match self {
+            Message::Sync { .. } => 26,
+            Message::Request { .. } => 22,
+            Message::Reply { .. } => 38,
+        };
+        Stamp { at_byte, add }
+    }
+}
+
+/// Writes `part` at `at` and tells where it ends.
+fn put(room: &mut [u8], at: usize, part: &(impl IntoBytes + Immutable)) -> usize {
+    let end = at + part.as_bytes().len();
+    room[at..end].copy_from_slice(part.as_bytes());
+    end
+}
+
+/// Whether real RTnet stations would leak this frame's buffer until they are deaf: an RTmac frame
+/// without the tunnel flag that is not TDMA's (invariant 8). It must never leave.
+pub fn is_lethal(frame: &[u8]) -> bool {
+    let is_rtmac = ethernet::Header::parse(frame).is_some_and(|(h, _)| h.ether_type() == EtherType::RTMAC);
+    is_rtmac && head(frame).map_or(true, |(head, _)| !head.is_tunnel() && head.kind() != TYPE_TDMA)
+}

@@ -1,0 +1,110 @@
+//! Whatever is refused is counted by reason.
+
+/// Counts per [`Refusal`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refusals([u64; Refusal::ALL.len()]);
+
+macro_rules! refusals {
+    ($($(#[doc = $doc:literal])+ $name:ident = $text:literal,)+) => {
+        /// Why a frame was not accepted, or a request not granted.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum Refusal { $($(#[doc = $doc])+ $name,)+ }
+
+        impl Refusal {
+            /// Every reason, in the order of declaration.
+            pub const ALL: &[Refusal] = &[$(Refusal::$name,)+];
+
+            /// The reason's name in reports.
+            pub const fn name(self) -> &'static str {
+                match self { $(Refusal::$name => $text,)+ }
+            }
+        }
+    };
+}
+
+refusals! {
+    /// Shorter than an Ethernet header.
+    Runt = "runt",
+    /// No service and no discipline takes this EtherType.
+    UnclaimedEtherType = "unclaimed_ether_type",
+    /// Kernel stamp lost to a step of the wall clock.
+    NoStamp = "no_stamp",
+    /// The consumer's own pool had no empty buffer to give.
+    PoolEmpty = "pool_empty",
+    /// An RTmac frame whose version is not 2.
+    RtmacVersion = "rtmac_version",
+    /// An RTmac control frame of another discipline.
+    OtherDiscipline = "other_discipline",
+    /// A tunnelled frame, and nothing here that unwraps it.
+    NoTunnel = "no_tunnel",
+    /// Ends before its last field.
+    Truncated = "truncated",
+    /// A TDMA frame whose version is not 0x0201.
+    TdmaVersion = "tdma_version",
+    /// A TDMA message identifier that is not defined.
+    TdmaMessage = "tdma_message",
+    /// A Synchronisation from somebody else while this station is the active master.
+    ForeignSync = "foreign_sync",
+    /// A Synchronisation whose times cannot be meant: seconds away from its own reception.
+    ImplausibleSync = "implausible_sync",
+    /// A Synchronisation with a cycle number that has been seen.
+    DuplicateCycle = "duplicate_cycle",
+    /// A calibration request to a station that is not an active master.
+    NotMaster = "not_master",
+    /// A calibration request for an answer in a cycle that has passed.
+    ReplyOverdue = "reply_overdue",
+    /// A calibration request for an answer later than any real one asks, or outside the cycle.
+    ReplyImplausible = "reply_implausible",
+    /// A calibration request while the most that are answered at a time are pending.
+    ReplyBacklog = "reply_backlog",
+    /// A calibration reply that nobody here waits for.
+    UnexpectedReply = "unexpected_reply",
+    /// A calibration reply whose stamps give an impossible delay.
+    ImplausibleReply = "implausible_reply",
+    /// Test traffic whose sequence, addressing or pattern is not what was sent.
+    BadPayload = "bad_payload",
+}
+
+impl Refusals {
+    /// Counts one.
+    pub fn count(&mut self, reason: Refusal) {
+        self.0[reason as usize] += 1;
+    }
+    /// How many for this reason.
+    pub fn get(&self, reason: Refusal) -> u64 {
+        self.0[reason as usize]
+    }
+    /// All of them together.
+    pub fn total(&self) -> u64 {
+        self.0.iter().sum()
+    }
+    /// Every reason that occurred, with its count.
+    pub fn nonzero(&self) -> impl Iterator<Item = (Refusal, u64)> + '_ {
+        Refusal::ALL.iter().map(|&reason| (reason, self.get(reason))).filter(|(_, n)| *n > 0)
+    }
+}
+
+impl Default for Refusals {
+    fn default() -> Self {
+        Self([0; Refusal::ALL.len()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_reason_has_its_own_count_and_name() {
+        let mut counts = Refusals::default();
+        for &reason in Refusal::ALL {
+            counts.count(reason);
+        }
+        assert_eq!(counts.total(), Refusal::ALL.len() as u64);
+        assert!(counts.nonzero().all(|(_, n)| n == 1));
+        let mut names: Vec<_> = Refusal::ALL.iter().map(|r| r.name()).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), Refusal::ALL.len());
+    }
+}

@@ -1,0 +1,312 @@
+//! The two hooks: how a station shares the medium, and what sits beside its sockets.
+//!
+//! ```text
+//!            on_frame ┌────────────┐ opportunity, next_transmission
+//!   medium ─────────► │ Discipline │ ─────────────────────────────► medium
+//!              │      └────────────┘        ▲
+//!              │            ▲ enqueue       │ next_deadline: one wake-up per slot
+//!              ▼            │
+//!           ┌─────────┐ poll│
+//!           │ Service │ ────┘
+//!           └─────────┘
+//! ```
+//!
+//! Both are pure: they are given the time with every call and never ask for it.
+
+use crate::buf::Buf;
+use crate::counters::Refusal;
+use crate::queue::Priority;
+use crate::time::{GlobalTime, Instant, Offset, Span};
+use crate::wire::ethernet::{EtherType, Header};
+
+/// The slot id that a frame is to leave in: 0 real-time, 1 non-real-time, 2.. the user's.
+pub type Channel = u8;
+
+/// A way to share the medium.
+pub trait Discipline: Send {
+    /// What the control thread asks for; applied between two slots.
+    type Command: Send;
+    /// What there is to be seen.
+    type Status: Copy + Send;
+
+    /// Whether a frame with this header is the discipline's own. TDMA: EtherType 0x9021.
+    fn claims(&self, header: &Header) -> bool;
+    /// A frame that it claims. `rx` is the kernel's stamp on this station's clock, or `None` when
+    /// the stamp could not be trusted.
+    fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) -> Claimed;
+    /// Time has passed. All timers live inside; one deadline is seen outside.
+    fn on_timeout(&mut self, now: Instant);
+    /// The data slot about to come, once `now` has reached it less the lead.
+    fn opportunity(&mut self, now: Instant) -> Option<Opportunity>;
+    /// The next frame to send, once `now` has reached its instant less the lead. It must be answered
+    /// by [`Discipline::on_sent`] before the next is asked for. `None` also ends an opportunity for
+    /// which nothing was queued.
+    fn next_transmission(&mut self, now: Instant) -> Option<Transmission>;
+    /// What became of the transmission. A frame that missed its slot comes back with where it was
+    /// queued: its maker decides whether it is still worth sending.
+    fn on_sent(&mut self, outcome: Sent) -> Option<Returned>;
+    /// Queues a frame for the slot `channel`.
+    fn enqueue(&mut self, frame: Buf, priority: Priority, channel: Channel) -> Result<(), (SendError, Buf)>;
+    /// Puts a frame that missed its slot back before the others of its priority.
+    fn put_back(&mut self, frame: Returned);
+    /// Largest payload behind the Ethernet header that fits the slot.
+    fn payload_limit(&self, channel: Channel) -> Result<usize, SendError>;
+    /// When to wake next. `None`: nothing to do until a frame arrives.
+    fn next_deadline(&self) -> Option<Instant>;
+    /// What is known of the master's time.
+    fn time(&self) -> TimeView;
+    /// The oldest thing worth telling that has not been told.
+    fn next_event(&mut self) -> Option<Event>;
+    /// Applies what the control thread asked for.
+    fn command(&mut self, now: Instant, command: Self::Command) -> Result<(), Refused>;
+    /// Counters and state.
+    fn status(&self) -> Self::Status;
+}
+
+/// What sits beside the sockets: the lab's test traffic, later the tunnel and the package router.
+pub trait Service: Send {
+    /// Whether frames of this EtherType are for it.
+    fn claims(&self, ether_type: EtherType) -> bool;
+    /// A frame that it claims. To keep it, it must be handed over to a pool of the service's own.
+    fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) -> Result<(), Refusal>;
+    /// Synchronisation was gained, bridged or lost.
+    fn on_sync_state(&mut self, _view: &TimeView) {}
+    /// A slot is about to come: the last moment to queue a frame for it.
+    fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>);
+    /// Whether a frame of its own that missed its slot is still worth sending in the next.
+    fn still_wanted(&mut self, _frame: &[u8]) -> bool {
+        true
+    }
+}
+
+/// Where a service leaves its frames.
+pub type Outlet<'a> = dyn FnMut(Buf, Priority, Channel) -> Result<(), (SendError, Buf)> + 'a;
+
+/// A data slot about to come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Opportunity {
+    /// Which slot.
+    pub channel: Channel,
+    /// In which cycle.
+    pub cycle: u32,
+    /// Its begin on this station's clock.
+    pub begin: Instant,
+    /// Its begin on the master's clock, as the schedule has it.
+    pub scheduled: GlobalTime,
+}
+
+/// What became of a frame that the discipline claimed.
+#[derive(Debug)]
+pub enum Claimed {
+    /// It was the discipline's, and is done with.
+    Kept,
+    /// A tunnelled frame for the VNIC.
+    Tunnel(Buf),
+    /// Not acceptable, for this reason.
+    Refused(Refusal),
+}
+
+/// A frame to be sent at an instant, and not later than another.
+#[derive(Debug)]
+pub struct Transmission {
+    /// The bytes, from the Ethernet header on.
+    pub frame: Buf,
+    /// When it is to be on the wire.
+    pub at: Instant,
+    /// After this instant it must not be sent any more.
+    pub latest: Instant,
+    /// Where to write the time as the last act before sending.
+    pub stamp: Option<Stamp>,
+}
+
+/// Eight big-endian bytes that the port writes immediately before it sends: its clock plus `add`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamp {
+    /// Offset of the field from the frame's first byte.
+    pub at_byte: u8,
+    /// Added to the local clock, modulo 2^64.
+    pub add: u64,
+}
+
+impl Stamp {
+    /// Writes the stamp into its frame; one outside the frame is not written.
+    #[inline]
+    pub fn write(&self, frame: &mut [u8], now: Instant) {
+        let at = usize::from(self.at_byte);
+        if let Some(field) = frame.get_mut(at..at + 8) {
+            field.copy_from_slice(&now.nanos().wrapping_add(self.add).to_be_bytes());
+        }
+    }
+}
+
+/// What became of a [`Transmission`].
+#[derive(Debug)]
+pub enum Sent {
+    /// The clock read immediately before `send`, which was in time.
+    At(Instant),
+    /// `send` was called in time, but the clock read after it is beyond `latest`: the frame may have
+    /// left late.
+    StalledUntil(Instant),
+    /// It was too late at this instant: nothing was sent.
+    Late(Instant, Buf),
+    /// The kernel refused it with this error number.
+    Failed(i32, Buf),
+}
+
+/// A frame that missed its slot, and where it was queued.
+#[derive(Debug)]
+pub struct Returned {
+    /// The frame as it was queued.
+    pub frame: Buf,
+    /// Its urgency.
+    pub priority: Priority,
+    /// Its slot.
+    pub channel: Channel,
+}
+
+/// How far a station is with the master's time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum SyncState {
+    /// No Synchronisation yet: silent.
+    #[default]
+    Waiting,
+    /// Measuring the delay to the master: sends only calibration requests.
+    Calibrating,
+    /// Synchronised.
+    Locked,
+    /// One Synchronisation is missing; its cycle is bridged.
+    Holdover,
+    /// More than one is missing: silent.
+    Lost,
+}
+
+impl SyncState {
+    /// The state's name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            SyncState::Waiting => "waiting",
+            SyncState::Calibrating => "calibrating",
+            SyncState::Locked => "locked",
+            SyncState::Holdover => "holdover",
+            SyncState::Lost => "lost",
+        }
+    }
+}
+
+/// What a station knows of the master's time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct TimeView {
+    /// How far it is.
+    pub state: SyncState,
+    /// Number of the last cycle that a Synchronisation told of.
+    pub cycle: u32,
+    /// That cycle's start on this station's clock.
+    pub start: Instant,
+    /// From this station's clock to the master's.
+    pub offset: Offset,
+}
+
+/// Something worth telling, latched with its cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Event {
+    /// The cycle it happened in.
+    pub cycle: u32,
+    /// What it was.
+    pub kind: EventKind,
+    /// How much: lateness, size of a step, measured delay.
+    pub span: Span,
+}
+
+/// Kinds of [`Event`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EventKind {
+    /// A slot was skipped because its `latest` instant had passed by so much.
+    Overrun,
+    /// A frame was sent, but the clock read afterwards was beyond `latest` by so much.
+    StalledInSend,
+    /// The kernel refused a frame.
+    SendFailed,
+    /// The master skipped a Synchronisation because its window had passed by so much.
+    SyncSkipped,
+    /// A Synchronisation disagrees with the time line by so much.
+    TimeStep,
+    /// A cycle number came twice; this station stays silent in that cycle.
+    DuplicateCycle,
+    /// A Synchronisation is missing; the cycle is bridged.
+    Holdover,
+    /// More Synchronisations are missing than are bridged.
+    SyncLost,
+    /// Synchronised; the span is the delay from the master.
+    Locked,
+    /// Calibration was given up for now.
+    CalibrationTimeout,
+    /// Another master is active on the medium.
+    OtherMaster,
+    /// This station is the active master from this cycle on.
+    MasterActive,
+}
+
+impl EventKind {
+    /// Every kind.
+    pub const ALL: [EventKind; 12] = [
+        EventKind::Overrun,
+        EventKind::StalledInSend,
+        EventKind::SendFailed,
+        EventKind::SyncSkipped,
+        EventKind::TimeStep,
+        EventKind::DuplicateCycle,
+        EventKind::Holdover,
+        EventKind::SyncLost,
+        EventKind::Locked,
+        EventKind::CalibrationTimeout,
+        EventKind::OtherMaster,
+        EventKind::MasterActive,
+    ];
+
+    /// The kind's name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            EventKind::Overrun => "overrun",
+            EventKind::StalledInSend => "stalled_in_send",
+            EventKind::SendFailed => "send_failed",
+            EventKind::SyncSkipped => "sync_skipped",
+            EventKind::TimeStep => "time_step",
+            EventKind::DuplicateCycle => "duplicate_cycle",
+            EventKind::Holdover => "holdover",
+            EventKind::SyncLost => "sync_lost",
+            EventKind::Locked => "locked",
+            EventKind::CalibrationTimeout => "calibration_timeout",
+            EventKind::OtherMaster => "other_master",
+            EventKind::MasterActive => "master_active",
+        }
+    }
+}
+
+/// Why a frame could not be queued.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SendError {
+    /// The station has no such slot (yet).
+    #[error("slot {0} is not defined: define it, or send in another channel")]
+    NoSlot(Channel),
+    /// The frame does not fit the slot.
+    #[error("a payload of {got} bytes does not fit slot {channel}, which takes {limit}")]
+    TooLong {
+        /// Which slot.
+        channel: Channel,
+        /// Bytes behind the Ethernet header.
+        got: usize,
+        /// What the slot takes.
+        limit: usize,
+    },
+    /// The queue of the slot is full.
+    #[error("the queue of slot {0} is full")]
+    QueueFull(Channel),
+    /// An RTmac frame that real RTnet stations never free (invariant 8).
+    #[error("an RTmac control frame that is not TDMA's never leaves: it deafens RTnet stations")]
+    Lethal,
+}
+
+/// Why a command was not carried out: what, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Refused(pub String);

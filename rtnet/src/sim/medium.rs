@@ -1,0 +1,90 @@
+//! The medium: when each frame is on the air, who hears it, and whether two were there at once.
+
+use super::StationId;
+use super::random::Random;
+use crate::clock::True;
+use crate::time::Span;
+use crate::wire::ethernet::{EtherType, Header, MIN_FRAME, OVERHEAD};
+
+/// What the medium is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Medium {
+    /// Bits per second.
+    pub rate: u64,
+    /// From any station to any other.
+    pub propagation: Span,
+    /// RTmac frames in a million that one receiver does not hear; each receiver has its own luck.
+    pub lose_control_ppm: u32,
+    /// The same for all other frames.
+    pub lose_data_ppm: u32,
+}
+
+impl Default for Medium {
+    fn default() -> Self {
+        let propagation = Span::from_nanos(500);
+        Self { rate: 1_000_000_000, propagation, lose_control_ppm: 0, lose_data_ppm: 0 }
+    }
+}
+
+/// A frame on the air.
+#[derive(Clone, Copy, Debug)]
+pub struct Aired<'a> {
+    /// Who sent it.
+    pub from: StationId,
+    /// When its first bit left, in true time.
+    pub at: True,
+    /// When the medium is free again: (frame + 24 bytes) x 8 / rate later.
+    pub until: True,
+    /// Whether the medium was still occupied when it left.
+    pub overlaps: bool,
+    /// The frame.
+    pub bytes: &'a [u8],
+}
+
+/// What has happened on the medium.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Traffic {
+    /// Frames sent.
+    pub frames: u64,
+    /// Frames that began while another was on the air.
+    pub overlaps: u64,
+    /// Shortest time that the medium was free between two frames.
+    pub smallest_gap: Option<Span>,
+    /// Deliveries that were lost on the way, by intent.
+    pub lost: u64,
+    free_from: True,
+}
+
+impl Medium {
+    pub(super) fn hears(&self, frame: &[u8], random: &mut Random) -> bool {
+        let control = Header::parse(frame).is_some_and(|(h, _)| h.ether_type() == EtherType::RTMAC);
+        !random.happens(if control { self.lose_control_ppm } else { self.lose_data_ppm })
+    }
+
+    /// How long a frame of `len` bytes occupies the medium, rounded up.
+    pub fn air_time(&self, len: usize) -> u64 {
+        let bits = (len.max(MIN_FRAME) + OVERHEAD) as u128 * 8;
+        (bits * 1_000_000_000).div_ceil(u128::from(self.rate)) as u64
+    }
+}
+
+impl Traffic {
+    /// A frame of `air` nanoseconds begins at `at`; frames come in the order of their begins.
+    pub(super) fn put_on_air<'a>(
+        &mut self,
+        from: StationId,
+        at: True,
+        air: u64,
+        bytes: &'a [u8],
+    ) -> Aired<'a> {
+        let overlaps = self.frames > 0 && at < self.free_from;
+        if self.frames > 0 && !overlaps {
+            let gap = Span::from_nanos((at - self.free_from) as i64);
+            self.smallest_gap = Some(self.smallest_gap.map_or(gap, |smallest| smallest.min(gap)));
+        }
+        self.frames += 1;
+        self.overlaps += u64::from(overlaps);
+        self.free_from = self.free_from.max(at + air);
+        Aired { from, at, until: at + air, overlaps, bytes }
+    }
+}

@@ -1,0 +1,3 @@
+//! Frame layouts. A header is parsed once, checked, and then read without further checks.
+
+pub mod ethernet;

@@ -224,7 +224,9 @@ pub enum EventKind {
     Overrun,
     /// A frame was sent, but the clock read afterwards was beyond `latest` by so much.
     StalledInSend,
-    /// The kernel refused a frame.
+    /// A slot was passed over because synchronisation did not allow it.
+    SlotSilent,
+    /// The kernel refused a frame; the span is its error number.
     SendFailed,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
@@ -248,9 +250,10 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 12] = [
+    pub const ALL: [EventKind; 13] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
+        EventKind::SlotSilent,
         EventKind::SendFailed,
         EventKind::SyncSkipped,
         EventKind::TimeStep,
@@ -268,6 +271,7 @@ impl EventKind {
         match self {
             EventKind::Overrun => "overrun",
             EventKind::StalledInSend => "stalled_in_send",
+            EventKind::SlotSilent => "slot_silent",
             EventKind::SendFailed => "send_failed",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::TimeStep => "time_step",

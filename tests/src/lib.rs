@@ -1,1 +1,16 @@
-//! wip
+//! Whole networks, and what tests of them share.
+//!
+//! ```text
+//! networks   a master and its slaves in virtual time, judged by what is on the air
+//! bench      one station by hand: frames in at their stamps, transmissions out at their instants
+//! peer       an independent TDMA station with the habits of real RTnet's
+//! ```
+
+pub mod bench;
+pub mod captures;
+pub mod judge;
+pub mod mixed;
+pub mod networks;
+pub mod peer;
+pub mod traffic;
+pub mod vectors;

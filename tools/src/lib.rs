@@ -1,1 +1,12 @@
-//! wip
+//! The command `rtnet`, as a library, so that tests use its lab, scenario and report code.
+
+// This crate is shell: it waits and looks at clocks. Protocol code lives elsewhere.
+#![allow(clippy::disallowed_methods)]
+
+pub mod cli;
+pub mod cmd;
+pub mod lab;
+pub mod report;
+pub mod scenario;
+pub mod station;
+pub mod units;

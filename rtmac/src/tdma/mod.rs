@@ -109,7 +109,8 @@ pub struct Tdma {
 }
 
 enum Role {
-    Master(Master),
+    // Boxed for its 64 pending replies, which a slave has not.
+    Master(Box<Master>),
     Slave(Slave),
 }
 
@@ -160,7 +161,9 @@ impl Tdma {
             slots.set(slot, 0)?;
         }
         let role = match config.role {
-            RoleConfig::Master(master) => Role::Master(Master::new(checked(master, &config.slots)?)),
+            RoleConfig::Master(master) => {
+                Role::Master(Box::new(Master::new(checked(master, &config.slots)?)))
+            }
             RoleConfig::Slave(slave) if slave.rounds > MAX_ROUNDS => {
                 return Err(Refused(format!("{} calibration rounds: at most {MAX_ROUNDS}", slave.rounds)));
             }
@@ -231,6 +234,7 @@ impl Tdma {
             }
             if !self.may_do(&job) {
                 self.counters.slots_silent += 1;
+                self.events.note(job.cycle(), EventKind::SlotSilent, Span::ZERO);
             } else if now > job.latest() {
                 self.missed(&job, now - job.latest());
             } else {

@@ -1,1 +1,24 @@
-//! wip
+//! Real time: the same stations on AF_PACKET sockets of a stock kernel.
+//!
+//! ```text
+//!   wake at slot - lead ─► drain control socket ─► choose ─► sleep, spin ─► stamp, check, send, look again
+//!        ▲                                                                        │
+//!        └────────────────────────── drain data sockets ◄─────────────────────────┘
+//! ```
+//!
+//! Nothing else in this crate opens a socket or reads a clock.
+
+#![allow(unsafe_code)]
+#![allow(clippy::disallowed_methods)]
+
+pub mod clock;
+mod driver;
+mod filter;
+pub mod interface;
+mod packet;
+mod port;
+pub mod realtime;
+pub mod ring;
+
+pub use driver::{Driver, DriverConfig, Record, Snapshot};
+pub use port::{Port, PortCounters};

@@ -28,10 +28,8 @@ use super::netlink::Netlink;
 
 /// Without these the kernel would send router solicitations and the like into the stations' time
 /// slots.
-const SILENCE: [&str; 2] = [
-    "/proc/sys/net/ipv6/conf/all/disable_ipv6",
-    "/proc/sys/net/ipv6/conf/default/disable_ipv6",
-];
+const SILENCE: [&str; 2] =
+    ["/proc/sys/net/ipv6/conf/all/disable_ipv6", "/proc/sys/net/ipv6/conf/default/disable_ipv6"];
 
 /// `lo` is the first interface of every namespace.
 const LOOPBACK: u32 = 1;
@@ -56,21 +54,17 @@ impl Namespace {
         // unshare(2) moves the calling thread only, here one that ends with the closure.
         on_helper_thread(|| {
             unshare(CloneFlags::CLONE_NEWNET).map_err(refusal)?;
-            let file = File::open("/proc/thread-self/ns/net").context(
-                "cannot open the new network namespace at /proc/thread-self/ns/net: mount /proc",
-            )?;
+            let file = File::open("/proc/thread-self/ns/net")
+                .context("cannot open the new network namespace at /proc/thread-self/ns/net: mount /proc")?;
             for setting in SILENCE {
                 match fs::write(setting, "1") {
                     // A kernel without IPv6.
                     Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-                    outcome => outcome.with_context(|| {
-                        format!("cannot turn IPv6 off: {setting} must be writable")
-                    })?,
+                    outcome => outcome
+                        .with_context(|| format!("cannot turn IPv6 off: {setting} must be writable"))?,
                 }
             }
-            Netlink::open()?
-                .set_up(LOOPBACK)
-                .context("cannot bring up `lo` of the new network namespace")?;
+            Netlink::open()?.set_up(LOOPBACK).context("cannot bring up `lo` of the new network namespace")?;
             Ok(Self { fd: file.into() })
         })?
     }
@@ -86,9 +80,8 @@ impl Namespace {
     /// The process lacks CAP_SYS_ADMIN, or no thread can be started.
     pub fn run<R: Send>(&self, f: impl FnOnce() -> R + Send) -> Result<R> {
         on_helper_thread(|| {
-            setns(&self.fd, CloneFlags::CLONE_NEWNET).context(
-                "cannot enter a network namespace: this needs root (CAP_SYS_ADMIN): run as root",
-            )?;
+            setns(&self.fd, CloneFlags::CLONE_NEWNET)
+                .context("cannot enter a network namespace: this needs root (CAP_SYS_ADMIN): run as root")?;
             Ok(f())
         })?
     }
@@ -128,11 +121,7 @@ impl Segment {
         netlink.add_bridge(BRIDGE)?;
         let bridge = netlink.link_index(BRIDGE)?;
         netlink.set_up(bridge).context("cannot make a segment")?;
-        Ok(Self {
-            namespace,
-            netlink,
-            bridge,
-        })
+        Ok(Self { namespace, netlink, bridge })
     }
 
     /// Wires a station to the medium: `interface`, with this MAC, in the station's namespace;
@@ -151,18 +140,10 @@ impl Segment {
         interface: &str,
         mac: [u8; 6],
     ) -> Result<()> {
-        let context = || {
-            format!(
-                "cannot attach `{interface}` ({}) at port `{port_name}`",
-                MacAddr::from(mac)
-            )
-        };
-        self.netlink
-            .add_veth(port_name, self.bridge, interface, mac, station.fd())
-            .with_context(context)?;
-        let wired = self
-            .wire(station, port_name, interface, mac)
-            .with_context(context);
+        let context =
+            || format!("cannot attach `{interface}` ({}) at port `{port_name}`", MacAddr::from(mac));
+        self.netlink.add_veth(port_name, self.bridge, interface, mac, station.fd()).with_context(context)?;
+        let wired = self.wire(station, port_name, interface, mac).with_context(context);
         if wired.is_err() {
             // The first error is the one to report.
             let _ = self.detach(port_name);
@@ -175,17 +156,9 @@ impl Segment {
     /// # Errors
     /// The segment has no such port.
     pub fn detach(&mut self, port_name: &str) -> Result<()> {
-        let port = self
-            .netlink
-            .link(port_name)
-            .context("cannot detach a station")?;
-        ensure!(
-            port.bridge == Some(self.bridge),
-            "`{port_name}` is not a port of the segment"
-        );
-        self.netlink
-            .delete_link(port.index)
-            .with_context(|| format!("cannot detach port `{port_name}`"))
+        let port = self.netlink.link(port_name).context("cannot detach a station")?;
+        ensure!(port.bridge == Some(self.bridge), "`{port_name}` is not a port of the segment");
+        self.netlink.delete_link(port.index).with_context(|| format!("cannot detach port `{port_name}`"))
     }
 
     /// Name of the bridge in the segment's namespace; a capture there sees what is broadcast.
@@ -198,13 +171,7 @@ impl Segment {
         &self.namespace
     }
 
-    fn wire(
-        &mut self,
-        station: &Namespace,
-        port_name: &str,
-        interface: &str,
-        mac: [u8; 6],
-    ) -> Result<()> {
+    fn wire(&mut self, station: &Namespace, port_name: &str, interface: &str, mac: [u8; 6]) -> Result<()> {
         let port = self.netlink.link_index(port_name)?;
         self.netlink.disable_learning(port)?;
         self.netlink.add_static_fdb(port, mac)?;
@@ -238,9 +205,7 @@ fn on_helper_thread<R: Send>(f: impl FnOnce() -> R + Send) -> Result<R> {
 fn refusal(errno: Errno) -> anyhow::Error {
     let remedy = match errno {
         Errno::EPERM => "making a network namespace needs root (CAP_SYS_ADMIN): run as root",
-        Errno::ENOSPC => {
-            "no more network namespaces allowed: raise the sysctl user.max_net_namespaces"
-        }
+        Errno::ENOSPC => "no more network namespaces allowed: raise the sysctl user.max_net_namespaces",
         Errno::EINVAL => "the kernel must have CONFIG_NET_NS",
         _ => "cannot make a network namespace",
     };

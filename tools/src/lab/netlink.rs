@@ -9,12 +9,10 @@ use std::os::fd::{AsRawFd, BorrowedFd};
 use anyhow::{Context, Result};
 use netlink_packet_core::{NLM_F_ACK, NLM_F_CREATE, NLM_F_DUMP, NLM_F_EXCL};
 use netlink_packet_route::link::{
-    BridgeStpState, InfoBridge, InfoBridgePort, InfoData, InfoKind, InfoPortData, InfoPortKind,
-    InfoVeth, LinkAttribute, LinkExtentMask, LinkFlags, LinkInfo, LinkMessage,
+    BridgeStpState, InfoBridge, InfoBridgePort, InfoData, InfoKind, InfoPortData, InfoPortKind, InfoVeth,
+    LinkAttribute, LinkExtentMask, LinkFlags, LinkInfo, LinkMessage,
 };
-use netlink_packet_route::neighbour::{
-    NeighbourAttribute, NeighbourFlags, NeighbourMessage, NeighbourState,
-};
+use netlink_packet_route::neighbour::{NeighbourAttribute, NeighbourFlags, NeighbourMessage, NeighbourState};
 use netlink_packet_route::{AddressFamily, RouteNetlinkMessage};
 use nix::errno::Errno;
 use pnet_datalink::MacAddr;
@@ -40,9 +38,7 @@ impl Netlink {
     /// # Errors
     /// The kernel gives no netlink socket.
     pub fn open() -> Result<Self> {
-        Ok(Self {
-            kernel: Exchange::open()?,
-        })
+        Ok(Self { kernel: Exchange::open()? })
     }
 
     /// Adds a bridge that is a plain medium: no spanning tree, no VLANs, no multicast snooping,
@@ -71,14 +67,8 @@ impl Netlink {
             &format!("add bridge `{name}`"),
             RouteNetlinkMessage::NewLink(bridge),
             &[
-                (
-                    Errno::EEXIST,
-                    "an interface of this name exists in the namespace: choose another name",
-                ),
-                (
-                    Errno::EOPNOTSUPP,
-                    "the kernel must have CONFIG_BRIDGE (try `modprobe bridge`)",
-                ),
+                (Errno::EEXIST, "an interface of this name exists in the namespace: choose another name"),
+                (Errno::EOPNOTSUPP, "the kernel must have CONFIG_BRIDGE (try `modprobe bridge`)"),
             ],
         )
     }
@@ -122,14 +112,8 @@ impl Netlink {
             &format!("add veth `{name}` (port of bridge #{bridge}) with its peer `{peer_name}`"),
             RouteNetlinkMessage::NewLink(port),
             &[
-                (
-                    Errno::EEXIST,
-                    "one of the two names exists in its namespace: choose another name",
-                ),
-                (
-                    Errno::EOPNOTSUPP,
-                    "the kernel must have CONFIG_VETH (try `modprobe veth`)",
-                ),
+                (Errno::EEXIST, "one of the two names exists in its namespace: choose another name"),
+                (Errno::EOPNOTSUPP, "the kernel must have CONFIG_VETH (try `modprobe veth`)"),
             ],
         )
     }
@@ -140,14 +124,7 @@ impl Netlink {
     /// There is no such interface, or it cannot be deleted (`lo`).
     pub fn delete_link(&mut self, index: u32) -> Result<()> {
         let message = RouteNetlinkMessage::DelLink(link_message(index));
-        self.kernel
-            .request(
-                &format!("delete interface #{index}"),
-                message,
-                NLM_F_ACK,
-                &[],
-            )
-            .map(drop)
+        self.kernel.request(&format!("delete interface #{index}"), message, NLM_F_ACK, &[]).map(drop)
     }
 
     /// The index of the interface called `name`.
@@ -165,22 +142,13 @@ impl Netlink {
     pub fn link(&mut self, name: &str) -> Result<Link> {
         check_name(name)?;
         let mut question = LinkMessage::default();
-        question.attributes = vec![
-            LinkAttribute::IfName(name.into()),
-            LinkAttribute::ExtMask(vec![LinkExtentMask::SkipStats]),
-        ];
+        question.attributes =
+            vec![LinkAttribute::IfName(name.into()), LinkAttribute::ExtMask(vec![LinkExtentMask::SkipStats])];
         let what = format!("look up interface `{name}`");
         let remedy = &[(Errno::ENODEV, "the namespace has no interface of this name")];
-        let replies = self.kernel.request(
-            &what,
-            RouteNetlinkMessage::GetLink(question),
-            NLM_F_ACK,
-            remedy,
-        )?;
-        replies
-            .into_iter()
-            .find_map(Link::from_reply)
-            .with_context(|| format!("cannot {what}: empty answer"))
+        let replies =
+            self.kernel.request(&what, RouteNetlinkMessage::GetLink(question), NLM_F_ACK, remedy)?;
+        replies.into_iter().find_map(Link::from_reply).with_context(|| format!("cannot {what}: empty answer"))
     }
 
     /// All interfaces of the namespace.
@@ -217,10 +185,7 @@ impl Netlink {
     pub fn set_master(&mut self, index: u32, bridge: u32) -> Result<()> {
         let mut link = link_message(index);
         link.attributes = vec![LinkAttribute::Controller(bridge)];
-        self.change(
-            &format!("make interface #{index} a port of bridge #{bridge}"),
-            link,
-        )
+        self.change(&format!("make interface #{index} a port of bridge #{bridge}"), link)
     }
 
     /// Stops a bridge from learning which stations are behind this port.
@@ -235,9 +200,7 @@ impl Netlink {
         let mut link = link_message(port);
         link.attributes = vec![LinkAttribute::LinkInfo(vec![
             LinkInfo::PortKind(InfoPortKind::Bridge),
-            LinkInfo::PortData(InfoPortData::BridgePort(vec![InfoBridgePort::Learning(
-                false,
-            )])),
+            LinkInfo::PortData(InfoPortData::BridgePort(vec![InfoBridgePort::Learning(false)])),
         ])];
         self.change(&format!("turn learning off at bridge port #{port}"), link)
     }
@@ -256,15 +219,9 @@ impl Netlink {
         entry.header.flags = NeighbourFlags::Controller;
         entry.attributes = vec![NeighbourAttribute::LinkLocalAddress(mac.to_vec())];
         self.create(
-            &format!(
-                "tell the bridge that {} is behind port #{port}",
-                MacAddr::from(mac)
-            ),
+            &format!("tell the bridge that {} is behind port #{port}", MacAddr::from(mac)),
             RouteNetlinkMessage::NewNeighbour(entry),
-            &[(
-                Errno::EEXIST,
-                "another station has this MAC: give every station its own",
-            )],
+            &[(Errno::EEXIST, "another station has this MAC: give every station its own")],
         )
     }
 
@@ -274,9 +231,7 @@ impl Netlink {
     /// The kernel's answer cannot be understood.
     pub fn static_fdb(&mut self, port: u32) -> Result<Vec<[u8; 6]>> {
         let question = RouteNetlinkMessage::GetNeighbour(bridge_neighbour());
-        let replies =
-            self.kernel
-                .request("list the entries of bridges", question, NLM_F_DUMP, &[])?;
+        let replies = self.kernel.request("list the entries of bridges", question, NLM_F_DUMP, &[])?;
         let station = |reply| match reply {
             RouteNetlinkMessage::NewNeighbour(entry) => static_entry(&entry, port),
             _ => None,
@@ -284,27 +239,13 @@ impl Netlink {
         Ok(replies.into_iter().filter_map(station).collect())
     }
 
-    fn create(
-        &mut self,
-        what: &str,
-        message: RouteNetlinkMessage,
-        remedies: &[(Errno, &str)],
-    ) -> Result<()> {
-        self.kernel
-            .request(
-                what,
-                message,
-                NLM_F_ACK | NLM_F_CREATE | NLM_F_EXCL,
-                remedies,
-            )
-            .map(drop)
+    fn create(&mut self, what: &str, message: RouteNetlinkMessage, remedies: &[(Errno, &str)]) -> Result<()> {
+        self.kernel.request(what, message, NLM_F_ACK | NLM_F_CREATE | NLM_F_EXCL, remedies).map(drop)
     }
 
     fn change(&mut self, what: &str, link: LinkMessage) -> Result<()> {
         // RTM_NEWLINK without NLM_F_CREATE; RTM_SETLINK passes over the settings of bridge ports.
-        self.kernel
-            .request(what, RouteNetlinkMessage::NewLink(link), NLM_F_ACK, &[])
-            .map(drop)
+        self.kernel.request(what, RouteNetlinkMessage::NewLink(link), NLM_F_ACK, &[]).map(drop)
     }
 }
 
@@ -323,18 +264,12 @@ fn bridge_neighbour() -> NeighbourMessage {
 /// The MAC of a static entry at `port`; the copies that the bridge keeps for its VLANs do not
 /// count.
 fn static_entry(entry: &NeighbourMessage, port: u32) -> Option<[u8; 6]> {
-    let of_vlan = entry
-        .attributes
-        .iter()
-        .any(|attribute| matches!(attribute, NeighbourAttribute::Vlan(_)));
+    let of_vlan = entry.attributes.iter().any(|attribute| matches!(attribute, NeighbourAttribute::Vlan(_)));
     if entry.header.ifindex != port || entry.header.state != NeighbourState::Noarp || of_vlan {
         return None;
     }
-    entry
-        .attributes
-        .iter()
-        .find_map(|attribute| match attribute {
-            NeighbourAttribute::LinkLocalAddress(mac) => mac.as_slice().try_into().ok(),
-            _ => None,
-        })
+    entry.attributes.iter().find_map(|attribute| match attribute {
+        NeighbourAttribute::LinkLocalAddress(mac) => mac.as_slice().try_into().ok(),
+        _ => None,
+    })
 }

@@ -26,9 +26,7 @@ fn three_stations() -> (Segment, [Namespace; 3]) {
     let mut segment = Segment::new().unwrap();
     let stations = [A, B, C].map(|mac| {
         let station = Namespace::new().unwrap();
-        segment
-            .attach(&station, &format!("port{}", mac[5]), "rt0", mac)
-            .unwrap();
+        segment.attach(&station, &format!("port{}", mac[5]), "rt0", mac).unwrap();
         station
     });
     (segment, stations)
@@ -36,18 +34,10 @@ fn three_stations() -> (Segment, [Namespace; 3]) {
 
 fn packet_socket(station: &Namespace) -> (Box<dyn DataLinkSender>, Box<dyn DataLinkReceiver>) {
     let open = || {
-        let interface = pnet_datalink::interfaces()
-            .into_iter()
-            .find(|i| i.name == "rt0")
-            .unwrap();
-        let config = Config {
-            read_timeout: Some(Duration::from_secs(2)),
-            promiscuous: false,
-            ..Config::default()
-        };
-        let Channel::Ethernet(sender, receiver) =
-            pnet_datalink::channel(&interface, config).unwrap()
-        else {
+        let interface = pnet_datalink::interfaces().into_iter().find(|i| i.name == "rt0").unwrap();
+        let config =
+            Config { read_timeout: Some(Duration::from_secs(2)), promiscuous: false, ..Config::default() };
+        let Channel::Ethernet(sender, receiver) = pnet_datalink::channel(&interface, config).unwrap() else {
             panic!("not an Ethernet channel")
         };
         (sender, receiver)
@@ -56,13 +46,7 @@ fn packet_socket(station: &Namespace) -> (Box<dyn DataLinkSender>, Box<dyn DataL
 }
 
 fn frame(destination: [u8; 6], source: [u8; 6], payload: u8) -> Vec<u8> {
-    [
-        &destination[..],
-        &source[..],
-        &ETHER_TYPE[..],
-        &[payload; 46][..],
-    ]
-    .concat()
+    [&destination[..], &source[..], &ETHER_TYPE[..], &[payload; 46][..]].concat()
 }
 
 #[test]
@@ -111,17 +95,12 @@ fn attached_station_is_up_with_its_mac_and_known_to_the_bridge() {
     let mut netlink = segment.namespace().netlink().unwrap();
     let port = netlink.link("a").unwrap();
     assert!(port.operational && port.forwarding);
-    assert_eq!(
-        port.bridge,
-        Some(netlink.link_index(segment.bridge_name()).unwrap())
-    );
+    assert_eq!(port.bridge, Some(netlink.link_index(segment.bridge_name()).unwrap()));
     assert_eq!(netlink.static_fdb(port.index).unwrap(), [A]);
     // A port can be taken out (`lo` is no bridge, but the old bridge loses the port) and put back.
     assert!(netlink.set_master(port.index, 1).is_err());
     assert_eq!(netlink.link("a").unwrap().bridge, None);
-    netlink
-        .set_master(port.index, port.bridge.unwrap())
-        .unwrap();
+    netlink.set_master(port.index, port.bridge.unwrap()).unwrap();
     assert_eq!(netlink.link("a").unwrap().bridge, port.bridge);
     assert!(segment.detach("br0").is_err());
     segment.detach("a").unwrap();
@@ -135,10 +114,7 @@ fn process_started_inside_lives_inside() {
     }
     let (mut segment, station) = (Segment::new().unwrap(), Namespace::new().unwrap());
     segment.attach(&station, "a", "rt0", A).unwrap();
-    let devices = station
-        .run(|| Command::new("cat").arg("/proc/self/net/dev").output())
-        .unwrap()
-        .unwrap();
+    let devices = station.run(|| Command::new("cat").arg("/proc/self/net/dev").output()).unwrap().unwrap();
     assert!(String::from_utf8_lossy(&devices.stdout).contains("rt0:"));
 }
 
@@ -172,21 +148,12 @@ fn refusals_name_the_interface_and_the_remedy() {
     }
     let (mut segment, station) = (Segment::new().unwrap(), Namespace::new().unwrap());
     let mut refused = |port: &str, interface: &str, mac: [u8; 6]| {
-        format!(
-            "{:#}",
-            segment.attach(&station, port, interface, mac).unwrap_err()
-        )
+        format!("{:#}", segment.attach(&station, port, interface, mac).unwrap_err())
     };
     let long = refused("a", "sixteen-bytes-xx", A);
-    assert!(
-        long.contains("`sixteen-bytes-xx` has 16 bytes, the kernel takes at most 15"),
-        "{long}"
-    );
+    assert!(long.contains("`sixteen-bytes-xx` has 16 bytes, the kernel takes at most 15"), "{long}");
     let multicast = refused("a", "rt0", BROADCAST);
-    assert!(
-        multicast.contains("ff:ff:ff:ff:ff:ff cannot be a station's"),
-        "{multicast}"
-    );
+    assert!(multicast.contains("ff:ff:ff:ff:ff:ff cannot be a station's"), "{multicast}");
     let taken = refused("br0", "rt0", A);
     assert!(taken.contains("choose another name"), "{taken}");
     segment.attach(&station, "a", "rt0", A).unwrap();
@@ -195,10 +162,7 @@ fn refusals_name_the_interface_and_the_remedy() {
     assert!(second.contains("choose another name"), "{second}");
     let double = format!("{:#}", segment.attach(&station, "b", "rt1", A).unwrap_err());
     assert!(double.contains("another station has this MAC"), "{double}");
-    assert!(
-        station.netlink().unwrap().link("rt1").is_err(),
-        "a failed wire was left behind"
-    );
+    assert!(station.netlink().unwrap().link("rt1").is_err(), "a failed wire was left behind");
 }
 
 #[test]
@@ -208,10 +172,7 @@ fn without_root_the_remedy_is_named() {
         return;
     }
     let refused = format!("{:#}", Namespace::new().unwrap_err());
-    assert!(
-        refused.contains("needs root (CAP_SYS_ADMIN): run as root"),
-        "{refused}"
-    );
+    assert!(refused.contains("needs root (CAP_SYS_ADMIN): run as root"), "{refused}");
 }
 
 #[test]

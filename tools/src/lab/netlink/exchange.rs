@@ -36,12 +36,8 @@ impl Exchange {
             socket.set_ext_ack(true)?;
             Ok(socket)
         };
-        let socket = open()
-            .context("cannot open a NETLINK_ROUTE socket: the kernel must have CONFIG_NET")?;
-        Ok(Self {
-            socket,
-            sequence: 0,
-        })
+        let socket = open().context("cannot open a NETLINK_ROUTE socket: the kernel must have CONFIG_NET")?;
+        Ok(Self { socket, sequence: 0 })
     }
 
     /// Sends one request and collects the answers up to the acknowledgement, or up to the end of a
@@ -61,15 +57,12 @@ impl Exchange {
         request.finalize();
         let mut bytes = vec![0; request.buffer_len()];
         request.serialize(&mut bytes);
-        self.socket
-            .send(&bytes, 0)
-            .with_context(|| format!("cannot {what}: the request cannot be sent"))?;
+        self.socket.send(&bytes, 0).with_context(|| format!("cannot {what}: the request cannot be sent"))?;
 
         let mut replies = Vec::new();
         loop {
-            let datagram = self
-                .receive()
-                .with_context(|| format!("cannot {what}: no answer from the kernel"))?;
+            let datagram =
+                self.receive().with_context(|| format!("cannot {what}: no answer from the kernel"))?;
             for reply in messages(&datagram) {
                 let reply = reply.with_context(|| format!("cannot {what}"))?;
                 if reply.header.sequence_number != self.sequence {
@@ -84,8 +77,7 @@ impl Exchange {
                     NetlinkPayload::Done(end) if end.code == 0 => return Ok(replies),
                     NetlinkPayload::Done(end) => {
                         let cause = io::Error::from_raw_os_error(end.code.abs());
-                        return Err(cause)
-                            .with_context(|| format!("cannot {what}: the answer broke off"));
+                        return Err(cause).with_context(|| format!("cannot {what}: the answer broke off"));
                     }
                     NetlinkPayload::Overrun(_) => {
                         bail!("cannot {what}: part of the answer was lost")
@@ -108,18 +100,14 @@ impl Exchange {
 }
 
 /// The messages of one datagram.
-fn messages(
-    mut datagram: &[u8],
-) -> impl Iterator<Item = Result<NetlinkMessage<RouteNetlinkMessage>>> {
+fn messages(mut datagram: &[u8]) -> impl Iterator<Item = Result<NetlinkMessage<RouteNetlinkMessage>>> {
     std::iter::from_fn(move || {
         if datagram.len() < HEADER_LEN {
             return None;
         }
-        let message = NetlinkMessage::deserialize(datagram)
-            .context("the kernel's answer cannot be understood");
-        let length = message
-            .as_ref()
-            .map_or(datagram.len(), |message| message.header.length as usize);
+        let message =
+            NetlinkMessage::deserialize(datagram).context("the kernel's answer cannot be understood");
+        let length = message.as_ref().map_or(datagram.len(), |message| message.header.length as usize);
         let next = length.max(HEADER_LEN).next_multiple_of(ALIGNMENT);
         datagram = datagram.get(next..).unwrap_or_default();
         Some(message)
@@ -135,10 +123,7 @@ fn explain(what: &str, refusal: &ErrorMessage, remedies: &[(Errno, &str)]) -> an
         None => None,
     };
     let mut text = format!("cannot {what}");
-    for reason in [kernel_text(&refusal.header), remedy.map(String::from)]
-        .into_iter()
-        .flatten()
-    {
+    for reason in [kernel_text(&refusal.header), remedy.map(String::from)].into_iter().flatten() {
         text = format!("{text}: {reason}");
     }
     anyhow::Error::new(refusal.to_io()).context(text)
@@ -147,12 +132,6 @@ fn explain(what: &str, refusal: &ErrorMessage, remedies: &[(Errno, &str)]) -> an
 /// What the kernel said in words, in the attributes after the header of the refused request.
 fn kernel_text(refusal: &[u8]) -> Option<String> {
     let attributes = NlasIterator::new(refusal.get(HEADER_LEN..)?);
-    let text = attributes
-        .flatten()
-        .find(|attribute| attribute.kind() == EXT_ACK_TEXT)?;
-    Some(
-        String::from_utf8_lossy(text.value())
-            .trim_end_matches('\0')
-            .to_string(),
-    )
+    let text = attributes.flatten().find(|attribute| attribute.kind() == EXT_ACK_TEXT)?;
+    Some(String::from_utf8_lossy(text.value()).trim_end_matches('\0').to_string())
 }

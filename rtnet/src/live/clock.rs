@@ -1,0 +1,145 @@
+//! The kernel's clocks.
+//!
+//! Timers run on CLOCK_MONOTONIC, which is this module's *true* time; the kernel stamps received frames
+//! with CLOCK_REALTIME. The difference of the two is sampled anew at each wake-up, so that a step of the
+//! wall clock moves nothing.
+
+use crate::clock::True;
+
+/// A change of the difference above this is a step of the wall clock (NTP, a resumed virtual machine).
+const STEP: u64 = 1_000;
+/// A sample whose two outer readings are further apart was interrupted and is taken again.
+const INTERRUPTED: u64 = 1_000;
+/// After so many interrupted samples the last is taken as it is.
+const TRIES: u32 = 4;
+
+/// CLOCK_MONOTONIC, nanoseconds.
+#[inline]
+pub fn monotonic() -> True {
+    read(libc::CLOCK_MONOTONIC)
+}
+
+/// CLOCK_REALTIME, nanoseconds since 1970.
+#[inline]
+pub fn realtime() -> u64 {
+    read(libc::CLOCK_REALTIME)
+}
+
+/// Processor time that the calling thread has used, nanoseconds.
+pub fn thread_cpu_time() -> u64 {
+    read(libc::CLOCK_THREAD_CPUTIME_ID)
+}
+
+/// Sleeps until a moment of CLOCK_MONOTONIC; returns at once when it has passed.
+#[inline]
+pub fn sleep_until(at: True) {
+    let until = libc::timespec {
+        tv_sec: (at / 1_000_000_000) as libc::time_t,
+        tv_nsec: (at % 1_000_000_000) as libc::c_long,
+    };
+    // SAFETY: `until` is a valid timespec that outlives the call; no remainder is asked for.
+    // A signal ends the sleep early, which the caller's loop makes up for.
+    unsafe {
+        libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &until, core::ptr::null_mut())
+    };
+}
+
+/// Spins until a moment of CLOCK_MONOTONIC, and returns the first reading that is not before it.
+#[inline]
+pub fn spin_until(at: True) -> True {
+    loop {
+        let now = monotonic();
+        if now >= at {
+            return now;
+        }
+        core::hint::spin_loop();
+    }
+}
+
+/// What REALTIME is ahead of MONOTONIC, and how often that stepped.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct WallClock {
+    ahead: u64,
+    sampled: bool,
+    steps: u64,
+}
+
+impl WallClock {
+    /// Samples the difference; `false` when it has stepped since the last sample, so that stamps taken
+    /// in between mean nothing.
+    pub fn sample(&mut self) -> bool {
+        let mut ahead = 0;
+        for _ in 0..TRIES {
+            let before = monotonic();
+            let wall = realtime();
+            let after = monotonic();
+            ahead = wall.wrapping_sub(before + (after - before) / 2);
+            if after - before < INTERRUPTED {
+                break;
+            }
+        }
+        let moved = (ahead.wrapping_sub(self.ahead) as i64).unsigned_abs();
+        let stepped = self.sampled && moved > STEP;
+        *self = Self { ahead, sampled: true, steps: self.steps + u64::from(stepped) };
+        !stepped
+    }
+
+    /// The true moment of a kernel stamp, by the last sample.
+    #[inline]
+    pub fn truth(&self, stamp: u64) -> True {
+        stamp.wrapping_sub(self.ahead)
+    }
+
+    /// Steps of the wall clock seen so far.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    #[cfg(test)]
+    fn step(&mut self, by: u64) {
+        self.ahead = self.ahead.wrapping_add(by);
+    }
+}
+
+#[inline]
+fn read(clock: libc::clockid_t) -> u64 {
+    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `now` is a valid timespec for the kernel to fill; these clocks exist on every Linux.
+    unsafe { libc::clock_gettime(clock, &mut now) };
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kernel_stamp_is_converted_to_the_clock_of_timers() {
+        let mut wall = WallClock::default();
+        assert!(wall.sample());
+        let (stamp, now) = (realtime(), monotonic());
+        assert!(wall.truth(stamp).abs_diff(now) < 1_000_000, "within a millisecond even on a busy host");
+    }
+
+    #[test]
+    fn a_step_of_the_wall_clock_is_counted_and_moves_nothing_afterwards() {
+        let mut wall = WallClock::default();
+        wall.sample();
+        // As if the wall clock had stood an hour elsewhere at the last sample.
+        wall.step(3_600_000_000_000);
+        assert!(!wall.sample(), "what was stamped in between is not to be used");
+        assert_eq!(wall.steps(), 1);
+        let (stamp, now) = (realtime(), monotonic());
+        assert!(wall.truth(stamp).abs_diff(now) < 1_000_000);
+    }
+
+    #[test]
+    fn sleeping_and_spinning_end_at_their_moment() {
+        let start = monotonic();
+        sleep_until(start + 2_000_000);
+        assert!(monotonic() >= start + 2_000_000);
+        assert!(spin_until(start + 2_100_000) >= start + 2_100_000);
+        let past = monotonic();
+        assert!(spin_until(0) >= past);
+    }
+}

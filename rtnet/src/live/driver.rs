@@ -1,0 +1,159 @@
+//! The loop of a live station.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crossbeam::queue::ArrayQueue;
+
+use crate::clock::True;
+use crate::counters::Refusals;
+use crate::discipline::{Discipline, Event, Sent, SyncState};
+use crate::station::Station;
+use crate::time::GlobalTime;
+
+use super::clock::{monotonic, thread_cpu_time};
+use super::port::{Port, PortCounters};
+
+/// Longest sleep: how soon the loop notices that it is to stop.
+const LONGEST_SLEEP: True = 100_000_000;
+/// How often a snapshot is published.
+const SNAPSHOT_EVERY: True = 100_000_000;
+/// Records that wait for the control thread: a second of what eight slots a millisecond can tell.
+const RECORDS: usize = 16_384;
+
+/// What a driver is given besides station and port.
+#[derive(Clone)]
+pub struct DriverConfig {
+    /// Set to end the loop.
+    pub stop: Arc<AtomicBool>,
+    /// Whether to record the estimate of global time at each transmission.
+    pub sample_time: bool,
+}
+
+/// What the loop tells the control thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Record {
+    /// Something happened in a cycle.
+    Event(Event),
+    /// The station's estimate of global time at a moment of CLOCK_MONOTONIC.
+    Time(True, GlobalTime),
+}
+
+/// A driver's state as the control thread sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Snapshot<S> {
+    /// When it was taken, CLOCK_MONOTONIC.
+    pub at: True,
+    /// The discipline's.
+    pub status: S,
+    /// Frames refused, by reason.
+    pub refusals: Refusals,
+    /// Frames that missed their slot and were not worth sending later.
+    pub stale: u64,
+    /// The port's.
+    pub port: PortCounters,
+    /// Processor time of the real-time thread so far, nanoseconds.
+    pub cpu: u64,
+    /// Records that found the queue full.
+    pub records_lost: u64,
+}
+
+/// Drives a station on a port. [`Driver::run`] is the real-time thread.
+pub struct Driver<D: Discipline> {
+    station: Station<D>,
+    port: Port,
+    config: DriverConfig,
+    records: Arc<ArrayQueue<Record>>,
+    snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
+    records_lost: u64,
+    next_snapshot: True,
+}
+
+impl<D: Discipline> Driver<D> {
+    /// A driver that has not started.
+    pub fn new(station: Station<D>, port: Port, config: DriverConfig) -> Self {
+        Self {
+            station,
+            port,
+            config,
+            records: Arc::new(ArrayQueue::new(RECORDS)),
+            snapshots: Arc::new(ArrayQueue::new(1)),
+            records_lost: 0,
+            next_snapshot: 0,
+        }
+    }
+
+    /// Where the loop leaves its records.
+    pub fn records(&self) -> Arc<ArrayQueue<Record>> {
+        self.records.clone()
+    }
+
+    /// Where the loop leaves its newest snapshot.
+    pub fn snapshots(&self) -> Arc<ArrayQueue<Snapshot<D::Status>>> {
+        self.snapshots.clone()
+    }
+
+    /// Runs until told to stop, then leaves a last snapshot.
+    pub fn run(&mut self) {
+        while !self.config.stop.load(Ordering::Relaxed) {
+            self.turn();
+        }
+        self.publish(monotonic());
+    }
+
+    /// One turn: drain, choose, send or wait.
+    fn turn(&mut self) {
+        let Self { station, port, .. } = self;
+        port.drain_control(|rx, frame| station.on_frame(rx, frame));
+        let now = port.now();
+        station.on_timeout(now);
+        if let Some(transmission) = station.next_transmission(now) {
+            let sent = port.transmit(transmission);
+            let sampled = matches!(sent, Sent::At(_));
+            station.on_sent(sent);
+            port.drain_data(|rx, frame| station.on_frame(rx, frame));
+            self.tell(sampled);
+            return;
+        }
+        port.drain_data(|rx, frame| station.on_frame(rx, frame));
+        self.tell(false);
+        match self.station.next_deadline() {
+            Some(deadline) => self.port.sleep_until(deadline, monotonic() + LONGEST_SLEEP),
+            None => self.port.wait_for_frame((LONGEST_SLEEP / 1_000_000) as i32),
+        }
+    }
+
+    /// Leaves what happened where the control thread finds it. After the slot's send, never before.
+    fn tell(&mut self, sample_time: bool) {
+        let now = monotonic();
+        while let Some(event) = self.station.discipline_mut().next_event() {
+            self.record(Record::Event(event));
+        }
+        let time = self.station.discipline().time();
+        if self.config.sample_time && sample_time && time.state == SyncState::Locked {
+            self.record(Record::Time(now, time.offset.global(self.port.clock().local(now))));
+        }
+        if now >= self.next_snapshot {
+            self.publish(now);
+        }
+    }
+
+    fn record(&mut self, record: Record) {
+        if self.records.push(record).is_err() {
+            self.records_lost += 1;
+        }
+    }
+
+    fn publish(&mut self, now: True) {
+        self.next_snapshot = now + SNAPSHOT_EVERY;
+        self.snapshots.force_push(Snapshot {
+            at: now,
+            status: self.station.discipline().status(),
+            refusals: *self.station.refusals(),
+            stale: self.station.stale(),
+            port: self.port.counters(),
+            cpu: thread_cpu_time(),
+            records_lost: self.records_lost,
+        });
+    }
+}

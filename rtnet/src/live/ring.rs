@@ -1,0 +1,565 @@
+//! A passive observer: the kernel writes every frame of one interface, with its own receive stamp,
+//! into memory shared with it, and wakes nobody for it.
+//!
+//! ```text
+//!   ring   +---------+---------+---------+---------+   the kernel fills block after block and gives
+//!          | block 0 | block 1 |   ...   | block n |   one away when it is full or `retire` is over
+//!          +---------+---------+---------+---------+
+//!   block  | tpacket_block_desc | tpacket3_hdr ~ frame | tpacket3_hdr ~ frame | ... free ...
+//!            num_pkts,            tp_mac: header to frame
+//!            offset_to_first_pkt  tp_next_offset: header to next header
+//! ```
+//!
+//! Layout and life cycle: the kernel's `Documentation/networking/packet_mmap.rst`, TPACKET_V3.
+
+#![allow(unsafe_code)] // the mapping, its hand-over, and socket options that nix does not have
+
+use std::io;
+use std::mem::{offset_of, size_of};
+use std::os::fd::{AsFd, AsRawFd};
+use std::ptr::{self, NonNull};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use libc::{c_int, c_uint, sockaddr_ll, tpacket_block_desc, tpacket_hdr_v1, tpacket3_hdr};
+use nix::errno::Errno;
+use nix::net::if_::if_nametoindex;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+use socket2::{Domain, Socket, Type};
+
+/// Nominal only: in version 3 frames take what they need, but the request has to add up.
+const FRAME_BYTES: u32 = 2048;
+
+const VLAN_TAG: usize = 4;
+const ETHER_ADDRESSES: usize = 12;
+const ETH_P_8021Q: u16 = libc::ETH_P_8021Q as u16;
+
+const STATUS: usize = offset_of!(tpacket_block_desc, hdr) + offset_of!(tpacket_hdr_v1, block_status);
+const COUNT: usize = offset_of!(tpacket_block_desc, hdr) + offset_of!(tpacket_hdr_v1, num_pkts);
+const FIRST: usize = offset_of!(tpacket_block_desc, hdr) + offset_of!(tpacket_hdr_v1, offset_to_first_pkt);
+const VLAN_TCI: usize = offset_of!(tpacket3_hdr, hv1) + offset_of!(libc::tpacket_hdr_variant1, tp_vlan_tci);
+const VLAN_TPID: usize = offset_of!(tpacket3_hdr, hv1) + offset_of!(libc::tpacket_hdr_variant1, tp_vlan_tpid);
+
+// What the kernel's header says, on every architecture.
+const _: () = assert!(size_of::<tpacket_block_desc>() == 48 && size_of::<tpacket3_hdr>() == 48);
+const _: () = assert!(STATUS == 8 && COUNT == 12 && FIRST == 16);
+
+/// The size of a [`CaptureRing`]. All of it is allocated when the ring is opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RingConfig {
+    /// Bytes per block, a multiple of the page size; the longest frame that is kept whole is a few
+    /// hundred bytes shorter.
+    pub block_bytes: u32,
+    /// Blocks in the ring. What arrives while all wait to be drained is dropped, and counted.
+    pub blocks: u32,
+    /// About the oldest that a frame gets before it can be drained; a block that fills earlier is
+    /// given away earlier. Whole milliseconds, at least one.
+    pub retire: Duration,
+}
+
+impl Default for RingConfig {
+    /// 64 blocks of 256 KiB, 20 ms: at 100 Mbit/s of shortest frames, over half a second.
+    fn default() -> Self {
+        Self { block_bytes: 256 << 10, blocks: 64, retire: Duration::from_millis(20) }
+    }
+}
+
+/// A frame as it lies in the ring.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Captured<'a> {
+    /// When the kernel received it: CLOCK_REALTIME, nanoseconds.
+    pub realtime_ns: u64,
+    /// The frame from its destination address on, a VLAN tag included, without the checksum; cut off
+    /// if it was too long for a block.
+    pub bytes: &'a [u8],
+    /// Bytes of the whole frame: more than `bytes` has if it was cut off.
+    pub wire_len: usize,
+}
+
+/// Everything that one interface receives. Needs CAP_NET_RAW.
+#[derive(Debug)]
+pub struct CaptureRing {
+    interface: String,
+    socket: Socket,
+    mapping: Mapping,
+    block_bytes: usize,
+    blocks: usize,
+    next: usize,
+    dropped: u64,
+    unreadable: u64,
+}
+
+impl CaptureRing {
+    /// Observes `interface` of the calling thread's network namespace, promiscuously, and its
+    /// received frames only: on a bridge or a loopback each passes once.
+    ///
+    /// # Errors
+    /// No such interface, it is down, no CAP_NET_RAW, sizes the kernel refuses, no memory. All name
+    /// the interface.
+    pub fn open(interface: &str, config: RingConfig) -> io::Result<Self> {
+        let failed = |what: &'static str| move |error| named(interface, what, error);
+        let index = if_nametoindex(interface).map_err(|e| failed("cannot find it")(e.into()))? as c_int;
+        let bytes = (config.block_bytes as usize)
+            .checked_mul(config.blocks as usize)
+            .ok_or_else(|| failed("cannot make a ring")(io::ErrorKind::InvalidInput.into()))?;
+
+        // Protocol 0: until it is bound, the socket would hear every interface.
+        let socket = Socket::new(Domain::PACKET, Type::RAW, None)
+            .map_err(failed("cannot open a packet socket (needs CAP_NET_RAW)"))?;
+        let version = libc::tpacket_versions::TPACKET_V3 as c_int;
+        set(&socket, libc::PACKET_VERSION, &version).map_err(failed("no TPACKET_V3"))?;
+        // Room to put a VLAN tag back where the kernel took it out.
+        set(&socket, libc::PACKET_RESERVE, &(VLAN_TAG as c_uint)).map_err(failed("no PACKET_RESERVE"))?;
+        set(&socket, libc::PACKET_IGNORE_OUTGOING, &1_i32).map_err(failed("no PACKET_IGNORE_OUTGOING"))?;
+        set(&socket, libc::PACKET_RX_RING, &request(&config))
+            .map_err(failed("cannot make a ring of this size"))?;
+        let mapping = Mapping::new(&socket, bytes).map_err(failed("cannot map the ring"))?;
+        let everything = libc::packet_mreq {
+            mr_ifindex: index,
+            mr_type: libc::PACKET_MR_PROMISC as u16,
+            mr_alen: 0,
+            mr_address: [0; 8],
+        };
+        set(&socket, libc::PACKET_ADD_MEMBERSHIP, &everything).map_err(failed("cannot be promiscuous"))?;
+        bind(&socket, index).map_err(failed("cannot bind to it"))?;
+        // This is how the kernel says that the interface is down.
+        if let Some(error) = socket.take_error()? {
+            return Err(failed("cannot observe it")(error));
+        }
+        Ok(Self {
+            interface: interface.to_owned(),
+            socket,
+            mapping,
+            block_bytes: config.block_bytes as usize,
+            blocks: config.blocks as usize,
+            next: 0,
+            dropped: 0,
+            unreadable: 0,
+        })
+    }
+
+    /// Hands over the frames of all blocks that the kernel has given away, oldest first, and returns
+    /// how many. Never blocks, and goes round the ring once at most. To see what was sent until now,
+    /// call it again after twice `retire`.
+    pub fn drain(&mut self, mut f: impl FnMut(Captured<'_>)) -> usize {
+        let mut frames = 0;
+        for _ in 0..self.blocks {
+            let start = self.mapping.block(self.next, self.block_bytes);
+            // SAFETY: `start` is page-aligned, so that the status is aligned, and lies in the mapping,
+            // which outlives this. The kernel's accesses to this word are atomic, and nobody here
+            // makes other ones while the reference lives.
+            let status = unsafe { AtomicU32::from_ptr(start.as_ptr().add(STATUS).cast()) };
+            // Acquire: what the kernel wrote before giving the block away is seen after.
+            if status.load(Ordering::Acquire) & libc::TP_STATUS_USER == 0 {
+                break;
+            }
+            // SAFETY: the block's `block_bytes` lie in the mapping and were initialised by the kernel,
+            // which does not write there until it is given the block back below; `&mut self` keeps
+            // out everyone else, and the slice is no longer used then.
+            let block = unsafe { std::slice::from_raw_parts_mut(start.as_ptr(), self.block_bytes) };
+            let (read, whole) = walk(block, &mut f);
+            frames += read;
+            self.unreadable += u64::from(!whole);
+            // SAFETY: as above; the slice is no longer used.
+            let status = unsafe { AtomicU32::from_ptr(start.as_ptr().add(STATUS).cast()) };
+            // Release: nothing of the block is touched once the kernel may have it.
+            status.store(libc::TP_STATUS_KERNEL, Ordering::Release);
+            self.next = (self.next + 1) % self.blocks;
+        }
+        frames
+    }
+
+    /// Waits until a block can be drained, `timeout` at most; whether one can. False too if a
+    /// signal came.
+    ///
+    /// # Errors
+    /// The interface went down or away; the kernel says so once. Names it.
+    pub fn wait(&self, timeout: Duration) -> io::Result<bool> {
+        let mut ready = [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)];
+        match ppoll(&mut ready, Some(TimeSpec::from_duration(timeout)), None) {
+            Ok(_) | Err(Errno::EINTR) => {}
+            Err(error) => return Err(named(&self.interface, "cannot wait for frames", error.into())),
+        }
+        let events = ready[0].revents().unwrap_or(PollFlags::empty());
+        if events.contains(PollFlags::POLLERR)
+            && let Some(error) = self.socket.take_error()?
+        {
+            return Err(named(&self.interface, "no longer observed", error));
+        }
+        Ok(events.contains(PollFlags::POLLIN))
+    }
+
+    /// Frames lost because the ring was full, since it was opened.
+    ///
+    /// # Errors
+    /// The kernel refuses its statistics. Names the interface.
+    pub fn dropped(&mut self) -> io::Result<u64> {
+        let mut stats = libc::tpacket_stats_v3 { tp_packets: 0, tp_drops: 0, tp_freeze_q_cnt: 0 };
+        let mut length = size_of::<libc::tpacket_stats_v3>() as libc::socklen_t;
+        // SAFETY: the kernel writes at most `length` bytes to `stats`, which has them.
+        let result = unsafe {
+            libc::getsockopt(
+                self.socket.as_raw_fd(),
+                libc::SOL_PACKET,
+                libc::PACKET_STATISTICS,
+                (&raw mut stats).cast(),
+                &raw mut length,
+            )
+        };
+        Errno::result(result).map_err(|e| named(&self.interface, "no statistics", e.into()))?;
+        // The kernel starts again from 0 at every reading.
+        self.dropped += u64::from(stats.tp_drops);
+        Ok(self.dropped)
+    }
+
+    /// Blocks left early because a count or an offset did not fit, since the ring was opened. More
+    /// than 0 is a bug, here or in the kernel; frames are missing then.
+    pub fn unreadable(&self) -> u64 {
+        self.unreadable
+    }
+}
+
+/// Hands over the frames of one block. Returns how many, and whether those were all it promises.
+fn walk(block: &mut [u8], f: &mut impl FnMut(Captured<'_>)) -> (usize, bool) {
+    let (Some(count), Some(first)) = (u32_at(block, COUNT), u32_at(block, FIRST)) else {
+        return (0, false);
+    };
+    let mut rest = block.get_mut(first as usize..);
+    for read in 0..count as usize {
+        let Some((header, step)) = rest.and_then(|packet| {
+            let step = u32_at(packet, offset_of!(tpacket3_hdr, tp_next_offset))? as usize;
+            Some((packet, step))
+        }) else {
+            return (read, false);
+        };
+        let Some(frame) = captured(header) else { return (read, false) };
+        f(frame);
+        // 0 is the last one's.
+        rest = if step == 0 { None } else { header.get_mut(step..) };
+    }
+    (count as usize, true)
+}
+
+/// The frame behind the header that `packet` begins with; None if it does not lie within `packet`.
+fn captured(packet: &mut [u8]) -> Option<Captured<'_>> {
+    let seconds = u32_at(packet, offset_of!(tpacket3_hdr, tp_sec))?;
+    let nanos = u32_at(packet, offset_of!(tpacket3_hdr, tp_nsec))?;
+    let status = u32_at(packet, offset_of!(tpacket3_hdr, tp_status))?;
+    let mut wire_len = u32_at(packet, offset_of!(tpacket3_hdr, tp_len))? as usize;
+    let length = u32_at(packet, offset_of!(tpacket3_hdr, tp_snaplen))? as usize;
+    let mut start = usize::from(u16_at(packet, offset_of!(tpacket3_hdr, tp_mac))?);
+    let end = start.checked_add(length)?;
+    if start < size_of::<tpacket3_hdr>() {
+        return None;
+    }
+    if status & libc::TP_STATUS_VLAN_VALID != 0 && length >= ETHER_ADDRESSES {
+        let tci = u32_at(packet, VLAN_TCI)? as u16;
+        let announced = status & libc::TP_STATUS_VLAN_TPID_VALID != 0;
+        let tpid = if announced { u16_at(packet, VLAN_TPID)? } else { ETH_P_8021Q };
+        let untagged = start;
+        start = start.checked_sub(VLAN_TAG).filter(|&s| s >= size_of::<tpacket3_hdr>())?;
+        let room = packet.get_mut(start..end)?;
+        room.copy_within(untagged - start..untagged - start + ETHER_ADDRESSES, 0);
+        room[ETHER_ADDRESSES..][..2].copy_from_slice(&tpid.to_be_bytes());
+        room[ETHER_ADDRESSES + 2..][..2].copy_from_slice(&tci.to_be_bytes());
+        wire_len += VLAN_TAG;
+    }
+    let realtime_ns = u64::from(seconds) * 1_000_000_000 + u64::from(nanos);
+    Some(Captured { realtime_ns, bytes: packet.get(start..end)?, wire_len })
+}
+
+fn u32_at(bytes: &[u8], offset: usize) -> Option<u32> {
+    bytes.get(offset..)?.first_chunk().map(|&b| u32::from_ne_bytes(b))
+}
+
+fn u16_at(bytes: &[u8], offset: usize) -> Option<u16> {
+    bytes.get(offset..)?.first_chunk().map(|&b| u16::from_ne_bytes(b))
+}
+
+fn request(config: &RingConfig) -> libc::tpacket_req3 {
+    let retire = config.retire.as_millis().clamp(1, u128::from(u16::MAX)) as c_uint;
+    libc::tpacket_req3 {
+        tp_block_size: config.block_bytes,
+        tp_block_nr: config.blocks,
+        tp_frame_size: FRAME_BYTES,
+        // The kernel checks that it adds up: too much for 32 bits is refused there.
+        tp_frame_nr: (config.block_bytes / FRAME_BYTES).wrapping_mul(config.blocks),
+        tp_retire_blk_tov: retire,
+        tp_sizeof_priv: 0,
+        tp_feature_req_word: 0,
+    }
+}
+
+/// Sets an option of SOL_PACKET.
+fn set<T>(socket: &Socket, option: c_int, value: &T) -> io::Result<()> {
+    let (value, length) = (ptr::from_ref(value).cast(), size_of::<T>() as libc::socklen_t);
+    // SAFETY: the kernel reads at most the `size_of::<T>()` bytes that `value` refers to.
+    let result = unsafe { libc::setsockopt(socket.as_raw_fd(), libc::SOL_PACKET, option, value, length) };
+    Ok(Errno::result(result).map(drop)?)
+}
+
+fn bind(socket: &Socket, interface: c_int) -> io::Result<()> {
+    let address = sockaddr_ll {
+        sll_family: libc::AF_PACKET as u16,
+        sll_protocol: (libc::ETH_P_ALL as u16).to_be(),
+        sll_ifindex: interface,
+        sll_hatype: 0,
+        sll_pkttype: 0,
+        sll_halen: 0,
+        sll_addr: [0; 8],
+    };
+    let length = size_of::<sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: the kernel reads `length` bytes of `address`, which has them.
+    let result = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
+    Ok(Errno::result(result).map(drop)?)
+}
+
+fn named(interface: &str, what: &str, error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{interface}: {what}: {error}"))
+}
+
+/// The ring in this process's memory.
+#[derive(Debug)]
+struct Mapping {
+    start: NonNull<u8>,
+    bytes: usize,
+}
+
+// SAFETY: the mapping belongs to the process, not to a thread; only this value knows its address.
+unsafe impl Send for Mapping {}
+
+impl Mapping {
+    fn new(socket: &Socket, bytes: usize) -> io::Result<Self> {
+        let (access, fd) = (libc::PROT_READ | libc::PROT_WRITE, socket.as_raw_fd());
+        // SAFETY: the kernel chooses the address, so that no other mapping is replaced.
+        let start = unsafe { libc::mmap(ptr::null_mut(), bytes, access, libc::MAP_SHARED, fd, 0) };
+        if start == libc::MAP_FAILED {
+            return Err(io::Error::last_os_error());
+        }
+        let start = NonNull::new(start.cast()).ok_or(io::ErrorKind::AddrNotAvailable)?;
+        Ok(Self { start, bytes })
+    }
+
+    /// Where a block begins.
+    fn block(&self, index: usize, block_bytes: usize) -> NonNull<u8> {
+        let offset = index * block_bytes;
+        assert!(offset + block_bytes <= self.bytes, "block {index} is not in the ring");
+        // SAFETY: just checked that the offset lies in the mapping.
+        unsafe { self.start.add(offset) }
+    }
+}
+
+impl Drop for Mapping {
+    fn drop(&mut self) {
+        // SAFETY: mapped by `new` with this length, and nothing borrowed from it is left.
+        unsafe { libc::munmap(self.start.as_ptr().cast(), self.bytes) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::UdpSocket;
+
+    use nix::sched::{CloneFlags, unshare};
+    use nix::time::{ClockId, clock_gettime};
+
+    use super::*;
+
+    const BLOCK: usize = 4096;
+    const FRAME: [u8; 60] = [0x5a; 60];
+
+    fn put(block: &mut [u8], offset: usize, value: u32) {
+        block[offset..][..4].copy_from_slice(&value.to_ne_bytes());
+    }
+
+    /// A block of `frames` frames, the headers at 48, 304, ...
+    fn block(frames: u32) -> Vec<u8> {
+        let mut block = vec![0; BLOCK];
+        put(&mut block, COUNT, frames);
+        put(&mut block, FIRST, size_of::<tpacket_block_desc>() as u32);
+        for i in 0..frames {
+            let packet = &mut block[size_of::<tpacket_block_desc>() + 256 * i as usize..];
+            put(packet, offset_of!(tpacket3_hdr, tp_next_offset), if i + 1 < frames { 256 } else { 0 });
+            put(packet, offset_of!(tpacket3_hdr, tp_sec), 7);
+            put(packet, offset_of!(tpacket3_hdr, tp_nsec), i);
+            put(packet, offset_of!(tpacket3_hdr, tp_snaplen), FRAME.len() as u32);
+            put(packet, offset_of!(tpacket3_hdr, tp_len), 1514);
+            packet[offset_of!(tpacket3_hdr, tp_mac)..][..2].copy_from_slice(&86_u16.to_ne_bytes());
+            packet[86..][..FRAME.len()].copy_from_slice(&FRAME);
+        }
+        block
+    }
+
+    #[test]
+    fn frames_of_a_block_come_in_order_and_say_that_they_were_cut_off() {
+        let mut stamps = Vec::new();
+        let result = walk(&mut block(3), &mut |frame| {
+            assert_eq!((frame.bytes, frame.wire_len), (&FRAME[..], 1514));
+            stamps.push(frame.realtime_ns);
+        });
+        assert_eq!((result, stamps), ((3, true), vec![7_000_000_000, 7_000_000_001, 7_000_000_002]));
+    }
+
+    #[test]
+    fn a_count_or_an_offset_that_does_not_fit_ends_the_block() {
+        let second = size_of::<tpacket_block_desc>() + 256;
+        let next = second + offset_of!(tpacket3_hdr, tp_next_offset);
+        let snaplen = second + offset_of!(tpacket3_hdr, tp_snaplen);
+        let mac = second + offset_of!(tpacket3_hdr, tp_mac);
+        for (offset, value, frames) in [
+            (COUNT, 4, 3),
+            (COUNT, u32::MAX, 3),
+            (FIRST, BLOCK as u32, 0),
+            (FIRST, BLOCK as u32 - 8, 0),
+            (FIRST, u32::MAX, 0),
+            (next, 0, 2),
+            (next, BLOCK as u32 - 8, 2),
+            (next, u32::MAX, 2),
+            (snaplen, BLOCK as u32, 1),
+            (snaplen, u32::MAX, 1),
+            (mac, 0, 1),
+            (mac, u32::MAX, 1),
+        ] {
+            let mut block = block(3);
+            put(&mut block, offset, value);
+            assert_eq!(walk(&mut block, &mut |_| ()), (frames, false), "{value} at {offset}");
+        }
+        assert_eq!(walk(&mut [0; 8], &mut |_| ()), (0, false));
+    }
+
+    #[test]
+    fn a_vlan_tag_is_put_back() {
+        let mut block = block(1);
+        let packet = &mut block[size_of::<tpacket_block_desc>()..];
+        put(packet, offset_of!(tpacket3_hdr, tp_status), libc::TP_STATUS_VLAN_VALID);
+        put(packet, VLAN_TCI, 0xe064);
+        let expected = [&FRAME[..12], &[0x81, 0, 0xe0, 0x64], &FRAME[12..]].concat();
+        let result = walk(&mut block, &mut |frame| {
+            assert_eq!((frame.bytes, frame.wire_len), (&expected[..], 1518));
+        });
+        assert_eq!(result, (1, true));
+        let packet = &mut block[size_of::<tpacket_block_desc>()..];
+        // No room for a tag between header and frame.
+        put(packet, offset_of!(tpacket3_hdr, tp_mac), size_of::<tpacket3_hdr>() as u32 + 3);
+        assert_eq!(walk(&mut block, &mut |_| ()), (0, false));
+    }
+
+    fn realtime_ns() -> u64 {
+        let now = clock_gettime(ClockId::CLOCK_REALTIME).unwrap();
+        now.tv_sec() as u64 * 1_000_000_000 + now.tv_nsec() as u64
+    }
+
+    fn loopback_up(up: bool) {
+        let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
+        // SAFETY: all zeros is a valid `ifreq`.
+        let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
+        request.ifr_name[..2].copy_from_slice(&[b'l' as _, b'o' as _]);
+        request.ifr_ifru.ifru_flags = if up { libc::IFF_UP as _ } else { 0 };
+        // SAFETY: SIOCSIFFLAGS reads an `ifreq`, which this is.
+        let result = unsafe { libc::ioctl(socket.as_raw_fd(), libc::SIOCSIFFLAGS, &raw mut request) };
+        Errno::result(result).unwrap();
+    }
+
+    /// Runs `f` in a network namespace of its own, with lo up.
+    fn in_a_namespace(f: impl FnOnce() + Send) {
+        if !nix::unistd::geteuid().is_root() {
+            eprintln!("SKIP: needs root (CAP_NET_RAW)");
+            return;
+        }
+        let run = || {
+            unshare(CloneFlags::CLONE_NEWNET).unwrap();
+            loopback_up(true);
+            f();
+        };
+        std::thread::scope(|scope| scope.spawn(run).join()).unwrap();
+    }
+
+    fn config(retire_ms: u64) -> RingConfig {
+        RingConfig { block_bytes: 16 << 10, blocks: 4, retire: Duration::from_millis(retire_ms) }
+    }
+
+    #[test]
+    fn every_datagram_on_a_loopback_is_seen_once_with_the_kernels_stamp() {
+        in_a_namespace(|| {
+            const DATAGRAMS: u16 = 200;
+            let mut ring = CaptureRing::open("lo", RingConfig::default()).unwrap();
+            assert!(!ring.wait(Duration::from_millis(1)).unwrap());
+            let [sender, receiver] = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").unwrap());
+            let sent_from = realtime_ns();
+            for i in 0..DATAGRAMS {
+                sender.send_to(&i.to_be_bytes(), receiver.local_addr().unwrap()).unwrap();
+            }
+            let sent_until = realtime_ns();
+            let (mut numbers, mut stamps) = (Vec::new(), vec![sent_from]);
+            while numbers.len() < usize::from(DATAGRAMS) && ring.wait(Duration::from_secs(1)).unwrap() {
+                ring.drain(|frame| {
+                    assert_eq!((frame.wire_len, frame.bytes.len()), (44, 44)); // Ethernet, IP, UDP, 2
+                    numbers.push(u16::from_be_bytes([frame.bytes[42], frame.bytes[43]]));
+                    stamps.push(frame.realtime_ns);
+                });
+            }
+            stamps.push(sent_until);
+            assert_eq!(numbers, (0..DATAGRAMS).collect::<Vec<_>>());
+            assert!(stamps.is_sorted(), "{stamps:?}");
+            assert_eq!((ring.dropped().unwrap(), ring.unreadable()), (0, 0));
+        });
+    }
+
+    #[test]
+    fn what_a_full_ring_drops_is_counted_and_the_ring_goes_on() {
+        in_a_namespace(|| {
+            const DATAGRAMS: usize = 300;
+            let mut ring = CaptureRing::open("lo", config(5)).unwrap();
+            let [sender, receiver] = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").unwrap());
+            let (mut seen, mut last) = (0, 0);
+            for _ in 0..3 {
+                for _ in 0..DATAGRAMS {
+                    sender.send_to(&[0; 1000], receiver.local_addr().unwrap()).unwrap();
+                }
+                while ring.wait(Duration::from_millis(100)).unwrap() {
+                    seen += ring.drain(|frame| {
+                        assert!(frame.realtime_ns > last && frame.bytes.len() == 1042);
+                        last = frame.realtime_ns;
+                    });
+                }
+            }
+            let dropped = ring.dropped().unwrap();
+            assert!(seen > 3 * 40 && dropped > 0, "{seen} seen, {dropped} dropped");
+            assert_eq!(seen + dropped as usize, 3 * DATAGRAMS);
+            assert_eq!((ring.dropped().unwrap(), ring.unreadable()), (dropped, 0));
+        });
+    }
+
+    #[test]
+    fn a_tagged_frame_is_seen_as_it_was_sent() {
+        in_a_namespace(|| {
+            let mut ring = CaptureRing::open("lo", config(5)).unwrap();
+            let sender = Socket::new(Domain::PACKET, Type::RAW, None).unwrap();
+            bind(&sender, if_nametoindex("lo").unwrap() as c_int).unwrap();
+            let sent = [&[0; 12][..], &[0x81, 0, 0x60, 5, 0x90, 0x21], &[9; 46]].concat();
+            sender.send(&sent).unwrap();
+            assert!(ring.wait(Duration::from_secs(1)).unwrap());
+            let frames = ring.drain(|frame| assert_eq!((frame.bytes, frame.wire_len), (&sent[..], 64)));
+            assert_eq!(frames, 1);
+        });
+    }
+
+    #[test]
+    fn errors_name_the_interface() {
+        in_a_namespace(|| {
+            let refused = CaptureRing::open("nowhere", RingConfig::default()).unwrap_err();
+            assert!(refused.to_string().starts_with("nowhere: "), "{refused}");
+            let odd = RingConfig { block_bytes: 1000, ..RingConfig::default() };
+            let refused = CaptureRing::open("lo", odd).unwrap_err();
+            assert_eq!(refused.kind(), io::ErrorKind::InvalidInput, "{refused}");
+
+            let ring = CaptureRing::open("lo", config(5)).unwrap();
+            loopback_up(false);
+            let refused = ring.wait(Duration::from_secs(1)).unwrap_err();
+            assert_eq!(refused.kind(), io::ErrorKind::NetworkDown, "{refused}");
+            let refused = CaptureRing::open("lo", config(5)).unwrap_err();
+            assert_eq!(refused.kind(), io::ErrorKind::NetworkDown, "{refused}");
+        });
+    }
+}

@@ -1,0 +1,10 @@
+//! Whole networks in virtual time, one situation per file.
+
+mod drift_and_loss;
+mod ideal_host;
+mod late_join;
+mod master_dies;
+mod one_seed_identical_bytes;
+mod peer_interop;
+mod second_master_refuses;
+mod virtual_machine;

@@ -1,0 +1,29 @@
+//! Everything random follows from the seed.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use rtnet::sim::capture::Capture;
+use rtnet::sim::{Host, Medium};
+use tests::networks::Plan;
+
+fn capture(seed: u64) -> Vec<u8> {
+    let plan = Plan::evenly(4);
+    let medium = Medium { lose_control_ppm: 10_000, lose_data_ppm: 1_000, ..plan.medium };
+    let drift_ppb = vec![10_000, -50_000, 30_000, 0];
+    let mut lab = Plan { medium, drift_ppb, host: Host::VIRTUAL_MACHINE, seed, ..plan }.build();
+    let capture = Rc::new(RefCell::new(Capture::new()));
+    let writing = capture.clone();
+    lab.network.observe(move |aired| writing.borrow_mut().frame(aired.at, aired.bytes));
+    lab.run_cycles(3_000);
+    let bytes = capture.borrow().bytes().to_vec();
+    bytes
+}
+
+#[test]
+fn two_runs_with_one_seed_are_identical_and_another_differs() {
+    let first = capture(1);
+    assert!(first.len() > 3_000 * 100, "something was sent");
+    assert!(first == capture(1), "one seed, two captures");
+    assert!(first != capture(2), "two seeds, one capture");
+}

@@ -1,0 +1,79 @@
+//! `rtnet lab run`.
+
+use std::path::Path;
+
+use anyhow::{Context, anyhow};
+use rtnet::time::Span;
+
+use super::Failure;
+use crate::cli::LabRunArgs;
+use crate::lab::{self, RunOptions};
+use crate::report::screen;
+use crate::scenario::{self, Scenario, Uniform};
+
+const DEFAULT_DURATION: Span = Span::from_millis(10_000);
+const DEFAULT_SEED: u64 = 1;
+/// Runs up to this long show no progress.
+const SHORT: Span = Span::from_millis(2_000);
+/// Columns of the report when the terminal does not say.
+const WIDTH: usize = 100;
+
+/// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
+pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
+    let scenario = scenario(args).map_err(Failure::Usage)?;
+    for path in args.json.iter().chain(&args.pcap) {
+        writable(path).map_err(Failure::Usage)?;
+    }
+    let options = RunOptions {
+        warm_core: args.warm_core,
+        cpu: args.cpu,
+        pcap: args.pcap.clone(),
+        progress: scenario.duration > SHORT,
+    };
+    if !nix::unistd::geteuid().is_root() {
+        let error =
+            anyhow!("a lab makes network namespaces, which takes root (CAP_SYS_ADMIN): run it with sudo");
+        return Err(Failure::Usage(error));
+    }
+    let outcome = lab::run(&scenario, &options).map_err(Failure::Run)?;
+    let width = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok()).unwrap_or(WIDTH);
+    print!("{}", screen::render(&outcome.figures, width.max(screen::WIDTH_MIN), &outcome.slot_error_abs));
+    if let Some(path) = &args.json {
+        write_json(path, &outcome.figures).map_err(Failure::Run)?;
+    }
+    Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
+}
+
+fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
+    let mut scenario = match &args.file {
+        Some(file) => scenario::load(file)?,
+        None => Uniform {
+            stations: args.stations,
+            cycle: args.cycle,
+            duration: DEFAULT_DURATION,
+            payload: args.payload,
+            rate: args.rate,
+            guard: args.guard,
+            seed: args.seed.unwrap_or(DEFAULT_SEED),
+        }
+        .scenario()?,
+    };
+    if let Some(duration) = args.duration {
+        scenario.duration = duration;
+    }
+    if let Some(seed) = args.seed {
+        scenario.seed = seed;
+    }
+    Ok(if args.ideal_clocks { scenario.with_ideal_clocks() } else { scenario })
+}
+
+/// A file that cannot be written is better known before the run than after it.
+fn writable(path: &Path) -> anyhow::Result<()> {
+    std::fs::File::create(path).with_context(|| format!("{} cannot be written", path.display())).map(drop)
+}
+
+fn write_json(path: &Path, figures: &crate::report::figures::Figures) -> anyhow::Result<()> {
+    let mut text = serde_json::to_string_pretty(figures)?;
+    text.push('\n');
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}

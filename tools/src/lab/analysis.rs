@@ -1,0 +1,308 @@
+//! What the observer on the bridge makes of the frames: errors, overlaps, gaps. Pure: it is given frames
+//! and stamps.
+
+use std::collections::BTreeMap;
+
+use rtmac::tdma::line::next_cycle;
+use rtmac::tdma::schedule::{Rate, clock_share};
+use rtmac::wire::{self, Message, Rtmac};
+use rtnet::clock::{EmulatedClock, True};
+use rtnet::time::{GlobalTime, Offset, Span};
+use rtnet::wire::ethernet::{EtherType, Header};
+
+use crate::report::histogram::SignedHistogram;
+use crate::scenario::{Scenario, SlotPlan};
+use crate::station::traffic::Tag;
+
+/// Findings that are kept one by one; the rest is counted, and counts as unexplained.
+const FINDINGS_MAX: usize = 1_000_000;
+
+/// The master's clock, which the emulation knows.
+#[derive(Clone, Copy, Debug)]
+pub struct TrueMaster {
+    /// Its clock.
+    pub clock: EmulatedClock,
+    /// From its clock to global time.
+    pub epoch: Offset,
+}
+
+impl TrueMaster {
+    /// The true moment at which global time is `at`.
+    pub fn truth(&self, at: GlobalTime) -> True {
+        self.clock.truth(self.epoch.local(at))
+    }
+    /// Global time at a true moment.
+    pub fn global(&self, at: True) -> GlobalTime {
+        self.epoch.global(self.clock.local(at))
+    }
+}
+
+/// Something that ought not to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// In which cycle.
+    pub cycle: u32,
+    /// What.
+    pub kind: FindingKind,
+    /// Who was involved.
+    pub stations: [Option<usize>; 2],
+    /// By how much.
+    pub span: Span,
+}
+
+/// Kinds of [`Finding`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum FindingKind {
+    /// Two frames on the air at once, at the medium's rate.
+    Overlap,
+    /// A frame outside its slot.
+    OutOfSlot,
+    /// A cycle without a Synchronisation.
+    SyncGap,
+    /// A slot without its frame.
+    SlotMissed,
+    /// A second frame in a slot, or a second Synchronisation in a cycle.
+    Repeated,
+}
+
+/// One station, as seen from the medium.
+pub struct Seen {
+    /// Frames in its slots.
+    pub frames: u64,
+    /// Actual - scheduled transmit.
+    pub slot_error: SignedHistogram,
+    last: BTreeMap<u8, u32>,
+}
+
+/// The analysis of a run.
+pub struct Analysis {
+    master: TrueMaster,
+    cycle: Span,
+    sync_window: Span,
+    guard: Span,
+    rate: Rate,
+    slots: Vec<Vec<SlotPlan>>,
+    window: Option<(u32, u32)>,
+    current: Option<u32>,
+    last_sync: Option<(u32, True)>,
+    busy: Option<(True, Option<usize>)>,
+    /// Synchronisations seen in the window.
+    pub syncs: u64,
+    /// (t(n) - t(n-1)) - T of neighbouring cycles' Synchronisations.
+    pub sync_period_jitter: SignedHistogram,
+    /// What ought not to be, in the window.
+    pub findings: Vec<Finding>,
+    /// Findings beyond those that are kept.
+    pub findings_dropped: u64,
+    /// By station.
+    pub stations: Vec<Seen>,
+}
+
+impl Analysis {
+    /// An analysis of a scenario whose master has this clock. Nothing counts before [`Analysis::begin`].
+    pub fn new(scenario: &Scenario, master: TrueMaster) -> Self {
+        let seen = || Seen { frames: 0, slot_error: SignedHistogram::new(), last: BTreeMap::new() };
+        Self {
+            master,
+            cycle: scenario.cycle,
+            sync_window: scenario.sync_window,
+            guard: scenario.guard,
+            rate: scenario.rate,
+            slots: scenario.stations.iter().map(|station| station.slots.clone()).collect(),
+            window: None,
+            current: None,
+            last_sync: None,
+            busy: None,
+            syncs: 0,
+            sync_period_jitter: SignedHistogram::new(),
+            findings: Vec::new(),
+            findings_dropped: 0,
+            stations: scenario.stations.iter().map(|_| seen()).collect(),
+        }
+    }
+
+    /// The cycle of the newest Synchronisation.
+    pub fn current(&self) -> Option<u32> {
+        self.current
+    }
+
+    /// Counts from cycle `from` on, for `cycles` cycles.
+    pub fn begin(&mut self, from: u32, cycles: u32) {
+        self.window = Some((from, cycles));
+    }
+
+    /// The cycles that were counted: those of the window that have passed.
+    pub fn cycles(&self) -> u32 {
+        let (Some((from, cycles)), Some(current)) = (self.window, self.current) else { return 0 };
+        (current.wrapping_sub(from) as i32).clamp(0, cycles as i32) as u32
+    }
+
+    /// The first cycle that was counted, and how many were.
+    pub fn window_counted(&self) -> (u32, u32) {
+        (self.window.map_or(0, |(from, _)| from), self.cycles())
+    }
+
+    /// Whether the window has passed.
+    pub fn is_complete(&self) -> bool {
+        self.window.is_some_and(|(_, cycles)| self.cycles() == cycles)
+    }
+
+    /// A frame on the medium, stamped `at`.
+    pub fn frame(&mut self, at: True, bytes: &[u8]) {
+        let Some((header, _)) = Header::parse(bytes) else { return };
+        let air = self.rate.air_time(bytes.len());
+        if header.ether_type() == EtherType::RTMAC {
+            let sync = match wire::parse(bytes) {
+                Ok(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) => Some((cycle, sched)),
+                _ => None,
+            };
+            self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), sync.map(|_| 0));
+            if let Some((cycle, sched)) = sync {
+                self.sync(at, cycle, sched, air);
+            }
+        } else if let Some((tag, _)) = Tag::read(bytes)
+            && tag.station() < self.stations.len()
+        {
+            self.occupy(at, air, Some(tag.cycle()), Some(tag.station()));
+            self.data(at, tag, air);
+        }
+    }
+
+    /// The window has passed: slots without a frame at its end are missed, too.
+    pub fn finish(&mut self) {
+        let Some((from, _)) = self.window else { return };
+        let end = from.wrapping_add(self.cycles());
+        if let Some((last, _)) = self.last_sync {
+            self.gaps(last.wrapping_add(1), end, 0, 1, FindingKind::SyncGap, 0);
+        }
+        for station in 0..self.stations.len() {
+            for slot in self.slots[station].clone() {
+                let next =
+                    self.stations[station].last.get(&slot.id).map_or(from, |last| last.wrapping_add(1));
+                self.gaps(next, end, slot.phase, slot.period, FindingKind::SlotMissed, station);
+            }
+        }
+    }
+
+    /// Frames that a station should have sent in the cycles that were counted.
+    pub fn expected(&self, station: usize) -> u64 {
+        let Some((from, _)) = self.window else { return 0 };
+        let end = from.wrapping_add(self.cycles());
+        self.slots[station].iter().map(|slot| turns(from, end, slot.phase, slot.period).count() as u64).sum()
+    }
+
+    /// The length of a slot, as which a missed one counts.
+    pub fn slot_length(&self, station: usize) -> Span {
+        let size = self.slots[station].iter().map(|slot| slot.size).max().unwrap_or(0);
+        self.guard + self.rate.air_time(size + rtnet::wire::ethernet::HEADER_LEN)
+    }
+
+    fn counts(&self, cycle: u32) -> bool {
+        self.window.is_some_and(|(from, cycles)| cycle.wrapping_sub(from) < cycles)
+    }
+
+    fn occupy(&mut self, at: True, air: Span, cycle: Option<u32>, who: Option<usize>) {
+        let until = at + air.nanos() as u64;
+        if let Some((busy_until, before)) = self.busy
+            && at < busy_until
+            && let Some(cycle) = cycle
+        {
+            let span = Span::from_nanos((busy_until - at) as i64);
+            self.find(cycle, FindingKind::Overlap, [before, who], span);
+        }
+        if self.busy.is_none_or(|(busy_until, _)| until > busy_until) {
+            self.busy = Some((until, who));
+        }
+    }
+
+    fn sync(&mut self, at: True, cycle: u32, sched: GlobalTime, air: Span) {
+        let error = self.error(at, sched);
+        if self.counts(cycle) {
+            self.syncs += 1;
+        }
+        if error < -clock_share(self.guard) || error > self.sync_window - air {
+            self.find(cycle, FindingKind::OutOfSlot, [Some(0), None], error);
+        }
+        if let Some((last, last_at)) = self.last_sync {
+            match cycle.wrapping_sub(last) as i32 {
+                1 if self.counts(cycle) => {
+                    let period = self.master.clock.local(at) - self.master.clock.local(last_at);
+                    self.sync_period_jitter.record((period - self.cycle).nanos());
+                }
+                ..=0 => self.find(cycle, FindingKind::Repeated, [Some(0), None], Span::ZERO),
+                _ => self.gaps(last.wrapping_add(1), cycle, 0, 1, FindingKind::SyncGap, 0),
+            }
+        }
+        self.last_sync = Some((cycle, at));
+        self.current = Some(cycle);
+    }
+
+    fn data(&mut self, at: True, tag: &Tag, air: Span) {
+        let (station, cycle) = (tag.station(), tag.cycle());
+        if !self.counts(cycle) {
+            return;
+        }
+        let Some(slot) = self.slots[station].iter().find(|slot| slot.id == tag.slot).copied() else {
+            return self.find(cycle, FindingKind::OutOfSlot, [Some(station), None], Span::ZERO);
+        };
+        let error = self.error(at, tag.scheduled());
+        // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
+        // the same share of its own.
+        let share = clock_share(self.guard);
+        let end = self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard - share;
+        if error < -share || error + air > end {
+            self.find(cycle, FindingKind::OutOfSlot, [Some(station), None], error);
+        }
+        let next = match self.stations[station].last.insert(slot.id, cycle) {
+            Some(last) if (cycle.wrapping_sub(last) as i32) <= 0 => {
+                return self.find(cycle, FindingKind::Repeated, [Some(station), None], Span::ZERO);
+            }
+            Some(last) => last.wrapping_add(1),
+            None => self.window.map_or(cycle, |(from, _)| from),
+        };
+        self.gaps(next, cycle, slot.phase, slot.period, FindingKind::SlotMissed, station);
+        let seen = &mut self.stations[station];
+        seen.frames += 1;
+        seen.slot_error.record(error.nanos());
+    }
+
+    fn error(&self, at: True, scheduled: GlobalTime) -> Span {
+        Span::from_nanos(at.wrapping_sub(self.master.truth(scheduled)) as i64)
+    }
+
+    /// Every turn from `next` up to `end` was missed.
+    fn gaps(&mut self, next: u32, end: u32, phase: u32, period: u32, kind: FindingKind, station: usize) {
+        if self.window.is_none() {
+            return;
+        }
+        for cycle in turns(next, end, phase, period) {
+            if self.findings.len() >= FINDINGS_MAX {
+                self.findings_dropped += 1;
+                return;
+            }
+            self.find(cycle, kind, [Some(station), None], Span::ZERO);
+        }
+    }
+
+    fn find(&mut self, cycle: u32, kind: FindingKind, stations: [Option<usize>; 2], span: Span) {
+        if !self.counts(cycle) {
+            return;
+        }
+        if self.findings.len() < FINDINGS_MAX {
+            self.findings.push(Finding { cycle, kind, stations, span });
+        } else {
+            self.findings_dropped += 1;
+        }
+    }
+}
+
+/// The cycles from `next` up to `end` in which a slot has its turn.
+fn turns(next: u32, end: u32, phase: u32, period: u32) -> impl Iterator<Item = u32> {
+    let mut cycle = next_cycle(next, phase, period);
+    std::iter::from_fn(move || {
+        let turn = cycle;
+        let before_end = (end.wrapping_sub(turn) as i32) > 0;
+        cycle = next_cycle(turn.wrapping_add(1), phase, period);
+        before_end.then_some(turn)
+    })
+}

@@ -1,0 +1,209 @@
+//! One station of a lab, seen from the lab: how it is started, what it has told.
+
+use rtmac::tdma::LatePolicy;
+use rtnet::clock::{EmulatedClock, True};
+use rtnet::discipline::EventKind;
+use rtnet::time::{GlobalTime, Offset};
+
+use super::analysis::TrueMaster;
+use super::explain::Records;
+use super::namespace::Namespace;
+use super::processes::Process;
+use super::run::INTERFACE;
+use crate::report::figures::Role;
+use crate::report::histogram::SignedHistogram;
+use crate::scenario::Scenario;
+use crate::station::link::{self, LabOptions, Report, Standing};
+use rtmac::tdma::schedule::clock_share;
+
+/// A station of a lab.
+pub struct Member {
+    // Dropped before the namespace it lives in.
+    pub process: Option<Process>,
+    pub namespace: Namespace,
+    pub notes: Vec<String>,
+    pub standing: Option<Standing>,
+    pub standing_at_begin: Option<Standing>,
+    pub standing_at_end: Option<Standing>,
+    pub sync_error: SignedHistogram,
+    pub failed: Option<String>,
+    /// Its process ended before it was told to.
+    pub ended: bool,
+    /// Nothing more will come from it.
+    pub silent: bool,
+    pub resident: u64,
+    pub cpu_seconds: f64,
+    counting: bool,
+    told_to_end: bool,
+}
+
+impl Member {
+    pub fn new(namespace: Namespace) -> Self {
+        Self {
+            process: None,
+            namespace,
+            notes: Vec::new(),
+            standing: None,
+            standing_at_begin: None,
+            standing_at_end: None,
+            sync_error: SignedHistogram::new(),
+            failed: None,
+            ended: false,
+            silent: false,
+            resident: 0,
+            cpu_seconds: 0.0,
+            counting: false,
+            told_to_end: false,
+        }
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.process.as_ref().map_or(0, Process::pid)
+    }
+
+    pub fn is_locked(&self) -> bool {
+        self.standing.as_ref().is_some_and(Standing::is_locked)
+    }
+
+    pub fn state(&self) -> &str {
+        self.standing.as_ref().map_or("not started", |standing| &standing.state)
+    }
+
+    /// From here on times and processor time count.
+    pub fn begin(&mut self) {
+        self.counting = true;
+        self.standing_at_begin = self.standing.clone();
+        if let Some(process) = &mut self.process {
+            process.begin();
+        }
+    }
+
+    /// Up to here.
+    pub fn stop_counting(&mut self) {
+        self.counting = false;
+        self.standing_at_end = self.standing.clone();
+        self.cpu_seconds = self.process.as_ref().and_then(Process::cpu_used).unwrap_or(0.0);
+    }
+
+    pub fn note_memory(&mut self) {
+        self.resident = self.process.as_ref().and_then(Process::resident).unwrap_or(0);
+    }
+
+    pub fn tell_to_end(&mut self) {
+        self.told_to_end = true;
+        if let Some(process) = &mut self.process {
+            process.tell_to_end();
+        }
+    }
+
+    /// Test traffic that was not what was sent, since the begin.
+    pub fn payload_errors(&self) -> u64 {
+        let count = |standing: &Option<Standing>| {
+            standing.as_ref().and_then(|s| s.refusals.get("bad_payload").copied()).unwrap_or(0)
+        };
+        count(&self.standing).saturating_sub(count(&self.standing_at_begin))
+    }
+
+    /// Share of one core that the real-time thread used while it was measured.
+    pub fn rt_cpu_share(&self) -> f64 {
+        let (Some(begin), Some(end)) = (&self.standing_at_begin, &self.standing_at_end) else { return 0.0 };
+        let (used, passed) = (end.cpu_ns.saturating_sub(begin.cpu_ns), end.at.saturating_sub(begin.at));
+        if passed == 0 { 0.0 } else { used as f64 / passed as f64 }
+    }
+
+    /// Takes a line, or the end.
+    pub fn take(
+        &mut self,
+        station: usize,
+        report: Option<Report>,
+        records: &mut Records,
+        master: &TrueMaster,
+    ) {
+        match report {
+            None => {
+                self.ended = !self.told_to_end;
+                self.silent = true;
+            }
+            Some(Report::Started(refused)) => self.notes = refused,
+            Some(Report::Failed(why)) => self.failed = Some(why),
+            Some(Report::Standing(standing)) => self.standing = Some(*standing),
+            Some(Report::Events(events)) => {
+                for (cycle, kind, span) in events {
+                    if let Some(kind) = link::kind(kind) {
+                        records.note(cycle, station, kind, rtnet::Span::from_nanos(span));
+                        self.remember(kind, cycle);
+                    }
+                }
+            }
+            Some(Report::Times(times)) if self.counting && station != 0 => {
+                for (at, global) in times {
+                    let error = GlobalTime::from_nanos(global) - master.global(at);
+                    self.sync_error.record(error.nanos());
+                }
+            }
+            Some(Report::Times(_)) => {}
+        }
+    }
+
+    /// What a reader of the report should know.
+    fn remember(&mut self, kind: EventKind, cycle: u32) {
+        if matches!(kind, EventKind::SyncLost | EventKind::CalibrationTimeout | EventKind::OtherMaster) {
+            let note = format!("{} in cycle {cycle}", kind.name());
+            if self.notes.len() < 20 {
+                self.notes.push(note);
+            }
+        }
+    }
+}
+
+/// The clock of a station.
+pub fn clock(scenario: &Scenario, station: usize, anchor: True) -> EmulatedClock {
+    let plan = &scenario.stations[station];
+    EmulatedClock { anchor, offset: plan.clock_offset, drift_ppb: plan.clock_drift_ppb }
+}
+
+/// The command line of a station's process, behind the verb.
+pub fn arguments(
+    scenario: &Scenario,
+    station: usize,
+    anchor: True,
+    epoch: Offset,
+    cpu: usize,
+) -> anyhow::Result<Vec<String>> {
+    let plan = &scenario.stations[station];
+    let mut line: Vec<String> = Vec::new();
+    let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
+    add("--interface", INTERFACE.into());
+    add("--cpu", cpu.to_string());
+    add("--latest", scenario.latest().to_string());
+    if scenario.late == LatePolicy::Send {
+        add("--late", "send".into());
+    }
+    for slot in &plan.slots {
+        let (id, offset, size) = (slot.id, slot.offset, slot.size);
+        let phase = format!("phase={}/{}", slot.phase + 1, slot.period);
+        add("--slot", format!("{id}={offset},{phase},size={size}"));
+    }
+    let lab = LabOptions {
+        station: station as u16,
+        anchor,
+        offset_ns: plan.clock_offset.nanos(),
+        drift_ppb: plan.clock_drift_ppb,
+        epoch: epoch.nanos(),
+        destination: scenario.address(scenario.receiver(station)).0,
+        from: scenario.sender(station) as u16,
+        payload: plan.payload,
+        from_payload: scenario.stations[scenario.sender(station)].payload,
+        step_limit_ns: clock_share(scenario.guard).nanos(),
+    };
+    add("--lab", serde_json::to_string(&lab)?);
+    if plan.role == Role::Master {
+        add("--cycle", scenario.cycle.to_string());
+        add("--sync-window", scenario.sync_window.to_string());
+        line.push("--master".into());
+    } else {
+        add("--rounds", plan.rounds.to_string());
+        line.push("--slave".into());
+    }
+    Ok(line)
+}

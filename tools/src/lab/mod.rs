@@ -1,0 +1,25 @@
+//! Networks on one machine: each station a process in a namespace of its own, joined by a bridge, and
+//! watched from there.
+//!
+//! ```text
+//!   namespace of a station      namespace of the segment          this process
+//!   ┌─────────────┐             ┌──────────────────────┐
+//!   │ station  rt0│────veth─────│port0 ┐               │          stations' reports ─► run
+//!   └─────────────┘             │      ├ br0 ── ring ──│────────► frames, stamped  ─► analysis
+//!   ┌─────────────┐             │port1 ┘               │
+//!   │ station  rt0│────veth─────│                      │          explain: every finding has a record
+//!   └─────────────┘             └──────────────────────┘
+//! ```
+//!
+//! The namespaces have no names: they go with the last process inside, however it ends.
+
+pub mod analysis;
+pub mod explain;
+mod members;
+pub mod namespace;
+pub mod netlink;
+mod outcome;
+mod processes;
+mod run;
+
+pub use run::{Outcome, RunOptions, run};

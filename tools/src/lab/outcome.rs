@@ -1,0 +1,193 @@
+//! From what a lab has seen and been told to the figures of its report.
+
+use rtnet::discipline::EventKind;
+
+use super::Outcome;
+use super::analysis::{Analysis, Finding, FindingKind};
+use super::explain::Records;
+use super::members::Member;
+use crate::report::figures::{Figures, Miss, MissKind, Role, StationFigures, Verdict};
+use crate::report::histogram::SignedHistogram;
+use crate::report::host::HostFacts;
+use crate::scenario::Scenario;
+
+/// What a lab leaves.
+pub struct Parts {
+    pub members: Vec<Member>,
+    pub analysis: Analysis,
+    pub records: Records,
+    pub notes: Vec<String>,
+    pub dropped: u64,
+    pub wall_steps: u64,
+    pub interrupted: bool,
+}
+
+/// The figures.
+pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<Outcome> {
+    let Parts { members, analysis, records, .. } = &parts;
+    let (from, cycles) = analysis.window_counted();
+    let own = |kind| records.of_kind(kind, from, cycles);
+    let mut figures = Figures {
+        stations: members.len() as u64,
+        cycle_ns: scenario.cycle.nanos() as u64,
+        cycles: u64::from(cycles),
+        syncs_sent: analysis.syncs,
+        syncs_skipped: own(EventKind::SyncSkipped).count() as u64,
+        overruns: own(EventKind::Overrun).count() as u64,
+        stalled_in_send: own(EventKind::StalledInSend).count() as u64,
+        sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
+        host,
+        rt_cpu_percent: members.iter().map(Member::rt_cpu_share).sum::<f64>() * 100.0,
+        clock_steps: parts.wall_steps,
+        capture_dropped: parts.dropped,
+        ..Figures::default()
+    };
+    let mut all = Histograms::new();
+    for station in 0..members.len() {
+        let one = station_figures(scenario, &parts, station, (from, cycles), &mut all);
+        figures.frames_expected += one.frames_expected;
+        figures.frames_seen += one.frames_seen;
+        figures.slots_missed += one.slots_missed;
+        figures.payload_errors += one.payload_errors;
+        figures.per_station.push(one);
+    }
+    figures.slot_error_ns = all.slot_error.summary();
+    figures.slot_error_abs_ns = all.slot_error_abs.summary();
+    figures.sync_error_ns = all.sync_error.summary();
+    figures.unexplained = analysis.findings_dropped;
+    for finding in &analysis.findings {
+        enter(&mut figures, finding, records, scenario);
+    }
+    for (kind, event) in [
+        (MissKind::SyncSkipped, EventKind::SyncSkipped),
+        (MissKind::StalledInSend, EventKind::StalledInSend),
+        (MissKind::Overrun, EventKind::Overrun),
+    ] {
+        for (cycle, station, span) in own(event) {
+            let station = scenario.stations[station].name.clone();
+            figures.note_miss(Miss { cycle: cycle.into(), station, kind, span_ns: span.nanos() });
+        }
+    }
+    figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
+    Ok(Outcome { figures, slot_error_abs: all.slot_error_abs })
+}
+
+/// Over all stations.
+struct Histograms {
+    slot_error: SignedHistogram,
+    slot_error_abs: SignedHistogram,
+    sync_error: SignedHistogram,
+}
+
+impl Histograms {
+    fn new() -> Self {
+        let (slot_error, slot_error_abs) = (SignedHistogram::new(), SignedHistogram::new());
+        Self { slot_error, slot_error_abs, sync_error: SignedHistogram::new() }
+    }
+}
+
+fn station_figures(
+    scenario: &Scenario,
+    parts: &Parts,
+    station: usize,
+    (from, cycles): (u32, u32),
+    all: &mut Histograms,
+) -> StationFigures {
+    let (plan, member) = (&scenario.stations[station], &parts.members[station]);
+    let seen = &parts.analysis.stations[station];
+    let expected = parts.analysis.expected(station);
+    let missed = expected.saturating_sub(seen.frames);
+    let mut slot_error_abs = seen.slot_error.deviation_from(seen.slot_error.median());
+    // A missed slot is not without error: it counts as a whole slot.
+    slot_error_abs.record_n(parts.analysis.slot_length(station).nanos(), missed);
+    all.slot_error.merge(&seen.slot_error);
+    all.slot_error_abs.merge(&slot_error_abs);
+    all.sync_error.merge(&member.sync_error);
+    let own =
+        |kind| parts.records.of_kind(kind, from, cycles).filter(|&(_, of, _)| of == station).count() as u64;
+    let mut notes = member.notes.clone();
+    if station == 0 {
+        notes.extend(parts.notes.clone());
+    }
+    StationFigures {
+        name: plan.name.clone(),
+        role: plan.role,
+        mac: scenario.address(station).to_string(),
+        pid: member.pid(),
+        clock_offset_ns: plan.clock_offset.nanos(),
+        clock_drift_ppb: plan.clock_drift_ppb,
+        calibration_delay_ns: member
+            .standing
+            .as_ref()
+            .and_then(|standing| standing.delay_ns)
+            .filter(|_| plan.role != Role::Master),
+        frames_expected: expected,
+        frames_seen: seen.frames,
+        slots_missed: missed,
+        overruns: own(EventKind::Overrun),
+        stalled_in_send: own(EventKind::StalledInSend),
+        payload_errors: member.payload_errors(),
+        slot_error_ns: seen.slot_error.summary(),
+        slot_error_abs_ns: slot_error_abs.summary(),
+        sync_error_ns: member.sync_error.summary(),
+        rss_bytes: member.resident,
+        cpu_percent: percent(member.cpu_seconds, cycles, scenario),
+        refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
+        notes,
+    }
+}
+
+fn percent(cpu_seconds: f64, cycles: u32, scenario: &Scenario) -> f64 {
+    let measured = f64::from(cycles) * scenario.cycle.nanos() as f64 / 1e9;
+    if measured > 0.0 { cpu_seconds / measured * 100.0 } else { 0.0 }
+}
+
+/// Counts a finding, and lists it if nobody has told of it.
+fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: &Scenario) {
+    match finding.kind {
+        FindingKind::Overlap => figures.overlaps += 1,
+        FindingKind::OutOfSlot => figures.out_of_slot += 1,
+        FindingKind::SyncGap | FindingKind::SlotMissed | FindingKind::Repeated => {}
+    }
+    if records.explain(finding).is_some() {
+        return;
+    }
+    figures.unexplained += 1;
+    let station = finding.stations.iter().flatten().next_back();
+    let station = station.map_or("foreign".into(), |&station| scenario.stations[station].name.clone());
+    let kind = MissKind::Unexplained;
+    figures.note_miss(Miss { cycle: finding.cycle.into(), station, kind, span_ns: finding.span.nanos() });
+}
+
+fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {
+    let mut reasons = Vec::new();
+    for (member, plan) in parts.members.iter().zip(&scenario.stations) {
+        if let Some(why) = &member.failed {
+            reasons.push(format!("station '{}' failed: {why}", plan.name));
+        } else if member.ended {
+            reasons.push(format!("station '{}' (process {}) was lost", plan.name, member.pid()));
+        }
+        let lost = member.standing.as_ref().map_or(0, |standing| standing.lost_records);
+        if lost > 0 {
+            reasons.push(format!("station '{}' could not tell of {lost} events", plan.name));
+        }
+    }
+    let plural = |n: u64| if n == 1 { "" } else { "s" };
+    if figures.unexplained > 0 {
+        reasons.push(format!(
+            "{} unexplained miss{}",
+            figures.unexplained,
+            if figures.unexplained == 1 { "" } else { "es" }
+        ));
+    }
+    if figures.payload_errors > 0 {
+        reasons.push(format!("{} payload error{}", figures.payload_errors, plural(figures.payload_errors)));
+    }
+    if figures.capture_dropped > 0 {
+        reasons.push(format!("the observer lost {} frames", figures.capture_dropped));
+    }
+    if figures.frames_seen == 0 && !parts.interrupted {
+        reasons.push("no frame was seen".into());
+    }
+    reasons
+}

@@ -1,0 +1,103 @@
+//! The stations' processes.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::Sender;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use super::namespace::Namespace;
+use crate::station::link::Report;
+
+/// How long a station may take to end when it is told to.
+const END_WITHIN: Duration = Duration::from_secs(2);
+
+/// A running station; dropping it ends it.
+pub struct Process {
+    child: Child,
+    cpu_at_begin: Option<f64>,
+}
+
+/// A station's line, or its end.
+pub type Told = (usize, Option<Report>);
+
+impl Process {
+    /// Starts a station in a namespace; what it tells goes to `told`, a last `None` at its end.
+    pub fn start(
+        namespace: &Namespace,
+        station: usize,
+        arguments: &[String],
+        told: Sender<Told>,
+    ) -> Result<Self> {
+        let program = std::env::current_exe().context("this program's own file cannot be found")?;
+        let mut command = Command::new(program);
+        command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = namespace.run(move || command.spawn())?.context("a station cannot be started")?;
+        let output = child.stdout.take().context("a station without output")?;
+        std::thread::Builder::new().name("listener".into()).spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                let report = serde_json::from_str(&line)
+                    .unwrap_or_else(|error| Report::Failed(format!("it told nonsense: {error}: {line}")));
+                if told.send((station, Some(report))).is_err() {
+                    return;
+                }
+            }
+            // The lab may have ended, and listens no more.
+            let _ = told.send((station, None));
+        })?;
+        Ok(Self { child, cpu_at_begin: None })
+    }
+
+    /// Its number.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Processor time is counted from here.
+    pub fn begin(&mut self) {
+        self.cpu_at_begin = self.cpu_seconds();
+    }
+
+    /// Processor time since [`Process::begin`], seconds.
+    pub fn cpu_used(&self) -> Option<f64> {
+        Some(self.cpu_seconds()? - self.cpu_at_begin?)
+    }
+
+    /// Resident memory, bytes.
+    pub fn resident(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
+        let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+        line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+    }
+
+    /// Tells it to end, without waiting.
+    pub fn tell_to_end(&mut self) {
+        self.child.stdin = None;
+    }
+
+    fn cpu_seconds(&self) -> Option<f64> {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid())).ok()?;
+        // The name in parentheses may hold anything; what follows is state and numbers.
+        let numbers: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+        let ticks = numbers.get(11)?.parse::<f64>().ok()? + numbers.get(12)?.parse::<f64>().ok()?;
+        let per_second = nix::unistd::sysconf(nix::unistd::SysconfVar::CLK_TCK).ok()??;
+        Some(ticks / per_second as f64)
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.tell_to_end();
+        let deadline = Instant::now() + END_WITHIN;
+        while Instant::now() < deadline {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        // It was told and did not: it is ours to end. Neither can fail in a way that matters here.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,283 @@
+//! A lab from its begin to its end: set up, wait for all to be locked, measure, report.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use rtnet::live::clock::{WallClock, monotonic, realtime};
+use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
+use rtnet::live::ring::{CaptureRing, RingConfig};
+use rtnet::time::{GlobalTime, Offset};
+
+use super::analysis::{Analysis, TrueMaster};
+use super::explain::Records;
+use super::members::{Member, arguments};
+use super::namespace::{Namespace, Segment};
+use super::outcome;
+use super::processes::{Process, Told};
+use crate::report::capture::CaptureFile;
+use crate::report::figures::Figures;
+use crate::report::histogram::SignedHistogram;
+use crate::report::host::HostFacts;
+use crate::scenario::Scenario;
+
+/// The name of a station's interface in its namespace.
+pub const INTERFACE: &str = "rt0";
+/// How often frames and reports are looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// Cycles between all stations being locked and the begin of the measurement.
+const SETTLE_CYCLES: u32 = 50;
+/// How long stations may take to be locked, besides what calibration takes.
+const JOIN_WITHIN: Duration = Duration::from_secs(5);
+/// A calibration round takes two periods of the slot; so many times that is allowed.
+const CALIBRATION_ALLOWANCE: u32 = 3;
+/// After the last cycle, frames are still in the ring for up to its retirement time.
+const LINGER: Duration = Duration::from_millis(100);
+/// Progress is shown so often on anything that takes longer than this.
+const PROGRESS_EVERY: Duration = Duration::from_secs(1);
+
+/// How to run a scenario.
+#[derive(Clone, Debug, Default)]
+pub struct RunOptions {
+    /// Keep the real-time core from idling.
+    pub warm_core: bool,
+    /// The core of all real-time threads; the last by default.
+    pub cpu: Option<usize>,
+    /// Where to write every frame.
+    pub pcap: Option<PathBuf>,
+    /// Show how it goes on standard error.
+    pub progress: bool,
+}
+
+/// What a run has shown.
+pub struct Outcome {
+    /// The report's figures.
+    pub figures: Figures,
+    /// |slot error - the station's median| of all stations.
+    pub slot_error_abs: SignedHistogram,
+}
+
+/// A running lab.
+struct Lab {
+    // Fields are dropped in this order: processes first, then what they live in.
+    members: Vec<Member>,
+    told: Receiver<Told>,
+    ring: CaptureRing,
+    wall: WallClock,
+    capture: Option<CaptureFile>,
+    analysis: Analysis,
+    records: Records,
+    master: TrueMaster,
+    _warm: Option<WarmCore>,
+    _segment: Segment,
+    notes: Vec<String>,
+    interrupted: Arc<AtomicBool>,
+    next_progress: Option<Instant>,
+}
+
+/// Stands a network up, measures it, and takes it down again.
+pub fn run(scenario: &Scenario, options: &RunOptions) -> Result<Outcome> {
+    let mut lab = Lab::set_up(scenario, options)?;
+    lab.join(scenario)?;
+    let host = HostFacts::begin();
+    lab.measure(scenario)?;
+    lab.end()?;
+    outcome::of(scenario, lab.parts(), host.finish())
+}
+
+impl Lab {
+    fn set_up(scenario: &Scenario, options: &RunOptions) -> Result<Self> {
+        let cpus = allowed_cpus();
+        let cpu = options.cpu.or(cpus.last().copied()).unwrap_or(0);
+        if !cpus.contains(&cpu) {
+            bail!("there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
+        }
+        let mut notes = Vec::new();
+        if let Err(error) = avoid(cpu) {
+            notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
+        }
+        let interrupted = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            signal_hook::flag::register(signal, interrupted.clone())?;
+        }
+        let capture = options.pcap.as_deref().map(CaptureFile::create).transpose()?;
+
+        let mut segment = Segment::new()?;
+        let bridge = segment.bridge_name().to_owned();
+        let ring = segment.namespace().run(|| CaptureRing::open(&bridge, RingConfig::default()))??;
+        let anchor = monotonic();
+        let mut members: Vec<Member> = Vec::new();
+        for station in 0..scenario.stations.len() {
+            let namespace = Namespace::new()?;
+            segment.attach(&namespace, &format!("port{station}"), INTERFACE, scenario.address(station).0)?;
+            members.push(Member::new(namespace));
+        }
+        let clock = super::members::clock(scenario, 0, anchor);
+        let epoch = Offset::between(clock.local(anchor), GlobalTime::from_nanos(realtime()));
+        let master = TrueMaster { clock, epoch };
+        let warm = match options.warm_core.then(|| WarmCore::start(cpu)) {
+            Some(Err(line)) => {
+                notes.push(line);
+                None
+            }
+            started => started.and_then(Result::ok),
+        };
+        let (teller, told) = channel();
+        for (station, member) in members.iter_mut().enumerate() {
+            let arguments = arguments(scenario, station, anchor, epoch, cpu)?;
+            member.process = Some(Process::start(&member.namespace, station, &arguments, teller.clone())?);
+        }
+        Ok(Self {
+            members,
+            told,
+            ring,
+            wall: WallClock::default(),
+            capture,
+            analysis: Analysis::new(scenario, master),
+            records: Records::default(),
+            master,
+            _warm: warm,
+            _segment: segment,
+            notes,
+            interrupted,
+            next_progress: options.progress.then(|| Instant::now() + PROGRESS_EVERY),
+        })
+    }
+
+    /// Waits until every station is locked.
+    fn join(&mut self, scenario: &Scenario) -> Result<()> {
+        let rounds = scenario.stations.iter().map(|station| {
+            let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
+            station.rounds * 2 * period
+        });
+        let cycles = rounds.max().unwrap_or(0) * CALIBRATION_ALLOWANCE;
+        let calibration = Duration::from_nanos(scenario.cycle.nanos() as u64) * (cycles + SETTLE_CYCLES);
+        let deadline = Instant::now() + JOIN_WITHIN + calibration;
+        while !self.members.iter().all(Member::is_locked) {
+            self.look()?;
+            self.fail_early(scenario)?;
+            let locked = self.members.iter().filter(|member| member.is_locked()).count();
+            if self.interrupted.load(Ordering::Relaxed) {
+                bail!("interrupted while {locked} of {} stations were locked", self.members.len());
+            }
+            if Instant::now() > deadline {
+                let late = self.members.iter().position(|member| !member.is_locked()).unwrap_or(0);
+                bail!(
+                    "station '{}' is not locked to the master in time ({}): a longer --cycle or --guard gives \
+                     a busy host more room",
+                    scenario.stations[late].name,
+                    self.members[late].state(),
+                );
+            }
+            self.show_progress(|| format!("{locked} of {} stations locked", scenario.stations.len()));
+        }
+        Ok(())
+    }
+
+    /// Measures for the scenario's duration, or until interrupted or a station is lost.
+    fn measure(&mut self, scenario: &Scenario) -> Result<()> {
+        let cycles =
+            (scenario.duration.nanos() / scenario.cycle.nanos()).clamp(1, i64::from(i32::MAX)) as u32;
+        let current = self.analysis.current().context("stations are locked, but no sync was seen")?;
+        self.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
+        for member in &mut self.members {
+            member.begin();
+        }
+        let allowed = Duration::from_nanos(scenario.duration.nanos() as u64 * 2) + JOIN_WITHIN;
+        let deadline = Instant::now() + allowed;
+        while !self.analysis.is_complete() {
+            self.look()?;
+            let ended = self.members.iter().any(|member| member.ended);
+            if ended || self.interrupted.load(Ordering::Relaxed) || Instant::now() > deadline {
+                break;
+            }
+            let done = self.analysis.cycles();
+            let findings = self.analysis.findings.len();
+            self.show_progress(|| format!("cycle {done} of {cycles}, {findings} misses"));
+        }
+        for member in &mut self.members {
+            member.stop_counting();
+        }
+        Ok(())
+    }
+
+    /// Ends every station, and takes what it still has to tell.
+    fn end(&mut self) -> Result<()> {
+        let linger = Instant::now() + LINGER;
+        while Instant::now() < linger {
+            self.look()?;
+        }
+        for member in &mut self.members {
+            member.note_memory();
+            member.tell_to_end();
+        }
+        let deadline = Instant::now() + JOIN_WITHIN;
+        while !self.members.iter().all(|member| member.silent) && Instant::now() < deadline {
+            self.look()?;
+        }
+        self.analysis.finish();
+        if let Some(capture) = self.capture.take() {
+            capture.finish()?;
+        }
+        Ok(())
+    }
+
+    /// Takes what frames and reports there are.
+    fn look(&mut self) -> Result<()> {
+        std::thread::sleep(LOOK_EVERY);
+        let trusted = self.wall.sample();
+        let Self { ring, wall, analysis, capture, .. } = self;
+        let mut written = Ok(());
+        ring.drain(|frame| {
+            if let (Some(file), true) = (capture.as_mut(), written.is_ok()) {
+                written = file.frame(frame.realtime_ns, frame.bytes, None);
+            }
+            if trusted {
+                analysis.frame(wall.truth(frame.realtime_ns), frame.bytes);
+            }
+        });
+        written?;
+        while let Ok((station, report)) = self.told.try_recv() {
+            self.members[station].take(station, report, &mut self.records, &self.master);
+        }
+        Ok(())
+    }
+
+    /// A station that cannot be what it is to be ends the run before it begins.
+    fn fail_early(&mut self, scenario: &Scenario) -> Result<()> {
+        for (station, member) in self.members.iter().enumerate() {
+            let name = &scenario.stations[station].name;
+            if let Some(why) = &member.failed {
+                bail!("station '{name}': {why}");
+            }
+            if member.ended {
+                bail!("station '{name}' ended before the network was up; its own message is above");
+            }
+        }
+        Ok(())
+    }
+
+    fn show_progress(&mut self, what: impl Fn() -> String) {
+        if let Some(next) = &mut self.next_progress
+            && Instant::now() >= *next
+        {
+            *next += PROGRESS_EVERY;
+            eprintln!("rtnet: {}", what());
+        }
+    }
+
+    fn parts(mut self) -> outcome::Parts {
+        outcome::Parts {
+            dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),
+            interrupted: self.interrupted.load(Ordering::Relaxed),
+            wall_steps: self.wall.steps(),
+            members: self.members,
+            analysis: self.analysis,
+            records: self.records,
+            notes: self.notes,
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! Captures for Wireshark: pcapng, to the nanosecond.
+
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use pcap_file::pcapng::PcapNgWriter;
+use pcap_file::pcapng::blocks::enhanced_packet::{EnhancedPacketBlock, EnhancedPacketOption};
+use pcap_file::pcapng::blocks::interface_description::{
+    InterfaceDescriptionBlock, InterfaceDescriptionOption, InterfaceTsResolution,
+};
+use pcap_file::pcapng::blocks::opt_common::CommonOption;
+use pcap_file::pcapng::blocks::section_header::{SectionHeaderBlock, SectionHeaderOption};
+use pcap_file::{DataLink, Endianness};
+
+const APPLICATION: &str = concat!("rtnet ", env!("CARGO_PKG_VERSION"));
+
+/// The only interface in a file.
+const MEDIUM: &str = "medium";
+
+/// The length of an option is a `u16`.
+const MAX_COMMENT: usize = u16::MAX as usize;
+
+/// A file of frames from one medium. Dropped without [`CaptureFile::finish`], it may lack its end.
+#[derive(Debug)]
+pub struct CaptureFile {
+    path: PathBuf,
+    writer: Writer,
+}
+
+impl CaptureFile {
+    /// Makes the file, or empties it, and writes its head: the section, and one Ethernet interface
+    /// whose stamps count nanoseconds.
+    ///
+    /// # Errors
+    /// The file cannot be made or written. Names it.
+    pub fn create(path: &Path) -> Result<Self> {
+        let file = File::create(path).with_context(|| format!("cannot create {}", path.display()))?;
+        let writer = Writer::new(file).with_context(|| cannot_write(path))?;
+        Ok(Self { path: path.to_owned(), writer })
+    }
+
+    /// Adds a frame, from its destination address on and without the checksum. `realtime_ns` is
+    /// CLOCK_REALTIME in nanoseconds. A comment is cut off after 65 535 bytes, the most that the
+    /// format holds.
+    ///
+    /// # Errors
+    /// The file cannot be written; it ends in the middle of a frame then. Names it.
+    pub fn frame(&mut self, realtime_ns: u64, bytes: &[u8], comment: Option<&str>) -> Result<()> {
+        self.writer.frame(realtime_ns, bytes, comment).with_context(|| cannot_write(&self.path))
+    }
+
+    /// Writes what is still buffered.
+    ///
+    /// # Errors
+    /// The file cannot be written. Names it.
+    pub fn finish(self) -> Result<()> {
+        self.writer.0.into_inner().flush().with_context(|| cannot_write(&self.path))
+    }
+}
+
+fn cannot_write(path: &Path) -> String {
+    format!("cannot write the capture {}", path.display())
+}
+
+/// The format, apart from the file's name.
+struct Writer(PcapNgWriter<BufWriter<File>>);
+
+impl std::fmt::Debug for Writer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Writer").field(self.0.get_ref()).finish()
+    }
+}
+
+impl Writer {
+    fn new(file: File) -> Result<Self> {
+        // The library's default is big-endian; little-endian on every host keeps captures comparable.
+        let section = SectionHeaderBlock {
+            endianness: Endianness::Little,
+            options: vec![SectionHeaderOption::UserApplication(APPLICATION.into())],
+            ..SectionHeaderBlock::default()
+        };
+        let mut writer = PcapNgWriter::with_section_header(BufWriter::new(file), section)?;
+        // Without the resolution the library would round every stamp down to a microsecond, and say
+        // nothing. A snap length of 0 is "no limit".
+        let mut interface = InterfaceDescriptionBlock::new(DataLink::ETHERNET, 0);
+        interface.options = vec![
+            InterfaceDescriptionOption::IfName(MEDIUM.into()),
+            InterfaceDescriptionOption::IfTsResol(InterfaceTsResolution::NANO),
+        ];
+        writer.write_pcapng_block(interface)?;
+        Ok(Self(writer))
+    }
+
+    fn frame(&mut self, realtime_ns: u64, bytes: &[u8], comment: Option<&str>) -> Result<()> {
+        let comment = comment.map(|text| &text[..text.floor_char_boundary(MAX_COMMENT)]);
+        self.0.write_pcapng_block(EnhancedPacketBlock {
+            interface_id: 0,
+            timestamp: Duration::from_nanos(realtime_ns),
+            original_len: u32::try_from(bytes.len()).context("longer than any frame")?,
+            data: Cow::Borrowed(bytes),
+            options: comment
+                .map(|text| EnhancedPacketOption::Common(CommonOption::Comment(text.into())))
+                .into_iter()
+                .collect(),
+        })?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pcap_file::pcapng::{Block, PcapNgReader};
+
+    /// Stamps that a microsecond, a `f64` or 63 bits do not hold.
+    const STAMPS: [u64; 5] =
+        [0, 1, 1_700_000_000_123_456_789, 1_700_000_000_999_999_999, 18_446_744_073_709_551_615];
+
+    fn written(frames: &[(u64, &[u8], Option<&str>)]) -> (tempfile::TempDir, PathBuf) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.pcapng");
+        let mut file = CaptureFile::create(&path).unwrap();
+        for &(at, bytes, comment) in frames {
+            file.frame(at, bytes, comment).unwrap();
+        }
+        file.finish().unwrap();
+        (directory, path)
+    }
+
+    fn read(path: &Path) -> Vec<(u64, Vec<u8>, Option<String>)> {
+        let mut reader = PcapNgReader::new(File::open(path).unwrap()).unwrap();
+        let mut frames = Vec::new();
+        while let Some(block) = reader.next_block() {
+            let (Block::EnhancedPacket(packet), _) = block.unwrap() else { continue };
+            let comment = packet.options.iter().find_map(|option| match option {
+                EnhancedPacketOption::Common(CommonOption::Comment(text)) => Some(text.to_string()),
+                _ => None,
+            });
+            let at = u64::try_from(packet.timestamp.as_nanos()).unwrap();
+            assert_eq!(packet.original_len as usize, packet.data.len());
+            frames.push((at, packet.data.into_owned(), comment));
+        }
+        frames
+    }
+
+    #[test]
+    fn nanoseconds_come_back_exactly() {
+        let frames = STAMPS.map(|at| (at, &[0xa5; 60][..], None));
+        let (_directory, path) = written(&frames);
+        assert_eq!(read(&path).into_iter().map(|(at, ..)| at).collect::<Vec<_>>(), STAMPS);
+    }
+
+    #[test]
+    fn comments_of_any_length_come_back() {
+        // One byte too long for the format, and the cut falls into a character.
+        let long = "a".repeat(MAX_COMMENT - 1) + "µ";
+        let (_directory, path) =
+            written(&[(1, &[7; 61], Some("slot 3: overrun")), (2, &[8; 62], Some(&long))]);
+        let frames = read(&path);
+        assert_eq!(frames[0], (1, vec![7; 61], Some("slot 3: overrun".to_owned())));
+        assert_eq!(frames[1], (2, vec![8; 62], Some("a".repeat(MAX_COMMENT - 1))));
+    }
+
+    #[test]
+    fn the_bytes_are_what_the_format_says() {
+        let at = STAMPS[2];
+        let (_directory, path) = written(&[(at, &[0xa5; 60], None)]);
+        let bytes = std::fs::read(path).unwrap();
+        let word = |offset: usize| u32::from_le_bytes(*bytes[offset..].first_chunk().unwrap());
+
+        assert_eq!((word(0), word(8)), (0x0a0d_0d0a, 0x1a2b_3c4d)); // section, byte order
+        let interface = word(4) as usize;
+        assert_eq!((word(interface), word(interface + 8)), (1, 1)); // interface, Ethernet
+        let options = &bytes[interface + 16..][..word(interface + 4) as usize - 20];
+        let expected = [
+            &[2, 0, 6, 0][..], // if_name
+            b"medium\0\0",
+            &[9, 0, 1, 0, 9, 0, 0, 0], // if_tsresol: 10^-9 s
+            &[0, 0, 0, 0],             // opt_endofopt
+        ]
+        .concat();
+        assert_eq!(options, expected);
+        let packet = interface + word(interface + 4) as usize;
+        assert_eq!((word(packet), word(packet + 8)), (6, 0)); // enhanced packet on interface 0
+        assert_eq!(u64::from(word(packet + 12)) << 32 | u64::from(word(packet + 16)), at);
+        assert_eq!((word(packet + 20), word(packet + 24)), (60, 60)); // captured, original
+        assert_eq!(bytes.len(), packet + word(packet + 4) as usize);
+    }
+
+    #[test]
+    fn errors_name_the_file() {
+        let refused = CaptureFile::create(Path::new("/nowhere/a.pcapng")).unwrap_err();
+        assert!(format!("{refused:#}").contains("/nowhere/a.pcapng"), "{refused:#}");
+
+        // Nothing fits on this device: what is still buffered fails only in the end.
+        let full = Path::new("/dev/full");
+        let mut file = CaptureFile::create(full).unwrap();
+        file.frame(1, &[0; 60], None).unwrap();
+        let refused = file.finish().unwrap_err();
+        assert!(format!("{refused:#}").contains("/dev/full: "), "{refused:#}");
+    }
+}

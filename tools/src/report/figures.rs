@@ -1,0 +1,268 @@
+//! The figures of a run, as the JSON report names them.
+//!
+//! The order of the fields is the order in the report. Times are integers in nanoseconds.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::histogram::Summary;
+use super::host::HostFacts;
+
+/// A whole run.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+pub struct Figures {
+    /// Stations in the lab, the master included.
+    pub stations: u64,
+    /// The length of a cycle.
+    pub cycle_ns: u64,
+    /// Cycles measured.
+    pub cycles: u64,
+    /// Synchronisation frames seen on the medium.
+    pub syncs_sent: u64,
+    /// Cycles in which the master sent no Synchronisation frame.
+    pub syncs_skipped: u64,
+    /// Frames that the stations had queued for their slots.
+    pub frames_expected: u64,
+    /// Frames seen on the medium.
+    pub frames_seen: u64,
+    /// Slots with no frame though one was queued.
+    pub slots_missed: u64,
+    /// Slots that a station skipped because it was late.
+    pub overruns: u64,
+    /// Frames late because the station was held up inside the send call.
+    pub stalled_in_send: u64,
+    /// Times at which two frames were on the air at once, at the medium's rate.
+    pub overlaps: u64,
+    /// Frames seen outside their slots.
+    pub out_of_slot: u64,
+    /// Misses of any kind without a known cause.
+    pub unexplained: u64,
+    /// Frames whose payload was not what the station had sent.
+    pub payload_errors: u64,
+    /// Actual - scheduled transmit, all stations.
+    pub slot_error_ns: Summary,
+    /// |slot error - the station's own median|, all stations.
+    pub slot_error_abs_ns: Summary,
+    /// (t(n) - t(n-1)) - T of successive Synchronisation frames.
+    pub sync_period_jitter_ns: Summary,
+    /// Estimated - true global time, all slaves.
+    pub sync_error_ns: Summary,
+    /// One entry per station.
+    pub per_station: Vec<StationFigures>,
+    /// What the run took place on.
+    pub host: HostFacts,
+    /// Whether the run kept what it promises.
+    pub verdict: Verdict,
+    /// Processor time of all real-time threads, in per cent of one core.
+    pub rt_cpu_percent: f64,
+    /// How often the host's clock was seen to jump.
+    pub clock_steps: u64,
+    /// Frames that the capture lost, so that nothing is known of them.
+    pub capture_dropped: u64,
+    /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
+    pub misses: Vec<Miss>,
+}
+
+impl Figures {
+    /// How many misses are kept, so that a bad run's report stays readable.
+    pub const MISSES_MAX: usize = 100;
+
+    /// Enters a miss into the list, which is kept worst first. The least bad one falls out of a full
+    /// list. The counters are not touched.
+    pub fn note_miss(&mut self, miss: Miss) {
+        let worse = |other: &Miss| other.badness() >= miss.badness();
+        let place = self.misses.partition_point(worse);
+        self.misses.insert(place, miss);
+        self.misses.truncate(Self::MISSES_MAX);
+    }
+}
+
+/// One station's part in a run.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+pub struct StationFigures {
+    /// The station's name.
+    pub name: String,
+    /// The role in which it started.
+    pub role: Role,
+    /// Its address, `02:00:00:00:00:01`.
+    pub mac: String,
+    /// Its process.
+    pub pid: u32,
+    /// How far its clock is set off from the host's.
+    pub clock_offset_ns: i64,
+    /// How much faster its clock runs than the host's, in 10^-9.
+    pub clock_drift_ppb: i64,
+    /// The delay from the master that calibration found; none for the master or before calibration.
+    pub calibration_delay_ns: Option<i64>,
+    /// Frames that it had queued for its slots.
+    pub frames_expected: u64,
+    /// Frames of it seen on the medium.
+    pub frames_seen: u64,
+    /// Slots with no frame though one was queued.
+    pub slots_missed: u64,
+    /// Slots that it skipped because it was late.
+    pub overruns: u64,
+    /// Frames late because it was held up inside the send call.
+    pub stalled_in_send: u64,
+    /// Frames whose payload was not what it had sent.
+    pub payload_errors: u64,
+    /// Actual - scheduled transmit.
+    pub slot_error_ns: Summary,
+    /// |slot error - the station's own median|.
+    pub slot_error_abs_ns: Summary,
+    /// Estimated - true global time; `n` is 0 for the master.
+    pub sync_error_ns: Summary,
+    /// Resident memory at the end, in bytes.
+    pub rss_bytes: u64,
+    /// Processor time of the whole process, in per cent of one core.
+    pub cpu_percent: f64,
+    /// What the station's stack refused, by name of the refusal.
+    pub refusals: BTreeMap<String, u64>,
+    /// What a reader should know, such as `SCHED_FIFO refused: ...`.
+    pub notes: Vec<String>,
+}
+
+/// The part that a station plays in the cycle.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Sends the Synchronisation frames.
+    Master,
+    /// Sends them if the master does not.
+    Backup,
+    /// Follows them.
+    #[default]
+    Slave,
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Role::Master => "master",
+            Role::Backup => "backup",
+            Role::Slave => "slave",
+        })
+    }
+}
+
+/// Whether a run kept what it promises.
+#[derive(Clone, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+pub struct Verdict {
+    /// It did.
+    pub ok: bool,
+    /// Why not; one sentence each, without a full stop.
+    pub reasons: Vec<String>,
+}
+
+impl Verdict {
+    /// Good without a reason against it.
+    pub fn from_reasons(reasons: Vec<String>) -> Self {
+        Self { ok: reasons.is_empty(), reasons }
+    }
+}
+
+/// Something that went wrong with one slot, or with one cycle's Synchronisation frame.
+#[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+pub struct Miss {
+    /// The number of the cycle.
+    pub cycle: u64,
+    /// The station's name.
+    pub station: String,
+    /// What went wrong.
+    pub kind: MissKind,
+    /// By how much: how late, how long stalled, how far out of the slot. Negative is early; 0 if there
+    /// is no such time.
+    pub span_ns: i64,
+}
+
+impl Miss {
+    /// Worse is greater: first what has no known cause, then the longer span.
+    fn badness(&self) -> (Reverse<MissKind>, u64) {
+        (Reverse(self.kind), self.span_ns.unsigned_abs())
+    }
+}
+
+/// What can go wrong with a slot, worst first.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MissKind {
+    /// No known cause.
+    Unexplained,
+    /// Two frames on the air at once.
+    Overlap,
+    /// A frame outside its slot.
+    OutOfSlot,
+    /// A payload that is not what was sent.
+    PayloadError,
+    /// The station was held up inside the send call.
+    StalledInSend,
+    /// The station was late and skipped the slot.
+    Overrun,
+    /// The master sent no Synchronisation frame.
+    SyncSkipped,
+}
+
+impl fmt::Display for MissKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            MissKind::Unexplained => "unexplained",
+            MissKind::Overlap => "overlap",
+            MissKind::OutOfSlot => "out of slot",
+            MissKind::PayloadError => "payload error",
+            MissKind::StalledInSend => "stalled in send",
+            MissKind::Overrun => "overrun",
+            MissKind::SyncSkipped => "sync skipped",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn miss(kind: MissKind, span_ns: i64) -> Miss {
+        Miss { cycle: 7, station: "b".into(), kind, span_ns }
+    }
+
+    #[test]
+    fn the_fields_are_in_the_promised_order() {
+        let names = [
+            "stations cycle_ns cycles syncs_sent syncs_skipped frames_expected frames_seen slots_missed",
+            "overruns stalled_in_send overlaps out_of_slot unexplained payload_errors slot_error_ns",
+            "slot_error_abs_ns sync_period_jitter_ns sync_error_ns per_station host verdict",
+            "rt_cpu_percent clock_steps capture_dropped misses",
+        ];
+        let json = serde_json::to_string(&Figures::default()).unwrap();
+        let places: Vec<_> = names
+            .iter()
+            .flat_map(|line| line.split(' '))
+            .map(|name| json.find(&format!("\"{name}\":")).unwrap_or_else(|| panic!("no {name}")))
+            .collect();
+        assert!(places.is_sorted(), "{json}");
+    }
+
+    #[test]
+    fn what_is_written_can_be_read() {
+        let mut figures = Figures { stations: 2, ..Figures::default() };
+        figures.per_station.push(StationFigures { role: Role::Master, ..StationFigures::default() });
+        figures.note_miss(miss(MissKind::StalledInSend, 1));
+        let json = serde_json::to_string(&figures).unwrap();
+        assert!(json.contains(r#""role":"master""#) && json.contains(r#""kind":"stalled_in_send""#));
+        assert_eq!(serde_json::from_str::<Figures>(&json).unwrap(), figures);
+    }
+
+    #[test]
+    fn a_full_list_keeps_the_worst_misses() {
+        let mut figures = Figures::default();
+        for span in 0..300 {
+            figures.note_miss(miss(MissKind::Overrun, span));
+        }
+        figures.note_miss(miss(MissKind::Unexplained, 0));
+        assert_eq!(figures.misses.len(), Figures::MISSES_MAX);
+        assert_eq!(figures.misses[0].kind, MissKind::Unexplained);
+        assert_eq!((figures.misses[1].span_ns, figures.misses[99].span_ns), (299, 201));
+    }
+}

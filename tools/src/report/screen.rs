@@ -1,0 +1,263 @@
+//! The report as a person reads it, in a terminal.
+//!
+//! Top-down: what was run, each station, how the slot errors are spread, jitter with its definitions,
+//! what went wrong, the host, and the verdict as the last line.
+
+#[cfg(test)]
+mod tests;
+mod text;
+
+use std::collections::BTreeMap;
+
+use self::text::{
+    Column, cut, exact_time, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
+};
+use super::figures::{Figures, Miss, StationFigures};
+use super::histogram::{SignedHistogram, Summary};
+use super::host::HostFacts;
+
+/// The least width that the report is laid out for, in columns.
+pub const WIDTH_MIN: usize = 80;
+
+/// The misses shown; more are in the JSON report.
+const MISSES_SHOWN: usize = 10;
+
+/// Longer names of stations are cut in the tables.
+const NAME_MAX: usize = 12;
+
+/// The report in plain text, no line of it longer than `width` columns (less than [`WIDTH_MIN`] counts
+/// as that).
+///
+/// The histogram is that of |slot error - the station's median| over all stations, in nanoseconds.
+pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> String {
+    let width = width.max(WIDTH_MIN);
+    let sections = [
+        headline(figures, width),
+        stations(&figures.per_station, width),
+        bars(histogram, width),
+        jitter(figures, width),
+        misses(figures, width),
+        notes(figures, width),
+        host(&figures.host, width),
+        verdict(figures, width),
+    ];
+    let mut screen = String::new();
+    for lines in sections.iter().filter(|lines| !lines.is_empty()) {
+        if !screen.is_empty() {
+            screen.push('\n');
+        }
+        for line in lines {
+            screen.push_str(line.trim_end());
+            screen.push('\n');
+        }
+    }
+    screen
+}
+
+fn headline(figures: &Figures, width: usize) -> Vec<String> {
+    let seconds = figures.cycles as f64 * figures.cycle_ns as f64 / 1e9;
+    let items = [
+        format!("{} stations", grouped(figures.stations)),
+        format!("cycle {}", exact_time(figures.cycle_ns)),
+        format!("{} cycles", grouped(figures.cycles)),
+        format!("{seconds:.1} s"),
+        format!("real-time threads {:.1} % cpu", figures.rt_cpu_percent),
+    ];
+    list("", &items, width)
+}
+
+fn stations(stations: &[StationFigures], width: usize) -> Vec<String> {
+    if stations.is_empty() {
+        return Vec::new();
+    }
+    let right = |head, cell: fn(&StationFigures) -> String| Column::right(head, stations.iter().map(cell));
+    let columns = [
+        Column::left(["", "station"], stations.iter().map(|s| cut(&s.name, NAME_MAX))),
+        Column::left(["", "role"], stations.iter().map(|s| s.role.to_string())),
+        right(["clock", "offset"], |s| signed_time(s.clock_offset_ns)),
+        right(["drift", "ppm"], |s| format!("{:+.1}", s.clock_drift_ppb as f64 / 1e3)),
+        right(["frames", "seen/expected"], |s| {
+            format!("{}/{}", grouped(s.frames_seen), grouped(s.frames_expected))
+        }),
+        right(["", "miss"], |s| grouped(s.slots_missed)),
+        right(["", "p50"], |s| micros_or_dash(s.slot_error_ns.p50)),
+        right(["slot", "p99"], |s| micros_or_dash(s.slot_error_ns.p99)),
+        right(["error", "p99.9"], |s| micros_or_dash(s.slot_error_ns.p999)),
+        right(["in us", "max"], |s| micros_or_dash(s.slot_error_ns.max)),
+        right(["sync", "p99"], |s| micros_or_dash(s.sync_error_ns.p99)),
+        right(["cpu", "%"], |s| format!("{:.1}", s.cpu_percent)),
+    ];
+    table(&columns, width)
+}
+
+/// A bar for each of the bins 0.1, 0.2, 0.5, 1, 2, 5 us, ... from the first to the last that holds any.
+fn bars(histogram: &SignedHistogram, width: usize) -> Vec<String> {
+    if histogram.is_empty() {
+        return Vec::new();
+    }
+    let edges: Vec<u64> =
+        (2..11).flat_map(|decade| [1, 2, 5].map(|first| first * 10u64.pow(decade))).collect();
+    let mut counts = vec![0; edges.len() + 1];
+    for (value, count) in histogram.iter() {
+        counts[edges.partition_point(|&edge| edge <= value.unsigned_abs())] += count;
+    }
+    let first = counts.iter().position(|&count| count > 0).unwrap_or(0);
+    let last = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
+    let highest = counts.iter().copied().max().unwrap_or(0);
+    let digits = grouped(highest).len().max("frames".len());
+    // The rest of a line: the label, two spaces, one space, the count, two spaces, the share.
+    let bar_width = width - (17 + 2 + 1 + digits + 2 + 10);
+
+    let head = ["|slot error - median|", "frames", "up to here"];
+    let mut lines = vec![format!(
+        "{:<left$} {:>digits$}  {:>10}",
+        format!("{}  (bars in log scale)", head[0]),
+        head[1],
+        head[2],
+        left = 17 + 2 + bar_width,
+    )];
+    let mut so_far = 0;
+    for i in first..=last {
+        let label = match i.checked_sub(1).map(|lower| edges[lower]) {
+            None => format!("< {}", exact_time(edges[0])),
+            Some(from) if i == edges.len() => format!(">= {}", exact_time(from)),
+            Some(from) => format!("{} .. {}", exact_time(from), exact_time(edges[i])),
+        };
+        so_far += counts[i];
+        // Rounded down: 100 % is all of them.
+        let share = (so_far as f64 / histogram.len() as f64 * 1e6).floor() / 1e4;
+        let bar = "#".repeat(bar_length(counts[i], highest, bar_width));
+        let count = grouped(counts[i]);
+        lines.push(format!("{label:>17}  {bar:<bar_width$} {count:>digits$}  {share:>8.4} %"));
+    }
+    lines
+}
+
+fn bar_length(count: u64, highest: u64, width: usize) -> usize {
+    let share = (count as f64).ln_1p() / (highest as f64).ln_1p();
+    (share * width as f64).round() as usize
+}
+
+fn jitter(figures: &Figures, width: usize) -> Vec<String> {
+    let rows = [
+        ("slot error", "actual - scheduled transmit", &figures.slot_error_ns),
+        ("slot error, abs", "|slot error - the station's median|", &figures.slot_error_abs_ns),
+        ("sync period jitter", "(t(n) - t(n-1)) - T", &figures.sync_period_jitter_ns),
+        ("sync error", "estimated - true global time", &figures.sync_error_ns),
+    ];
+    let right = |head, cell: fn(&Summary) -> String| {
+        Column::right(["", head], rows.iter().map(|(_, _, summary)| cell(summary)))
+    };
+    let columns = [
+        Column::left(["", "jitter in us"], rows.iter().map(|(name, _, _)| (*name).to_owned())),
+        right("n", |s| grouped(s.n)),
+        right("min", |s| micros_or_dash(s.min)),
+        right("p50", |s| micros_or_dash(s.p50)),
+        right("p99", |s| micros_or_dash(s.p99)),
+        right("p99.9", |s| micros_or_dash(s.p999)),
+        right("p99.99", |s| micros_or_dash(s.p9999)),
+        right("max", |s| micros_or_dash(s.max)),
+        right("SD", |s| micros_or_dash(s.sd)),
+    ];
+    let definitions = rows.iter().map(|(name, definition, _)| format!("  {name:<18} = {definition}"));
+    table(&columns, width).into_iter().chain(definitions).collect()
+}
+
+fn misses(figures: &Figures, width: usize) -> Vec<String> {
+    let causes = [
+        (figures.slots_missed, "slots missed"),
+        (figures.overruns, "overruns"),
+        (figures.stalled_in_send, "stalled in send"),
+        (figures.overlaps, "overlaps"),
+        (figures.out_of_slot, "out of slot"),
+        (figures.unexplained, "unexplained"),
+        (figures.payload_errors, "payload errors"),
+        (figures.syncs_skipped, "syncs skipped"),
+        (figures.clock_steps, "clock steps"),
+        (figures.capture_dropped, "lost by the capture"),
+    ];
+    let counts = causes.map(|(count, cause)| format!("{cause} {}", grouped(count)));
+    let mut lines = list("misses: ", &counts, width);
+    if figures.misses.is_empty() {
+        return lines;
+    }
+
+    let shown = &figures.misses[..figures.misses.len().min(MISSES_SHOWN)];
+    let left = |head, cell: fn(&Miss) -> String| Column::left(["", head], shown.iter().map(cell));
+    let right = |head, cell: fn(&Miss) -> String| Column::right(["", head], shown.iter().map(cell));
+    let columns = [
+        left("  the worst", |miss| format!("  {}", miss.kind)),
+        left("station", |miss| cut(&miss.station, NAME_MAX)),
+        right("cycle", |miss| grouped(miss.cycle)),
+        right("by us", |miss| micros(miss.span_ns)),
+    ];
+    lines.extend(table(&columns, width));
+    lines
+}
+
+/// What the stations refused, and each note once, with the stations that have it.
+fn notes(figures: &Figures, width: usize) -> Vec<String> {
+    let mut refusals: BTreeMap<&str, u64> = BTreeMap::new();
+    let mut notes: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for station in &figures.per_station {
+        for (refusal, count) in &station.refusals {
+            *refusals.entry(refusal).or_default() += count;
+        }
+        for note in &station.notes {
+            notes.entry(note).or_default().push(&station.name);
+        }
+    }
+    let refusals: Vec<_> = refusals
+        .into_iter()
+        .filter(|&(_, count)| count > 0)
+        .map(|(refusal, count)| format!("{} {refusal}", grouped(count)))
+        .collect();
+    let mut lines = if refusals.is_empty() { Vec::new() } else { list("refused: ", &refusals, width) };
+    for (note, names) in notes {
+        let who = if names.len() == figures.per_station.len() && names.len() > 1 {
+            "all stations".to_owned()
+        } else {
+            names.join(", ")
+        };
+        lines.extend(paragraph("note: ", &format!("{note} ({who})"), width));
+    }
+    lines
+}
+
+fn host(host: &HostFacts, width: usize) -> Vec<String> {
+    let mut items = vec![
+        format!("Linux {}", host.kernel),
+        host.preemption.clone(),
+        format!("clock source {}", host.clock_source),
+        format!("{} x {}", host.cpus, host.cpu_model),
+    ];
+    items.extend(host.virtual_machine.map(|yes| if yes { "virtual machine" } else { "no vm" }.to_owned()));
+    items.extend(host.idle_driver.as_ref().map(|driver| format!("idle driver {driver}")));
+    items.extend(host.rt_runtime_us.map(|us| match u64::try_from(us) {
+        Ok(us) => format!("rt throttling at {} us per s", grouped(us)),
+        Err(_) => "no rt throttling".to_owned(),
+    }));
+    items.extend(host.steal_ticks.map(|ticks| format!("steal {} ticks", grouped(ticks))));
+    items.push(format!("rtnet {}", host.rtnet));
+    list("host: ", &items, width)
+}
+
+/// Its last line says it all; reasons that do not fit that line stand above it.
+fn verdict(figures: &Figures, width: usize) -> Vec<String> {
+    let reasons = &figures.verdict.reasons;
+    let all = if figures.verdict.ok {
+        let counts = format!("{} of {}", grouped(figures.frames_seen), grouped(figures.frames_expected));
+        match figures.slots_missed {
+            0 => format!("OK: every frame in its slot, {counts} seen"),
+            missed => format!("OK: every frame seen in its slot, {counts}; {} missed", grouped(missed)),
+        }
+    } else {
+        format!("NOT OK: {}", reasons.join("; "))
+    };
+    if figures.verdict.ok || all.chars().count() <= width {
+        return vec![cut(&all, width)];
+    }
+    let mut lines: Vec<_> = reasons.iter().flat_map(|reason| paragraph("- ", reason, width)).collect();
+    lines.push(format!("NOT OK: {} reasons, above", reasons.len()));
+    lines
+}

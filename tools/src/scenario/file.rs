@@ -1,0 +1,362 @@
+//! Networks in files.
+//!
+//! ```toml
+//! cycle = "1ms"             # required; everything else has a default or is per station
+//! rate = "1G"
+//! sync_window = "50us"
+//! guard = "20us"            # default: what the closest slots leave
+//! duration = "10s"
+//! seed = 1
+//! late = "skip"             # or "send", as RTnet does
+//!
+//! [[station]]
+//! name = "master"
+//! role = "master"           # exactly one
+//! payload = 64
+//! clock = { offset = "120ms", drift_ppm = 12.5 }
+//! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 }]
+//! ```
+
+use std::path::Path;
+
+use rtmac::tdma::schedule::{self, Conflict, Rate};
+use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy};
+use rtnet::time::Span;
+use rtnet::wire::ethernet;
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::{MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotPlan, StationPlan, default_sync_window};
+use crate::report::figures::Role;
+use crate::units::{AnySpan, FileRate, NonNegativeSpan, PositiveSpan};
+
+const DEFAULT_RATE: Rate = Rate::from_bits_per_second(1_000_000_000);
+const DEFAULT_DURATION: Span = Span::from_millis(10_000);
+const DEFAULT_PAYLOAD: usize = 64;
+
+/// A file that is no network: where, what, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// It cannot be read.
+    #[error("{0}: {1}")]
+    Unreadable(String, std::io::Error),
+    /// It is not TOML, or has keys or values that mean nothing.
+    #[error("{0}: {1}")]
+    Toml(String, String),
+    /// What it says cannot be.
+    #[error("{file}:{line}: {what}")]
+    Impossible {
+        /// Which file.
+        file: String,
+        /// Which line, from 1.
+        line: usize,
+        /// What, and what to do.
+        what: String,
+    },
+}
+
+/// Reads a network from a file.
+pub fn load(path: &Path) -> Result<Scenario, FileError> {
+    let file = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| FileError::Unreadable(file.clone(), error))?;
+    Source { file: &file, text: &text }.parse()
+}
+
+/// The text of a file, and its name for messages.
+#[derive(Clone, Copy, Debug)]
+pub struct Source<'a> {
+    /// What to call it.
+    pub file: &'a str,
+    /// What it says.
+    pub text: &'a str,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NetworkFile {
+    cycle: PositiveSpan,
+    rate: Option<FileRate>,
+    sync_window: Option<PositiveSpan>,
+    guard: Option<NonNegativeSpan>,
+    duration: Option<PositiveSpan>,
+    seed: Option<u64>,
+    late: Option<Late>,
+    station: Vec<Spanned<StationFile>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Late {
+    Skip,
+    Send,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StationFile {
+    name: Spanned<String>,
+    role: FileRole,
+    payload: Option<Spanned<usize>>,
+    rounds: Option<u32>,
+    clock: Option<ClockFile>,
+    slots: Option<Vec<Spanned<SlotFile>>>,
+}
+
+#[derive(Clone, Copy, Deserialize, PartialEq)]
+#[serde(rename_all = "lowercase")]
+enum FileRole {
+    Master,
+    Slave,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ClockFile {
+    offset: Option<AnySpan>,
+    drift_ppm: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SlotFile {
+    id: u8,
+    offset: NonNegativeSpan,
+    phase: Option<String>,
+    size: Option<usize>,
+}
+
+impl Source<'_> {
+    /// Reads the network.
+    pub fn parse(self) -> Result<Scenario, FileError> {
+        let network: NetworkFile = toml::from_str(self.text)
+            .map_err(|error| FileError::Toml(self.file.into(), error.to_string()))?;
+        let cycle = network.cycle.0;
+        let rate = network.rate.map_or(DEFAULT_RATE, |rate| rate.0);
+        let sync_window = network.sync_window.map_or(default_sync_window(cycle), |window| window.0);
+        self.check_stations(&network.station)?;
+        let mut stations = Vec::new();
+        for entry in &network.station {
+            stations.push(self.station(entry)?);
+        }
+        let asked = network.guard.map(|guard| guard.0);
+        let mut scenario = Scenario {
+            cycle,
+            sync_window,
+            rate,
+            guard: asked.unwrap_or(Span::ZERO),
+            duration: network.duration.map_or(DEFAULT_DURATION, |duration| duration.0),
+            seed: network.seed.unwrap_or(1),
+            late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
+            stations,
+        };
+        if network.station.iter().all(|entry| entry.get_ref().slots.is_none()) {
+            self.divide(&mut scenario, asked)?;
+        }
+        if let Some(conflict) = scenario.schedule().conflicts().first() {
+            return Err(self.impossible(self.place_of(&network, conflict), conflict));
+        }
+        if asked.is_none() {
+            scenario.guard = widest_guard(&scenario);
+        }
+        // The master comes first, as in a network without a file.
+        scenario.stations.sort_by_key(|station| station.role != Role::Master);
+        Ok(scenario)
+    }
+
+    fn check_stations(&self, stations: &[Spanned<StationFile>]) -> Result<(), FileError> {
+        let first = stations.first().map_or(0, |entry| entry.span().start);
+        if !(2..=MAX_STATIONS).contains(&stations.len()) {
+            let what = format!("{} stations: there must be 2 to {MAX_STATIONS}", stations.len());
+            return Err(self.impossible(first, what));
+        }
+        for (i, entry) in stations.iter().enumerate() {
+            let name = &entry.get_ref().name;
+            if stations[..i].iter().any(|other| other.get_ref().name.get_ref() == name.get_ref()) {
+                let what = format!("the name '{}' is taken by another station", name.get_ref());
+                return Err(self.impossible(name.span().start, what));
+            }
+        }
+        let mut masters = stations.iter().filter(|entry| entry.get_ref().role == FileRole::Master);
+        match (masters.next(), masters.next()) {
+            (Some(_), None) => Ok(()),
+            (None, _) => Err(self.impossible(first, "no station has the role \"master\": exactly one must")),
+            (Some(a), Some(b)) => {
+                let names = (a.get_ref().name.get_ref(), b.get_ref().name.get_ref());
+                let what =
+                    format!("'{}' is a second master beside '{}': exactly one must be", names.1, names.0);
+                Err(self.impossible(b.span().start, what))
+            }
+        }
+    }
+
+    fn station(&self, entry: &Spanned<StationFile>) -> Result<StationPlan, FileError> {
+        let station = entry.get_ref();
+        let payload = station.payload.as_ref().map_or(DEFAULT_PAYLOAD, |payload| *payload.get_ref());
+        if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
+            let at = station.payload.as_ref().map_or(entry.span().start, |payload| payload.span().start);
+            let what = format!("a payload of {payload} bytes: it must be {MIN_PAYLOAD} to {}", ethernet::MTU);
+            return Err(self.impossible(at, what));
+        }
+        let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload));
+        let clock = station.clock.as_ref();
+        Ok(StationPlan {
+            name: station.name.get_ref().clone(),
+            role: if station.role == FileRole::Master { Role::Master } else { Role::Slave },
+            clock_offset: clock.and_then(|clock| clock.offset).map_or(Span::ZERO, |offset| offset.0),
+            clock_drift_ppb: clock.and_then(|c| c.drift_ppm).map_or(0, |ppm| (ppm * 1_000.0).round() as i64),
+            payload,
+            rounds: station.rounds.unwrap_or(DEFAULT_ROUNDS),
+            slots: slots.collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn slot(&self, entry: &Spanned<SlotFile>, payload: usize) -> Result<SlotPlan, FileError> {
+        let slot = entry.get_ref();
+        let refuse = |what: String| Err(self.impossible(entry.span().start, what));
+        let (phase, period) = match slot.phase.as_deref().map(parse_phase) {
+            None => (0, 1),
+            Some(Ok(phase)) => phase,
+            Some(Err(what)) => return refuse(what),
+        };
+        let size = slot.size.unwrap_or(payload);
+        if size < payload || size > ethernet::MTU {
+            return refuse(format!("a size of {size} must hold the payload of {payload}, and at most 1500"));
+        }
+        if slot.id > DEFAULT_MAX_SLOT_ID {
+            return refuse(format!("slot {}: ids go from 0 to {DEFAULT_MAX_SLOT_ID}", slot.id));
+        }
+        Ok(SlotPlan { id: slot.id, offset: slot.offset.0, phase, period, size })
+    }
+
+    /// No station says where its slots are: the cycle is divided evenly, in the order of the file.
+    fn divide(&self, scenario: &mut Scenario, guard: Option<Span>) -> Result<(), FileError> {
+        let size = scenario.stations.iter().map(|station| station.payload).max().unwrap_or(DEFAULT_PAYLOAD);
+        let Scenario { cycle, sync_window: start, rate, .. } = *scenario;
+        let length = schedule::divide(cycle, start, rate, scenario.stations.len(), size, guard)
+            .map_err(|conflict| self.impossible(0, conflict))?;
+        for (k, station) in scenario.stations.iter_mut().enumerate() {
+            let offset = start + length * k as i64;
+            station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size: station.payload }];
+        }
+        Ok(())
+    }
+
+    /// Where the slot stands that a conflict names last.
+    fn place_of(&self, network: &NetworkFile, conflict: &Conflict) -> usize {
+        let (owner, id) = match conflict {
+            Conflict::Overlap { b, b_id, .. } => (b, *b_id),
+            Conflict::InSyncWindow { owner, id, .. } | Conflict::BeyondCycle { owner, id, .. } => {
+                (owner, *id)
+            }
+            Conflict::DoesNotFit { .. } => return 0,
+        };
+        let station = network.station.iter().find(|entry| entry.get_ref().name.get_ref() == owner);
+        let slots = station.and_then(|entry| entry.get_ref().slots.as_ref());
+        let slot = slots.and_then(|slots| slots.iter().find(|slot| slot.get_ref().id == id));
+        slot.map(|slot| slot.span().start).or(station.map(|entry| entry.span().start)).unwrap_or(0)
+    }
+
+    fn impossible(&self, at: usize, what: impl ToString) -> FileError {
+        let line = self.text[..at.min(self.text.len())].matches('\n').count() + 1;
+        FileError::Impossible { file: self.file.into(), line, what: what.to_string() }
+    }
+}
+
+/// `P/N`: phase P, from 1, of a period of N cycles.
+pub fn parse_phase(text: &str) -> Result<(u32, u32), String> {
+    let numbers =
+        text.split_once('/').and_then(|(p, n)| Some((p.parse::<u32>().ok()?, n.parse::<u32>().ok()?)));
+    match numbers {
+        Some((phase, period)) if (1..=period).contains(&phase) => Ok((phase - 1, period)),
+        _ => Err(format!("'{text}' is no phase: write P/N with P from 1 to N, as in 1/2")),
+    }
+}
+
+/// What the closest slots, or the last and the cycle's end, leave free behind a frame.
+fn widest_guard(scenario: &Scenario) -> Span {
+    let schedule = scenario.schedule();
+    let fits = |guard: Span| schedule::Schedule { guard, ..schedule.clone() }.conflicts().is_empty();
+    // The largest that fits, by halving the interval: conflicts only grow with the guard band.
+    let (mut low, mut high) = (0, scenario.cycle.nanos());
+    while high - low > 1 {
+        let middle = (low + high) / 2;
+        if fits(Span::from_nanos(middle)) { low = middle } else { high = middle }
+    }
+    Span::from_nanos(low)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"
+cycle = "1ms"
+rate = "100M"
+
+[[station]]
+name = "arm"
+role = "slave"
+slots = [{ id = 0, offset = "500us", phase = "2/2", size = 100 }]
+
+[[station]]
+name = "master"
+role = "master"
+clock = { offset = "-120ms", drift_ppm = 12.5 }
+slots = [{ id = 0, offset = "100us" }]
+"#;
+
+    fn parse(text: &str) -> Result<Scenario, FileError> {
+        Source { file: "net.toml", text }.parse()
+    }
+
+    fn refused(from: &str, to: &str) -> String {
+        assert!(GOOD.contains(from));
+        parse(&GOOD.replace(from, to)).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_file_says_everything_per_station() {
+        let network = parse(GOOD).unwrap();
+        let [master, arm] = &network.stations[..] else { panic!() };
+        assert_eq!(
+            (master.role, master.clock_offset, master.clock_drift_ppb),
+            (Role::Master, Span::from_millis(-120), 12_500)
+        );
+        let slot = SlotPlan { id: 0, offset: Span::from_micros(500), phase: 1, period: 2, size: 100 };
+        assert_eq!(arm.slots, [slot]);
+        // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
+        assert_eq!(network.guard.nanos(), 400_000 - 8_160);
+    }
+
+    #[test]
+    fn without_slots_the_cycle_is_divided_evenly() {
+        let text = GOOD.lines().filter(|line| !line.starts_with("slots")).collect::<Vec<_>>().join("\n");
+        let network = parse(&text).unwrap();
+        let offsets: Vec<_> =
+            network.stations.iter().map(|station| station.slots[0].offset.nanos()).collect();
+        assert_eq!(offsets, [525_000, 50_000], "in the order of the file; the master is listed first");
+    }
+
+    #[test]
+    fn what_cannot_be_names_file_line_and_remedy() {
+        let cases = [
+            (("cycle = \"1ms\"", "cycle = \"1\""), "line 2"),
+            (("rate =", "rat ="), "unknown field `rat`"),
+            (("\"500us\"", "\"105us\""), "net.toml:8: slot 0 of master and slot 0 of arm overlap: 100us"),
+            (("\"500us\"", "\"999us\""), "net.toml:8: slot 0 of arm ends after the cycle"),
+            (
+                ("\"500us\"", "\"20us\""),
+                "net.toml:8: slot 0 of arm begins at 20us, inside the sync window of 50us",
+            ),
+            (("\"2/2\"", "\"3/2\""), "net.toml:8: '3/2' is no phase"),
+            (("size = 100", "size = 60"), "net.toml:8: a size of 60 must hold the payload of 64"),
+            (("\"slave\"", "\"master\""), "net.toml:10: 'master' is a second master beside 'arm'"),
+            (("role = \"master\"", "role = \"slave\""), "no station has the role"),
+            (("name = \"arm\"", "name = \"master\""), "net.toml:11: the name 'master' is taken"),
+        ];
+        for ((from, to), expected) in cases {
+            let error = refused(from, to);
+            assert!(error.contains(expected), "{to}: {error}");
+        }
+    }
+}

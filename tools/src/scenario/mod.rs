@@ -1,0 +1,263 @@
+//! What a network is: the stations, their slots, their clocks. Made from command-line options or from a
+//! file; one form for labs and simulations.
+
+mod file;
+
+use rtmac::tdma::schedule::{self, Conflict, Rate, Schedule};
+use rtmac::tdma::{LatePolicy, SlotConfig};
+use rtnet::sim::Random;
+use rtnet::time::Span;
+use rtnet::wire::ethernet::{self, Address};
+
+use crate::report::figures::Role;
+
+pub use file::{FileError, Source, load, parse_phase};
+
+/// Part of each cycle that belongs to the Synchronisation, unless the cycle is too short for it.
+const SYNC_WINDOW: Span = Span::from_micros(50);
+/// And at most this part of the cycle.
+const SYNC_WINDOW_PARTS: i64 = 8;
+/// Default clocks are off by up to this much.
+const CLOCK_OFFSET: Span = Span::from_millis(1_000);
+/// And drift by up to 50 ppm.
+const CLOCK_DRIFT_PPB: i64 = 50_000;
+/// A station's interfaces need a name each and the master an address; more would not fit one.
+pub const MAX_STATIONS: usize = 250;
+/// Smallest payload of test traffic: that of the smallest frame.
+pub const MIN_PAYLOAD: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
+
+/// A network.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scenario {
+    /// From one cycle's start to the next.
+    pub cycle: Span,
+    /// The Synchronisation's share of each cycle.
+    pub sync_window: Span,
+    /// The medium's.
+    pub rate: Rate,
+    /// Kept free behind each frame.
+    pub guard: Span,
+    /// How long to measure.
+    pub duration: Span,
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// What stations do with a slot that has passed.
+    pub late: LatePolicy,
+    /// The first is the master.
+    pub stations: Vec<StationPlan>,
+}
+
+/// One station.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StationPlan {
+    /// Unique in the network.
+    pub name: String,
+    /// Master or slave.
+    pub role: Role,
+    /// How far its clock is ahead of the host's.
+    pub clock_offset: Span,
+    /// How much faster its clock runs than the host's, parts per billion.
+    pub clock_drift_ppb: i64,
+    /// Bytes behind the Ethernet header of each frame that it sends.
+    pub payload: usize,
+    /// Calibration rounds.
+    pub rounds: u32,
+    /// Its slots.
+    pub slots: Vec<SlotPlan>,
+}
+
+/// One slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlotPlan {
+    /// 0 real-time, 1 non-real-time, 2.. the user's.
+    pub id: u8,
+    /// Begin, from the cycle's start.
+    pub offset: Span,
+    /// Used in cycles with `cycle mod period == phase`; counts from 0.
+    pub phase: u32,
+    /// See `phase`.
+    pub period: u32,
+    /// Largest payload behind the Ethernet header.
+    pub size: usize,
+}
+
+/// What `lab run` without a file is told.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Uniform {
+    /// How many, the master included.
+    pub stations: usize,
+    /// From one cycle's start to the next.
+    pub cycle: Span,
+    /// How long to measure.
+    pub duration: Span,
+    /// Bytes behind the Ethernet header of each frame.
+    pub payload: usize,
+    /// The medium's.
+    pub rate: Rate,
+    /// Least guard band; the rest of the slot if not given.
+    pub guard: Option<Span>,
+    /// Everything random follows from it.
+    pub seed: u64,
+}
+
+/// Why a network cannot be.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ScenarioError {
+    /// Too few or too many.
+    #[error("{0} stations: there must be 2 to {MAX_STATIONS}")]
+    Stations(usize),
+    /// Too small or too large for a frame.
+    #[error("a payload of {0} bytes: it must be {MIN_PAYLOAD} to {max}", max = ethernet::MTU)]
+    Payload(usize),
+    /// The slots do not go together.
+    #[error("{0}")]
+    Conflict(Conflict),
+}
+
+impl Uniform {
+    /// The network: slots of equal length after the sync window, the master's first.
+    pub fn scenario(&self) -> Result<Scenario, ScenarioError> {
+        let &Uniform { stations: n, cycle, duration, payload, rate, guard, seed } = self;
+        if !(2..=MAX_STATIONS).contains(&n) {
+            return Err(ScenarioError::Stations(n));
+        }
+        if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
+            return Err(ScenarioError::Payload(payload));
+        }
+        let sync_window = default_sync_window(cycle);
+        let length =
+            schedule::divide(cycle, sync_window, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
+        let air = rate.air_time(payload + ethernet::HEADER_LEN);
+        let stations = (0..n)
+            .map(|k| StationPlan {
+                name: if k == 0 { "master".into() } else { format!("slave{k}") },
+                role: if k == 0 { Role::Master } else { Role::Slave },
+                clock_offset: Span::ZERO,
+                clock_drift_ppb: 0,
+                payload,
+                rounds: rtmac::tdma::DEFAULT_ROUNDS,
+                slots: vec![SlotPlan {
+                    id: 0,
+                    offset: sync_window + length * k as i64,
+                    phase: 0,
+                    period: 1,
+                    size: payload,
+                }],
+            })
+            .collect();
+        let guard = length - air;
+        let late = LatePolicy::Skip;
+        Ok(Scenario { cycle, sync_window, rate, guard, duration, seed, late, stations }.with_random_clocks())
+    }
+}
+
+impl Scenario {
+    /// Gives every station a clock off by up to a second and 50 ppm, by the seed.
+    pub fn with_random_clocks(mut self) -> Self {
+        let mut random = Random::new(self.seed);
+        for station in &mut self.stations {
+            station.clock_offset =
+                Span::from_nanos(random.between(-CLOCK_OFFSET.nanos(), CLOCK_OFFSET.nanos()));
+            station.clock_drift_ppb = random.between(-CLOCK_DRIFT_PPB, CLOCK_DRIFT_PPB);
+        }
+        self
+    }
+
+    /// Gives every station the host's own clock.
+    pub fn with_ideal_clocks(mut self) -> Self {
+        for station in &mut self.stations {
+            (station.clock_offset, station.clock_drift_ppb) = (Span::ZERO, 0);
+        }
+        self
+    }
+
+    /// The slots of all stations.
+    pub fn schedule(&self) -> Schedule {
+        let slots = self.stations.iter().flat_map(|station| {
+            station.slots.iter().map(|slot| schedule::Slot {
+                owner: station.name.clone(),
+                id: slot.id,
+                offset: slot.offset,
+                phase: slot.phase,
+                period: slot.period,
+                size: slot.size,
+            })
+        });
+        let Scenario { cycle, sync_window, rate, guard, .. } = *self;
+        Schedule { cycle, sync_window, rate, guard, slots: slots.collect() }
+    }
+
+    /// A station's address.
+    pub fn address(&self, station: usize) -> Address {
+        Address([0x02, 0, 0, 0, 0, station as u8 + 1])
+    }
+
+    /// Where a station sends its frames: to the next.
+    pub fn receiver(&self, station: usize) -> usize {
+        (station + 1) % self.stations.len()
+    }
+
+    /// Whose frames a station receives: the one's before it.
+    pub fn sender(&self, station: usize) -> usize {
+        (station + self.stations.len() - 1) % self.stations.len()
+    }
+
+    /// How long after its begin a slot may still be used.
+    pub fn latest(&self) -> Span {
+        schedule::latest(self.guard)
+    }
+
+    /// The slot as the discipline takes it.
+    pub fn slot_config(&self, slot: &SlotPlan) -> SlotConfig {
+        let &SlotPlan { id, offset, phase, period, size } = slot;
+        SlotConfig { id, offset, phase, period, size, latest: self.latest() }
+    }
+}
+
+/// 50 us, or an eighth of a short cycle.
+pub fn default_sync_window(cycle: Span) -> Span {
+    SYNC_WINDOW.min(cycle / SYNC_WINDOW_PARTS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn uniform(stations: usize, cycle: Span) -> Uniform {
+        Uniform {
+            stations,
+            cycle,
+            duration: Span::from_millis(1_000),
+            payload: 64,
+            rate: Rate::from_bits_per_second(1_000_000_000),
+            guard: None,
+            seed: 1,
+        }
+    }
+
+    #[test]
+    fn stations_divide_the_cycle_evenly_and_do_not_conflict() {
+        let scenario = uniform(8, Span::from_millis(1)).scenario().unwrap();
+        assert_eq!(scenario.schedule().conflicts(), []);
+        let offsets: Vec<_> = scenario.stations.iter().map(|s| s.slots[0].offset.nanos()).collect();
+        assert_eq!(offsets[..3], [50_000, 168_750, 287_500]);
+        assert_eq!(scenario.guard.nanos(), 118_750 - 816);
+    }
+
+    #[test]
+    fn clocks_follow_from_the_seed() {
+        let clocks = |seed| {
+            let scenario = Uniform { seed, ..uniform(4, Span::from_millis(1)) }.scenario().unwrap();
+            scenario.stations.iter().map(|s| (s.clock_offset, s.clock_drift_ppb)).collect::<Vec<_>>()
+        };
+        assert_eq!(clocks(1), clocks(1));
+        assert_ne!(clocks(1), clocks(2));
+        assert!(clocks(1).iter().all(|(o, d)| o.abs() <= CLOCK_OFFSET && d.abs() <= CLOCK_DRIFT_PPB));
+    }
+
+    #[test]
+    fn a_cycle_too_short_is_refused_with_the_sum() {
+        let error = uniform(8, Span::from_micros(5)).scenario().unwrap_err().to_string();
+        assert!(error.contains("8 slots do not fit a cycle of 5us"), "{error}");
+    }
+}

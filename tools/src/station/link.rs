@@ -1,0 +1,170 @@
+//! What a lab and its stations tell each other: options in one JSON argument, reports as JSON lines.
+
+use std::collections::BTreeMap;
+
+use rtmac::tdma::{RoleName, TdmaStatus};
+use rtnet::clock::EmulatedClock;
+use rtnet::discipline::EventKind;
+use rtnet::live::{Record, Snapshot};
+use rtnet::time::{Offset, Span};
+use serde::{Deserialize, Serialize};
+
+/// What a lab adds to a station's own options.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct LabOptions {
+    /// The station's number.
+    pub station: u16,
+    /// CLOCK_MONOTONIC at which only the clock's offset applies.
+    pub anchor: u64,
+    /// Lead of the station's clock at the anchor, nanoseconds.
+    pub offset_ns: i64,
+    /// Rate error of the station's clock.
+    pub drift_ppb: i64,
+    /// For a master: global time less its clock, modulo 2^64.
+    pub epoch: u64,
+    /// Where its test traffic goes.
+    pub destination: [u8; 6],
+    /// Whose test traffic it receives.
+    pub from: u16,
+    /// Bytes behind the Ethernet header of each frame it sends.
+    pub payload: usize,
+    /// The same of the frames it receives.
+    pub from_payload: usize,
+    /// How much a Synchronisation may disagree before it is a time step, nanoseconds.
+    pub step_limit_ns: i64,
+}
+
+impl LabOptions {
+    /// The clock that the station is to have.
+    pub fn clock(&self) -> EmulatedClock {
+        let offset = Span::from_nanos(self.offset_ns);
+        EmulatedClock { anchor: self.anchor, offset, drift_ppb: self.drift_ppb }
+    }
+}
+
+/// A line from a station.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Report {
+    /// It is about to run; what the host refused it.
+    Started(Vec<String>),
+    /// What happened: cycle, kind (its place in [`EventKind::ALL`]), span in nanoseconds.
+    Events(Vec<(u32, u8, i64)>),
+    /// Estimates of global time: CLOCK_MONOTONIC, estimate.
+    Times(Vec<(u64, u64)>),
+    /// Where it stands.
+    Standing(Box<Standing>),
+    /// It cannot go on.
+    Failed(String),
+}
+
+/// Where a station stands.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct Standing {
+    /// CLOCK_MONOTONIC.
+    pub at: u64,
+    /// `waiting`, `calibrating`, `locked`, `holdover` or `lost`.
+    pub state: String,
+    /// Whether it is a master.
+    pub master: bool,
+    /// The last cycle that was told of.
+    pub cycle: u32,
+    /// The calibrated delay, nanoseconds.
+    pub delay_ns: Option<i64>,
+    /// The master that it made way for.
+    pub yielded_to: Option<String>,
+    /// Processor time of its real-time thread, nanoseconds.
+    pub cpu_ns: u64,
+    /// Frames sent in its slots.
+    pub frames_sent: u64,
+    /// Test traffic received as it was sent.
+    pub received: u64,
+    /// Test traffic missing between two frames that were received.
+    pub missing: u64,
+    /// Frames refused, by reason.
+    pub refusals: BTreeMap<String, u64>,
+    /// Steps of the wall clock.
+    pub clock_steps: u64,
+    /// Events and records that found their queue full.
+    pub lost_records: u64,
+}
+
+impl Standing {
+    /// A snapshot in a form to be told.
+    pub fn of(snapshot: &Snapshot<TdmaStatus>, received: u64, missing: u64) -> Self {
+        let status = &snapshot.status;
+        let refusals = snapshot.refusals.nonzero().map(|(reason, n)| (reason.name().to_owned(), n));
+        Self {
+            at: snapshot.at,
+            state: status.state.name().into(),
+            master: status.role == RoleName::Master,
+            cycle: status.cycle,
+            delay_ns: status.delay.map(Span::nanos),
+            yielded_to: status.yielded_to.map(|address| address.to_string()),
+            cpu_ns: snapshot.cpu,
+            frames_sent: status.counters.frames_sent,
+            received,
+            missing,
+            refusals: refusals.collect(),
+            clock_steps: snapshot.port.clock_steps,
+            lost_records: snapshot.records_lost + status.events_lost,
+        }
+    }
+
+    /// Synchronised and calibrated.
+    pub fn is_locked(&self) -> bool {
+        self.state == "locked" && (self.master || self.delay_ns.is_some())
+    }
+}
+
+/// Sorts records into the lines that tell of them.
+pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
+    let (mut events, mut times) = (Vec::new(), Vec::new());
+    for record in records {
+        match record {
+            Record::Event(event) => events.push((event.cycle, number(event.kind), event.span.nanos())),
+            Record::Time(at, global) => times.push((at, global.nanos())),
+        }
+    }
+    let mut lines = Vec::new();
+    if !events.is_empty() {
+        lines.push(Report::Events(events));
+    }
+    if !times.is_empty() {
+        lines.push(Report::Times(times));
+    }
+    lines
+}
+
+/// The kind of event with this number.
+pub fn kind(number: u8) -> Option<EventKind> {
+    EventKind::ALL.get(usize::from(number)).copied()
+}
+
+fn number(kind: EventKind) -> u8 {
+    EventKind::ALL.iter().position(|&other| other == kind).unwrap_or(usize::MAX) as u8
+}
+
+/// An offset from its number.
+pub fn offset(nanos: u64) -> Offset {
+    Offset::between(Default::default(), rtnet::GlobalTime::from_nanos(nanos))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_of_event_arrives_as_itself() {
+        assert!(EventKind::ALL.iter().all(|&of| kind(number(of)) == Some(of)));
+        assert_eq!(kind(200), None);
+    }
+
+    #[test]
+    fn a_report_is_one_line_and_reads_back() {
+        let report = Report::Events(vec![(7, 1, -3)]);
+        let line = serde_json::to_string(&report).unwrap();
+        assert!(!line.contains('\n'));
+        assert_eq!(serde_json::from_str::<Report>(&line).unwrap(), report);
+    }
+}

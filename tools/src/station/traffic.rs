@@ -1,0 +1,236 @@
+//! The lab's test traffic: one frame per slot, checked by its receiver.
+//!
+//! ```text
+//! 0          14        16     17      18      22         30          38
+//! +----------+---------+------+-------+-------+----------+-----------+---------------------+
+//! | Ethernet | station | slot | 0     | cycle | sequence | scheduled | pattern, byte i is  |
+//! | 0x88B5   |         |      |       |       |          | global, ns| sequence+31*station+i|
+//! +----------+---------+------+-------+-------+----------+-----------+---------------------+
+//! ```
+//!
+//! All fields big-endian. A frame that misses its slot is worthless: the next slot gets a fresh one, and
+//! the gap in the sequence shows the loss.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rtnet::buf::{Buf, Pool};
+use rtnet::counters::Refusal;
+use rtnet::discipline::{Opportunity, Outlet, Service};
+use rtnet::queue::Priority;
+use rtnet::time::{GlobalTime, Instant};
+use rtnet::wire::ethernet::{self, Address, EtherType, Header};
+use zerocopy::byteorder::network_endian::{U16, U32, U64};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
+/// Frames being sent or queued at a time: one per slot id.
+const POOL: usize = 8;
+
+/// What a frame says of itself, behind the Ethernet header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+pub struct Tag {
+    station: U16,
+    /// The slot's id.
+    pub slot: u8,
+    zero: u8,
+    cycle: U32,
+    sequence: U64,
+    scheduled: U64,
+}
+
+const _: () = assert!(size_of::<Tag>() == 24);
+
+impl Tag {
+    /// Reads the tag of a frame of test traffic; `None` if it is none.
+    pub fn read(frame: &[u8]) -> Option<(&Tag, &[u8])> {
+        let (header, payload) = Header::parse(frame)?;
+        (header.ether_type() == EtherType::EXPERIMENTAL).then_some(())?;
+        Tag::ref_from_prefix(payload).ok()
+    }
+    /// Who sent it, by number in the lab.
+    pub fn station(&self) -> usize {
+        usize::from(self.station.get())
+    }
+    /// In which cycle.
+    pub fn cycle(&self) -> u32 {
+        self.cycle.get()
+    }
+    /// When its slot was to begin, on the master's clock.
+    pub fn scheduled(&self) -> GlobalTime {
+        GlobalTime::from_nanos(self.scheduled.get())
+    }
+
+    fn pattern(&self, i: usize) -> u8 {
+        (self.sequence.get() as u8)
+            .wrapping_add((self.station() as u8).wrapping_mul(31))
+            .wrapping_add(i as u8)
+    }
+}
+
+/// Sends in every slot, and checks what comes from one other station.
+pub struct Traffic {
+    plan: TrafficPlan,
+    pool: Pool,
+    sequence: u64,
+    heard: Option<u64>,
+    counts: Arc<TrafficCounts>,
+}
+
+/// Who sends what to whom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TrafficPlan {
+    /// This station's number in the lab.
+    pub station: u16,
+    /// Its address.
+    pub source: Address,
+    /// Where its frames go.
+    pub destination: Address,
+    /// Whose frames come here.
+    pub from: u16,
+    /// Bytes behind the Ethernet header.
+    pub payload: usize,
+    /// The same of the frames that come here.
+    pub from_payload: usize,
+}
+
+/// What the control thread may look at while the real-time thread counts.
+#[derive(Debug, Default)]
+pub struct TrafficCounts {
+    /// Frames received that are what was sent.
+    pub received: AtomicU64,
+    /// Frames missing between two that were received.
+    pub missing: AtomicU64,
+}
+
+impl Traffic {
+    /// Traffic by this plan, counted into `counts`.
+    pub fn new(plan: TrafficPlan, counts: Arc<TrafficCounts>) -> Self {
+        Self { plan, pool: Pool::new(POOL), sequence: 0, heard: None, counts }
+    }
+
+    fn write(&mut self, slot: &Opportunity, frame: &mut Buf) {
+        let TrafficPlan { station, source, destination, payload, .. } = self.plan;
+        let tag = Tag {
+            station: U16::new(station),
+            slot: slot.channel,
+            zero: 0,
+            cycle: U32::new(slot.cycle),
+            sequence: U64::new(self.sequence),
+            scheduled: U64::new(slot.scheduled.nanos()),
+        };
+        let header = Header::new(destination, source, EtherType::EXPERIMENTAL);
+        frame.set_len(ethernet::HEADER_LEN + payload);
+        let (head, rest) = frame.split_at_mut(ethernet::HEADER_LEN);
+        head.copy_from_slice(header.as_bytes());
+        let (front, pattern) = rest.split_at_mut(size_of::<Tag>());
+        front.copy_from_slice(tag.as_bytes());
+        for (i, byte) in pattern.iter_mut().enumerate() {
+            *byte = tag.pattern(i);
+        }
+    }
+
+    fn check(&mut self, frame: &[u8]) -> Option<()> {
+        let (tag, pattern) = Tag::read(frame)?;
+        let TrafficPlan { from, source, from_payload, .. } = self.plan;
+        let (header, payload) = Header::parse(frame)?;
+        let intact = pattern.iter().enumerate().all(|(i, &byte)| byte == tag.pattern(i));
+        let expected = tag.station() == usize::from(from) && header.destination == source;
+        (intact && expected && payload.len() == from_payload).then_some(())?;
+        let sequence = tag.sequence.get();
+        if let Some(last) = self.heard {
+            let missing = sequence.checked_sub(last + 1)?;
+            self.counts.missing.fetch_add(missing, Ordering::Relaxed);
+        }
+        self.heard = Some(sequence);
+        self.counts.received.fetch_add(1, Ordering::Relaxed);
+        Some(())
+    }
+}
+
+impl Service for Traffic {
+    fn claims(&self, ether_type: EtherType) -> bool {
+        ether_type == EtherType::EXPERIMENTAL
+    }
+
+    fn on_frame(&mut self, _rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
+        self.check(&frame).ok_or(Refusal::BadPayload)
+    }
+
+    fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
+        let Some(mut frame) = self.pool.take() else { return };
+        self.write(slot, &mut frame);
+        // A slot that takes no frame shows as a gap in the sequence and in the capture.
+        let _ = out(frame, Priority::DEFAULT, slot.channel);
+        self.sequence += 1;
+    }
+
+    fn still_wanted(&mut self, frame: &[u8]) -> bool {
+        Tag::read(frame).is_none()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const A: Address = Address([2, 0, 0, 0, 0, 1]);
+    const B: Address = Address([2, 0, 0, 0, 0, 2]);
+
+    fn pair() -> (Traffic, Traffic, Arc<TrafficCounts>) {
+        let counts = Arc::new(TrafficCounts::default());
+        let a = TrafficPlan { station: 0, source: A, destination: B, from: 1, payload: 64, from_payload: 64 };
+        let b = TrafficPlan { station: 1, source: B, destination: A, from: 0, ..a };
+        (Traffic::new(a, Arc::default()), Traffic::new(b, counts.clone()), counts)
+    }
+
+    fn sent(by: &mut Traffic, cycle: u32) -> Buf {
+        let (begin, scheduled) = (Instant::default(), GlobalTime::from_nanos(77));
+        let mut taken = None;
+        by.poll(&Opportunity { channel: 2, cycle, begin, scheduled }, &mut |frame, _, channel| {
+            assert_eq!(channel, 2);
+            taken = Some(frame);
+            Ok(())
+        });
+        taken.unwrap()
+    }
+
+    #[test]
+    fn a_frame_says_what_it_is_and_its_receiver_accepts_it() {
+        let (mut a, mut b, counts) = pair();
+        let frame = sent(&mut a, 5);
+        assert_eq!(frame.len(), 14 + 64);
+        let (tag, _) = Tag::read(&frame).unwrap();
+        assert_eq!((tag.station(), tag.slot, tag.cycle(), tag.scheduled().nanos()), (0, 2, 5, 77));
+        assert_eq!(b.on_frame(None, frame), Ok(()));
+        drop(sent(&mut a, 6));
+        assert_eq!(b.on_frame(None, sent(&mut a, 7)), Ok(()));
+        let seen = (counts.received.load(Ordering::Relaxed), counts.missing.load(Ordering::Relaxed));
+        assert_eq!(seen, (2, 1), "the frame of cycle 6 is missing");
+    }
+
+    #[test]
+    fn a_changed_repeated_or_misdirected_frame_is_refused() {
+        let (mut a, mut b, _) = pair();
+        let mut changed = sent(&mut a, 1);
+        changed[50] ^= 1;
+        assert_eq!(b.on_frame(None, changed), Err(Refusal::BadPayload));
+        let first = sent(&mut a, 2);
+        let mut again = b.pool.take().unwrap();
+        again.fill(&first);
+        assert_eq!(b.on_frame(None, first), Ok(()));
+        assert_eq!(b.on_frame(None, again), Err(Refusal::BadPayload), "twice");
+        assert_eq!(a.on_frame(None, sent(&mut b, 3)), Ok(()));
+        let mut own = sent(&mut a, 4);
+        own[0] = 0xff;
+        assert_eq!(b.on_frame(None, own), Err(Refusal::BadPayload), "to somebody else");
+    }
+
+    #[test]
+    fn a_frame_that_missed_its_slot_is_not_wanted_any_more() {
+        let (mut a, ..) = pair();
+        let frame = sent(&mut a, 1);
+        assert!(!a.still_wanted(&frame));
+        assert!(a.still_wanted(&[0; 60]), "somebody else's");
+    }
+}

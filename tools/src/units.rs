@@ -1,0 +1,155 @@
+//! Durations and rates as people write them: `250us`, `1.5ms`, `10s`; `100M`, `1G`.
+
+use std::str::FromStr;
+
+use rtmac::tdma::schedule::Rate;
+use rtnet::time::Span;
+use serde::{Deserialize, Deserializer};
+
+/// A text that is no duration or no rate.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum UnitError {
+    /// No number in front of the unit.
+    #[error("'{0}' does not begin with a number: write for example {1}")]
+    NoNumber(String, &'static str),
+    /// No unit, or none that is known.
+    #[error("'{0}' has no unit that is known here: write {1}")]
+    Unit(String, &'static str),
+    /// More than can be counted, or less than nothing where that makes no sense.
+    #[error("'{0}' is out of range")]
+    Range(String),
+}
+
+const SPAN_EXAMPLE: &str = "250us";
+const SPAN_UNITS: &str = "ns, us, ms, s or min, as in 250us";
+const RATE_EXAMPLE: &str = "100M";
+const RATE_UNITS: &str = "k, M or G (bits per second), as in 100M";
+
+/// A duration, `250us`; a leading minus is allowed.
+pub fn parse_span(text: &str) -> Result<Span, UnitError> {
+    let (number, unit) = split(text, SPAN_EXAMPLE)?;
+    let scale = match unit {
+        "ns" => 1.0,
+        "us" | "µs" => 1e3,
+        "ms" => 1e6,
+        "s" => 1e9,
+        "min" => 60e9,
+        _ => return Err(UnitError::Unit(text.into(), SPAN_UNITS)),
+    };
+    let nanos = (number * scale).round();
+    if nanos.abs() > 1e18 { Err(UnitError::Range(text.into())) } else { Ok(Span::from_nanos(nanos as i64)) }
+}
+
+/// A duration longer than nothing.
+pub fn parse_positive_span(text: &str) -> Result<Span, UnitError> {
+    parse_span(text)
+        .and_then(|span| if span > Span::ZERO { Ok(span) } else { Err(UnitError::Range(text.into())) })
+}
+
+/// A duration of any length but not before zero.
+pub fn parse_nonnegative_span(text: &str) -> Result<Span, UnitError> {
+    parse_span(text)
+        .and_then(|span| if span >= Span::ZERO { Ok(span) } else { Err(UnitError::Range(text.into())) })
+}
+
+/// A rate, `100M`.
+pub fn parse_rate(text: &str) -> Result<Rate, UnitError> {
+    let (number, unit) = split(text, RATE_EXAMPLE)?;
+    let scale = match unit {
+        "k" => 1e3,
+        "M" => 1e6,
+        "G" => 1e9,
+        _ => return Err(UnitError::Unit(text.into(), RATE_UNITS)),
+    };
+    let bits = (number * scale).round();
+    if (1.0..=1e15).contains(&bits) {
+        Ok(Rate::from_bits_per_second(bits as u64))
+    } else {
+        Err(UnitError::Range(text.into()))
+    }
+}
+
+fn split<'a>(text: &'a str, example: &'static str) -> Result<(f64, &'a str), UnitError> {
+    let text = text.trim();
+    let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '-')).unwrap_or(text.len());
+    let number = text[..end].parse().map_err(|_| UnitError::NoNumber(text.into(), example))?;
+    Ok((number, text[end..].trim_start()))
+}
+
+macro_rules! in_files {
+    ($(#[doc = $doc:literal] $name:ident($inner:ty) by $parse:ident;)+) => {$(
+        #[doc = $doc]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub struct $name(pub $inner);
+
+        impl FromStr for $name {
+            type Err = UnitError;
+            fn from_str(text: &str) -> Result<Self, UnitError> {
+                $parse(text).map(Self)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(deserializer)?;
+                text.parse().map_err(serde::de::Error::custom)
+            }
+        }
+    )+};
+}
+
+in_files! {
+    /// A duration in a file, possibly negative.
+    AnySpan(Span) by parse_span;
+    /// A duration in a file, longer than nothing.
+    PositiveSpan(Span) by parse_positive_span;
+    /// A duration in a file, not before zero.
+    NonNegativeSpan(Span) by parse_nonnegative_span;
+    /// A rate in a file.
+    FileRate(Rate) by parse_rate;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_read_as_they_are_written() {
+        for (text, nanos) in [
+            ("250us", 250_000),
+            ("1ms", 1_000_000),
+            ("1.5ms", 1_500_000),
+            ("10s", 10_000_000_000),
+            ("-3 ns", -3),
+        ] {
+            assert_eq!(parse_span(text), Ok(Span::from_nanos(nanos)), "{text}");
+        }
+        assert_eq!(parse_span(&Span::from_micros(250).to_string()), Ok(Span::from_micros(250)));
+    }
+
+    #[test]
+    fn what_is_no_duration_says_what_to_write() {
+        let error = |text| parse_positive_span(text).unwrap_err().to_string();
+        assert_eq!(
+            error("10"),
+            "'10' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
+        );
+        assert_eq!(error("fast"), "'fast' does not begin with a number: write for example 250us");
+        assert_eq!(
+            error("1parsec"),
+            "'1parsec' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
+        );
+        assert_eq!(error("-1ms"), "'-1ms' is out of range");
+        assert_eq!(
+            error("1e99s"),
+            "'1e99s' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
+        );
+    }
+
+    #[test]
+    fn rates_are_in_bits_per_second() {
+        assert_eq!(parse_rate("100M"), Ok(Rate::from_bits_per_second(100_000_000)));
+        assert_eq!(parse_rate("2.5G"), Ok(Rate::from_bits_per_second(2_500_000_000)));
+        assert!(parse_rate("0M").is_err() && parse_rate("100").is_err());
+    }
+}

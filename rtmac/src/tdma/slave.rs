@@ -59,6 +59,8 @@ pub struct Slave {
     /// A cycle whose number came twice.
     doubted: Option<u32>,
     deviation: Span,
+    /// Cycles since the line's last Synchronisation.
+    missing: i64,
 }
 
 enum Track {
@@ -96,6 +98,7 @@ impl Slave {
             master: Address::BROADCAST,
             doubted: None,
             deviation: Span::ZERO,
+            missing: 0,
         }
     }
 
@@ -151,9 +154,8 @@ impl Slave {
         if followed == Followed::Pending {
             return Ok(followed);
         }
-        let returned = self.state == SyncState::Lost;
         self.settle(cycle, events);
-        Ok(if returned { Followed::NewLine } else { followed })
+        Ok(followed)
     }
 
     /// A calibration reply, received at `rx`; `true` when it was the last that was needed.
@@ -181,21 +183,24 @@ impl Slave {
     pub fn on_timeout(&mut self, now: Instant, events: &mut Events) {
         let Track::On { line, .. } = &self.track else { return };
         let since = now - line.start - line.period / GRACE_PARTS;
-        let missing = since.nanos() / line.period.nanos();
-        if missing < 1 {
-            return;
-        }
+        let missing = (since.nanos() / line.period.nanos()).max(0);
+        self.missing = missing;
         let cycle = line.cycle.wrapping_add(missing as u32);
-        let next = if missing <= i64::from(HOLDOVER_CYCLES) { SyncState::Holdover } else { SyncState::Lost };
-        match (self.state, next) {
-            (SyncState::Locked, SyncState::Holdover) => events.note(cycle, EventKind::Holdover, since),
-            (SyncState::Locked | SyncState::Holdover | SyncState::Calibrating, SyncState::Lost) => {
-                events.note(cycle, EventKind::SyncLost, since);
+        match (self.state, missing) {
+            (_, 0) | (SyncState::Holdover, 1) => {}
+            (SyncState::Locked, 1) => {
+                self.state = SyncState::Holdover;
+                events.note(cycle, EventKind::Holdover, since);
             }
             // One missing Synchronisation does not interrupt a calibration.
-            _ => return,
+            (_, 1) => {}
+            (SyncState::Lost, _) if missing > i64::from(LINE_GOOD_FOR) => self.track = Track::Nothing,
+            (SyncState::Lost, _) => {}
+            _ => {
+                self.state = SyncState::Lost;
+                events.note(cycle, EventKind::SyncLost, since);
+            }
         }
-        self.state = next;
     }
 
     /// Whether anything may be sent in `cycle`: not without its Synchronisation or the one before,
@@ -205,18 +210,20 @@ impl Slave {
         line.ahead(cycle) <= HOLDOVER_CYCLES && step.is_none() && self.doubted != Some(cycle)
     }
 
-    /// The line that is followed; none while nothing may be sent anyway.
+    /// The line that is followed. Without Synchronisations it is kept for a while, so that slots that
+    /// are passed over are told of.
     pub fn line(&self) -> Option<&TimeLine> {
         match &self.track {
-            Track::On { line, .. } if self.state != SyncState::Lost => Some(line),
+            Track::On { line, .. } => Some(line),
             _ => None,
         }
     }
 
-    /// When the loss of Synchronisations would be noticed.
+    /// When the loss of one more Synchronisation than is bridged, or than is missing, would be noticed.
     pub fn deadline(&self) -> Option<Instant> {
         let line = self.line()?;
-        Some(line.start + line.period * i64::from(HOLDOVER_CYCLES + 1) + line.period / GRACE_PARTS)
+        let cycles = self.missing.max(i64::from(HOLDOVER_CYCLES)) + 1;
+        Some(line.start + line.period * cycles + line.period / GRACE_PARTS)
     }
 
     pub fn state(&self) -> SyncState {
@@ -244,6 +251,7 @@ impl Slave {
     /// There is a line: calibrate on it, or be locked to it.
     fn settle(&mut self, cycle: u32, events: &mut Events) {
         let was = self.state;
+        self.missing = 0;
         self.state = match self.calibration.delay() {
             None => SyncState::Calibrating,
             Some(_) => SyncState::Locked,

@@ -164,7 +164,7 @@ fn stop_when_told(stop: &Arc<AtomicBool>, in_lab: bool) -> Result<()> {
 /// Tells the lab in JSON lines, or a person in sentences.
 enum Teller {
     Lab,
-    Person { name: String, state: SyncState, last: Option<TdmaStatus> },
+    Person { name: String, state: SyncState, last: Option<Box<TdmaStatus>> },
 }
 
 impl Teller {
@@ -226,7 +226,7 @@ impl Teller {
                         *state = status.state;
                         println!("{name}: {}", standing_line(&status));
                     }
-                    *last = Some(status);
+                    *last = Some(Box::new(status));
                 }
             }
         }

@@ -53,3 +53,16 @@ fn the_guard_band_is_tight() {
     let gap = lab.network.traffic().smallest_gap.expect("frames were sent");
     assert!(gap < computed_guard() / 4, "{gap} of {} were never needed", computed_guard());
 }
+
+#[test]
+fn it_is_wide_enough_whichever_stations_are_fast_and_which_are_slow() {
+    for fast in 0..1u32 << STATIONS {
+        let drift = |i| if fast >> i & 1 == 1 { DRIFT_PPB } else { -DRIFT_PPB };
+        let plan = Plan::at_the_end(STATIONS, computed_guard());
+        let medium = Medium { lose_control_ppm: 100_000, ..plan.medium };
+        let drift_ppb = (0..STATIONS).map(drift).collect();
+        let mut lab = Plan { medium, drift_ppb, seed: fast.into(), ..plan }.build();
+        lab.run_cycles(3_000);
+        assert_eq!(lab.network.traffic().overlaps, 0, "{fast:05b}");
+    }
+}

@@ -8,13 +8,11 @@ use rtnet::time::Span;
 use tests::judge::Author;
 use tests::networks::{Lab, Plan};
 
-const CYCLES: u64 = 100_000;
-
-fn run() -> Lab {
-    let mut lab = Plan { host: Host::VIRTUAL_MACHINE, seed: 7, ..Plan::evenly(8) }.build();
+fn run(cycles: u64) -> Lab {
+    let mut lab = Plan { seed: 7, ..Plan::evenly(8).on(Host::VIRTUAL_MACHINE) }.build();
     lab.run_until_locked();
     lab.judge_from_here();
-    lab.run_cycles(CYCLES);
+    lab.run_cycles(cycles);
     lab
 }
 
@@ -26,21 +24,22 @@ fn stalled(lab: &Lab) -> BTreeSet<Author> {
 
 #[test]
 fn what_the_host_spoils_is_skipped_or_known_and_nothing_is_unexplained() {
-    let lab = run();
+    let lab = run(100_000);
     let (judge, stalled) = (lab.judge(), stalled(&lab));
     assert!(judge.slot_error.max > Span::ZERO, "the host model is on");
     assert!(!stalled.is_empty() && !judge.overlaps.is_empty(), "and has spoilt something");
 
     let known = |author: &Author| stalled.contains(author);
     let unexplained: Vec<_> = judge.overlaps.iter().filter(|(a, b)| !known(a) && !known(b)).collect();
-    assert!(unexplained.is_empty(), "{unexplained:?}");
+    assert!(unexplained.is_empty(), "{} unexplained, such as {:?}", unexplained.len(), unexplained[0]);
     let unexplained: Vec<_> = judge.out_of_slot.iter().filter(|author| !known(author)).collect();
-    assert!(unexplained.is_empty(), "{unexplained:?}");
+    assert!(unexplained.is_empty(), "{} unexplained, such as {:?}", unexplained.len(), unexplained[0]);
 }
 
 #[test]
 fn syncs_stay_on_the_grid_and_are_never_made_up_for() {
-    let lab = run();
+    const CYCLES: u64 = 30_000;
+    let lab = run(CYCLES);
     let judge = lab.judge();
     // Numbers rise and belong to their scheduled times.
     assert!(judge.faults.is_empty(), "{:?}", judge.faults);
@@ -52,13 +51,13 @@ fn syncs_stay_on_the_grid_and_are_never_made_up_for() {
 
 #[test]
 fn every_slot_without_a_frame_is_an_overrun_or_was_silent_for_want_of_a_sync() {
-    let lab = run();
+    const CYCLES: u64 = 30_000;
+    let lab = run(CYCLES);
     let judge = lab.judge();
     for id in 0..8 {
         let of = |kind| lab.cycles_with(id, kind).len() as u64;
         let unused = of(EventKind::Overrun) + of(EventKind::SlotSilent);
         let missing = CYCLES - judge.data[id];
-        println!("station {id}: {} frames, {missing} missing, {unused} told of", judge.data[id]);
-        assert!(missing.abs_diff(unused) <= 4 || id > 0, "station {id}: {missing} missing, {unused} told of");
+        assert!(missing.abs_diff(unused) <= 2, "station {id}: {missing} missing, {unused} told of");
     }
 }

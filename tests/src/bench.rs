@@ -23,7 +23,7 @@ pub struct Bench<D: Discipline> {
 impl<D: Discipline> Bench<D> {
     /// A station that starts at `now`.
     pub fn new(station: Station<D>, now: Instant) -> Self {
-        Self { station, sent: Vec::new(), pool: Pool::new(32), now, inbox: Vec::new(), chosen: None }
+        Self { station, sent: Vec::new(), pool: Pool::new(64), now, inbox: Vec::new(), chosen: None }
     }
 
     /// A frame is stamped at `rx`; until then time passes. It is read at once unless the station waits

@@ -17,6 +17,8 @@ pub struct Layout {
     pub sync_window: Span,
     /// From a slot's begin to its end.
     pub slot: Span,
+    /// How far a frame may leave its bounds.
+    pub tolerance: Span,
     /// Begin of each station's slot.
     pub offsets: Vec<Span>,
     /// Each station's address.
@@ -166,9 +168,7 @@ impl Judge {
         }
         (self.grid, self.last_sync) = (Some((cycle, sched)), Some(cycle));
         self.sync_error.add(self.late(aired.at, sched));
-        if self.owner(aired.at) != Owner::Sync || self.owner(aired.until) != Owner::Sync {
-            self.out_of_slot.push(Author { from: aired.from, cycle });
-        }
+        self.check_bounds(aired, Author { from: aired.from, cycle }, Span::ZERO, self.layout.sync_window);
     }
 
     fn payload(&mut self, aired: &Aired<'_>) -> Option<Author> {
@@ -194,24 +194,24 @@ impl Judge {
     }
 
     fn check_slot(&mut self, aired: &Aired<'_>, author: Author, of: Address) {
-        let id = self.layout.addresses.iter().position(|address| *address == of);
-        let owner = id.map_or(Owner::Nobody, Owner::Station);
-        if self.owner(aired.at) != owner || self.owner(aired.until) != owner {
-            self.out_of_slot.push(author);
+        let Layout { slot, offsets, addresses, .. } = &self.layout;
+        match addresses.iter().position(|address| *address == of) {
+            Some(id) => self.check_bounds(aired, author, offsets[id], *slot),
+            None => self.out_of_slot.push(author),
         }
     }
 
-    /// Whose part of the cycle it is.
-    fn owner(&self, at: True) -> Owner {
-        let Some((_, start)) = self.grid else { return Owner::Nobody };
-        let Layout { cycle, sync_window, slot, offsets, clock, epoch, .. } = &self.layout;
-        let since = epoch.global(clock.local(at)) - start;
-        let place = Span::from_nanos(since.nanos().rem_euclid(cycle.nanos()));
-        if place < *sync_window {
-            return Owner::Sync;
+    /// A frame has to be within `begin` and `length` of some cycle.
+    fn check_bounds(&mut self, aired: &Aired<'_>, author: Author, begin: Span, length: Span) {
+        let Some((_, start)) = self.grid else { return self.out_of_slot.push(author) };
+        let Layout { cycle, tolerance, clock, epoch, .. } = &self.layout;
+        let half = cycle.nanos() / 2;
+        let since = (epoch.global(clock.local(aired.at)) - (start + begin)).nanos();
+        let early = Span::from_nanos((since + half).rem_euclid(cycle.nanos()) - half);
+        let end = early + Span::from_nanos((aired.until - aired.at) as i64);
+        if early < -*tolerance || end > length + *tolerance {
+            self.out_of_slot.push(author);
         }
-        let station = offsets.iter().position(|&begin| begin <= place && place < begin + *slot);
-        station.map_or(Owner::Nobody, Owner::Station)
     }
 
     fn fault(&mut self, what: String) {
@@ -219,13 +219,6 @@ impl Judge {
             self.faults.push(what);
         }
     }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Owner {
-    Sync,
-    Station(StationId),
-    Nobody,
 }
 
 impl Spread {

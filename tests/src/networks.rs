@@ -38,6 +38,8 @@ pub struct Plan {
     pub slot: Span,
     /// How late a slot may be used.
     pub latest: Span,
+    /// How far the judge lets a frame leave its slot.
+    pub tolerance: Span,
     /// Every station's host.
     pub host: Host,
     /// Each station's drift in parts per billion; the last one for all others.
@@ -75,6 +77,7 @@ impl Plan {
         let (medium, payload) = (Medium::default(), 64);
         let rate = Rate::from_bits_per_second(medium.rate);
         let slot = schedule::divide(cycle, sync_window, rate, stations, payload, None).expect("they fit");
+        let guard = slot - rate.air_time(payload + HEADER_LEN);
         Plan {
             cycle,
             sync_window,
@@ -82,7 +85,8 @@ impl Plan {
             payload,
             offsets: (0..stations as i64).map(|i| sync_window + slot * i).collect(),
             slot,
-            latest: schedule::latest(slot - rate.air_time(payload + HEADER_LEN)),
+            latest: schedule::latest(guard),
+            tolerance: Span::ZERO,
             host: Host::IDEAL,
             drift_ppb: vec![0],
             rounds: 10,
@@ -99,6 +103,12 @@ impl Plan {
         let first = plan.cycle - slot * stations as i64;
         let offsets = (0..stations as i64).map(|i| first + slot * i).collect();
         Plan { payload, offsets, slot, latest: Span::ZERO, ..plan }
+    }
+
+    /// The same on hosts like this one; the judge allows what the clocks may be wrong by.
+    pub fn on(self, host: Host) -> Plan {
+        let air = Span::from_nanos(self.medium.air_time(self.payload + HEADER_LEN) as i64);
+        Plan { host, tolerance: schedule::clock_share(self.slot - air), ..self }
     }
 
     /// Address of a station.
@@ -135,6 +145,7 @@ impl Plan {
             cycle: self.cycle,
             sync_window: self.sync_window,
             slot: self.slot,
+            tolerance: self.tolerance,
             offsets: self.offsets.clone(),
             addresses: (0..self.stations()).map(|id| self.address(id)).collect(),
             clock: clocks[0],
@@ -187,13 +198,14 @@ impl Lab {
         }
     }
 
-    /// Runs until all stations are locked; panics after 10 000 cycles.
+    /// Runs until all stations are locked, and up to the end of a cycle; panics after 10 000.
     pub fn run_until_locked(&mut self) {
         let all = |lab: &Lab| (0..lab.tallies.len()).all(|id| lab.state(id) == SyncState::Locked);
         for _ in 0..100 {
             self.run_cycles(100);
             if all(self) {
-                return;
+                let almost_a_cycle = self.plan.cycle.nanos() as u64 * 9 / 10;
+                return self.network.run_until(self.network.now() + almost_a_cycle);
             }
         }
         panic!("not all stations are locked after 10 000 cycles");

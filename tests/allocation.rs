@@ -1,0 +1,181 @@
+//! Once its stations are locked, a network allocates nothing (invariant 2).
+
+#![allow(unsafe_code)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use rtmac::tdma::{
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
+};
+use rtnet::buf::{Buf, Pool};
+use rtnet::discipline::{Discipline, Sent, SyncState, Transmission};
+use rtnet::station::Station;
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
+use rtnet::wire::ethernet::Address;
+use tests::traffic::TestTraffic;
+
+/// The system's allocator, counting what is asked of it.
+struct Counting;
+
+thread_local! {
+    /// Of this thread, since tests run side by side.
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    CALLS.with(|calls| calls.set(calls.get() + 1));
+}
+
+fn calls() -> u64 {
+    CALLS.with(Cell::get)
+}
+
+// SAFETY: every call goes unchanged to the system's allocator, which keeps the contract; counting
+// neither allocates nor panics, since the counter has no destructor and is never gone.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(memory, layout) }
+    }
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const CYCLE: Span = Span::from_millis(1);
+const STATIONS: usize = 3;
+
+#[test]
+fn a_thousand_cycles_of_locked_stations_allocate_nothing() {
+    let mut network = Network::new();
+    network.run(Instant::from_nanos(400_000_000));
+    assert!(network.seats.iter().all(|seat| seat.station.discipline().time().state == SyncState::Locked));
+    let (sent, now) = (network.sent, network.now);
+
+    let before = calls();
+    network.run(now + CYCLE * 1_000);
+    let allocations = calls() - before;
+
+    assert_eq!(network.sent - sent, 1_000 * (STATIONS as u64 + 1), "they were at work");
+    assert_eq!(allocations, 0);
+}
+
+#[test]
+fn the_counter_counts() {
+    let before = calls();
+    drop(std::hint::black_box(Box::new(7)));
+    assert!(calls() >= before + 2);
+}
+
+/// Stations that hear each other at once, all on one clock; everything it needs is made beforehand.
+struct Network {
+    seats: Vec<Seat>,
+    now: Instant,
+    sent: u64,
+}
+
+struct Seat {
+    address: Address,
+    station: Station<Tdma>,
+    chosen: Option<Transmission>,
+    pool: Pool,
+}
+
+impl Network {
+    fn new() -> Self {
+        let seats = (0..STATIONS).map(|id| Seat::new(id as u8)).collect();
+        Self { seats, now: Instant::default(), sent: 0 }
+    }
+
+    fn run(&mut self, until: Instant) {
+        while let Some((at, id)) = self.next().filter(|&(at, _)| at <= until) {
+            self.now = at.max(self.now);
+            match self.seats[id].chosen.take() {
+                Some(chosen) => self.send(id, chosen),
+                None => self.seats[id].turn(self.now),
+            }
+        }
+        self.now = until;
+    }
+
+    fn next(&self) -> Option<(Instant, usize)> {
+        let due = self.seats.iter().enumerate().filter_map(|(id, seat)| Some((seat.due()?, id)));
+        due.min()
+    }
+
+    fn send(&mut self, id: usize, chosen: Transmission) {
+        let Transmission { mut frame, stamp, .. } = chosen;
+        if let Some(stamp) = stamp {
+            stamp.write(&mut frame, self.now);
+        }
+        self.sent += 1;
+        self.seats[id].station.on_sent(Sent::At(self.now));
+        let to = Address(frame[..6].try_into().expect("a frame"));
+        for (other, seat) in self.seats.iter_mut().enumerate() {
+            if other != id && (to.is_group() || to == seat.address) {
+                seat.hear(self.now, &frame);
+            }
+        }
+        self.seats[id].turn(self.now);
+    }
+}
+
+impl Seat {
+    fn new(id: u8) -> Self {
+        let address = Address([2, 0, 0, 0, 0, id + 1]);
+        let neighbour = Address([2, 0, 0, 0, 0, (id + 1) % STATIONS as u8 + 1]);
+        let latest = Span::from_micros(50);
+        let epoch = Offset::between(Instant::default(), GlobalTime::from_nanos(1_795_000_000_000_000_000));
+        let role = match id {
+            0 => RoleConfig::Master(MasterConfig {
+                cycle: CYCLE,
+                sync_latest: latest,
+                reply_latest: latest,
+                epoch,
+            }),
+            _ => RoleConfig::Slave(SlaveConfig { rounds: 20, step_limit: None }),
+        };
+        let offset = Span::from_micros(100 + 250 * i64::from(id));
+        let tdma = Tdma::new(&TdmaConfig {
+            address,
+            role,
+            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 64, latest }],
+            max_slot_id: DEFAULT_MAX_SLOT_ID,
+            lead: DEFAULT_LEAD,
+            late: LatePolicy::Skip,
+        });
+        let traffic = TestTraffic::new(id.into(), address, neighbour);
+        let station = Station::new(tdma.expect("a sound configuration"), vec![Box::new(traffic)]);
+        Self { address, station, chosen: None, pool: Pool::new(8) }
+    }
+
+    fn due(&self) -> Option<Instant> {
+        self.chosen.as_ref().map(|chosen| chosen.at).or_else(|| self.station.next_deadline())
+    }
+
+    fn turn(&mut self, now: Instant) {
+        self.station.on_timeout(now);
+        self.chosen = self.station.next_transmission(now);
+        // The shell takes events every turn.
+        while self.station.discipline_mut().next_event().is_some() {}
+    }
+
+    fn hear(&mut self, rx: Instant, bytes: &[u8]) {
+        let mut frame: Buf = self.pool.take().expect("every buffer comes back");
+        frame.fill(bytes);
+        self.station.on_frame(Some(rx), frame);
+    }
+}

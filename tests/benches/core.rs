@@ -1,0 +1,199 @@
+//! What the core costs beside what it could be instead: `cargo bench -p tests --bench core`.
+//!
+//! ```text
+//! pool    take + return of a buffer    beside    ArrayQueue of boxed frames, pop + push
+//! queue   push + pop, 16 waiting       beside    ArrayQueue of the same buffers, push + pop
+//! frame   build + stamp + send         beside    `send` of a frame that was built beforehand
+//! ```
+//!
+//! `RTNET_COUNT=pool/rtnet:1000` does one of them 1000 times and measures nothing: for tools that
+//! count instructions.
+
+#![allow(unsafe_code)] // the bare `send`
+
+use std::error::Error;
+use std::hint::black_box;
+use std::io;
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+
+use criterion::Criterion;
+use crossbeam::queue::ArrayQueue;
+use rtmac::wire::Message;
+use rtnet::clock::EmulatedClock;
+use rtnet::discipline::{Sent, Transmission};
+use rtnet::live::Port;
+use rtnet::live::clock::monotonic;
+use rtnet::live::interface::Interface;
+use rtnet::time::{GlobalTime, Span};
+use rtnet::wire::ethernet::{Address, EtherType, MIN_FRAME};
+use rtnet::{Pool, Priority, PriorityQueue, buf};
+use tools::lab::namespace::{Namespace, Segment};
+
+/// As many as a port has for received frames.
+const BUFFERS: usize = 32;
+/// How many frames wait in a queue while one is pushed and one popped.
+const WAITING: usize = 16;
+const HERE: Address = Address([2, 0, 0, 0, 0, 1]);
+const THERE: Address = Address([2, 0, 0, 0, 0, 2]);
+
+type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
+
+/// What to do with the subjects of the benchmark.
+enum Mode {
+    Time(Box<Criterion>),
+    Count { subject: String, times: u64 },
+}
+
+impl Mode {
+    fn from_environment() -> Self {
+        let Ok(count) = std::env::var("RTNET_COUNT") else {
+            return Mode::Time(Box::new(Criterion::default().configure_from_args()));
+        };
+        let parsed = count.split_once(':').and_then(|(subject, n)| Some((subject, n.parse().ok()?)));
+        let (subject, times) = parsed.expect("RTNET_COUNT is SUBJECT:TIMES, as pool/rtnet:1000");
+        Mode::Count { subject: subject.to_owned(), times }
+    }
+
+    /// Whether any subject of this group is wanted.
+    fn wants(&self, group: &str) -> bool {
+        match self {
+            Mode::Time(_) => true,
+            Mode::Count { subject, .. } => subject.starts_with(group),
+        }
+    }
+
+    fn subject<R>(&mut self, name: &str, mut step: impl FnMut() -> R) {
+        match self {
+            Mode::Time(criterion) => {
+                criterion.bench_function(name, |bencher| bencher.iter(&mut step));
+            }
+            Mode::Count { subject, times } if subject == name => {
+                for _ in 0..*times {
+                    black_box(step());
+                }
+            }
+            Mode::Count { .. } => {}
+        }
+    }
+}
+
+fn pool(mode: &mut Mode) {
+    let pool = Pool::new(BUFFERS);
+    mode.subject("pool/rtnet", || drop(black_box(pool.take())));
+
+    let boxes = ArrayQueue::new(BUFFERS);
+    while boxes.push(Box::new([0u8; buf::ROOM])).is_ok() {}
+    mode.subject("pool/array_queue", || black_box(boxes.pop()).map(|frame| boxes.push(frame)));
+}
+
+fn queue(mode: &mut Mode) {
+    // The levels take turns, so that both empty and occupied ones are met.
+    let levels: [_; WAITING] = std::array::from_fn(|level| Priority::new(level as u8).expect("below 32"));
+    let mut turn = 0;
+    let mut next_level = || {
+        turn = (turn + 5) % WAITING;
+        black_box(levels[turn])
+    };
+    let pool = Pool::new(2 * WAITING + 2);
+    let take = || pool.take().expect("a buffer for every place");
+
+    let mut queue = PriorityQueue::new(BUFFERS as u16);
+    levels.iter().for_each(|&level| queue.push(level, take()).expect("room for more"));
+    let mut frame = Some(take());
+    mode.subject("queue/rtnet", || {
+        let level = next_level();
+        let pushed = frame.take().map(|frame| queue.push(level, frame));
+        frame = black_box(queue.pop()).map(|(_, frame)| frame);
+        pushed
+    });
+
+    let queue = ArrayQueue::new(BUFFERS);
+    levels.iter().for_each(|_| queue.push(take()).expect("room for more"));
+    let mut frame = Some(take());
+    mode.subject("queue/array_queue", || {
+        next_level();
+        let pushed = frame.take().map(|frame| queue.push(frame));
+        frame = black_box(queue.pop());
+        pushed
+    });
+}
+
+/// Frames go from one station over a bridge to another, which does not listen.
+fn frame(mode: &mut Mode) -> Result<()> {
+    let mut segment = Segment::new()?;
+    let [here, there] = [Namespace::new()?, Namespace::new()?];
+    segment.attach(&here, "port0", "rt0", HERE.0)?;
+    segment.attach(&there, "port1", "rt0", THERE.0)?;
+    let now = monotonic();
+    let clock = EmulatedClock { anchor: now, offset: Span::from_millis(100), drift_ppb: 20_000 };
+    let (mut port, bare) = here.run(|| -> Result<_> {
+        let interface = Interface::find("rt0")?;
+        Ok((Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, 0)?, Bare::open(&interface)?))
+    })??;
+
+    let pool = Pool::new(BUFFERS);
+    let at = clock.local(now);
+    let latest = at + Span::from_millis(3_600_000);
+    let mut cycle = 0u32;
+    mode.subject("frame/rtnet", || {
+        cycle = cycle.wrapping_add(1);
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+        let message = Message::Sync { cycle, xmit: sched, sched };
+        let mut frame = pool.take().expect("every sent frame goes home");
+        message.write(THERE, HERE, &mut frame);
+        let sent = port.transmit(Transmission { frame, at, latest, stamp: Some(message.stamp(7)) });
+        assert!(matches!(sent, Sent::At(_)), "{sent:?}");
+    });
+
+    let mut frame = pool.take().expect("every sent frame goes home");
+    let zero = GlobalTime::from_nanos(0);
+    Message::Sync { cycle, xmit: zero, sched: zero }.write(THERE, HERE, &mut frame);
+    assert_eq!(frame.len(), MIN_FRAME);
+    mode.subject("frame/bare_send", || assert!(bare.send(&frame), "{}", io::Error::last_os_error()));
+    Ok(())
+}
+
+/// A socket as a port's for sending is: bound with protocol 0, so that it receives nothing.
+struct Bare(OwnedFd);
+
+impl Bare {
+    fn open(interface: &Interface) -> io::Result<Self> {
+        // SAFETY: takes no pointers.
+        let fd = unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, 0) };
+        if fd < 0 {
+            return Err(io::Error::last_os_error());
+        }
+        // SAFETY: the descriptor is open, and nobody else's.
+        let socket = unsafe { OwnedFd::from_raw_fd(fd) };
+        // SAFETY: all-zero is a valid sockaddr_ll.
+        let mut link: libc::sockaddr_ll = unsafe { core::mem::zeroed() };
+        link.sll_family = libc::AF_PACKET as u16;
+        link.sll_ifindex = interface.index as i32;
+        let len = size_of_val(&link) as libc::socklen_t;
+        // SAFETY: `link` is alive for the call, and its true size is passed.
+        let bound = unsafe { libc::bind(socket.as_raw_fd(), (&raw const link).cast(), len) };
+        if bound < 0 { Err(io::Error::last_os_error()) } else { Ok(Self(socket)) }
+    }
+
+    fn send(&self, frame: &[u8]) -> bool {
+        // SAFETY: pointer and length are of one slice, which is alive for the call.
+        let sent = unsafe {
+            libc::send(self.0.as_raw_fd(), frame.as_ptr().cast(), frame.len(), libc::MSG_DONTWAIT)
+        };
+        sent == frame.len() as isize
+    }
+}
+
+fn main() {
+    let mut mode = Mode::from_environment();
+    pool(&mut mode);
+    queue(&mut mode);
+    if mode.wants("frame") {
+        if let Err(error) = frame(&mut mode) {
+            eprintln!("SKIP frame: {error:#}");
+        }
+    }
+    if let Mode::Time(criterion) = mode {
+        criterion.final_summary();
+    }
+}

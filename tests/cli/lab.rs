@@ -1,0 +1,159 @@
+//! `rtnet lab run` from the outside: its report, its exit status, and what it leaves when it is ended.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+
+use crate::{as_root, rtnet};
+
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A cycle of 5 ms is kept even on a machine that runs other tests at the same time.
+fn lab(stations: &str, duration: &str) -> Command {
+    let mut command = rtnet();
+    command.args(["lab", "run", "--stations", stations, "--cycle", "5ms", "--duration", duration]);
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !holds() {
+        assert!(Instant::now() < deadline, "in vain: {what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// The station processes of a lab: its children.
+fn stations_of(lab: u32) -> Vec<i32> {
+    let tasks =
+        fs::read_dir(format!("/proc/{lab}/task")).map(|dir| dir.flatten().collect()).unwrap_or(Vec::new());
+    let children = tasks.iter().filter_map(|task| fs::read_to_string(task.path().join("children")).ok());
+    children
+        .flat_map(|line| line.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>())
+        .collect()
+}
+
+fn is_there(pid: i32) -> bool {
+    // A killed process may stay as a zombie until somebody looks after it.
+    fs::read_to_string(format!("/proc/{pid}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
+}
+
+fn veths() -> usize {
+    fs::read_dir("/sys/class/net").unwrap().count()
+}
+
+/// Waits until the lab's stations are all locked, which its progress tells, and returns them.
+fn running(lab: &Child, stations: usize) -> Vec<i32> {
+    eventually("all stations run", || stations_of(lab.id()).len() == stations);
+    std::thread::sleep(Duration::from_secs(3));
+    stations_of(lab.id())
+}
+
+#[test]
+fn a_lab_reports_what_it_measured_and_leaves_nothing() {
+    if !as_root("a_lab_reports_what_it_measured_and_leaves_nothing") {
+        return;
+    }
+    let before = veths();
+    let dir = tempfile::tempdir().unwrap();
+    let (json, pcap) = (dir.path().join("report.json"), dir.path().join("frames.pcapng"));
+    let output = lab("3", "2s").arg("--json").arg(&json).arg("--pcap").arg(&pcap).output().unwrap();
+    let screen = String::from_utf8(output.stdout).unwrap();
+    let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{screen}");
+    assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
+    assert_eq!(
+        (&report["stations"], &report["cycle_ns"], &report["cycles"]),
+        (&3.into(), &5_000_000.into(), &400.into())
+    );
+    assert_eq!(report["frames_expected"], 1_200);
+    assert_eq!((&report["unexplained"], &report["payload_errors"]), (&0.into(), &0.into()));
+    let count = |name: &str| report[name].as_u64().unwrap();
+    assert_eq!(count("frames_seen") + count("slots_missed"), 1_200);
+    assert_eq!(count("syncs_sent") + count("syncs_skipped"), 400);
+    assert_eq!(report["slot_error_abs_ns"]["n"], 1_200, "a missed slot is in the figures");
+    assert_eq!(report["per_station"].as_array().unwrap().len(), 3);
+    assert!(fs::metadata(&pcap).unwrap().len() > 100_000);
+    assert_eq!(veths(), before);
+}
+
+#[test]
+fn a_file_says_what_the_network_is() {
+    if !as_root("a_file_says_what_the_network_is") {
+        return;
+    }
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/two_stations.toml");
+    let output = rtnet().args(["lab", "run"]).arg(example).output().unwrap();
+    let screen = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{screen}");
+    // The arm sends in every second of 200 cycles, the master in each.
+    assert!(screen.contains("/200") && screen.contains("/100"), "{screen}");
+}
+
+#[test]
+fn a_station_that_dies_fails_the_run_by_name() {
+    if !as_root("a_station_that_dies_fails_the_run_by_name") {
+        return;
+    }
+    let lab = lab("3", "60s").spawn().unwrap();
+    let victim = running(&lab, 3)[1];
+    kill(Pid::from_raw(victim), Signal::SIGKILL).unwrap();
+    let output = lab.wait_with_output().unwrap();
+    let screen = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(screen.contains(&format!("(process {victim}) was lost")), "{screen}");
+}
+
+#[test]
+fn ctrl_c_ends_the_run_with_the_report_so_far() {
+    if !as_root("ctrl_c_ends_the_run_with_the_report_so_far") {
+        return;
+    }
+    let lab = lab("3", "60s").spawn().unwrap();
+    let stations = running(&lab, 3);
+    kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
+    let output = lab.wait_with_output().unwrap();
+    let screen = String::from_utf8(output.stdout).unwrap();
+    assert!(screen.contains("3 stations, cycle 5 ms"), "{screen}");
+    assert!(!stations.into_iter().any(is_there));
+}
+
+#[test]
+fn a_killed_lab_takes_its_stations_and_interfaces_along() {
+    if !as_root("a_killed_lab_takes_its_stations_and_interfaces_along") {
+        return;
+    }
+    let before = veths();
+    let mut lab = lab("3", "60s").spawn().unwrap();
+    let stations = running(&lab, 3);
+    lab.kill().unwrap();
+    lab.wait().unwrap();
+    eventually("the stations end with the lab", || !stations.iter().any(|&pid| is_there(pid)));
+    assert_eq!(veths(), before);
+}
+
+#[test]
+fn without_privileges_one_line_says_what_to_do() {
+    if !as_root("without_privileges_one_line_says_what_to_do") {
+        return;
+    }
+    use std::os::unix::process::CommandExt;
+    // The binary's folder may be closed to others, so that it is run from a place that is not.
+    let dir = tempfile::tempdir().unwrap();
+    let copy = dir.path().join("rtnet");
+    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &copy).unwrap();
+    let open = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    fs::set_permissions(dir.path(), open).unwrap();
+    let nobody = 65_534;
+    let output = Command::new(&copy).args(["lab", "run"]).uid(nobody).gid(nobody).output().unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(message.lines().count(), 1, "{message}");
+    assert!(message.contains("root") && message.contains("sudo"), "{message}");
+}

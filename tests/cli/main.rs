@@ -1,0 +1,36 @@
+//! The command as a person meets it: transcripts, bad input, and labs that are interrupted or killed.
+
+mod lab;
+mod station;
+
+use std::io::Write;
+use std::path::Path;
+use std::process::Command;
+
+/// The command under test.
+fn rtnet() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_rtnet"))
+}
+
+/// Says aloud, past the test harness, that a test did not run.
+fn skip(test: &str, why: &str) {
+    let _ = writeln!(std::io::stderr(), "SKIP {test}: {why}");
+}
+
+/// Whether network namespaces can be made; if not, says so.
+fn as_root(test: &str) -> bool {
+    let root = nix::unistd::geteuid().is_root();
+    if !root {
+        skip(test, "needs root (CAP_SYS_ADMIN) for network namespaces");
+    }
+    root
+}
+
+#[test]
+fn transcripts() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli");
+    trycmd::TestCases::new()
+        .register_bin("rtnet", trycmd::schema::Bin::Path(env!("CARGO_BIN_EXE_rtnet").into()))
+        .case(here.join("*.trycmd"))
+        .run();
+}

@@ -1,0 +1,336 @@
+//! Malformed, truncated and hostile frames: counted, never a panic, never a transmission.
+//!
+//! Each is thrown at a slave that waits, a slave that is locked, a master that listens and a master that
+//! is active, in the scenario of the example frames, so that what they say is as plausible as can be.
+//! What the station then sends is compared with what it sends without that frame.
+
+use proptest::prelude::*;
+use rtmac::tdma::{
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
+};
+use rtmac::wire::{self, Message, Rtmac};
+use rtnet::buf::Pool;
+use rtnet::counters::Refusal;
+use rtnet::discipline::{Discipline, SyncState};
+use rtnet::station::Station;
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
+use rtnet::wire::ethernet::{Address, EtherType, Header};
+use tests::bench::Bench;
+use tests::traffic::TestTraffic;
+use tests::vectors;
+
+const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
+const SLAVE: Address = Address([2, 0, 0, 0, 0, 3]);
+const CYCLE: Span = Span::from_millis(1);
+/// The hostile frame arrives in this cycle.
+const HOSTILE: u32 = 100;
+const LAST: u32 = 104;
+
+/// Global time of a cycle's start in the scenario of the example frames; also the stations' own clock.
+fn start(cycle: u32) -> Instant {
+    Instant::from_nanos(1_000_000_000_000) + CYCLE * i64::from(cycle)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Victim {
+    Waiting,
+    Locked,
+    Listening,
+    Active,
+}
+
+const VICTIMS: [Victim; 4] = [Victim::Waiting, Victim::Locked, Victim::Listening, Victim::Active];
+
+type Sent = Vec<(Instant, Vec<u8>)>;
+
+impl Victim {
+    fn address(self) -> Address {
+        if matches!(self, Victim::Waiting | Victim::Locked) { SLAVE } else { MASTER }
+    }
+
+    /// The station just before the hostile frame, with a frame to send in every slot.
+    fn set_up(self) -> Bench<Tdma> {
+        let latest = Span::from_micros(50);
+        let role = match self {
+            Victim::Waiting | Victim::Locked => RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None }),
+            Victim::Listening | Victim::Active => RoleConfig::Master(MasterConfig {
+                cycle: CYCLE,
+                sync_latest: latest,
+                reply_latest: latest,
+                epoch: Offset::default(),
+            }),
+        };
+        let offset = if self.address() == SLAVE { Span::from_micros(400) } else { Span::from_micros(200) };
+        let tdma = Tdma::new(&TdmaConfig {
+            address: self.address(),
+            role,
+            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 64, latest }],
+            max_slot_id: DEFAULT_MAX_SLOT_ID,
+            lead: DEFAULT_LEAD,
+            late: LatePolicy::Skip,
+        });
+        let traffic = TestTraffic::new(3, self.address(), Address::BROADCAST);
+        let station = Station::new(tdma.expect("a sound configuration"), vec![Box::new(traffic)]);
+        // A master's cycle 0 begins after three of silence.
+        let begin = if self == Victim::Active { start(0) - CYCLE * 3 } else { start(HOSTILE - 1) };
+        let mut bench = Bench::new(station, begin);
+        if self == Victim::Locked {
+            (HOSTILE - 3..HOSTILE).for_each(|cycle| genuine_sync(&mut bench, cycle));
+        }
+        bench.advance(start(HOSTILE));
+        bench.sent.clear();
+        bench
+    }
+
+    /// What it does from then on; a locked slave goes on hearing its master.
+    fn carry_on(self, bench: &mut Bench<Tdma>) {
+        if self == Victim::Locked {
+            (HOSTILE..=LAST).for_each(|cycle| genuine_sync(bench, cycle));
+        }
+        bench.advance(start(LAST + 1));
+    }
+
+    fn undisturbed(self) -> Sent {
+        let mut bench = self.set_up();
+        self.carry_on(&mut bench);
+        bench.sent
+    }
+}
+
+fn genuine_sync(bench: &mut Bench<Tdma>, cycle: u32) {
+    let mut frame = Pool::new(1).take().expect("a new pool is full");
+    let sched = GlobalTime::from_nanos(start(cycle).nanos());
+    let late = Span::from_micros(5);
+    Message::Sync { cycle, xmit: sched + late, sched }.write(Address::BROADCAST, MASTER, &mut frame);
+    bench.frame(start(cycle) + late, &frame);
+}
+
+/// A well-formed message of TDMA; nothing for all that has to be refused whatever the station's state.
+fn message(frame: &[u8]) -> Option<Message> {
+    let (header, _) = Header::parse(frame).filter(|(header, _)| header.ether_type() == EtherType::RTMAC)?;
+    let _ = header;
+    match wire::parse(frame) {
+        Ok(Rtmac::Tdma(message)) => Some(message),
+        _ => None,
+    }
+}
+
+fn is_test_traffic(frame: &[u8]) -> bool {
+    Header::parse(frame).is_some_and(|(header, _)| header.ether_type() == EtherType::EXPERIMENTAL)
+}
+
+fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
+    let mut bench = victim.set_up();
+    let before = bench.station.refusals().total();
+    bench.frame(start(HOSTILE) + Span::from_micros(3), frame);
+    let refused = bench.station.refusals().total() - before;
+    victim.carry_on(&mut bench);
+
+    let what = || format!("{victim:?}: {frame:02x?}");
+    assert!(refused <= 1, "counted once: {}", what());
+    assert!(bench.sent.iter().all(|(_, sent)| !wire::is_lethal(sent)), "{}", what());
+    let Some(message) = message(frame) else {
+        assert!(refused == 1 || is_test_traffic(frame), "counted: {}", what());
+        assert_eq!(bench.sent, *undisturbed, "{}", what());
+        return;
+    };
+    let expected_replies = usize::from(victim == Victim::Active && refused == 0);
+    let (replies, others): (Sent, Sent) = bench.sent.into_iter().partition(|(_, sent)| is_reply(sent));
+    assert!(replies.len() <= expected_replies, "{}", what());
+    check_replies(&replies, frame, message);
+    match victim {
+        Victim::Waiting => assert_eq!(others, [], "{}", what()),
+        Victim::Active => assert_eq!(others, *undisturbed, "{}", what()),
+        // It makes way, or takes no notice.
+        Victim::Listening => assert!(others.is_empty() || others == *undisturbed, "{}", what()),
+        Victim::Locked if refused == 1 => {
+            assert!(others.iter().all(|sent| undisturbed.contains(sent)), "{}", what());
+        }
+        // A forged Synchronisation that cannot be told from the master's may move its slots a little.
+        Victim::Locked => {
+            assert!(others.len() <= undisturbed.len(), "{}", what());
+            assert!(others.iter().all(|(_, sent)| is_test_traffic(sent)), "{}", what());
+        }
+    }
+}
+
+fn is_reply(frame: &[u8]) -> bool {
+    matches!(message(frame), Some(Message::Reply { .. }))
+}
+
+/// A reply goes to who asked, when it was asked for.
+fn check_replies(replies: &Sent, asked: &[u8], request: Message) {
+    for (at, reply) in replies {
+        let Message::Request { xmit, reply_cycle, reply_offset } = request else {
+            panic!("a reply to {request:?}");
+        };
+        assert_eq!(reply[..6], asked[6..12]);
+        assert_eq!(*at, start(reply_cycle) + Span::from_nanos(reply_offset as i64));
+        assert!(matches!(message(reply), Some(Message::Reply { request_xmit, .. }) if request_xmit == xmit));
+    }
+}
+
+#[test]
+fn undisturbed_stations_do_what_the_comparison_takes_for_granted() {
+    let cycles = (LAST - HOSTILE + 1) as usize;
+    assert_eq!(Victim::Waiting.undisturbed(), []);
+    assert_eq!(Victim::Locked.undisturbed().len(), cycles);
+    // The Synchronisation of the last instant is in it.
+    assert_eq!(Victim::Active.undisturbed().len(), 2 * cycles + 1);
+    assert!(!Victim::Listening.undisturbed().is_empty());
+    let states = VICTIMS.map(|victim| victim.set_up().station.discipline().time().state);
+    use SyncState::{Locked, Waiting};
+    assert_eq!(states, [Waiting, Locked, Waiting, Locked]);
+}
+
+#[test]
+fn every_prefix_of_every_example_frame() {
+    for victim in VICTIMS {
+        let undisturbed = victim.undisturbed();
+        for vector in vectors::all() {
+            for len in 0..=vector.bytes.len() {
+                throw(victim, &undisturbed, &vector.bytes[..len]);
+            }
+        }
+    }
+}
+
+#[test]
+fn every_example_frame_with_any_one_byte_changed() {
+    for victim in VICTIMS {
+        let undisturbed = victim.undisturbed();
+        for vector in vectors::all() {
+            for at in 0..vector.bytes.len() {
+                for change in [0x01, 0x80, 0xff] {
+                    let mut bytes = vector.bytes.clone();
+                    bytes[at] ^= change;
+                    throw(victim, &undisturbed, &bytes);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_version_but_the_one() {
+    for victim in VICTIMS {
+        let undisturbed = victim.undisturbed();
+        for vector in &vectors::all()[..6] {
+            let mut bytes = vector.bytes.clone();
+            for version in (0..=u8::MAX).filter(|&version| version != wire::RTMAC_VERSION) {
+                bytes[16] = version;
+                throw(victim, &undisturbed, &bytes);
+            }
+            bytes[16] = wire::RTMAC_VERSION;
+            for version in (0..=u16::MAX).step_by(0x00ff).filter(|&version| version != wire::TDMA_VERSION) {
+                bytes[18..20].copy_from_slice(&version.to_be_bytes());
+                throw(victim, &undisturbed, &bytes);
+            }
+        }
+    }
+}
+
+#[test]
+fn lying_lengths_of_what_is_tunnelled_are_nobodys_business() {
+    for victim in VICTIMS {
+        let undisturbed = victim.undisturbed();
+        for (number, at) in [(7, 20), (10, 20), (15, 20), (48, 20), (51, 20)] {
+            for length in [0u16, 1, 13, 1_500, 1_514, 0x7fff, u16::MAX] {
+                let mut bytes = vectors::vector(number).bytes;
+                bytes[at..at + 2].copy_from_slice(&length.to_be_bytes());
+                throw(victim, &undisturbed, &bytes);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_frame_whose_stamp_was_lost_is_counted_and_tells_nothing() {
+    for victim in VICTIMS {
+        let mut bench = victim.set_up();
+        let pool = Pool::new(1);
+        for vector in &vectors::all()[..6] {
+            let before = (*bench.station.refusals(), bench.station.discipline().time());
+            let mut frame = pool.take().expect("the last one came back");
+            frame.fill(&vector.bytes);
+            bench.station.on_frame(None, frame);
+            assert_eq!(bench.station.refusals().get(Refusal::NoStamp), before.0.get(Refusal::NoStamp) + 1);
+            assert_eq!(bench.station.discipline().time(), before.1);
+        }
+    }
+}
+
+/// Bytes of any kind, from pure noise to forged messages with plausible fields.
+fn hostile_frame() -> impl Strategy<Value = Vec<u8>> {
+    let noise = prop::collection::vec(any::<u8>(), 0..200);
+    let rtmac = (any::<bool>(), prop::collection::vec(any::<u8>(), 0..60)).prop_map(|(to_slave, rest)| {
+        let to = if to_slave { SLAVE } else { MASTER };
+        let head = [0x90, 0x21, 0, 1, 2, 0, 2, 1, 0];
+        [&to.0[..], &MASTER.0[..], &head[..], &rest[..]].concat()
+    });
+    let changed = (0..51usize, prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4));
+    let changed = changed.prop_map(|(number, changes)| {
+        let mut bytes = vectors::vector(number + 1).bytes;
+        changes.iter().for_each(|(at, byte)| bytes[at.index(60.min(bytes.len()))] = *byte);
+        bytes
+    });
+    let near = -2_000_000i64..4_000_000;
+    let forged = (any::<u8>(), 95u32..110, near.clone(), near, any::<u64>());
+    let forged = forged.prop_map(|(kind, cycle, xmit, sched, wild)| {
+        let global = |ahead| GlobalTime::from_nanos(start(HOSTILE).nanos()) + Span::from_nanos(ahead);
+        let (xmit, sched) = (global(xmit), global(sched));
+        let (message, to) = match kind % 5 {
+            0 => (Message::Sync { cycle, xmit, sched }, Address::BROADCAST),
+            1 => (Message::Sync { cycle: wild as u32, xmit, sched: GlobalTime::from_nanos(wild) }, MASTER),
+            2 => (Message::Request { xmit: wild, reply_cycle: cycle, reply_offset: wild % 1_200_000 }, MASTER),
+            3 => (Message::Request { xmit: 0, reply_cycle: wild as u32, reply_offset: wild }, MASTER),
+            _ => (Message::Reply { request_xmit: wild, reception: xmit.nanos(), xmit: sched.nanos() }, SLAVE),
+        };
+        let mut frame = Pool::new(1).take().expect("a new pool is full");
+        message.write(to, Address([2, 0, 0, 0, 0, 0x66]), &mut frame);
+        frame.to_vec()
+    });
+    prop_oneof![noise, rtmac, changed, forged]
+}
+
+proptest! {
+    #[test]
+    fn any_single_frame(frame in hostile_frame(), victim in prop::sample::select(&VICTIMS[..])) {
+        throw(victim, &victim.undisturbed(), &frame);
+    }
+
+    #[test]
+    fn any_stream_of_frames(
+        stream in prop::collection::vec((hostile_frame(), 0i64..300_000), 1..60),
+        victim in prop::sample::select(&VICTIMS[..]),
+    ) {
+        let mut bench = victim.set_up();
+        let mut now = start(HOSTILE);
+        for (frame, gap) in &stream {
+            now += Span::from_nanos(*gap);
+            bench.frame(now, frame);
+        }
+        bench.advance(now + CYCLE * 20);
+        prop_assert!(bench.station.refusals().total() <= stream.len() as u64);
+        prop_assert!(bench.sent.iter().all(|(_, sent)| !wire::is_lethal(sent)));
+
+        let heard: Vec<Message> = stream.iter().filter_map(|(frame, _)| message(frame)).collect();
+        let requests = heard.iter().filter(|heard| matches!(heard, Message::Request { .. })).count();
+        let syncs = heard.iter().filter(|heard| matches!(heard, Message::Sync { .. })).count();
+        let replies = bench.sent.iter().filter(|(_, sent)| is_reply(sent)).count();
+        prop_assert!(replies <= requests);
+        // A line takes two Synchronisations that agree.
+        prop_assert!(victim != Victim::Waiting || syncs > 1 || bench.sent.is_empty());
+        if victim == Victim::Active {
+            let told = bench.sent.iter().filter_map(|(at, sent)| match message(sent)? {
+                Message::Sync { cycle, sched, .. } => Some((*at, cycle, sched.nanos())),
+                _ => None,
+            });
+            for (i, (at, cycle, sched)) in told.enumerate() {
+                prop_assert_eq!(cycle, HOSTILE + 1 + i as u32, "no number is left out or said twice");
+                prop_assert_eq!((at, sched), (start(cycle), start(cycle).nanos()), "the grid does not move");
+            }
+        }
+    }
+}

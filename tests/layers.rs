@@ -1,0 +1,186 @@
+//! Who may know whom, what may be depended on, and that protocol code is pure.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use cargo_metadata::{CargoOpt, Metadata, MetadataCommand, Package};
+
+/// Our crates and which of ours they may depend on.
+const LAYERS: &[(&str, &[&str])] = &[
+    ("rtnet", &[]),
+    ("rtmac", &["rtnet"]),
+    ("vnic", &["rtnet", "rtmac"]),
+    ("package-router", &["rtnet"]),
+    ("rtnet-tools", &["rtnet", "rtmac", "vnic", "package-router"]),
+    ("tests", &["rtnet", "rtmac", "vnic", "package-router", "rtnet-tools"]),
+];
+
+/// Licences that ask for no more than being named.
+const PERMISSIVE: &[&str] = &[
+    "0BSD",
+    "Apache-2.0",
+    "Apache-2.0 WITH LLVM-exception",
+    "BSD-2-Clause",
+    "BSD-3-Clause",
+    "BSL-1.0",
+    "CC0-1.0",
+    "ISC",
+    "MIT",
+    "MIT-0",
+    "MPL-2.0",
+    "Unicode-3.0",
+    "Unicode-DFS-2016",
+    "Unlicense",
+    "Zlib",
+];
+
+const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
+
+/// What protocol code never says: clocks, sleeping, the network, chance, and an order that differs from
+/// run to run.
+const IMPURE: &[&str] = &[
+    "Instant::now",
+    "SystemTime",
+    "thread::sleep",
+    "HashMap",
+    "HashSet",
+    "std::net",
+    "rand::",
+    "std::fs",
+    "std::env",
+    "std::process",
+];
+
+/// Dependencies for this kind of machine, as the lock file has them.
+fn metadata() -> Metadata {
+    let mut command = MetadataCommand::new();
+    command.manifest_path(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml"));
+    command.features(CargoOpt::AllFeatures);
+    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    command.other_options(["--locked".to_owned(), "--filter-platform".to_owned(), platform]);
+    command.exec().expect("cargo metadata")
+}
+
+#[test]
+fn dependencies_run_one_way() {
+    let metadata = metadata();
+    let may: BTreeMap<_, _> = LAYERS.iter().copied().collect();
+    let ours: BTreeSet<String> = metadata.workspace_packages().iter().map(|p| p.name.to_string()).collect();
+    for package in metadata.workspace_packages() {
+        let name = package.name.as_str();
+        let allowed = may.get(name).unwrap_or_else(|| panic!("{name} has no place among the layers"));
+        for on in package.dependencies.iter().filter(|on| ours.contains(&on.name)) {
+            assert!(allowed.contains(&on.name.as_str()), "{name} must not depend on {}", on.name);
+        }
+    }
+}
+
+#[test]
+fn every_dependency_is_permissive_and_from_the_registry() {
+    let metadata = metadata();
+    let ours: BTreeSet<_> = metadata.workspace_members.iter().collect();
+    let used: BTreeSet<_> = metadata.resolve.as_ref().expect("a resolved graph").nodes.iter().map(|n| &n.id).collect();
+    let foreign = |p: &&Package| used.contains(&p.id) && !ours.contains(&p.id);
+    let mut seen = 0;
+    for package in metadata.packages.iter().filter(foreign) {
+        let licence = package.license.as_deref().unwrap_or("none");
+        assert!(is_permissive(licence), "{} {}: licence {licence}", package.name, package.version);
+        let source = package.source.as_ref().map(|source| source.repr.as_str());
+        assert_eq!(source, Some(REGISTRY), "{} {}", package.name, package.version);
+        seen += 1;
+    }
+    assert!(seen > 20, "only {seen} dependencies were looked at");
+}
+
+#[test]
+fn licence_expressions_are_understood() {
+    for fine in ["MIT", "MIT/Apache-2.0", "GPL-2.0 OR MIT", "(MIT OR Apache-2.0) AND Unicode-3.0"] {
+        assert!(is_permissive(fine), "{fine}");
+    }
+    for not in ["none", "GPL-2.0", "MIT AND GPL-2.0", "(MIT OR Zlib) AND LGPL-2.1"] {
+        assert!(!is_permissive(not), "{not}");
+    }
+}
+
+#[test]
+fn protocol_code_is_pure() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace");
+    let mut looked_at = 0;
+    for sources in ["rtnet/src", "rtmac/src", "vnic/src"] {
+        for file in rust_files(&root.join(sources)) {
+            // The shells: what opens sockets and devices, and the simulator around the protocol.
+            let shell = ["rtnet/src/live", "rtnet/src/sim", "vnic/src/tun.rs"];
+            if shell.iter().any(|path| file.starts_with(root.join(path))) {
+                continue;
+            }
+            looked_at += 1;
+            let text = std::fs::read_to_string(&file).expect("a source file");
+            let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+            for (number, line) in code.enumerate() {
+                let found = IMPURE.iter().find(|impure| line.contains(**impure));
+                assert_eq!(found, None, "{}, about line {number}", file.display());
+            }
+        }
+    }
+    assert!(looked_at > 10, "only {looked_at} files were looked at");
+}
+
+fn rust_files(folder: &Path) -> Vec<std::path::PathBuf> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let paths = entries.map(|entry| entry.expect("a directory entry").path());
+    let (folders, files): (Vec<_>, Vec<_>) = paths.partition(|path| path.is_dir());
+    let inner = folders.iter().flat_map(|folder| rust_files(folder));
+    let rust = |path: &std::path::PathBuf| path.extension().is_some_and(|extension| extension == "rs");
+    files.into_iter().filter(rust).chain(inner).collect()
+}
+
+/// An SPDX expression of OR, AND and brackets around licences on the list; OR may be a slash.
+fn is_permissive(licence: &str) -> bool {
+    let spaced = licence.replace('(', " ( ").replace(')', " ) ").replace('/', " OR ");
+    let tokens: Vec<&str> = spaced.split_whitespace().collect();
+    let mut rest = &tokens[..];
+    let value = either(&mut rest);
+    value && rest.is_empty()
+}
+
+fn either(rest: &mut &[&str]) -> bool {
+    let mut value = both(rest);
+    while let [first, tail @ ..] = *rest
+        && *first == "OR"
+    {
+        *rest = tail;
+        value |= both(rest);
+    }
+    value
+}
+
+fn both(rest: &mut &[&str]) -> bool {
+    let mut value = one(rest);
+    while let [first, tail @ ..] = *rest
+        && *first == "AND"
+    {
+        *rest = tail;
+        value &= one(rest);
+    }
+    value
+}
+
+fn one(rest: &mut &[&str]) -> bool {
+    match **rest {
+        ["(", ref tail @ ..] => {
+            *rest = tail;
+            let value = either(rest);
+            *rest = rest.strip_prefix(&[")"]).unwrap_or(&[]);
+            value
+        }
+        [licence, "WITH", exception, ref tail @ ..] => {
+            *rest = tail;
+            PERMISSIVE.contains(&format!("{licence} WITH {exception}").as_str())
+        }
+        [licence, ref tail @ ..] => {
+            *rest = tail;
+            PERMISSIVE.contains(&licence)
+        }
+        [] => false,
+    }
+}

@@ -239,3 +239,97 @@ pub fn is_lethal(frame: &[u8]) -> bool {
     let is_rtmac = ethernet::Header::parse(frame).is_some_and(|(h, _)| h.ether_type() == EtherType::RTMAC);
     is_rtmac && head(frame).map_or(true, |(head, _)| !head.is_tunnel() && head.kind() != TYPE_TDMA)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtnet::buf::Pool;
+
+    const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
+    const SLAVE: Address = Address([2, 0, 0, 0, 0, 3]);
+
+    /// Frames 1 to 3 of the examples, without the padding.
+    const SYNC: &str = "ffffffffffff020000000001902100010200020100000000\
+                        0064000000e8da9afdb2000000e8da9af100";
+    const REQUEST: &str = "020000000001020000000003902100010200020100100000\
+                           008bb8c44010000000650000000000061a80";
+    const REPLY: &str = "020000000003020000000001902100010200020100110000\
+                         008bb8c44010000000e8daa272e0000000e8dab05590";
+
+    fn examples() -> [(&'static str, Message, Address, Address); 3] {
+        let sync = Message::Sync {
+            cycle: 100,
+            xmit: GlobalTime::from_nanos(1_000_100_003_250),
+            sched: GlobalTime::from_nanos(1_000_100_000_000),
+        };
+        let request = Message::Request { xmit: 600_100_323_344, reply_cycle: 101, reply_offset: 400_000 };
+        let reply = Message::Reply {
+            request_xmit: 600_100_323_344,
+            reception: 1_000_100_492_000,
+            xmit: 1_000_101_402_000,
+        };
+        [
+            (SYNC, sync, Address::BROADCAST, MASTER),
+            (REQUEST, request, MASTER, SLAVE),
+            (REPLY, reply, SLAVE, MASTER),
+        ]
+    }
+
+    fn bytes(hex: &str) -> Vec<u8> {
+        (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).unwrap()).collect()
+    }
+
+    #[test]
+    fn messages_and_bytes_are_the_same_thing_in_both_directions() {
+        let pool = Pool::new(1);
+        for (hex, message, destination, source) in examples() {
+            let mut padded = bytes(hex);
+            padded.resize(ethernet::MIN_FRAME, 0);
+            let mut frame = pool.take().unwrap();
+            message.write(destination, source, &mut frame);
+            assert_eq!(frame[..], padded[..]);
+            assert_eq!(parse(&frame), Ok(Rtmac::Tdma(message)));
+        }
+    }
+
+    #[test]
+    fn every_prefix_is_refused_and_stale_padding_changes_nothing() {
+        for (hex, message, ..) in examples() {
+            let mut whole = bytes(hex);
+            for len in 0..whole.len() {
+                assert!(parse(&whole[..len]).is_err(), "{len} bytes of {hex}");
+            }
+            whole.resize(ethernet::MIN_FRAME, 0xaa);
+            assert_eq!(parse(&whole), Ok(Rtmac::Tdma(message)));
+        }
+    }
+
+    #[test]
+    fn the_stamp_goes_where_the_transmit_time_is() {
+        let pool = Pool::new(1);
+        let mut frame = pool.take().unwrap();
+        for (_, message, destination, source) in examples() {
+            message.write(destination, source, &mut frame);
+            message.stamp(7).write(&mut frame, rtnet::Instant::from_nanos(93));
+            let stamped = match parse(&frame).unwrap() {
+                Rtmac::Tdma(Message::Sync { xmit, .. }) => xmit.nanos(),
+                Rtmac::Tdma(Message::Request { xmit, .. } | Message::Reply { xmit, .. }) => xmit,
+                Rtmac::Tunnel(..) => panic!("not a tunnel"),
+            };
+            assert_eq!(stamped, 100);
+        }
+    }
+
+    #[test]
+    fn what_is_lethal_to_rtnet_stations_is_known() {
+        let mut frame = bytes(SYNC);
+        assert!(!is_lethal(&frame));
+        frame[15] = 0x42;
+        assert!(is_lethal(&frame));
+        frame[17] = FLAG_TUNNEL;
+        assert!(!is_lethal(&frame));
+        assert!(is_lethal(&frame[..16]), "an RTmac frame without a whole head");
+        frame[12] = 0x08;
+        assert!(!is_lethal(&frame[..16]), "not an RTmac frame");
+    }
+}

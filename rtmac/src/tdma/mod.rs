@@ -14,9 +14,12 @@
 //! counted and told of; it is never made up for.
 
 mod calibration;
+mod config;
 mod events;
+mod job;
 pub mod line;
 mod master;
+mod receive;
 pub mod schedule;
 mod slave;
 mod slot;
@@ -33,66 +36,20 @@ use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
+use config::checked;
+pub use config::{DEFAULT_LEAD, LatePolicy, RoleConfig, TdmaCommand, TdmaConfig};
 use events::Events;
+use job::{Job, Pending};
 pub use line::TimeLine;
 use master::Master;
 pub use master::{MAX_PENDING_REPLIES, MasterConfig};
-use slave::{Followed, Slave};
+use slave::Slave;
 pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig};
 use slot::{Slots, Turn};
 pub use status::{Counters, RoleName, TdmaStatus};
 
 use crate::wire::{self, Message, Rtmac};
-
-/// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
-/// within 50 us in 99 of 100 cases on a virtual machine.
-pub const DEFAULT_LEAD: Span = Span::from_micros(50);
-
-/// What to do with a slot whose `latest` instant has passed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum LatePolicy {
-    /// Send nothing (invariant 5).
-    #[default]
-    Skip,
-    /// Send all the same, as RTnet does, up to a cycle late. For comparison runs.
-    Send,
-}
-
-/// What a station is in the cycle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RoleConfig {
-    /// Gives the time.
-    Master(MasterConfig),
-    /// Follows it.
-    Slave(SlaveConfig),
-}
-
-/// Everything that is configured of a TDMA station.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TdmaConfig {
-    /// The interface's address.
-    pub address: Address,
-    /// Master or slave.
-    pub role: RoleConfig,
-    /// Its slots.
-    pub slots: Vec<SlotConfig>,
-    /// Highest slot id.
-    pub max_slot_id: u8,
-    /// How long before a slot its frame is chosen.
-    pub lead: Span,
-    /// What to do when late.
-    pub late: LatePolicy,
-}
-
-/// What the control thread may ask of a TDMA station.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TdmaCommand {
-    /// Define or change a slot, from the next cycle on.
-    SetSlot(SlotConfig),
-    /// Remove a slot; what is queued in it is dropped.
-    RemoveSlot(Channel),
-}
 
 /// A station of a TDMA network.
 pub struct Tdma {
@@ -112,42 +69,6 @@ enum Role {
     // Boxed for its 64 pending replies, which a slave has not.
     Master(Box<Master>),
     Slave(Slave),
-}
-
-#[derive(Clone, Copy)]
-enum Job {
-    Sync { cycle: u32, at: Instant, latest: Instant, sched: GlobalTime },
-    Reply { cycle: u32, at: Instant, latest: Instant },
-    Request(Turn),
-    Data(Turn),
-}
-
-/// What is being sent.
-#[derive(Clone, Copy)]
-struct Pending {
-    job: Job,
-    priority: Priority,
-}
-
-impl Job {
-    fn at(&self) -> Instant {
-        match self {
-            Job::Sync { at, .. } | Job::Reply { at, .. } => *at,
-            Job::Request(turn) | Job::Data(turn) => turn.at,
-        }
-    }
-    fn latest(&self) -> Instant {
-        match self {
-            Job::Sync { latest, .. } | Job::Reply { latest, .. } => *latest,
-            Job::Request(turn) | Job::Data(turn) => turn.latest,
-        }
-    }
-    fn cycle(&self) -> u32 {
-        match self {
-            Job::Sync { cycle, .. } | Job::Reply { cycle, .. } => *cycle,
-            Job::Request(turn) | Job::Data(turn) => turn.cycle,
-        }
-    }
 }
 
 impl Tdma {
@@ -328,57 +249,6 @@ impl Tdma {
             _ => None,
         }
     }
-
-    fn on_message(&mut self, rx: Instant, header: &Header, message: Message) -> Result<(), Refusal> {
-        let events = &mut self.events;
-        match (message, &mut self.role) {
-            (Message::Sync { .. }, Role::Master(master)) => {
-                if master.on_foreign_sync(header.source) || master.line().is_some() {
-                    let cycle = master.line().map_or(0, |line| line.cycle);
-                    events.note(cycle, EventKind::OtherMaster, Span::ZERO);
-                }
-                Err(Refusal::ForeignSync)
-            }
-            (Message::Sync { cycle, xmit, sched }, Role::Slave(slave)) => {
-                self.counters.syncs_received += 1;
-                let followed = slave.on_sync(rx, header.source, cycle, xmit, sched, events)?;
-                if let (Followed::NewLine, Some(line)) = (followed, slave.line()) {
-                    self.slots.align(line, rx);
-                }
-                Ok(())
-            }
-            (Message::Request { .. }, _) if header.destination != self.address => Err(Refusal::NotMaster),
-            (Message::Request { xmit, reply_cycle, reply_offset }, Role::Master(master)) => {
-                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
-            }
-            (Message::Request { .. }, Role::Slave(_)) => Err(Refusal::NotMaster),
-            (Message::Reply { request_xmit, reception, xmit }, Role::Slave(slave)) => {
-                if header.destination != self.address {
-                    return Err(Refusal::UnexpectedReply);
-                }
-                let done = slave.on_reply(rx, request_xmit, reception, xmit, events)?;
-                if let (true, Some(line)) = (done, slave.line()) {
-                    self.slots.align(line, rx);
-                }
-                Ok(())
-            }
-            (Message::Reply { .. }, Role::Master(_)) => Err(Refusal::UnexpectedReply),
-        }
-    }
-}
-
-/// A master knows its cycle, so that its own slots can be checked against it.
-fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
-    if master.cycle <= Span::ZERO {
-        return Err(Refused(format!("a cycle of {} is none", master.cycle)));
-    }
-    match slots.iter().find(|slot| slot.offset >= master.cycle) {
-        Some(slot) => {
-            let (id, offset, cycle) = (slot.id, slot.offset, master.cycle);
-            Err(Refused(format!("slot {id}: the offset {offset} is beyond the cycle of {cycle}")))
-        }
-        None => Ok(master),
-    }
 }
 
 impl Discipline for Tdma {
@@ -544,16 +414,6 @@ impl Tdma {
                 }
             }
             (Job::Request(_), Role::Master(_)) => {}
-        }
-    }
-}
-
-impl Job {
-    /// Only data goes back to its queue; control frames are made anew.
-    fn returned(&self, frame: Buf, priority: Priority) -> Option<Returned> {
-        match self {
-            Job::Data(turn) => Some(Returned { frame, priority, channel: turn.id }),
-            _ => None,
         }
     }
 }

@@ -168,6 +168,9 @@ impl Slave {
         events: &mut Events,
     ) -> Result<bool, Refusal> {
         let Track::On { line, .. } = &mut self.track else { return Err(Refusal::UnexpectedReply) };
+        if self.calibration.delay().is_some() {
+            return Err(Refusal::UnexpectedReply);
+        }
         let Some(delay) = self.calibration.reply(request_xmit, reception, xmit, rx, line.period)? else {
             return Ok(false);
         };
@@ -175,7 +178,10 @@ impl Slave {
         line.start = line.start - delay;
         line.offset = Offset::between(line.start, line.sched);
         let cycle = line.cycle;
-        self.settle(cycle, events);
+        // Who has lost the master meanwhile is locked by the next Synchronisation, not by a reply.
+        if self.state == SyncState::Calibrating {
+            self.settle(cycle, events);
+        }
         Ok(true)
     }
 
@@ -297,3 +303,6 @@ impl Mark {
 fn step_limit(configured: Option<Span>, period: Span) -> Span {
     configured.unwrap_or((period / STEP_PARTS).max(STEP_AT_LEAST))
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,53 @@
+//! One thing to be done at an instant of a cycle.
+
+use rtnet::buf::Buf;
+use rtnet::discipline::Returned;
+use rtnet::queue::Priority;
+use rtnet::time::{GlobalTime, Instant};
+
+use super::slot::Turn;
+
+/// A job of the grid.
+#[derive(Clone, Copy)]
+pub enum Job {
+    Sync { cycle: u32, at: Instant, latest: Instant, sched: GlobalTime },
+    Reply { cycle: u32, at: Instant, latest: Instant },
+    Request(Turn),
+    Data(Turn),
+}
+
+/// What is being sent.
+#[derive(Clone, Copy)]
+pub struct Pending {
+    pub job: Job,
+    pub priority: Priority,
+}
+
+impl Job {
+    pub fn at(&self) -> Instant {
+        match self {
+            Job::Sync { at, .. } | Job::Reply { at, .. } => *at,
+            Job::Request(turn) | Job::Data(turn) => turn.at,
+        }
+    }
+    pub fn latest(&self) -> Instant {
+        match self {
+            Job::Sync { latest, .. } | Job::Reply { latest, .. } => *latest,
+            Job::Request(turn) | Job::Data(turn) => turn.latest,
+        }
+    }
+    pub fn cycle(&self) -> u32 {
+        match self {
+            Job::Sync { cycle, .. } | Job::Reply { cycle, .. } => *cycle,
+            Job::Request(turn) | Job::Data(turn) => turn.cycle,
+        }
+    }
+
+    /// Only data goes back to its queue; control frames are made anew.
+    pub fn returned(&self, frame: Buf, priority: Priority) -> Option<Returned> {
+        match self {
+            Job::Data(turn) => Some(Returned { frame, priority, channel: turn.id }),
+            _ => None,
+        }
+    }
+}

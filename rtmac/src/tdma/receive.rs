@@ -1,0 +1,54 @@
+//! What a control frame from the medium means to a station, by its role.
+
+use rtnet::counters::Refusal;
+use rtnet::discipline::EventKind;
+use rtnet::time::{Instant, Span};
+use rtnet::wire::ethernet::Header;
+
+use super::slave::Followed;
+use super::{Role, Tdma};
+use crate::wire::Message;
+
+impl Tdma {
+    pub(super) fn on_message(
+        &mut self,
+        rx: Instant,
+        header: &Header,
+        message: Message,
+    ) -> Result<(), Refusal> {
+        let events = &mut self.events;
+        match (message, &mut self.role) {
+            (Message::Sync { .. }, Role::Master(master)) => {
+                if master.on_foreign_sync(header.source) || master.line().is_some() {
+                    let cycle = master.line().map_or(0, |line| line.cycle);
+                    events.note(cycle, EventKind::OtherMaster, Span::ZERO);
+                }
+                Err(Refusal::ForeignSync)
+            }
+            (Message::Sync { cycle, xmit, sched }, Role::Slave(slave)) => {
+                self.counters.syncs_received += 1;
+                let followed = slave.on_sync(rx, header.source, cycle, xmit, sched, events)?;
+                if let (Followed::NewLine, Some(line)) = (followed, slave.line()) {
+                    self.slots.align(line, rx);
+                }
+                Ok(())
+            }
+            (Message::Request { .. }, _) if header.destination != self.address => Err(Refusal::NotMaster),
+            (Message::Request { xmit, reply_cycle, reply_offset }, Role::Master(master)) => {
+                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
+            }
+            (Message::Request { .. }, Role::Slave(_)) => Err(Refusal::NotMaster),
+            (Message::Reply { request_xmit, reception, xmit }, Role::Slave(slave)) => {
+                if header.destination != self.address {
+                    return Err(Refusal::UnexpectedReply);
+                }
+                let done = slave.on_reply(rx, request_xmit, reception, xmit, events)?;
+                if let (true, Some(line)) = (done, slave.line()) {
+                    self.slots.align(line, rx);
+                }
+                Ok(())
+            }
+            (Message::Reply { .. }, Role::Master(_)) => Err(Refusal::UnexpectedReply),
+        }
+    }
+}

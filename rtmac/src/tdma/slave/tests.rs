@@ -1,0 +1,181 @@
+use super::*;
+
+const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
+const PERIOD: u64 = 1_000_000;
+/// The master's clock is ahead of ours by this much.
+const AHEAD: u64 = 5_000_000_000;
+
+/// A slave with what it tells, fed with the Synchronisations of an exact master.
+struct Bench {
+    slave: Slave,
+    events: Events,
+}
+
+impl Bench {
+    fn new(rounds: u32) -> Self {
+        Self { slave: Slave::new(SlaveConfig { rounds, step_limit: None }), events: Events::new() }
+    }
+
+    /// The Synchronisation of a cycle, `late` nanoseconds held up after its stamp was taken.
+    fn hear(&mut self, cycle: u32, late: i64) -> Result<Followed, Refusal> {
+        self.hear_from_line(cycle, u64::from(cycle) * PERIOD, late)
+    }
+
+    fn hear_from_line(&mut self, cycle: u32, at: u64, late: i64) -> Result<Followed, Refusal> {
+        let sched = GlobalTime::from_nanos(at + AHEAD);
+        let rx = Instant::from_nanos(at.wrapping_add_signed(late));
+        self.slave.on_sync(rx, MASTER, cycle, sched, sched, &mut self.events)
+    }
+
+    fn wait_until(&mut self, at: u64) -> SyncState {
+        self.slave.on_timeout(Instant::from_nanos(at), &mut self.events);
+        self.slave.state()
+    }
+
+    fn told(&mut self) -> Vec<(u32, EventKind)> {
+        std::iter::from_fn(|| self.events.take()).map(|event| (event.cycle, event.kind)).collect()
+    }
+
+    fn in_state(state: SyncState) -> Self {
+        let mut bench = Bench::new(if state == SyncState::Calibrating { 1 } else { 0 });
+        if state == SyncState::Waiting {
+            return bench;
+        }
+        assert_eq!(bench.hear(1, 0), Ok(Followed::Pending));
+        assert_eq!(bench.hear(2, 0), Ok(Followed::NewLine));
+        match state {
+            SyncState::Holdover => drop(bench.wait_until(3 * PERIOD + PERIOD / 2)),
+            SyncState::Lost => drop(bench.wait_until(4 * PERIOD + PERIOD / 2)),
+            _ => {}
+        }
+        assert_eq!(bench.slave.state(), state);
+        bench.told();
+        bench
+    }
+}
+
+const STATES: [SyncState; 5] =
+    [SyncState::Waiting, SyncState::Calibrating, SyncState::Locked, SyncState::Holdover, SyncState::Lost];
+
+/// What can happen in any state.
+#[derive(Clone, Copy, Debug)]
+enum Happening {
+    AgreeingSync,
+    HeldUpSync,
+    RepeatedCycle,
+    HalfACycle,
+    TwoCycles,
+    FiveCycles,
+    Reply,
+}
+
+#[test]
+fn every_state_answers_every_event() {
+    use Happening::*;
+    use SyncState::*;
+    // The last Synchronisation was that of cycle 2.
+    let table = [
+        (AgreeingSync, [Waiting, Calibrating, Locked, Locked, Locked]),
+        (HeldUpSync, [Waiting, Calibrating, Locked, Holdover, Lost]),
+        (RepeatedCycle, [Waiting, Calibrating, Locked, Holdover, Lost]),
+        (HalfACycle, [Waiting, Calibrating, Locked, Holdover, Lost]),
+        (TwoCycles, [Waiting, Calibrating, Holdover, Holdover, Lost]),
+        (FiveCycles, [Waiting, Lost, Lost, Lost, Lost]),
+        (Reply, [Waiting, Locked, Locked, Holdover, Lost]),
+    ];
+    for (happening, expected) in table {
+        for (state, expected) in STATES.into_iter().zip(expected) {
+            let mut bench = Bench::in_state(state);
+            match happening {
+                AgreeingSync => drop(bench.hear(3, 0)),
+                HeldUpSync => drop(bench.hear(3, 500_000)),
+                RepeatedCycle => drop(bench.hear(2, 0)),
+                HalfACycle => drop(bench.wait_until(2 * PERIOD + PERIOD / 2)),
+                TwoCycles => drop(bench.wait_until(3 * PERIOD + PERIOD / 2)),
+                FiveCycles => drop(bench.wait_until(7 * PERIOD)),
+                Reply => {
+                    bench.slave.calibration_mut().begin_round();
+                    bench.slave.calibration_mut().sent(Instant::from_nanos(2 * PERIOD));
+                    let rx = Instant::from_nanos(2 * PERIOD + 1_400);
+                    // Who has calibrated does not wait for one, and who has no line cannot use one.
+                    let result = bench.slave.on_reply(rx, 2 * PERIOD, 0, 0, &mut bench.events);
+                    assert_eq!(result.is_ok(), state == Calibrating, "{state:?}");
+                }
+            }
+            assert_eq!(bench.slave.state(), expected, "{happening:?} while {state:?}");
+        }
+    }
+}
+
+#[test]
+fn one_missing_synchronisation_is_bridged_and_two_are_silence() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert!(bench.slave.may_send(2) && bench.slave.may_send(3) && !bench.slave.may_send(4));
+    assert_eq!(bench.wait_until(3 * PERIOD + PERIOD / 2), SyncState::Holdover);
+    assert_eq!(bench.wait_until(4 * PERIOD + PERIOD / 2), SyncState::Lost);
+    assert_eq!(bench.told(), [(3, EventKind::Holdover), (4, EventKind::SyncLost)]);
+    assert_eq!(bench.hear(5, 0), Ok(Followed::Agrees), "the line was good all the time");
+    assert!(bench.slave.may_send(5));
+    assert_eq!(bench.told(), [(5, EventKind::Locked)]);
+}
+
+#[test]
+fn a_line_without_synchronisations_is_given_up() {
+    let mut bench = Bench::in_state(SyncState::Lost);
+    bench.wait_until(2_000 * PERIOD);
+    assert_eq!((bench.slave.line(), bench.slave.deadline()), (None, None));
+    assert_eq!(bench.hear(2_001, 0), Ok(Followed::Pending));
+    assert_eq!(bench.hear(2_002, 0), Ok(Followed::NewLine));
+}
+
+#[test]
+fn a_held_up_synchronisation_silences_its_cycle_and_moves_nothing() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.hear(3, 500_000), Ok(Followed::Pending));
+    assert_eq!(bench.told(), [(3, EventKind::TimeStep)]);
+    assert!(!bench.slave.may_send(3));
+    assert_eq!(bench.hear(4, 0), Ok(Followed::Agrees));
+    assert!(bench.slave.may_send(4));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 4 * PERIOD);
+}
+
+#[test]
+fn a_master_that_moves_is_followed_from_the_second_synchronisation_on() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    let moved = |cycle: u32| u64::from(cycle) * PERIOD + 400_000;
+    assert_eq!(bench.hear_from_line(3, moved(3), 0), Ok(Followed::Pending));
+    assert_eq!(bench.hear_from_line(4, moved(4), 0), Ok(Followed::NewLine));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), moved(4));
+    assert_eq!(bench.told(), [(3, EventKind::TimeStep)], "one step, told once");
+}
+
+#[test]
+fn a_repeated_cycle_is_refused_and_silences_itself() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.hear(3, 0), Ok(Followed::Agrees));
+    assert_eq!(bench.hear(3, 900), Err(Refusal::DuplicateCycle));
+    assert!(!bench.slave.may_send(3) && bench.slave.may_send(4));
+    assert_eq!(bench.told(), [(3, EventKind::DuplicateCycle)]);
+}
+
+#[test]
+fn a_restarted_master_with_small_numbers_is_followed() {
+    let mut bench = Bench::new(0);
+    for cycle in 5_000..5_003 {
+        bench.hear(cycle, 0).unwrap();
+    }
+    let restarted = |cycle: u32| (6_000 + u64::from(cycle)) * PERIOD + 123_456;
+    assert_eq!(bench.hear_from_line(1, restarted(1), 0), Ok(Followed::Pending));
+    assert_eq!(bench.hear_from_line(2, restarted(2), 0), Ok(Followed::NewLine));
+    assert!(bench.slave.may_send(2));
+}
+
+#[test]
+fn times_that_cannot_be_meant_are_refused() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    let (rx, sched) = (Instant::from_nanos(3 * PERIOD), GlobalTime::from_nanos(3 * PERIOD + AHEAD));
+    let far = GlobalTime::from_nanos(sched.nanos().wrapping_add(u64::MAX / 2));
+    let result = bench.slave.on_sync(rx, MASTER, 3, sched, far, &mut bench.events);
+    assert_eq!(result, Err(Refusal::ImplausibleSync));
+    assert_eq!(bench.slave.line().unwrap().cycle, 2);
+}

@@ -79,7 +79,8 @@ fn dependencies_run_one_way() {
 fn every_dependency_is_permissive_and_from_the_registry() {
     let metadata = metadata();
     let ours: BTreeSet<_> = metadata.workspace_members.iter().collect();
-    let used: BTreeSet<_> = metadata.resolve.as_ref().expect("a resolved graph").nodes.iter().map(|n| &n.id).collect();
+    let used: BTreeSet<_> =
+        metadata.resolve.as_ref().expect("a resolved graph").nodes.iter().map(|n| &n.id).collect();
     let foreign = |p: &&Package| used.contains(&p.id) && !ours.contains(&p.id);
     let mut seen = 0;
     for package in metadata.packages.iter().filter(foreign) {

@@ -15,7 +15,8 @@
 //! ```
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig, line,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig,
+    line,
 };
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::counters::Refusal;
@@ -47,7 +48,9 @@ struct Replay {
 }
 
 fn sync(frame: &Captured) -> Option<(u32, Instant)> {
-    let Ok(Rtmac::Tdma(Message::Sync { cycle, xmit, sched })) = wire::parse(&frame.bytes) else { return None };
+    let Ok(Rtmac::Tdma(Message::Sync { cycle, xmit, sched })) = wire::parse(&frame.bytes) else {
+        return None;
+    };
     Some((cycle, line::cycle_start(sched, line::offset(xmit, Span::ZERO, frame.at))))
 }
 
@@ -127,7 +130,9 @@ fn sent_in(replay: &Replay) -> Vec<u32> {
 
 #[test]
 fn every_rtmac_frame_of_real_stations_parses_whatever_its_padding() {
-    for (name, expected) in [("rtnet-real.pcap", (222, 20, 20, 10)), ("rtnet-real-backup.pcap", (861, 20, 20, 0))] {
+    for (name, expected) in
+        [("rtnet-real.pcap", (222, 20, 20, 10)), ("rtnet-real-backup.pcap", (861, 20, 20, 0))]
+    {
         let (mut syncs, mut requests, mut replies, mut tunnels) = (0, 0, 0, 0);
         let mut stale = 0;
         for frame in captures::read(name).iter().filter(|frame| is_rtmac(frame)) {

@@ -33,7 +33,8 @@ fn sync(cycle: u32, xmit: u64, sched: u64) -> Message {
 /// Frames 1 to 6 as `rtnet-frames.md` describes them. The backup's clock is taken to be 7 ns ahead of
 /// global time, so that its addend is negative, and the last master's far behind.
 fn described() -> [Described; 6] {
-    let by_master = |number, message, clock, add| Described { number, to: ALL, from: MASTER, message, clock, add };
+    let by_master =
+        |number, message, clock, add| Described { number, to: ALL, from: MASTER, message, clock, add };
     let request = Message::Request { xmit: 600_100_323_344, reply_cycle: 101, reply_offset: 400_000 };
     let (request_xmit, reception, xmit) = (600_100_323_344, 1_000_100_492_000, 1_000_101_402_000);
     let reply = Message::Reply { request_xmit, reception, xmit };

@@ -16,8 +16,7 @@ fn capture(seed: u64) -> Vec<u8> {
     let writing = capture.clone();
     lab.network.observe(move |aired| writing.borrow_mut().frame(aired.at, aired.bytes));
     lab.run_cycles(3_000);
-    let bytes = capture.borrow().bytes().to_vec();
-    bytes
+    capture.borrow().bytes().to_vec()
 }
 
 #[test]

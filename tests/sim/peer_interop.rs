@@ -81,6 +81,7 @@ fn a_late_peer_sends_all_the_same_and_the_judge_sees_it() {
     lab.judge_from_here();
     lab.run_cycles(5_000);
     let judge = lab.judge();
-    let (theirs, ours): (Vec<Author>, Vec<Author>) = judge.out_of_slot.iter().partition(|author| author.from == 1);
+    let (theirs, ours): (Vec<Author>, Vec<Author>) =
+        judge.out_of_slot.iter().partition(|author| author.from == 1);
     assert!(!theirs.is_empty() && ours.is_empty(), "{ours:?}");
 }

@@ -142,8 +142,10 @@ impl Judge {
             }
             Message::Reply { request_xmit, .. } => {
                 self.calibration += 1;
-                let asked =
-                    self.requests.iter().position(|(of, xmit, _)| (*of, *xmit) == (header.destination, request_xmit));
+                let asked = self
+                    .requests
+                    .iter()
+                    .position(|(of, xmit, _)| (*of, *xmit) == (header.destination, request_xmit));
                 let Some(asked) = asked else {
                     self.fault(format!("a reply that {} did not ask for", header.destination));
                     return None;

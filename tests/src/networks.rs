@@ -165,7 +165,7 @@ impl Lab {
     /// Adds the next station of the plan, to start at true time `at`.
     pub fn add_next(&mut self, at: u64) -> StationId {
         let id = self.tallies.len();
-        let role = (id == 0).then(|| self.plan.cycle);
+        let role = (id == 0).then_some(self.plan.cycle);
         self.add(id, role, at)
     }
 

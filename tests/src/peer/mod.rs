@@ -248,7 +248,8 @@ impl Peer {
                 let slot = self.config.slots.first()?;
                 self.samples.waiting = true;
                 let reply_cycle = clock.cycle.wrapping_add(slot.period);
-                let request = Tdma::Request { xmit: 0, reply_cycle, reply_offset: slot.offset.nanos() as u64 };
+                let request =
+                    Tdma::Request { xmit: 0, reply_cycle, reply_offset: slot.offset.nanos() as u64 };
                 Some((request, self.master, Stamp { at_byte: wire::REQUEST_STAMP, add: 0 }))
             }
             Job::Reply(reply) => {

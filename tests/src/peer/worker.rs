@@ -83,12 +83,13 @@ impl Worker {
     pub fn next(&self, cycle: u32, request: Option<&PeerSlot>, slots: &[PeerSlot]) -> Option<(Job, Span)> {
         let Lap::Behind(done) = self.lap else { return None };
         let mine = |slot: &PeerSlot| cycle % slot.period == slot.phase;
-        let request = request.filter(|slot| mine(slot)).map(|slot| (Place::Request, Job::Request, slot.offset));
+        let request =
+            request.filter(|slot| mine(slot)).map(|slot| (Place::Request, Job::Request, slot.offset));
         let replies = self.replies.iter().filter(|reply| reply.cycle == cycle);
         let replies = replies.map(|reply| (Place::At(reply.offset, 0), Job::Reply(*reply), reply.offset));
         let slots = slots.iter().enumerate().filter(|(_, slot)| mine(slot));
-        let slots =
-            slots.map(|(i, slot)| (Place::At(slot.offset, 1 + usize::from(slot.id)), Job::Slot(i), slot.offset));
+        let slots = slots
+            .map(|(i, slot)| (Place::At(slot.offset, 1 + usize::from(slot.id)), Job::Slot(i), slot.offset));
         // A reply is taken out of the list when it is sent, so several may have one place.
         let ahead = request.into_iter().chain(replies).chain(slots).filter(|(place, job, _)| match job {
             Job::Reply(_) => *place >= done,
@@ -116,5 +117,61 @@ impl Worker {
     /// Nothing is left in this lap.
     pub fn end_lap(&mut self) {
         self.lap = Lap::Waiting;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn slot(id: u8, offset: i64, phase: u32, period: u32) -> PeerSlot {
+        PeerSlot { id, offset: Span::from_nanos(offset), phase, period, size: 46 }
+    }
+
+    fn reply(cycle: u32, offset: i64) -> Reply {
+        let (to, offset) = (Address([2, 0, 0, 0, 0, 9]), Span::from_nanos(offset));
+        Reply { cycle, offset, to, xmit: 1, reception: Instant::default() }
+    }
+
+    /// What is left of the lap in `cycle`, job after job.
+    fn lap(worker: &mut Worker, cycle: u32, slots: &[PeerSlot]) -> Vec<Job> {
+        let step = || {
+            let (job, _) = worker.next(cycle, None, slots)?;
+            worker.pass(&job, slots);
+            Some(job)
+        };
+        core::iter::from_fn(step).collect()
+    }
+
+    #[test]
+    fn a_lap_goes_by_offset_and_a_reply_waits_for_its_cycle() {
+        let slots = [slot(0, 300, 0, 1), slot(1, 100, 1, 2)];
+        let mut worker = Worker::new();
+        worker.add_reply(reply(8, 200));
+        worker.pulse(7);
+        assert_eq!(lap(&mut worker, 7, &slots), [Job::Slot(1), Job::Slot(0)]);
+        worker.end_lap();
+        worker.pulse(8);
+        assert_eq!(lap(&mut worker, 8, &slots), [Job::Reply(reply(8, 200)), Job::Slot(0)]);
+    }
+
+    #[test]
+    fn a_pulse_during_a_lap_is_not_remembered() {
+        let slots = [slot(0, 300, 0, 1)];
+        let mut worker = Worker::new();
+        worker.pulse(7);
+        worker.pulse(8);
+        assert_eq!(lap(&mut worker, 8, &slots), [Job::Slot(0)], "late, on the clock of cycle 8");
+        worker.end_lap();
+        assert_eq!(lap(&mut worker, 8, &slots), []);
+    }
+
+    #[test]
+    fn a_reply_whose_cycle_has_passed_is_discarded_by_plain_comparison() {
+        let mut worker = Worker::new();
+        worker.add_reply(reply(7, 0));
+        worker.add_reply(reply(u32::MAX, 0));
+        assert_eq!(worker.pulse(8), 1);
+        assert_eq!(worker.pending_replies(), 1, "of the cycle before the wrap, for ever");
     }
 }

@@ -1,0 +1,159 @@
+//! Stations on real sockets, each in a namespace of its own, driven by threads of this process.
+
+use std::io::Write;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rtmac::tdma::{
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
+};
+use rtnet::clock::EmulatedClock;
+use rtnet::discipline::{Discipline, Service};
+use rtnet::live::clock::{monotonic, realtime};
+use rtnet::live::interface::Interface;
+use rtnet::live::{Driver, DriverConfig, Port, Snapshot};
+use rtnet::station::Station;
+use rtnet::time::{GlobalTime, Offset, Span};
+use rtnet::wire::ethernet::{Address, EtherType};
+use tests::traffic::{Tally, TestTraffic};
+use tools::lab::namespace::{Namespace, Segment};
+
+pub const CYCLE: Span = Span::from_millis(5);
+/// Long enough for a loaded machine, and never waited for in full when all is well.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Whether network namespaces can be made; if not, says so past the test harness.
+pub fn as_root(test: &str) -> bool {
+    let root = nix::unistd::geteuid().is_root();
+    if !root {
+        let _ = writeln!(std::io::stderr(), "SKIP {test}: needs root (CAP_SYS_ADMIN) for network namespaces");
+    }
+    root
+}
+
+/// A medium with its stations.
+pub struct Medium {
+    segment: Segment,
+    stations: u8,
+}
+
+/// A running station; dropping it ends its thread.
+pub struct Running<D: Discipline> {
+    latest: Option<Snapshot<D::Status>>,
+    snapshots: Arc<crossbeam::queue::ArrayQueue<Snapshot<D::Status>>>,
+    pub tally: Arc<Tally>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    // The interface goes with it.
+    _namespace: Namespace,
+}
+
+impl Medium {
+    pub fn new() -> Self {
+        Self { segment: Segment::new().unwrap(), stations: 0 }
+    }
+
+    /// The address of the station that is started so-manieth.
+    pub fn address(station: u8) -> Address {
+        Address([2, 0, 0, 0, 0, station + 1])
+    }
+
+    /// Starts the next station; it sends a frame in each slot to `to`.
+    pub fn start<D: Discipline + 'static>(
+        &mut self,
+        clock: EmulatedClock,
+        to: u8,
+        discipline: impl FnOnce(Address) -> D,
+    ) -> Running<D>
+    where
+        D::Status: Send,
+    {
+        let (number, address) = (self.stations, Self::address(self.stations));
+        self.stations += 1;
+        let namespace = Namespace::new().unwrap();
+        self.segment.attach(&namespace, &format!("port{number}"), "rt0", address.0).unwrap();
+        let data = [EtherType::EXPERIMENTAL];
+        let spin = DEFAULT_LEAD.nanos() as u64;
+        let open = || Port::open(&Interface::find("rt0").unwrap(), &data, clock, spin).unwrap();
+        let port = namespace.run(open).unwrap();
+        let traffic = TestTraffic::new(number.into(), address, Self::address(to));
+        let tally = traffic.tally.clone();
+        let services: Vec<Box<dyn Service>> = vec![Box::new(traffic)];
+        let stop = Arc::new(AtomicBool::new(false));
+        let config = DriverConfig { stop: stop.clone(), sample_time: false };
+        let mut driver = Driver::new(Station::new(discipline(address), services), port, config);
+        let snapshots = driver.snapshots();
+        let thread = Some(std::thread::spawn(move || driver.run()));
+        Running { latest: None, snapshots, tally, stop, thread, _namespace: namespace }
+    }
+}
+
+impl<D: Discipline> Running<D> {
+    /// What there is to be seen of it.
+    pub fn status(&mut self) -> Option<D::Status> {
+        self.latest = self.snapshots.pop().or(self.latest.take());
+        self.latest.as_ref().map(|snapshot| snapshot.status)
+    }
+
+    pub fn wait_until(&mut self, what: &str, mut holds: impl FnMut(&D::Status) -> bool) -> D::Status {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            if let Some(status) = self.status()
+                && holds(&status)
+            {
+                return status;
+            }
+            assert!(Instant::now() < deadline, "in vain: {what}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    pub fn wait_for_frames(&self, frames: u64) {
+        let (deadline, before) = (Instant::now() + PATIENCE, self.tally.received());
+        while self.tally.received() < before + frames {
+            assert!(Instant::now() < deadline, "only {} frames received", self.tally.received());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl<D: Discipline> Drop for Running<D> {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let ended = thread.join();
+            assert!(ended.is_ok() || std::thread::panicking(), "a station panicked");
+        }
+    }
+}
+
+pub fn clock(offset: Span, drift_ppb: i64) -> EmulatedClock {
+    EmulatedClock { anchor: monotonic(), offset, drift_ppb }
+}
+
+/// Our master on this clock, with one slot.
+pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma {
+    let epoch = Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()));
+    let late = Span::from_millis(1);
+    ours(
+        address,
+        offset,
+        RoleConfig::Master(MasterConfig { cycle: CYCLE, sync_latest: late, reply_latest: late, epoch }),
+    )
+}
+
+/// Our slave, with one slot.
+pub fn our_slave(address: Address, rounds: u32, offset: Span) -> Tdma {
+    // On a machine that runs other tests, a Synchronisation may be held up by more than 50 us.
+    let step_limit = Some(Span::from_micros(500));
+    ours(address, offset, RoleConfig::Slave(SlaveConfig { rounds, step_limit }))
+}
+
+fn ours(address: Address, offset: Span, role: RoleConfig) -> Tdma {
+    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: Span::from_micros(500) };
+    let (max_slot_id, lead, late) = (DEFAULT_MAX_SLOT_ID, DEFAULT_LEAD, LatePolicy::Skip);
+    Tdma::new(&TdmaConfig { address, role, slots: vec![slot], max_slot_id, lead, late }).unwrap()
+}

@@ -116,10 +116,10 @@ fn protocol_code_is_pure() {
             }
             looked_at += 1;
             let text = std::fs::read_to_string(&file).expect("a source file");
-            let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
-            for (number, line) in code.enumerate() {
+            let code = text.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+            for (i, line) in code {
                 let found = IMPURE.iter().find(|impure| line.contains(**impure));
-                assert_eq!(found, None, "{}, about line {number}", file.display());
+                assert_eq!(found, None, "{}:{}", file.display(), i + 1);
             }
         }
     }

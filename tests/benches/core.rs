@@ -183,10 +183,11 @@ fn main() {
     let mut mode = Mode::from_environment();
     pool(&mut mode);
     queue(&mut mode);
-    if mode.wants("frame") {
-        if let Err(error) = frame(&mut mode) {
-            eprintln!("SKIP frame: {error:#}");
-        }
+    if mode.wants("frame")
+        && let Err(error) = frame(&mut mode)
+    {
+        let causes = std::iter::successors(Some(&*error as &(dyn Error + 'static)), |cause| cause.source());
+        eprintln!("SKIP frame: {}", causes.map(ToString::to_string).collect::<Vec<_>>().join(": "));
     }
     if let Mode::Time(criterion) = mode {
         criterion.final_summary();

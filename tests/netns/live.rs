@@ -1,6 +1,5 @@
 //! Stations on real sockets, each in a namespace of its own, driven by threads of this process.
 
-use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -25,14 +24,7 @@ pub const CYCLE: Span = Span::from_millis(5);
 /// Long enough for a loaded machine, and never waited for in full when all is well.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Whether network namespaces can be made; if not, says so past the test harness.
-pub fn as_root(test: &str) -> bool {
-    let root = nix::unistd::geteuid().is_root();
-    if !root {
-        let _ = writeln!(std::io::stderr(), "SKIP {test}: needs root (CAP_SYS_ADMIN) for network namespaces");
-    }
-    root
-}
+pub use tests::as_root;
 
 /// A medium with its stations.
 pub struct Medium {

@@ -14,3 +14,14 @@ pub mod networks;
 pub mod peer;
 pub mod traffic;
 pub mod vectors;
+
+/// Whether network namespaces can be made; if not, says aloud, past the test harness, that `test` does not run.
+pub fn as_root(test: &str) -> bool {
+    use std::io::Write;
+    let root = nix::unistd::geteuid().is_root();
+    if !root {
+        // Nothing better can be done about standard error that is closed.
+        let _ = writeln!(std::io::stderr(), "SKIP {test}: needs root (CAP_SYS_ADMIN) for network namespaces");
+    }
+    root
+}

@@ -1,9 +1,4 @@
-//! Once its stations are locked, a network allocates nothing (invariant 2).
-
-#![allow(unsafe_code)]
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+//! Two slaves and their master, driven by hand in virtual time.
 
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
@@ -16,44 +11,7 @@ use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 use tests::traffic::TestTraffic;
 
-/// The system's allocator, counting what is asked of it.
-struct Counting;
-
-thread_local! {
-    /// Of this thread, since tests run side by side.
-    static CALLS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    CALLS.with(|calls| calls.set(calls.get() + 1));
-}
-
-fn calls() -> u64 {
-    CALLS.with(Cell::get)
-}
-
-// SAFETY: every call goes unchanged to the system's allocator, which keeps the contract; counting
-// neither allocates nor panics, since the counter has no destructor and is never gone.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(memory, layout) }
-    }
-    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.realloc(memory, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+use crate::calls;
 
 const CYCLE: Span = Span::from_millis(1);
 const STATIONS: usize = 3;
@@ -71,13 +29,6 @@ fn a_thousand_cycles_of_locked_stations_allocate_nothing() {
 
     assert_eq!(network.sent - sent, 1_000 * (STATIONS as u64 + 1), "they were at work");
     assert_eq!(allocations, 0);
-}
-
-#[test]
-fn the_counter_counts() {
-    let before = calls();
-    drop(std::hint::black_box(Box::new(7)));
-    assert!(calls() >= before + 2);
 }
 
 /// Stations that hear each other at once, all on one clock; everything it needs is made beforehand.

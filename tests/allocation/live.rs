@@ -1,0 +1,103 @@
+//! A master and a slave over veth: their real-time threads allocate nothing once they are locked.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use rtmac::tdma::{
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
+};
+use rtnet::clock::EmulatedClock;
+use rtnet::discipline::SyncState;
+use rtnet::live::interface::Interface;
+use rtnet::live::{Driver, DriverConfig, Port};
+use rtnet::station::Station;
+use rtnet::time::{Offset, Span};
+use rtnet::wire::ethernet::{Address, EtherType};
+use tests::traffic::TestTraffic;
+use tools::lab::namespace::{Namespace, Segment};
+
+use crate::{REAL_TIME_CALLS, mark_real_time};
+
+const CYCLE: Span = Span::from_millis(2);
+const CYCLES: u32 = 1_000;
+const PATIENCE: Duration = Duration::from_secs(30);
+const ADDRESSES: [Address; 2] = [Address([2, 0, 0, 0, 0, 1]), Address([2, 0, 0, 0, 0, 2])];
+
+#[test]
+fn real_time_threads_allocate_nothing_once_they_are_locked() {
+    if !tests::as_root("real_time_threads_allocate_nothing_once_they_are_locked") {
+        return;
+    }
+    let mut segment = Segment::new().unwrap();
+    let namespaces = [Namespace::new().unwrap(), Namespace::new().unwrap()];
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut snapshots = Vec::new();
+    let mut threads = Vec::new();
+    for (station, namespace) in namespaces.iter().enumerate() {
+        segment.attach(namespace, &format!("port{station}"), "rt0", ADDRESSES[station].0).unwrap();
+        let mut driver = driver(station, namespace, stop.clone());
+        snapshots.push(driver.snapshots());
+        threads.push(std::thread::spawn(move || {
+            mark_real_time();
+            drop(std::hint::black_box(Box::new(7)));
+            driver.run();
+        }));
+    }
+    let wait_until = |what: &str, holds: &dyn Fn(SyncState, u32) -> bool| {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            // Both are looked at, so that neither queue is left full.
+            let seen: Vec<_> = snapshots.iter().filter_map(|snapshots| snapshots.pop()).collect();
+            if let Some(slave) = seen.iter().find(|seen| seen.status.delay.is_some())
+                && holds(slave.status.state, slave.status.cycle)
+            {
+                return slave.status;
+            }
+            assert!(Instant::now() < deadline, "in vain: {what}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    };
+    let locked = wait_until("locked", &|state, _| state == SyncState::Locked);
+    let before = REAL_TIME_CALLS.load(Ordering::Relaxed);
+    let later = wait_until("cycles pass", &|_, cycle| cycle >= locked.cycle + CYCLES);
+    let allocations = REAL_TIME_CALLS.load(Ordering::Relaxed) - before;
+    stop.store(true, Ordering::Relaxed);
+    threads.into_iter().for_each(|thread| thread.join().unwrap());
+
+    assert!(before > 0, "the box before the loop shows that these threads are counted");
+    assert!(later.counters.frames_sent > locked.counters.frames_sent, "they were at work");
+    assert_eq!(allocations, 0);
+}
+
+fn driver(station: usize, namespace: &Namespace, stop: Arc<AtomicBool>) -> Driver<Tdma> {
+    let clock = EmulatedClock::default();
+    let late = Span::from_micros(500);
+    let role = match station {
+        0 => RoleConfig::Master(MasterConfig {
+            cycle: CYCLE,
+            sync_latest: late,
+            reply_latest: late,
+            epoch: Offset::default(),
+        }),
+        _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(late) }),
+    };
+    let offset = Span::from_micros(600 + 700 * station as i64);
+    let discipline = Tdma::new(&TdmaConfig {
+        address: ADDRESSES[station],
+        role,
+        slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: late }],
+        max_slot_id: DEFAULT_MAX_SLOT_ID,
+        lead: DEFAULT_LEAD,
+        late: LatePolicy::Skip,
+    });
+    let traffic = TestTraffic::new(station as u16, ADDRESSES[station], ADDRESSES[1 - station]);
+    let open = || {
+        let interface = Interface::find("rt0").unwrap();
+        Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, DEFAULT_LEAD.nanos() as u64).unwrap()
+    };
+    let port = namespace.run(open).unwrap();
+    let station = Station::new(discipline.unwrap(), vec![Box::new(traffic)]);
+    Driver::new(station, port, DriverConfig { stop, sample_time: true })
+}

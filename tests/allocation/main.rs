@@ -1,0 +1,69 @@
+//! Once its stations are locked, a network allocates nothing (invariant 2): in virtual time and live.
+
+#![allow(unsafe_code)]
+
+mod live;
+mod virtual_time;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The system's allocator, counting what is asked of it.
+struct Counting;
+
+thread_local! {
+    /// Of this thread, since tests run side by side.
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+    /// Whether this thread is a real-time thread, whose calls others look at while it runs.
+    static REAL_TIME: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Calls of all threads that are marked as real-time threads.
+static REAL_TIME_CALLS: AtomicU64 = AtomicU64::new(0);
+
+fn count() {
+    CALLS.with(|calls| calls.set(calls.get() + 1));
+    if REAL_TIME.with(Cell::get) {
+        REAL_TIME_CALLS.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// From here on, what this thread asks for is counted where others see it.
+fn mark_real_time() {
+    REAL_TIME.with(|mark| mark.set(true));
+}
+
+fn calls() -> u64 {
+    CALLS.with(Cell::get)
+}
+
+// SAFETY: every call goes unchanged to the system's allocator, which keeps the contract; counting
+// neither allocates nor panics, since the counter has no destructor and is never gone.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(memory, layout) }
+    }
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn the_counter_counts() {
+    let before = calls();
+    drop(std::hint::black_box(Box::new(7)));
+    assert!(calls() >= before + 2);
+}

@@ -17,6 +17,7 @@ use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 use tests::bench::Bench;
+use tests::peer;
 use tests::traffic::TestTraffic;
 use tests::vectors;
 
@@ -108,13 +109,16 @@ fn genuine_sync(bench: &mut Bench<Tdma>, cycle: u32) {
     bench.frame(start(cycle) + late, &frame);
 }
 
-/// A well-formed message of TDMA; nothing for all that has to be refused whatever the station's state.
+/// A well-formed message of TDMA, in the independent opinion of the peer; anything else has to be
+/// refused whatever the station's state.
 fn message(frame: &[u8]) -> Option<Message> {
-    let is_rtmac = Header::parse(frame).is_some_and(|(header, _)| header.ether_type() == EtherType::RTMAC);
-    match wire::parse(frame) {
-        Ok(Rtmac::Tdma(message)) if is_rtmac => Some(message),
+    Header::parse(frame).filter(|(header, _)| header.ether_type() == EtherType::RTMAC)?;
+    let parsed = match wire::parse(frame) {
+        Ok(Rtmac::Tdma(message)) => Some(message),
         _ => None,
-    }
+    };
+    assert_eq!(parsed.is_some(), peer::understands(frame), "{frame:02x?}");
+    parsed
 }
 
 fn is_test_traffic(frame: &[u8]) -> bool {

@@ -1,9 +1,9 @@
 //! What the core costs beside what it could be instead: `cargo bench -p tests --bench core`.
 //!
 //! ```text
-//! pool    take + return of a buffer    beside    ArrayQueue of boxed frames, pop + push
-//! queue   push + pop, 16 waiting       beside    ArrayQueue of the same, push + pop
-//! frame   build + stamp + send         beside    `send` of a frame that was built beforehand
+//! pool    16 x take + return of a buffer   beside   ArrayQueue of boxed frames, pop + push
+//! queue   16 x push + pop, 16 waiting      beside   ArrayQueue of the same, push + pop
+//! frame   build + stamp + send             beside   `send` of a frame that was built beforehand
 //! ```
 //!
 //! `RTNET_COUNT=pool/rtnet:1000` does one of them 1000 times and measures nothing: for tools that
@@ -31,8 +31,9 @@ use tools::lab::namespace::{Namespace, Segment};
 
 /// As many as a port has for received frames.
 const BUFFERS: usize = 32;
-/// How many frames wait in a queue while one is pushed and one popped.
-const WAITING: usize = 16;
+/// How often a step of `pool` and `queue` does the thing, so that what is around it hardly counts; and how
+/// many frames wait in a queue meanwhile.
+const BATCH: usize = 16;
 const HERE: Address = Address([2, 0, 0, 0, 0, 1]);
 const THERE: Address = Address([2, 0, 0, 0, 0, 2]);
 
@@ -79,38 +80,44 @@ impl Mode {
 
 fn pool(mode: &mut Mode) {
     let pool = Pool::new(BUFFERS);
-    mode.subject("pool/rtnet", || drop(black_box(pool.take())));
+    mode.subject("pool/rtnet", || {
+        for _ in 0..BATCH {
+            drop(black_box(pool.take()));
+        }
+    });
 
     let boxes = ArrayQueue::new(BUFFERS);
     while boxes.push(Box::new([0u8; buf::ROOM])).is_ok() {}
-    mode.subject("pool/array_queue", || black_box(boxes.pop()).map(|frame| boxes.push(frame)));
+    mode.subject("pool/array_queue", || {
+        for _ in 0..BATCH {
+            let _ = black_box(boxes.pop()).map(|frame| boxes.push(frame));
+        }
+    });
 }
 
-/// What waits are references, which are as small as buffers and cost nothing to drop.
+/// What waits are references, which are as small as buffers and cost nothing to drop. The levels take
+/// turns, so that both empty and occupied ones are met.
 fn queue(mode: &mut Mode) {
     let frame = &[0u8; buf::ROOM];
-    // The levels take turns, so that both empty and occupied ones are met.
-    let levels: [_; WAITING] = std::array::from_fn(|level| Priority::new(level as u8).expect("below 32"));
-    let next = |turn: &mut usize| {
-        *turn = (*turn + 5) % WAITING;
-        black_box(levels[*turn])
-    };
+    let levels: [_; BATCH] =
+        std::array::from_fn(|turn| Priority::new((turn * 5 % 16) as u8).expect("below 32"));
 
-    let mut turn = 0;
     let mut queue = PriorityQueue::new(BUFFERS as u16);
     levels.iter().for_each(|&level| queue.push(level, frame).expect("room for more"));
     mode.subject("queue/rtnet", || {
-        let level = next(&mut turn);
-        let full = queue.push(level, black_box(frame)).is_err();
-        queue.pop().filter(|_| !full)
+        for &level in black_box(&levels) {
+            let _ = queue.push(level, black_box(frame));
+            black_box(queue.pop());
+        }
     });
 
     let queue = ArrayQueue::new(BUFFERS);
     levels.iter().for_each(|_| queue.push(frame).expect("room for more"));
     mode.subject("queue/array_queue", || {
-        next(&mut turn);
-        let full = queue.push(black_box(frame)).is_err();
-        queue.pop().filter(|_| !full)
+        for _level in black_box(&levels) {
+            let _ = queue.push(black_box(frame));
+            black_box(queue.pop());
+        }
     });
 }
 
@@ -186,7 +193,7 @@ fn main() {
     if mode.wants("frame")
         && let Err(error) = frame(&mut mode)
     {
-        let causes = std::iter::successors(Some(&*error as &(dyn Error + 'static)), |cause| cause.source());
+        let causes = std::iter::successors(Some(&*error as &(dyn Error + 'static)), |&cause| cause.source());
         eprintln!("SKIP frame: {}", causes.map(ToString::to_string).collect::<Vec<_>>().join(": "));
     }
     if let Mode::Time(criterion) = mode {

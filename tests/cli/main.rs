@@ -1,5 +1,8 @@
 //! The command as a person meets it: transcripts, bad input, and labs that are interrupted or killed.
 
+// A test of real processes waits for them.
+#![allow(clippy::disallowed_methods)]
+
 mod lab;
 mod station;
 

@@ -1,5 +1,8 @@
 //! Real networks in kernel namespaces: the same objects as in virtual time, on packet sockets over veth.
 
+// Real stations need real time.
+#![allow(clippy::disallowed_methods)]
+
 mod live;
 mod peer_over_veth;
 mod sync_loss;

@@ -14,6 +14,7 @@
 //!
 //! A Synchronisation that arrives during a lap moves the clock, but its pulse is not remembered.
 
+mod config;
 mod wire;
 mod worker;
 
@@ -27,43 +28,19 @@ use rtnet::queue::{Priority, PriorityQueue};
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header};
 
+pub use config::{PeerConfig, PeerSlot};
 use wire::Tdma;
 use worker::{Job, Worker};
+
+/// Whether real stations would take this frame, whose EtherType is RTmac's, for one of TDMA's.
+pub fn understands(frame: &[u8]) -> bool {
+    wire::decode(frame).is_some()
+}
 
 /// A master holds so many requests, and drops more.
 const MAX_REQUESTS: usize = 64;
 /// "Late" does not exist for these stations.
 const EVER: Span = Span::from_millis(1_000 * 3_600);
-
-/// Everything that is configured of a peer.
-#[derive(Clone, Debug)]
-pub struct PeerConfig {
-    /// The interface's address.
-    pub address: Address,
-    /// The cycle, for a master; a slave follows.
-    pub master: Option<Span>,
-    /// Calibration rounds.
-    pub rounds: u32,
-    /// Its slots; the first is the one it calibrates in.
-    pub slots: Vec<PeerSlot>,
-    /// How long before an instant its frame is chosen.
-    pub lead: Span,
-}
-
-/// A slot.
-#[derive(Clone, Copy, Debug)]
-pub struct PeerSlot {
-    /// The channel.
-    pub id: Channel,
-    /// Begin, from the cycle's start.
-    pub offset: Span,
-    /// Used in cycles with `cycle mod period == phase`.
-    pub phase: u32,
-    /// See `phase`.
-    pub period: u32,
-    /// Largest payload behind the Ethernet header.
-    pub size: usize,
-}
 
 /// An independent TDMA station.
 pub struct Peer {

@@ -7,7 +7,7 @@ use rtnet::time::Span;
 
 use super::Failure;
 use crate::cli::LabRunArgs;
-use crate::lab::{self, RunOptions};
+use crate::lab::{Lab, RunOptions};
 use crate::report::screen;
 use crate::scenario::{self, Scenario, Uniform};
 
@@ -35,7 +35,8 @@ pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
             anyhow!("a lab makes network namespaces, which takes root (CAP_SYS_ADMIN): run it with sudo");
         return Err(Failure::Usage(error));
     }
-    let outcome = lab::run(&scenario, &options).map_err(Failure::Run)?;
+    let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
+    let outcome = lab.run(&scenario).map_err(Failure::Run)?;
     let width = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok()).unwrap_or(WIDTH);
     print!("{}", screen::render(&outcome.figures, width.max(screen::WIDTH_MIN), &outcome.slot_error_abs));
     if let Some(path) = &args.json {

@@ -104,6 +104,11 @@ impl Member {
         count(&self.standing).saturating_sub(count(&self.standing_at_begin))
     }
 
+    /// Steps of the wall clock that it has seen.
+    pub fn clock_steps(&self) -> u64 {
+        self.standing.as_ref().map_or(0, |standing| standing.clock_steps)
+    }
+
     /// Share of one core that the real-time thread used while it was measured.
     pub fn rt_cpu_share(&self) -> f64 {
         let (Some(begin), Some(end)) = (&self.standing_at_begin, &self.standing_at_end) else { return 0.0 };

@@ -22,4 +22,4 @@ mod outcome;
 mod processes;
 mod run;
 
-pub use run::{Outcome, RunOptions, run};
+pub use run::{Lab, Outcome, RunOptions};

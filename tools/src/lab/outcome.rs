@@ -38,7 +38,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
         rt_cpu_percent: members.iter().map(Member::rt_cpu_share).sum::<f64>() * 100.0,
-        clock_steps: parts.wall_steps,
+        clock_steps: parts.wall_steps + members.iter().map(Member::clock_steps).sum::<u64>(),
         capture_dropped: parts.dropped,
         ..Figures::default()
     };

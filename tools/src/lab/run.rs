@@ -60,8 +60,8 @@ pub struct Outcome {
     pub slot_error_abs: SignedHistogram,
 }
 
-/// A running lab.
-struct Lab {
+/// A network that has been stood up; dropping it takes it down.
+pub struct Lab {
     // Fields are dropped in this order: processes first, then what they live in.
     members: Vec<Member>,
     told: Receiver<Told>,
@@ -78,18 +78,18 @@ struct Lab {
     next_progress: Option<Instant>,
 }
 
-/// Stands a network up, measures it, and takes it down again.
-pub fn run(scenario: &Scenario, options: &RunOptions) -> Result<Outcome> {
-    let mut lab = Lab::set_up(scenario, options)?;
-    lab.join(scenario)?;
-    let host = HostFacts::begin();
-    lab.measure(scenario)?;
-    lab.end()?;
-    outcome::of(scenario, lab.parts(), host.finish())
-}
-
 impl Lab {
-    fn set_up(scenario: &Scenario, options: &RunOptions) -> Result<Self> {
+    /// Waits until all stations are locked, measures, and takes the network down again.
+    pub fn run(mut self, scenario: &Scenario) -> Result<Outcome> {
+        self.join(scenario)?;
+        let host = HostFacts::begin();
+        self.measure(scenario)?;
+        self.end()?;
+        outcome::of(scenario, self.parts(), host.finish())
+    }
+
+    /// Stands a network up: its medium, its namespaces, its stations' processes.
+    pub fn set_up(scenario: &Scenario, options: &RunOptions) -> Result<Self> {
         let cpus = allowed_cpus();
         let cpu = options.cpu.or(cpus.last().copied()).unwrap_or(0);
         if !cpus.contains(&cpu) {

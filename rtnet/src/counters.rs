@@ -37,6 +37,8 @@ refusals! {
     OtherDiscipline = "other_discipline",
     /// A tunnelled frame, and nothing here that unwraps it.
     NoTunnel = "no_tunnel",
+    /// Sent by a group, or by this station's own address: nobody who is one station.
+    ForgedSource = "forged_source",
     /// Ends before its last field.
     Truncated = "truncated",
     /// A TDMA frame whose version is not 0x0201.

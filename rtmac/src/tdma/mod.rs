@@ -417,3 +417,6 @@ impl Tdma {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -16,6 +16,10 @@ impl Tdma {
         header: &Header,
         message: Message,
     ) -> Result<(), Refusal> {
+        // Whom a station answers, it finds in the source.
+        if header.source.is_group() || header.source == self.address {
+            return Err(Refusal::ForgedSource);
+        }
         let events = &mut self.events;
         match (message, &mut self.role) {
             (Message::Sync { .. }, Role::Master(master)) => {

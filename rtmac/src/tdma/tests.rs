@@ -1,0 +1,115 @@
+use super::*;
+use rtnet::discipline::SyncState;
+
+const OWN: Address = Address([2, 0, 0, 0, 0, 1]);
+const OTHER: Address = Address([2, 0, 0, 0, 0, 2]);
+
+fn config(role: RoleConfig) -> TdmaConfig {
+    let offset = Span::from_micros(400);
+    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: Span::from_micros(20) };
+    let (max_slot_id, lead, late) = (DEFAULT_MAX_SLOT_ID, DEFAULT_LEAD, LatePolicy::Skip);
+    TdmaConfig { address: OWN, role, slots: vec![slot], max_slot_id, lead, late }
+}
+
+fn master_config() -> MasterConfig {
+    let late = Span::from_micros(40);
+    MasterConfig {
+        cycle: Span::from_millis(1),
+        sync_latest: late,
+        reply_latest: late,
+        epoch: Default::default(),
+    }
+}
+
+fn at(micros: u64) -> Instant {
+    Instant::from_nanos(micros * 1_000)
+}
+
+/// A master in its first cycle: listening began at 0, cycle 1 begins at 4 ms.
+fn active_master() -> Tdma {
+    let mut tdma = Tdma::new(&config(RoleConfig::Master(master_config()))).unwrap();
+    tdma.on_timeout(at(0));
+    tdma.on_timeout(at(3_000));
+    assert_eq!(tdma.time().state, SyncState::Locked);
+    tdma
+}
+
+fn hear(tdma: &mut Tdma, source: Address, message: Message) -> Claimed {
+    let mut frame = Pool::new(1).take().unwrap();
+    message.write(OWN, source, &mut frame);
+    tdma.on_frame(Some(at(3_500)), frame)
+}
+
+#[test]
+fn nobody_is_answered_who_cannot_be_one_station() {
+    let request = Message::Request { xmit: 0, reply_cycle: 2, reply_offset: 0 };
+    let mut master = active_master();
+    for source in [Address::BROADCAST, Address([3, 0, 0, 0, 0, 1]), OWN] {
+        let claimed = hear(&mut master, source, request);
+        assert!(matches!(claimed, Claimed::Refused(Refusal::ForgedSource)), "{source}: {claimed:?}");
+    }
+    assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
+}
+
+#[test]
+fn a_master_wakes_a_lead_before_its_sync_and_stamps_it_at_byte_26() {
+    let mut master = active_master();
+    assert_eq!(master.next_deadline(), Some(at(4_000) - DEFAULT_LEAD));
+    assert!(master.next_transmission(at(3_949)).is_none(), "too early");
+    let sync = master.next_transmission(at(3_950)).unwrap();
+    assert_eq!((sync.at, sync.latest), (at(4_000), at(4_040)));
+    assert_eq!(sync.stamp.unwrap().at_byte, 26);
+    assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { cycle: 1, .. }))));
+}
+
+#[test]
+fn a_late_sync_is_skipped_and_the_next_carries_the_grids_number() {
+    let mut master = active_master();
+    let sync = master.next_transmission(at(6_041)).map(|sync| wire::parse(&sync.frame).map(|_| sync.at));
+    assert_eq!(sync, None, "cycles 1 to 3 have passed, cycle 4 has not come");
+    assert_eq!(master.status().counters.syncs_skipped, 3);
+    let sync = master.next_transmission(at(6_960)).unwrap();
+    assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { cycle: 4, .. }))));
+}
+
+#[test]
+fn what_was_late_comes_back_and_can_be_put_back() {
+    let mut master = active_master();
+    master.next_transmission(at(3_960)).unwrap();
+    assert!(master.on_sent(Sent::At(at(4_000))).is_none());
+    let mut frame = Pool::new(1).take().unwrap();
+    frame.fill(&[0; 60]);
+    master.enqueue(frame, Priority::DEFAULT, 0).unwrap();
+    let opportunity = master.opportunity(at(4_360)).unwrap();
+    assert_eq!((opportunity.cycle, opportunity.begin), (1, at(4_400)));
+    let data = master.next_transmission(at(4_360)).unwrap();
+    let late = master.on_sent(Sent::Late(at(4_421), data.frame)).unwrap();
+    assert_eq!((late.priority, late.channel), (Priority::DEFAULT, 0));
+    assert_eq!(master.status().counters.overruns, 1);
+    master.put_back(late);
+    master.next_transmission(at(4_960)).unwrap();
+    master.on_sent(Sent::At(at(5_000)));
+    assert!(master.next_transmission(at(5_360)).is_some(), "in the next cycle");
+}
+
+#[test]
+fn a_slave_is_silent_before_it_has_heard_anything() {
+    let mut slave =
+        Tdma::new(&config(RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None }))).unwrap();
+    slave.on_timeout(at(9_000));
+    assert_eq!(slave.next_deadline(), None);
+    assert!(slave.opportunity(at(9_000)).is_none() && slave.next_transmission(at(9_000)).is_none());
+}
+
+#[test]
+fn slots_change_by_command_and_a_masters_must_be_in_its_cycle() {
+    let mut master = active_master();
+    let slot = config(RoleConfig::Master(master_config())).slots[0];
+    let beyond = SlotConfig { id: 2, offset: Span::from_millis(1), ..slot };
+    let refused = master.command(at(3_500), TdmaCommand::SetSlot(beyond)).unwrap_err();
+    assert!(refused.to_string().contains("beyond the cycle of 1ms"), "{refused}");
+    master.command(at(3_500), TdmaCommand::SetSlot(SlotConfig { id: 2, ..slot })).unwrap();
+    assert_eq!(master.payload_limit(2), Ok(100));
+    master.command(at(3_500), TdmaCommand::RemoveSlot(2)).unwrap();
+    assert_eq!(master.payload_limit(2), Err(SendError::NoSlot(2)));
+}

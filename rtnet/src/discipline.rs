@@ -226,6 +226,8 @@ pub enum EventKind {
     StalledInSend,
     /// A slot was passed over because synchronisation did not allow it.
     SlotSilent,
+    /// A slot begins after the master's cycle ends, by so much: it is never used.
+    SlotBeyondCycle,
     /// The kernel refused a frame; the span is its error number.
     SendFailed,
     /// The master skipped a Synchronisation because its window had passed by so much.
@@ -250,10 +252,11 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 13] = [
+    pub const ALL: [EventKind; 14] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::SlotSilent,
+        EventKind::SlotBeyondCycle,
         EventKind::SendFailed,
         EventKind::SyncSkipped,
         EventKind::TimeStep,
@@ -272,6 +275,7 @@ impl EventKind {
             EventKind::Overrun => "overrun",
             EventKind::StalledInSend => "stalled_in_send",
             EventKind::SlotSilent => "slot_silent",
+            EventKind::SlotBeyondCycle => "slot_beyond_cycle",
             EventKind::SendFailed => "send_failed",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::TimeStep => "time_step",

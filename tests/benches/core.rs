@@ -25,7 +25,7 @@ use rtnet::live::Port;
 use rtnet::live::clock::monotonic;
 use rtnet::live::interface::Interface;
 use rtnet::time::{GlobalTime, Span};
-use rtnet::wire::ethernet::{Address, EtherType, MIN_FRAME};
+use rtnet::wire::ethernet::{Address, EtherType};
 use rtnet::{Pool, Priority, PriorityQueue, buf};
 use tools::lab::namespace::{Namespace, Segment};
 
@@ -137,10 +137,10 @@ fn frame(mode: &mut Mode) -> Result<()> {
     let pool = Pool::new(BUFFERS);
     let at = clock.local(now);
     let latest = at + Span::from_millis(3_600_000);
-    let mut cycle = 0u32;
+    let mut cycle = 0;
+    let sched = GlobalTime::from_nanos(0);
     mode.subject("frame/rtnet", || {
-        cycle = cycle.wrapping_add(1);
-        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+        cycle += 1;
         let message = Message::Sync { cycle, xmit: sched, sched };
         let mut frame = pool.take().expect("every sent frame goes home");
         message.write(THERE, HERE, &mut frame);
@@ -149,9 +149,7 @@ fn frame(mode: &mut Mode) -> Result<()> {
     });
 
     let mut frame = pool.take().expect("every sent frame goes home");
-    let zero = GlobalTime::from_nanos(0);
-    Message::Sync { cycle, xmit: zero, sched: zero }.write(THERE, HERE, &mut frame);
-    assert_eq!(frame.len(), MIN_FRAME);
+    Message::Sync { cycle, xmit: sched, sched }.write(THERE, HERE, &mut frame);
     mode.subject("frame/bare_send", || assert!(bare.send(&frame), "{}", io::Error::last_os_error()));
     Ok(())
 }
@@ -173,7 +171,7 @@ impl Bare {
         link.sll_family = libc::AF_PACKET as u16;
         link.sll_ifindex = interface.index as i32;
         let len = size_of_val(&link) as libc::socklen_t;
-        // SAFETY: `link` is alive for the call, and its true size is passed.
+        // SAFETY: `link` is alive for the call, and `len` its true size.
         let bound = unsafe { libc::bind(socket.as_raw_fd(), (&raw const link).cast(), len) };
         if bound < 0 { Err(io::Error::last_os_error()) } else { Ok(Self(socket)) }
     }

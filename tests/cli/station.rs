@@ -77,7 +77,9 @@ fn refused(output: &Output) -> String {
 
 #[test]
 fn an_interface_that_does_not_exist_is_named_with_those_there_are() {
-    let output = rtnet().args(["station", "--interface", "nosuch0", "--slave"]).output().unwrap();
+    let output =
+        rtnet().args(["station", "--interface", "nosuch0", "--slave", "--rounds", "0"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
     let message = refused(&output);
     assert!(message.contains("there is no interface 'nosuch0' here; there are: ") && message.contains("lo"));
 }
@@ -122,7 +124,7 @@ fn a_name_is_taken_once() {
         return;
     }
     let medium = Medium::new();
-    let options = ["--interface", "rt0", "--slave", "--name", "taken-once"];
+    let options = ["--interface", "rt0", "--slave", "--rounds", "0", "--name", "taken-once"];
     let first = Station::start(&medium.a, &options);
     first.wait_for("Ctrl-C ends it");
     let mut second = rtnet();

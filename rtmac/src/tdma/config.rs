@@ -4,6 +4,7 @@ use rtnet::discipline::{Channel, Refused};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
+use super::slave::PERIODS;
 use super::{MasterConfig, SlaveConfig, SlotConfig};
 
 /// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
@@ -57,8 +58,13 @@ pub enum TdmaCommand {
 
 /// A master knows its cycle, so that its own slots can be checked against it.
 pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
-    if master.cycle <= Span::ZERO {
-        return Err(Refused(format!("a cycle of {} is none", master.cycle)));
+    let MasterConfig { cycle, sync_latest, .. } = master;
+    if !PERIODS.contains(&cycle) {
+        let (least, most) = (PERIODS.start(), PERIODS.end());
+        return Err(Refused(format!("a cycle of {cycle}: no slave follows one outside {least} to {most}")));
+    }
+    if sync_latest >= cycle {
+        return Err(Refused(format!("a sync window that lasts beyond the cycle of {cycle}: shorten it")));
     }
     match slots.iter().find(|slot| slot.offset >= master.cycle) {
         Some(slot) => {

@@ -88,6 +88,9 @@ impl Tdma {
             RoleConfig::Slave(slave) if slave.rounds > MAX_ROUNDS => {
                 return Err(Refused(format!("{} calibration rounds: at most {MAX_ROUNDS}", slave.rounds)));
             }
+            RoleConfig::Slave(slave) if slave.rounds > 0 && config.slots.is_empty() => {
+                return Err(Refused("a slave calibrates in its first slot: give it one, or 0 rounds".into()));
+            }
             RoleConfig::Slave(slave) => Role::Slave(Slave::new(slave)),
         };
         Ok(Self {
@@ -375,7 +378,8 @@ impl Discipline for Tdma {
                     checked(*master.config(), &[slot])?;
                 }
                 let cycle = self.line().map_or(0, |line| line.cycle);
-                self.slots.set(slot, cycle)
+                self.counters.returned_dropped += self.slots.set(slot, cycle)?;
+                Ok(())
             }
             TdmaCommand::RemoveSlot(id) => self.slots.remove(id),
         }

@@ -34,6 +34,10 @@ impl Tdma {
                 let followed = slave.on_sync(rx, header.source, cycle, xmit, sched, events)?;
                 if let (Followed::NewLine, Some(line)) = (followed, slave.line()) {
                     self.slots.align(line, rx);
+                    if let Some(beyond) = self.slots.longest_offset().filter(|offset| *offset >= line.period)
+                    {
+                        events.note(cycle, EventKind::SlotBeyondCycle, beyond - line.period);
+                    }
                 }
                 Ok(())
             }

@@ -34,10 +34,11 @@ const STEP_PARTS: i64 = 100;
 /// The line is good for so many cycles without a Synchronisation, at clocks 200 ppm apart.
 const LINE_GOOD_FOR: i32 = 1_000;
 const DRIFT_PARTS: i64 = 5_000;
-/// A cycle starts at most this long before or after its Synchronisation is received.
+/// A cycle starts at most this long before or after its Synchronisation is received; once the period is
+/// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
 /// Periods outside this are nobody's.
-const PERIODS: core::ops::RangeInclusive<Span> = Span::from_micros(1)..=Span::from_millis(100_000);
+pub const PERIODS: core::ops::RangeInclusive<Span> = Span::from_micros(1)..=Span::from_millis(100_000);
 
 /// What is configured of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,7 +116,9 @@ impl Slave {
         let delay = self.calibration.delay().unwrap_or(Span::ZERO);
         let offset = line::offset(xmit, delay, rx);
         let mark = Mark { cycle, sched, offset };
-        if (line::cycle_start(sched, offset) - rx).abs() > MAX_SYNC_AGE {
+        let age = (mark.start() - rx).abs();
+        let known = self.line().map_or(MAX_SYNC_AGE, |line| line.period);
+        if age > known {
             return Err(Refusal::ImplausibleSync);
         }
         let followed = match &mut self.track {
@@ -124,8 +127,8 @@ impl Slave {
                 Followed::Pending
             }
             Track::First(first) => match first.line_to(&mark, self.step_limit) {
-                Some(line) => self.adopt(line),
-                None => {
+                Some(line) if age <= line.period => self.adopt(line),
+                _ => {
                     self.track = Track::First(mark);
                     Followed::Pending
                 }
@@ -141,7 +144,9 @@ impl Slave {
                     *line = TimeLine { cycle, start: mark.start(), sched, offset, ..*line };
                     *step = None;
                     Followed::Agrees
-                } else if let Some(line) = step.and_then(|step| step.line_to(&mark, self.step_limit)) {
+                } else if let Some(line) = step.and_then(|step| step.line_to(&mark, self.step_limit))
+                    && age <= line.period
+                {
                     self.adopt(line)
                 } else {
                     *step = Some(mark);
@@ -209,11 +214,11 @@ impl Slave {
         }
     }
 
-    /// Whether anything may be sent in `cycle`: not without its Synchronisation or the one before,
+    /// Whether anything may be sent in `cycle`: not without (or long after) its Synchronisation or the one before,
     /// not while a time step is unconfirmed, not in a cycle whose number came twice.
     pub fn may_send(&self, cycle: u32) -> bool {
         let Track::On { line, step } = &self.track else { return false };
-        line.ahead(cycle) <= HOLDOVER_CYCLES && step.is_none() && self.doubted != Some(cycle)
+        line.ahead(cycle).abs() <= HOLDOVER_CYCLES && step.is_none() && self.doubted != Some(cycle)
     }
 
     /// The line that is followed. Without Synchronisations it is kept for a while, so that slots that

@@ -81,17 +81,23 @@ impl Slots {
         Self { table: (0..=max_id).map(|_| None).collect() }
     }
 
-    /// Defines or changes a slot, from the cycle after `cycle` on. Queued frames that still fit stay.
-    pub fn set(&mut self, config: SlotConfig, cycle: u32) -> Result<(), Refused> {
+    /// Defines or changes a slot, from the cycle after `cycle` on. Queued frames that still fit stay;
+    /// tells how many did not.
+    pub fn set(&mut self, config: SlotConfig, cycle: u32) -> Result<u64, Refused> {
         config.check((self.table.len() - 1) as u8)?;
         let next = next_cycle(cycle.wrapping_add(1), config.phase, config.period);
         let place = &mut self.table[usize::from(config.id)];
-        let queue = match place.take() {
-            Some(old) if old.config.size <= config.size => old.queue,
-            _ => PriorityQueue::new(QUEUE_CAPACITY),
-        };
+        let mut queue = PriorityQueue::new(QUEUE_CAPACITY);
+        let mut dropped = 0;
+        if let Some(mut old) = place.take() {
+            while let Some((priority, frame)) = old.queue.pop() {
+                let fits = payload_of(&frame) <= config.size.max(MIN_SIZE);
+                // As many places as before: what fits the slot fits the queue.
+                dropped += u64::from(!fits || queue.push(priority, frame).is_err());
+            }
+        }
         *place = Some(Slot { config, queue, next });
-        Ok(())
+        Ok(dropped)
     }
 
     pub fn remove(&mut self, id: Channel) -> Result<(), Refused> {
@@ -107,6 +113,11 @@ impl Slots {
         self.iter().next().map(|slot| &slot.config)
     }
 
+    /// Where the last slot begins.
+    pub fn longest_offset(&self) -> Option<Span> {
+        self.iter().map(|slot| slot.config.offset).max()
+    }
+
     pub fn get(&self, id: Channel) -> Option<&SlotConfig> {
         self.table.get(usize::from(id))?.as_ref().map(|slot| &slot.config)
     }
@@ -115,10 +126,9 @@ impl Slots {
     pub fn align(&mut self, line: &TimeLine, from: Instant) {
         for slot in self.table.iter_mut().flatten() {
             let SlotConfig { phase, period, offset, .. } = slot.config;
-            slot.next = next_cycle(line.cycle, phase, period);
-            if line.start_of(slot.next) + offset < from {
-                slot.next = next_cycle(slot.next.wrapping_add(1), phase, period);
-            }
+            let gone = (from - (line.start + offset)).nanos();
+            let passed = if gone > 0 { (gone - 1) / line.period.nanos() + 1 } else { 0 };
+            slot.next = next_cycle(line.cycle.wrapping_add(passed as u32), phase, period);
         }
     }
 
@@ -147,7 +157,7 @@ impl Slots {
 
     pub fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
         let Some(slot) = self.resolve(ch) else { return Err((SendError::NoSlot(ch), frame)) };
-        let (got, limit) = (frame.len().saturating_sub(ethernet::HEADER_LEN), slot.config.size);
+        let (got, limit) = (payload_of(&frame), slot.config.size);
         // A frame padded to the Ethernet minimum fits every slot.
         if got > limit.max(MIN_SIZE) {
             return Err((SendError::TooLong { channel: ch, got, limit }, frame));
@@ -182,6 +192,10 @@ impl Slots {
     fn iter(&self) -> impl Iterator<Item = &Slot> {
         self.table.iter().flatten()
     }
+}
+
+fn payload_of(frame: &[u8]) -> usize {
+    frame.len().saturating_sub(ethernet::HEADER_LEN)
 }
 
 #[cfg(test)]

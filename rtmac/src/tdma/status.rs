@@ -33,7 +33,7 @@ pub struct Counters {
     pub replies_sent: u64,
     /// Calibration replies that were too late and not sent.
     pub replies_late: u64,
-    /// Frames that missed their slot and whose slot is gone or full.
+    /// Frames dropped because their slot is gone, full, or too small for them now.
     pub returned_dropped: u64,
 }
 

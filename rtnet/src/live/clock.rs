@@ -10,7 +10,7 @@ use crate::clock::True;
 const STEP: u64 = 1_000;
 /// A sample whose two outer readings are further apart was interrupted and is taken again.
 const INTERRUPTED: u64 = 1_000;
-/// After so many interrupted samples the last is taken as it is.
+/// After so many interrupted samples the least interrupted is taken.
 const TRIES: u32 = 4;
 
 /// CLOCK_MONOTONIC, nanoseconds.
@@ -68,18 +68,21 @@ impl WallClock {
     /// Samples the difference; `false` when it has stepped since the last sample, so that stamps taken
     /// in between mean nothing.
     pub fn sample(&mut self) -> bool {
-        let mut ahead = 0;
+        let (mut ahead, mut width) = (0, u64::MAX);
         for _ in 0..TRIES {
             let before = monotonic();
             let wall = realtime();
             let after = monotonic();
-            ahead = wall.wrapping_sub(before + (after - before) / 2);
-            if after - before < INTERRUPTED {
+            if after - before < width {
+                width = after - before;
+                ahead = wall.wrapping_sub(before + width / 2);
+            }
+            if width < INTERRUPTED {
                 break;
             }
         }
         let moved = (ahead.wrapping_sub(self.ahead) as i64).unsigned_abs();
-        let stepped = self.sampled && moved > STEP;
+        let stepped = self.sampled && moved > STEP + width / 2;
         *self = Self { ahead, sampled: true, steps: self.steps + u64::from(stepped) };
         !stepped
     }

@@ -18,6 +18,8 @@ use super::port::{Port, PortCounters};
 const LONGEST_SLEEP: True = 100_000_000;
 /// How often a snapshot is published.
 const SNAPSHOT_EVERY: True = 100_000_000;
+/// Snapshots that wait; with none looked at, the oldest stay.
+const SNAPSHOTS: usize = 4;
 /// Records that wait for the control thread: a second of what eight slots a millisecond can tell.
 const RECORDS: usize = 16_384;
 
@@ -77,7 +79,7 @@ impl<D: Discipline> Driver<D> {
             port,
             config,
             records: Arc::new(ArrayQueue::new(RECORDS)),
-            snapshots: Arc::new(ArrayQueue::new(1)),
+            snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
             records_lost: 0,
             next_snapshot: 0,
         }
@@ -88,7 +90,7 @@ impl<D: Discipline> Driver<D> {
         self.records.clone()
     }
 
-    /// Where the loop leaves its newest snapshot.
+    /// Where the loop leaves its snapshots, oldest first.
     pub fn snapshots(&self) -> Arc<ArrayQueue<Snapshot<D::Status>>> {
         self.snapshots.clone()
     }
@@ -109,7 +111,7 @@ impl<D: Discipline> Driver<D> {
         station.on_timeout(now);
         if let Some(transmission) = station.next_transmission(now) {
             let sent = port.transmit(transmission);
-            let sampled = matches!(sent, Sent::At(_));
+            let sampled = matches!(sent, Sent::At(_) | Sent::StalledUntil(_));
             station.on_sent(sent);
             port.drain_data(|rx, frame| station.on_frame(rx, frame));
             self.tell(sampled);
@@ -130,7 +132,8 @@ impl<D: Discipline> Driver<D> {
             self.record(Record::Event(event));
         }
         let time = self.station.discipline().time();
-        if self.config.sample_time && sample_time && time.state == SyncState::Locked {
+        let synchronised = matches!(time.state, SyncState::Locked | SyncState::Holdover);
+        if self.config.sample_time && sample_time && synchronised {
             self.record(Record::Time(now, time.offset.global(self.port.clock().local(now))));
         }
         if now >= self.next_snapshot {
@@ -146,7 +149,9 @@ impl<D: Discipline> Driver<D> {
 
     fn publish(&mut self, now: True) {
         self.next_snapshot = now + SNAPSHOT_EVERY;
-        self.snapshots.force_push(Snapshot {
+        // A full queue means that nobody looks: the next snapshot says as much. Pushing never waits for
+        // a reader that was preempted, which replacing the oldest would.
+        let _ = self.snapshots.push(Snapshot {
             at: now,
             status: self.station.discipline().status(),
             refusals: *self.station.refusals(),

@@ -18,6 +18,8 @@ use super::{filter, packet};
 const RECEIVE_POOL: usize = 32;
 /// Frames taken from one socket in one turn at the most, so that a flood cannot hold up a slot.
 const DRAIN_AT_MOST: usize = 32;
+/// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
+const COST_AT_MOST: True = 5_000;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
 const COST_AGES: u64 = 2;
 
@@ -29,6 +31,8 @@ pub struct Port {
     pool: Pool,
     clock: EmulatedClock,
     wall: WallClock,
+    /// Whether the wall clock has not stepped since the frames now waiting could have been stamped.
+    trusted: bool,
     spin: True,
     send_cost: Option<True>,
     counters: PortCounters,
@@ -71,6 +75,7 @@ impl Port {
             pool: Pool::new(RECEIVE_POOL),
             clock,
             wall: WallClock::default(),
+            trusted: true,
             spin,
             send_cost: None,
             counters: PortCounters::default(),
@@ -95,17 +100,17 @@ impl Port {
 
     /// Hands over the control frames that have arrived, each with its stamp on the station's clock.
     pub fn drain_control(&mut self, mut to: impl FnMut(Option<Instant>, Buf)) {
-        let trusted = self.wall.sample();
-        let Self { control, pool, clock, wall, counters, .. } = self;
-        drain(control, pool, counters, |stamp, frame| to(on_clock(stamp, trusted, clock, wall), frame));
+        self.trusted = self.wall.sample();
+        let Self { control, pool, clock, wall, trusted, counters, .. } = self;
+        drain(control, pool, counters, |stamp, frame| to(on_clock(stamp, *trusted, clock, wall), frame));
     }
 
-    /// The same for data frames.
+    /// The same for data frames, by the same sample of the wall clock: one a turn, so that a step is
+    /// seen before any control frame is trusted.
     pub fn drain_data(&mut self, mut to: impl FnMut(Option<Instant>, Buf)) {
-        let trusted = self.wall.sample();
-        let Self { data, pool, clock, wall, counters, .. } = self;
+        let Self { data, pool, clock, wall, trusted, counters, .. } = self;
         for socket in data {
-            drain(socket, pool, counters, |stamp, frame| to(on_clock(stamp, trusted, clock, wall), frame));
+            drain(socket, pool, counters, |stamp, frame| to(on_clock(stamp, *trusted, clock, wall), frame));
         }
     }
 
@@ -146,7 +151,7 @@ impl Port {
     /// From the last look at the clock to the wire passes about half of what `send` takes. The smallest
     /// of the last frames counts: what is above it is preemption, which cannot be anticipated.
     fn learn_cost(&mut self, took: True) {
-        let half = took / 2;
+        let half = (took / 2).min(COST_AT_MOST);
         self.send_cost = Some(self.send_cost.map_or(half, |cost| half.min(cost + COST_AGES)));
     }
 }

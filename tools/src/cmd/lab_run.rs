@@ -1,5 +1,6 @@
 //! `rtnet lab run`.
 
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
@@ -15,33 +16,38 @@ const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_SEED: u64 = 1;
 /// Runs up to this long show no progress.
 const SHORT: Span = Span::from_millis(2_000);
+/// Cycles that a network takes to come up: calibration, mostly.
+const JOINING_CYCLES: i64 = 250;
 /// Columns of the report when the terminal does not say.
 const WIDTH: usize = 100;
 
 /// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
 pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
     let scenario = scenario(args).map_err(Failure::Usage)?;
-    for path in args.json.iter().chain(&args.pcap) {
-        writable(path).map_err(Failure::Usage)?;
-    }
     let options = RunOptions {
         warm_core: args.warm_core,
         cpu: args.cpu,
         pcap: args.pcap.clone(),
-        progress: scenario.duration > SHORT,
+        // Stations may take a while to be locked, too.
+        progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
     };
     if !nix::unistd::geteuid().is_root() {
         let error =
             anyhow!("a lab makes network namespaces, which takes root (CAP_SYS_ADMIN): run it with sudo");
         return Err(Failure::Usage(error));
     }
+    for path in args.json.iter().chain(&args.pcap) {
+        writable(path).map_err(Failure::Usage)?;
+    }
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
     let outcome = lab.run(&scenario).map_err(Failure::Run)?;
     let width = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok()).unwrap_or(WIDTH);
-    print!("{}", screen::render(&outcome.figures, width.max(screen::WIDTH_MIN), &outcome.slot_error_abs));
     if let Some(path) = &args.json {
         write_json(path, &outcome.figures).map_err(Failure::Run)?;
     }
+    let screen = screen::render(&outcome.figures, width.max(screen::WIDTH_MIN), &outcome.slot_error_abs);
+    // Whoever closed our output does not want to read the rest.
+    let _ = std::io::stdout().write_all(screen.as_bytes());
     Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
 }
 
@@ -64,13 +70,15 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
     }
     if let Some(seed) = args.seed {
         scenario.seed = seed;
+        scenario = scenario.with_random_clocks();
     }
     Ok(if args.ideal_clocks { scenario.with_ideal_clocks() } else { scenario })
 }
 
 /// A file that cannot be written is better known before the run than after it.
 fn writable(path: &Path) -> anyhow::Result<()> {
-    std::fs::File::create(path).with_context(|| format!("{} cannot be written", path.display())).map(drop)
+    let open = std::fs::File::options().append(true).create(true).open(path);
+    open.with_context(|| format!("{} cannot be written", path.display())).map(drop)
 }
 
 fn write_json(path: &Path, figures: &crate::report::figures::Figures) -> anyhow::Result<()> {

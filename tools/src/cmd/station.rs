@@ -54,7 +54,8 @@ pub fn parse_slot(text: &str) -> Result<SlotArg, String> {
 /// Runs a station until it is told to stop.
 pub fn station(args: &StationArgs) -> Result<u8, Failure> {
     let options = options(args).map_err(Failure::Usage)?;
-    station::run(options).map(|()| 0).map_err(Failure::Run)
+    let station = station::set_up(options).map_err(Failure::Usage)?;
+    station.run().map(|()| 0).map_err(Failure::Run)
 }
 
 fn options(args: &StationArgs) -> anyhow::Result<Options> {

@@ -168,6 +168,12 @@ impl Analysis {
         }
     }
 
+    /// Stamps before and after this moment cannot be compared.
+    pub fn lose_sight(&mut self) {
+        self.busy = None;
+        self.last_sync = None;
+    }
+
     /// The window has passed: slots without a frame at its end are missed, too.
     pub fn finish(&mut self) {
         let Some((from, _)) = self.window else { return };
@@ -202,7 +208,7 @@ impl Analysis {
     }
 
     fn occupy(&mut self, at: True, air: Span, cycle: Option<u32>, who: Option<usize>) {
-        let until = at + air.nanos() as u64;
+        let until = at.saturating_add(air.nanos() as u64);
         if let Some((busy_until, before)) = self.busy
             && at < busy_until
             && let Some(cycle) = cycle

@@ -50,10 +50,11 @@ impl Records {
     }
 }
 
-/// What may have caused a finding of this kind at the station itself.
+/// What may have caused a finding of this kind at the station itself. A silent slot is a station that did
+/// what it must without a sync; one that never recovers fails the verdict by its state.
 fn causes(kind: FindingKind) -> &'static [EventKind] {
     match kind {
-        FindingKind::Overlap | FindingKind::OutOfSlot => &[EventKind::StalledInSend, EventKind::TimeStep],
+        FindingKind::Overlap | FindingKind::OutOfSlot => &[EventKind::StalledInSend],
         FindingKind::SyncGap => &[EventKind::SyncSkipped, EventKind::StalledInSend, EventKind::SendFailed],
         FindingKind::SlotMissed => {
             &[EventKind::Overrun, EventKind::SlotSilent, EventKind::StalledInSend, EventKind::SendFailed]

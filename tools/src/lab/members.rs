@@ -104,6 +104,20 @@ impl Member {
         count(&self.standing).saturating_sub(count(&self.standing_at_begin))
     }
 
+    /// Test traffic missing between frames that it received, since the begin.
+    pub fn sequence_gaps(&self) -> u64 {
+        let count = |standing: &Option<Standing>| standing.as_ref().map_or(0, |standing| standing.missing);
+        count(&self.standing_at_end).saturating_sub(count(&self.standing_at_begin))
+    }
+
+    /// Locked, or bridging one cycle, when the measurement ended.
+    pub fn was_synchronised_at_end(&self) -> bool {
+        let end = self.standing_at_end.as_ref();
+        end.is_some_and(|standing| {
+            standing.master || matches!(standing.state.as_str(), "locked" | "holdover")
+        })
+    }
+
     /// Steps of the wall clock that it has seen.
     pub fn clock_steps(&self) -> u64 {
         self.standing.as_ref().map_or(0, |standing| standing.clock_steps)

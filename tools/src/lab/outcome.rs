@@ -19,6 +19,8 @@ pub struct Parts {
     pub notes: Vec<String>,
     pub dropped: u64,
     pub wall_steps: u64,
+    /// Frames whose stamps a step of the wall clock made worthless.
+    pub distrusted: u64,
     pub interrupted: bool,
 }
 
@@ -132,6 +134,7 @@ fn station_figures(
         sync_error_ns: member.sync_error.summary(),
         rss_bytes: member.resident,
         cpu_percent: percent(member.cpu_seconds, cycles, scenario),
+        sequence_gaps: member.sequence_gaps(),
         refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         notes,
     }
@@ -166,6 +169,8 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
             reasons.push(format!("station '{}' failed: {why}", plan.name));
         } else if member.ended {
             reasons.push(format!("station '{}' (process {}) was lost", plan.name, member.pid()));
+        } else if !parts.interrupted && figures.cycles > 0 && !member.was_synchronised_at_end() {
+            reasons.push(format!("station '{}' was not synchronised at the end", plan.name));
         }
         let lost = member.standing.as_ref().map_or(0, |standing| standing.lost_records);
         if lost > 0 {
@@ -186,8 +191,13 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
     if figures.capture_dropped > 0 {
         reasons.push(format!("the observer lost {} frames", figures.capture_dropped));
     }
-    if figures.frames_seen == 0 && !parts.interrupted {
-        reasons.push("no frame was seen".into());
+    if parts.distrusted > 0 {
+        let n = parts.distrusted;
+        reasons.push(format!("the wall clock was set during the run: {n} frame{} not judged", plural(n)));
+    }
+    let asked = (scenario.duration.nanos() / scenario.cycle.nanos()).max(1) as u64;
+    if figures.cycles < asked && !parts.interrupted {
+        reasons.push(format!("the syncs ended after {} of {asked} cycles", figures.cycles));
     }
     reasons
 }

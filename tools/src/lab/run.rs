@@ -32,10 +32,14 @@ const LOOK_EVERY: Duration = Duration::from_millis(10);
 const SETTLE_CYCLES: u32 = 50;
 /// How long stations may take to be locked, besides what calibration takes.
 const JOIN_WITHIN: Duration = Duration::from_secs(5);
+/// However slow its slots, nobody waits longer for a network to come up.
+const JOIN_AT_MOST: Duration = Duration::from_secs(3_600);
 /// A calibration round takes two periods of the slot; so many times that is allowed.
 const CALIBRATION_ALLOWANCE: u32 = 3;
 /// After the last cycle, frames are still in the ring for up to its retirement time.
 const LINGER: Duration = Duration::from_millis(100);
+/// Frames that the kernel stamped before a step of the wall clock may still come out of the ring for so long.
+const DISTRUST: Duration = Duration::from_millis(100);
 /// Progress is shown so often on anything that takes longer than this.
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
@@ -67,6 +71,8 @@ pub struct Lab {
     told: Receiver<Told>,
     ring: CaptureRing,
     wall: WallClock,
+    distrusted_until: Option<Instant>,
+    distrusted: u64,
     capture: Option<CaptureFile>,
     analysis: Analysis,
     records: Records,
@@ -135,6 +141,8 @@ impl Lab {
             told,
             ring,
             wall: WallClock::default(),
+            distrusted_until: None,
+            distrusted: 0,
             capture,
             analysis: Analysis::new(scenario, master),
             records: Records::default(),
@@ -151,10 +159,11 @@ impl Lab {
     fn join(&mut self, scenario: &Scenario) -> Result<()> {
         let rounds = scenario.stations.iter().map(|station| {
             let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
-            station.rounds * 2 * period
+            station.rounds.saturating_mul(2).saturating_mul(period)
         });
-        let cycles = rounds.max().unwrap_or(0) * CALIBRATION_ALLOWANCE;
-        let calibration = Duration::from_nanos(scenario.cycle.nanos() as u64) * (cycles + SETTLE_CYCLES);
+        let cycles = rounds.max().unwrap_or(0).saturating_mul(CALIBRATION_ALLOWANCE);
+        let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
+        let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES)).min(JOIN_AT_MOST);
         let deadline = Instant::now() + JOIN_WITHIN + calibration;
         while !self.members.iter().all(Member::is_locked) {
             self.look()?;
@@ -186,7 +195,7 @@ impl Lab {
         for member in &mut self.members {
             member.begin();
         }
-        let allowed = Duration::from_nanos(scenario.duration.nanos() as u64 * 2) + JOIN_WITHIN;
+        let allowed = Duration::from_nanos(scenario.duration.nanos() as u64) * 2 + JOIN_WITHIN;
         let deadline = Instant::now() + allowed;
         while !self.analysis.is_complete() {
             self.look()?;
@@ -228,8 +237,12 @@ impl Lab {
     /// Takes what frames and reports there are.
     fn look(&mut self) -> Result<()> {
         std::thread::sleep(LOOK_EVERY);
-        let trusted = self.wall.sample();
-        let Self { ring, wall, analysis, capture, .. } = self;
+        if !self.wall.sample() {
+            self.distrusted_until = Some(Instant::now() + DISTRUST);
+            self.analysis.lose_sight();
+        }
+        let trusted = self.distrusted_until.is_none_or(|until| Instant::now() > until);
+        let Self { ring, wall, analysis, capture, distrusted, .. } = self;
         let mut written = Ok(());
         ring.drain(|frame| {
             if let (Some(file), true) = (capture.as_mut(), written.is_ok()) {
@@ -237,6 +250,8 @@ impl Lab {
             }
             if trusted {
                 analysis.frame(wall.truth(frame.realtime_ns), frame.bytes);
+            } else {
+                *distrusted += 1;
             }
         });
         written?;
@@ -274,6 +289,7 @@ impl Lab {
             dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),
             interrupted: self.interrupted.load(Ordering::Relaxed),
             wall_steps: self.wall.steps(),
+            distrusted: self.distrusted,
             members: self.members,
             analysis: self.analysis,
             records: self.records,

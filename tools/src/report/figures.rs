@@ -119,6 +119,8 @@ pub struct StationFigures {
     pub rss_bytes: u64,
     /// Processor time of the whole process, in per cent of one core.
     pub cpu_percent: f64,
+    /// Frames missing between those that it received: missed by their sender, or lost on the way.
+    pub sequence_gaps: u64,
     /// What the station's stack refused, by name of the refusal.
     pub refusals: BTreeMap<String, u64>,
     /// What a reader should know, such as `SCHED_FIFO refused: ...`.

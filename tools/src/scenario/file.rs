@@ -13,14 +13,14 @@
 //! name = "master"
 //! role = "master"           # exactly one
 //! payload = 64
-//! clock = { offset = "120ms", drift_ppm = 12.5 }
+//! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 }]
 //! ```
 
 use std::path::Path;
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
-use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy};
+use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS};
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
@@ -33,6 +33,10 @@ use crate::units::{AnySpan, FileRate, NonNegativeSpan, PositiveSpan};
 const DEFAULT_RATE: Rate = Rate::from_bits_per_second(1_000_000_000);
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_PAYLOAD: usize = 64;
+/// Ten times what the worst of quartz clocks do.
+const MAX_DRIFT_PPM: f64 = 1_000.0;
+/// An hour: more shows nothing that this does not.
+const MAX_OFFSET: Span = Span::from_millis(3_600_000);
 
 /// A file that is no network: where, what, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -149,8 +153,16 @@ impl Source<'_> {
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
             stations,
         };
-        if network.station.iter().all(|entry| entry.get_ref().slots.is_none()) {
-            self.divide(&mut scenario, asked)?;
+        let without =
+            |entry: &&Spanned<StationFile>| entry.get_ref().slots.as_ref().is_none_or(Vec::is_empty);
+        match network.station.iter().filter(without).count() {
+            0 => {}
+            all if all == network.station.len() => self.divide(&mut scenario, asked)?,
+            _ => {
+                let first = network.station.iter().find(without).map_or(0, |entry| entry.span().start);
+                let what = "this station has no slots, while others have: give all of them slots, or none";
+                return Err(self.impossible(first, what));
+            }
         }
         if let Some(conflict) = scenario.schedule().conflicts().first() {
             return Err(self.impossible(self.place_of(&network, conflict), conflict));
@@ -158,6 +170,7 @@ impl Source<'_> {
         if asked.is_none() {
             scenario.guard = widest_guard(&scenario);
         }
+        scenario = scenario.with_random_clocks();
         // The master comes first, as in a network without a file.
         scenario.stations.sort_by_key(|station| station.role != Role::Master);
         Ok(scenario)
@@ -198,15 +211,35 @@ impl Source<'_> {
             return Err(self.impossible(at, what));
         }
         let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload));
+        let slots = slots.collect::<Result<Vec<_>, _>>()?;
+        for (i, slot) in slots.iter().enumerate() {
+            if slots[..i].iter().any(|other| other.id == slot.id) {
+                let at = station.slots.as_ref().map_or(entry.span().start, |slots| slots[i].span().start);
+                return Err(self.impossible(at, format!("slot {} is defined twice", slot.id)));
+            }
+        }
+        if let Some(rounds) = station.rounds.filter(|&rounds| rounds > MAX_ROUNDS) {
+            let what = format!("{rounds} calibration rounds: at most {MAX_ROUNDS}");
+            return Err(self.impossible(entry.span().start, what));
+        }
         let clock = station.clock.as_ref();
+        let drift = clock.and_then(|clock| clock.drift_ppm).unwrap_or(0.0);
+        let offset = clock.and_then(|clock| clock.offset).map_or(Span::ZERO, |offset| offset.0);
+        if drift.is_nan() || drift.abs() > MAX_DRIFT_PPM || offset.abs() > MAX_OFFSET {
+            let what = format!(
+                "a clock off by {offset} and {drift} ppm: at most {MAX_OFFSET} and {MAX_DRIFT_PPM} ppm"
+            );
+            return Err(self.impossible(entry.span().start, what));
+        }
         Ok(StationPlan {
             name: station.name.get_ref().clone(),
             role: if station.role == FileRole::Master { Role::Master } else { Role::Slave },
-            clock_offset: clock.and_then(|clock| clock.offset).map_or(Span::ZERO, |offset| offset.0),
-            clock_drift_ppb: clock.and_then(|c| c.drift_ppm).map_or(0, |ppm| (ppm * 1_000.0).round() as i64),
+            clock: clock.map(|_| (offset, (drift * 1_000.0).round() as i64)),
+            clock_offset: Span::ZERO,
+            clock_drift_ppb: 0,
             payload,
             rounds: station.rounds.unwrap_or(DEFAULT_ROUNDS),
-            slots: slots.collect::<Result<_, _>>()?,
+            slots,
         })
     }
 

@@ -54,6 +54,8 @@ pub struct StationPlan {
     pub name: String,
     /// Master or slave.
     pub role: Role,
+    /// The clock that a file gives it: lead and rate error; otherwise random, by the seed.
+    pub clock: Option<(Span, i64)>,
     /// How far its clock is ahead of the host's.
     pub clock_offset: Span,
     /// How much faster its clock runs than the host's, parts per billion.
@@ -132,6 +134,7 @@ impl Uniform {
             .map(|k| StationPlan {
                 name: if k == 0 { "master".into() } else { format!("slave{k}") },
                 role: if k == 0 { Role::Master } else { Role::Slave },
+                clock: None,
                 clock_offset: Span::ZERO,
                 clock_drift_ppb: 0,
                 payload,
@@ -152,13 +155,14 @@ impl Uniform {
 }
 
 impl Scenario {
-    /// Gives every station a clock off by up to a second and 50 ppm, by the seed.
+    /// Gives every station the clock that its file says, or one off by up to a second and 50 ppm, by the
+    /// seed.
     pub fn with_random_clocks(mut self) -> Self {
         let mut random = Random::new(self.seed);
         for station in &mut self.stations {
-            station.clock_offset =
-                Span::from_nanos(random.between(-CLOCK_OFFSET.nanos(), CLOCK_OFFSET.nanos()));
-            station.clock_drift_ppb = random.between(-CLOCK_DRIFT_PPB, CLOCK_DRIFT_PPB);
+            let offset = Span::from_nanos(random.between(-CLOCK_OFFSET.nanos(), CLOCK_OFFSET.nanos()));
+            let drift = random.between(-CLOCK_DRIFT_PPB, CLOCK_DRIFT_PPB);
+            (station.clock_offset, station.clock_drift_ppb) = station.clock.unwrap_or((offset, drift));
         }
         self
     }

@@ -93,7 +93,10 @@ impl Standing {
     /// A snapshot in a form to be told.
     pub fn of(snapshot: &Snapshot<TdmaStatus>, received: u64, missing: u64) -> Self {
         let status = &snapshot.status;
-        let refusals = snapshot.refusals.nonzero().map(|(reason, n)| (reason.name().to_owned(), n));
+        let port = [("port_oversize", snapshot.port.oversize), ("port_pool_empty", snapshot.port.pool_empty)];
+        let port = port.into_iter().filter(|&(_, n)| n > 0).map(|(reason, n)| (reason.to_owned(), n));
+        let refusals =
+            snapshot.refusals.nonzero().map(|(reason, n)| (reason.name().to_owned(), n)).chain(port);
         Self {
             at: snapshot.at,
             state: status.state.name().into(),

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use nix::fcntl::{Flock, FlockArg};
 use rtmac::tdma::{RoleConfig, Tdma, TdmaConfig, TdmaStatus};
 use rtnet::clock::EmulatedClock;
-use rtnet::discipline::{EventKind, Service, SyncState};
+use rtnet::discipline::{Event, EventKind, Service, SyncState};
 use rtnet::live::interface::Interface;
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime, SLAVE_PRIORITY};
 use rtnet::live::{Driver, DriverConfig, Port, Record, Snapshot};
@@ -49,42 +49,58 @@ pub struct Options {
     pub lab: Option<LabOptions>,
 }
 
-/// Runs a station until it is told to stop; fails if it cannot be what it is to be.
-pub fn run(options: Options) -> Result<()> {
-    let _name = options.name.as_deref().map(take_name).transpose()?;
+/// A station whose sockets are open and whose name is taken.
+pub struct Ready {
+    driver: Driver<Tdma>,
+    realtime: RealTime,
+    counts: Arc<TrafficCounts>,
+    stop: Arc<AtomicBool>,
+    teller: Teller,
+    _name: Option<Flock<File>>,
+}
+
+/// Makes a station ready to run; fails if it cannot be what it is to be.
+pub fn set_up(options: Options) -> Result<Ready> {
+    let name = options.name.as_deref().map(take_name).transpose()?;
     let interface = Interface::find(&options.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
-    let mut teller = Teller::new(&options, interface.address);
-    stop_when_told(&stop, options.lab.is_some())?;
-
     let counts = Arc::new(TrafficCounts::default());
-    let mut driver = driver(&options, &interface, stop.clone(), counts.clone())?;
-    let (records, snapshots) = (driver.records(), driver.snapshots());
+    let driver = driver(&options, &interface, stop.clone(), counts.clone())?;
+    stop_when_told(&stop, options.lab.is_some())?;
     let is_master = matches!(options.tdma.role, RoleConfig::Master(_));
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
     let realtime = RealTime { priority, cpu: options.cpu };
-    let (told, refusals) = std::sync::mpsc::channel();
-    let thread = std::thread::Builder::new().name("real-time".into()).stack_size(STACK).spawn(move || {
-        // The other end waits for exactly this message.
-        let _ = told.send(realtime.apply());
-        driver.run();
-    })?;
-    teller.started(refusals.recv().context("the real-time thread did not start")?)?;
+    let teller = Teller::new(&options, interface.address);
+    Ok(Ready { driver, realtime, counts, stop, teller, _name: name })
+}
 
-    loop {
-        let ended = thread.is_finished();
-        std::thread::sleep(LOOK_EVERY);
-        let taken = std::iter::from_fn(|| records.pop()).collect();
-        let failed = teller.tell(taken, snapshots.pop(), &counts)?;
-        if let Some(why) = failed {
-            stop.store(true, Ordering::Relaxed);
-            bail!(why);
-        }
-        if ended {
-            break;
+impl Ready {
+    /// Runs until told to stop, or until the station cannot go on.
+    pub fn run(mut self) -> Result<()> {
+        let (records, snapshots) = (self.driver.records(), self.driver.snapshots());
+        let (mut driver, realtime) = (self.driver, self.realtime);
+        let (told, refusals) = std::sync::mpsc::channel();
+        let builder = std::thread::Builder::new().name("real-time".into()).stack_size(STACK);
+        let thread = builder.spawn(move || {
+            // The other end waits for exactly this message.
+            let _ = told.send(realtime.apply());
+            driver.run();
+        })?;
+        self.teller.started(refusals.recv().context("the real-time thread did not start")?)?;
+        loop {
+            let ended = thread.is_finished();
+            std::thread::sleep(LOOK_EVERY);
+            let taken = std::iter::from_fn(|| records.pop()).collect();
+            let newest = std::iter::from_fn(|| snapshots.pop()).last();
+            if let Some(why) = self.teller.tell(taken, newest, &self.counts)? {
+                self.stop.store(true, Ordering::Relaxed);
+                bail!(why);
+            }
+            if ended {
+                return thread.join().map_err(|_| anyhow!("the real-time thread panicked"));
+            }
         }
     }
-    thread.join().map_err(|_| anyhow!("the real-time thread panicked"))
 }
 
 fn driver(
@@ -173,7 +189,7 @@ impl Teller {
             Some(_) => Teller::Lab,
             None => {
                 let name = options.name.clone().unwrap_or_else(|| options.interface.clone());
-                println!("{name}: on {} ({address}); Ctrl-C ends it", options.interface);
+                print(&format!("{name}: on {} ({address}); Ctrl-C ends it", options.interface));
                 Teller::Person { name, state: SyncState::Waiting, last: None }
             }
         }
@@ -218,13 +234,13 @@ impl Teller {
                     if let Record::Event(event) = record
                         && event.kind != EventKind::SlotSilent
                     {
-                        println!("{name}: cycle {}: {} ({})", event.cycle, event.kind.name(), event.span);
+                        print(&format!("{name}: cycle {}: {}", event.cycle, event_line(&event)));
                     }
                 }
                 if let Some(Snapshot { status, .. }) = snapshot {
                     if status.state != *state {
                         *state = status.state;
-                        println!("{name}: {}", standing_line(&status));
+                        print(&format!("{name}: {}", standing_line(&status)));
                     }
                     *last = Some(Box::new(status));
                 }
@@ -238,7 +254,7 @@ impl Drop for Teller {
     fn drop(&mut self) {
         if let Teller::Person { name, last: Some(status), .. } = self {
             let counters = &status.counters;
-            println!(
+            print(&format!(
                 "{name}: ended in cycle {} ({}): {} syncs sent, {} skipped, {} received; {} frames sent, {} \
                  overruns, {} stalled in send",
                 status.cycle,
@@ -249,8 +265,26 @@ impl Drop for Teller {
                 counters.frames_sent,
                 counters.overruns,
                 counters.stalled_in_send,
-            );
+            ));
         }
+    }
+}
+
+/// A line for a person; one who does not listen any more misses nothing.
+fn print(line: &str) {
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
+fn event_line(event: &Event) -> String {
+    let name = event.kind.name();
+    match event.kind {
+        EventKind::SendFailed => {
+            format!("{name}: {}", std::io::Error::from_raw_os_error(event.span.nanos() as i32))
+        }
+        EventKind::SlotBeyondCycle => {
+            format!("{name}: a slot begins {} after the master's cycle ends; change its --slot", event.span)
+        }
+        _ => format!("{name} ({})", event.span),
     }
 }
 

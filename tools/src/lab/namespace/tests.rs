@@ -17,7 +17,7 @@ const ETHER_TYPE: [u8; 2] = [0x88, 0xb5];
 fn is_root() -> bool {
     let root = nix::unistd::geteuid().is_root();
     if !root {
-        println!("SKIP: needs root");
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), b"SKIP: needs root\n");
     }
     root
 }
@@ -168,7 +168,7 @@ fn refusals_name_the_interface_and_the_remedy() {
 #[test]
 fn without_root_the_remedy_is_named() {
     if nix::unistd::geteuid().is_root() {
-        println!("SKIP: needs a user other than root");
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), b"SKIP: needs a user other than root\n");
         return;
     }
     let refused = format!("{:#}", Namespace::new().unwrap_err());

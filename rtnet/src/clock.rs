@@ -7,7 +7,7 @@ use crate::time::{Instant, Span};
 /// Nanoseconds.
 pub type True = u64;
 
-const BILLION: i128 = 1_000_000_000;
+const BILLION: i64 = 1_000_000_000;
 
 /// `local = true + offset + (true - anchor) * drift`, exact to the nanosecond in both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -22,22 +22,30 @@ pub struct EmulatedClock {
 
 impl EmulatedClock {
     /// What this clock shows at a true moment.
+    #[inline]
     pub fn local(&self, at: True) -> Instant {
-        let elapsed = i128::from(at) - i128::from(self.anchor);
-        let gained = (elapsed * i128::from(self.drift_ppb)).div_euclid(BILLION);
-        let local = i128::from(at) + i128::from(self.offset.nanos()) + gained;
-        Instant::from_nanos(local as u64)
+        let elapsed = at.wrapping_sub(self.anchor) as i64;
+        let gained = floor_of_product(elapsed, self.drift_ppb, BILLION);
+        Instant::from_nanos(at) + self.offset + Span::from_nanos(gained)
     }
 
     /// The true moment at which this clock reaches `local`: the first at which it shows it or more.
+    #[inline]
     pub fn truth(&self, local: Instant) -> True {
         // Modulo 2^64, as local times are: a clock far behind a young true one shows huge times.
-        let start = self.anchor.wrapping_add_signed(self.offset.nanos());
-        let gone = local.nanos().wrapping_sub(start) as i64;
-        let scaled = i128::from(gone) * BILLION;
-        let rate = BILLION + i128::from(self.drift_ppb);
-        let elapsed = scaled.div_euclid(rate) + i128::from(scaled.rem_euclid(rate) != 0);
-        (i128::from(self.anchor) + elapsed).clamp(0, i128::from(u64::MAX)) as u64
+        let gone = (local - (Instant::from_nanos(self.anchor) + self.offset)).nanos();
+        let gained = floor_of_product(gone, self.drift_ppb, BILLION + self.drift_ppb);
+        self.anchor.saturating_add_signed(gone.wrapping_sub(gained))
+    }
+}
+
+/// `a * b / c`, rounded down. This stands before every send, where a 128-bit division costs a third of
+/// what is ours: it is done only when the product does not fit 64 bits (days from the anchor on).
+#[inline]
+fn floor_of_product(a: i64, b: i64, c: i64) -> i64 {
+    match a.checked_mul(b) {
+        Some(product) => product.div_euclid(c),
+        None => (i128::from(a) * i128::from(b)).div_euclid(i128::from(c)) as i64,
     }
 }
 

@@ -312,3 +312,6 @@ fn turns(next: u32, end: u32, phase: u32, period: u32) -> impl Iterator<Item = u
         before_end.then_some(turn)
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,182 @@
+use rtmac::tdma::schedule::Rate;
+use rtnet::buf::{Buf, Pool};
+use rtnet::discipline::{Opportunity, Service};
+use rtnet::time::Instant;
+use rtnet::wire::ethernet::Address;
+
+use super::*;
+use crate::scenario::Uniform;
+use crate::station::traffic::{Traffic, TrafficPlan};
+
+const CYCLE: u64 = 1_000_000;
+const FIRST: u32 = 10;
+const CYCLES: u32 = 5;
+
+/// An observer of two stations whose clocks are the true one.
+struct Bench {
+    scenario: Scenario,
+    analysis: Analysis,
+    traffic: Vec<Traffic>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let scenario = Uniform {
+            stations: 2,
+            cycle: Span::from_millis(1),
+            duration: Span::from_millis(5),
+            payload: 64,
+            rate: Rate::from_bits_per_second(100_000_000),
+            guard: None,
+            seed: 1,
+        };
+        let scenario = scenario.scenario().unwrap().with_ideal_clocks();
+        let master = TrueMaster { clock: EmulatedClock::default(), epoch: Offset::default() };
+        let mut analysis = Analysis::new(&scenario, master);
+        analysis.begin(FIRST, CYCLES);
+        let traffic = (0..2).map(|station| {
+            let plan = TrafficPlan {
+                station,
+                source: Address::default(),
+                destination: Address::default(),
+                from: 1 - station,
+                payload: 64,
+                from_payload: 64,
+            };
+            Traffic::new(plan, Default::default())
+        });
+        Self { traffic: traffic.collect(), scenario, analysis }
+    }
+
+    fn sync(&mut self, cycle: u32, late: i64) {
+        let start = u64::from(cycle) * CYCLE;
+        let sched = GlobalTime::from_nanos(start);
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, Address::default(), &mut frame);
+        self.analysis.frame(start.wrapping_add_signed(late), &frame);
+    }
+
+    fn data(&mut self, station: usize, cycle: u32, late: i64) {
+        let offset = self.scenario.stations[station].slots[0].offset;
+        let begin = u64::from(cycle) * CYCLE + offset.nanos() as u64;
+        let slot = Opportunity {
+            channel: 0,
+            cycle,
+            begin: Instant::from_nanos(begin),
+            scheduled: GlobalTime::from_nanos(begin),
+        };
+        let mut made: Option<Buf> = None;
+        self.traffic[station].poll(&slot, &mut |frame, _, _| {
+            made = Some(frame);
+            Ok(())
+        });
+        self.analysis.frame(begin.wrapping_add_signed(late), &made.unwrap());
+    }
+
+    /// The cycles of the window and one more, with `change` in the place of what ought to happen in cycle 12.
+    fn run(mut self, change: impl Fn(&mut Bench)) -> Analysis {
+        for cycle in FIRST..=FIRST + CYCLES {
+            if cycle == 12 {
+                change(&mut self);
+                continue;
+            }
+            self.sync(cycle, 0);
+            self.data(0, cycle, 0);
+            self.data(1, cycle, 0);
+        }
+        self.analysis.finish();
+        self.analysis
+    }
+}
+
+fn found(analysis: &Analysis) -> Vec<(u32, FindingKind, Option<usize>)> {
+    analysis
+        .findings
+        .iter()
+        .map(|f| (f.cycle, f.kind, f.stations.into_iter().flatten().next_back()))
+        .collect()
+}
+
+#[test]
+fn when_all_is_well_nothing_is_found() {
+    let analysis = Bench::new().run(|bench| {
+        bench.sync(12, 0);
+        bench.data(0, 12, 0);
+        bench.data(1, 12, 0);
+    });
+    assert_eq!(found(&analysis), []);
+    assert!(analysis.is_complete());
+    assert_eq!((analysis.syncs, analysis.cycles()), (5, 5));
+    assert_eq!((analysis.expected(1), analysis.stations[1].frames), (5, 5));
+    assert_eq!(analysis.stations[1].slot_error.max(), 0);
+}
+
+#[test]
+fn what_is_missing_is_found_by_cycle_and_station() {
+    let analysis = Bench::new().run(|bench| bench.data(0, 12, 0));
+    let missing = [(12, FindingKind::SyncGap, Some(0)), (12, FindingKind::SlotMissed, Some(1))];
+    assert_eq!(found(&analysis), missing);
+    assert_eq!((analysis.expected(1), analysis.stations[1].frames), (5, 4));
+}
+
+#[test]
+fn a_slot_missed_to_the_end_is_found_too() {
+    let mut bench = Bench::new();
+    for cycle in FIRST..=FIRST + CYCLES {
+        bench.sync(cycle, 0);
+        bench.data(0, cycle, 0);
+    }
+    bench.analysis.finish();
+    let missed: Vec<_> = (FIRST..FIRST + CYCLES).map(|c| (c, FindingKind::SlotMissed, Some(1))).collect();
+    assert_eq!(found(&bench.analysis), missed);
+}
+
+#[test]
+fn frames_that_leave_their_slot_or_overlap_are_found() {
+    // Two stations: slots of 475 us, so a guard band of 466.84 us and 116.71 us of it for the clocks.
+    let shifted = |first: i64, second: i64| {
+        Bench::new().run(move |bench| {
+            bench.sync(12, 0);
+            bench.data(0, 12, first);
+            bench.data(1, 12, second);
+        })
+    };
+    let late = |by| shifted(by, 0);
+    assert_eq!(found(&shifted(0, -116_710)), []);
+    assert_eq!(found(&shifted(0, -117_000)), [(12, FindingKind::OutOfSlot, Some(1))]);
+    assert_eq!(found(&late(350_000)), []);
+    assert_eq!(found(&late(351_000)), [(12, FindingKind::OutOfSlot, Some(0))]);
+    let both = [(12, FindingKind::OutOfSlot, Some(0)), (12, FindingKind::Overlap, Some(1))];
+    assert_eq!(found(&late(470_000)), both);
+}
+
+#[test]
+fn a_late_sync_or_a_second_one_is_found() {
+    let with = |late: i64, twice: bool| {
+        Bench::new().run(move |bench| {
+            bench.sync(12, late);
+            if twice {
+                bench.sync(12, late + 10_000);
+            }
+            bench.data(0, 12, 0);
+            bench.data(1, 12, 0);
+        })
+    };
+    assert_eq!(found(&with(43_000, false)), []);
+    // It is still on the air when the master's slot begins.
+    let both = [(12, FindingKind::OutOfSlot, Some(0)), (12, FindingKind::Overlap, Some(0))];
+    assert_eq!(found(&with(43_500, false)), both);
+    assert_eq!(found(&with(0, true)), [(12, FindingKind::Repeated, Some(0))]);
+}
+
+#[test]
+fn after_a_step_of_the_wall_clock_nothing_is_compared_across_it() {
+    let analysis = Bench::new().run(|bench| {
+        bench.sync(12, 0);
+        bench.analysis.frame(u64::MAX - 5, &[0; 60]);
+        bench.analysis.lose_sight();
+        bench.data(0, 12, 0);
+        bench.data(1, 12, 0);
+    });
+    assert_eq!(found(&analysis), []);
+}

@@ -113,6 +113,9 @@ pub struct StationArgs {
     /// A name that no other station on this machine has
     #[arg(long)]
     pub name: Option<String>,
+    /// Highest slot id
+    #[arg(long, default_value_t = rtmac::tdma::DEFAULT_MAX_SLOT_ID, value_name = "ID")]
+    pub max_slot_id: u8,
     /// How long after a slot's begin its frame may still be sent
     #[arg(long, default_value = "50us", value_parser = parse_nonnegative_span)]
     pub latest: Span,

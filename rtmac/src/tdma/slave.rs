@@ -13,7 +13,8 @@
 //!
 //! A Synchronisation that disagrees with the line is a *time step*: nothing is sent until the next one
 //! tells whether the master moved (it agrees with the step) or one frame was held up on its way (it
-//! agrees with the line).
+//! agrees with the line). A smaller disagreement moves the line by a 300th of the cycle at most: a hold-up
+//! of 20 us is no reason to be 20 us late, and drift is a hundred times slower.
 
 use rtnet::counters::Refusal;
 use rtnet::discipline::{EventKind, SyncState};
@@ -31,6 +32,12 @@ pub const HOLDOVER_CYCLES: i32 = 1;
 /// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`].
 const STEP_AT_LEAST: Span = Span::from_micros(20);
 const STEP_PARTS: i64 = 100;
+/// Two Synchronisations beside the line are a new one only if they agree much better than that: two hold-ups
+/// in a row are not of one length.
+const CONFIRMED_WITHIN: Span = Span::from_micros(2);
+const CONFIRMED_PARTS: i64 = 2_000;
+/// Largest part of a cycle by which one Synchronisation moves the line.
+const SLEW_PARTS: i64 = 300;
 /// The line is good for so many cycles without a Synchronisation, at clocks 200 ppm apart.
 const LINE_GOOD_FOR: i32 = 1_000;
 const DRIFT_PARTS: i64 = 5_000;
@@ -141,10 +148,11 @@ impl Slave {
                 }
                 self.deviation = mark.deviation_from(line);
                 if mark.agrees_with(line, self.step_limit) {
-                    *line = TimeLine { cycle, start: mark.start(), sched, offset, ..*line };
+                    *line = line.moved_to(&mark);
                     *step = None;
                     Followed::Agrees
-                } else if let Some(line) = step.and_then(|step| step.line_to(&mark, self.step_limit))
+                } else if let Some(line) =
+                    step.and_then(|step| step.line_to(&mark, Some(confirmed(line.period))))
                     && age <= line.period
                 {
                     self.adopt(line)
@@ -273,6 +281,16 @@ impl Slave {
     }
 }
 
+impl TimeLine {
+    /// The line after a Synchronisation that agrees with it.
+    fn moved_to(&self, mark: &Mark) -> TimeLine {
+        let slew = self.period / SLEW_PARTS + drifted(self, mark.cycle);
+        let by = mark.deviation_from(self).clamp(-slew, slew);
+        let (cycle, sched, start) = (mark.cycle, mark.sched, self.start_of(mark.cycle) + by);
+        TimeLine { cycle, start, sched, period: self.period, offset: Offset::between(start, sched) }
+    }
+}
+
 impl Mark {
     fn start(&self) -> Instant {
         line::cycle_start(self.sched, self.offset)
@@ -284,10 +302,8 @@ impl Mark {
     }
 
     fn agrees_with(&self, line: &TimeLine, limit: Option<Span>) -> bool {
-        let ahead = line.ahead(self.cycle);
-        let drifted = line.period * i64::from(ahead) / DRIFT_PARTS;
-        (1..=LINE_GOOD_FOR).contains(&ahead)
-            && self.deviation_from(line).abs() <= step_limit(limit, line.period) + drifted
+        let limit = step_limit(limit, line.period) + drifted(line, self.cycle);
+        (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle)) && self.deviation_from(line).abs() <= limit
     }
 
     /// The line through this Synchronisation and a later one, if they can be of one line.
@@ -303,6 +319,15 @@ impl Mark {
         let Mark { cycle, sched, offset } = *later;
         fits.then(|| TimeLine { cycle, start: later.start(), sched, period, offset })
     }
+}
+
+/// How far two clocks may have drifted apart since the line's last Synchronisation.
+fn drifted(line: &TimeLine, cycle: u32) -> Span {
+    line.period * i64::from(line.ahead(cycle)) / DRIFT_PARTS
+}
+
+fn confirmed(period: Span) -> Span {
+    (period / CONFIRMED_PARTS).max(CONFIRMED_WITHIN)
 }
 
 fn step_limit(configured: Option<Span>, period: Span) -> Span {

@@ -93,6 +93,23 @@ fn what_was_late_comes_back_and_can_be_put_back() {
 }
 
 #[test]
+fn who_is_to_send_late_does_so_up_to_a_cycle() {
+    let mut late =
+        Tdma::new(&TdmaConfig { late: LatePolicy::Send, ..config(RoleConfig::Master(master_config())) });
+    let master = late.as_mut().unwrap();
+    master.on_timeout(at(0));
+    master.on_timeout(at(3_000));
+    master.next_transmission(at(3_960)).unwrap();
+    master.on_sent(Sent::At(at(4_000)));
+    let mut frame = Pool::new(1).take().unwrap();
+    frame.fill(&[0; 60]);
+    master.enqueue(frame, Priority::DEFAULT, 0).unwrap();
+    let data = master.next_transmission(at(4_900)).unwrap();
+    assert_eq!((data.at, data.latest), (at(4_400), at(5_400)), "half a cycle late, and sent at once");
+    assert_eq!(master.status().counters.overruns, 0);
+}
+
+#[test]
 fn a_slave_is_silent_before_it_has_heard_anything() {
     let mut slave =
         Tdma::new(&config(RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None }))).unwrap();

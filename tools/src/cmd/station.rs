@@ -3,9 +3,7 @@
 use std::str::FromStr;
 
 use anyhow::{Context, anyhow};
-use rtmac::tdma::{
-    DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig,
-};
+use rtmac::tdma::{LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig};
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{Address, MTU};
@@ -35,8 +33,7 @@ pub fn parse_slot(text: &str) -> Result<SlotArg, String> {
     let mut parts = text.split(',');
     let first = parts.next().unwrap_or_default();
     let (id, offset) = first.split_once('=').ok_or("write ID=OFFSET, as in 0=100us")?;
-    let id = u8::from_str(id)
-        .map_err(|_| format!("'{id}' is no slot id: write a number from 0 to {DEFAULT_MAX_SLOT_ID}"))?;
+    let id = u8::from_str(id).map_err(|_| format!("'{id}' is no slot id: write a number from 0 on"))?;
     let offset = parse_nonnegative_span(offset).map_err(|error| error.to_string())?;
     let mut slot = SlotArg { id, offset, phase: 0, period: 1, size: MTU };
     for part in parts {
@@ -88,7 +85,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         address: Address::default(),
         role,
         slots: slots.collect(),
-        max_slot_id: DEFAULT_MAX_SLOT_ID,
+        max_slot_id: args.max_slot_id,
         lead: args.lead,
         late: if args.late == Late::Send { LatePolicy::Send } else { LatePolicy::Skip },
     };

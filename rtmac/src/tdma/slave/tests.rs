@@ -140,6 +140,28 @@ fn a_held_up_synchronisation_silences_its_cycle_and_moves_nothing() {
 }
 
 #[test]
+fn a_small_hold_up_moves_the_line_by_a_300th_of_the_cycle_at_most() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.hear(3, 15_000), Ok(Followed::Agrees));
+    let line = bench.slave.line().unwrap();
+    let error = line.start.nanos() - 3 * PERIOD;
+    assert_eq!(error, PERIOD / 300 + PERIOD / 5_000);
+    assert_eq!(bench.slave.deviation(), Span::from_micros(15));
+    assert_eq!(bench.hear(4, 0), Ok(Followed::Agrees));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 4 * PERIOD);
+}
+
+#[test]
+fn two_hold_ups_in_a_row_are_not_a_new_line() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.hear(3, 91_000), Ok(Followed::Pending));
+    assert_eq!(bench.hear(4, 95_000), Ok(Followed::Pending));
+    assert!(!bench.slave.may_send(4));
+    assert_eq!(bench.hear(5, 0), Ok(Followed::Agrees));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 5 * PERIOD);
+}
+
+#[test]
 fn a_master_that_moves_is_followed_from_the_second_synchronisation_on() {
     let mut bench = Bench::in_state(SyncState::Locked);
     let moved = |cycle: u32| u64::from(cycle) * PERIOD + 400_000;

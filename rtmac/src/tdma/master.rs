@@ -27,6 +27,9 @@ pub const MAX_PENDING_REPLIES: usize = 64;
 /// Furthest cycle a reply may be asked for: real stations ask for one slot period ahead.
 const MAX_REPLY_AHEAD: i32 = 1024;
 
+/// Times that a late reply is put off. Real stations never ask again: they wait for ever.
+const PUT_OFF_AT_MOST: u8 = 8;
+
 /// What is configured of a master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MasterConfig {
@@ -45,6 +48,8 @@ pub struct Master {
     config: MasterConfig,
     phase: Phase,
     replies: ArrayVec<Reply, MAX_PENDING_REPLIES>,
+    /// The reply that is being sent.
+    taken: Option<Reply>,
 }
 
 enum Phase {
@@ -62,11 +67,14 @@ pub struct Reply {
     pub cycle: u32,
     pub request_xmit: u64,
     pub reception: Instant,
+    /// From one use of the slave's slot to the next, in cycles.
+    period: u32,
+    put_off: u8,
 }
 
 impl Master {
     pub fn new(config: MasterConfig) -> Self {
-        Self { config, phase: Phase::Attached, replies: ArrayVec::new() }
+        Self { config, phase: Phase::Attached, replies: ArrayVec::new(), taken: None }
     }
 
     pub fn config(&self) -> &MasterConfig {
@@ -121,7 +129,10 @@ impl Master {
         if at < rx {
             return Err(Refusal::ReplyOverdue);
         }
-        let reply = Reply { at, to: from, cycle, request_xmit, reception: rx };
+        // The reply is asked for in the slot's next use.
+        let asked_in = line.ahead(cycle) - ((rx - line.start).nanos().div_euclid(line.period.nanos())) as i32;
+        let period = asked_in.max(1) as u32;
+        let reply = Reply { at, to: from, cycle, request_xmit, reception: rx, period, put_off: 0 };
         self.replies.try_push(reply).map_err(|_| Refusal::ReplyBacklog)
     }
 
@@ -174,7 +185,22 @@ impl Master {
     pub fn take_reply(&mut self) -> Option<Reply> {
         let first = self.next_reply().copied()?;
         self.replies.retain(|reply| *reply != first);
+        self.taken = Some(first);
         Some(first)
+    }
+
+    /// The reply that was taken came too late: it goes into the slave's slot two uses later. In the next,
+    /// a slave that repeats its request sends; two later it is silent again. `false` when it is given up.
+    pub fn put_off(&mut self) -> bool {
+        let (Some(late), Phase::Active { line }) = (self.taken.take(), &self.phase) else { return false };
+        let cycles = late.period * 2;
+        let later = Reply {
+            at: late.at + line.period * i64::from(cycles),
+            cycle: late.cycle.wrapping_add(cycles),
+            put_off: late.put_off + 1,
+            ..late
+        };
+        late.put_off < PUT_OFF_AT_MOST && self.replies.try_push(later).is_ok()
     }
 }
 
@@ -240,6 +266,21 @@ mod tests {
         assert_eq!(master.take_reply().unwrap().request_xmit, 2);
         assert_eq!(master.take_reply().unwrap().at, at(6_200));
         assert_eq!(master.take_reply(), None);
+    }
+
+    #[test]
+    fn a_late_reply_is_put_off_by_two_uses_of_the_slot_and_given_up_at_last() {
+        let mut master = active();
+        master.advance();
+        // Asked in cycle 1 for cycle 4: a slot that is used in every third.
+        master.on_request(at(4_400), A, 7, 4, 400_000).unwrap();
+        assert_eq!(master.take_reply().unwrap().at, at(7_400));
+        assert!(master.put_off());
+        let later = *master.next_reply().unwrap();
+        assert_eq!((later.at, later.cycle, later.request_xmit), (at(13_400), 10, 7));
+        assert!(!master.put_off(), "only what was taken");
+        let times = (0..).take_while(|_| master.take_reply().is_some() && master.put_off()).count();
+        assert_eq!(times, usize::from(PUT_OFF_AT_MOST) - 1);
     }
 
     #[test]

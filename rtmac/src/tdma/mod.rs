@@ -165,6 +165,16 @@ impl Tdma {
                 return Some(job);
             }
             self.pass(&job);
+            self.put_off(&job);
+        }
+    }
+
+    /// A calibration reply that was not sent is due again later: real stations never repeat a request.
+    fn put_off(&mut self, job: &Job) {
+        if let (Job::Reply { .. }, Role::Master(master)) = (job, &mut self.role)
+            && !master.put_off()
+        {
+            self.counters.replies_given_up += 1;
         }
     }
 
@@ -318,11 +328,13 @@ impl Discipline for Tdma {
             }
             Sent::Late(now, frame) => {
                 self.missed(&job, now - job.latest());
+                self.put_off(&job);
                 return job.returned(frame, priority);
             }
             Sent::Failed(errno, frame) => {
                 self.counters.send_failed += 1;
                 self.events.note(job.cycle(), EventKind::SendFailed, Span::from_nanos(i64::from(errno)));
+                self.put_off(&job);
                 return job.returned(frame, priority);
             }
         }

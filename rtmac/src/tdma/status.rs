@@ -31,8 +31,10 @@ pub struct Counters {
     pub calibration_timeouts: u64,
     /// Calibration replies sent.
     pub replies_sent: u64,
-    /// Calibration replies that were too late and not sent.
+    /// Calibration replies that were too late, and put off.
     pub replies_late: u64,
+    /// Calibration replies that were put off too often.
+    pub replies_given_up: u64,
     /// Frames dropped because their slot is gone, full, or too small for them now.
     pub returned_dropped: u64,
 }

@@ -247,9 +247,14 @@ fn verdict(figures: &Figures, width: usize) -> Vec<String> {
     let reasons = &figures.verdict.reasons;
     let all = if figures.verdict.ok {
         let counts = format!("{} of {}", grouped(figures.frames_seen), grouped(figures.frames_expected));
-        match figures.slots_missed {
-            0 => format!("OK: every frame in its slot, {counts} seen"),
-            missed => format!("OK: every frame seen in its slot, {counts}; {} missed", grouped(missed)),
+        match (figures.slots_missed, figures.out_of_slot + figures.overlaps) {
+            (0, 0) => format!("OK: every frame in its slot, {counts} seen"),
+            (missed, 0) => format!("OK: every frame seen in its slot, {counts}; {} missed", grouped(missed)),
+            (missed, stray) => format!(
+                "OK: nothing unexplained, {counts} frames seen; {} missed, {} held up while being sent",
+                grouped(missed),
+                grouped(stray)
+            ),
         }
     } else {
         format!("NOT OK: {}", reasons.join("; "))

@@ -175,3 +175,6 @@ fn drain(socket: &Socket, pool: &Pool, counters: &mut PortCounters, mut to: impl
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

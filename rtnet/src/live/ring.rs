@@ -358,4 +358,4 @@ impl Drop for Mapping {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

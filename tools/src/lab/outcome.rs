@@ -168,7 +168,9 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
         if let Some(why) = &member.failed {
             reasons.push(format!("station '{}' failed: {why}", plan.name));
         } else if member.ended {
-            reasons.push(format!("station '{}' (process {}) was lost", plan.name, member.pid()));
+            let (name, pid) = (&plan.name, member.pid());
+            let remedy = "its last words, if any, are above; run the lab again";
+            reasons.push(format!("station '{name}' (process {pid}) was lost: {remedy}"));
         } else if !parts.interrupted && figures.cycles > 0 && !member.was_synchronised_at_end() {
             reasons.push(format!("station '{}' was not synchronised at the end", plan.name));
         }

@@ -101,7 +101,7 @@ fn loopback_up(up: bool) {
 }
 
 /// Runs `f` in a network namespace of its own, with lo up.
-fn in_a_namespace(f: impl FnOnce() + Send) {
+pub fn in_a_namespace(f: impl FnOnce() + Send) {
     if !nix::unistd::geteuid().is_root() {
         let _ = std::io::Write::write_all(&mut std::io::stderr(), b"SKIP: needs root (CAP_NET_RAW)\n");
         return;

@@ -1,0 +1,61 @@
+use super::*;
+use crate::discipline::Stamp;
+use crate::live::ring::tests::in_a_namespace;
+use crate::time::Span;
+use crate::wire::ethernet::{Address, Header};
+use zerocopy::IntoBytes;
+
+const ROOM_FOR_A_BUSY_HOST: Span = Span::from_millis(1_000);
+
+/// A port that hears itself: on the loopback of a namespace of the test's own.
+fn port() -> Port {
+    let index = nix::net::if_::if_nametoindex("lo").unwrap();
+    let interface = Interface { name: "lo".into(), index, address: Address::default() };
+    let clock = EmulatedClock { anchor: monotonic(), offset: Span::from_millis(300), drift_ppb: 40_000 };
+    Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, 50_000).unwrap()
+}
+
+fn transmission(pool: &Pool, at: Instant, latest: Instant) -> Transmission {
+    let mut frame = pool.take().unwrap();
+    let header = Header::new(Address::default(), Address::default(), EtherType::EXPERIMENTAL);
+    frame.fill(header.as_bytes());
+    frame.pad_to(60);
+    Transmission { frame, at, latest, stamp: Some(Stamp { at_byte: 20, add: 7 }) }
+}
+
+fn received(port: &mut Port) -> Vec<(Option<Instant>, Vec<u8>)> {
+    let mut frames = Vec::new();
+    port.wait_for_frame(20);
+    port.drain_control(|_, _| panic!("no control frame was sent"));
+    port.drain_data(|rx, frame| frames.push((rx, frame.to_vec())));
+    frames
+}
+
+#[test]
+fn what_is_later_than_latest_is_not_sent_and_comes_back() {
+    in_a_namespace(|| {
+        let (mut port, pool) = (port(), Pool::new(1));
+        let now = port.now();
+        let late = transmission(&pool, now - Span::from_millis(2), now - Span::from_nanos(1));
+        let Sent::Late(at, frame) = port.transmit(late) else { panic!("it was late") };
+        assert!(at >= now);
+        assert_eq!((frame.len(), frame[20..28].to_vec()), (60, vec![0; 8]), "as it was, and not stamped");
+        assert_eq!(received(&mut port), []);
+    });
+}
+
+#[test]
+fn what_is_in_time_leaves_at_its_instant_with_its_stamp() {
+    in_a_namespace(|| {
+        let (mut port, pool) = (port(), Pool::new(1));
+        let at = port.now() + Span::from_millis(2);
+        let sent = port.transmit(transmission(&pool, at, at + ROOM_FOR_A_BUSY_HOST));
+        let Sent::At(stamped) = sent else { panic!("{sent:?}") };
+        assert!(stamped >= at, "the first frame has no cost of `send` to anticipate");
+        let frames = received(&mut port);
+        let [(Some(rx), frame)] = &frames[..] else { panic!("{frames:?}") };
+        assert_eq!(frame[20..28], (stamped.nanos() + 7).to_be_bytes());
+        let on_the_way = *rx - stamped;
+        assert!(on_the_way >= Span::ZERO && on_the_way < ROOM_FOR_A_BUSY_HOST, "{on_the_way}: one clock");
+    });
+}

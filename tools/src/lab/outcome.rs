@@ -198,7 +198,9 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
         reasons.push(format!("the wall clock was set during the run: {n} frame{} not judged", plural(n)));
     }
     let asked = (scenario.duration.nanos() / scenario.cycle.nanos()).max(1) as u64;
-    if figures.cycles < asked && !parts.interrupted {
+    // A lost station ends the run, and says so itself.
+    let ended = parts.interrupted || parts.members.iter().any(|member| member.ended);
+    if figures.cycles < asked && !ended {
         reasons.push(format!("the syncs ended after {} of {asked} cycles", figures.cycles));
     }
     reasons

@@ -5,15 +5,16 @@
 //! somebody else's pays with an empty one of its own ([`hand_over`]), so that a slow consumer can
 //! lose only its own frames.
 //!
-//! A buffer knows its home by plain reference, so that taking and returning one costs a pop and a
-//! push and no reference count. For that a pool's list of free places (16 bytes a buffer) stays for
-//! the life of the process; the buffers themselves are released with the pool.
+//! Every buffer has a place of its own in its home, so going home is one atomic exchange with nobody to
+//! compete with, and taking is one more at the place that was filled last. A buffer knows its home by plain
+//! reference, without a count: for that a pool's places (9 bytes a buffer) stay for the life of the process;
+//! the buffers themselves are released with the pool.
 
 use core::fmt;
 use core::ops::{Deref, DerefMut};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 
-use crossbeam::queue::ArrayQueue;
+use crossbeam::atomic::AtomicCell;
 
 /// Bytes in every buffer: the largest Ethernet frame without its check sequence.
 pub const ROOM: usize = 1514;
@@ -30,13 +31,19 @@ pub struct Buf {
 }
 
 struct Home {
-    free: ArrayQueue<Box<Storage>>,
+    places: Box<[AtomicCell<Option<Box<Storage>>>]>,
+    /// Where it is worth to look: set before a place is filled, cleared after it was emptied, both by the one
+    /// who owns the buffer then. An empty place may seem filled for a moment, never the reverse.
+    filled: Box<[AtomicBool]>,
+    /// Where to look first: the place that somebody filled or emptied last.
+    hint: AtomicUsize,
     /// The pool is gone: buffers that come home now are released.
     closed: AtomicBool,
 }
 
 struct Storage {
     home: &'static Home,
+    place: usize,
     len: usize,
     bytes: [u8; ROOM],
 }
@@ -44,55 +51,81 @@ struct Storage {
 impl Pool {
     /// A pool of `capacity` buffers (at least 1) of [`ROOM`] bytes.
     pub fn new(capacity: usize) -> Self {
-        let free = ArrayQueue::new(capacity);
-        let home: &'static Home = Box::leak(Box::new(Home { free, closed: AtomicBool::new(false) }));
-        for _ in 0..capacity {
-            home.keep(Box::new(Storage { home, len: 0, bytes: [0; ROOM] }));
+        assert!(capacity > 0, "a pool owns at least one buffer");
+        let home: &'static Home = Box::leak(Box::new(Home {
+            places: (0..capacity).map(|_| AtomicCell::new(None)).collect(),
+            filled: (0..capacity).map(|_| AtomicBool::new(false)).collect(),
+            hint: AtomicUsize::new(0),
+            closed: AtomicBool::new(false),
+        }));
+        for place in (0..capacity).rev() {
+            home.keep(Box::new(Storage { home, place, len: 0, bytes: [0; ROOM] }));
         }
         Self { home }
     }
 
-    /// An empty buffer, or `None` when all are in use.
+    /// An empty buffer, or `None` when all are in use. Looks at each place once at most.
     #[inline]
     pub fn take(&self) -> Option<Buf> {
-        let mut storage = self.home.free.pop()?;
+        let home = self.home;
+        let mut storage = home.empty(home.hint.load(Relaxed)).or_else(|| home.search())?;
         storage.len = 0;
         Some(Buf { storage: Some(storage) })
     }
 
     /// How many buffers are in the pool right now.
     pub fn available(&self) -> usize {
-        self.home.free.len()
+        self.home.filled.iter().filter(|filled| filled.load(Relaxed)).count()
     }
 
     /// How many buffers the pool owns.
     pub fn capacity(&self) -> usize {
-        self.home.free.capacity()
+        self.home.places.len()
     }
 }
 
 impl Drop for Pool {
-    /// Releases the free buffers; those still in use follow when they are dropped.
+    /// Releases the free buffers; those still in use follow when they are dropped (one that comes home in
+    /// this very moment may stay for the life of the process).
     fn drop(&mut self) {
-        self.home.closed.store(true, Ordering::SeqCst);
-        self.home.release();
+        self.home.closed.store(true, Relaxed);
+        (0..self.capacity()).for_each(|place| drop(self.home.empty(place)));
     }
 }
 
 impl Home {
-    /// A pool never owns more buffers than its list has places, so there is always one.
+    /// Nobody else fills this place, and it is empty: its only buffer is here.
     #[inline]
     fn keep(&self, storage: Box<Storage>) {
-        let overfull = self.free.push(storage).is_err();
-        debug_assert!(!overfull, "a pool was given a buffer that it does not own");
-        if self.closed.load(Ordering::Relaxed) {
-            self.release();
+        if self.closed.load(Relaxed) {
+            return;
         }
+        let place = storage.place;
+        self.filled[place].store(true, Relaxed);
+        let before = self.places[place].swap(Some(storage));
+        debug_assert!(before.is_none(), "two buffers with one place");
+        self.hint.store(place, Relaxed);
     }
 
+    /// The buffer of a place, if it is at home.
+    #[inline]
+    fn empty(&self, place: usize) -> Option<Box<Storage>> {
+        if !self.filled[place].load(Relaxed) {
+            return None;
+        }
+        let storage = self.places[place].swap(None)?;
+        self.filled[place].store(false, Relaxed);
+        Some(storage)
+    }
+
+    /// A buffer from anywhere. The next search begins where this one ended.
     #[cold]
-    fn release(&self) {
-        while self.free.pop().is_some() {}
+    fn search(&self) -> Option<Box<Storage>> {
+        let hint = self.hint.load(Relaxed);
+        let (before, after) = (0..hint, hint..self.places.len());
+        let (place, storage) = after.chain(before).find_map(|place| Some((place, self.empty(place)?)))?;
+        self.hint.store(place, Relaxed);
+        Some(storage)
     }
 }
 
@@ -100,7 +133,9 @@ impl Home {
 /// Nothing is copied. An exhausted consumer gets nothing: the frame comes back as the error.
 pub fn hand_over(mut filled: Buf, consumer: &Pool) -> Result<Buf, Buf> {
     let Some(mut empty) = consumer.take() else { return Err(filled) };
-    core::mem::swap(&mut filled.storage_mut().home, &mut empty.storage_mut().home);
+    let (full, spare) = (filled.storage_mut(), empty.storage_mut());
+    core::mem::swap(&mut full.home, &mut spare.home);
+    core::mem::swap(&mut full.place, &mut spare.place);
     Ok(filled)
 }
 
@@ -236,6 +271,33 @@ mod tests {
             }
         });
         assert_eq!(pool.available(), 8);
+    }
+
+    #[test]
+    fn frames_handed_from_pool_to_pool_by_several_threads_all_come_home() {
+        let (nic, socket) = (Pool::new(4), Pool::new(3));
+        std::thread::scope(|scope| {
+            for byte in 1..=4u8 {
+                let (nic, socket) = (&nic, &socket);
+                scope.spawn(move || {
+                    for _ in 0..10_000 {
+                        let Some(mut frame) = nic.take() else { continue };
+                        frame.fill(&[byte; 64]);
+                        let kept = hand_over(frame, socket);
+                        let frame = kept.as_ref().unwrap_or_else(|refused| refused);
+                        assert!(frame.iter().all(|&filled| filled == byte), "two owners of one buffer");
+                    }
+                });
+            }
+        });
+        assert_eq!((nic.available(), socket.available()), (4, 3));
+        let all: Vec<_> = std::iter::from_fn(|| nic.take().or_else(|| socket.take())).collect();
+        assert_eq!(all.len(), 7);
+    }
+
+    #[test]
+    fn taking_needs_no_lock() {
+        assert!(AtomicCell::<Option<Box<Storage>>>::is_lock_free());
     }
 
     #[test]

@@ -74,6 +74,7 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
     );
     assert_eq!(report["frames_expected"], 1_200);
     assert_eq!((&report["unexplained"], &report["payload_errors"]), (&0.into(), &0.into()));
+    assert_eq!(report["frames_lost"], 0);
     let count = |name: &str| report[name].as_u64().unwrap();
     assert_eq!(count("frames_seen") + count("slots_missed"), 1_200);
     assert_eq!(count("syncs_sent") + count("syncs_skipped"), 400);
@@ -108,6 +109,25 @@ fn a_station_that_dies_fails_the_run_by_name() {
     let screen = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1));
     assert!(screen.contains(&format!("(process {victim}) was lost")), "{screen}");
+}
+
+#[test]
+fn frames_that_do_not_reach_their_receiver_fail_the_run() {
+    if !as_root("frames_that_do_not_reach_their_receiver_fail_the_run") {
+        return;
+    }
+    let lab = lab("3", "60s").spawn().unwrap();
+    let sleeper = Pid::from_raw(running(&lab, 3)[2]);
+    // More than its sockets hold.
+    kill(sleeper, Signal::SIGSTOP).unwrap();
+    std::thread::sleep(Duration::from_secs(4));
+    kill(sleeper, Signal::SIGCONT).unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
+    let output = lab.wait_with_output().unwrap();
+    let screen = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(screen.contains("station 'slave2' did not receive"), "{screen}");
 }
 
 #[test]

@@ -36,7 +36,7 @@ pub enum LabVerb {
     /// Each sends one frame per slot to the next station; an observer on the bridge checks that every
     /// frame is in its slot. Needs root. Durations are written 250us, 1ms, 10s.
     ///
-    /// Exit status: 0 all is well; 1 something unexplained, payload errors, or a station was lost;
+    /// Exit status: 0 all is well; 1 something unexplained, payload errors, lost frames or a lost station;
     /// 2 bad usage, bad configuration, or no privileges.
     Run(LabRunArgs),
 }

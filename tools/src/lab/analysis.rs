@@ -10,6 +10,7 @@ use rtnet::clock::{EmulatedClock, True};
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{EtherType, Header};
 
+use super::delivery::Passed;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::{Scenario, SlotPlan};
 use crate::station::traffic::Tag;
@@ -71,6 +72,8 @@ pub struct Seen {
     pub frames: u64,
     /// Actual - scheduled transmit.
     pub slot_error: SignedHistogram,
+    /// Which of its frames were on the medium.
+    pub passed: Passed,
     last: BTreeMap<u8, u32>,
 }
 
@@ -101,7 +104,12 @@ pub struct Analysis {
 impl Analysis {
     /// An analysis of a scenario whose master has this clock. Nothing counts before [`Analysis::begin`].
     pub fn new(scenario: &Scenario, master: TrueMaster) -> Self {
-        let seen = || Seen { frames: 0, slot_error: SignedHistogram::new(), last: BTreeMap::new() };
+        let seen = || Seen {
+            frames: 0,
+            slot_error: SignedHistogram::new(),
+            passed: Passed::default(),
+            last: BTreeMap::new(),
+        };
         Self {
             master,
             cycle: scenario.cycle,
@@ -245,7 +253,9 @@ impl Analysis {
 
     fn data(&mut self, at: True, tag: &Tag, air: Span) {
         let (station, cycle) = (tag.station(), tag.cycle());
-        if !self.counts(cycle) {
+        let counts = self.counts(cycle);
+        self.stations[station].passed.note(tag.sequence(), counts);
+        if !counts {
             return;
         }
         let Some(slot) = self.slots[station].iter().find(|slot| slot.id == tag.slot).copied() else {

@@ -1,5 +1,5 @@
 //! Which findings have a record of the same cycle: what a station noticed itself is explained, what it
-//! did not is not.
+//! did not is not. A slot that was silent for want of a sync needs the record of that, too.
 
 use std::collections::BTreeMap;
 
@@ -7,6 +7,12 @@ use rtnet::discipline::EventKind;
 use rtnet::time::Span;
 
 use super::analysis::{Finding, FindingKind};
+
+/// A lab's first station is its master.
+const MASTER: usize = 0;
+/// How far the cause of a silence may be from it, in cycles: one missing sync is bridged, and one that comes
+/// after a time step must be confirmed by the next; who slept through several tells of the last first.
+const SILENCE_AROUND: u32 = 4;
 
 /// What the stations told of themselves.
 #[derive(Debug, Default)]
@@ -34,32 +40,40 @@ impl Records {
     }
 
     /// Why something was found, if a station involved, or the master whose time they follow, has told
-    /// of the same cycle.
+    /// of it.
     pub fn explain(&self, finding: &Finding) -> Option<(EventKind, Span)> {
-        let involved = finding.stations.iter().flatten().copied();
-        let by_involved =
-            involved.flat_map(|station| causes(finding.kind).iter().map(move |&k| (station, k)));
-        // A Synchronisation that was held up moves every station of its cycle.
-        let by_master = match finding.kind {
-            FindingKind::Overlap | FindingKind::OutOfSlot => Some((0, EventKind::StalledInSend)),
-            _ => None,
-        };
-        by_involved.chain(by_master).find_map(|(station, kind)| {
-            self.by_cycle.get(&(finding.cycle, station, kind)).map(|&span| (kind, span))
-        })
-    }
-}
-
-/// What may have caused a finding of this kind at the station itself. A silent slot is a station that did
-/// what it must without a sync; one that never recovers fails the verdict by its state.
-fn causes(kind: FindingKind) -> &'static [EventKind] {
-    match kind {
-        FindingKind::Overlap | FindingKind::OutOfSlot => &[EventKind::StalledInSend],
-        FindingKind::SyncGap => &[EventKind::SyncSkipped, EventKind::StalledInSend, EventKind::SendFailed],
-        FindingKind::SlotMissed => {
-            &[EventKind::Overrun, EventKind::SlotSilent, EventKind::StalledInSend, EventKind::SendFailed]
+        let cycle = finding.cycle;
+        let mut involved = finding.stations.iter().flatten().copied();
+        match finding.kind {
+            // A Synchronisation that was held up moves every station of its cycle.
+            FindingKind::Overlap | FindingKind::OutOfSlot => involved
+                .chain([MASTER])
+                .find_map(|station| self.get(cycle, station, EventKind::StalledInSend)),
+            FindingKind::SyncGap => self.get(cycle, MASTER, EventKind::SyncSkipped),
+            FindingKind::SlotMissed => involved.find_map(|station| {
+                self.get(cycle, station, EventKind::Overrun).or_else(|| self.silence(cycle, station))
+            }),
+            FindingKind::Repeated => None,
         }
-        FindingKind::Repeated => &[],
+    }
+
+    /// A station that was silent did what it must, but that alone explains nothing: why were there no syncs
+    /// to follow? One that was lost on its way has no record.
+    fn silence(&self, cycle: u32, station: usize) -> Option<(EventKind, Span)> {
+        let silent = self.get(cycle, station, EventKind::SlotSilent)?;
+        let near = |station, kinds: &[EventKind]| {
+            (0..=2 * SILENCE_AROUND).any(|i| {
+                let at = cycle.wrapping_add(i).wrapping_sub(SILENCE_AROUND);
+                kinds.iter().any(|&kind| self.get(at, station, kind).is_some())
+            })
+        };
+        let by_master = near(MASTER, &[EventKind::SyncSkipped, EventKind::StalledInSend]);
+        let by_itself = near(station, &[EventKind::Overrun, EventKind::TimeStep, EventKind::DuplicateCycle]);
+        (by_master || by_itself).then_some(silent)
+    }
+
+    fn get(&self, cycle: u32, station: usize, kind: EventKind) -> Option<(EventKind, Span)> {
+        self.by_cycle.get(&(cycle, station, kind)).map(|&span| (kind, span))
     }
 }
 
@@ -88,5 +102,20 @@ mod tests {
         records.note(9, 0, EventKind::StalledInSend, Span::from_nanos(5));
         assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_some());
         assert!(records.explain(&finding(9, FindingKind::SlotMissed, 4)).is_none());
+        assert!(records.explain(&finding(9, FindingKind::SyncGap, 0)).is_none(), "it was sent");
+    }
+
+    #[test]
+    fn a_silent_slot_is_explained_by_what_silenced_it() {
+        let mut records = Records::default();
+        records.note(20, 2, EventKind::SlotSilent, Span::ZERO);
+        let explained =
+            |records: &Records| records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some();
+        assert!(!explained(&records), "the sync was lost on its way");
+        records.note(19, 3, EventKind::Overrun, Span::ZERO);
+        records.note(15, 0, EventKind::SyncSkipped, Span::ZERO);
+        assert!(!explained(&records), "somebody else's, and long ago");
+        records.note(18, 0, EventKind::SyncSkipped, Span::ZERO);
+        assert!(explained(&records));
     }
 }

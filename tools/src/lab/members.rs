@@ -6,6 +6,7 @@ use rtnet::discipline::EventKind;
 use rtnet::time::{GlobalTime, Offset};
 
 use super::analysis::TrueMaster;
+use super::delivery::Heard;
 use super::explain::Records;
 use super::namespace::Namespace;
 use super::processes::Process;
@@ -110,6 +111,14 @@ impl Member {
         count(&self.standing_at_end).saturating_sub(count(&self.standing_at_begin))
     }
 
+    /// Test traffic that it has heard altogether.
+    pub fn heard(&self) -> Heard {
+        let Some(standing) = &self.standing else { return Heard::default() };
+        let Standing { received, missing, first, .. } = *standing;
+        let range = (received > 0).then(|| (first, first + received + missing - 1));
+        Heard { received, range }
+    }
+
     /// Locked, or bridging one cycle, when the measurement ended.
     pub fn was_synchronised_at_end(&self) -> bool {
         let end = self.standing_at_end.as_ref();
@@ -166,7 +175,13 @@ impl Member {
 
     /// What a reader of the report should know.
     fn remember(&mut self, kind: EventKind, cycle: u32) {
-        if matches!(kind, EventKind::SyncLost | EventKind::CalibrationTimeout | EventKind::OtherMaster) {
+        let worth_knowing = [
+            EventKind::SyncLost,
+            EventKind::SendFailed,
+            EventKind::CalibrationTimeout,
+            EventKind::OtherMaster,
+        ];
+        if worth_knowing.contains(&kind) {
             let note = format!("{} in cycle {cycle}", kind.name());
             if self.notes.len() < 20 {
                 self.notes.push(note);

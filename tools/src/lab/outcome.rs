@@ -51,6 +51,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         figures.frames_seen += one.frames_seen;
         figures.slots_missed += one.slots_missed;
         figures.payload_errors += one.payload_errors;
+        figures.frames_lost += one.frames_lost;
         figures.per_station.push(one);
     }
     figures.slot_error_ns = all.slot_error.summary();
@@ -135,9 +136,16 @@ fn station_figures(
         rss_bytes: member.resident,
         cpu_percent: percent(member.cpu_seconds, cycles, scenario),
         sequence_gaps: member.sequence_gaps(),
+        frames_lost: frames_lost(scenario, parts, station),
         refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         notes,
     }
+}
+
+/// Of what its sender had on the medium. What a lost station heard last is not known.
+fn frames_lost(scenario: &Scenario, parts: &Parts, station: usize) -> u64 {
+    let (member, sender) = (&parts.members[station], scenario.sender(station));
+    if member.ended { 0 } else { parts.analysis.stations[sender].passed.lost(&member.heard()) }
 }
 
 fn percent(cpu_seconds: f64, cycles: u32, scenario: &Scenario) -> f64 {
@@ -189,6 +197,10 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
     }
     if figures.payload_errors > 0 {
         reasons.push(format!("{} payload error{}", figures.payload_errors, plural(figures.payload_errors)));
+    }
+    for station in figures.per_station.iter().filter(|station| station.frames_lost > 0) {
+        let (name, n) = (&station.name, station.frames_lost);
+        reasons.push(format!("station '{name}' did not receive {n} frame{} of the medium", plural(n)));
     }
     if figures.capture_dropped > 0 {
         reasons.push(format!("the observer lost {} frames", figures.capture_dropped));

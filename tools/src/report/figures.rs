@@ -62,6 +62,8 @@ pub struct Figures {
     pub clock_steps: u64,
     /// Frames that the capture lost, so that nothing is known of them.
     pub capture_dropped: u64,
+    /// Frames that were on the medium and did not reach their receiver.
+    pub frames_lost: u64,
     /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
     pub misses: Vec<Miss>,
 }
@@ -121,6 +123,8 @@ pub struct StationFigures {
     pub cpu_percent: f64,
     /// Frames missing between those that it received: missed by their sender, or lost on the way.
     pub sequence_gaps: u64,
+    /// Frames for it that were on the medium and that it did not receive.
+    pub frames_lost: u64,
     /// What the station's stack refused, by name of the refusal.
     pub refusals: BTreeMap<String, u64>,
     /// What a reader should know, such as `SCHED_FIFO refused: ...`.
@@ -235,7 +239,7 @@ mod tests {
             "stations cycle_ns cycles syncs_sent syncs_skipped frames_expected frames_seen slots_missed",
             "overruns stalled_in_send overlaps out_of_slot unexplained payload_errors slot_error_ns",
             "slot_error_abs_ns sync_period_jitter_ns sync_error_ns per_station host verdict",
-            "rt_cpu_percent clock_steps capture_dropped misses",
+            "rt_cpu_percent clock_steps capture_dropped frames_lost misses",
         ];
         let json = serde_json::to_string(&Figures::default()).unwrap();
         let places: Vec<_> = names

@@ -175,6 +175,7 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         (figures.syncs_skipped, "syncs skipped"),
         (figures.clock_steps, "clock steps"),
         (figures.capture_dropped, "lost by the capture"),
+        (figures.frames_lost, "lost on the way"),
     ];
     let counts = causes.map(|(count, cause)| format!("{cause} {}", grouped(count)));
     let mut lines = list("misses: ", &counts, width);

@@ -1,6 +1,7 @@
 //! What a lab and its stations tell each other: options in one JSON argument, reports as JSON lines.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering::Relaxed;
 
 use rtmac::tdma::{RoleName, TdmaStatus};
 use rtnet::clock::EmulatedClock;
@@ -8,6 +9,8 @@ use rtnet::discipline::EventKind;
 use rtnet::live::{Record, Snapshot};
 use rtnet::time::{Offset, Span};
 use serde::{Deserialize, Serialize};
+
+use super::traffic::TrafficCounts;
 
 /// What a lab adds to a station's own options.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -81,6 +84,8 @@ pub struct Standing {
     pub received: u64,
     /// Test traffic missing between two frames that were received.
     pub missing: u64,
+    /// The sequence number of the first of them.
+    pub first: u64,
     /// Frames refused, by reason.
     pub refusals: BTreeMap<String, u64>,
     /// Steps of the wall clock.
@@ -91,7 +96,7 @@ pub struct Standing {
 
 impl Standing {
     /// A snapshot in a form to be told.
-    pub fn of(snapshot: &Snapshot<TdmaStatus>, received: u64, missing: u64) -> Self {
+    pub fn of(snapshot: &Snapshot<TdmaStatus>, traffic: &TrafficCounts) -> Self {
         let status = &snapshot.status;
         let port = [("port_oversize", snapshot.port.oversize), ("port_pool_empty", snapshot.port.pool_empty)];
         let port = port.into_iter().filter(|&(_, n)| n > 0).map(|(reason, n)| (reason.to_owned(), n));
@@ -106,8 +111,9 @@ impl Standing {
             yielded_to: status.yielded_to.map(|address| address.to_string()),
             cpu_ns: snapshot.cpu,
             frames_sent: status.counters.frames_sent,
-            received,
-            missing,
+            received: traffic.received.load(Relaxed),
+            missing: traffic.missing.load(Relaxed),
+            first: traffic.first.load(Relaxed),
             refusals: refusals.collect(),
             clock_steps: snapshot.port.clock_steps,
             lost_records: snapshot.records_lost + status.events_lost,

@@ -221,9 +221,7 @@ impl Teller {
             Teller::Lab => {
                 link::reports(records.into_iter()).iter().try_for_each(say)?;
                 if let Some(snapshot) = snapshot {
-                    let (received, missing) =
-                        (counts.received.load(Ordering::Relaxed), counts.missing.load(Ordering::Relaxed));
-                    say(&Report::Standing(Box::new(Standing::of(&snapshot, received, missing))))?;
+                    say(&Report::Standing(Box::new(Standing::of(&snapshot, counts))))?;
                 }
                 if let Some(why) = &yielded {
                     say(&Report::Failed(why.clone()))?;

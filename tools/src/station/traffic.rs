@@ -26,8 +26,8 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 /// Frames being sent or queued at a time: one per slot id.
 const POOL: usize = 8;
 
-/// A larger gap in the sequence is not one: days of frames at 1 ms.
-const MISSING_AT_MOST: u64 = 1 << 30;
+/// A larger gap in the sequence is not one, but a forged frame: days of frames at 1 ms.
+pub const MISSING_AT_MOST: u64 = 1 << 30;
 
 /// What a frame says of itself, behind the Ethernet header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
@@ -58,6 +58,10 @@ impl Tag {
     /// In which cycle.
     pub fn cycle(&self) -> u32 {
         self.cycle.get()
+    }
+    /// The sender's number of the frame.
+    pub fn sequence(&self) -> u64 {
+        self.sequence.get()
     }
     /// When its slot was to begin, on the master's clock.
     pub fn scheduled(&self) -> GlobalTime {
@@ -104,6 +108,8 @@ pub struct TrafficCounts {
     pub received: AtomicU64,
     /// Frames missing between two that were received.
     pub missing: AtomicU64,
+    /// The sequence number of the first frame received.
+    pub first: AtomicU64,
 }
 
 impl Traffic {
@@ -146,6 +152,8 @@ impl Traffic {
             // Nobody was silent that long and came back: forged, and not to be believed.
             (missing < MISSING_AT_MOST).then_some(())?;
             self.counts.missing.fetch_add(missing, Ordering::Relaxed);
+        } else {
+            self.counts.first.store(sequence, Ordering::Relaxed);
         }
         self.heard = Some(sequence);
         self.counts.received.fetch_add(1, Ordering::Relaxed);
@@ -210,8 +218,8 @@ mod tests {
         assert_eq!(b.on_frame(None, frame), Ok(()));
         drop(sent(&mut a, 6));
         assert_eq!(b.on_frame(None, sent(&mut a, 7)), Ok(()));
-        let seen = (counts.received.load(Ordering::Relaxed), counts.missing.load(Ordering::Relaxed));
-        assert_eq!(seen, (2, 1), "the frame of cycle 6 is missing");
+        let seen = [&counts.received, &counts.missing, &counts.first].map(|n| n.load(Ordering::Relaxed));
+        assert_eq!(seen, [2, 1, 0], "the frame of cycle 6 is missing");
     }
 
     #[test]

@@ -1,0 +1,98 @@
+//! What was on the medium and never reached its receiver. Senders number their frames; the observer knows
+//! which numbers passed, a receiver knows from where to where it heard how many.
+
+use crate::station::traffic::MISSING_AT_MOST;
+
+/// What a receiver heard of its sender.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// How many frames.
+    pub received: u64,
+    /// The numbers of the first and the last.
+    pub range: Option<(u64, u64)>,
+}
+
+/// What the observer saw of one sender.
+#[derive(Debug, Default)]
+pub struct Passed {
+    range: Option<(u64, u64)>,
+    /// Numbers between, that were not seen: first and how many, in order.
+    gaps: Vec<(u64, u64)>,
+    /// The first and the last number of the cycles that count.
+    counted: Option<(u64, u64)>,
+}
+
+impl Passed {
+    /// A frame passed, in a cycle that counts or not.
+    pub fn note(&mut self, number: u64, counts: bool) {
+        let (first, last) = self.range.unwrap_or((number, number));
+        // A receiver does not believe these either.
+        let Some(step) = number.checked_sub(last).filter(|&step| step <= MISSING_AT_MOST) else { return };
+        let missing = step.saturating_sub(1);
+        if missing > 0 {
+            self.gaps.push((last + 1, missing));
+        }
+        self.range = Some((first, number));
+        if counts {
+            self.counted = Some((self.counted.map_or(number, |(from, _)| from), number));
+        }
+    }
+
+    /// How many frames the receiver did not get: of those that count, and of all within what it heard.
+    pub fn lost(&self, heard: &Heard) -> u64 {
+        let Some((from, to)) = self.counted else { return 0 };
+        let (first, last) = heard.range.unwrap_or((from, to));
+        self.passed(first.min(from), last.max(to)).saturating_sub(heard.received)
+    }
+
+    /// How many frames with these numbers were on the medium.
+    fn passed(&self, from: u64, to: u64) -> u64 {
+        let Some((first, last)) = self.range else { return 0 };
+        let (from, to) = (from.max(first), to.min(last));
+        let missing = |&(begin, n): &(u64, u64)| {
+            let end = begin + n;
+            end.min(to + 1).saturating_sub(begin.max(from))
+        };
+        (to + 1).saturating_sub(from) - self.gaps.iter().map(missing).sum::<u64>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers 0 to 99, of which 30, 31 and 60 were never sent; 20 to 79 count.
+    fn passed() -> Passed {
+        let mut passed = Passed::default();
+        let numbers = (0..100).filter(|number| ![30, 31, 60].contains(number));
+        numbers.for_each(|number| passed.note(number, (20..80).contains(&number)));
+        passed
+    }
+
+    #[track_caller]
+    fn lost(received: u64, range: Option<(u64, u64)>, expected: u64) {
+        assert_eq!(passed().lost(&Heard { received, range }), expected);
+    }
+
+    #[test]
+    fn what_was_never_sent_is_not_lost() {
+        lost(97, Some((0, 99)), 0);
+        lost(77, Some((10, 89)), 0);
+    }
+
+    #[test]
+    fn frames_lost_between_before_and_behind_what_was_heard_are_lost() {
+        lost(95, Some((0, 99)), 2);
+        // 20 to 24 came too early for it, though they count; and the last five that count never came.
+        lost(47, Some((25, 74)), 10);
+        lost(0, None, 57);
+    }
+
+    #[test]
+    fn a_forged_number_from_far_away_changes_nothing() {
+        let mut passed = passed();
+        passed.note(1 << 40, true);
+        passed.note(100, true);
+        assert_eq!(passed.lost(&Heard { received: 97, range: Some((0, 99)) }), 1);
+    }
+}

@@ -89,6 +89,9 @@ pub struct Analysis {
     current: Option<u32>,
     last_sync: Option<(u32, True)>,
     busy: Option<(True, Option<usize>)>,
+    /// Cycles of which not every frame could be judged, first and last.
+    blind: Vec<(u32, u32)>,
+    sees: bool,
     /// Synchronisations seen in the window.
     pub syncs: u64,
     /// (t(n) - t(n-1)) - T of neighbouring cycles' Synchronisations.
@@ -121,6 +124,8 @@ impl Analysis {
             current: None,
             last_sync: None,
             busy: None,
+            blind: Vec::new(),
+            sees: true,
             syncs: 0,
             sync_period_jitter: SignedHistogram::new(),
             findings: Vec::new(),
@@ -176,10 +181,15 @@ impl Analysis {
         }
     }
 
-    /// Stamps before and after this moment cannot be compared.
+    /// From here to the next frame not all are given, and stamps cannot be compared. What is missing
+    /// meanwhile counts as missed, but is no finding: nobody looked.
     pub fn lose_sight(&mut self) {
         self.busy = None;
         self.last_sync = None;
+        if let (true, Some(current)) = (self.sees, self.current) {
+            self.blind.push((current, current));
+            self.sees = false;
+        }
     }
 
     /// The window has passed: slots without a frame at its end are missed, too.
@@ -196,6 +206,14 @@ impl Analysis {
                 self.gaps(next, end, slot.phase, slot.period, FindingKind::SlotMissed, station);
             }
         }
+        let blind = &mut self.blind;
+        blind.last_mut().filter(|_| !self.sees).into_iter().for_each(|(_, last)| *last = end);
+        self.findings.retain(|finding| {
+            let missing = matches!(finding.kind, FindingKind::SlotMissed | FindingKind::SyncGap);
+            let in_sight =
+                |&(first, last): &(u32, u32)| finding.cycle.wrapping_sub(first) > last.wrapping_sub(first);
+            !missing || blind.iter().all(in_sight)
+        });
     }
 
     /// Frames that a station should have sent in the cycles that were counted.
@@ -231,6 +249,10 @@ impl Analysis {
 
     fn sync(&mut self, at: True, cycle: u32, sched: GlobalTime, air: Span) {
         let error = self.error(at, sched);
+        if let (false, Some((_, last))) = (self.sees, self.blind.last_mut()) {
+            *last = cycle;
+            self.sees = true;
+        }
         if self.counts(cycle) {
             self.syncs += 1;
         }

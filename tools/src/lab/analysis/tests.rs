@@ -170,6 +170,27 @@ fn a_late_sync_or_a_second_one_is_found() {
 }
 
 #[test]
+fn what_nobody_looked_at_is_missed_but_no_finding() {
+    let mut bench = Bench::new();
+    for cycle in FIRST..=FIRST + CYCLES {
+        match cycle {
+            11 => bench.analysis.lose_sight(),
+            12 => {}
+            _ => {
+                bench.sync(cycle, 0);
+                bench.data(0, cycle, 0);
+                if cycle != 14 {
+                    bench.data(1, cycle, 0);
+                }
+            }
+        }
+    }
+    bench.analysis.finish();
+    assert_eq!(found(&bench.analysis), [(14, FindingKind::SlotMissed, Some(1))]);
+    assert_eq!((bench.analysis.expected(0), bench.analysis.stations[0].frames), (5, 3));
+}
+
+#[test]
 fn after_a_step_of_the_wall_clock_nothing_is_compared_across_it() {
     let analysis = Bench::new().run(|bench| {
         bench.sync(12, 0);

@@ -1,0 +1,71 @@
+//! Somebody sets the wall clock while a lab runs. The kernel stamps frames by that clock; schedules are
+//! not kept by it. This sets the clock of the machine for a second, so it must be asked for:
+//! `RTNET_SET_CLOCK=1`. It is alone in this file: other tests would be told that the clock was set.
+
+// A test of real processes waits for them.
+#![allow(clippy::disallowed_methods)]
+
+use std::io::Write;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use nix::sys::time::TimeSpec;
+use nix::time::{ClockId, clock_gettime, clock_settime};
+use serde_json::Value;
+
+const STEP: Duration = Duration::from_millis(300);
+
+/// Sets the wall clock forth, and back again when dropped.
+struct Stepped;
+
+impl Stepped {
+    fn now() -> nix::Result<Self> {
+        set(|now| now + TimeSpec::from_duration(STEP)).map(|()| Stepped)
+    }
+}
+
+impl Drop for Stepped {
+    fn drop(&mut self) {
+        set(|now| now - TimeSpec::from_duration(STEP)).expect("it could be set before");
+    }
+}
+
+fn set(to: impl Fn(TimeSpec) -> TimeSpec) -> nix::Result<()> {
+    clock_settime(ClockId::CLOCK_REALTIME, to(clock_gettime(ClockId::CLOCK_REALTIME)?))
+}
+
+#[test]
+fn a_step_of_the_wall_clock_moves_no_frame() {
+    let asked = std::env::var_os("RTNET_SET_CLOCK").is_some();
+    let refused = match asked.then(|| set(|now| now)) {
+        None => Some("sets the clock of this machine for a second: ask for it with RTNET_SET_CLOCK=1".into()),
+        Some(set) => set.err().map(|error| format!("the clock cannot be set here: {error}")),
+    };
+    if let Some(why) = refused {
+        // Past the test harness.
+        let _ = writeln!(std::io::stderr(), "SKIP a_step_of_the_wall_clock_moves_no_frame: {why}");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let json = dir.path().join("report.json");
+    let lab = ["lab", "run", "--stations", "3", "--cycle", "5ms", "--duration", "8s", "--json"];
+    let lab = Command::new(env!("CARGO_BIN_EXE_rtnet"))
+        .args(lab)
+        .arg(&json)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The network is up after about 2 s.
+    std::thread::sleep(Duration::from_secs(5));
+    let stepped = Stepped::now().unwrap();
+    std::thread::sleep(Duration::from_secs(1));
+    drop(stepped);
+    let screen = String::from_utf8(lab.wait_with_output().unwrap().stdout).unwrap();
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    let reasons = report["verdict"]["reasons"].as_array().unwrap();
+    assert_eq!(reasons.len(), 1, "{screen}");
+    assert!(reasons[0].as_str().unwrap().starts_with("the wall clock was set during the run"), "{screen}");
+    // Once forth and once back, seen by each station and by the observer.
+    assert_eq!(report["clock_steps"], 2 * (3 + 1), "{screen}");
+    assert_eq!((&report["unexplained"], &report["frames_lost"]), (&0.into(), &0.into()), "{screen}");
+}

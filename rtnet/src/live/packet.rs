@@ -102,6 +102,24 @@ fn stamp_of(message: &libc::msghdr) -> Option<u64> {
     None
 }
 
+/// How many frames the kernel dropped since the last call because the socket's queue or ring was full.
+pub fn take_dropped(socket: &impl AsRawFd) -> io::Result<u64> {
+    // Sockets without a ring of version 3 fill the first two only.
+    let mut stats = libc::tpacket_stats_v3 { tp_packets: 0, tp_drops: 0, tp_freeze_q_cnt: 0 };
+    let mut len = size_of::<libc::tpacket_stats_v3>() as libc::socklen_t;
+    // SAFETY: the kernel writes at most `len` bytes to `stats`, which has them.
+    let result = unsafe {
+        libc::getsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_PACKET,
+            libc::PACKET_STATISTICS,
+            (&raw mut stats).cast(),
+            &raw mut len,
+        )
+    };
+    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(stats.tp_drops.into()) }
+}
+
 /// Waits until one of the sockets has a frame, or `timeout_ms` milliseconds.
 pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Socket>, timeout_ms: i32) {
     let entry = |socket: &Socket| libc::pollfd { fd: socket.as_raw_fd(), events: libc::POLLIN, revents: 0 };

@@ -47,6 +47,8 @@ pub struct PortCounters {
     pub oversize: u64,
     /// Turns in which the receive pool was empty.
     pub pool_empty: u64,
+    /// Frames that the kernel dropped because a socket's queue was full.
+    pub socket_full: u64,
     /// Steps of the wall clock.
     pub clock_steps: u64,
 }
@@ -93,8 +95,12 @@ impl Port {
         &self.clock
     }
 
-    /// What was counted so far.
-    pub fn counters(&self) -> PortCounters {
+    /// What was counted so far. Asks the kernel, too.
+    pub fn counters(&mut self) -> PortCounters {
+        let sockets = core::iter::once(&self.control).chain(&self.data);
+        // A packet socket always has statistics.
+        let dropped = sockets.filter_map(|socket| packet::take_dropped(socket).ok());
+        self.counters.socket_full += dropped.sum::<u64>();
         PortCounters { clock_steps: self.wall.steps(), ..self.counters }
     }
 

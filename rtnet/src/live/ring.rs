@@ -28,6 +28,8 @@ use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 use socket2::{Domain, Socket, Type};
 
+use super::packet;
+
 /// Nominal only: in version 3 frames take what they need, but the request has to add up.
 const FRAME_BYTES: u32 = 2048;
 
@@ -195,21 +197,8 @@ impl CaptureRing {
     /// # Errors
     /// The kernel refuses its statistics. Names the interface.
     pub fn dropped(&mut self) -> io::Result<u64> {
-        let mut stats = libc::tpacket_stats_v3 { tp_packets: 0, tp_drops: 0, tp_freeze_q_cnt: 0 };
-        let mut length = size_of::<libc::tpacket_stats_v3>() as libc::socklen_t;
-        // SAFETY: the kernel writes at most `length` bytes to `stats`, which has them.
-        let result = unsafe {
-            libc::getsockopt(
-                self.socket.as_raw_fd(),
-                libc::SOL_PACKET,
-                libc::PACKET_STATISTICS,
-                (&raw mut stats).cast(),
-                &raw mut length,
-            )
-        };
-        Errno::result(result).map_err(|e| named(&self.interface, "no statistics", e.into()))?;
-        // The kernel starts again from 0 at every reading.
-        self.dropped += u64::from(stats.tp_drops);
+        let newly = packet::take_dropped(&self.socket);
+        self.dropped += newly.map_err(|e| named(&self.interface, "no statistics", e))?;
         Ok(self.dropped)
     }
 

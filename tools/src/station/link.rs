@@ -98,7 +98,11 @@ impl Standing {
     /// A snapshot in a form to be told.
     pub fn of(snapshot: &Snapshot<TdmaStatus>, traffic: &TrafficCounts) -> Self {
         let status = &snapshot.status;
-        let port = [("port_oversize", snapshot.port.oversize), ("port_pool_empty", snapshot.port.pool_empty)];
+        let port = [
+            ("port_oversize", snapshot.port.oversize),
+            ("port_pool_empty", snapshot.port.pool_empty),
+            ("port_socket_full", snapshot.port.socket_full),
+        ];
         let port = port.into_iter().filter(|&(_, n)| n > 0).map(|(reason, n)| (reason.to_owned(), n));
         let refusals =
             snapshot.refusals.nonzero().map(|(reason, n)| (reason.name().to_owned(), n)).chain(port);

@@ -33,7 +33,8 @@ pub struct Buf {
 struct Home {
     places: Box<[AtomicCell<Option<Box<Storage>>>]>,
     /// Where it is worth to look: set before a place is filled, cleared after it was emptied, both by the one
-    /// who owns the buffer then. An empty place may seem filled for a moment, never the reverse.
+    /// who owns the buffer then. So an empty place may seem filled for a moment; the reverse holds for nobody
+    /// who comes after the owner.
     filled: Box<[AtomicBool]>,
     /// Where to look first: the place that somebody filled or emptied last.
     hint: AtomicUsize,
@@ -64,7 +65,8 @@ impl Pool {
         Self { home }
     }
 
-    /// An empty buffer, or `None` when all are in use. Looks at each place once at most.
+    /// An empty buffer, or `None` when all are in use; where several threads take, possibly also when one comes
+    /// home behind the search. Looks at the last place used, else at each one once.
     #[inline]
     pub fn take(&self) -> Option<Buf> {
         let home = self.home;

@@ -240,6 +240,8 @@ pub enum EventKind {
     Holdover,
     /// More Synchronisations are missing than are bridged.
     SyncLost,
+    /// A Synchronisation was handed over only after a slot had been silent for want of it, by so much or more.
+    SyncLate,
     /// Synchronised; the span is the delay from the master.
     Locked,
     /// Calibration was given up for now.
@@ -252,7 +254,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 14] = [
+    pub const ALL: [EventKind; 15] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::SlotSilent,
@@ -263,6 +265,7 @@ impl EventKind {
         EventKind::DuplicateCycle,
         EventKind::Holdover,
         EventKind::SyncLost,
+        EventKind::SyncLate,
         EventKind::Locked,
         EventKind::CalibrationTimeout,
         EventKind::OtherMaster,
@@ -282,6 +285,7 @@ impl EventKind {
             EventKind::DuplicateCycle => "duplicate_cycle",
             EventKind::Holdover => "holdover",
             EventKind::SyncLost => "sync_lost",
+            EventKind::SyncLate => "sync_late",
             EventKind::Locked => "locked",
             EventKind::CalibrationTimeout => "calibration_timeout",
             EventKind::OtherMaster => "other_master",

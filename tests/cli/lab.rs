@@ -128,6 +128,7 @@ fn frames_that_do_not_reach_their_receiver_fail_the_run() {
     let screen = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1));
     assert!(screen.contains("station 'slave2' did not receive"), "{screen}");
+    assert!(screen.contains("port_socket_full"), "{screen}");
 }
 
 #[test]
@@ -141,6 +142,8 @@ fn ctrl_c_ends_the_run_with_the_report_so_far() {
     let output = lab.wait_with_output().unwrap();
     let screen = String::from_utf8(output.stdout).unwrap();
     assert!(screen.contains("3 stations, cycle 5 ms"), "{screen}");
+    assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
+    assert_eq!(output.status.code(), Some(0));
     assert!(!stations.into_iter().any(is_there));
 }
 

@@ -5,7 +5,7 @@
 // A test of real processes waits for them.
 #![allow(clippy::disallowed_methods)]
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -34,29 +34,31 @@ fn set(to: impl Fn(TimeSpec) -> TimeSpec) -> nix::Result<()> {
     clock_settime(ClockId::CLOCK_REALTIME, to(clock_gettime(ClockId::CLOCK_REALTIME)?))
 }
 
+/// Why the clock is not to be, or cannot be set.
+fn why_not() -> Option<String> {
+    if std::env::var("RTNET_SET_CLOCK").as_deref() != Ok("1") {
+        return Some("sets the clock of this machine for a second: ask for it with RTNET_SET_CLOCK=1".into());
+    }
+    if !nix::unistd::geteuid().is_root() {
+        return Some("needs root".into());
+    }
+    set(|now| now).err().map(|error| format!("the clock cannot be set here: {error}"))
+}
+
 #[test]
 fn a_step_of_the_wall_clock_moves_no_frame() {
-    let asked = std::env::var_os("RTNET_SET_CLOCK").is_some();
-    let refused = match asked.then(|| set(|now| now)) {
-        None => Some("sets the clock of this machine for a second: ask for it with RTNET_SET_CLOCK=1".into()),
-        Some(set) => set.err().map(|error| format!("the clock cannot be set here: {error}")),
-    };
-    if let Some(why) = refused {
+    if let Some(why) = why_not() {
         // Past the test harness.
         let _ = writeln!(std::io::stderr(), "SKIP a_step_of_the_wall_clock_moves_no_frame: {why}");
         return;
     }
     let dir = tempfile::tempdir().unwrap();
     let json = dir.path().join("report.json");
-    let lab = ["lab", "run", "--stations", "3", "--cycle", "5ms", "--duration", "8s", "--json"];
-    let lab = Command::new(env!("CARGO_BIN_EXE_rtnet"))
-        .args(lab)
-        .arg(&json)
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    // The network is up after about 2 s.
-    std::thread::sleep(Duration::from_secs(5));
+    let mut lab = Command::new(env!("CARGO_BIN_EXE_rtnet"));
+    lab.args(["lab", "run", "--stations", "3", "--cycle", "5ms", "--duration", "5s", "--json"]).arg(&json);
+    let mut lab = lab.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut progress = BufReader::new(lab.stderr.take().unwrap()).lines();
+    assert!(progress.any(|line| line.unwrap().starts_with("rtnet: cycle")), "the network comes up");
     let stepped = Stepped::now().unwrap();
     std::thread::sleep(Duration::from_secs(1));
     drop(stepped);
@@ -66,6 +68,6 @@ fn a_step_of_the_wall_clock_moves_no_frame() {
     assert_eq!(reasons.len(), 1, "{screen}");
     assert!(reasons[0].as_str().unwrap().starts_with("the wall clock was set during the run"), "{screen}");
     // Once forth and once back, seen by each station and by the observer.
-    assert_eq!(report["clock_steps"], 2 * (3 + 1), "{screen}");
+    assert!(report["clock_steps"].as_u64().unwrap() >= 2 * (3 + 1), "{screen}");
     assert_eq!((&report["unexplained"], &report["frames_lost"]), (&0.into(), &0.into()), "{screen}");
 }

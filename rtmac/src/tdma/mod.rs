@@ -61,6 +61,8 @@ pub struct Tdma {
     /// Synchronisations, requests and replies are sent from here.
     pool: Pool,
     pending: Option<Pending>,
+    /// The last slot that was silent: its cycle, and when it was.
+    silent: Option<(u32, Instant)>,
     events: Events,
     counters: Counters,
 }
@@ -102,6 +104,7 @@ impl Tdma {
             // All pending replies are built when their instant comes, one frame at a time.
             pool: Pool::new(2),
             pending: None,
+            silent: None,
             events: Events::new(),
             counters: Counters::default(),
         })
@@ -156,7 +159,10 @@ impl Tdma {
             if job.at() - self.lead > now {
                 return None;
             }
-            if !self.may_do(&job) {
+            if self.overslept(&job) {
+                self.missed(&job, (now - job.latest()).max(Span::ZERO));
+            } else if !self.may_do(&job) {
+                self.silent = Some((job.cycle(), job.at()));
                 self.counters.slots_silent += 1;
                 self.events.note(job.cycle(), EventKind::SlotSilent, Span::ZERO);
             } else if now > job.latest() {
@@ -175,6 +181,15 @@ impl Tdma {
             && !master.put_off()
         {
             self.counters.replies_given_up += 1;
+        }
+    }
+
+    /// The Synchronisation of a later cycle, or that of the one after it, is known already: it is not for want of
+    /// one that this is too late.
+    fn overslept(&self, job: &Job) -> bool {
+        match &self.role {
+            Role::Master(_) => false,
+            Role::Slave(slave) => slave.line().is_some_and(|line| line.ahead(job.cycle()) < -HOLDOVER_CYCLES),
         }
     }
 

@@ -32,6 +32,12 @@ impl Tdma {
             (Message::Sync { cycle, xmit, sched }, Role::Slave(slave)) => {
                 self.counters.syncs_received += 1;
                 let followed = slave.on_sync(rx, header.source, cycle, xmit, sched, events)?;
+                if let Some((silent, at)) = self.silent
+                    && cycle.wrapping_sub(silent) as i32 <= 0
+                {
+                    self.counters.syncs_late += 1;
+                    events.note(cycle, EventKind::SyncLate, at - rx);
+                }
                 if let (Followed::NewLine, Some(line)) = (followed, slave.line()) {
                     self.slots.align(line, rx);
                     if let Some(beyond) = self.slots.longest_offset().filter(|offset| *offset >= line.period)

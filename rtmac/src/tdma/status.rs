@@ -15,6 +15,8 @@ pub struct Counters {
     pub syncs_skipped: u64,
     /// Synchronisations received, accepted or not.
     pub syncs_received: u64,
+    /// Of them, those that came after a slot had been silent for want of them.
+    pub syncs_late: u64,
     /// Data frames sent.
     pub frames_sent: u64,
     /// Slots skipped because they were late.

@@ -130,3 +130,55 @@ fn slots_change_by_command_and_a_masters_must_be_in_its_cycle() {
     master.command(at(3_500), TdmaCommand::RemoveSlot(2)).unwrap();
     assert_eq!(master.payload_limit(2), Err(SendError::NoSlot(2)));
 }
+
+/// A slave that has heard cycles 1 and 2 of a line on which cycle n begins at n ms.
+fn locked_slave() -> Tdma {
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None });
+    let mut slave = Tdma::new(&config(role)).unwrap();
+    hear_syncs(&mut slave, 1..=2);
+    assert_eq!(slave.time().state, SyncState::Locked);
+    // So far there was nothing to send.
+    assert!(slave.next_transmission(at(2_400)).is_none());
+    told(&mut slave);
+    slave
+}
+
+fn hear_syncs(slave: &mut Tdma, cycles: std::ops::RangeInclusive<u32>) {
+    for cycle in cycles {
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+        assert!(matches!(slave.on_frame(Some(at(u64::from(cycle) * 1_000)), frame), Claimed::Kept));
+    }
+}
+
+fn told(tdma: &mut Tdma) -> Vec<(u32, EventKind, Span)> {
+    let next = || tdma.next_event().map(|event| (event.cycle, event.kind, event.span));
+    std::iter::from_fn(next).collect()
+}
+
+#[test]
+fn a_slot_that_was_silent_because_syncs_came_late_says_so() {
+    let mut slave = locked_slave();
+    assert!(slave.next_transmission(at(4_400)).is_none());
+    let [overrun, silent] = told(&mut slave)[..] else { panic!() };
+    assert_eq!(
+        overrun,
+        (3, EventKind::Overrun, Span::from_micros(980)),
+        "its slot was allowed, but it slept"
+    );
+    assert_eq!(silent, (4, EventKind::SlotSilent, Span::ZERO));
+    hear_syncs(&mut slave, 3..=5);
+    let late = [(3, Span::from_micros(1_400)), (4, Span::from_micros(400))];
+    assert_eq!(told(&mut slave), late.map(|(cycle, by)| (cycle, EventKind::SyncLate, by)));
+    assert_eq!(slave.status().counters.syncs_late, 2, "that of cycle 5 was in time");
+}
+
+#[test]
+fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
+    let mut slave = locked_slave();
+    hear_syncs(&mut slave, 3..=6);
+    assert!(slave.next_transmission(at(6_500)).is_none());
+    let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
+    assert_eq!(kinds, [3, 4, 5, 6].map(|cycle| (cycle, EventKind::Overrun)));
+}

@@ -100,7 +100,13 @@ impl<D: Discipline> Driver<D> {
         while !self.config.stop.load(Ordering::Relaxed) {
             self.turn();
         }
-        self.publish(monotonic());
+        // What arrived during the last sleep is not lost.
+        let Self { station, port, .. } = self;
+        port.drain_control(|rx, frame| station.on_frame(rx, frame));
+        port.drain_data(|rx, frame| station.on_frame(rx, frame));
+        // Nobody publishes again: the oldest snapshot goes if nobody has looked at it.
+        let last = self.snapshot(monotonic());
+        self.snapshots.force_push(last);
     }
 
     /// One turn: drain, choose, send or wait.
@@ -151,7 +157,12 @@ impl<D: Discipline> Driver<D> {
         self.next_snapshot = now + SNAPSHOT_EVERY;
         // A full queue means that nobody looks: the next snapshot says as much. Pushing never waits for
         // a reader that was preempted, which replacing the oldest would.
-        let _ = self.snapshots.push(Snapshot {
+        let snapshot = self.snapshot(now);
+        let _ = self.snapshots.push(snapshot);
+    }
+
+    fn snapshot(&mut self, now: True) -> Snapshot<D::Status> {
+        Snapshot {
             at: now,
             status: self.station.discipline().status(),
             refusals: *self.station.refusals(),
@@ -159,6 +170,6 @@ impl<D: Discipline> Driver<D> {
             port: self.port.counters(),
             cpu: thread_cpu_time(),
             records_lost: self.records_lost,
-        });
+        }
     }
 }

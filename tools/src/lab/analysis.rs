@@ -45,10 +45,26 @@ pub struct Finding {
     pub cycle: u32,
     /// What.
     pub kind: FindingKind,
-    /// Who was involved.
-    pub stations: [Option<usize>; 2],
+    /// Whose frames were involved: who came first, who came then.
+    pub authors: [Option<Author>; 2],
     /// By how much.
     pub span: Span,
+}
+
+impl Finding {
+    /// What one station alone did or left undone.
+    pub fn of(station: usize, cycle: u32, kind: FindingKind, span: Span) -> Self {
+        Self { cycle, kind, authors: [Some(Author { station, cycle }), None], span }
+    }
+}
+
+/// Whose frame it is, and of which cycle: the frame that is hit need not be of the cycle of the one that hits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Author {
+    /// The station's number.
+    pub station: usize,
+    /// The cycle in whose slot it was to be.
+    pub cycle: u32,
 }
 
 /// Kinds of [`Finding`].
@@ -75,6 +91,8 @@ pub struct Seen {
     /// Which of its frames were on the medium.
     pub passed: Passed,
     last: BTreeMap<u8, u32>,
+    /// The newest cycle with a frame of it, and how many.
+    newest: (u32, u64),
 }
 
 /// The analysis of a run.
@@ -88,7 +106,7 @@ pub struct Analysis {
     window: Option<(u32, u32)>,
     current: Option<u32>,
     last_sync: Option<(u32, True)>,
-    busy: Option<(True, Option<usize>)>,
+    busy: Option<(True, Option<Author>)>,
     /// Cycles of which not every frame could be judged, first and last.
     blind: Vec<(u32, u32)>,
     sees: bool,
@@ -112,6 +130,7 @@ impl Analysis {
             slot_error: SignedHistogram::new(),
             passed: Passed::default(),
             last: BTreeMap::new(),
+            newest: (0, 0),
         };
         Self {
             master,
@@ -144,6 +163,12 @@ impl Analysis {
         self.window = Some((from, cycles));
     }
 
+    /// Cycles that have not passed yet do not count any more.
+    pub fn end(&mut self) {
+        let counted = self.cycles();
+        self.window = self.window.map(|(from, _)| (from, counted));
+    }
+
     /// The cycles that were counted: those of the window that have passed.
     pub fn cycles(&self) -> u32 {
         let (Some((from, cycles)), Some(current)) = (self.window, self.current) else { return 0 };
@@ -169,25 +194,32 @@ impl Analysis {
                 Ok(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) => Some((cycle, sched)),
                 _ => None,
             };
-            self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), sync.map(|_| 0));
+            let author = sync.map(|(cycle, _)| Author { station: 0, cycle });
+            self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), author);
             if let Some((cycle, sched)) = sync {
                 self.sync(at, cycle, sched, air);
             }
         } else if let Some((tag, _)) = Tag::read(bytes)
             && tag.station() < self.stations.len()
         {
-            self.occupy(at, air, Some(tag.cycle()), Some(tag.station()));
+            let author = Author { station: tag.station(), cycle: tag.cycle() };
+            self.occupy(at, air, Some(tag.cycle()), Some(author));
             self.data(at, tag, air);
         }
     }
 
-    /// From here to the next frame not all are given, and stamps cannot be compared. What is missing
-    /// meanwhile counts as missed, but is no finding: nobody looked.
+    /// From here on not every frame is given, and stamps cannot be compared with those before. What is
+    /// missing up to the cycle whose Synchronisation is seen next counts as missed, but is no finding: nobody
+    /// looked.
     pub fn lose_sight(&mut self) {
         self.busy = None;
         self.last_sync = None;
-        if let (true, Some(current)) = (self.sees, self.current) {
-            self.blind.push((current, current));
+        if let (true, Some(current)) = (self.sees, self.current)
+            && self.blind.len() < FINDINGS_MAX
+        {
+            // Further than any window, until the next Synchronisation tells how far.
+            let until = current.wrapping_add(i32::MAX as u32);
+            self.blind.push((current, until));
             self.sees = false;
         }
     }
@@ -206,8 +238,7 @@ impl Analysis {
                 self.gaps(next, end, slot.phase, slot.period, FindingKind::SlotMissed, station);
             }
         }
-        let blind = &mut self.blind;
-        blind.last_mut().filter(|_| !self.sees).into_iter().for_each(|(_, last)| *last = end);
+        let blind = &self.blind;
         self.findings.retain(|finding| {
             let missing = matches!(finding.kind, FindingKind::SlotMissed | FindingKind::SyncGap);
             let in_sight =
@@ -216,11 +247,15 @@ impl Analysis {
         });
     }
 
-    /// Frames that a station should have sent in the cycles that were counted.
+    /// Frames that a station should have sent in the cycles that were counted. Of the cycle in which a run was
+    /// ended early: those that it did send.
     pub fn expected(&self, station: usize) -> u64 {
         let Some((from, _)) = self.window else { return 0 };
         let end = from.wrapping_add(self.cycles());
-        self.slots[station].iter().map(|slot| turns(from, end, slot.phase, slot.period).count() as u64).sum()
+        let (newest, frames) = self.stations[station].newest;
+        let begun = if newest == end { frames } else { 0 };
+        let turns = |slot: &SlotPlan| turns(from, end, slot.phase, slot.period).count() as u64;
+        self.slots[station].iter().map(turns).sum::<u64>() + begun
     }
 
     /// The length of a slot, as which a missed one counts.
@@ -233,14 +268,14 @@ impl Analysis {
         self.window.is_some_and(|(from, cycles)| cycle.wrapping_sub(from) < cycles)
     }
 
-    fn occupy(&mut self, at: True, air: Span, cycle: Option<u32>, who: Option<usize>) {
+    fn occupy(&mut self, at: True, air: Span, cycle: Option<u32>, who: Option<Author>) {
         let until = at.saturating_add(air.nanos() as u64);
         if let Some((busy_until, before)) = self.busy
             && at < busy_until
             && let Some(cycle) = cycle
         {
             let span = Span::from_nanos((busy_until - at) as i64);
-            self.find(cycle, FindingKind::Overlap, [before, who], span);
+            self.find(Finding { cycle, kind: FindingKind::Overlap, authors: [before, who], span });
         }
         if self.busy.is_none_or(|(busy_until, _)| until > busy_until) {
             self.busy = Some((until, who));
@@ -257,7 +292,7 @@ impl Analysis {
             self.syncs += 1;
         }
         if error < -clock_share(self.guard) || error > self.sync_window - air {
-            self.find(cycle, FindingKind::OutOfSlot, [Some(0), None], error);
+            self.find(Finding::of(0, cycle, FindingKind::OutOfSlot, error));
         }
         if let Some((last, last_at)) = self.last_sync {
             match cycle.wrapping_sub(last) as i32 {
@@ -265,7 +300,7 @@ impl Analysis {
                     let period = self.master.clock.local(at) - self.master.clock.local(last_at);
                     self.sync_period_jitter.record((period - self.cycle).nanos());
                 }
-                ..=0 => self.find(cycle, FindingKind::Repeated, [Some(0), None], Span::ZERO),
+                ..=0 => self.find(Finding::of(0, cycle, FindingKind::Repeated, Span::ZERO)),
                 _ => self.gaps(last.wrapping_add(1), cycle, 0, 1, FindingKind::SyncGap, 0),
             }
         }
@@ -281,7 +316,7 @@ impl Analysis {
             return;
         }
         let Some(slot) = self.slots[station].iter().find(|slot| slot.id == tag.slot).copied() else {
-            return self.find(cycle, FindingKind::OutOfSlot, [Some(station), None], Span::ZERO);
+            return self.find(Finding::of(station, cycle, FindingKind::OutOfSlot, Span::ZERO));
         };
         let error = self.error(at, tag.scheduled());
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
@@ -289,11 +324,11 @@ impl Analysis {
         let share = clock_share(self.guard);
         let end = self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard - share;
         if error < -share || error + air > end {
-            self.find(cycle, FindingKind::OutOfSlot, [Some(station), None], error);
+            self.find(Finding::of(station, cycle, FindingKind::OutOfSlot, error));
         }
         let next = match self.stations[station].last.insert(slot.id, cycle) {
             Some(last) if (cycle.wrapping_sub(last) as i32) <= 0 => {
-                return self.find(cycle, FindingKind::Repeated, [Some(station), None], Span::ZERO);
+                return self.find(Finding::of(station, cycle, FindingKind::Repeated, Span::ZERO));
             }
             Some(last) => last.wrapping_add(1),
             None => self.window.map_or(cycle, |(from, _)| from),
@@ -301,6 +336,7 @@ impl Analysis {
         self.gaps(next, cycle, slot.phase, slot.period, FindingKind::SlotMissed, station);
         let seen = &mut self.stations[station];
         seen.frames += 1;
+        seen.newest = (cycle, if seen.newest.0 == cycle { seen.newest.1 + 1 } else { 1 });
         seen.slot_error.record(error.nanos());
     }
 
@@ -318,16 +354,16 @@ impl Analysis {
                 self.findings_dropped += 1;
                 return;
             }
-            self.find(cycle, kind, [Some(station), None], Span::ZERO);
+            self.find(Finding::of(station, cycle, kind, Span::ZERO));
         }
     }
 
-    fn find(&mut self, cycle: u32, kind: FindingKind, stations: [Option<usize>; 2], span: Span) {
-        if !self.counts(cycle) {
+    fn find(&mut self, finding: Finding) {
+        if !self.counts(finding.cycle) {
             return;
         }
         if self.findings.len() < FINDINGS_MAX {
-            self.findings.push(Finding { cycle, kind, stations, span });
+            self.findings.push(finding);
         } else {
             self.findings_dropped += 1;
         }

@@ -1,7 +1,10 @@
 //! What was on the medium and never reached its receiver. Senders number their frames; the observer knows
 //! which numbers passed, a receiver knows from where to where it heard how many.
 
-use crate::station::traffic::MISSING_AT_MOST;
+use crate::station::traffic::step;
+
+/// Gaps that are kept; what is missing in later ones counts as lost.
+const GAPS_MAX: usize = 1_000_000;
 
 /// What a receiver heard of its sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,14 +28,12 @@ pub struct Passed {
 impl Passed {
     /// A frame passed, in a cycle that counts or not.
     pub fn note(&mut self, number: u64, counts: bool) {
-        let (first, last) = self.range.unwrap_or((number, number));
-        // A receiver does not believe these either.
-        let Some(step) = number.checked_sub(last).filter(|&step| step <= MISSING_AT_MOST) else { return };
-        let missing = step.saturating_sub(1);
-        if missing > 0 {
-            self.gaps.push((last + 1, missing));
+        // What a receiver does not believe is not believed here.
+        let Some(step) = step(self.range.map(|(_, last)| last), number) else { return };
+        if step > 1 && self.gaps.len() < GAPS_MAX {
+            self.gaps.push((number - step + 1, step - 1));
         }
-        self.range = Some((first, number));
+        self.range = Some((self.range.map_or(number, |(first, _)| first), number));
         if counts {
             self.counted = Some((self.counted.map_or(number, |(from, _)| from), number));
         }
@@ -92,6 +93,8 @@ mod tests {
     fn a_forged_number_from_far_away_changes_nothing() {
         let mut passed = passed();
         passed.note(1 << 40, true);
+        passed.note(u64::MAX, true);
+        passed.note(40, true);
         passed.note(100, true);
         assert_eq!(passed.lost(&Heard { received: 97, range: Some((0, 99)) }), 1);
     }

@@ -1,18 +1,18 @@
 //! Which findings have a record of the same cycle: what a station noticed itself is explained, what it
-//! did not is not. A slot that was silent for want of a sync needs the record of that, too.
+//! did not is not. A slot that was silent for want of a sync needs the record of why there was none.
 
 use std::collections::BTreeMap;
 
 use rtnet::discipline::EventKind;
 use rtnet::time::Span;
 
-use super::analysis::{Finding, FindingKind};
+use super::analysis::{Author, Finding, FindingKind};
 
 /// A lab's first station is its master.
 const MASTER: usize = 0;
-/// How far the cause of a silence may be from it, in cycles: one missing sync is bridged, and one that comes
-/// after a time step must be confirmed by the next; who slept through several tells of the last first.
-const SILENCE_AROUND: u32 = 4;
+/// How long after its cause a silence may be, in cycles: one missing sync is bridged, and one that comes after
+/// a time step must be confirmed by the next.
+const SILENCE_AFTER: u32 = 4;
 
 /// What the stations told of themselves.
 #[derive(Debug, Default)]
@@ -40,39 +40,39 @@ impl Records {
     }
 
     /// Why something was found, if a station involved, or the master whose time they follow, has told
-    /// of it.
+    /// of it. A send that failed is told of, but excuses nothing: stations are not late for it.
     pub fn explain(&self, finding: &Finding) -> Option<(EventKind, Span)> {
-        let cycle = finding.cycle;
-        let mut involved = finding.stations.iter().flatten().copied();
+        let mut authors = finding.authors.iter().flatten().copied();
         match finding.kind {
             // A Synchronisation that was held up moves every station of its cycle.
-            FindingKind::Overlap | FindingKind::OutOfSlot => involved
-                .chain([MASTER])
-                .find_map(|station| self.get(cycle, station, EventKind::StalledInSend)),
-            FindingKind::SyncGap => self.get(cycle, MASTER, EventKind::SyncSkipped),
-            FindingKind::SlotMissed => involved.find_map(|station| {
-                self.get(cycle, station, EventKind::Overrun).or_else(|| self.silence(cycle, station))
-            }),
+            FindingKind::Overlap | FindingKind::OutOfSlot => authors
+                .flat_map(|author| [author, Author { station: MASTER, ..author }])
+                .find_map(|author| self.get(author, EventKind::StalledInSend)),
+            FindingKind::SyncGap => authors.find_map(|author| self.get(author, EventKind::SyncSkipped)),
+            FindingKind::SlotMissed => authors
+                .find_map(|author| self.get(author, EventKind::Overrun).or_else(|| self.silence(author))),
             FindingKind::Repeated => None,
         }
     }
 
     /// A station that was silent did what it must, but that alone explains nothing: why were there no syncs
     /// to follow? One that was lost on its way has no record.
-    fn silence(&self, cycle: u32, station: usize) -> Option<(EventKind, Span)> {
-        let silent = self.get(cycle, station, EventKind::SlotSilent)?;
-        let near = |station, kinds: &[EventKind]| {
-            (0..=2 * SILENCE_AROUND).any(|i| {
-                let at = cycle.wrapping_add(i).wrapping_sub(SILENCE_AROUND);
-                kinds.iter().any(|&kind| self.get(at, station, kind).is_some())
-            })
+    fn silence(&self, author: Author) -> Option<(EventKind, Span)> {
+        let silent = self.get(author, EventKind::SlotSilent)?;
+        let before = |author: Author, kind: EventKind| {
+            (0..=SILENCE_AFTER)
+                .any(|i| self.get(Author { cycle: author.cycle.wrapping_sub(i), ..author }, kind).is_some())
         };
-        let by_master = near(MASTER, &[EventKind::SyncSkipped, EventKind::StalledInSend]);
-        let by_itself = near(station, &[EventKind::Overrun, EventKind::TimeStep, EventKind::DuplicateCycle]);
-        (by_master || by_itself).then_some(silent)
+        let master = Author { station: MASTER, ..author };
+        let why = before(master, EventKind::SyncSkipped)
+            || before(master, EventKind::StalledInSend)
+            || before(author, EventKind::SyncLate)
+            || before(author, EventKind::TimeStep)
+            || before(author, EventKind::DuplicateCycle);
+        why.then_some(silent)
     }
 
-    fn get(&self, cycle: u32, station: usize, kind: EventKind) -> Option<(EventKind, Span)> {
+    fn get(&self, Author { station, cycle }: Author, kind: EventKind) -> Option<(EventKind, Span)> {
         self.by_cycle.get(&(cycle, station, kind)).map(|&span| (kind, span))
     }
 }
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     fn finding(cycle: u32, kind: FindingKind, station: usize) -> Finding {
-        Finding { cycle, kind, stations: [Some(station), None], span: Span::ZERO }
+        Finding::of(station, cycle, kind, Span::ZERO)
     }
 
     #[test]
@@ -112,10 +112,28 @@ mod tests {
         let explained =
             |records: &Records| records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some();
         assert!(!explained(&records), "the sync was lost on its way");
-        records.note(19, 3, EventKind::Overrun, Span::ZERO);
+        records.note(19, 2, EventKind::Overrun, Span::ZERO);
+        records.note(19, 3, EventKind::TimeStep, Span::ZERO);
         records.note(15, 0, EventKind::SyncSkipped, Span::ZERO);
-        assert!(!explained(&records), "somebody else's, and long ago");
+        records.note(21, 0, EventKind::SyncSkipped, Span::ZERO);
+        assert!(!explained(&records), "no cause, somebody else's, long ago, and too late");
+        let mut late = Records::default();
+        late.note(20, 2, EventKind::SlotSilent, Span::ZERO);
+        late.note(19, 2, EventKind::SyncLate, Span::ZERO);
+        assert!(explained(&late));
         records.note(18, 0, EventKind::SyncSkipped, Span::ZERO);
         assert!(explained(&records));
+    }
+
+    #[test]
+    fn a_frame_that_hits_the_next_cycles_sync_is_explained_by_its_own_cycle() {
+        let mut records = Records::default();
+        let [late, sync] = [Author { station: 5, cycle: 9 }, Author { station: MASTER, cycle: 10 }];
+        let authors = [Some(late), Some(sync)];
+        let overlap = Finding { cycle: 10, kind: FindingKind::Overlap, authors, span: Span::ZERO };
+        records.note(10, 5, EventKind::StalledInSend, Span::ZERO);
+        assert!(records.explain(&overlap).is_none());
+        records.note(9, 5, EventKind::StalledInSend, Span::ZERO);
+        assert!(records.explain(&overlap).is_some());
     }
 }

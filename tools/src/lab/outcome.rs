@@ -164,8 +164,8 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
         return;
     }
     figures.unexplained += 1;
-    let station = finding.stations.iter().flatten().next_back();
-    let station = station.map_or("foreign".into(), |&station| scenario.stations[station].name.clone());
+    let author = finding.authors.iter().flatten().next_back();
+    let station = author.map_or("foreign".into(), |author| scenario.stations[author.station].name.clone());
     let kind = MissKind::Unexplained;
     figures.note_miss(Miss { cycle: finding.cycle.into(), station, kind, span_ns: finding.span.nanos() });
 }
@@ -200,7 +200,11 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
     }
     for station in figures.per_station.iter().filter(|station| station.frames_lost > 0) {
         let (name, n) = (&station.name, station.frames_lost);
-        reasons.push(format!("station '{name}' did not receive {n} frame{} of the medium", plural(n)));
+        reasons.push(format!(
+            "station '{name}' did not receive {n} frame{} that {} on the medium",
+            plural(n),
+            if n == 1 { "was" } else { "were" }
+        ));
     }
     if figures.capture_dropped > 0 {
         reasons.push(format!("the observer lost {} frames", figures.capture_dropped));

@@ -207,6 +207,7 @@ impl Lab {
             let findings = self.analysis.findings.len();
             self.show_progress(|| format!("cycle {done} of {cycles}, {findings} misses"));
         }
+        self.analysis.end();
         for member in &mut self.members {
             member.stop_counting();
         }

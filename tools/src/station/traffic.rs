@@ -27,7 +27,19 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 const POOL: usize = 8;
 
 /// A larger gap in the sequence is not one, but a forged frame: days of frames at 1 ms.
-pub const MISSING_AT_MOST: u64 = 1 << 30;
+const MISSING_AT_MOST: u64 = 1 << 30;
+/// Nor is a number that nobody can have come to.
+const SEQUENCE_AT_MOST: u64 = 1 << 60;
+
+/// How far a sender's frame is from the last one that was believed; none if it cannot be genuine: twice, or
+/// numbered as nobody numbers who was silent for less than days.
+pub fn step(last: Option<u64>, number: u64) -> Option<u64> {
+    let step = match last {
+        Some(last) => number.checked_sub(last).filter(|&step| step > 0)?,
+        None => 1,
+    };
+    (step <= MISSING_AT_MOST && number <= SEQUENCE_AT_MOST).then_some(step)
+}
 
 /// What a frame says of itself, behind the Ethernet header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
@@ -147,12 +159,9 @@ impl Traffic {
         let expected = tag.station() == usize::from(from) && header.destination == source;
         (intact && expected && payload.len() == from_payload).then_some(())?;
         let sequence = tag.sequence.get();
-        if let Some(last) = self.heard {
-            let missing = sequence.checked_sub(last)?.checked_sub(1)?;
-            // Nobody was silent that long and came back: forged, and not to be believed.
-            (missing < MISSING_AT_MOST).then_some(())?;
-            self.counts.missing.fetch_add(missing, Ordering::Relaxed);
-        } else {
+        let missing = step(self.heard, sequence)? - 1;
+        self.counts.missing.fetch_add(missing, Ordering::Relaxed);
+        if self.heard.is_none() {
             self.counts.first.store(sequence, Ordering::Relaxed);
         }
         self.heard = Some(sequence);

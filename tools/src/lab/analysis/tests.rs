@@ -5,6 +5,7 @@ use rtnet::time::Instant;
 use rtnet::wire::ethernet::Address;
 
 use super::*;
+use crate::lab::delivery::Heard;
 use crate::scenario::Uniform;
 use crate::station::traffic::{Traffic, TrafficPlan};
 
@@ -93,7 +94,7 @@ fn found(analysis: &Analysis) -> Vec<(u32, FindingKind, Option<usize>)> {
     analysis
         .findings
         .iter()
-        .map(|f| (f.cycle, f.kind, f.stations.into_iter().flatten().next_back()))
+        .map(|f| (f.cycle, f.kind, f.authors.into_iter().flatten().next_back().map(|author| author.station)))
         .collect()
 }
 
@@ -188,6 +189,38 @@ fn what_nobody_looked_at_is_missed_but_no_finding() {
     bench.analysis.finish();
     assert_eq!(found(&bench.analysis), [(14, FindingKind::SlotMissed, Some(1))]);
     assert_eq!((bench.analysis.expected(0), bench.analysis.stations[0].frames), (5, 3));
+}
+
+#[test]
+fn who_looks_away_after_the_end_forgets_nothing() {
+    let mut bench = Bench::new();
+    for cycle in (FIRST..=FIRST + CYCLES).filter(|&cycle| cycle != 12) {
+        bench.sync(cycle, 0);
+        bench.data(0, cycle, 0);
+        bench.data(1, cycle, 0);
+    }
+    bench.analysis.lose_sight();
+    bench.analysis.finish();
+    assert_eq!(bench.analysis.findings.len(), 3, "cycle 12, to which nobody kept");
+}
+
+#[test]
+fn what_comes_after_an_early_end_does_not_count() {
+    let mut bench = Bench::new();
+    for cycle in [FIRST, FIRST + 1] {
+        bench.sync(cycle, 0);
+        bench.data(0, cycle, 0);
+        bench.data(1, cycle, 0);
+    }
+    bench.analysis.end();
+    bench.sync(FIRST + 2, 0);
+    bench.data(1, FIRST + 2, 0);
+    bench.analysis.finish();
+    assert_eq!(found(&bench.analysis), []);
+    // The second cycle had begun when it ended.
+    assert_eq!((bench.analysis.expected(1), bench.analysis.stations[1].frames), (2, 2));
+    let heard = Heard { received: 2, range: Some((0, 1)) };
+    assert_eq!(bench.analysis.stations[1].passed.lost(&heard), 0);
 }
 
 #[test]

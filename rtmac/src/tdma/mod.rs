@@ -15,6 +15,7 @@
 
 mod calibration;
 mod config;
+mod due;
 mod events;
 mod job;
 pub mod line;
@@ -45,8 +46,8 @@ use master::Master;
 pub use master::{MAX_PENDING_REPLIES, MasterConfig};
 use slave::Slave;
 pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
+use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig};
-use slot::{Slots, Turn};
 pub use status::{Counters, RoleName, TdmaStatus};
 
 use crate::wire::{self, Message, Rtmac};
@@ -115,122 +116,6 @@ impl Tdma {
             Role::Master(master) => master.line(),
             Role::Slave(slave) => slave.line(),
         }
-    }
-
-    /// The job whose instant is first; at the same instant a Synchronisation before a reply before data.
-    fn next_job(&self) -> Option<Job> {
-        let line = self.line()?;
-        let data = || self.slots.next_turn(line, None).map(|turn| Job::Data(self.tolerant(turn, line)));
-        match &self.role {
-            Role::Slave(slave) if slave.calibration().delay().is_none() => {
-                self.slots.next_turn(line, self.slots.first().map(|slot| slot.id)).map(Job::Request)
-            }
-            Role::Slave(_) => data(),
-            Role::Master(master) => {
-                let config = master.config();
-                let sync = master.next_sync().map(|(cycle, at, sched)| Job::Sync {
-                    cycle,
-                    at,
-                    latest: at + config.sync_latest,
-                    sched,
-                });
-                let reply = master.next_reply().map(|reply| Job::Reply {
-                    cycle: reply.cycle,
-                    at: reply.at,
-                    latest: reply.at + config.reply_latest,
-                });
-                // Replies and slots of one cycle come after its Synchronisation, which begins it.
-                sync.into_iter().chain(reply).chain(data()).min_by_key(Job::at)
-            }
-        }
-    }
-
-    fn tolerant(&self, turn: Turn, line: &TimeLine) -> Turn {
-        match self.late {
-            LatePolicy::Skip => turn,
-            LatePolicy::Send => Turn { latest: turn.at + line.period, ..turn },
-        }
-    }
-
-    /// The next job if its time has come. Jobs that must not or can no longer be done pass on the way.
-    fn due(&mut self, now: Instant) -> Option<Job> {
-        loop {
-            let job = self.next_job()?;
-            if job.at() - self.lead > now {
-                return None;
-            }
-            if self.overslept(&job) {
-                self.missed(&job, (now - job.latest()).max(Span::ZERO));
-            } else if !self.may_do(&job) {
-                self.silent = Some((job.cycle(), job.at()));
-                self.counters.slots_silent += 1;
-                self.events.note(job.cycle(), EventKind::SlotSilent, Span::ZERO);
-            } else if now > job.latest() {
-                self.missed(&job, now - job.latest());
-            } else {
-                return Some(job);
-            }
-            self.pass(&job);
-            self.put_off(&job);
-        }
-    }
-
-    /// A calibration reply that was not sent is due again later: real stations never repeat a request.
-    fn put_off(&mut self, job: &Job) {
-        if let (Job::Reply { .. }, Role::Master(master)) = (job, &mut self.role)
-            && !master.put_off()
-        {
-            self.counters.replies_given_up += 1;
-        }
-    }
-
-    /// The Synchronisation of a later cycle, or that of the one after it, is known already: it is not for want of
-    /// one that this is too late.
-    fn overslept(&self, job: &Job) -> bool {
-        match &self.role {
-            Role::Master(_) => false,
-            Role::Slave(slave) => slave.line().is_some_and(|line| line.ahead(job.cycle()) < -HOLDOVER_CYCLES),
-        }
-    }
-
-    fn may_do(&self, job: &Job) -> bool {
-        match (&self.role, job) {
-            (Role::Slave(slave), Job::Request(turn) | Job::Data(turn)) => {
-                let fits = slave.line().is_some_and(|line| {
-                    self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period)
-                });
-                fits && slave.may_send(turn.cycle)
-            }
-            _ => true,
-        }
-    }
-
-    /// The job's time is over, whether it was done or not.
-    fn pass(&mut self, job: &Job) {
-        match (job, &mut self.role) {
-            (Job::Sync { .. }, Role::Master(master)) => master.advance(),
-            (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
-            (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
-            _ => {}
-        }
-    }
-
-    fn missed(&mut self, job: &Job, late: Span) {
-        let kind = match job {
-            Job::Sync { .. } => {
-                self.counters.syncs_skipped += 1;
-                EventKind::SyncSkipped
-            }
-            Job::Reply { .. } => {
-                self.counters.replies_late += 1;
-                EventKind::Overrun
-            }
-            Job::Request(_) | Job::Data(_) => {
-                self.counters.overruns += 1;
-                EventKind::Overrun
-            }
-        };
-        self.events.note(job.cycle(), kind, late);
     }
 
     /// Builds the frame of a job that is due; `None` when there is nothing to send after all.

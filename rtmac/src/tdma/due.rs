@@ -6,7 +6,7 @@ use rtnet::time::{Instant, Span};
 use super::job::Job;
 use super::line::TimeLine;
 use super::slot::Turn;
-use super::{HOLDOVER_CYCLES, LatePolicy, Role, Tdma};
+use super::{LatePolicy, Role, Tdma};
 
 impl Tdma {
     /// The job whose instant is first; at the same instant a Synchronisation before a reply before data.
@@ -51,14 +51,13 @@ impl Tdma {
             if job.at() - self.lead > now {
                 return None;
             }
-            if self.overslept(&job) {
-                self.missed(&job, (now - job.latest()).max(Span::ZERO));
+            // Who slept through a slot missed it for that, whatever was heard meanwhile.
+            if now > job.latest() {
+                self.missed(&job, now - job.latest());
             } else if !self.may_do(&job) {
                 self.silent = Some((job.cycle(), job.at()));
                 self.counters.slots_silent += 1;
                 self.events.note(job.cycle(), EventKind::SlotSilent, Span::ZERO);
-            } else if now > job.latest() {
-                self.missed(&job, now - job.latest());
             } else {
                 return Some(job);
             }
@@ -73,15 +72,6 @@ impl Tdma {
             && !master.put_off()
         {
             self.counters.replies_given_up += 1;
-        }
-    }
-
-    /// The Synchronisation of a later cycle, or that of the one after it, is known already: it is not for want of
-    /// one that this is too late.
-    fn overslept(&self, job: &Job) -> bool {
-        match &self.role {
-            Role::Master(_) => false,
-            Role::Slave(slave) => slave.line().is_some_and(|line| line.ahead(job.cycle()) < -HOLDOVER_CYCLES),
         }
     }
 

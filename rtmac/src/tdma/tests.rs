@@ -177,8 +177,14 @@ fn a_slot_that_was_silent_because_syncs_came_late_says_so() {
 #[test]
 fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
     let mut slave = locked_slave();
-    hear_syncs(&mut slave, 3..=6);
+    hear_syncs(&mut slave, 3..=5);
+    // The newest was held up on its way: nothing may be sent until the next.
+    let sched = GlobalTime::from_nanos(6_000_000);
+    let mut frame = Pool::new(1).take().unwrap();
+    Message::Sync { cycle: 6, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+    slave.on_frame(Some(at(6_450)), frame);
     assert!(slave.next_transmission(at(6_500)).is_none());
     let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
-    assert_eq!(kinds, [3, 4, 5, 6].map(|cycle| (cycle, EventKind::Overrun)));
+    let overrun = |cycle| (cycle, EventKind::Overrun);
+    assert_eq!(kinds, [(6, EventKind::TimeStep), overrun(3), overrun(4), overrun(5), overrun(6)]);
 }

@@ -90,17 +90,22 @@ impl<D: Discipline> Running<D> {
         self.latest.as_ref().map(|snapshot| snapshot.status)
     }
 
-    pub fn wait_until(&mut self, what: &str, mut holds: impl FnMut(&D::Status) -> bool) -> D::Status {
-        let deadline = Instant::now() + PATIENCE;
-        loop {
+    pub fn wait_until(&mut self, what: &str, holds: impl FnMut(&D::Status) -> bool) -> D::Status {
+        self.within(PATIENCE, holds).unwrap_or_else(|| panic!("in vain: {what}"))
+    }
+
+    /// The first status that `holds`, if there is one so soon.
+    pub fn within(&mut self, time: Duration, mut holds: impl FnMut(&D::Status) -> bool) -> Option<D::Status> {
+        let deadline = Instant::now() + time;
+        while Instant::now() < deadline {
             if let Some(status) = self.status()
                 && holds(&status)
             {
-                return status;
+                return Some(status);
             }
-            assert!(Instant::now() < deadline, "in vain: {what}");
             std::thread::sleep(Duration::from_millis(10));
         }
+        None
     }
 
     pub fn wait_for_frames(&self, frames: u64) {

@@ -13,8 +13,8 @@
 //!
 //! A Synchronisation that disagrees with the line is a *time step*: nothing is sent until the next one
 //! tells whether the master moved (it agrees with the step) or one frame was held up on its way (it
-//! agrees with the line). A smaller disagreement moves the line by a 300th of the cycle at most: a hold-up
-//! of 20 us is no reason to be 20 us late, and drift is a hundred times slower.
+//! agrees with the line). A smaller disagreement moves the line by a 300th of the cycle at most, and what is
+//! late by more than drift only by an eighth of it: frames are held up on their way, never early.
 
 use rtnet::counters::Refusal;
 use rtnet::discipline::{EventKind, SyncState};
@@ -38,6 +38,9 @@ const CONFIRMED_WITHIN: Span = Span::from_micros(2);
 const CONFIRMED_PARTS: i64 = 2_000;
 /// Largest part of a cycle by which one Synchronisation moves the line.
 const SLEW_PARTS: i64 = 300;
+/// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
+/// never early.
+const LATE_PARTS: i64 = 8;
 /// The line is good for so many cycles without a Synchronisation, at clocks 200 ppm apart.
 const LINE_GOOD_FOR: i32 = 1_000;
 const DRIFT_PARTS: i64 = 5_000;
@@ -284,8 +287,11 @@ impl Slave {
 impl TimeLine {
     /// The line after a Synchronisation that agrees with it.
     fn moved_to(&self, mark: &Mark) -> TimeLine {
-        let slew = self.period / SLEW_PARTS + drifted(self, mark.cycle);
-        let by = mark.deviation_from(self).clamp(-slew, slew);
+        let drift = drifted(self, mark.cycle);
+        let slew = self.period / SLEW_PARTS + drift;
+        let deviation = mark.deviation_from(self).clamp(-slew, slew);
+        let late = (deviation - drift).max(Span::ZERO);
+        let by = deviation - late + late / LATE_PARTS;
         let (cycle, sched, start) = (mark.cycle, mark.sched, self.start_of(mark.cycle) + by);
         TimeLine { cycle, start, sched, period: self.period, offset: Offset::between(start, sched) }
     }

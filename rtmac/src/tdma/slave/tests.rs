@@ -140,15 +140,32 @@ fn a_held_up_synchronisation_silences_its_cycle_and_moves_nothing() {
 }
 
 #[test]
-fn a_small_hold_up_moves_the_line_by_a_300th_of_the_cycle_at_most() {
+fn a_small_hold_up_moves_the_line_by_an_eighth_of_what_is_believed() {
     let mut bench = Bench::in_state(SyncState::Locked);
     assert_eq!(bench.hear(3, 15_000), Ok(Followed::Agrees));
     let line = bench.slave.line().unwrap();
     let error = line.start.nanos() - 3 * PERIOD;
-    assert_eq!(error, PERIOD / 300 + PERIOD / 5_000);
+    assert_eq!(error, PERIOD / 300 / 8 + PERIOD / 5_000);
     assert_eq!(bench.slave.deviation(), Span::from_micros(15));
     assert_eq!(bench.hear(4, 0), Ok(Followed::Agrees));
     assert_eq!(bench.slave.line().unwrap().start.nanos(), 4 * PERIOD);
+}
+
+#[test]
+fn an_early_synchronisation_moves_the_line_by_a_300th_of_the_cycle_at_most() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.hear(3, -15_000), Ok(Followed::Agrees));
+    let line = bench.slave.line().unwrap();
+    assert_eq!(3 * PERIOD - line.start.nanos(), PERIOD / 300 + PERIOD / 5_000);
+}
+
+#[test]
+fn a_way_that_has_become_longer_is_believed_in_time() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    for cycle in 3..60 {
+        assert_eq!(bench.hear(cycle, 10_000), Ok(Followed::Agrees));
+    }
+    assert_eq!(bench.slave.line().unwrap().start.nanos() - 59 * PERIOD, 10_000);
 }
 
 #[test]

@@ -63,6 +63,8 @@ refusals! {
     UnexpectedReply = "unexpected_reply",
     /// A calibration reply whose stamps give an impossible delay.
     ImplausibleReply = "implausible_reply",
+    /// A TDMA frame while this station takes no part in the cycle.
+    Detached = "detached",
     /// Test traffic whose sequence, addressing or pattern is not what was sent.
     BadPayload = "bad_payload",
 }

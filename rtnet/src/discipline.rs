@@ -26,6 +26,8 @@ pub type Channel = u8;
 pub trait Discipline: Send {
     /// What the control thread asks for; applied between two slots.
     type Command: Send;
+    /// Why it was not: plain data, put into words by the control thread.
+    type Refused: core::fmt::Display + Send;
     /// What there is to be seen.
     type Status: Copy + Send;
 
@@ -57,8 +59,9 @@ pub trait Discipline: Send {
     fn time(&self) -> TimeView;
     /// The oldest thing worth telling that has not been told.
     fn next_event(&mut self) -> Option<Event>;
-    /// Applies what the control thread asked for.
-    fn command(&mut self, now: Instant, command: Self::Command) -> Result<(), Refused>;
+    /// Applies what the control thread asked for; tells the first cycle in which it holds. What is
+    /// replaced is left in `command`: whoever asked frees it, not the real-time thread.
+    fn command(&mut self, now: Instant, command: &mut Self::Command) -> Result<u32, Self::Refused>;
     /// Counters and state.
     fn status(&self) -> Self::Status;
 }
@@ -317,8 +320,3 @@ pub enum SendError {
     #[error("an RTmac control frame that is not TDMA's never leaves: it deafens RTnet stations")]
     Lethal,
 }
-
-/// Why a command was not carried out: what, and what to do.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct Refused(pub String);

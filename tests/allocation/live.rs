@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRole, RoleConfig, SlaveConfig,
+    SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::SyncState;
@@ -21,6 +21,7 @@ use tools::lab::namespace::{Namespace, Segment};
 use crate::{REAL_TIME_CALLS, mark_real_time};
 
 const CYCLE: Span = Span::from_millis(2);
+const LATE: Span = Span::from_micros(500);
 const CYCLES: u32 = 1_000;
 const PATIENCE: Duration = Duration::from_secs(30);
 const ADDRESSES: [Address; 2] = [Address([2, 0, 0, 0, 0, 1]), Address([2, 0, 0, 0, 0, 2])];
@@ -33,12 +34,13 @@ fn real_time_threads_allocate_nothing_once_they_are_locked() {
     let mut segment = Segment::new().unwrap();
     let namespaces = [Namespace::new().unwrap(), Namespace::new().unwrap()];
     let stop = Arc::new(AtomicBool::new(false));
-    let mut snapshots = Vec::new();
+    let (mut snapshots, mut control) = (Vec::new(), Vec::new());
     let mut threads = Vec::new();
     for (station, namespace) in namespaces.iter().enumerate() {
         segment.attach(namespace, &format!("port{station}"), "rt0", ADDRESSES[station].0).unwrap();
         let mut driver = driver(station, namespace, stop.clone());
         snapshots.push(driver.snapshots());
+        control.push((driver.commands(), driver.answers()));
         threads.push(std::thread::spawn(move || {
             mark_real_time();
             drop(std::hint::black_box(Box::new(7)));
@@ -61,6 +63,18 @@ fn real_time_threads_allocate_nothing_once_they_are_locked() {
     };
     let locked = wait_until("locked", &|state, _| state == SyncState::Locked);
     let before = REAL_TIME_CALLS.load(Ordering::Relaxed);
+    let (commands, answers) = &control[1];
+    for command in every_command() {
+        assert!(commands.push(command).is_ok());
+        let deadline = Instant::now() + PATIENCE;
+        let answer = loop {
+            match answers.pop() {
+                Some(answer) => break answer,
+                None => assert!(Instant::now() < deadline, "a command has no answer"),
+            }
+        };
+        assert!(answer.result.is_ok(), "{:?}", answer.result);
+    }
     let later = wait_until("cycles pass", &|_, cycle| cycle >= locked.cycle + CYCLES);
     let allocations = REAL_TIME_CALLS.load(Ordering::Relaxed) - before;
     stop.store(true, Ordering::Relaxed);
@@ -71,23 +85,43 @@ fn real_time_threads_allocate_nothing_once_they_are_locked() {
     assert_eq!(allocations, 0);
 }
 
-fn driver(station: usize, namespace: &Namespace, stop: Arc<AtomicBool>) -> Driver<Tdma> {
-    let clock = EmulatedClock::default();
-    let late = Span::from_micros(500);
-    let role = match station {
+/// A slot that moves, one that comes and goes, and a slave that leaves and joins again.
+fn every_command() -> Vec<TdmaCommand> {
+    let slot = slot(1);
+    let attached = NewRole::attached(role(1)).unwrap();
+    vec![
+        TdmaCommand::SetSlot(SlotConfig { offset: slot.offset + Span::from_micros(50), ..slot }),
+        TdmaCommand::SetSlot(SlotConfig { id: 2, offset: Span::from_micros(1_900), ..slot }),
+        TdmaCommand::SetSlot(slot),
+        TdmaCommand::RemoveSlot(2),
+        TdmaCommand::Become(NewRole::detached()),
+        TdmaCommand::Become(attached),
+    ]
+}
+
+fn role(station: usize) -> RoleConfig {
+    match station {
         0 => RoleConfig::Master(MasterConfig {
             cycle: CYCLE,
-            sync_latest: late,
-            reply_latest: late,
+            sync_latest: LATE,
+            reply_latest: LATE,
             epoch: Offset::default(),
         }),
-        _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(late) }),
-    };
+        _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE) }),
+    }
+}
+
+fn slot(station: usize) -> SlotConfig {
     let offset = Span::from_micros(600 + 700 * station as i64);
+    SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: LATE }
+}
+
+fn driver(station: usize, namespace: &Namespace, stop: Arc<AtomicBool>) -> Driver<Tdma> {
+    let clock = EmulatedClock::default();
     let discipline = Tdma::new(&TdmaConfig {
         address: ADDRESSES[station],
-        role,
-        slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: late }],
+        role: role(station),
+        slots: vec![slot(station)],
         max_slot_id: DEFAULT_MAX_SLOT_ID,
         lead: DEFAULT_LEAD,
         late: LatePolicy::Skip,

@@ -3,8 +3,7 @@
 use rtmac::tdma::{Tdma, TdmaCommand, TdmaStatus};
 use rtnet::buf::Buf;
 use rtnet::discipline::{
-    Channel, Claimed, Discipline, Event, Opportunity, Refused, Returned, SendError, Sent, TimeView,
-    Transmission,
+    Channel, Claimed, Discipline, Event, Opportunity, Returned, SendError, Sent, TimeView, Transmission,
 };
 use rtnet::queue::Priority;
 use rtnet::time::Instant;
@@ -40,6 +39,7 @@ macro_rules! either {
 
 impl Discipline for Mixed {
     type Command = TdmaCommand;
+    type Refused = String;
     type Status = MixedStatus;
 
     fn claims(&self, header: &Header) -> bool {
@@ -78,10 +78,10 @@ impl Discipline for Mixed {
     fn next_event(&mut self) -> Option<Event> {
         either!(self, d => d.next_event())
     }
-    fn command(&mut self, now: Instant, command: TdmaCommand) -> Result<(), Refused> {
+    fn command(&mut self, now: Instant, command: &mut TdmaCommand) -> Result<u32, String> {
         match self {
-            Mixed::Ours(ours) => ours.command(now, command),
-            Mixed::Peer(_) => Err(Refused("a peer is configured at its start only".into())),
+            Mixed::Ours(ours) => ours.command(now, command).map_err(|refused| refused.to_string()),
+            Mixed::Peer(peer) => peer.command(now, &mut ()).map_err(str::to_owned),
         }
     }
     fn status(&self) -> MixedStatus {

@@ -1,11 +1,12 @@
 //! What is configured of a TDMA station, and what may be asked of it later.
 
-use rtnet::discipline::{Channel, Refused};
+use rtnet::discipline::Channel;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::slave::PERIODS;
-use super::{MasterConfig, SlaveConfig, SlotConfig};
+use super::slot::MIN_SIZE;
+use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig};
 
 /// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
 /// within 50 us in 99 of 100 cases on a virtual machine.
@@ -48,29 +49,135 @@ pub struct TdmaConfig {
 }
 
 /// What the control thread may ask of a TDMA station.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TdmaCommand {
     /// Define or change a slot, from the next cycle on.
     SetSlot(SlotConfig),
-    /// Remove a slot; what is queued in it is dropped.
+    /// Remove a slot, from the next cycle on; what is queued in it is dropped and counted.
     RemoveSlot(Channel),
+    /// Be something else from now on.
+    Become(NewRole),
+}
+
+/// A role that is ready to be taken: made by the control thread, since making it takes memory.
+pub struct NewRole(pub(super) Role);
+
+impl NewRole {
+    /// A master that is about to listen, or a slave that waits for its first Synchronisation.
+    pub fn attached(config: RoleConfig) -> Result<Self, Refused> {
+        match config {
+            RoleConfig::Master(master) => Ok(Self(Role::Master(Master::new(checked(master, &[])?)))),
+            RoleConfig::Slave(slave) if slave.rounds > MAX_ROUNDS => {
+                Err(Refused::TooManyRounds { rounds: slave.rounds })
+            }
+            RoleConfig::Slave(slave) => Ok(Self(Role::Slave(Slave::new(slave)))),
+        }
+    }
+
+    /// No part in the cycle: silent and deaf, until attached again.
+    pub fn detached() -> Self {
+        Self(Role::Detached)
+    }
+}
+
+/// Why a TDMA station cannot be, or cannot be changed, as asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// The id is beyond the configured ones.
+    #[error("slot {id}: ids go from 0 to {max}")]
+    SlotId {
+        /// What was asked for.
+        id: u8,
+        /// The highest there is.
+        max: u8,
+    },
+    /// A negative offset.
+    #[error("slot {id}: the offset {offset} is before the cycle's start")]
+    BeforeCycle {
+        /// Which slot.
+        id: u8,
+        /// What was asked for.
+        offset: Span,
+    },
+    /// The master's cycle ends before the slot begins.
+    #[error("slot {id}: the offset {offset} is beyond the cycle of {cycle}")]
+    BeyondCycle {
+        /// Which slot.
+        id: u8,
+        /// What was asked for.
+        offset: Span,
+        /// The master's.
+        cycle: Span,
+    },
+    /// A phase outside its period.
+    #[error("slot {id}: phase {} of {period} does not exist", phase + 1)]
+    Phase {
+        /// Which slot.
+        id: u8,
+        /// Counted from 0.
+        phase: u32,
+        /// In cycles.
+        period: u32,
+    },
+    /// No frame has such a payload.
+    #[error("slot {id}: a size of {size} is not within {MIN_SIZE} to {}", rtnet::wire::ethernet::MTU)]
+    Size {
+        /// Which slot.
+        id: u8,
+        /// Bytes behind the Ethernet header.
+        size: usize,
+    },
+    /// Two slots with one id.
+    #[error("slot {id}: defined twice")]
+    DefinedTwice {
+        /// Which.
+        id: u8,
+    },
+    /// There is nothing to remove.
+    #[error("slot {id} is not defined")]
+    NotDefined {
+        /// Which.
+        id: u8,
+    },
+    /// The slot in which a slave calibrates cannot be removed while it has no other.
+    #[error("slot {id} is the only one of a slave, which calibrates in it: define another first, or detach")]
+    LastSlot {
+        /// Which.
+        id: u8,
+    },
+    /// More rounds than are kept.
+    #[error("{rounds} calibration rounds: at most {MAX_ROUNDS}")]
+    TooManyRounds {
+        /// What was asked for.
+        rounds: u32,
+    },
+    /// A slave that is to calibrate without a slot.
+    #[error("a slave calibrates in its first slot: give it one, or 0 rounds")]
+    NoSlotToCalibrate,
+    /// No slave would follow.
+    #[error("a cycle of {cycle}: no slave follows one outside {} to {}", PERIODS.start(), PERIODS.end())]
+    Cycle {
+        /// What was asked for.
+        cycle: Span,
+    },
+    /// The Synchronisation would have more than the cycle.
+    #[error("a sync window that lasts beyond the cycle of {cycle}: shorten it")]
+    SyncWindow {
+        /// The master's.
+        cycle: Span,
+    },
 }
 
 /// A master knows its cycle, so that its own slots can be checked against it.
 pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
     let MasterConfig { cycle, sync_latest, .. } = master;
     if !PERIODS.contains(&cycle) {
-        let (least, most) = (PERIODS.start(), PERIODS.end());
-        return Err(Refused(format!("a cycle of {cycle}: no slave follows one outside {least} to {most}")));
+        return Err(Refused::Cycle { cycle });
     }
     if sync_latest >= cycle {
-        return Err(Refused(format!("a sync window that lasts beyond the cycle of {cycle}: shorten it")));
+        return Err(Refused::SyncWindow { cycle });
     }
-    match slots.iter().find(|slot| slot.offset >= master.cycle) {
-        Some(slot) => {
-            let (id, offset, cycle) = (slot.id, slot.offset, master.cycle);
-            Err(Refused(format!("slot {id}: the offset {offset} is beyond the cycle of {cycle}")))
-        }
+    match slots.iter().find(|slot| slot.offset >= cycle) {
+        Some(&SlotConfig { id, offset, .. }) => Err(Refused::BeyondCycle { id, offset, cycle }),
         None => Ok(master),
     }
 }

@@ -18,6 +18,7 @@ impl Tdma {
                 self.slots.next_turn(line, self.slots.first().map(|slot| slot.id)).map(Job::Request)
             }
             Role::Slave(_) => data(),
+            Role::Detached => None,
             Role::Master(master) => {
                 let config = master.config();
                 let sync = master.next_sync().map(|(cycle, at, sched)| Job::Sync {

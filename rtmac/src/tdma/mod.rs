@@ -29,8 +29,8 @@ mod status;
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
 use rtnet::discipline::{
-    Channel, Claimed, Discipline, Event, EventKind, Opportunity, Refused, Returned, SendError, Sent,
-    SyncState, TimeView, Transmission,
+    Channel, Claimed, Discipline, Event, EventKind, Opportunity, Returned, SendError, Sent, SyncState,
+    TimeView, Transmission,
 };
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant, Span};
@@ -38,7 +38,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 use config::checked;
-pub use config::{DEFAULT_LEAD, LatePolicy, RoleConfig, TdmaCommand, TdmaConfig};
+pub use config::{DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig};
 use events::Events;
 use job::{Job, Pending};
 pub use line::TimeLine;
@@ -47,8 +47,8 @@ pub use master::{MAX_PENDING_REPLIES, MasterConfig};
 use slave::Slave;
 pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
 use slot::Slots;
-pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig};
-pub use status::{Counters, RoleName, TdmaStatus};
+pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig, SlotStatus};
+pub use status::{Counters, RoleName, SLOTS_SHOWN, TdmaStatus};
 
 use crate::wire::{self, Message, Rtmac};
 
@@ -68,10 +68,12 @@ pub struct Tdma {
     counters: Counters,
 }
 
+// A master is large, for its 64 pending replies; in a box it would have to be freed when it becomes a slave.
+#[allow(clippy::large_enum_variant)]
 enum Role {
-    // Boxed for its 64 pending replies, which a slave has not.
-    Master(Box<Master>),
+    Master(Master),
     Slave(Slave),
+    Detached,
 }
 
 impl Tdma {
@@ -80,22 +82,18 @@ impl Tdma {
         let mut slots = Slots::new(config.max_slot_id);
         for &slot in &config.slots {
             if slots.get(slot.id).is_some() {
-                return Err(Refused(format!("slot {}: defined twice", slot.id)));
+                return Err(Refused::DefinedTwice { id: slot.id });
             }
             slots.set(slot, 0)?;
         }
-        let role = match config.role {
-            RoleConfig::Master(master) => {
-                Role::Master(Box::new(Master::new(checked(master, &config.slots)?)))
-            }
-            RoleConfig::Slave(slave) if slave.rounds > MAX_ROUNDS => {
-                return Err(Refused(format!("{} calibration rounds: at most {MAX_ROUNDS}", slave.rounds)));
-            }
+        match config.role {
+            RoleConfig::Master(master) => drop(checked(master, &config.slots)?),
             RoleConfig::Slave(slave) if slave.rounds > 0 && config.slots.is_empty() => {
-                return Err(Refused("a slave calibrates in its first slot: give it one, or 0 rounds".into()));
+                return Err(Refused::NoSlotToCalibrate);
             }
-            RoleConfig::Slave(slave) => Role::Slave(Slave::new(slave)),
-        };
+            RoleConfig::Slave(_) => {}
+        }
+        let NewRole(role) = NewRole::attached(config.role)?;
         Ok(Self {
             address: config.address,
             lead: config.lead,
@@ -115,7 +113,16 @@ impl Tdma {
         match &self.role {
             Role::Master(master) => master.line(),
             Role::Slave(slave) => slave.line(),
+            Role::Detached => None,
         }
+    }
+
+    /// The cycle that it is now, by the line; 0 without one.
+    fn cycle_at(&self, now: Instant) -> u32 {
+        self.line().map_or(0, |line| {
+            let gone = (now - line.start).nanos().div_euclid(line.period.nanos());
+            line.cycle.wrapping_add(gone as u32)
+        })
     }
 
     /// Builds the frame of a job that is due; `None` when there is nothing to send after all.
@@ -166,6 +173,7 @@ impl Tdma {
 
 impl Discipline for Tdma {
     type Command = TdmaCommand;
+    type Refused = Refused;
     type Status = TdmaStatus;
 
     fn claims(&self, header: &Header) -> bool {
@@ -199,6 +207,7 @@ impl Discipline for Tdma {
                 }
             }
             Role::Slave(slave) => slave.on_timeout(now, &mut self.events),
+            Role::Detached => {}
         }
     }
 
@@ -259,6 +268,7 @@ impl Discipline for Tdma {
         let role = match &self.role {
             Role::Master(master) => master.deadline(),
             Role::Slave(slave) => slave.deadline(),
+            Role::Detached => None,
         };
         let job = self.next_job().map(|job| job.at() - self.lead);
         role.into_iter().chain(job).min()
@@ -267,7 +277,7 @@ impl Discipline for Tdma {
     fn time(&self) -> TimeView {
         let state = match &self.role {
             Role::Master(master) if master.line().is_some() => SyncState::Locked,
-            Role::Master(_) => SyncState::Waiting,
+            Role::Master(_) | Role::Detached => SyncState::Waiting,
             Role::Slave(slave) => slave.state(),
         };
         let line = self.line();
@@ -283,18 +293,40 @@ impl Discipline for Tdma {
         self.events.take()
     }
 
-    fn command(&mut self, _now: Instant, command: TdmaCommand) -> Result<(), Refused> {
+    fn command(&mut self, now: Instant, command: &mut TdmaCommand) -> Result<u32, Refused> {
+        let cycle = self.cycle_at(now);
         match command {
             TdmaCommand::SetSlot(slot) => {
                 if let Role::Master(master) = &self.role {
-                    checked(*master.config(), &[slot])?;
+                    checked(*master.config(), &[*slot])?;
                 }
-                let cycle = self.line().map_or(0, |line| line.cycle);
-                self.counters.returned_dropped += self.slots.set(slot, cycle)?;
-                Ok(())
+                self.slots.set(*slot, cycle)?;
             }
-            TdmaCommand::RemoveSlot(id) => self.slots.remove(id),
+            TdmaCommand::RemoveSlot(id) => {
+                let others = self.slots.statuses().any(|slot| slot.config.id != *id);
+                if matches!(self.role, Role::Slave(_)) && !others {
+                    return Err(Refused::LastSlot { id: *id });
+                }
+                self.slots.remove(*id, cycle)?;
+            }
+            TdmaCommand::Become(NewRole(role)) => {
+                if let Role::Master(master) = role {
+                    let beyond =
+                        self.slots.statuses().find(|slot| slot.config.offset >= master.config().cycle);
+                    if let Some(SlotStatus { config: SlotConfig { id, offset, .. }, .. }) = beyond {
+                        return Err(Refused::BeyondCycle { id, offset, cycle: master.config().cycle });
+                    }
+                }
+                if let (Role::Slave(slave), None) = (&*role, self.slots.first())
+                    && slave.calibration().delay().is_none()
+                {
+                    return Err(Refused::NoSlotToCalibrate);
+                }
+                core::mem::swap(&mut self.role, role);
+                self.silent = None;
+            }
         }
+        Ok(cycle.wrapping_add(1))
     }
 
     fn status(&self) -> TdmaStatus {
@@ -321,7 +353,10 @@ impl Tdma {
         match (job, &mut self.role) {
             (Job::Sync { .. }, _) => self.counters.syncs_sent += 1,
             (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
-            (Job::Data(_), _) => self.counters.frames_sent += 1,
+            (Job::Data(turn), _) => {
+                self.counters.frames_sent += 1;
+                self.slots.count_sent(turn.id);
+            }
             (Job::Request(_), Role::Slave(slave)) => {
                 self.counters.requests_sent += 1;
                 // A request that was held up would measure the hold-up: its reply is not awaited.
@@ -329,7 +364,7 @@ impl Tdma {
                     slave.calibration_mut().sent(stamped);
                 }
             }
-            (Job::Request(_), Role::Master(_)) => {}
+            (Job::Request(_), Role::Master(_) | Role::Detached) => {}
         }
     }
 }

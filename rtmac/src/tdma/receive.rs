@@ -22,6 +22,7 @@ impl Tdma {
         }
         let events = &mut self.events;
         match (message, &mut self.role) {
+            (_, Role::Detached) => Err(Refusal::Detached),
             (Message::Sync { .. }, Role::Master(master)) => {
                 if master.on_foreign_sync(header.source) || master.line().is_some() {
                     let cycle = master.line().map_or(0, |line| line.cycle);

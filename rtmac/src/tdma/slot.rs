@@ -1,11 +1,13 @@
 //! A station's own slots, their queues, and which comes next.
 
+use arrayvec::ArrayVec;
 use rtnet::buf::Buf;
-use rtnet::discipline::{Channel, Refused, Returned, SendError};
+use rtnet::discipline::{Channel, Returned, SendError};
 use rtnet::queue::{Priority, PriorityQueue};
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet;
 
+use super::config::Refused;
 use super::line::{TimeLine, next_cycle};
 use crate::wire;
 
@@ -36,35 +38,58 @@ pub struct SlotConfig {
 }
 
 impl SlotConfig {
-    fn check(&self, max_id: u8) -> Result<(), Refused> {
-        let id = self.id;
-        let refuse = |why: String| Err(Refused(format!("slot {id}: {why}")));
-        if id > max_id {
-            return refuse(format!("ids go from 0 to {max_id}"));
+    fn check(&self, max: u8) -> Result<(), Refused> {
+        let SlotConfig { id, offset, phase, period, size, .. } = *self;
+        if id > max {
+            return Err(Refused::SlotId { id, max });
         }
-        if self.offset < Span::ZERO {
-            return refuse(format!("the offset {} is before the cycle's start", self.offset));
+        if offset < Span::ZERO {
+            return Err(Refused::BeforeCycle { id, offset });
         }
-        if self.period == 0 || self.phase >= self.period {
-            return refuse(format!("phase {} of {} does not exist", self.phase + 1, self.period));
+        if period == 0 || phase >= period {
+            return Err(Refused::Phase { id, phase, period });
         }
-        if !(MIN_SIZE..=ethernet::MTU).contains(&self.size) {
-            return refuse(format!("a size of {} is not within {MIN_SIZE} to {}", self.size, ethernet::MTU));
+        if !(MIN_SIZE..=ethernet::MTU).contains(&size) {
+            return Err(Refused::Size { id, size });
         }
         Ok(())
     }
 }
 
+/// A place for a slot. Its queue is there from the start, so that a slot can be defined while others are used.
 struct Slot {
-    config: SlotConfig,
+    /// `None`: not defined.
+    config: Option<SlotConfig>,
     queue: PriorityQueue<Buf>,
     /// The cycle it is used in next.
     next: u32,
+    /// What becomes of it once its turn in the cycle in which that was asked for has passed.
+    change: Option<Change>,
+    sent: u64,
+}
+
+#[derive(Clone, Copy)]
+enum Change {
+    Set(SlotConfig),
+    Remove,
 }
 
 /// The slots of one station.
 pub struct Slots {
-    table: Vec<Option<Slot>>,
+    table: Vec<Slot>,
+    /// Queued frames whose slot was removed or became too small for them.
+    dropped: u64,
+}
+
+/// A slot as others see it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlotStatus {
+    /// What is configured of it.
+    pub config: SlotConfig,
+    /// Frames that wait for it.
+    pub queued: usize,
+    /// Frames sent in it.
+    pub sent: u64,
 }
 
 /// A slot whose turn comes.
@@ -78,54 +103,81 @@ pub struct Turn {
 
 impl Slots {
     pub fn new(max_id: u8) -> Self {
-        Self { table: (0..=max_id).map(|_| None).collect() }
+        let place = |_| Slot {
+            config: None,
+            queue: PriorityQueue::new(QUEUE_CAPACITY),
+            next: 0,
+            change: None,
+            sent: 0,
+        };
+        Self { table: (0..=max_id).map(place).collect(), dropped: 0 }
     }
 
-    /// Defines or changes a slot, from the cycle after `cycle` on. Queued frames that still fit stay;
-    /// tells how many did not.
-    pub fn set(&mut self, config: SlotConfig, cycle: u32) -> Result<u64, Refused> {
+    /// Defines or changes a slot, from the cycle after `cycle` on; a turn that it still has in `cycle` it
+    /// takes as it was. Queued frames that still fit stay.
+    pub fn set(&mut self, config: SlotConfig, cycle: u32) -> Result<(), Refused> {
         config.check((self.table.len() - 1) as u8)?;
-        let next = next_cycle(cycle.wrapping_add(1), config.phase, config.period);
-        let place = &mut self.table[usize::from(config.id)];
-        let mut queue = PriorityQueue::new(QUEUE_CAPACITY);
-        let mut dropped = 0;
-        if let Some(mut old) = place.take() {
-            while let Some((priority, frame)) = old.queue.pop() {
-                let fits = payload_of(&frame) <= config.size.max(MIN_SIZE);
-                // As many places as before: what fits the slot fits the queue.
-                dropped += u64::from(!fits || queue.push(priority, frame).is_err());
-            }
-        }
-        *place = Some(Slot { config, queue, next });
-        Ok(dropped)
+        self.change(config.id, Change::Set(config), cycle);
+        Ok(())
     }
 
-    pub fn remove(&mut self, id: Channel) -> Result<(), Refused> {
-        let place = self.table.get_mut(usize::from(id));
-        match place.and_then(Option::take) {
-            Some(_) => Ok(()),
-            None => Err(Refused(format!("slot {id} is not defined"))),
+    /// Removes a slot, from the cycle after `cycle` on.
+    pub fn remove(&mut self, id: Channel, cycle: u32) -> Result<(), Refused> {
+        if self.get(id).is_none() {
+            return Err(Refused::NotDefined { id });
         }
+        self.change(id, Change::Remove, cycle);
+        Ok(())
+    }
+
+    fn change(&mut self, id: Channel, change: Change, cycle: u32) {
+        let slot = &mut self.table[usize::from(id)];
+        if slot.config.is_some() && cycle.wrapping_sub(slot.next) as i32 >= 0 {
+            slot.change = Some(change);
+        } else {
+            self.dropped += slot.apply(change, cycle.wrapping_add(1));
+        }
+    }
+
+    /// Queued frames whose slot was removed or became too small for them.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    /// Every slot, by id.
+    pub fn statuses(&self) -> impl Iterator<Item = SlotStatus> {
+        self.table.iter().filter_map(|slot| {
+            let config = slot.config?;
+            Some(SlotStatus { config, queued: slot.queue.len(), sent: slot.sent })
+        })
+    }
+
+    /// A frame was sent in it.
+    pub fn count_sent(&mut self, id: Channel) {
+        self.table[usize::from(id)].sent += 1;
     }
 
     /// The first slot: the one that calibration uses.
     pub fn first(&self) -> Option<&SlotConfig> {
-        self.iter().next().map(|slot| &slot.config)
+        self.defined().next().map(|(config, _)| config)
     }
 
     /// Where the last slot begins.
     pub fn longest_offset(&self) -> Option<Span> {
-        self.iter().map(|slot| slot.config.offset).max()
+        self.defined().map(|(config, _)| config.offset).max()
     }
 
     pub fn get(&self, id: Channel) -> Option<&SlotConfig> {
-        self.table.get(usize::from(id))?.as_ref().map(|slot| &slot.config)
+        self.table.get(usize::from(id))?.config.as_ref()
     }
 
     /// Lets every slot begin with its first turn on `line` that is not before `from`.
     pub fn align(&mut self, line: &TimeLine, from: Instant) {
-        for slot in self.table.iter_mut().flatten() {
-            let SlotConfig { phase, period, offset, .. } = slot.config;
+        for slot in &mut self.table {
+            if let Some(change) = slot.change.take() {
+                self.dropped += slot.apply(change, line.cycle);
+            }
+            let Some(SlotConfig { phase, period, offset, .. }) = slot.config else { continue };
             let gone = (from - (line.start + offset)).nanos();
             let passed = if gone > 0 { (gone - 1) / line.period.nanos() + 1 } else { 0 };
             slot.next = next_cycle(line.cycle.wrapping_add(passed as u32), phase, period);
@@ -134,30 +186,32 @@ impl Slots {
 
     /// The slot whose turn is first, among all or only the one with `only`.
     pub fn next_turn(&self, line: &TimeLine, only: Option<Channel>) -> Option<Turn> {
-        let turns = self.iter().filter(|slot| only.is_none_or(|id| id == slot.config.id)).map(|slot| {
-            let at = line.start_of(slot.next) + slot.config.offset;
-            Turn { id: slot.config.id, cycle: slot.next, at, latest: at + slot.config.latest }
+        let turns = self.defined().filter(|(config, _)| only.is_none_or(|id| id == config.id));
+        let turns = turns.map(|(config, next)| {
+            let at = line.start_of(next) + config.offset;
+            Turn { id: config.id, cycle: next, at, latest: at + config.latest }
         });
         turns.min_by_key(|turn| (turn.at - line.start, turn.id))
     }
 
     /// This slot's turn in `cycle` is over.
     pub fn pass(&mut self, turn: &Turn) {
-        if let Some(slot) = &mut self.table[usize::from(turn.id)] {
-            slot.next = next_cycle(turn.cycle.wrapping_add(1), slot.config.phase, slot.config.period);
-        }
+        self.pass_until(turn.id, turn.cycle.wrapping_add(1));
     }
 
     /// This slot is not used before `cycle`.
     pub fn pass_until(&mut self, id: Channel, cycle: u32) {
-        if let Some(slot) = &mut self.table[usize::from(id)] {
-            slot.next = next_cycle(cycle, slot.config.phase, slot.config.period);
+        let slot = &mut self.table[usize::from(id)];
+        match (slot.change.take(), slot.config) {
+            (Some(change), _) => self.dropped += slot.apply(change, cycle),
+            (None, Some(config)) => slot.next = next_cycle(cycle, config.phase, config.period),
+            (None, None) => {}
         }
     }
 
     pub fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
-        let Some(slot) = self.resolve(ch) else { return Err((SendError::NoSlot(ch), frame)) };
-        let (got, limit) = (payload_of(&frame), slot.config.size);
+        let Some((id, limit)) = self.resolve(ch) else { return Err((SendError::NoSlot(ch), frame)) };
+        let got = payload_of(&frame);
         // A frame padded to the Ethernet minimum fits every slot.
         if got > limit.max(MIN_SIZE) {
             return Err((SendError::TooLong { channel: ch, got, limit }, frame));
@@ -165,32 +219,65 @@ impl Slots {
         if wire::is_lethal(&frame) {
             return Err((SendError::Lethal, frame));
         }
-        slot.queue.push(priority, frame).map_err(|frame| (SendError::QueueFull(ch), frame))
+        let queue = &mut self.table[usize::from(id)].queue;
+        queue.push(priority, frame).map_err(|frame| (SendError::QueueFull(ch), frame))
     }
 
     pub fn put_back(&mut self, frame: Returned) -> Result<(), Buf> {
         match self.resolve(frame.channel) {
-            Some(slot) => slot.queue.push_front(frame.priority, frame.frame),
-            None => Err(frame.frame),
+            Some((id, size)) if payload_of(&frame.frame) <= size.max(MIN_SIZE) => {
+                self.table[usize::from(id)].queue.push_front(frame.priority, frame.frame)
+            }
+            _ => Err(frame.frame),
         }
     }
 
     pub fn dequeue(&mut self, id: Channel) -> Option<(Priority, Buf)> {
-        self.table[usize::from(id)].as_mut()?.queue.pop()
+        self.table[usize::from(id)].queue.pop()
     }
 
     pub fn payload_limit(&self, ch: Channel) -> Result<usize, SendError> {
-        let alias = if self.get(ch).is_none() && ch == NON_RT_SLOT { 0 } else { ch };
-        self.get(alias).map(|config| config.size).ok_or(SendError::NoSlot(ch))
+        self.resolve(ch).map(|(_, size)| size).ok_or(SendError::NoSlot(ch))
     }
 
-    fn resolve(&mut self, ch: Channel) -> Option<&mut Slot> {
+    /// The slot that serves a channel, and its size.
+    fn resolve(&self, ch: Channel) -> Option<(Channel, usize)> {
         let alias = if self.get(ch).is_none() && ch == NON_RT_SLOT { 0 } else { ch };
-        self.table.get_mut(usize::from(alias))?.as_mut()
+        self.get(alias).map(|config| (alias, config.size))
     }
 
-    fn iter(&self) -> impl Iterator<Item = &Slot> {
-        self.table.iter().flatten()
+    /// Every slot's configuration, and the cycle it is used in next.
+    fn defined(&self) -> impl Iterator<Item = (&SlotConfig, u32)> {
+        self.table.iter().filter_map(|slot| Some((slot.config.as_ref()?, slot.next)))
+    }
+}
+
+impl Slot {
+    /// Changes it now, to be used from `cycle` on; tells how many queued frames have no place any more.
+    fn apply(&mut self, change: Change, cycle: u32) -> u64 {
+        self.change = None;
+        let waiting = self.queue.len();
+        match change {
+            Change::Remove => {
+                self.config = None;
+                while self.queue.pop().is_some() {}
+            }
+            Change::Set(config) => {
+                self.config = Some(config);
+                self.next = next_cycle(cycle, config.phase, config.period);
+                let mut kept: ArrayVec<_, { QUEUE_CAPACITY as usize }> = ArrayVec::new();
+                while let Some((priority, frame)) = self.queue.pop() {
+                    if payload_of(&frame) <= config.size.max(MIN_SIZE) {
+                        kept.push((priority, frame));
+                    }
+                }
+                for (priority, frame) in kept {
+                    // As many as were in it just now.
+                    let _ = self.queue.push(priority, frame);
+                }
+            }
+        }
+        (waiting - self.queue.len()) as u64
     }
 }
 
@@ -267,7 +354,7 @@ mod tests {
         assert!(refused(&mut slots, config(0, 0, 2, 2)).contains("phase 3 of 2"));
         assert!(refused(&mut slots, config(0, -1, 0, 1)).contains("before the cycle"));
         assert!(refused(&mut slots, SlotConfig { size: 1501, ..config(0, 0, 0, 1) }).contains("1501"));
-        assert!(slots.remove(3).unwrap_err().to_string().contains("slot 3 is not defined"));
+        assert!(slots.remove(3, 0).unwrap_err().to_string().contains("slot 3 is not defined"));
     }
 
     #[test]

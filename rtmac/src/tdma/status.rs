@@ -4,6 +4,7 @@ use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::slot::SlotStatus;
 use super::{Role, Tdma};
 
 /// Everything a TDMA station counts.
@@ -41,19 +42,35 @@ pub struct Counters {
     pub returned_dropped: u64,
 }
 
-/// Master or slave.
+/// What a station is in the cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoleName {
     /// Gives the time.
     Master,
     /// Follows it.
     Slave,
+    /// Takes no part in the cycle.
+    Detached,
 }
+
+impl RoleName {
+    /// The role's name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            RoleName::Master => "master",
+            RoleName::Slave => "slave",
+            RoleName::Detached => "detached",
+        }
+    }
+}
+
+/// Slots that a status shows, the lowest ids first; more are in use only where `max_slot_id` was raised.
+pub const SLOTS_SHOWN: usize = 16;
 
 /// A snapshot of a TDMA station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TdmaStatus {
-    /// Master or slave.
+    /// What it is in the cycle.
     pub role: RoleName,
     /// How far it is with the master's time; a master that speaks is locked.
     pub state: SyncState,
@@ -73,6 +90,8 @@ pub struct TdmaStatus {
     pub yielded_to: Option<Address>,
     /// Events that found the log full.
     pub events_lost: u64,
+    /// Its slots.
+    pub slots: [Option<SlotStatus>; SLOTS_SHOWN],
     /// Everything that is counted.
     pub counters: Counters,
 }
@@ -84,9 +103,16 @@ impl TdmaStatus {
         let (master, slave) = match &tdma.role {
             Role::Master(master) => (Some(master), None),
             Role::Slave(slave) => (None, Some(slave)),
+            Role::Detached => (None, None),
         };
+        let mut shown = tdma.slots.statuses();
+        let returned_dropped = tdma.counters.returned_dropped + tdma.slots.dropped();
         Self {
-            role: if master.is_some() { RoleName::Master } else { RoleName::Slave },
+            role: match tdma.role {
+                Role::Master(_) => RoleName::Master,
+                Role::Slave(_) => RoleName::Slave,
+                Role::Detached => RoleName::Detached,
+            },
             state: time.state,
             cycle: time.cycle,
             period: line.map(|line| line.period),
@@ -96,7 +122,8 @@ impl TdmaStatus {
             calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
             yielded_to: master.and_then(|master| master.yielded_to()),
             events_lost: tdma.events.lost(),
-            counters: tdma.counters,
+            slots: core::array::from_fn(|_| shown.next()),
+            counters: Counters { returned_dropped, ..tdma.counters },
         }
     }
 }

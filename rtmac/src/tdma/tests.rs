@@ -123,11 +123,11 @@ fn slots_change_by_command_and_a_masters_must_be_in_its_cycle() {
     let mut master = active_master();
     let slot = config(RoleConfig::Master(master_config())).slots[0];
     let beyond = SlotConfig { id: 2, offset: Span::from_millis(1), ..slot };
-    let refused = master.command(at(3_500), TdmaCommand::SetSlot(beyond)).unwrap_err();
+    let refused = master.command(at(3_500), &mut TdmaCommand::SetSlot(beyond)).unwrap_err();
     assert!(refused.to_string().contains("beyond the cycle of 1ms"), "{refused}");
-    master.command(at(3_500), TdmaCommand::SetSlot(SlotConfig { id: 2, ..slot })).unwrap();
+    master.command(at(3_500), &mut TdmaCommand::SetSlot(SlotConfig { id: 2, ..slot })).unwrap();
     assert_eq!(master.payload_limit(2), Ok(100));
-    master.command(at(3_500), TdmaCommand::RemoveSlot(2)).unwrap();
+    master.command(at(3_500), &mut TdmaCommand::RemoveSlot(2)).unwrap();
     assert_eq!(master.payload_limit(2), Err(SendError::NoSlot(2)));
 }
 
@@ -187,4 +187,113 @@ fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
     let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
     let overrun = |cycle| (cycle, EventKind::Overrun);
     assert_eq!(kinds, [(6, EventKind::TimeStep), overrun(3), overrun(4), overrun(5), overrun(6)]);
+}
+
+fn queue(tdma: &mut Tdma, pool: &Pool, length: usize) {
+    let mut frame = pool.take().unwrap();
+    frame.fill(&vec![0; length]);
+    tdma.enqueue(frame, Priority::DEFAULT, 0).unwrap();
+}
+
+/// When the next frame is sent, and in which cycle's time.
+fn sent_next(tdma: &mut Tdma) -> Instant {
+    let deadline = tdma.next_deadline().unwrap();
+    tdma.on_timeout(deadline);
+    match tdma.next_transmission(deadline) {
+        Some(sent) => {
+            tdma.on_sent(Sent::At(sent.at));
+            sent.at
+        }
+        None => sent_next(tdma),
+    }
+}
+
+/// Its slot 0, moved or of another size.
+fn moved(offset: i64, size: usize) -> TdmaCommand {
+    let slot = config(RoleConfig::Master(master_config())).slots[0];
+    TdmaCommand::SetSlot(SlotConfig { offset: Span::from_micros(offset), size, ..slot })
+}
+
+#[test]
+fn a_slot_that_moves_keeps_its_turn_of_this_cycle_and_its_frames() {
+    let pool = Pool::new(3);
+    for (asked_at, second) in [(2_100, 3_700), (2_100, 3_100)] {
+        let mut slave = locked_slave();
+        (0..2).for_each(|_| queue(&mut slave, &pool, 60));
+        // Its turn in cycle 2, at 2 400, has passed unused; that in cycle 3 is still to come.
+        hear_syncs(&mut slave, 3..=3);
+        let offset = second - 3_000;
+        let from = slave.command(at(asked_at + 1_000), &mut moved(offset as i64, 100)).unwrap();
+        assert_eq!(from, 4);
+        assert_eq!(sent_next(&mut slave), at(3_400), "as it was");
+        hear_syncs(&mut slave, 4..=4);
+        assert_eq!(sent_next(&mut slave), at(second + 1_000), "as it is from cycle 4 on");
+        assert_eq!(slave.status().counters.returned_dropped, 0);
+    }
+}
+
+#[test]
+fn a_slot_whose_turn_has_passed_moves_at_once() {
+    let mut slave = locked_slave();
+    assert_eq!(slave.command(at(2_600), &mut moved(100, 100)), Ok(3));
+    queue(&mut slave, &Pool::new(1), 60);
+    assert_eq!(sent_next(&mut slave), at(3_100));
+    assert_eq!(slave.status().slots[0].unwrap().sent, 1);
+}
+
+#[test]
+fn frames_too_large_for_the_slot_as_it_is_now_are_counted() {
+    let pool = Pool::new(2);
+    let mut slave = locked_slave();
+    queue(&mut slave, &pool, 114);
+    queue(&mut slave, &pool, 60);
+    slave.command(at(2_600), &mut moved(400, 60)).unwrap();
+    let status = slave.status();
+    assert_eq!((status.counters.returned_dropped, status.slots[0].unwrap().queued), (1, 1));
+    assert!(pool.take().is_some(), "its buffer has come home");
+}
+
+#[test]
+fn a_slave_keeps_the_slot_it_calibrates_in() {
+    let mut slave = locked_slave();
+    let error = slave.command(at(2_600), &mut TdmaCommand::RemoveSlot(0)).unwrap_err();
+    assert!(error.to_string().contains("only one of a slave"), "{error}");
+    let other = SlotConfig { id: 2, ..slave.status().slots[0].unwrap().config };
+    slave.command(at(2_600), &mut TdmaCommand::SetSlot(other)).unwrap();
+    slave.command(at(2_600), &mut TdmaCommand::RemoveSlot(0)).unwrap();
+    assert_eq!(slave.status().slots.iter().flatten().count(), 1);
+}
+
+#[test]
+fn who_is_detached_is_silent_and_deaf_until_attached_again() {
+    let pool = Pool::new(1);
+    let mut slave = locked_slave();
+    queue(&mut slave, &pool, 60);
+    slave.command(at(2_100), &mut TdmaCommand::Become(NewRole::detached())).unwrap();
+    assert_eq!(slave.next_deadline(), None);
+    assert!(slave.opportunity(at(2_390)).is_none() && slave.next_transmission(at(2_390)).is_none());
+    let sync = Message::Sync { cycle: 3, xmit: GlobalTime::default(), sched: GlobalTime::default() };
+    assert!(matches!(hear(&mut slave, OTHER, sync), Claimed::Refused(Refusal::Detached)));
+    assert_eq!(slave.status().role, RoleName::Detached);
+
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None });
+    slave.command(at(9_000), &mut TdmaCommand::Become(NewRole::attached(role).unwrap())).unwrap();
+    assert_eq!(slave.time().state, SyncState::Waiting);
+    hear_syncs(&mut slave, 10..=11);
+    assert_eq!(sent_next(&mut slave), at(11_400), "with what was queued before");
+}
+
+#[test]
+fn a_slave_becomes_master_where_its_slots_fit_the_cycle() {
+    let mut slave = locked_slave();
+    let short = MasterConfig { cycle: Span::from_micros(300), ..master_config() };
+    let mut command = TdmaCommand::Become(NewRole::attached(RoleConfig::Master(short)).unwrap());
+    let error = slave.command(at(2_100), &mut command).unwrap_err();
+    assert!(error.to_string().contains("slot 0: the offset 400us is beyond the cycle of 300us"), "{error}");
+    assert_eq!(slave.time().state, SyncState::Locked, "nothing has changed");
+    let mut command = TdmaCommand::Become(NewRole::attached(RoleConfig::Master(master_config())).unwrap());
+    slave.command(at(2_100), &mut command).unwrap();
+    slave.on_timeout(at(2_100));
+    slave.on_timeout(at(5_100));
+    assert_eq!(sent_next(&mut slave), at(6_100), "its first Synchronisation");
 }

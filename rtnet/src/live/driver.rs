@@ -18,8 +18,10 @@ use super::port::{Port, PortCounters};
 const LONGEST_SLEEP: True = 100_000_000;
 /// How often a snapshot is published.
 const SNAPSHOT_EVERY: True = 100_000_000;
-/// Snapshots that wait; with none looked at, the oldest stay.
-const SNAPSHOTS: usize = 4;
+/// Snapshots that wait; with none looked at, the oldest stay. One at every change of state, too.
+const SNAPSHOTS: usize = 16;
+/// Commands that wait for the loop, and answers for whoever asked.
+const COMMANDS: usize = 16;
 /// Records that wait for the control thread: a second of what eight slots a millisecond can tell.
 const RECORDS: usize = 16_384;
 
@@ -60,6 +62,14 @@ pub struct Snapshot<S> {
     pub records_lost: u64,
 }
 
+/// What became of a command: itself, with what it replaced, and the first cycle in which it holds.
+pub struct Answer<D: Discipline> {
+    /// As it was asked for, or what it left behind.
+    pub command: D::Command,
+    /// From when on, or why not.
+    pub result: Result<u32, D::Refused>,
+}
+
 /// Drives a station on a port. [`Driver::run`] is the real-time thread.
 pub struct Driver<D: Discipline> {
     station: Station<D>,
@@ -67,8 +77,12 @@ pub struct Driver<D: Discipline> {
     config: DriverConfig,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
+    commands: Arc<ArrayQueue<D::Command>>,
+    answers: Arc<ArrayQueue<Answer<D>>>,
     records_lost: u64,
     next_snapshot: True,
+    /// The state in the last snapshot.
+    shown: SyncState,
 }
 
 impl<D: Discipline> Driver<D> {
@@ -80,8 +94,11 @@ impl<D: Discipline> Driver<D> {
             config,
             records: Arc::new(ArrayQueue::new(RECORDS)),
             snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
+            commands: Arc::new(ArrayQueue::new(COMMANDS)),
+            answers: Arc::new(ArrayQueue::new(COMMANDS)),
             records_lost: 0,
             next_snapshot: 0,
+            shown: SyncState::Waiting,
         }
     }
 
@@ -93,6 +110,16 @@ impl<D: Discipline> Driver<D> {
     /// Where the loop leaves its snapshots, oldest first.
     pub fn snapshots(&self) -> Arc<ArrayQueue<Snapshot<D::Status>>> {
         self.snapshots.clone()
+    }
+
+    /// Where the loop finds commands: one is carried out in a turn, after the slot's send.
+    pub fn commands(&self) -> Arc<ArrayQueue<D::Command>> {
+        self.commands.clone()
+    }
+
+    /// Where the loop leaves what became of them. With none taken, no more commands are carried out.
+    pub fn answers(&self) -> Arc<ArrayQueue<Answer<D>>> {
+        self.answers.clone()
     }
 
     /// Runs until told to stop, then leaves a last snapshot.
@@ -142,9 +169,23 @@ impl<D: Discipline> Driver<D> {
         if self.config.sample_time && sample_time && synchronised {
             self.record(Record::Time(now, time.offset.global(self.port.clock().local(now))));
         }
-        if now >= self.next_snapshot {
+        let commanded = self.obey();
+        if now >= self.next_snapshot || time.state != self.shown || commanded {
+            self.shown = time.state;
             self.publish(now);
         }
+    }
+
+    /// Carries out one command, if there is one. Its answer takes it along: nothing is freed here.
+    fn obey(&mut self) -> bool {
+        if self.commands.is_empty() || self.answers.is_full() {
+            return false;
+        }
+        let Some(mut command) = self.commands.pop() else { return false };
+        let result = self.station.discipline_mut().command(self.port.now(), &mut command);
+        // Nobody else fills this queue, and it had a place.
+        let _ = self.answers.push(Answer { command, result });
+        true
     }
 
     fn record(&mut self, record: Record) {

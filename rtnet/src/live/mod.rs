@@ -20,5 +20,5 @@ mod port;
 pub mod realtime;
 pub mod ring;
 
-pub use driver::{Driver, DriverConfig, Record, Snapshot};
+pub use driver::{Answer, Driver, DriverConfig, Record, Snapshot};
 pub use port::{Port, PortCounters};

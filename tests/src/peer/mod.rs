@@ -21,8 +21,8 @@ mod worker;
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
 use rtnet::discipline::{
-    Channel, Claimed, Discipline, Event, Opportunity, Refused, Returned, SendError, Sent, Stamp, SyncState,
-    TimeView, Transmission,
+    Channel, Claimed, Discipline, Event, Opportunity, Returned, SendError, Sent, Stamp, SyncState, TimeView,
+    Transmission,
 };
 use rtnet::queue::{Priority, PriorityQueue};
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
@@ -246,6 +246,7 @@ impl Peer {
 
 impl Discipline for Peer {
     type Command = ();
+    type Refused = &'static str;
     type Status = PeerStatus;
 
     fn claims(&self, header: &Header) -> bool {
@@ -362,8 +363,8 @@ impl Discipline for Peer {
         None
     }
 
-    fn command(&mut self, _now: Instant, _command: ()) -> Result<(), Refused> {
-        Err(Refused("a peer is configured at its start only".into()))
+    fn command(&mut self, _now: Instant, _command: &mut ()) -> Result<u32, &'static str> {
+        Err("a peer is configured at its start only")
     }
 
     fn status(&self) -> PeerStatus {

@@ -1,0 +1,72 @@
+//! The other end: one request, one reply.
+
+use std::io::{ErrorKind, Read};
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow, bail};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use socket2::{Domain, SockAddr, Socket, Type};
+
+use super::places::{Directory, Place};
+use super::protocol::{Envelope, LabReply, LabRequest, Reply, Request, read};
+
+/// A control thread answers within milliseconds; one that does not is stopped or stuck.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Longest reply: a lab with 250 stations.
+const REPLY_AT_MOST: usize = 192 * 1024;
+
+/// Asks a station.
+pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Reply> {
+    let path = directory.station(place);
+    exchange(&path, request)
+        .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
+}
+
+/// Asks a lab.
+pub fn ask_lab(directory: &Directory, lab: &str, request: LabRequest) -> Result<LabReply> {
+    let path = directory.lab(lab);
+    exchange(&path, request).map_err(|error| explain(error, "lab", lab, directory.labs()))
+}
+
+/// Says what there is instead of what does not exist.
+fn explain(error: anyhow::Error, what: &str, name: &str, mut instead: Vec<String>) -> anyhow::Error {
+    let Some(kind) = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) else {
+        return error.context(format!("{what} '{name}'"));
+    };
+    instead.retain(|other| other != name);
+    let there = match instead.as_slice() {
+        [] => format!("no other {what} runs here"),
+        some => format!("there is {}", some.join(", ")),
+    };
+    match kind {
+        ErrorKind::NotFound => anyhow!("there is no {what} '{name}': {there}"),
+        ErrorKind::ConnectionRefused => anyhow!("{what} '{name}' does not run any more: {there}"),
+        ErrorKind::PermissionDenied => {
+            anyhow!("{what} '{name}' belongs to another user: ask as the one who started it")
+        }
+        ErrorKind::WouldBlock | ErrorKind::TimedOut => {
+            anyhow!("{what} '{name}' has not answered in {} s: its process is stopped", PATIENCE.as_secs())
+        }
+        ErrorKind::ConnectionReset => {
+            anyhow!("{what} '{name}' hung up: it has ended, or has too many clients; ask again")
+        }
+        _ => error.context(format!("{what} '{name}'")),
+    }
+}
+
+fn exchange<A: Serialize, B: DeserializeOwned>(path: &Path, request: A) -> Result<B> {
+    let mut connection = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
+    connection.set_read_timeout(Some(PATIENCE))?;
+    connection.set_write_timeout(Some(PATIENCE))?;
+    connection.connect(&SockAddr::unix(path)?)?;
+    connection.send_with_flags(&Envelope::pack(request), nix::libc::MSG_NOSIGNAL)?;
+    let mut reply = vec![0; REPLY_AT_MOST + 1];
+    let length = connection.read(&mut reply)?;
+    match &reply[..length] {
+        [] => bail!(std::io::Error::from(ErrorKind::ConnectionReset)),
+        long if long.len() > REPLY_AT_MOST => bail!("its reply is longer than {REPLY_AT_MOST} bytes"),
+        reply => read(reply).map_err(|error| anyhow!(error)).context("its reply"),
+    }
+}

@@ -1,0 +1,23 @@
+//! How a running station is looked at and changed: requests and replies over a Unix socket.
+//!
+//! ```text
+//!  rtnet tdma, rtnet slot ──► SOCK_SEQPACKET ──► control thread ──► command queue ──► real-time thread
+//!                        one packet, one reply        ▲                                    │
+//!                                                     └──── snapshots, records, answers ◄──┘
+//! ```
+//!
+//! A packet is one JSON object of a known version. The control thread serves every client without waiting
+//! for any of them; the real-time thread knows of none of this.
+
+mod client;
+mod places;
+mod protocol;
+mod server;
+
+pub use client::{ask, ask_lab};
+pub use places::{Directory, Held, Place, check_name};
+pub use protocol::{
+    Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotRequest,
+    SlotShown, StationStatus, VERSION, read,
+};
+pub use server::{REQUEST_AT_MOST, Server, Traffic};

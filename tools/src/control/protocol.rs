@@ -1,0 +1,287 @@
+//! What is asked and answered.
+
+use std::collections::BTreeMap;
+
+use rtmac::tdma::SlotConfig;
+use rtnet::time::Span;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::station::link::Standing;
+
+/// Changes whenever a request or reply changes its meaning.
+pub const VERSION: u16 = 1;
+
+/// What is in a packet.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Envelope<T> {
+    /// [`VERSION`] of who made it.
+    pub version: u16,
+    /// The request or reply itself.
+    pub body: T,
+}
+
+impl<T: Serialize> Envelope<T> {
+    /// A packet of this version.
+    pub fn pack(body: T) -> Vec<u8> {
+        // Strings, numbers and lists: there is nothing that JSON cannot say.
+        serde_json::to_vec(&Envelope { version: VERSION, body }).unwrap_or_default()
+    }
+}
+
+/// Reads a packet; what is wrong with it is said in a line.
+pub fn read<T: DeserializeOwned>(packet: &[u8]) -> Result<T, String> {
+    #[derive(Deserialize)]
+    struct OnlyVersion {
+        version: u16,
+    }
+    let said =
+        serde_json::from_slice::<OnlyVersion>(packet).map_err(|error| format!("unreadable: {error}"))?;
+    if said.version != VERSION {
+        return Err(format!("version {} is not spoken here, only {VERSION}", said.version));
+    }
+    let envelope: Envelope<T> =
+        serde_json::from_slice(packet).map_err(|error| format!("not understood: {error}"))?;
+    Ok(envelope.body)
+}
+
+/// What a station may be asked.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Request {
+    /// Where it stands.
+    Status,
+    /// Define or change a slot.
+    SetSlot(SlotRequest),
+    /// Remove a slot.
+    RemoveSlot(u8),
+    /// Be something else in the cycle.
+    Become(RoleRequest),
+}
+
+/// What it answers.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reply {
+    /// Where it stands.
+    Status(Box<StationStatus>),
+    /// Done; it holds from this cycle on.
+    Applied(u32),
+    /// Not done, and why.
+    Refused(String),
+}
+
+/// A slot as it is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SlotRequest {
+    /// Its id.
+    pub id: u8,
+    /// Begin, from the cycle's start, nanoseconds.
+    pub offset_ns: i64,
+    /// Used in cycles with `cycle mod period == phase`; counts from 0.
+    pub phase: u32,
+    /// See `phase`.
+    pub period: u32,
+    /// Largest payload behind the Ethernet header.
+    pub size: usize,
+}
+
+impl SlotRequest {
+    /// The slot as the discipline takes it.
+    pub fn config(&self, latest: Span) -> SlotConfig {
+        let &Self { id, offset_ns, phase, period, size } = self;
+        SlotConfig { id, offset: Span::from_nanos(offset_ns), phase, period, size, latest }
+    }
+}
+
+/// A role as it is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum RoleRequest {
+    /// Listen, then give the time, with this cycle in nanoseconds.
+    Master {
+        /// From one cycle's start to the next.
+        cycle_ns: i64,
+    },
+    /// Follow the master, after so many calibration rounds.
+    Slave {
+        /// 0: none.
+        rounds: u32,
+    },
+    /// Take no part.
+    Detached,
+}
+
+/// A station as others see it.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct StationStatus {
+    /// Its name.
+    pub name: String,
+    /// Its process.
+    pub pid: u32,
+    /// The interface it runs on.
+    pub interface: String,
+    /// That interface's address.
+    pub address: String,
+    /// `master`, `slave` or `detached`.
+    pub role: String,
+    /// State, cycle, delay, refused frames.
+    pub standing: Standing,
+    /// From one cycle's start to the next, once known.
+    pub period_ns: Option<i64>,
+    /// By how much the last Synchronisation disagreed with the time line.
+    pub deviation_ns: i64,
+    /// Its slots, by id.
+    pub slots: Vec<SlotShown>,
+    /// Everything that its discipline counts.
+    pub counters: BTreeMap<String, u64>,
+    /// What the host refused it.
+    pub host: Vec<String>,
+    /// Requests by what became of them.
+    pub control: BTreeMap<String, u64>,
+}
+
+/// A slot, and what became of frames in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct SlotShown {
+    /// What it is.
+    #[serde(flatten)]
+    pub slot: SlotRequest,
+    /// How long after its begin a transmission may still start, nanoseconds.
+    pub latest_ns: i64,
+    /// Frames that wait for it.
+    pub queued: usize,
+    /// Frames sent in it.
+    pub sent: u64,
+}
+
+/// What a lab may be asked.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum LabRequest {
+    /// How it goes.
+    Status,
+    /// End, and tell how it went.
+    Down,
+    /// Change a slot of one of its stations.
+    SetSlot {
+        /// Whose.
+        station: String,
+        /// What it is to be.
+        slot: SlotRequest,
+    },
+    /// Remove a slot of one of its stations.
+    RemoveSlot {
+        /// Whose.
+        station: String,
+        /// Which.
+        id: u8,
+    },
+}
+
+/// What it answers.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LabReply {
+    /// How it goes.
+    Status(Box<LabStatus>),
+    /// It is about to end.
+    Ending {
+        /// The process to wait for.
+        pid: u32,
+    },
+    /// Done; it holds from this cycle on.
+    Applied(u32),
+    /// Not done, and why.
+    Refused(String),
+}
+
+/// A lab as others see it.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct LabStatus {
+    /// Its name.
+    pub name: String,
+    /// The process that keeps it.
+    pub pid: u32,
+    /// Since all stations were locked, seconds.
+    pub up_seconds: u64,
+    /// From one cycle's start to the next.
+    pub cycle_ns: u64,
+    /// Cycles that were watched.
+    pub cycles: u64,
+    /// Slots in them.
+    pub frames_expected: u64,
+    /// Frames in their slots.
+    pub frames_seen: u64,
+    /// Slots without their frame.
+    pub slots_missed: u64,
+    /// Two frames on the air at once.
+    pub overlaps: u64,
+    /// Frames outside their slot.
+    pub out_of_slot: u64,
+    /// Of all that ought not to be, what has no record of its cause.
+    pub unexplained: u64,
+    /// Its stations.
+    pub stations: Vec<MemberStatus>,
+}
+
+/// One station of a lab.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct MemberStatus {
+    /// Its name.
+    pub name: String,
+    /// `master`, `slave`.
+    pub role: String,
+    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`, or `ended`.
+    pub state: String,
+    /// Its process.
+    pub pid: u32,
+    /// Its address.
+    pub address: String,
+    /// Frames in its slots.
+    pub frames_seen: u64,
+    /// Slots without their frame.
+    pub slots_missed: u64,
+    /// Frames refused, by reason.
+    pub refusals: BTreeMap<String, u64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_reads_back() {
+        let slot = SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128 };
+        for request in [Request::Status, Request::SetSlot(slot), Request::Become(RoleRequest::Detached)] {
+            assert_eq!(read::<Request>(&Envelope::pack(request.clone())), Ok(request));
+        }
+    }
+
+    #[test]
+    fn what_is_no_request_is_refused_in_a_line() {
+        for (packet, expected) in [
+            ("", "unreadable"),
+            ("{", "unreadable"),
+            (r#"{"body":"status"}"#, "missing field `version`"),
+            (r#"{"version":2,"body":"status"}"#, "version 2 is not spoken here, only 1"),
+            (r#"{"version":1,"body":"reboot"}"#, "unknown variant `reboot`"),
+            (r#"{"version":1,"body":{"set_slot":{"id":1}}}"#, "missing field `offset_ns`"),
+            (r#"{"version":1,"body":"status","more":1}"#, "unknown field `more`"),
+        ] {
+            let error = read::<Request>(packet.as_bytes()).unwrap_err();
+            assert!(error.contains(expected) && !error.contains('\n'), "{packet}: {error}");
+        }
+    }
+
+    #[test]
+    fn every_shortened_request_is_refused() {
+        let slot = SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128 };
+        let packet = Envelope::pack(Request::SetSlot(slot));
+        for end in 0..packet.len() {
+            assert!(read::<Request>(&packet[..end]).is_err(), "{end}");
+        }
+    }
+}

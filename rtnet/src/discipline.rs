@@ -275,6 +275,22 @@ impl EventKind {
         EventKind::MasterActive,
     ];
 
+    /// Whether a slot or a Synchronisation was missed by it, or a frame was late.
+    pub const fn is_miss(self) -> bool {
+        use EventKind::*;
+        matches!(self, Overrun | StalledInSend | SlotSilent | SendFailed | SyncSkipped)
+    }
+
+    /// Why that was, as far as the kind tells. What was too late for its instant only the loop's stamps explain.
+    pub const fn cause(self) -> Option<Cause> {
+        match self {
+            EventKind::StalledInSend => Some(Cause::StalledInSend),
+            EventKind::SlotSilent => Some(Cause::NoSync),
+            EventKind::SendFailed => Some(Cause::Refused),
+            _ => None,
+        }
+    }
+
     /// The kind's name in reports.
     pub const fn name(self) -> &'static str {
         match self {
@@ -293,6 +309,38 @@ impl EventKind {
             EventKind::CalibrationTimeout => "calibration_timeout",
             EventKind::OtherMaster => "other_master",
             EventKind::MasterActive => "master_active",
+        }
+    }
+}
+
+/// Why a slot or a Synchronisation was missed, or a frame was late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cause {
+    /// The thread was woken too late: by the timer, or because something more urgent ran.
+    TimerLate,
+    /// It was awake in time, and held up before it could send.
+    Preempted,
+    /// It was held up between its last look at the clock and the wire.
+    StalledInSend,
+    /// There was no Synchronisation to follow, or none yet.
+    NoSync,
+    /// The kernel did not take the frame.
+    Refused,
+}
+
+impl Cause {
+    /// Every cause.
+    pub const ALL: [Cause; 5] =
+        [Cause::TimerLate, Cause::Preempted, Cause::StalledInSend, Cause::NoSync, Cause::Refused];
+
+    /// The cause's name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Cause::TimerLate => "timer_late",
+            Cause::Preempted => "preempted",
+            Cause::StalledInSend => "stalled_in_send",
+            Cause::NoSync => "sync_lost_or_late",
+            Cause::Refused => "refused",
         }
     }
 }

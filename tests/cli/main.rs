@@ -4,6 +4,7 @@
 #![allow(clippy::disallowed_methods)]
 
 mod lab;
+mod live;
 mod station;
 
 use std::io::Write;

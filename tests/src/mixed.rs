@@ -21,6 +21,8 @@ pub enum Mixed {
 
 /// Either kind of status.
 #[derive(Clone, Copy, Debug)]
+// Copied where nothing is short of time.
+#[allow(clippy::large_enum_variant)]
 pub enum MixedStatus {
     /// Ours.
     Ours(TdmaStatus),

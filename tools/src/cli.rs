@@ -6,6 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
+use crate::control::Place;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
@@ -25,6 +26,102 @@ pub enum Verb {
     Lab(LabVerb),
     /// Run one station in the foreground, on any Ethernet interface
     Station(Box<StationArgs>),
+    /// Look at a running station, or change its part in the cycle
+    Tdma(TdmaArgs),
+    /// Look at the slots of a running station, or change them
+    ///
+    /// A change is effective from the next cycle on, and no queued frame is lost unless it does not fit its
+    /// slot any more. In a lab, a slot that overlaps another station's is refused; a station of its own
+    /// knows only its own slots, and trusts that you know the others'.
+    Slot(SlotArgs),
+    /// Print completions for a shell, as in `source <(rtnet completions bash)`
+    Completions {
+        /// Which shell
+        shell: clap_complete::Shell,
+    },
+    /// Write the manual pages, one for each command
+    Man {
+        /// Where to: it is made if it does not exist
+        #[arg(default_value = ".", value_name = "DIRECTORY")]
+        directory: PathBuf,
+    },
+}
+
+/// Which running station.
+#[derive(Debug, Args)]
+pub struct Which {
+    /// The station: its --name, or, in a lab, LAB/STATION
+    #[arg(short = 'S', long = "station", value_name = "[LAB/]STATION")]
+    pub place: Place,
+    /// Print JSON
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// Arguments of `tdma`.
+#[derive(Debug, Args)]
+pub struct TdmaArgs {
+    /// Which.
+    #[command(flatten)]
+    pub which: Which,
+    /// What to do with it.
+    #[command(subcommand)]
+    pub verb: TdmaVerb,
+}
+
+/// What can be done with a station's part in the cycle.
+#[derive(Debug, Subcommand)]
+pub enum TdmaVerb {
+    /// Role, state, slots, counters, and what the host refused
+    Status {
+        /// Show what was missed, and why: by cause, and the ten longest
+        #[arg(long)]
+        misses: bool,
+    },
+    /// Listen for three cycles, then give the time; fails where another master is heard
+    Master {
+        /// From one cycle's start to the next
+        #[arg(long, value_parser = parse_positive_span)]
+        cycle: Span,
+    },
+    /// Follow the master
+    Slave {
+        /// Calibration rounds; 0: none
+        #[arg(long, default_value_t = rtmac::tdma::DEFAULT_ROUNDS, value_name = "N")]
+        rounds: u32,
+    },
+    /// Take no part in the cycle: silent and deaf until told to be master or slave again
+    Detach,
+}
+
+/// Arguments of `slot`.
+#[derive(Debug, Args)]
+pub struct SlotArgs {
+    /// Which.
+    #[command(flatten)]
+    pub which: Which,
+    /// What to do with them.
+    #[command(subcommand)]
+    pub verb: SlotVerb,
+}
+
+/// What can be done with a station's slots.
+#[derive(Debug, Subcommand)]
+pub enum SlotVerb {
+    /// Every slot, how many frames wait for it, how many were sent in it
+    List,
+    /// Define a slot, or change one: what is not given stays as it is
+    Set {
+        /// Its id and offset; if it is not used in every cycle or takes less than 1500 bytes, phase P of N
+        /// cycles and size in bytes
+        #[arg(value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
+        slot: crate::cmd::station::SlotArg,
+    },
+    /// Remove a slot; what is queued in it is dropped and counted
+    Remove {
+        /// Its id
+        id: u8,
+    },
 }
 
 /// What can be done with a network on this machine.
@@ -34,12 +131,82 @@ pub enum LabVerb {
     ///
     /// Every station is a process in its own namespace, joined by a bridge. The first is the master.
     /// Each sends one frame per slot to the next station; an observer on the bridge checks that every
-    /// frame is in its slot. Needs root. Durations are written 250us, 1ms, 10s.
+    /// frame is in its slot. An ordinary user's lab lives in a user namespace, without SCHED_FIFO. Durations
+    /// are written 250us, 1ms, 10s.
     ///
     /// Exit status: 0 all is well; 1 something unexplained, payload errors, lost frames or a lost station;
     /// 2 bad usage, bad configuration, or no privileges.
     Run(LabRunArgs),
+    /// Stand a network up and keep it: it runs until `rtnet lab down`
+    ///
+    /// Takes the same arguments as `lab run`; with --duration it goes down by itself. Exit status: 0 all its
+    /// stations are locked; 2 it could not be stood up, and nothing is left of it.
+    Up(LabUpArgs),
+    /// Take a network down, and tell how it went
+    ///
+    /// Exit status: 0 all was well; 1 something unexplained, payload errors, lost frames or a lost station;
+    /// 2 there is no such lab.
+    Down(LabDownArgs),
+    /// How a network is going, or all of them
+    Status(LabStatusArgs),
+    /// Run a command in the network namespace of a station
+    Exec(LabExecArgs),
 }
+
+/// Arguments of `lab up`.
+#[derive(Debug, Args)]
+pub struct LabUpArgs {
+    /// What network.
+    #[command(flatten)]
+    pub run: LabRunArgs,
+    /// A name that no other lab on this machine has
+    #[arg(long, default_value = DEFAULT_LAB)]
+    pub name: String,
+    /// Stay in the foreground; Ctrl-C takes the network down
+    #[arg(long)]
+    pub foreground: bool,
+    /// Let go of standard output and error once the network is up
+    #[arg(long, hide = true)]
+    pub detached: bool,
+}
+
+/// Arguments of `lab down`.
+#[derive(Debug, Args)]
+pub struct LabDownArgs {
+    /// Which
+    #[arg(default_value = DEFAULT_LAB, conflicts_with = "all")]
+    pub name: String,
+    /// Every one of this user's
+    #[arg(long)]
+    pub all: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `lab status`.
+#[derive(Debug, Args)]
+pub struct LabStatusArgs {
+    /// Which [default: every one of this user's]
+    pub name: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `lab exec`.
+#[derive(Debug, Args)]
+pub struct LabExecArgs {
+    /// Which station; without LAB/ one of the lab named 'lab'
+    #[arg(value_name = "[LAB/]STATION")]
+    pub place: Place,
+    /// What to run there, and its arguments
+    #[arg(last = true, required = true, value_name = "COMMAND")]
+    pub command: Vec<std::ffi::OsString>,
+}
+
+/// The lab that is meant when none is named.
+pub const DEFAULT_LAB: &str = "lab";
 
 /// Arguments of `lab run`.
 #[derive(Debug, Args)]
@@ -110,7 +277,7 @@ pub struct StationArgs {
     /// phase P of N cycles and size in bytes. Can be given several times
     #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
     pub slots: Vec<crate::cmd::station::SlotArg>,
-    /// A name that no other station on this machine has
+    /// A name that no other station on this machine has; under it `rtnet tdma` and `rtnet slot` find it
     #[arg(long)]
     pub name: Option<String>,
     /// Highest slot id
@@ -125,12 +292,24 @@ pub struct StationArgs {
     /// How long before a slot its frame is chosen and spun for
     #[arg(long, default_value = "50us", value_parser = parse_nonnegative_span)]
     pub lead: Span,
+    /// How the real-time thread is scheduled: before all others, or as any other
+    #[arg(long, default_value = "fifo")]
+    pub scheduling: Scheduling,
     /// The core of the real-time thread [default: any]
     #[arg(long, value_name = "N")]
     pub cpu: Option<usize>,
     /// What a lab adds, in JSON
     #[arg(long, hide = true)]
     pub lab: Option<String>,
+}
+
+/// How a real-time thread is scheduled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Scheduling {
+    /// SCHED_FIFO: before everything that is not real-time
+    Fifo,
+    /// As any other thread
+    Other,
 }
 
 /// What to do with a slot that has passed.

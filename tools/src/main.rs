@@ -1,5 +1,6 @@
 //! The command `rtnet`.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -9,12 +10,21 @@ use tools::cmd;
 fn main() -> ExitCode {
     let done = match &Cli::parse().verb {
         Verb::Lab(LabVerb::Run(args)) => cmd::lab_run::lab_run(args),
+        Verb::Lab(LabVerb::Up(args)) => cmd::lab_up::lab_up(args),
+        Verb::Lab(LabVerb::Down(args)) => cmd::lab::down(args),
+        Verb::Lab(LabVerb::Status(args)) => cmd::lab::status(args),
+        Verb::Lab(LabVerb::Exec(args)) => cmd::lab::exec(args),
         Verb::Station(args) => cmd::station::station(args),
+        Verb::Tdma(args) => cmd::tdma::tdma(args),
+        Verb::Slot(args) => cmd::slot::slot(args),
+        Verb::Completions { shell } => cmd::manual::completions(*shell),
+        Verb::Man { directory } => cmd::manual::man(directory),
     };
     match done {
         Ok(status) => ExitCode::from(status),
         Err(failure) => {
-            eprintln!("rtnet: {:#}", failure.error());
+            // Whoever closed our standard error does not want to read it.
+            let _ = writeln!(std::io::stderr(), "rtnet: {:#}", failure.error());
             ExitCode::from(failure.status())
         }
     }

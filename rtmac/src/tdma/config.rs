@@ -49,6 +49,8 @@ pub struct TdmaConfig {
 }
 
 /// What the control thread may ask of a TDMA station.
+// A role in a box would have to be freed by the real-time thread.
+#[allow(clippy::large_enum_variant)]
 pub enum TdmaCommand {
     /// Define or change a slot, from the next cycle on.
     SetSlot(SlotConfig),

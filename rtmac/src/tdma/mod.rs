@@ -129,7 +129,10 @@ impl Tdma {
     fn build(&mut self, job: Job) -> Option<Transmission> {
         let (frame, stamp, priority) = match job {
             Job::Data(turn) => {
-                let (priority, frame) = self.slots.dequeue(turn.id)?;
+                let Some((priority, frame)) = self.slots.dequeue(turn.id) else {
+                    self.counters.slots_empty += 1;
+                    return None;
+                };
                 (frame, None, priority)
             }
             control => {

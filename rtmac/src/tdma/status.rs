@@ -26,6 +26,8 @@ pub struct Counters {
     pub stalled_in_send: u64,
     /// Frames the kernel refused.
     pub send_failed: u64,
+    /// Slots for which nothing was queued.
+    pub slots_empty: u64,
     /// Slots passed over because synchronisation did not allow them.
     pub slots_silent: u64,
     /// Calibration requests sent.
@@ -40,6 +42,30 @@ pub struct Counters {
     pub replies_given_up: u64,
     /// Frames dropped because their slot is gone, full, or too small for them now.
     pub returned_dropped: u64,
+}
+
+impl Counters {
+    /// Each with its name.
+    pub fn named(&self) -> [(&'static str, u64); 16] {
+        [
+            ("syncs_sent", self.syncs_sent),
+            ("syncs_skipped", self.syncs_skipped),
+            ("syncs_received", self.syncs_received),
+            ("syncs_late", self.syncs_late),
+            ("frames_sent", self.frames_sent),
+            ("overruns", self.overruns),
+            ("stalled_in_send", self.stalled_in_send),
+            ("send_failed", self.send_failed),
+            ("slots_empty", self.slots_empty),
+            ("slots_silent", self.slots_silent),
+            ("requests_sent", self.requests_sent),
+            ("calibration_timeouts", self.calibration_timeouts),
+            ("replies_sent", self.replies_sent),
+            ("replies_late", self.replies_late),
+            ("replies_given_up", self.replies_given_up),
+            ("returned_dropped", self.returned_dropped),
+        ]
+    }
 }
 
 /// What a station is in the cycle.

@@ -7,9 +7,9 @@ use crossbeam::queue::ArrayQueue;
 
 use crate::clock::True;
 use crate::counters::Refusals;
-use crate::discipline::{Discipline, Event, Sent, SyncState};
+use crate::discipline::{Cause, Discipline, Event, Sent, SyncState};
 use crate::station::Station;
-use crate::time::GlobalTime;
+use crate::time::{GlobalTime, Span};
 
 use super::clock::{monotonic, thread_cpu_time};
 use super::port::{Port, PortCounters};
@@ -37,8 +37,8 @@ pub struct DriverConfig {
 /// What the loop tells the control thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Record {
-    /// Something happened in a cycle.
-    Event(Event),
+    /// Something happened in a cycle; if something was missed by it, why.
+    Event(Event, Option<Cause>),
     /// The station's estimate of global time at a moment of CLOCK_MONOTONIC.
     Time(True, GlobalTime),
 }
@@ -162,7 +162,8 @@ impl<D: Discipline> Driver<D> {
     fn tell(&mut self, sample_time: bool) {
         let now = monotonic();
         while let Some(event) = self.station.discipline_mut().next_event() {
-            self.record(Record::Event(event));
+            let late = event.kind.is_miss().then(|| self.why_late(now, event.span));
+            self.record(Record::Event(event, event.kind.cause().or(late)));
         }
         let time = self.station.discipline().time();
         let synchronised = matches!(time.state, SyncState::Locked | SyncState::Holdover);
@@ -186,6 +187,12 @@ impl<D: Discipline> Driver<D> {
         // Nobody else fills this queue, and it had a place.
         let _ = self.answers.push(Answer { command, result });
         true
+    }
+
+    /// Why the loop was `late` beyond the last moment: it woke after that moment already, or only got there later.
+    fn why_late(&self, now: True, late: Span) -> Cause {
+        let last_moment = now.saturating_sub(late.nanos().max(0) as u64);
+        if self.port.woke() > last_moment { Cause::TimerLate } else { Cause::Preempted }
     }
 
     fn record(&mut self, record: Record) {

@@ -35,6 +35,8 @@ pub struct Port {
     trusted: bool,
     spin: True,
     send_cost: Option<True>,
+    /// When the last sleep ended.
+    woke: True,
     counters: PortCounters,
 }
 
@@ -80,6 +82,7 @@ impl Port {
             trusted: true,
             spin,
             send_cost: None,
+            woke: monotonic(),
             counters: PortCounters::default(),
         })
     }
@@ -126,8 +129,14 @@ impl Port {
     }
 
     /// Sleeps until the station's clock shows `at`, at most until the true moment `no_later`.
-    pub fn sleep_until(&self, at: Instant, no_later: True) {
+    pub fn sleep_until(&mut self, at: Instant, no_later: True) {
         sleep_until(self.clock.truth(at).min(no_later));
+        self.woke = monotonic();
+    }
+
+    /// When the last sleep ended.
+    pub fn woke(&self) -> True {
+        self.woke
     }
 
     /// Sends a frame at its instant: sleeps, spins, stamps, checks, sends, and looks at the clock again.
@@ -137,6 +146,7 @@ impl Port {
         let latest = self.clock.truth(latest);
         if monotonic() + self.spin < target {
             sleep_until(target - self.spin);
+            self.woke = monotonic();
         }
         let before = spin_until(target);
         let stamped = self.clock.local(before);

@@ -18,8 +18,8 @@ const PREFAULT: usize = 64 * 1024;
 /// What a real-time thread asks of its host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RealTime {
-    /// SCHED_FIFO priority, 1 to 99.
-    pub priority: i32,
+    /// SCHED_FIFO priority, 1 to 99; none: ordinary scheduling.
+    pub priority: Option<i32>,
     /// The core to stay on; all real-time threads of one machine belong on one.
     pub cpu: Option<usize>,
 }
@@ -34,11 +34,12 @@ impl RealTime {
         {
             refused.push(format!("cpu {cpu}: {error}: the thread runs on any core, and wakes later"));
         }
-        if let Err(error) = set_scheduler(libc::SCHED_FIFO, self.priority) {
+        if let Some(priority) = self.priority
+            && let Err(error) = set_scheduler(libc::SCHED_FIFO, priority)
+        {
             refused.push(format!(
-                "SCHED_FIFO {}: {error}: ordinary scheduling, slots are missed under load (run as root, or \
-                 give CAP_SYS_NICE)",
-                self.priority
+                "SCHED_FIFO {priority}: {error}: ordinary scheduling, slots are missed under load (run as root, or \
+                 give CAP_SYS_NICE)"
             ));
         }
         if let Err(error) = mlockall(MlockAllFlags::MCL_CURRENT) {
@@ -137,8 +138,9 @@ mod tests {
 
     #[test]
     fn what_the_host_refuses_is_one_line_each() {
-        let lines =
-            std::thread::spawn(|| RealTime { priority: 1_000, cpu: Some(1_000) }.apply()).join().unwrap();
+        let lines = std::thread::spawn(|| RealTime { priority: Some(1_000), cpu: Some(1_000) }.apply())
+            .join()
+            .unwrap();
         assert!(lines.iter().any(|line| line.starts_with("cpu 1000: ")), "{lines:?}");
         assert!(lines.iter().any(|line| line.starts_with("SCHED_FIFO 1000: ")), "{lines:?}");
         assert!(lines.iter().all(|line| !line.contains('\n')));

@@ -3,12 +3,13 @@
 use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use rtnet::time::Span;
 
 use super::Failure;
 use crate::cli::LabRunArgs;
-use crate::lab::{Lab, RunOptions};
+use crate::control::Directory;
+use crate::lab::{Lab, RunOptions, userns};
 use crate::report::screen;
 use crate::scenario::{self, Scenario, Uniform};
 
@@ -23,22 +24,7 @@ const WIDTH: usize = 100;
 
 /// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
 pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
-    let scenario = scenario(args).map_err(Failure::Usage)?;
-    let options = RunOptions {
-        warm_core: args.warm_core,
-        cpu: args.cpu,
-        pcap: args.pcap.clone(),
-        // Stations may take a while to be locked, too.
-        progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
-    };
-    if !nix::unistd::geteuid().is_root() {
-        let error =
-            anyhow!("a lab makes network namespaces, which takes root (CAP_SYS_ADMIN): run it with sudo");
-        return Err(Failure::Usage(error));
-    }
-    for path in args.json.iter().chain(&args.pcap) {
-        writable(path).map_err(Failure::Usage)?;
-    }
+    let (scenario, options) = prepared(args).map_err(Failure::Usage)?;
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
     let outcome = lab.run(&scenario).map_err(Failure::Run)?;
     let width = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok()).unwrap_or(WIDTH);
@@ -49,6 +35,23 @@ pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
     // Whoever closed our output does not want to read the rest.
     let _ = std::io::stdout().write_all(screen.as_bytes());
     Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
+}
+
+/// The network and how to run it; what cannot be is refused before anything is made.
+pub fn prepared(args: &LabRunArgs) -> anyhow::Result<(Scenario, RunOptions)> {
+    let scenario = scenario(args)?;
+    let options = RunOptions {
+        warm_core: args.warm_core,
+        cpu: args.cpu,
+        pcap: args.pcap.clone(),
+        home: None,
+        taken: super::lab::taken(&Directory::of_user(), args.cpu),
+        // Stations may take a while to be locked, too.
+        progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
+    };
+    userns::gain_namespaces()?;
+    args.json.iter().chain(&args.pcap).try_for_each(|path| writable(path))?;
+    Ok((scenario, options))
 }
 
 fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
@@ -81,7 +84,8 @@ fn writable(path: &Path) -> anyhow::Result<()> {
     open.with_context(|| format!("{} cannot be written", path.display())).map(drop)
 }
 
-fn write_json(path: &Path, figures: &crate::report::figures::Figures) -> anyhow::Result<()> {
+/// Writes a report.
+pub fn write_json(path: &Path, figures: &impl serde::Serialize) -> anyhow::Result<()> {
     let mut text = serde_json::to_string_pretty(figures)?;
     text.push('\n');
     std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))

@@ -1,7 +1,12 @@
 //! One module per verb: from arguments to the thing done.
 
+pub mod lab;
 pub mod lab_run;
+pub mod lab_up;
+pub mod manual;
+pub mod slot;
 pub mod station;
+pub mod tdma;
 
 /// Whose fault a failure is, which the exit status tells.
 #[derive(Debug)]
@@ -26,4 +31,11 @@ impl Failure {
             Failure::Usage(error) | Failure::Run(error) => error,
         }
     }
+}
+
+/// Prints something as JSON or in words. Whoever closed our output does not want to read the rest.
+fn print<T: serde::Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
+    let text = if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) };
+    let _ = std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes());
+    Ok(())
 }

@@ -3,29 +3,38 @@
 use std::str::FromStr;
 
 use anyhow::{Context, anyhow};
-use rtmac::tdma::{LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig};
-use rtnet::live::clock::{monotonic, realtime};
-use rtnet::time::{GlobalTime, Offset, Span};
+use rtmac::tdma::{LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig};
+use rtnet::clock::EmulatedClock;
+use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, MTU};
 
 use super::Failure;
-use crate::cli::{Late, StationArgs};
+use crate::cli::{Late, Scheduling, StationArgs};
+use crate::control::SlotRequest;
 use crate::scenario::{default_sync_window, parse_phase};
 use crate::station::link::{self, LabOptions};
 use crate::station::{self, Options};
 use crate::units::parse_nonnegative_span;
 
-/// Part of the sync window in which a Synchronisation may be begun; the rest is for its time on the air.
-const SYNC_LATEST_PARTS: (i64, i64) = (3, 4);
-
 /// `ID=OFFSET[,phase=P/N][,size=B]`
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SlotArg {
-    id: u8,
+    /// Its id.
+    pub id: u8,
     offset: Span,
-    phase: u32,
-    period: u32,
-    size: usize,
+    /// Phase, counted from 0, and period.
+    turn: Option<(u32, u32)>,
+    size: Option<usize>,
+}
+
+impl SlotArg {
+    /// The whole slot: what is not given is as it was, or the largest in every cycle.
+    pub fn over(&self, before: Option<&SlotRequest>) -> SlotRequest {
+        let before = before.map(|slot| ((slot.phase, slot.period), slot.size));
+        let (turn, size) = before.unwrap_or(((0, 1), MTU));
+        let ((phase, period), size) = (self.turn.unwrap_or(turn), self.size.unwrap_or(size));
+        SlotRequest { id: self.id, offset_ns: self.offset.nanos(), phase, period, size }
+    }
 }
 
 /// Reads a slot from the command line.
@@ -35,12 +44,12 @@ pub fn parse_slot(text: &str) -> Result<SlotArg, String> {
     let (id, offset) = first.split_once('=').ok_or("write ID=OFFSET, as in 0=100us")?;
     let id = u8::from_str(id).map_err(|_| format!("'{id}' is no slot id: write a number from 0 on"))?;
     let offset = parse_nonnegative_span(offset).map_err(|error| error.to_string())?;
-    let mut slot = SlotArg { id, offset, phase: 0, period: 1, size: MTU };
+    let mut slot = SlotArg { id, offset, turn: None, size: None };
     for part in parts {
         match part.split_once('=') {
-            Some(("phase", phase)) => (slot.phase, slot.period) = parse_phase(phase)?,
+            Some(("phase", phase)) => slot.turn = Some(parse_phase(phase)?),
             Some(("size", size)) => {
-                slot.size = size.parse().map_err(|_| format!("'{size}' is no size in bytes"))?;
+                slot.size = Some(size.parse().map_err(|_| format!("'{size}' is no size in bytes"))?);
             }
             _ => return Err(format!("'{part}' means nothing here: only phase=P/N and size=B do")),
         }
@@ -63,9 +72,12 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
             let window = args.sync_window.unwrap_or(default_sync_window(cycle));
             RoleConfig::Master(MasterConfig {
                 cycle,
-                sync_latest: window * SYNC_LATEST_PARTS.0 / SYNC_LATEST_PARTS.1,
+                sync_latest: station::sync_latest(window),
                 reply_latest: args.latest,
-                epoch: lab.as_ref().map_or_else(epoch, |lab| link::offset(lab.epoch)),
+                epoch: match &lab {
+                    Some(lab) => link::offset(lab.epoch),
+                    None => station::epoch(&EmulatedClock::default()),
+                },
             })
         }
         None => RoleConfig::Slave(SlaveConfig {
@@ -73,14 +85,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
             step_limit: lab.as_ref().map(|lab| Span::from_nanos(lab.step_limit_ns)),
         }),
     };
-    let slots = args.slots.iter().map(|&SlotArg { id, offset, phase, period, size }| SlotConfig {
-        id,
-        offset,
-        phase,
-        period,
-        size,
-        latest: args.latest,
-    });
+    let slots = args.slots.iter().map(|slot| slot.over(None).config(args.latest));
     let tdma = TdmaConfig {
         address: Address::default(),
         role,
@@ -95,15 +100,12 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         interface: args.interface.clone(),
         name: args.name.clone(),
         tdma,
+        latest: args.latest,
+        fifo: args.scheduling == Scheduling::Fifo,
         cpu: args.cpu,
         spin: args.lead,
         lab,
     })
-}
-
-/// Global time is the wall clock's once, at the start, and from then on the monotonic clock's.
-fn epoch() -> Offset {
-    Offset::between(rtnet::Instant::from_nanos(monotonic()), GlobalTime::from_nanos(realtime()))
 }
 
 #[cfg(test)]
@@ -113,8 +115,11 @@ mod tests {
     #[test]
     fn slots_are_read_as_the_help_says() {
         let slot = parse_slot("2=250us,phase=2/4,size=128").unwrap();
-        assert_eq!(slot, SlotArg { id: 2, offset: Span::from_micros(250), phase: 1, period: 4, size: 128 });
-        assert_eq!(parse_slot("0=0us").unwrap().size, 1500);
+        let whole = SlotRequest { id: 2, offset_ns: 250_000, phase: 1, period: 4, size: 128 };
+        assert_eq!(slot.over(None), whole);
+        let moved = parse_slot("2=0us").unwrap();
+        assert_eq!(moved.over(Some(&whole)), SlotRequest { offset_ns: 0, ..whole });
+        assert_eq!(moved.over(None), SlotRequest { offset_ns: 0, phase: 0, period: 1, size: 1500, ..whole });
     }
 
     #[test]

@@ -37,7 +37,7 @@ fn explain(error: anyhow::Error, what: &str, name: &str, mut instead: Vec<String
     };
     instead.retain(|other| other != name);
     let there = match instead.as_slice() {
-        [] => format!("no other {what} runs here"),
+        [] => "none runs here".to_owned(),
         some => format!("there is {}", some.join(", ")),
     };
     match kind {

@@ -15,7 +15,7 @@ mod protocol;
 mod server;
 
 pub use client::{ask, ask_lab};
-pub use places::{Directory, Held, Place, check_name};
+pub use places::{Directory, Held, Home, Place, check_name};
 pub use protocol::{
     Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotRequest,
     SlotShown, StationStatus, VERSION, read,

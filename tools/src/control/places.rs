@@ -87,6 +87,26 @@ impl Drop for Held {
     }
 }
 
+/// A lab's place: its name, and where its sockets are.
+#[derive(Clone, Debug)]
+pub struct Home {
+    /// Where all labs of its user are.
+    pub directory: Directory,
+    /// The lab's name.
+    pub lab: String,
+}
+
+impl Home {
+    /// The socket of one of its stations.
+    pub fn station(&self, name: &str) -> PathBuf {
+        self.directory.station(&Place { lab: Some(self.lab.clone()), station: name.to_owned() })
+    }
+    /// Its own.
+    pub fn socket(&self) -> PathBuf {
+        self.directory.lab(&self.lab)
+    }
+}
+
 /// Where this user's stations and labs are.
 #[derive(Clone, Debug)]
 pub struct Directory(PathBuf);
@@ -154,6 +174,11 @@ impl Directory {
             })?;
         }
         Ok(Held { _lock: lock, remove: Some(own) })
+    }
+
+    /// Whether anything of this lab is here, be it alive or not.
+    pub fn has(&self, lab: &str) -> bool {
+        self.0.join(lab).exists()
     }
 
     /// The labs that have a socket here, running or dead.

@@ -1,6 +1,7 @@
 //! What is asked and answered.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use rtmac::tdma::SlotConfig;
 use rtnet::time::Span;
@@ -8,6 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::station::link::Standing;
+use crate::station::misses::Misses;
 
 /// Changes whenever a request or reply changes its meaning.
 pub const VERSION: u16 = 1;
@@ -139,6 +141,8 @@ pub struct StationStatus {
     pub counters: BTreeMap<String, u64>,
     /// What the host refused it.
     pub host: Vec<String>,
+    /// What it has missed, and why.
+    pub misses: Misses,
     /// Requests by what became of them.
     pub control: BTreeMap<String, u64>,
 }
@@ -187,11 +191,8 @@ pub enum LabRequest {
 pub enum LabReply {
     /// How it goes.
     Status(Box<LabStatus>),
-    /// It is about to end.
-    Ending {
-        /// The process to wait for.
-        pid: u32,
-    },
+    /// It has ended; its process is about to.
+    Down(Box<LabStatus>),
     /// Done; it holds from this cycle on.
     Applied(u32),
     /// Not done, and why.
@@ -205,6 +206,16 @@ pub struct LabStatus {
     pub name: String,
     /// The process that keeps it.
     pub pid: u32,
+    /// The bridge that is its medium, and the network namespace in which that is.
+    pub bridge: String,
+    /// As a file of that process.
+    pub bridge_namespace: PathBuf,
+    /// The core of its real-time threads.
+    pub cpu: usize,
+    /// What they take of it, as a share.
+    pub load: f64,
+    /// What the host refused it, and what that means.
+    pub notes: Vec<String>,
     /// Since all stations were locked, seconds.
     pub up_seconds: u64,
     /// From one cycle's start to the next.
@@ -223,6 +234,8 @@ pub struct LabStatus {
     pub out_of_slot: u64,
     /// Of all that ought not to be, what has no record of its cause.
     pub unexplained: u64,
+    /// Frames on the medium that did not reach their receiver; known at the end only.
+    pub frames_lost: u64,
     /// Its stations.
     pub stations: Vec<MemberStatus>,
 }
@@ -244,6 +257,10 @@ pub struct MemberStatus {
     pub frames_seen: u64,
     /// Slots without their frame.
     pub slots_missed: u64,
+    /// Test traffic that was not what was sent.
+    pub payload_errors: u64,
+    /// Frames on the medium that it did not receive; known at the end only.
+    pub frames_lost: u64,
     /// Frames refused, by reason.
     pub refusals: BTreeMap<String, u64>,
 }

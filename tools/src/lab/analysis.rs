@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 
-use rtmac::tdma::line::next_cycle;
 use rtmac::tdma::schedule::{Rate, clock_share};
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::clock::{EmulatedClock, True};
@@ -11,8 +10,9 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{EtherType, Header};
 
 use super::delivery::Passed;
+use super::timetable::{Timetable, turns};
 use crate::report::histogram::SignedHistogram;
-use crate::scenario::{Scenario, SlotPlan};
+use crate::scenario::Scenario;
 use crate::station::traffic::Tag;
 
 /// Findings that are kept one by one; the rest is counted, and counts as unexplained.
@@ -102,7 +102,8 @@ pub struct Analysis {
     sync_window: Span,
     guard: Span,
     rate: Rate,
-    slots: Vec<Vec<SlotPlan>>,
+    /// Which slots there are in which cycles.
+    pub timetable: Timetable,
     window: Option<(u32, u32)>,
     current: Option<u32>,
     last_sync: Option<(u32, True)>,
@@ -138,7 +139,7 @@ impl Analysis {
             sync_window: scenario.sync_window,
             guard: scenario.guard,
             rate: scenario.rate,
-            slots: scenario.stations.iter().map(|station| station.slots.clone()).collect(),
+            timetable: Timetable::of(scenario),
             window: None,
             current: None,
             last_sync: None,
@@ -229,22 +230,32 @@ impl Analysis {
         let Some((from, _)) = self.window else { return };
         let end = from.wrapping_add(self.cycles());
         if let Some((last, _)) = self.last_sync {
-            self.gaps(last.wrapping_add(1), end, 0, 1, FindingKind::SyncGap, 0);
+            self.sync_gaps(last.wrapping_add(1), end);
         }
         for station in 0..self.stations.len() {
-            for slot in self.slots[station].clone() {
-                let next =
-                    self.stations[station].last.get(&slot.id).map_or(from, |last| last.wrapping_add(1));
-                self.gaps(next, end, slot.phase, slot.period, FindingKind::SlotMissed, station);
+            for id in self.timetable.ids(station) {
+                let next = self.stations[station].last.get(&id).map_or(from, |last| last.wrapping_add(1));
+                self.slot_gaps(station, id, next, end);
             }
         }
-        let blind = &self.blind;
-        self.findings.retain(|finding| {
-            let missing = matches!(finding.kind, FindingKind::SlotMissed | FindingKind::SyncGap);
-            let in_sight =
-                |&(first, last): &(u32, u32)| finding.cycle.wrapping_sub(first) > last.wrapping_sub(first);
-            !missing || blind.iter().all(in_sight)
-        });
+        let mut findings = std::mem::take(&mut self.findings);
+        findings.retain(|finding| self.was_in_sight(finding));
+        self.findings = findings;
+    }
+
+    /// What was found since the last time, as far as somebody looked.
+    pub fn take_findings(&mut self) -> Vec<Finding> {
+        let mut taken = std::mem::take(&mut self.findings);
+        taken.retain(|finding| self.was_in_sight(finding));
+        taken
+    }
+
+    /// What is missing from cycles that nobody saw is no finding.
+    fn was_in_sight(&self, finding: &Finding) -> bool {
+        let missing = matches!(finding.kind, FindingKind::SlotMissed | FindingKind::SyncGap);
+        let in_sight =
+            |&(first, last): &(u32, u32)| finding.cycle.wrapping_sub(first) > last.wrapping_sub(first);
+        !missing || self.blind.iter().all(in_sight)
     }
 
     /// Frames that a station should have sent in the cycles that were counted. Of the cycle in which a run was
@@ -254,14 +265,12 @@ impl Analysis {
         let end = from.wrapping_add(self.cycles());
         let (newest, frames) = self.stations[station].newest;
         let begun = if newest == end { frames } else { 0 };
-        let turns = |slot: &SlotPlan| turns(from, end, slot.phase, slot.period).count() as u64;
-        self.slots[station].iter().map(turns).sum::<u64>() + begun
+        self.timetable.count(station, from, end) + begun
     }
 
     /// The length of a slot, as which a missed one counts.
     pub fn slot_length(&self, station: usize) -> Span {
-        let size = self.slots[station].iter().map(|slot| slot.size).max().unwrap_or(0);
-        self.guard + self.rate.air_time(size + rtnet::wire::ethernet::HEADER_LEN)
+        self.guard + self.rate.air_time(self.timetable.largest(station) + rtnet::wire::ethernet::HEADER_LEN)
     }
 
     fn counts(&self, cycle: u32) -> bool {
@@ -301,7 +310,7 @@ impl Analysis {
                     self.sync_period_jitter.record((period - self.cycle).nanos());
                 }
                 ..=0 => self.find(Finding::of(0, cycle, FindingKind::Repeated, Span::ZERO)),
-                _ => self.gaps(last.wrapping_add(1), cycle, 0, 1, FindingKind::SyncGap, 0),
+                _ => self.sync_gaps(last.wrapping_add(1), cycle),
             }
         }
         self.last_sync = Some((cycle, at));
@@ -315,7 +324,7 @@ impl Analysis {
         if !counts {
             return;
         }
-        let Some(slot) = self.slots[station].iter().find(|slot| slot.id == tag.slot).copied() else {
+        let Some(&slot) = self.timetable.at(station, tag.slot, cycle) else {
             return self.find(Finding::of(station, cycle, FindingKind::OutOfSlot, Span::ZERO));
         };
         let error = self.error(at, tag.scheduled());
@@ -333,7 +342,7 @@ impl Analysis {
             Some(last) => last.wrapping_add(1),
             None => self.window.map_or(cycle, |(from, _)| from),
         };
-        self.gaps(next, cycle, slot.phase, slot.period, FindingKind::SlotMissed, station);
+        self.slot_gaps(station, slot.id, next, cycle);
         let seen = &mut self.stations[station];
         seen.frames += 1;
         seen.newest = (cycle, if seen.newest.0 == cycle { seen.newest.1 + 1 } else { 1 });
@@ -344,12 +353,22 @@ impl Analysis {
         Span::from_nanos(at.wrapping_sub(self.master.truth(scheduled)) as i64)
     }
 
-    /// Every turn from `next` up to `end` was missed.
-    fn gaps(&mut self, next: u32, end: u32, phase: u32, period: u32, kind: FindingKind, station: usize) {
-        if self.window.is_none() {
-            return;
+    /// Every turn of a slot from `next` up to `end` was missed.
+    fn slot_gaps(&mut self, station: usize, id: u8, next: u32, end: u32) {
+        if self.window.is_some() {
+            let turns: Vec<u32> = self.timetable.turns(station, id, next, end).collect();
+            self.gaps(turns.into_iter(), FindingKind::SlotMissed, station);
         }
-        for cycle in turns(next, end, phase, period) {
+    }
+
+    fn sync_gaps(&mut self, next: u32, end: u32) {
+        if self.window.is_some() {
+            self.gaps(turns(next, end, 0, 1), FindingKind::SyncGap, 0);
+        }
+    }
+
+    fn gaps(&mut self, cycles: impl Iterator<Item = u32>, kind: FindingKind, station: usize) {
+        for cycle in cycles {
             if self.findings.len() >= FINDINGS_MAX {
                 self.findings_dropped += 1;
                 return;
@@ -368,17 +387,6 @@ impl Analysis {
             self.findings_dropped += 1;
         }
     }
-}
-
-/// The cycles from `next` up to `end` in which a slot has its turn.
-fn turns(next: u32, end: u32, phase: u32, period: u32) -> impl Iterator<Item = u32> {
-    let mut cycle = next_cycle(next, phase, period);
-    std::iter::from_fn(move || {
-        let turn = cycle;
-        let before_end = (end.wrapping_sub(turn) as i32) > 0;
-        cycle = next_cycle(turn.wrapping_add(1), phase, period);
-        before_end.then_some(turn)
-    })
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use rtnet::discipline::EventKind;
+use rtnet::discipline::{Cause, EventKind};
 use rtnet::time::Span;
 
 use super::analysis::{Author, Finding, FindingKind};
@@ -17,25 +17,39 @@ const SILENCE_AFTER: u32 = 4;
 /// What the stations told of themselves.
 #[derive(Debug, Default)]
 pub struct Records {
-    by_cycle: BTreeMap<(u32, usize, EventKind), Span>,
+    by_cycle: BTreeMap<(u32, usize, EventKind), (Span, Option<Cause>)>,
+}
+
+/// What a station told of one cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Record {
+    /// Which cycle.
+    pub cycle: u32,
+    /// Which station.
+    pub station: usize,
+    /// By how much.
+    pub span: Span,
+    /// Why, if something was missed by it.
+    pub cause: Option<Cause>,
 }
 
 impl Records {
     /// A station noticed something in a cycle. Of several the longest is kept.
-    pub fn note(&mut self, cycle: u32, station: usize, kind: EventKind, span: Span) {
-        let longest = self.by_cycle.entry((cycle, station, kind)).or_insert(span);
-        *longest = (*longest).max(span);
+    pub fn note(&mut self, cycle: u32, station: usize, kind: EventKind, span: Span, cause: Option<Cause>) {
+        let longest = self.by_cycle.entry((cycle, station, kind)).or_insert((span, cause));
+        *longest = (*longest).max((span, cause));
+    }
+
+    /// Forgets what is older than this cycle.
+    pub fn forget_before(&mut self, cycle: u32) {
+        self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
     }
 
     /// The records of one kind in `cycles` cycles from `from` on, with their station.
-    pub fn of_kind(
-        &self,
-        kind: EventKind,
-        from: u32,
-        cycles: u32,
-    ) -> impl Iterator<Item = (u32, usize, Span)> {
-        self.by_cycle.iter().filter_map(move |(&(cycle, station, of), &span)| {
-            (of == kind && cycle.wrapping_sub(from) < cycles).then_some((cycle, station, span))
+    pub fn of_kind(&self, kind: EventKind, from: u32, cycles: u32) -> impl Iterator<Item = Record> {
+        self.by_cycle.iter().filter_map(move |(&(cycle, station, of), &(span, cause))| {
+            let record = Record { cycle, station, span, cause };
+            (of == kind && cycle.wrapping_sub(from) < cycles).then_some(record)
         })
     }
 
@@ -73,7 +87,7 @@ impl Records {
     }
 
     fn get(&self, Author { station, cycle }: Author, kind: EventKind) -> Option<(EventKind, Span)> {
-        self.by_cycle.get(&(cycle, station, kind)).map(|&span| (kind, span))
+        self.by_cycle.get(&(cycle, station, kind)).map(|&(span, _)| (kind, span))
     }
 }
 
@@ -88,7 +102,7 @@ mod tests {
     #[test]
     fn only_a_record_of_the_same_cycle_and_station_explains() {
         let mut records = Records::default();
-        records.note(7, 2, EventKind::Overrun, Span::from_nanos(5));
+        records.note(7, 2, EventKind::Overrun, Span::from_nanos(5), None);
         let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
         assert!(explained(7, FindingKind::SlotMissed, 2));
         assert!(!explained(8, FindingKind::SlotMissed, 2));
@@ -99,7 +113,7 @@ mod tests {
     #[test]
     fn a_held_up_synchronisation_explains_what_follows_in_its_cycle() {
         let mut records = Records::default();
-        records.note(9, 0, EventKind::StalledInSend, Span::from_nanos(5));
+        records.note(9, 0, EventKind::StalledInSend, Span::from_nanos(5), None);
         assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_some());
         assert!(records.explain(&finding(9, FindingKind::SlotMissed, 4)).is_none());
         assert!(records.explain(&finding(9, FindingKind::SyncGap, 0)).is_none(), "it was sent");
@@ -108,20 +122,20 @@ mod tests {
     #[test]
     fn a_silent_slot_is_explained_by_what_silenced_it() {
         let mut records = Records::default();
-        records.note(20, 2, EventKind::SlotSilent, Span::ZERO);
+        records.note(20, 2, EventKind::SlotSilent, Span::ZERO, None);
         let explained =
             |records: &Records| records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some();
         assert!(!explained(&records), "the sync was lost on its way");
-        records.note(19, 2, EventKind::Overrun, Span::ZERO);
-        records.note(19, 3, EventKind::TimeStep, Span::ZERO);
-        records.note(15, 0, EventKind::SyncSkipped, Span::ZERO);
-        records.note(21, 0, EventKind::SyncSkipped, Span::ZERO);
+        records.note(19, 2, EventKind::Overrun, Span::ZERO, None);
+        records.note(19, 3, EventKind::TimeStep, Span::ZERO, None);
+        records.note(15, 0, EventKind::SyncSkipped, Span::ZERO, None);
+        records.note(21, 0, EventKind::SyncSkipped, Span::ZERO, None);
         assert!(!explained(&records), "no cause, somebody else's, long ago, and too late");
         let mut late = Records::default();
-        late.note(20, 2, EventKind::SlotSilent, Span::ZERO);
-        late.note(19, 2, EventKind::SyncLate, Span::ZERO);
+        late.note(20, 2, EventKind::SlotSilent, Span::ZERO, None);
+        late.note(19, 2, EventKind::SyncLate, Span::ZERO, None);
         assert!(explained(&late));
-        records.note(18, 0, EventKind::SyncSkipped, Span::ZERO);
+        records.note(18, 0, EventKind::SyncSkipped, Span::ZERO, None);
         assert!(explained(&records));
     }
 
@@ -131,9 +145,9 @@ mod tests {
         let [late, sync] = [Author { station: 5, cycle: 9 }, Author { station: MASTER, cycle: 10 }];
         let authors = [Some(late), Some(sync)];
         let overlap = Finding { cycle: 10, kind: FindingKind::Overlap, authors, span: Span::ZERO };
-        records.note(10, 5, EventKind::StalledInSend, Span::ZERO);
+        records.note(10, 5, EventKind::StalledInSend, Span::ZERO, None);
         assert!(records.explain(&overlap).is_none());
-        records.note(9, 5, EventKind::StalledInSend, Span::ZERO);
+        records.note(9, 5, EventKind::StalledInSend, Span::ZERO, None);
         assert!(records.explain(&overlap).is_some());
     }
 }

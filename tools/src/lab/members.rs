@@ -1,5 +1,7 @@
 //! One station of a lab, seen from the lab: how it is started, what it has told.
 
+use std::path::PathBuf;
+
 use rtmac::tdma::LatePolicy;
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::EventKind;
@@ -156,9 +158,10 @@ impl Member {
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => self.standing = Some(*standing),
             Some(Report::Events(events)) => {
-                for (cycle, kind, span) in events {
+                for (cycle, kind, span, cause) in events {
                     if let Some(kind) = link::kind(kind) {
-                        records.note(cycle, station, kind, rtnet::Span::from_nanos(span));
+                        let cause = cause.and_then(link::cause);
+                        records.note(cycle, station, kind, rtnet::Span::from_nanos(span), cause);
                         self.remember(kind, cycle);
                     }
                 }
@@ -203,6 +206,8 @@ pub fn arguments(
     anchor: True,
     epoch: Offset,
     cpu: usize,
+    fifo: bool,
+    control: Option<PathBuf>,
 ) -> anyhow::Result<Vec<String>> {
     let plan = &scenario.stations[station];
     let mut line: Vec<String> = Vec::new();
@@ -210,6 +215,9 @@ pub fn arguments(
     add("--interface", INTERFACE.into());
     add("--cpu", cpu.to_string());
     add("--latest", scenario.latest().to_string());
+    if !fifo {
+        add("--scheduling", "other".into());
+    }
     if scenario.late == LatePolicy::Send {
         add("--late", "send".into());
     }
@@ -220,6 +228,8 @@ pub fn arguments(
     }
     let lab = LabOptions {
         station: station as u16,
+        name: plan.name.clone(),
+        control,
         anchor,
         offset_ns: plan.clock_offset.nanos(),
         drift_ppb: plan.clock_drift_ppb,

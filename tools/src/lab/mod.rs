@@ -15,12 +15,18 @@
 
 pub mod analysis;
 mod delivery;
+pub mod enter;
 pub mod explain;
+mod keep;
 mod members;
 pub mod namespace;
 pub mod netlink;
 mod outcome;
 mod processes;
 mod run;
+mod tally;
+mod timetable;
+pub mod userns;
 
+pub use keep::keep;
 pub use run::{Lab, Outcome, RunOptions};

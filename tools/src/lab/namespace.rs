@@ -14,8 +14,9 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::panic::resume_unwind;
+use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
 
@@ -80,8 +81,9 @@ impl Namespace {
     /// The process lacks CAP_SYS_ADMIN, or no thread can be started.
     pub fn run<R: Send>(&self, f: impl FnOnce() -> R + Send) -> Result<R> {
         on_helper_thread(|| {
-            setns(&self.fd, CloneFlags::CLONE_NEWNET)
-                .context("cannot enter a network namespace: this needs root (CAP_SYS_ADMIN): run as root")?;
+            setns(&self.fd, CloneFlags::CLONE_NEWNET).context(
+                "cannot enter a network namespace: this needs root (CAP_SYS_ADMIN): run it as root",
+            )?;
             Ok(f())
         })?
     }
@@ -92,6 +94,11 @@ impl Namespace {
     /// The namespace cannot be entered, or the kernel gives no netlink socket.
     pub fn netlink(&self) -> Result<Netlink> {
         self.run(Netlink::open)?
+    }
+
+    /// Where other processes of this user find it.
+    pub fn path(&self) -> PathBuf {
+        format!("/proc/{}/fd/{}", std::process::id(), self.fd.as_raw_fd()).into()
     }
 
     /// The namespace as a file, for setns(2) and netlink requests. Closed on exec.
@@ -204,7 +211,12 @@ fn on_helper_thread<R: Send>(f: impl FnOnce() -> R + Send) -> Result<R> {
 
 fn refusal(errno: Errno) -> anyhow::Error {
     let remedy = match errno {
-        Errno::EPERM => "making a network namespace needs root (CAP_SYS_ADMIN): run as root",
+        Errno::EPERM => {
+            return anyhow!(errno).context(format!(
+                "making a network namespace needs root (CAP_SYS_ADMIN): {}",
+                super::userns::remedy()
+            ));
+        }
         Errno::ENOSPC => "no more network namespaces allowed: raise the sysctl user.max_net_namespaces",
         Errno::EINVAL => "the kernel must have CONFIG_NET_NS",
         _ => "cannot make a network namespace",

@@ -1,6 +1,6 @@
 //! From what a lab has seen and been told to the figures of its report.
 
-use rtnet::discipline::EventKind;
+use rtnet::discipline::{Cause, EventKind};
 
 use super::Outcome;
 use super::analysis::{Analysis, Finding, FindingKind};
@@ -58,6 +58,10 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
     figures.slot_error_abs_ns = all.slot_error_abs.summary();
     figures.sync_error_ns = all.sync_error.summary();
     figures.unexplained = analysis.findings_dropped;
+    let silent = own(EventKind::SlotSilent).count() as u64;
+    if silent > 0 {
+        figures.causes.insert(Cause::NoSync.name().into(), silent);
+    }
     for finding in &analysis.findings {
         enter(&mut figures, finding, records, scenario);
     }
@@ -66,9 +70,14 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         (MissKind::StalledInSend, EventKind::StalledInSend),
         (MissKind::Overrun, EventKind::Overrun),
     ] {
-        for (cycle, station, span) in own(event) {
-            let station = scenario.stations[station].name.clone();
-            figures.note_miss(Miss { cycle: cycle.into(), station, kind, span_ns: span.nanos() });
+        for record in own(event) {
+            let cause = record.cause.map_or(String::new(), |cause| cause.name().into());
+            if !cause.is_empty() {
+                *figures.causes.entry(cause.clone()).or_default() += 1;
+            }
+            let station = scenario.stations[record.station].name.clone();
+            let (cycle, span_ns) = (record.cycle.into(), record.span.nanos());
+            figures.note_miss(Miss { cycle, station, kind, span_ns, cause });
         }
     }
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
@@ -106,8 +115,9 @@ fn station_figures(
     all.slot_error.merge(&seen.slot_error);
     all.slot_error_abs.merge(&slot_error_abs);
     all.sync_error.merge(&member.sync_error);
-    let own =
-        |kind| parts.records.of_kind(kind, from, cycles).filter(|&(_, of, _)| of == station).count() as u64;
+    let own = |kind| {
+        parts.records.of_kind(kind, from, cycles).filter(|record| record.station == station).count() as u64
+    };
     let mut notes = member.notes.clone();
     if station == 0 {
         notes.extend(parts.notes.clone());
@@ -167,7 +177,8 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
     let author = finding.authors.iter().flatten().next_back();
     let station = author.map_or("foreign".into(), |author| scenario.stations[author.station].name.clone());
     let kind = MissKind::Unexplained;
-    figures.note_miss(Miss { cycle: finding.cycle.into(), station, kind, span_ns: finding.span.nanos() });
+    let (cycle, span_ns) = (finding.cycle.into(), finding.span.nanos());
+    figures.note_miss(Miss { cycle, station, kind, span_ns, cause: String::new() });
 }
 
 fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {

@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use rtnet::live::clock::{WallClock, monotonic, realtime};
 use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
 use rtnet::live::ring::{CaptureRing, RingConfig};
-use rtnet::time::{GlobalTime, Offset};
+use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::analysis::{Analysis, TrueMaster};
 use super::explain::Records;
@@ -18,6 +18,7 @@ use super::members::{Member, arguments};
 use super::namespace::{Namespace, Segment};
 use super::outcome;
 use super::processes::{Process, Told};
+use crate::control::Home;
 use crate::report::capture::CaptureFile;
 use crate::report::figures::Figures;
 use crate::report::histogram::SignedHistogram;
@@ -27,7 +28,7 @@ use crate::scenario::Scenario;
 /// The name of a station's interface in its namespace.
 pub const INTERFACE: &str = "rt0";
 /// How often frames and reports are looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
+pub(super) const LOOK_EVERY: Duration = Duration::from_millis(10);
 /// Cycles between all stations being locked and the begin of the measurement.
 const SETTLE_CYCLES: u32 = 50;
 /// How long stations may take to be locked, besides what calibration takes.
@@ -43,6 +44,27 @@ const DISTRUST: Duration = Duration::from_millis(100);
 /// Progress is shown so often on anything that takes longer than this.
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
+/// The share of a core that real-time threads may take together: the kernel stops SCHED_FIFO for the rest of a second
+/// in which it took 95 %, and a cycle that is held up takes more than its share.
+const LOAD_AT_MOST: f64 = 0.8;
+/// What one turn of one slot takes of the core: 50 us of spinning, and waking, draining, sending. Measured:
+/// 52 to 56 % for eight stations at 1 ms.
+const TURN: Span = Span::from_micros(70);
+
+/// The share of a core that a scenario's real-time threads take.
+pub fn load(scenario: &Scenario) -> f64 {
+    let share =
+        |period: u32| TURN.nanos() as f64 / (scenario.cycle.nanos() as f64 * f64::from(period.max(1)));
+    let slots = scenario.stations.iter().flat_map(|station| &station.slots);
+    slots.map(|slot| share(slot.period)).sum()
+}
+
+/// Whether the kernel throttles real-time threads.
+fn is_throttled() -> bool {
+    let runtime = std::fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us");
+    runtime.map_or(true, |runtime| runtime.trim() != "-1")
+}
+
 /// How to run a scenario.
 #[derive(Clone, Debug, Default)]
 pub struct RunOptions {
@@ -52,6 +74,10 @@ pub struct RunOptions {
     pub cpu: Option<usize>,
     /// Where to write every frame.
     pub pcap: Option<PathBuf>,
+    /// Where its stations are to be asked, if they are to be.
+    pub home: Option<Home>,
+    /// What other labs take of that core already, as a share.
+    pub taken: f64,
     /// Show how it goes on standard error.
     pub progress: bool,
 }
@@ -67,20 +93,24 @@ pub struct Outcome {
 /// A network that has been stood up; dropping it takes it down.
 pub struct Lab {
     // Fields are dropped in this order: processes first, then what they live in.
-    members: Vec<Member>,
+    pub(super) members: Vec<Member>,
     told: Receiver<Told>,
     ring: CaptureRing,
     wall: WallClock,
     distrusted_until: Option<Instant>,
     distrusted: u64,
     capture: Option<CaptureFile>,
-    analysis: Analysis,
-    records: Records,
+    pub(super) analysis: Analysis,
+    pub(super) records: Records,
     master: TrueMaster,
     _warm: Option<WarmCore>,
-    _segment: Segment,
-    notes: Vec<String>,
-    interrupted: Arc<AtomicBool>,
+    pub(super) segment: Segment,
+    pub(super) notes: Vec<String>,
+    /// The core of its real-time threads.
+    pub(super) cpu: usize,
+    /// What they take of it, as a share.
+    pub(super) load: f64,
+    pub(super) interrupted: Arc<AtomicBool>,
     next_progress: Option<Instant>,
 }
 
@@ -104,6 +134,17 @@ impl Lab {
         let mut notes = Vec::new();
         if let Err(error) = avoid(cpu) {
             notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
+        }
+        let load = load(scenario);
+        let together = options.taken + load;
+        let fifo = together <= LOAD_AT_MOST || !is_throttled();
+        if !fifo {
+            notes.push(format!(
+                "all real-time threads would take {:.0} % of cpu {cpu}: above {:.0} % the kernel takes 50 ms of every \
+                 second from SCHED_FIFO, so they run without it (fewer stations or a longer --cycle gives it back)",
+                together * 100.0,
+                LOAD_AT_MOST * 100.0
+            ));
         }
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
@@ -133,7 +174,8 @@ impl Lab {
         };
         let (teller, told) = channel();
         for (station, member) in members.iter_mut().enumerate() {
-            let arguments = arguments(scenario, station, anchor, epoch, cpu)?;
+            let control = options.home.as_ref().map(|home| home.station(&scenario.stations[station].name));
+            let arguments = arguments(scenario, station, anchor, epoch, cpu, fifo, control)?;
             member.process = Some(Process::start(&member.namespace, station, &arguments, teller.clone())?);
         }
         Ok(Self {
@@ -148,15 +190,17 @@ impl Lab {
             records: Records::default(),
             master,
             _warm: warm,
-            _segment: segment,
+            segment,
             notes,
+            cpu,
+            load,
             interrupted,
             next_progress: options.progress.then(|| Instant::now() + PROGRESS_EVERY),
         })
     }
 
     /// Waits until every station is locked.
-    fn join(&mut self, scenario: &Scenario) -> Result<()> {
+    pub(super) fn join(&mut self, scenario: &Scenario) -> Result<()> {
         let rounds = scenario.stations.iter().map(|station| {
             let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
             station.rounds.saturating_mul(2).saturating_mul(period)
@@ -190,11 +234,7 @@ impl Lab {
     fn measure(&mut self, scenario: &Scenario) -> Result<()> {
         let cycles =
             (scenario.duration.nanos() / scenario.cycle.nanos()).clamp(1, i64::from(i32::MAX)) as u32;
-        let current = self.analysis.current().context("stations are locked, but no sync was seen")?;
-        self.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
-        for member in &mut self.members {
-            member.begin();
-        }
+        self.begin(cycles)?;
         let allowed = Duration::from_nanos(scenario.duration.nanos() as u64) * 2 + JOIN_WITHIN;
         let deadline = Instant::now() + allowed;
         while !self.analysis.is_complete() {
@@ -214,8 +254,16 @@ impl Lab {
         Ok(())
     }
 
+    /// From here on, for so many cycles, all counts.
+    pub(super) fn begin(&mut self, cycles: u32) -> Result<()> {
+        let current = self.analysis.current().context("stations are locked, but no sync was seen")?;
+        self.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
+        self.members.iter_mut().for_each(Member::begin);
+        Ok(())
+    }
+
     /// Ends every station, and takes what it still has to tell.
-    fn end(&mut self) -> Result<()> {
+    pub(super) fn end(&mut self) -> Result<()> {
         let linger = Instant::now() + LINGER;
         while Instant::now() < linger {
             self.look()?;
@@ -235,9 +283,14 @@ impl Lab {
         Ok(())
     }
 
-    /// Takes what frames and reports there are.
+    /// Waits a little, and takes what frames and reports there are.
     fn look(&mut self) -> Result<()> {
         std::thread::sleep(LOOK_EVERY);
+        self.take_in()
+    }
+
+    /// Takes what frames and reports there are.
+    pub(super) fn take_in(&mut self) -> Result<()> {
         if !self.wall.sample() {
             self.distrusted_until = Some(Instant::now() + DISTRUST);
             self.analysis.lose_sight();

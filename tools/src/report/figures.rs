@@ -64,6 +64,8 @@ pub struct Figures {
     pub capture_dropped: u64,
     /// Frames that were on the medium and did not reach their receiver.
     pub frames_lost: u64,
+    /// Slots, Synchronisations and frames that were missed or late, by cause.
+    pub causes: BTreeMap<String, u64>,
     /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
     pub misses: Vec<Miss>,
 }
@@ -182,6 +184,9 @@ pub struct Miss {
     /// By how much: how late, how long stalled, how far out of the slot. Negative is early; 0 if there
     /// is no such time.
     pub span_ns: i64,
+    /// Why, as its station's own stamps tell; empty if they do not.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub cause: String,
 }
 
 impl Miss {
@@ -230,7 +235,7 @@ mod tests {
     use super::*;
 
     fn miss(kind: MissKind, span_ns: i64) -> Miss {
-        Miss { cycle: 7, station: "b".into(), kind, span_ns }
+        Miss { cycle: 7, station: "b".into(), kind, span_ns, cause: String::new() }
     }
 
     #[test]

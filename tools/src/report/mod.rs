@@ -5,3 +5,4 @@ pub mod figures;
 pub mod histogram;
 pub mod host;
 pub mod screen;
+pub(crate) mod text;

@@ -5,16 +5,15 @@
 
 #[cfg(test)]
 mod tests;
-mod text;
 
 use std::collections::BTreeMap;
 
-use self::text::{
-    Column, cut, exact_time, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
-};
 use super::figures::{Figures, Miss, StationFigures};
 use super::histogram::{SignedHistogram, Summary};
 use super::host::HostFacts;
+use super::text::{
+    Column, cut, exact_time, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
+};
 
 /// The least width that the report is laid out for, in columns.
 pub const WIDTH_MIN: usize = 80;
@@ -179,6 +178,10 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
     ];
     let counts = causes.map(|(count, cause)| format!("{cause} {}", grouped(count)));
     let mut lines = list("misses: ", &counts, width);
+    if !figures.causes.is_empty() {
+        let causes = figures.causes.iter().map(|(name, n)| format!("{} {}", words(name), grouped(*n)));
+        lines.extend(list("causes: ", &causes.collect::<Vec<_>>(), width));
+    }
     if figures.misses.is_empty() {
         return lines;
     }
@@ -191,9 +194,14 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         left("station", |miss| cut(&miss.station, NAME_MAX)),
         right("cycle", |miss| grouped(miss.cycle)),
         right("by us", |miss| micros(miss.span_ns)),
+        left("cause", |miss| words(&miss.cause)),
     ];
     lines.extend(table(&columns, width));
     lines
+}
+
+fn words(name: &str) -> String {
+    name.replace('_', " ")
 }
 
 /// What the stations refused, and each note once, with the stations that have it.

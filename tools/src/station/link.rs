@@ -1,11 +1,12 @@
 //! What a lab and its stations tell each other: options in one JSON argument, reports as JSON lines.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering::Relaxed;
 
 use rtmac::tdma::{RoleName, TdmaStatus};
 use rtnet::clock::EmulatedClock;
-use rtnet::discipline::EventKind;
+use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::{Record, Snapshot};
 use rtnet::time::{Offset, Span};
 use serde::{Deserialize, Serialize};
@@ -17,6 +18,10 @@ use super::traffic::TrafficCounts;
 pub struct LabOptions {
     /// The station's number.
     pub station: u16,
+    /// The station's name.
+    pub name: String,
+    /// Where it is to be asked, if it is to be.
+    pub control: Option<PathBuf>,
     /// CLOCK_MONOTONIC at which only the clock's offset applies.
     pub anchor: u64,
     /// Lead of the station's clock at the anchor, nanoseconds.
@@ -51,8 +56,9 @@ impl LabOptions {
 pub enum Report {
     /// It is about to run; what the host refused it.
     Started(Vec<String>),
-    /// What happened: cycle, kind (its place in [`EventKind::ALL`]), span in nanoseconds.
-    Events(Vec<(u32, u8, i64)>),
+    /// What happened: cycle, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was
+    /// missed by it, why (its place in [`Cause::ALL`]).
+    Events(Vec<(u32, u8, i64, Option<u8>)>),
     /// Estimates of global time: CLOCK_MONOTONIC, estimate.
     Times(Vec<(u64, u64)>),
     /// Where it stands.
@@ -135,7 +141,9 @@ pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
     let (mut events, mut times) = (Vec::new(), Vec::new());
     for record in records {
         match record {
-            Record::Event(event) => events.push((event.cycle, number(event.kind), event.span.nanos())),
+            Record::Event(Event { cycle, kind, span }, cause) => {
+                events.push((cycle, number(kind), span.nanos(), cause.map(|cause| cause as u8)));
+            }
             Record::Time(at, global) => times.push((at, global.nanos())),
         }
     }
@@ -152,6 +160,11 @@ pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
 /// The kind of event with this number.
 pub fn kind(number: u8) -> Option<EventKind> {
     EventKind::ALL.get(usize::from(number)).copied()
+}
+
+/// The cause with this number.
+pub fn cause(number: u8) -> Option<Cause> {
+    Cause::ALL.get(usize::from(number)).copied()
 }
 
 fn number(kind: EventKind) -> u8 {
@@ -171,11 +184,12 @@ mod tests {
     fn every_kind_of_event_arrives_as_itself() {
         assert!(EventKind::ALL.iter().all(|&of| kind(number(of)) == Some(of)));
         assert_eq!(kind(200), None);
+        assert!(Cause::ALL.iter().all(|&of| cause(of as u8) == Some(of)));
     }
 
     #[test]
     fn a_report_is_one_line_and_reads_back() {
-        let report = Report::Events(vec![(7, 1, -3)]);
+        let report = Report::Events(vec![(7, 1, -3, Some(2))]);
         let line = serde_json::to_string(&report).unwrap();
         assert!(!line.contains('\n'));
         assert_eq!(serde_json::from_str::<Report>(&line).unwrap(), report);

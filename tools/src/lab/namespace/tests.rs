@@ -172,7 +172,7 @@ fn without_root_the_remedy_is_named() {
         return;
     }
     let refused = format!("{:#}", Namespace::new().unwrap_err());
-    assert!(refused.contains("needs root (CAP_SYS_ADMIN): run as root"), "{refused}");
+    assert!(refused.contains("needs root (CAP_SYS_ADMIN): run it as root"), "{refused}");
 }
 
 #[test]

@@ -67,7 +67,8 @@ fn fixed() -> (Figures, SignedHistogram) {
         ..Figures::default()
     };
     for (cycle, kind, span_ns) in [(17, MissKind::Overrun, 1_201_000), (20_500, MissKind::Unexplained, 0)] {
-        figures.note_miss(Miss { cycle, station: "a-name-that-is-long".into(), kind, span_ns });
+        let (station, cause) = ("a-name-that-is-long".into(), "timer_late".into());
+        figures.note_miss(Miss { cycle, station, kind, span_ns, cause });
     }
     (figures, deviations)
 }

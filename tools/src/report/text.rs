@@ -5,7 +5,7 @@ use std::mem;
 const UNITS: [(u64, &str); 3] = [(1_000_000_000, "s"), (1_000_000, "ms"), (1_000, "us")];
 
 /// `240 000`.
-pub(super) fn grouped(count: u64) -> String {
+pub(crate) fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() * 4 / 3);
     for (i, digit) in digits.chars().enumerate() {
@@ -18,7 +18,7 @@ pub(super) fn grouped(count: u64) -> String {
 }
 
 /// Nanoseconds as microseconds without the unit, to about three digits: `-0.35`, `12.3`, `1 234`.
-pub(super) fn micros(ns: i64) -> String {
+pub(crate) fn micros(ns: i64) -> String {
     let us = ns as f64 / 1e3;
     match ns.unsigned_abs() {
         0..10_000 => format!("{us:.2}"),
@@ -28,18 +28,18 @@ pub(super) fn micros(ns: i64) -> String {
 }
 
 /// As [`micros`]; `-` if there is none.
-pub(super) fn micros_or_dash(ns: Option<i64>) -> String {
+pub(crate) fn micros_or_dash(ns: Option<i64>) -> String {
     ns.map_or_else(|| "-".to_owned(), micros)
 }
 
 /// Nanoseconds in the unit that suits, all digits kept: `1 ms`, `1.5 ms`, `0.1 us`.
-pub(super) fn exact_time(ns: u64) -> String {
+pub(crate) fn exact_time(ns: u64) -> String {
     let (size, unit) = unit_for(ns);
     format!("{} {unit}", ns as f64 / size as f64)
 }
 
 /// Nanoseconds in the unit that suits, signed, to three digits: `+1.23ms`; `0` is without a unit.
-pub(super) fn signed_time(ns: i64) -> String {
+pub(crate) fn signed_time(ns: i64) -> String {
     if ns == 0 {
         return "0".to_owned();
     }
@@ -58,7 +58,7 @@ fn unit_for(ns: u64) -> (u64, &'static str) {
 }
 
 /// The text, or as much of it as fits, ending in dots.
-pub(super) fn cut(text: &str, width: usize) -> String {
+pub(crate) fn cut(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();
     }
@@ -66,12 +66,12 @@ pub(super) fn cut(text: &str, width: usize) -> String {
 }
 
 /// A list after a label, broken between its items only; further lines stand below the first item.
-pub(super) fn list(label: &str, items: &[String], width: usize) -> Vec<String> {
+pub(crate) fn list(label: &str, items: &[String], width: usize) -> Vec<String> {
     fill(label, items.iter().map(String::as_str), ", ", width)
 }
 
 /// Prose after a label, broken between words; further lines stand below the first word.
-pub(super) fn paragraph(label: &str, text: &str, width: usize) -> Vec<String> {
+pub(crate) fn paragraph(label: &str, text: &str, width: usize) -> Vec<String> {
     fill(label, text.split_whitespace(), " ", width)
 }
 
@@ -98,7 +98,7 @@ fn fill<'a>(label: &str, pieces: impl Iterator<Item = &'a str>, glue: &str, widt
 }
 
 /// A column of a [`table`].
-pub(super) struct Column {
+pub(crate) struct Column {
     head: [&'static str; 2],
     cells: Vec<String>,
     left: bool,
@@ -106,12 +106,12 @@ pub(super) struct Column {
 
 impl Column {
     /// Aligned to the left: for names.
-    pub(super) fn left(head: [&'static str; 2], cells: impl Iterator<Item = String>) -> Self {
+    pub(crate) fn left(head: [&'static str; 2], cells: impl Iterator<Item = String>) -> Self {
         Self { head, cells: cells.collect(), left: true }
     }
 
     /// Aligned to the right: for numbers.
-    pub(super) fn right(head: [&'static str; 2], cells: impl Iterator<Item = String>) -> Self {
+    pub(crate) fn right(head: [&'static str; 2], cells: impl Iterator<Item = String>) -> Self {
         Self { head, cells: cells.collect(), left: false }
     }
 
@@ -129,7 +129,7 @@ impl Column {
 }
 
 /// Columns side by side. What does not fit the width follows below, the first column again before it.
-pub(super) fn table(columns: &[Column], width: usize) -> Vec<String> {
+pub(crate) fn table(columns: &[Column], width: usize) -> Vec<String> {
     let Some((names, figures)) = columns.split_first() else { return Vec::new() };
     let mut lines = Vec::new();
     let mut rest = figures;

@@ -1,0 +1,175 @@
+//! `rtnet lab down`, `lab status`, `lab exec`.
+
+use std::io::ErrorKind;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+use rtnet::time::Span;
+
+use super::Failure;
+use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabStatusArgs};
+use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, MemberStatus, Place, Reply, Request};
+use crate::lab;
+use crate::report::text::{Column, grouped, table};
+
+/// How long a lab that has answered may take to be gone.
+const GONE_WITHIN: Duration = Duration::from_secs(5);
+/// Columns of a table of stations.
+const WIDTH: usize = 110;
+
+/// Takes labs down.
+pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
+    let directory = Directory::of_user();
+    let labs = if args.all { directory.labs() } else { vec![args.name.clone()] };
+    let mut ended = Vec::new();
+    for lab in labs {
+        ended.extend(down_one(&directory, &lab).map_err(Failure::Usage)?);
+    }
+    let words = |ended: &Vec<LabStatus>| ended.iter().map(account).collect::<Vec<_>>().join("\n");
+    super::print(args.json, &ended, words).map_err(Failure::Run)?;
+    Ok(if ended.iter().all(is_well) { 0 } else { 1 })
+}
+
+/// The figures of its end; none if it was dead already, and only its traces were left to remove.
+fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
+    match control::ask_lab(directory, lab, LabRequest::Down) {
+        Ok(LabReply::Down(status)) => {
+            let deadline = Instant::now() + GONE_WITHIN;
+            while directory.has(lab) {
+                if Instant::now() > deadline {
+                    bail!("lab '{lab}' has ended, but process {} stays: end it", status.pid);
+                }
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            Ok(Some(*status))
+        }
+        Ok(LabReply::Refused(why)) => Err(anyhow!("lab '{lab}': {why}")),
+        Ok(_) => bail!("lab '{lab}' answers what it was not asked"),
+        // Who holds no lock any more is dead: its directory is ours to take, and goes with that.
+        Err(_) if directory.has(lab) && directory.take_lab(lab).is_ok() => {
+            eprintln!("rtnet: lab '{lab}' was dead already: what it left is removed");
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// Shows one lab, or all.
+pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
+    let directory = Directory::of_user();
+    if let Some(lab) = &args.name {
+        let status = status_of(&directory, lab).map_err(Failure::Usage)?;
+        super::print(args.json, &status, account).map_err(Failure::Run)?;
+        return Ok(0);
+    }
+    let mut all = Vec::new();
+    for lab in directory.labs() {
+        match status_of(&directory, &lab) {
+            Ok(status) => all.push(status),
+            Err(error) => eprintln!("rtnet: {error:#}"),
+        }
+    }
+    let words = |all: &Vec<LabStatus>| match all.as_slice() {
+        [] => "no lab runs\n".to_owned(),
+        some => some.iter().map(account).collect::<Vec<_>>().join("\n"),
+    };
+    super::print(args.json, &all, words).map_err(Failure::Run)?;
+    Ok(0)
+}
+
+/// What running labs take of a core already, as a share.
+pub fn taken(directory: &Directory, cpu: Option<usize>) -> f64 {
+    let cpu = cpu.or(rtnet::live::realtime::allowed_cpus().last().copied());
+    let running = directory.labs().into_iter().filter_map(|lab| status_of(directory, &lab).ok());
+    running.filter(|status| Some(status.cpu) == cpu).map(|status| status.load).sum()
+}
+
+fn status_of(directory: &Directory, lab: &str) -> Result<LabStatus> {
+    match control::ask_lab(directory, lab, LabRequest::Status)? {
+        LabReply::Status(status) => Ok(*status),
+        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
+        _ => bail!("lab '{lab}' answers what it was not asked"),
+    }
+}
+
+/// Runs a command beside a station; returns only if it cannot.
+pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
+    let (program, arguments) = args.command.split_first().context("no command").map_err(Failure::Usage)?;
+    enter(&args.place).map_err(Failure::Usage)?;
+    let error = Command::new(program).args(arguments).exec();
+    let what = program.to_string_lossy().into_owned();
+    let remedy = match error.kind() {
+        ErrorKind::NotFound => ": it is not installed, or not in PATH",
+        _ => "",
+    };
+    Err(Failure::Usage(anyhow!("{what} cannot be run: {error}{remedy}")))
+}
+
+/// Moves this process into a station's namespaces.
+fn enter(place: &Place) -> Result<()> {
+    let lab = place.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into());
+    let place = Place { lab: Some(lab), station: place.station.clone() };
+    let pid = match control::ask(&Directory::of_user(), &place, Request::Status)? {
+        Reply::Status(status) => status.pid,
+        Reply::Refused(why) => bail!("station '{place}': {why}"),
+        Reply::Applied(_) => bail!("station '{place}' answers what it was not asked"),
+    };
+    lab::enter::enter(pid, Path::new(&format!("/proc/{pid}/ns/net")))
+        .with_context(|| format!("station '{place}'"))
+}
+
+/// Whether nothing happened that ought not to.
+pub fn is_well(status: &LabStatus) -> bool {
+    let of_station = |station: &MemberStatus| station.payload_errors > 0 || station.state == "ended";
+    status.unexplained == 0 && status.frames_lost == 0 && !status.stations.iter().any(of_station)
+}
+
+/// A lab in words.
+pub fn account(status: &LabStatus) -> String {
+    let stations = &status.stations;
+    let mut text = format!(
+        "lab '{}': {} stations, cycle {}, {} cycles in {} s, process {}\n\n",
+        status.name,
+        stations.len(),
+        Span::from_nanos(status.cycle_ns as i64),
+        grouped(status.cycles),
+        status.up_seconds,
+        status.pid
+    );
+    let left = |head, cell: fn(&MemberStatus) -> String| Column::left(["", head], stations.iter().map(cell));
+    let right =
+        |head, cell: fn(&MemberStatus) -> String| Column::right(["", head], stations.iter().map(cell));
+    let columns = [
+        left("station", |s| s.name.clone()),
+        left("role", |s| s.role.clone()),
+        left("state", |s| s.state.clone()),
+        left("address", |s| s.address.clone()),
+        right("process", |s| s.pid.to_string()),
+        right("frames", |s| grouped(s.frames_seen)),
+        right("missed", |s| grouped(s.slots_missed)),
+        right("bad", |s| grouped(s.payload_errors)),
+        right("lost", |s| grouped(s.frames_lost)),
+    ];
+    text += &(table(&columns, WIDTH).join("\n") + "\n");
+    let refused = |s: &MemberStatus| {
+        let counts: Vec<String> = s.refusals.iter().map(|(reason, n)| format!("{reason} {n}")).collect();
+        (!counts.is_empty()).then(|| format!("refused by {}: {}\n", s.name, counts.join(", ")))
+    };
+    let refused: String = stations.iter().filter_map(refused).collect();
+    text += &format!("{}{refused}", if refused.is_empty() { "" } else { "\n" });
+    status.notes.iter().for_each(|note| text += &format!("\nnote: {note}\n"));
+    text += &format!(
+        "\n{}: {} of {} frames in their slots, {} missed, {} overlaps, {} out of slot, unexplained {}\n",
+        if is_well(status) { "OK" } else { "NOT OK" },
+        grouped(status.frames_seen),
+        grouped(status.frames_expected),
+        grouped(status.slots_missed),
+        status.overlaps,
+        status.out_of_slot,
+        status.unexplained
+    );
+    text
+}

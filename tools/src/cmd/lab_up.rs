@@ -1,0 +1,95 @@
+//! `rtnet lab up`: stands a network up, and leaves a process behind that keeps it.
+
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::CommandExt;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use nix::fcntl::{OFlag, open};
+use nix::sys::stat::Mode;
+use nix::unistd::{dup2_stderr, dup2_stdout};
+use rtnet::time::Span;
+
+use super::Failure;
+use super::lab::{account, is_well};
+use super::lab_run::{prepared, write_json};
+use crate::cli::LabUpArgs;
+use crate::control::{Directory, Home, LabStatus, check_name};
+use crate::lab;
+
+/// Stands a lab up.
+pub fn lab_up(args: &LabUpArgs) -> Result<u8, Failure> {
+    check_name(&args.name).map_err(Failure::Usage)?;
+    if args.foreground { keep(args) } else { leave_behind().map_err(Failure::Usage) }
+}
+
+/// Keeps the lab, in this process.
+fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
+    // In a user namespace one is root, and would look elsewhere.
+    let directory = Directory::of_user();
+    let (scenario, mut options) = prepared(&args.run).map_err(Failure::Usage)?;
+    options.home = Some(Home { directory, lab: args.name.clone() });
+    let mut is_up = false;
+    let at_most = args.run.duration;
+    let kept = lab::keep(scenario, &options, at_most, |status| {
+        is_up = true;
+        tell(args, status)
+    });
+    match kept {
+        Ok(status) => {
+            if let Some(path) = &args.run.json {
+                write_json(path, &status).map_err(Failure::Run)?;
+            }
+            let _ = std::io::stdout().write_all(account(&status).as_bytes());
+            Ok(if is_well(&status) { 0 } else { 1 })
+        }
+        Err(error) if is_up => Err(Failure::Run(error)),
+        Err(error) => Err(Failure::Usage(error)),
+    }
+}
+
+fn tell(args: &LabUpArgs, status: &LabStatus) -> Result<()> {
+    let (name, stations) = (&status.name, status.stations.len());
+    let cycle = Span::from_nanos(status.cycle_ns as i64);
+    // Whoever does not listen misses nothing that `lab status` would not tell.
+    let _ = writeln!(
+        std::io::stdout(),
+        "lab '{name}' is up: {stations} stations, cycle {cycle}; `rtnet lab status {name}` tells how it goes, \
+         `rtnet lab down {name}` ends it"
+    );
+    if args.detached {
+        let null = open("/dev/null", OFlag::O_WRONLY, Mode::empty())?;
+        dup2_stdout(&null)?;
+        dup2_stderr(&null)?;
+    }
+    Ok(())
+}
+
+/// Starts the process that keeps the lab, and waits until the lab is up or cannot be.
+fn leave_behind() -> Result<u8> {
+    let program = std::env::current_exe().context("this program's own file cannot be found")?;
+    let mut command = Command::new(program);
+    command.args(std::env::args_os().skip(1)).args(["--foreground", "--detached"]);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    // Ctrl-C here is not meant for it once it is up, and until then it ends with our pipes.
+    let mut keeper =
+        command.process_group(0).spawn().context("the process that keeps the lab cannot start")?;
+    let (Some(output), Some(errors)) = (keeper.stdout.take(), keeper.stderr.take()) else {
+        bail!("the process that keeps the lab has no output");
+    };
+    let relay = std::thread::Builder::new().name("relay".into()).spawn(move || {
+        for line in BufReader::new(errors).lines().map_while(Result::ok) {
+            let _ = writeln!(std::io::stderr(), "{line}");
+        }
+    })?;
+    let mut line = String::new();
+    BufReader::new(output).read_line(&mut line)?;
+    if line.is_empty() {
+        let status = keeper.wait()?;
+        // It has said why; that ends with it.
+        let _ = relay.join();
+        return Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1));
+    }
+    let _ = std::io::stdout().write_all(line.as_bytes());
+    Ok(0)
+}

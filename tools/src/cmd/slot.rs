@@ -1,0 +1,51 @@
+//! `rtnet slot`.
+
+use anyhow::{Result, anyhow, bail};
+
+use super::Failure;
+use super::station::SlotArg;
+use super::tdma::{applied, slots, status, told};
+use crate::cli::{SlotArgs, SlotVerb, Which};
+use crate::control::{self, Directory, LabReply, LabRequest, Request, StationStatus};
+
+/// Looks at a station's slots, or changes them.
+pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
+    let which = &args.which;
+    let (from, what) = match &args.verb {
+        SlotVerb::List => {
+            let status = status(which).map_err(Failure::Usage)?;
+            let table = |_: &Vec<_>| slots(&status);
+            super::print(which.json, &status.slots.clone(), table).map_err(Failure::Run)?;
+            return Ok(0);
+        }
+        SlotVerb::Set { slot } => (set(which, slot), format!("{}: slot {} is set", which.place, slot.id)),
+        SlotVerb::Remove { id } => (remove(which, *id), format!("{}: slot {id} is removed", which.place)),
+    };
+    told(which, from.map_err(Failure::Usage)?, &what)
+}
+
+fn set(which: &Which, slot: &SlotArg) -> Result<u32> {
+    let StationStatus { slots, .. } = status(which)?;
+    let before = slots.iter().map(|shown| &shown.slot).find(|before| before.id == slot.id);
+    let slot = slot.over(before);
+    match &which.place.lab {
+        None => applied(which, Request::SetSlot(slot)),
+        Some(lab) => by_lab(lab, LabRequest::SetSlot { station: which.place.station.clone(), slot }),
+    }
+}
+
+fn remove(which: &Which, id: u8) -> Result<u32> {
+    match &which.place.lab {
+        None => applied(which, Request::RemoveSlot(id)),
+        Some(lab) => by_lab(lab, LabRequest::RemoveSlot { station: which.place.station.clone(), id }),
+    }
+}
+
+/// A lab knows the slots of all its stations, so it is asked instead of the one.
+fn by_lab(lab: &str, request: LabRequest) -> Result<u32> {
+    match control::ask_lab(&Directory::of_user(), lab, request)? {
+        LabReply::Applied(from) => Ok(from),
+        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
+        _ => bail!("lab '{lab}' answers what it was not asked"),
+    }
+}

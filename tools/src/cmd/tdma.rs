@@ -1,0 +1,154 @@
+//! `rtnet tdma`.
+
+use anyhow::{Result, anyhow, bail};
+use rtnet::time::Span;
+
+use super::Failure;
+use crate::cli::{TdmaArgs, TdmaVerb, Which};
+use crate::control::{self, Directory, Reply, Request, RoleRequest, SlotShown, StationStatus};
+use crate::report::text::{Column, grouped, micros, table};
+use crate::station::misses::{Miss, Misses};
+
+/// Columns of a table of slots.
+const WIDTH: usize = 100;
+
+/// Looks at a station, or changes its role.
+pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
+    let role = match args.verb {
+        TdmaVerb::Status { misses: only } => {
+            let status = status(&args.which).map_err(Failure::Usage)?;
+            super::print(args.which.json, &status, if only { misses } else { describe })
+                .map_err(Failure::Run)?;
+            return Ok(0);
+        }
+        TdmaVerb::Master { cycle } => RoleRequest::Master { cycle_ns: cycle.nanos() },
+        TdmaVerb::Slave { rounds } => RoleRequest::Slave { rounds },
+        TdmaVerb::Detach => RoleRequest::Detached,
+    };
+    let from = applied(&args.which, Request::Become(role)).map_err(Failure::Usage)?;
+    told(&args.which, from, &format!("{}: {}", args.which.place, became(role)))
+}
+
+/// Asks a station where it stands.
+pub fn status(which: &Which) -> Result<StationStatus> {
+    match control::ask(&Directory::of_user(), &which.place, Request::Status)? {
+        Reply::Status(status) => Ok(*status),
+        Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
+        Reply::Applied(_) => bail!("station '{}' answers what it was not asked", which.place),
+    }
+}
+
+/// Asks for a change; the cycle from which it holds.
+pub fn applied(which: &Which, request: Request) -> Result<u32> {
+    match control::ask(&Directory::of_user(), &which.place, request)? {
+        Reply::Applied(from) => Ok(from),
+        Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
+        Reply::Status(_) => bail!("station '{}' answers what it was not asked", which.place),
+    }
+}
+
+/// Tells of a change that was made.
+pub fn told(which: &Which, from: u32, what: &str) -> Result<u8, Failure> {
+    #[derive(serde::Serialize)]
+    struct Applied {
+        from_cycle: u32,
+    }
+    let line = |_: &Applied| format!("{what}, from cycle {from} on\n");
+    super::print(which.json, &Applied { from_cycle: from }, line).map_err(Failure::Run)?;
+    Ok(0)
+}
+
+fn became(role: RoleRequest) -> String {
+    match role {
+        RoleRequest::Master { cycle_ns } => {
+            format!("about to be master of a cycle of {}", Span::from_nanos(cycle_ns))
+        }
+        RoleRequest::Slave { rounds: 0 } => "slave, without calibration".into(),
+        RoleRequest::Slave { rounds } => format!("slave, after {rounds} calibration rounds"),
+        RoleRequest::Detached => "detached".into(),
+    }
+}
+
+fn describe(status: &StationStatus) -> String {
+    let standing = &status.standing;
+    let span = |ns: Option<i64>, none: &str| ns.map_or(none.into(), |ns| Span::from_nanos(ns).to_string());
+    let mut text = format!(
+        "{}: {}, {}, cycle {} of {}\n",
+        status.name,
+        status.role,
+        standing.state,
+        standing.cycle,
+        span(status.period_ns, "unknown length"),
+    );
+    if status.role == "slave" {
+        text += &format!(
+            "delay {}, last sync {} beside the time line\n",
+            span(standing.delay_ns, "not measured"),
+            Span::from_nanos(status.deviation_ns)
+        );
+    }
+    text += &format!("on {} ({}), process {}\n", status.interface, status.address, status.pid);
+    if let Some(other) = &standing.yielded_to {
+        text += &format!("makes way for the master {other}\n");
+    }
+    text += &format!("\n{}", slots(status));
+    for (title, counts) in [
+        ("counters", &status.counters),
+        ("refused frames", &standing.refusals),
+        ("requests", &status.control),
+    ] {
+        let shown: Vec<String> =
+            counts.iter().filter(|(_, n)| **n > 0).map(|(name, n)| format!("{name} {n}")).collect();
+        if !shown.is_empty() {
+            text += &format!("\n{title}: {}\n", shown.join(", "));
+        }
+    }
+    status.host.iter().for_each(|line| text += &format!("\nhost: {line}\n"));
+    text
+}
+
+/// What was missed, in words.
+fn misses(status: &StationStatus) -> String {
+    let Misses { causes, worst, .. } = &status.misses;
+    if worst.is_empty() {
+        return format!("{}: nothing missed\n", status.name);
+    }
+    let counts: Vec<String> =
+        causes.iter().map(|(cause, n)| format!("{} {}", cause.replace('_', " "), grouped(*n))).collect();
+    let left = |head, cell: fn(&Miss) -> String| Column::left(["", head], worst.iter().map(cell));
+    let columns = [
+        left("the longest", |miss| miss.what.replace('_', " ")),
+        Column::right(["", "cycle"], worst.iter().map(|miss| grouped(miss.cycle.into()))),
+        Column::right(["", "by us"], worst.iter().map(|miss| micros(miss.late_ns))),
+        left("cause", |miss| miss.cause.replace('_', " ")),
+    ];
+    format!(
+        "{}: missed by cause: {}\n\n{}\n",
+        status.name,
+        counts.join(", "),
+        table(&columns, WIDTH).join("\n")
+    )
+}
+
+/// The slots as a table.
+pub fn slots(status: &StationStatus) -> String {
+    let slots = &status.slots;
+    if slots.is_empty() {
+        return "no slots\n".into();
+    }
+    let right = |head, cell: fn(&SlotShown) -> String| Column::right(["", head], slots.iter().map(cell));
+    let span = |ns| Span::from_nanos(ns).to_string();
+    let lines = table(
+        &[
+            Column::left(["", "slot"], slots.iter().map(|shown| shown.slot.id.to_string())),
+            Column::right(["", "offset"], slots.iter().map(|shown| span(shown.slot.offset_ns))),
+            right("phase", |shown| format!("{}/{}", shown.slot.phase + 1, shown.slot.period)),
+            right("size", |shown| shown.slot.size.to_string()),
+            Column::right(["", "latest"], slots.iter().map(|shown| span(shown.latest_ns))),
+            right("queued", |shown| shown.queued.to_string()),
+            right("sent", |shown| grouped(shown.sent)),
+        ],
+        WIDTH,
+    );
+    lines.join("\n") + "\n"
+}

@@ -1,0 +1,209 @@
+//! A lab that stays until it is told to go, and can be asked and changed meanwhile.
+
+use std::io::Write;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use rtnet::time::Span;
+
+use super::members::Member;
+use super::run::{LOOK_EVERY, Lab, RunOptions};
+use super::tally::Tally;
+use crate::control::{
+    self, Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Place, Reply, Request, Server,
+    SlotRequest, check_name, read,
+};
+use crate::scenario::{Scenario, SlotPlan};
+
+/// How often what was found is judged: records are told twenty times a second.
+const JUDGE_EVERY: Duration = Duration::from_secs(1);
+/// How long records are kept: a station that was stopped for less has its misses explained.
+const RECORDS_KEPT: Duration = Duration::from_secs(600);
+/// Changes of slots in a lab's life, each of which is remembered.
+const CHANGES_AT_MOST: u32 = 100_000;
+
+/// Keeps a lab up. `ready` is called once all its stations are locked; the end's figures are returned.
+pub fn keep(
+    scenario: Scenario,
+    options: &RunOptions,
+    at_most: Option<Span>,
+    ready: impl FnOnce(&LabStatus) -> Result<()>,
+) -> Result<LabStatus> {
+    let home = options.home.clone().context("a lab that stays needs a name")?;
+    scenario.stations.iter().try_for_each(|station| check_name(&station.name))?;
+    let _held = home.directory.take_lab(&home.lab)?;
+    let mut lab = Lab::set_up(&scenario, options)?;
+    for note in &lab.notes {
+        // Whoever has closed our standard error finds it in `lab status`.
+        let _ = writeln!(std::io::stderr(), "rtnet: {note}");
+    }
+    lab.join(&scenario)?;
+    lab.begin(i32::MAX as u32)?;
+    let mut server = Server::bind(&home.socket())?;
+    let since = Instant::now();
+    let mut keeper = Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, over: None };
+    ready(&keeper.status())?;
+    let until = at_most.map(|span| since + Duration::from_nanos(span.nanos().max(0) as u64));
+    let mut judged = Instant::now();
+    while keeper.over.is_none() {
+        server.serve(LOOK_EVERY, |packet, _| keeper.answer(packet));
+        keeper.lab.take_in()?;
+        if judged.elapsed() >= JUDGE_EVERY {
+            judged = Instant::now();
+            keeper.judge();
+        }
+        let interrupted = keeper.lab.interrupted.load(Ordering::Relaxed);
+        if keeper.over.is_none() && (interrupted || until.is_some_and(|until| Instant::now() >= until)) {
+            keeper.end()?;
+        }
+    }
+    keeper.over.context("a lab ends with its figures")
+}
+
+struct Keeper {
+    lab: Lab,
+    /// With the slots as they are now.
+    scenario: Scenario,
+    home: Home,
+    tally: Tally,
+    since: Instant,
+    changes: u32,
+    /// The figures of the end.
+    over: Option<LabStatus>,
+}
+
+impl Keeper {
+    fn answer(&mut self, packet: &[u8]) -> Vec<u8> {
+        let reply = match read(packet) {
+            Err(why) => LabReply::Refused(why),
+            Ok(LabRequest::Status) => LabReply::Status(Box::new(self.status())),
+            Ok(LabRequest::Down) => match self.end() {
+                Ok(()) => LabReply::Down(Box::new(self.over.clone().unwrap_or_else(|| self.status()))),
+                Err(error) => LabReply::Refused(format!("{error:#}")),
+            },
+            Ok(LabRequest::SetSlot { station, slot }) => self.change(&station, slot.id, Some(slot)),
+            Ok(LabRequest::RemoveSlot { station, id }) => self.change(&station, id, None),
+        };
+        Envelope::pack(reply)
+    }
+
+    fn judge(&mut self) {
+        let cycle = Duration::from_nanos(self.scenario.cycle.nanos() as u64);
+        let keep = (RECORDS_KEPT.as_nanos() / cycle.as_nanos().max(1)).clamp(1, u128::from(u32::MAX / 2));
+        self.tally.judge(&mut self.lab.analysis, &mut self.lab.records, keep as u32);
+    }
+
+    /// Ends the stations and draws the account up.
+    fn end(&mut self) -> Result<()> {
+        if self.over.is_some() {
+            return Ok(());
+        }
+        self.lab.analysis.end();
+        self.lab.members.iter_mut().for_each(Member::stop_counting);
+        // What a member is at its end is "ended"; what it was before is of interest.
+        let states: Vec<String> = (0..self.lab.members.len()).map(|station| self.state(station)).collect();
+        self.lab.end()?;
+        self.tally.close(&mut self.lab.analysis, &mut self.lab.records);
+        let mut status = self.status();
+        for (member, state) in status.stations.iter_mut().zip(states) {
+            member.state = state;
+        }
+        self.over = Some(status);
+        Ok(())
+    }
+
+    fn change(&mut self, station: &str, id: u8, slot: Option<SlotRequest>) -> LabReply {
+        match self.try_change(station, id, slot) {
+            Ok(from) => LabReply::Applied(from),
+            Err(error) => LabReply::Refused(format!("{error:#}")),
+        }
+    }
+
+    /// Changes a slot where it hits no neighbour, and expects it so from the cycle that the station tells.
+    fn try_change(&mut self, name: &str, id: u8, slot: Option<SlotRequest>) -> Result<u32> {
+        let Some(station) = self.scenario.stations.iter().position(|plan| plan.name == name) else {
+            let names: Vec<&str> = self.scenario.stations.iter().map(|plan| plan.name.as_str()).collect();
+            bail!("there is no station '{name}': there is {}", names.join(", "));
+        };
+        ensure!(
+            self.changes < CHANGES_AT_MOST,
+            "{CHANGES_AT_MOST} changes were made: take the lab down first"
+        );
+        let plan = slot.map(|slot| SlotPlan {
+            id,
+            offset: Span::from_nanos(slot.offset_ns),
+            phase: slot.phase,
+            period: slot.period.max(1),
+            size: slot.size,
+        });
+        let mut changed = self.scenario.clone();
+        let slots = &mut changed.stations[station].slots;
+        slots.retain(|slot| slot.id != id);
+        slots.extend(plan);
+        if let Some(conflict) = changed.schedule().conflicts().first() {
+            bail!("{conflict}");
+        }
+        let place = Place { lab: Some(self.home.lab.clone()), station: name.to_owned() };
+        let request = slot.map_or(Request::RemoveSlot(id), Request::SetSlot);
+        let from = match control::ask(&self.home.directory, &place, request)? {
+            Reply::Applied(from) => from,
+            Reply::Refused(why) => bail!("station '{name}': {why}"),
+            Reply::Status(_) => bail!("station '{name}' answers what it was not asked"),
+        };
+        self.lab.analysis.timetable.change(station, id, plan, from);
+        self.scenario = changed;
+        self.changes += 1;
+        Ok(from)
+    }
+
+    fn state(&self, station: usize) -> String {
+        let member = &self.lab.members[station];
+        if member.ended { "ended".into() } else { member.state().into() }
+    }
+
+    fn status(&self) -> LabStatus {
+        let analysis = &self.lab.analysis;
+        let stations: Vec<MemberStatus> = (0..self.lab.members.len()).map(|i| self.member(i)).collect();
+        LabStatus {
+            name: self.home.lab.clone(),
+            pid: std::process::id(),
+            bridge: self.lab.segment.bridge_name().to_owned(),
+            bridge_namespace: self.lab.segment.namespace().path(),
+            cpu: self.lab.cpu,
+            load: self.lab.load,
+            notes: self.lab.notes.clone(),
+            up_seconds: self.since.elapsed().as_secs(),
+            cycle_ns: self.scenario.cycle.nanos() as u64,
+            cycles: u64::from(analysis.cycles()),
+            frames_expected: stations.iter().map(|s| s.frames_seen + s.slots_missed).sum(),
+            frames_seen: stations.iter().map(|s| s.frames_seen).sum(),
+            slots_missed: stations.iter().map(|s| s.slots_missed).sum(),
+            overlaps: self.tally.overlaps,
+            out_of_slot: self.tally.out_of_slot,
+            unexplained: self.tally.unexplained,
+            frames_lost: stations.iter().map(|s| s.frames_lost).sum(),
+            stations,
+        }
+    }
+
+    fn member(&self, station: usize) -> MemberStatus {
+        let (plan, member) = (&self.scenario.stations[station], &self.lab.members[station]);
+        let seen = &self.lab.analysis.stations[station];
+        // How much a receiver has heard is known only once it has told of its end.
+        let passed = &self.lab.analysis.stations[self.scenario.sender(station)].passed;
+        let lost = if member.silent && !member.ended { passed.lost(&member.heard()) } else { 0 };
+        MemberStatus {
+            name: plan.name.clone(),
+            role: plan.role.to_string(),
+            state: self.state(station),
+            pid: member.pid(),
+            address: self.scenario.address(station).to_string(),
+            frames_seen: seen.frames,
+            slots_missed: self.lab.analysis.expected(station).saturating_sub(seen.frames),
+            payload_errors: member.payload_errors(),
+            frames_lost: lost,
+            refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
+        }
+    }
+}

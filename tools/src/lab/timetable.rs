@@ -1,0 +1,176 @@
+//! Which slots the stations of a lab have in which cycles: slots may change while it runs.
+
+use rtmac::tdma::line::next_cycle;
+
+use crate::scenario::{Scenario, SlotPlan};
+
+/// Every station's slots, with the cycles in which they hold.
+pub struct Timetable {
+    stations: Vec<Vec<Entry>>,
+}
+
+struct Entry {
+    plan: SlotPlan,
+    /// `None`: from the beginning.
+    from: Option<u32>,
+    /// The first cycle in which it does not hold any more.
+    until: Option<u32>,
+}
+
+impl Timetable {
+    /// The slots that a scenario has throughout.
+    pub fn of(scenario: &Scenario) -> Self {
+        let entry = |&plan: &SlotPlan| Entry { plan, from: None, until: None };
+        let entries = |slots: &Vec<SlotPlan>| slots.iter().map(entry).collect();
+        Self { stations: scenario.stations.iter().map(|station| entries(&station.slots)).collect() }
+    }
+
+    /// From cycle `from` on a slot is as `plan` says, or there is none.
+    pub fn change(&mut self, station: usize, id: u8, plan: Option<SlotPlan>, from: u32) {
+        let entries = &mut self.stations[station];
+        // One that was to begin later never does.
+        entries.retain(|entry| entry.plan.id != id || entry.from != Some(from));
+        if let Some(open) = entries.iter_mut().find(|entry| entry.plan.id == id && entry.until.is_none()) {
+            open.until = Some(from);
+        }
+        entries.extend(plan.map(|plan| Entry { plan, from: Some(from), until: None }));
+    }
+
+    /// A slot as it is in a cycle.
+    pub fn at(&self, station: usize, id: u8, cycle: u32) -> Option<&SlotPlan> {
+        self.entries(station, id).find(|entry| entry.holds(cycle)).map(|entry| &entry.plan)
+    }
+
+    /// The ids of a station's slots, each once, also of those that are gone.
+    pub fn ids(&self, station: usize) -> Vec<u8> {
+        let mut ids: Vec<u8> = self.stations[station].iter().map(|entry| entry.plan.id).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    /// Payload of a station's largest slot.
+    pub fn largest(&self, station: usize) -> usize {
+        let open = self.stations[station].iter().filter(|entry| entry.until.is_none());
+        open.map(|entry| entry.plan.size).max().unwrap_or(0)
+    }
+
+    /// The cycles from `next` up to `end` in which a slot has its turn.
+    pub fn turns(&self, station: usize, id: u8, next: u32, end: u32) -> impl Iterator<Item = u32> {
+        self.entries(station, id).flat_map(move |entry| {
+            let (next, end) = entry.within(next, end);
+            turns(next, end, entry.plan.phase, entry.plan.period)
+        })
+    }
+
+    /// How many turns all slots of a station have in those cycles.
+    pub fn count(&self, station: usize, next: u32, end: u32) -> u64 {
+        let count = |entry: &Entry| {
+            let (next, end) = entry.within(next, end);
+            count(next, end, entry.plan.phase, entry.plan.period)
+        };
+        self.stations[station].iter().map(count).sum()
+    }
+
+    fn entries(&self, station: usize, id: u8) -> impl Iterator<Item = &Entry> {
+        self.stations[station].iter().filter(move |entry| entry.plan.id == id)
+    }
+}
+
+impl Entry {
+    fn holds(&self, cycle: u32) -> bool {
+        let (from, until) = self.within(cycle, cycle.wrapping_add(1));
+        from == cycle && before(from, until)
+    }
+
+    /// What of a range of cycles it holds in; nothing if the end is not after the begin.
+    fn within(&self, next: u32, end: u32) -> (u32, u32) {
+        let from = self.from.filter(|&from| before(next, from)).unwrap_or(next);
+        let until = self.until.filter(|&until| before(until, end)).unwrap_or(end);
+        (from, until)
+    }
+}
+
+/// In the order of cycle numbers, which go round.
+fn before(a: u32, b: u32) -> bool {
+    (b.wrapping_sub(a) as i32) > 0
+}
+
+/// The cycles from `next` up to `end` of this phase.
+pub fn turns(next: u32, end: u32, phase: u32, period: u32) -> impl Iterator<Item = u32> {
+    let mut cycle = next_cycle(next, phase, period);
+    std::iter::from_fn(move || {
+        let turn = cycle;
+        cycle = next_cycle(turn.wrapping_add(1), phase, period);
+        before(turn, end).then_some(turn)
+    })
+}
+
+/// How many those are; counted one by one only where cycle numbers go round in between.
+fn count(next: u32, end: u32, phase: u32, period: u32) -> u64 {
+    if !before(next, end) {
+        return 0;
+    }
+    if next > end {
+        return turns(next, end, phase, period).count() as u64;
+    }
+    let up_to = |cycle: u32| (u64::from(cycle) + u64::from(period - 1 - phase)) / u64::from(period);
+    up_to(end) - up_to(next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Uniform;
+    use rtmac::tdma::schedule::Rate;
+    use rtnet::time::Span;
+
+    fn timetable() -> (Timetable, SlotPlan) {
+        let uniform = Uniform {
+            stations: 2,
+            cycle: Span::from_millis(1),
+            duration: Span::from_millis(1_000),
+            payload: 64,
+            rate: Rate::from_bits_per_second(1_000_000_000),
+            guard: None,
+            seed: 1,
+        };
+        let scenario = uniform.scenario().unwrap();
+        (Timetable::of(&scenario), scenario.stations[1].slots[0])
+    }
+
+    #[test]
+    fn a_slot_is_as_it_was_up_to_the_cycle_of_its_change() {
+        let (mut timetable, plan) = timetable();
+        let moved = SlotPlan { offset: Span::from_micros(900), ..plan };
+        timetable.change(1, 0, Some(moved), 100);
+        assert_eq!(timetable.at(1, 0, 99), Some(&plan));
+        assert_eq!(timetable.at(1, 0, 100), Some(&moved));
+        assert_eq!(timetable.at(0, 0, 100).unwrap().id, 0, "another station's stays");
+        timetable.change(1, 0, None, 110);
+        assert_eq!((timetable.at(1, 0, 109), timetable.at(1, 0, 110)), (Some(&moved), None));
+        assert_eq!(timetable.turns(1, 0, 98, 200).collect::<Vec<_>>(), (98..110).collect::<Vec<_>>());
+        assert_eq!(timetable.count(1, 98, 200), 12);
+        timetable.change(1, 0, Some(plan), 120);
+        assert_eq!(timetable.count(1, 98, 200), 12 + 80);
+        assert_eq!(timetable.ids(1), [0]);
+    }
+
+    #[test]
+    fn a_change_of_the_same_cycle_replaces_the_one_before() {
+        let (mut timetable, plan) = timetable();
+        timetable.change(1, 0, Some(SlotPlan { period: 4, phase: 1, ..plan }), 100);
+        timetable.change(1, 0, Some(SlotPlan { period: 2, ..plan }), 100);
+        assert_eq!(timetable.turns(1, 0, 97, 105).collect::<Vec<_>>(), [97, 98, 99, 100, 102, 104]);
+    }
+
+    #[test]
+    fn turns_are_counted_as_they_are_listed() {
+        for (next, end, phase, period) in
+            [(0, 10, 0, 1), (3, 17, 2, 5), (7, 7, 0, 1), (9, 3, 0, 1), (u32::MAX - 4, 6, 1, 3)]
+        {
+            let listed = turns(next, end, phase, period).count() as u64;
+            assert_eq!(count(next, end, phase, period), listed, "{next} {end} {phase} {period}");
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! The control thread's desk: what the real-time thread left is collected here, and requests are answered.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crossbeam::queue::ArrayQueue;
+use rtmac::tdma::{
+    MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotStatus, Tdma, TdmaCommand, TdmaStatus,
+};
+use rtnet::clock::EmulatedClock;
+use rtnet::live::clock::{monotonic, realtime};
+use rtnet::live::{Answer, Driver, Record, Snapshot};
+use rtnet::time::{GlobalTime, Offset, Span};
+
+use super::link::Standing;
+use super::misses::Misses;
+use super::traffic::TrafficCounts;
+use super::{Options, sync_latest};
+use crate::control::{
+    Envelope, Reply, Request, RoleRequest, SlotRequest, SlotShown, StationStatus, Traffic, read,
+};
+use crate::scenario::default_sync_window;
+
+/// A command is carried out after the next slot; a station that hears nothing looks ten times a second.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+/// How often to look for the answer: a cycle of the shortest that are in use.
+const LOOK_EVERY: Duration = Duration::from_micros(200);
+
+/// What the control thread knows of a station, and how it reaches the real-time thread.
+pub struct Desk {
+    name: String,
+    interface: String,
+    address: String,
+    clock: EmulatedClock,
+    /// How long after its begin a slot may still be used, unless a lab says otherwise.
+    latest: Span,
+    step_limit: Option<Span>,
+    records: Arc<ArrayQueue<Record>>,
+    snapshots: Arc<ArrayQueue<Snapshot<TdmaStatus>>>,
+    commands: Arc<ArrayQueue<TdmaCommand>>,
+    answers: Arc<ArrayQueue<Answer<Tdma>>>,
+    counts: Arc<TrafficCounts>,
+    newest: Option<Snapshot<TdmaStatus>>,
+    /// Whether there is a newer one than was last asked for.
+    news: bool,
+    host: Vec<String>,
+    misses: Misses,
+    /// Whether the process was continued after it had been stopped.
+    continued: Arc<AtomicBool>,
+}
+
+impl Desk {
+    pub fn new(
+        options: &Options,
+        driver: &Driver<Tdma>,
+        address: String,
+        counts: Arc<TrafficCounts>,
+    ) -> Self {
+        let lab = options.lab.as_ref();
+        let named = options.name.as_ref().or(lab.map(|lab| &lab.name));
+        Self {
+            name: named.unwrap_or(&options.interface).clone(),
+            interface: options.interface.clone(),
+            address,
+            clock: options.clock(),
+            latest: options.latest,
+            step_limit: lab.map(|lab| Span::from_nanos(lab.step_limit_ns)),
+            records: driver.records(),
+            snapshots: driver.snapshots(),
+            commands: driver.commands(),
+            answers: driver.answers(),
+            counts,
+            newest: None,
+            news: false,
+            host: Vec::new(),
+            misses: Misses::default(),
+            continued: continued(),
+        }
+    }
+
+    /// What the host refused.
+    pub fn note_host(&mut self, refused: &[String]) {
+        self.host = refused.to_vec();
+    }
+
+    /// What was recorded since the last time.
+    pub fn records(&mut self) -> Vec<Record> {
+        let records: Vec<Record> = std::iter::from_fn(|| self.records.pop()).collect();
+        self.misses.note(&records, self.continued.swap(false, Ordering::Relaxed));
+        records
+    }
+
+    /// The newest snapshot, if there is one since the last time.
+    pub fn news(&mut self) -> Option<Snapshot<TdmaStatus>> {
+        self.look();
+        self.newest.filter(|_| std::mem::take(&mut self.news))
+    }
+
+    fn look(&mut self) {
+        if let Some(newest) = std::iter::from_fn(|| self.snapshots.pop()).last() {
+            self.newest = Some(newest);
+            self.news = true;
+        }
+    }
+
+    /// Answers a request.
+    pub fn answer(&mut self, packet: &[u8], traffic: Traffic) -> Vec<u8> {
+        let reply = match read(packet) {
+            Err(why) => Reply::Refused(why),
+            Ok(Request::Status) => self.status(traffic),
+            Ok(Request::SetSlot(slot)) => self.set_slot(&slot),
+            Ok(Request::RemoveSlot(id)) => self.command(TdmaCommand::RemoveSlot(id)),
+            Ok(Request::Become(role)) => match self.role(role) {
+                Ok(role) => self.command(TdmaCommand::Become(role)),
+                Err(refused) => Reply::Refused(refused.to_string()),
+            },
+        };
+        Envelope::pack(reply)
+    }
+
+    fn set_slot(&mut self, slot: &SlotRequest) -> Reply {
+        self.command(TdmaCommand::SetSlot(slot.config(self.latest)))
+    }
+
+    /// Hands a command to the real-time thread, and waits for what becomes of it.
+    fn command(&mut self, command: TdmaCommand) -> Reply {
+        // Of one that was given up waiting for.
+        while self.answers.pop().is_some() {}
+        if self.commands.push(command).is_err() {
+            return Reply::Refused("the real-time thread does not take commands: it is stuck".into());
+        }
+        let deadline = Instant::now() + ANSWER_WITHIN;
+        while Instant::now() < deadline {
+            std::thread::sleep(LOOK_EVERY);
+            if let Some(Answer { result, .. }) = self.answers.pop() {
+                return result.map_or_else(|refused| Reply::Refused(refused.to_string()), Reply::Applied);
+            }
+        }
+        let within = ANSWER_WITHIN.as_secs();
+        Reply::Refused(format!("the real-time thread has not answered within {within} s: it may do so later"))
+    }
+
+    fn role(&mut self, role: RoleRequest) -> Result<NewRole, rtmac::tdma::Refused> {
+        match role {
+            RoleRequest::Detached => Ok(NewRole::detached()),
+            RoleRequest::Slave { rounds } => {
+                let step_limit = self.step_limit;
+                NewRole::attached(RoleConfig::Slave(SlaveConfig { rounds, step_limit }))
+            }
+            RoleRequest::Master { cycle_ns } => {
+                let cycle = Span::from_nanos(cycle_ns);
+                NewRole::attached(RoleConfig::Master(MasterConfig {
+                    cycle,
+                    sync_latest: sync_latest(default_sync_window(cycle)),
+                    reply_latest: self.latest,
+                    epoch: self.epoch(),
+                }))
+            }
+        }
+    }
+
+    /// Global time goes on where this station knows it; else the wall clock's begins.
+    fn epoch(&mut self) -> Offset {
+        self.look();
+        let known = self.newest.as_ref().and_then(|newest| newest.status.offset);
+        known.unwrap_or_else(|| epoch(&self.clock))
+    }
+
+    fn status(&mut self, traffic: Traffic) -> Reply {
+        self.look();
+        let Some(newest) = &self.newest else {
+            return Reply::Refused("the station has only just started: ask again".into());
+        };
+        let status = &newest.status;
+        Reply::Status(Box::new(StationStatus {
+            name: self.name.clone(),
+            pid: std::process::id(),
+            interface: self.interface.clone(),
+            address: self.address.clone(),
+            role: status.role.name().into(),
+            standing: Standing::of(newest, &self.counts),
+            period_ns: status.period.map(Span::nanos),
+            deviation_ns: status.deviation.nanos(),
+            slots: status.slots.iter().flatten().map(shown).collect(),
+            counters: counters(status),
+            host: self.host.clone(),
+            misses: self.misses.clone(),
+            control: traffic.named(),
+        }))
+    }
+}
+
+/// A flag that is set when this process is continued.
+fn continued() -> Arc<AtomicBool> {
+    let flag = Arc::new(AtomicBool::new(false));
+    // Where the handler cannot be set, a station that was stopped only names another cause.
+    let _ = signal_hook::flag::register(signal_hook::consts::SIGCONT, flag.clone());
+    flag
+}
+
+/// Global time is the wall clock's once, at the start, and from then on the station's clock's.
+pub fn epoch(clock: &EmulatedClock) -> Offset {
+    Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()))
+}
+
+fn shown(slot: &SlotStatus) -> SlotShown {
+    let config = slot.config;
+    SlotShown {
+        slot: SlotRequest {
+            id: config.id,
+            offset_ns: config.offset.nanos(),
+            phase: config.phase,
+            period: config.period,
+            size: config.size,
+        },
+        latest_ns: config.latest.nanos(),
+        queued: slot.queued,
+        sent: slot.sent,
+    }
+}
+
+fn counters(status: &TdmaStatus) -> BTreeMap<String, u64> {
+    let own = status.counters.named();
+    let all = own.into_iter().chain([("calibration_repeats", status.calibration_repeats)]);
+    // A master sends syncs and replies, the others do not: what cannot be is not shown.
+    let of_masters = ["syncs_sent", "syncs_skipped", "replies_sent", "replies_late", "replies_given_up"];
+    let shown = |name: &str| status.role == RoleName::Master || !of_masters.contains(&name);
+    all.filter(|(name, n)| *n > 0 || shown(name)).map(|(name, n)| (name.to_owned(), n)).collect()
+}

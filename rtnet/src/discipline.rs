@@ -152,6 +152,9 @@ pub enum Sent {
     StalledUntil(Instant),
     /// It was too late at this instant: nothing was sent.
     Late(Instant, Buf),
+    /// `send` was called in time, but the kernel guard dropped the frame before this instant: nothing left
+    /// the station.
+    Guarded(Instant, Buf),
     /// The kernel refused it with this error number.
     Failed(i32, Buf),
 }
@@ -227,6 +230,8 @@ pub enum EventKind {
     Overrun,
     /// A frame was sent, but the clock read afterwards was beyond `latest` by so much.
     StalledInSend,
+    /// The kernel guard dropped a frame that was sent in time but came too late, by so much or less.
+    GuardDropped,
     /// A slot was passed over because synchronisation did not allow it.
     SlotSilent,
     /// A slot begins after the master's cycle ends, by so much: it is never used.
@@ -257,9 +262,10 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 15] = [
+    pub const ALL: [EventKind; 16] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
+        EventKind::GuardDropped,
         EventKind::SlotSilent,
         EventKind::SlotBeyondCycle,
         EventKind::SendFailed,
@@ -278,13 +284,13 @@ impl EventKind {
     /// Whether a slot or a Synchronisation was missed by it, or a frame was late.
     pub const fn is_miss(self) -> bool {
         use EventKind::*;
-        matches!(self, Overrun | StalledInSend | SlotSilent | SendFailed | SyncSkipped)
+        matches!(self, Overrun | StalledInSend | GuardDropped | SlotSilent | SendFailed | SyncSkipped)
     }
 
     /// Why that was, as far as the kind tells. What was too late for its instant only the loop's stamps explain.
     pub const fn cause(self) -> Option<Cause> {
         match self {
-            EventKind::StalledInSend => Some(Cause::StalledInSend),
+            EventKind::StalledInSend | EventKind::GuardDropped => Some(Cause::StalledInSend),
             EventKind::SlotSilent => Some(Cause::NoSync),
             EventKind::SendFailed => Some(Cause::Refused),
             _ => None,
@@ -296,6 +302,7 @@ impl EventKind {
         match self {
             EventKind::Overrun => "overrun",
             EventKind::StalledInSend => "stalled_in_send",
+            EventKind::GuardDropped => "guard_dropped",
             EventKind::SlotSilent => "slot_silent",
             EventKind::SlotBeyondCycle => "slot_beyond_cycle",
             EventKind::SendFailed => "send_failed",

@@ -11,7 +11,7 @@ use rtmac::tdma::{
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::SyncState;
 use rtnet::live::interface::Interface;
-use rtnet::live::{Driver, DriverConfig, Port};
+use rtnet::live::{Driver, DriverConfig, GuardMode, Port};
 use rtnet::station::Station;
 use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType};
@@ -129,7 +129,14 @@ fn driver(station: usize, namespace: &Namespace, stop: Arc<AtomicBool>) -> Drive
     let traffic = TestTraffic::new(station as u16, ADDRESSES[station], ADDRESSES[1 - station]);
     let open = || {
         let interface = Interface::find("rt0").unwrap();
-        Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, DEFAULT_LEAD.nanos() as u64).unwrap()
+        Port::open(
+            &interface,
+            &[EtherType::EXPERIMENTAL],
+            clock,
+            DEFAULT_LEAD.nanos() as u64,
+            GuardMode::Auto,
+        )
+        .unwrap()
     };
     let port = namespace.run(open).unwrap();
     let station = Station::new(discipline.unwrap(), vec![Box::new(traffic)]);

@@ -4,29 +4,28 @@
 //! pool    16 x take + return of a buffer   beside   ArrayQueue of boxed frames, pop + push
 //! queue   16 x push + pop, 16 waiting      beside   ArrayQueue of the same, push + pop
 //! frame   build + stamp + send             beside   `send` of a frame that was built beforehand
+//!         the same with a kernel guard     beside   the same without
 //! ```
 //!
 //! `RTNET_COUNT=pool/rtnet:1000` does one of them 1000 times and measures nothing: for tools that
 //! count instructions.
 
-#![allow(unsafe_code)] // the bare `send`
-
 use std::error::Error;
 use std::hint::black_box;
 use std::io;
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 
 use criterion::Criterion;
 use crossbeam::queue::ArrayQueue;
 use rtmac::wire::Message;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Sent, Transmission};
-use rtnet::live::Port;
 use rtnet::live::clock::monotonic;
 use rtnet::live::interface::Interface;
+use rtnet::live::{GuardMode, OpenError, Port};
 use rtnet::time::{GlobalTime, Span};
 use rtnet::wire::ethernet::{Address, EtherType};
-use rtnet::{Pool, Priority, PriorityQueue, buf};
+use rtnet::{Instant, Pool, Priority, PriorityQueue, buf};
+use tests::bare::Bare;
 use tools::lab::namespace::{Namespace, Segment};
 
 /// As many as a port has for received frames.
@@ -35,6 +34,7 @@ const BUFFERS: usize = 32;
 /// many frames wait in a queue meanwhile.
 const BATCH: usize = 16;
 const HERE: Address = Address([2, 0, 0, 0, 0, 1]);
+const GUARDED: Address = Address([2, 0, 0, 0, 0, 3]);
 const THERE: Address = Address([2, 0, 0, 0, 0, 2]);
 
 type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
@@ -124,64 +124,52 @@ fn queue(mode: &mut Mode) {
 /// Frames go from one station over a bridge to another, which does not listen.
 fn frame(mode: &mut Mode) -> Result<()> {
     let mut segment = Segment::new()?;
-    let [here, there] = [Namespace::new()?, Namespace::new()?];
+    let [here, guarded, there] = [Namespace::new()?, Namespace::new()?, Namespace::new()?];
     segment.attach(&here, "port0", "rt0", HERE.0)?;
-    segment.attach(&there, "port1", "rt0", THERE.0)?;
+    segment.attach(&guarded, "port1", "rt0", GUARDED.0)?;
+    segment.attach(&there, "port2", "rt0", THERE.0)?;
     let now = monotonic();
     let clock = EmulatedClock { anchor: now, offset: Span::from_millis(100), drift_ppb: 20_000 };
-    let (mut port, bare) = here.run(|| -> Result<_> {
-        let interface = Interface::find("rt0")?;
-        Ok((Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, 0)?, Bare::open(&interface)?))
-    })??;
+    let open = |guard| -> Result<_> {
+        Ok(Port::open(&Interface::find("rt0")?, &[EtherType::EXPERIMENTAL], clock, 0, guard)?)
+    };
 
-    let pool = Pool::new(BUFFERS);
     let at = clock.local(now);
-    let latest = at + Span::from_millis(3_600_000);
-    let mut cycle = 0;
-    let sched = GlobalTime::from_nanos(0);
-    mode.subject("frame/rtnet", || {
-        cycle += 1;
-        let message = Message::Sync { cycle, xmit: sched, sched };
-        let mut frame = pool.take().expect("every sent frame goes home");
-        message.write(THERE, HERE, &mut frame);
-        let sent = port.transmit(Transmission { frame, at, latest, stamp: Some(message.stamp(7)) });
-        assert!(matches!(sent, Sent::At(_)), "{sent:?}");
-    });
+    build_and_send(mode, "frame/rtnet", here.run(|| open(GuardMode::User))??, HERE, at);
+    match guarded.run(|| open(GuardMode::Kernel))? {
+        Ok(port) => build_and_send(mode, "frame/guarded", port, GUARDED, at),
+        Err(error) if error.is::<OpenError>() => skip("frame/guarded", &*error),
+        Err(error) => return Err(error),
+    }
 
-    let mut frame = pool.take().expect("every sent frame goes home");
-    Message::Sync { cycle, xmit: sched, sched }.write(THERE, HERE, &mut frame);
+    let pool = Pool::new(1);
+    let mut frame = pool.take().expect("nobody else has it");
+    let sched = GlobalTime::from_nanos(0);
+    Message::Sync { cycle: 1, xmit: sched, sched }.write(THERE, HERE, &mut frame);
+    let bare = here.run(|| -> Result<_> { Ok(Bare::open(&Interface::find("rt0")?)?) })??;
     mode.subject("frame/bare_send", || assert!(bare.send(&frame), "{}", io::Error::last_os_error()));
     Ok(())
 }
 
-/// A socket as a port's for sending is: bound with protocol 0, so that it receives nothing.
-struct Bare(OwnedFd);
+/// A sync each time, from scratch.
+fn build_and_send(mode: &mut Mode, name: &str, mut port: Port, from: Address, at: Instant) {
+    let pool = Pool::new(BUFFERS);
+    let latest = at + Span::from_millis(3_600_000);
+    let mut cycle = 0;
+    let sched = GlobalTime::from_nanos(0);
+    mode.subject(name, || {
+        cycle += 1;
+        let message = Message::Sync { cycle, xmit: sched, sched };
+        let mut frame = pool.take().expect("every sent frame goes home");
+        message.write(THERE, from, &mut frame);
+        let sent = port.transmit(Transmission { frame, at, latest, stamp: Some(message.stamp(7)) });
+        assert!(matches!(sent, Sent::At(_)), "{sent:?}");
+    });
+}
 
-impl Bare {
-    fn open(interface: &Interface) -> io::Result<Self> {
-        // SAFETY: takes no pointers.
-        let fd = unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, 0) };
-        if fd < 0 {
-            return Err(io::Error::last_os_error());
-        }
-        // SAFETY: the descriptor is open, and nobody else's.
-        let socket = unsafe { OwnedFd::from_raw_fd(fd) };
-        // SAFETY: all-zero is a valid sockaddr_ll.
-        let mut link: libc::sockaddr_ll = unsafe { core::mem::zeroed() };
-        link.sll_family = libc::AF_PACKET as u16;
-        link.sll_ifindex = interface.index as i32;
-        let len = size_of_val(&link) as libc::socklen_t;
-        // SAFETY: `link` is alive for the call, and `len` its true size.
-        let bound = unsafe { libc::bind(socket.as_raw_fd(), (&raw const link).cast(), len) };
-        if bound < 0 { Err(io::Error::last_os_error()) } else { Ok(Self(socket)) }
-    }
-
-    fn send(&self, frame: &[u8]) -> bool {
-        // SAFETY: pointer and length are of one slice, which is alive for the call.
-        let sent =
-            unsafe { libc::send(self.0.as_raw_fd(), frame.as_ptr().cast(), frame.len(), libc::MSG_DONTWAIT) };
-        sent == frame.len() as isize
-    }
+fn skip(what: &str, error: &(dyn Error + 'static)) {
+    let causes = std::iter::successors(Some(error), |&cause| cause.source());
+    eprintln!("SKIP {what}: {}", causes.map(ToString::to_string).collect::<Vec<_>>().join(": "));
 }
 
 fn main() {
@@ -191,8 +179,7 @@ fn main() {
     if mode.wants("frame")
         && let Err(error) = frame(&mut mode)
     {
-        let causes = std::iter::successors(Some(&*error as &(dyn Error + 'static)), |&cause| cause.source());
-        eprintln!("SKIP frame: {}", causes.map(ToString::to_string).collect::<Vec<_>>().join(": "));
+        skip("frame", &*error);
     }
     if let Mode::Time(criterion) = mode {
         criterion.final_summary();

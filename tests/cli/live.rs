@@ -255,7 +255,10 @@ fn two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo()
     };
     let (_first, output) = up("half");
     if output.status.code() != Some(0) {
-        crate::skip("two_labs_that_together_would_be_throttled...", "this host does not hold a cycle of 600us");
+        crate::skip(
+            "two_labs_that_together_would_be_throttled...",
+            "this host does not hold a cycle of 600us",
+        );
         return;
     }
     // Beside the first the second need not become locked: what counts is what it says.

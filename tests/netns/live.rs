@@ -13,7 +13,7 @@ use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Discipline, Service};
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::interface::Interface;
-use rtnet::live::{Driver, DriverConfig, Port, Snapshot};
+use rtnet::live::{Driver, DriverConfig, GuardMode, Port, Snapshot};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType};
@@ -69,7 +69,8 @@ impl Medium {
         self.segment.attach(&namespace, &format!("port{number}"), "rt0", address.0).unwrap();
         let data = [EtherType::EXPERIMENTAL];
         let spin = DEFAULT_LEAD.nanos() as u64;
-        let open = || Port::open(&Interface::find("rt0").unwrap(), &data, clock, spin).unwrap();
+        let open =
+            || Port::open(&Interface::find("rt0").unwrap(), &data, clock, spin, GuardMode::Auto).unwrap();
         let port = namespace.run(open).unwrap();
         let traffic = TestTraffic::new(number.into(), address, Self::address(to));
         let tally = traffic.tally.clone();

@@ -1,11 +1,13 @@
 //! Whole networks, and what tests of them share.
 //!
 //! ```text
+//! bare       a packet socket and nothing else
 //! networks   a master and its slaves in virtual time, judged by what is on the air
 //! bench      one station by hand: frames in at their stamps, transmissions out at their instants
 //! peer       an independent TDMA station with the habits of real RTnet's
 //! ```
 
+pub mod bare;
 pub mod bench;
 pub mod captures;
 pub mod judge;

@@ -7,6 +7,7 @@ use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
 use crate::control::Place;
+use crate::scenario::SlotGuard;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
@@ -231,6 +232,9 @@ pub struct LabRunArgs {
     /// Least guard band behind each frame [default: the rest of the slot]
     #[arg(long, value_parser = parse_nonnegative_span, conflicts_with = "file")]
     pub guard: Option<Span>,
+    /// What keeps stations from sending later than their slots allow [default: auto, or what the file says]
+    #[arg(long)]
+    pub slot_guard: Option<SlotGuard>,
     /// Seed of the stations' clocks, which are off by up to 1 s and 50 ppm [default: 1]
     #[arg(long)]
     pub seed: Option<u64>,
@@ -289,6 +293,10 @@ pub struct StationArgs {
     /// What to do with a slot that has passed: skip it, or send late as RTnet does
     #[arg(long, default_value = "skip")]
     pub late: Late,
+    /// What keeps the station from sending later than that. The kernel's guard drops its late frames at the
+    /// interface, others' pass; it takes root, or CAP_BPF and CAP_NET_ADMIN
+    #[arg(long, default_value = "auto")]
+    pub slot_guard: SlotGuard,
     /// How long before a slot its frame is chosen and spun for
     #[arg(long, default_value = "50us", value_parser = parse_nonnegative_span)]
     pub lead: Span,

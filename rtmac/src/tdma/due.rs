@@ -98,6 +98,16 @@ impl Tdma {
         }
     }
 
+    /// The kernel dropped the job's frame. A cycle whose Synchronisation was dropped is one without, as if the
+    /// master had skipped it.
+    pub(super) fn guard_dropped(&mut self, job: &Job, late: Span) {
+        self.counters.guard_drops += 1;
+        self.events.note(job.cycle(), EventKind::GuardDropped, late);
+        if let Job::Sync { .. } = job {
+            self.missed(job, late);
+        }
+    }
+
     pub(super) fn missed(&mut self, job: &Job, late: Span) {
         let kind = match job {
             Job::Sync { .. } => {

@@ -243,6 +243,11 @@ impl Discipline for Tdma {
                 self.put_off(&job);
                 return job.returned(frame, priority);
             }
+            Sent::Guarded(now, frame) => {
+                self.guard_dropped(&job, now - job.latest());
+                self.put_off(&job);
+                return job.returned(frame, priority);
+            }
             Sent::Failed(errno, frame) => {
                 self.counters.send_failed += 1;
                 self.events.note(job.cycle(), EventKind::SendFailed, Span::from_nanos(i64::from(errno)));

@@ -12,7 +12,7 @@ use super::{Role, Tdma};
 pub struct Counters {
     /// Synchronisations sent.
     pub syncs_sent: u64,
-    /// Synchronisations that came too late for their window and were not sent.
+    /// Synchronisations that came too late for their window and were not sent, or that the kernel guard dropped.
     pub syncs_skipped: u64,
     /// Synchronisations received, accepted or not.
     pub syncs_received: u64,
@@ -24,6 +24,8 @@ pub struct Counters {
     pub overruns: u64,
     /// Frames sent although the clock read afterwards was beyond `latest`.
     pub stalled_in_send: u64,
+    /// Frames of any kind that the kernel guard dropped.
+    pub guard_drops: u64,
     /// Frames the kernel refused.
     pub send_failed: u64,
     /// Slots for which nothing was queued.
@@ -46,7 +48,7 @@ pub struct Counters {
 
 impl Counters {
     /// Each with its name.
-    pub fn named(&self) -> [(&'static str, u64); 16] {
+    pub fn named(&self) -> [(&'static str, u64); 17] {
         [
             ("syncs_sent", self.syncs_sent),
             ("syncs_skipped", self.syncs_skipped),
@@ -55,6 +57,7 @@ impl Counters {
             ("frames_sent", self.frames_sent),
             ("overruns", self.overruns),
             ("stalled_in_send", self.stalled_in_send),
+            ("guard_drops", self.guard_drops),
             ("send_failed", self.send_failed),
             ("slots_empty", self.slots_empty),
             ("slots_silent", self.slots_silent),

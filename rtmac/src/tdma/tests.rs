@@ -297,3 +297,45 @@ fn a_slave_becomes_master_where_its_slots_fit_the_cycle() {
     slave.on_timeout(at(5_100));
     assert_eq!(sent_next(&mut slave), at(6_100), "its first Synchronisation");
 }
+
+#[test]
+fn what_the_guard_drops_comes_back_and_a_cycle_without_its_sync_is_a_skipped_one() {
+    let mut master = active_master();
+    let sync = master.next_transmission(at(3_960)).unwrap();
+    assert!(master.on_sent(Sent::Guarded(at(4_047), sync.frame)).is_none(), "the next is made anew");
+    let mut frame = Pool::new(1).take().unwrap();
+    frame.fill(&[0; 60]);
+    master.enqueue(frame, Priority::DEFAULT, 0).unwrap();
+    let data = master.next_transmission(at(4_360)).unwrap();
+    let dropped = master.on_sent(Sent::Guarded(at(4_422), data.frame)).unwrap();
+    assert_eq!((dropped.priority, dropped.channel), (Priority::DEFAULT, 0));
+    let told: Vec<_> = std::iter::from_fn(|| master.next_event()).collect();
+    let event = |kind, micros| Event { cycle: 1, kind, span: Span::from_micros(micros) };
+    let expected = [
+        event(EventKind::MasterActive, 0),
+        event(EventKind::GuardDropped, 7),
+        event(EventKind::SyncSkipped, 7),
+        event(EventKind::GuardDropped, 2),
+    ];
+    assert_eq!(told, expected);
+    let Counters { guard_drops, syncs_skipped, overruns, frames_sent, .. } = master.status().counters;
+    assert_eq!((guard_drops, syncs_skipped, overruns, frames_sent), (2, 1, 0, 0));
+}
+
+#[test]
+fn a_calibration_reply_that_the_guard_drops_is_put_off() {
+    let mut master = active_master();
+    let request = Message::Request { xmit: 0, reply_cycle: 2, reply_offset: 100_000 };
+    assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
+    master.next_transmission(at(3_960)).map(|sync| master.on_sent(Sent::Late(at(4_041), sync.frame)));
+    master.next_transmission(at(4_960)).map(|sync| master.on_sent(Sent::At(sync.at)));
+    let reply = master.next_transmission(at(5_060)).unwrap();
+    assert!(master.on_sent(Sent::Guarded(at(5_141), reply.frame)).is_none());
+    let again = (5_960..12_000).step_by(10).find_map(|micros| {
+        let next = master.next_transmission(at(micros))?;
+        let is_reply = matches!(wire::parse(&next.frame), Ok(Rtmac::Tdma(Message::Reply { .. })));
+        master.on_sent(Sent::At(next.at));
+        is_reply.then_some(next.at)
+    });
+    assert_eq!(again, Some(at(9_100)), "two uses of the slot later");
+}

@@ -14,6 +14,7 @@
 pub mod clock;
 mod driver;
 mod filter;
+pub mod guard;
 pub mod interface;
 mod packet;
 mod port;
@@ -21,4 +22,5 @@ pub mod realtime;
 pub mod ring;
 
 pub use driver::{Answer, Driver, DriverConfig, Record, Snapshot};
-pub use port::{Port, PortCounters};
+pub use guard::GuardMode;
+pub use port::{OpenError, Port, PortCounters};

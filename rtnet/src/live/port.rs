@@ -6,11 +6,12 @@ use socket2::Socket;
 
 use crate::buf::{Buf, Pool};
 use crate::clock::{EmulatedClock, True};
-use crate::discipline::{Sent, Transmission};
+use crate::discipline::{Sent, Stamp, Transmission};
 use crate::time::Instant;
 use crate::wire::ethernet::EtherType;
 
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
+use super::guard::{Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
 use super::{filter, packet};
 
@@ -18,6 +19,9 @@ use super::{filter, packet};
 const RECEIVE_POOL: usize = 32;
 /// Frames taken from one socket in one turn at the most, so that a flood cannot hold up a slot.
 const DRAIN_AT_MOST: usize = 32;
+/// What stalls after the check may still leave within this part of the time that it had: then it has left its slot's
+/// middle, but not yet the share of its neighbour's clock, and a sync not yet its window. Beyond it the guard drops.
+const GUARD_PARTS: True = 3;
 /// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
 const COST_AT_MOST: True = 5_000;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
@@ -37,7 +41,21 @@ pub struct Port {
     send_cost: Option<True>,
     /// When the last sleep ended.
     woke: True,
+    guard: Option<Guard>,
+    guard_refused: Option<String>,
+    hold: Option<fn()>,
     counters: PortCounters,
+}
+
+/// Why a port could not be opened, on which interface, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The kernel gives no packet sockets.
+    #[error("packet sockets on '{0}' (run as root, or give CAP_NET_RAW)")]
+    Sockets(String, #[source] io::Error),
+    /// There can be no guard, and it is not to go without.
+    #[error("kernel guard on '{0}' ({remedy}; or go without)", remedy = .1.remedy())]
+    Guard(String, #[source] GuardRefused),
 }
 
 /// What a port counts.
@@ -56,13 +74,43 @@ pub struct PortCounters {
 }
 
 impl Port {
-    /// Opens the sockets on an interface, for these EtherTypes besides RTmac's. Needs CAP_NET_RAW.
+    /// Opens the sockets on an interface, for these EtherTypes besides RTmac's. Needs CAP_NET_RAW; for a
+    /// guard CAP_BPF and CAP_NET_ADMIN, too.
     pub fn open(
         interface: &Interface,
         data: &[EtherType],
         clock: EmulatedClock,
         spin: u64,
+        guard: GuardMode,
+    ) -> Result<Self, OpenError> {
+        let mut port = Self::unguarded(interface, data, clock, spin)
+            .map_err(|error| OpenError::Sockets(interface.name.clone(), error))?;
+        if guard == GuardMode::User {
+            return Ok(port);
+        }
+        match port.attach_guard(interface) {
+            Ok(attached) => port.guard = Some(attached),
+            Err(refused) if guard == GuardMode::Kernel => {
+                return Err(OpenError::Guard(interface.name.clone(), refused));
+            }
+            Err(refused) => {
+                port.guard_refused = Some(format!(
+                    "kernel guard: {refused}: what is held up between the last look at the clock and the wire \
+                     leaves late ({})",
+                    refused.remedy()
+                ));
+            }
+        }
+        Ok(port)
+    }
+
+    fn unguarded(
+        interface: &Interface,
+        data: &[EtherType],
+        clock: EmulatedClock,
+        spin: u64,
     ) -> io::Result<Self> {
+        // PACKET_QDISC_BYPASS would be a way past the guard: it is not set.
         let sender = packet::open()?;
         packet::bind(&sender, interface.index, 0)?;
         let receiver = |ether_type: EtherType| -> io::Result<Socket> {
@@ -83,8 +131,34 @@ impl Port {
             spin,
             send_cost: None,
             woke: monotonic(),
+            guard: None,
+            guard_refused: None,
+            hold: None,
             counters: PortCounters::default(),
         })
+    }
+
+    /// Marked once, so that the guard knows this port's frames at no cost for each.
+    fn attach_guard(&self, interface: &Interface) -> Result<Guard, GuardRefused> {
+        self.sender.set_mark(MARK).map_err(|error| GuardRefused::new("SO_MARK", error))?;
+        Guard::attach(interface.index)
+    }
+
+    /// Whether the kernel enforces `latest`.
+    pub fn is_guarded(&self) -> bool {
+        self.guard.is_some()
+    }
+
+    /// Why there is no guard though there was to be one if possible: one line, what, why, what it costs.
+    pub fn guard_refused(&self) -> Option<&str> {
+        self.guard_refused.as_deref()
+    }
+
+    /// From now on does this between the last look at the clock and `send`, where a station that is held up
+    /// cannot notice it: for tests.
+    #[doc(hidden)]
+    pub fn hold_before_send(&mut self, hold: fn()) {
+        self.hold = Some(hold);
     }
 
     /// What the station's clock shows now.
@@ -141,13 +215,26 @@ impl Port {
 
     /// Sends a frame at its instant: sleeps, spins, stamps, checks, sends, and looks at the clock again.
     pub fn transmit(&mut self, transmission: Transmission) -> Sent {
-        let Transmission { mut frame, at, latest, stamp } = transmission;
-        let target = self.clock.truth(at) - self.send_cost.unwrap_or(0);
-        let latest = self.clock.truth(latest);
+        let Transmission { frame, at, latest, stamp } = transmission;
+        let (at, latest) = (self.clock.truth(at), self.clock.truth(latest));
+        let target = at - self.send_cost.unwrap_or(0);
         if monotonic() + self.spin < target {
             sleep_until(target - self.spin);
             self.woke = monotonic();
         }
+        if let Some(guard) = &self.guard {
+            // Nothing is sent while it spins: what is early by more than that is not of this slot.
+            guard.open(target.saturating_sub(self.spin), latest + latest.saturating_sub(at) / GUARD_PARTS);
+        }
+        let sent = self.send_at(target, latest, stamp, frame);
+        if let Some(guard) = &self.guard {
+            guard.close();
+        }
+        sent
+    }
+
+    fn send_at(&mut self, target: True, latest: True, stamp: Option<Stamp>, mut frame: Buf) -> Sent {
+        let drops = self.drops();
         let before = spin_until(target);
         let stamped = self.clock.local(before);
         if before > latest {
@@ -156,12 +243,24 @@ impl Port {
         if let Some(stamp) = stamp {
             stamp.write(&mut frame, stamped);
         }
-        if let Err(errno) = packet::send(&self.sender, &frame) {
-            return Sent::Failed(errno, frame);
+        if let Some(hold) = self.hold {
+            hold();
+        }
+        match packet::send(&self.sender, &frame) {
+            Ok(()) => {}
+            // The kernel says the same of a full queue: only the guard's own count tells.
+            Err(libc::ENOBUFS) if self.drops() != drops => return Sent::Guarded(self.now(), frame),
+            Err(errno) => return Sent::Failed(errno, frame),
         }
         let after = monotonic();
         self.learn_cost(after - before);
         if after > latest { Sent::StalledUntil(self.clock.local(after)) } else { Sent::At(stamped) }
+    }
+
+    /// Frames that the guard has dropped.
+    #[inline]
+    fn drops(&self) -> u64 {
+        self.guard.as_ref().map_or(0, Guard::drops)
     }
 
     /// From the last look at the clock to the wire passes about half of what `send` takes. The smallest

@@ -312,7 +312,7 @@ impl Discipline for Peer {
             (Sent::At(_) | Sent::StalledUntil(_), Job::Request) => self.counts.requests_sent += 1,
             (Sent::At(_) | Sent::StalledUntil(_), Job::Reply(_)) => self.counts.replies_sent += 1,
             (Sent::At(_) | Sent::StalledUntil(_), Job::Slot(_)) => self.counts.frames_sent += 1,
-            (Sent::Late(_, frame) | Sent::Failed(_, frame), Job::Slot(i)) => {
+            (Sent::Late(_, frame) | Sent::Guarded(_, frame) | Sent::Failed(_, frame), Job::Slot(i)) => {
                 return Some(Returned { frame, priority, channel: self.config.slots[i].id });
             }
             _ => {}

@@ -71,6 +71,9 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
     if let Some(duration) = args.duration {
         scenario.duration = duration;
     }
+    if let Some(slot_guard) = args.slot_guard {
+        scenario.slot_guard = slot_guard;
+    }
     if let Some(seed) = args.seed {
         scenario.seed = seed;
         scenario = scenario.with_random_clocks();

@@ -104,6 +104,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         fifo: args.scheduling == Scheduling::Fifo,
         cpu: args.cpu,
         spin: args.lead,
+        guard: args.slot_guard.mode(),
         lab,
     })
 }

@@ -62,9 +62,13 @@ impl Records {
             FindingKind::Overlap | FindingKind::OutOfSlot => authors
                 .flat_map(|author| [author, Author { station: MASTER, ..author }])
                 .find_map(|author| self.get(author, EventKind::StalledInSend)),
+            // One that the kernel guard dropped is skipped, too.
             FindingKind::SyncGap => authors.find_map(|author| self.get(author, EventKind::SyncSkipped)),
-            FindingKind::SlotMissed => authors
-                .find_map(|author| self.get(author, EventKind::Overrun).or_else(|| self.silence(author))),
+            FindingKind::SlotMissed => authors.find_map(|author| {
+                self.get(author, EventKind::Overrun)
+                    .or_else(|| self.get(author, EventKind::GuardDropped))
+                    .or_else(|| self.silence(author))
+            }),
             FindingKind::Repeated => None,
         }
     }
@@ -108,6 +112,18 @@ mod tests {
         assert!(!explained(8, FindingKind::SlotMissed, 2));
         assert!(!explained(7, FindingKind::SlotMissed, 3));
         assert!(!explained(7, FindingKind::Overlap, 2), "who skips a slot overlaps nobody");
+    }
+
+    #[test]
+    fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
+        let mut records = Records::default();
+        records.note(7, 2, EventKind::GuardDropped, Span::from_nanos(5), None);
+        let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
+        assert!(explained(7, FindingKind::SlotMissed, 2));
+        assert!(!explained(8, FindingKind::SlotMissed, 2));
+        assert!(!explained(7, FindingKind::SlotMissed, 3));
+        assert!(!explained(7, FindingKind::Overlap, 2), "it never left");
+        assert!(!explained(7, FindingKind::OutOfSlot, 2), "nor that");
     }
 
     #[test]

@@ -24,6 +24,8 @@ pub struct Member {
     // Dropped before the namespace it lives in.
     pub process: Option<Process>,
     pub namespace: Namespace,
+    /// Whether the kernel enforces its slots.
+    pub guarded: bool,
     pub notes: Vec<String>,
     pub standing: Option<Standing>,
     pub standing_at_begin: Option<Standing>,
@@ -45,6 +47,7 @@ impl Member {
         Self {
             process: None,
             namespace,
+            guarded: false,
             notes: Vec::new(),
             standing: None,
             standing_at_begin: None,
@@ -154,7 +157,7 @@ impl Member {
                 self.ended = !self.told_to_end;
                 self.silent = true;
             }
-            Some(Report::Started(refused)) => self.notes = refused,
+            Some(Report::Started { guarded, refused }) => (self.guarded, self.notes) = (guarded, refused),
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => self.standing = Some(*standing),
             Some(Report::Events(events)) => {
@@ -221,6 +224,7 @@ pub fn arguments(
     if scenario.late == LatePolicy::Send {
         add("--late", "send".into());
     }
+    add("--slot-guard", scenario.slot_guard.name().into());
     for slot in &plan.slots {
         let (id, offset, size) = (slot.id, slot.offset, slot.size);
         let phase = format!("phase={}/{}", slot.phase + 1, slot.period);

@@ -6,7 +6,7 @@ use super::Outcome;
 use super::analysis::{Analysis, Finding, FindingKind};
 use super::explain::Records;
 use super::members::Member;
-use crate::report::figures::{Figures, Miss, MissKind, Role, StationFigures, Verdict};
+use crate::report::figures::{Figures, GuardName, Miss, MissKind, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
@@ -37,6 +37,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         syncs_skipped: own(EventKind::SyncSkipped).count() as u64,
         overruns: own(EventKind::Overrun).count() as u64,
         stalled_in_send: own(EventKind::StalledInSend).count() as u64,
+        guard_drops: own(EventKind::GuardDropped).count() as u64,
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
         rt_cpu_percent: members.iter().map(Member::rt_cpu_share).sum::<f64>() * 100.0,
@@ -68,6 +69,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
     for (kind, event) in [
         (MissKind::SyncSkipped, EventKind::SyncSkipped),
         (MissKind::StalledInSend, EventKind::StalledInSend),
+        (MissKind::GuardDropped, EventKind::GuardDropped),
         (MissKind::Overrun, EventKind::Overrun),
     ] {
         for record in own(event) {
@@ -139,6 +141,8 @@ fn station_figures(
         slots_missed: missed,
         overruns: own(EventKind::Overrun),
         stalled_in_send: own(EventKind::StalledInSend),
+        guard: if member.guarded { GuardName::Kernel } else { GuardName::User },
+        guard_drops: own(EventKind::GuardDropped),
         payload_errors: member.payload_errors(),
         slot_error_ns: seen.slot_error.summary(),
         slot_error_abs_ns: slot_error_abs.summary(),

@@ -34,6 +34,8 @@ pub struct Figures {
     pub overruns: u64,
     /// Frames late because the station was held up inside the send call.
     pub stalled_in_send: u64,
+    /// Frames that a kernel guard dropped because the station was held up before or inside the send call.
+    pub guard_drops: u64,
     /// Times at which two frames were on the air at once, at the medium's rate.
     pub overlaps: u64,
     /// Frames seen outside their slots.
@@ -111,6 +113,10 @@ pub struct StationFigures {
     pub overruns: u64,
     /// Frames late because it was held up inside the send call.
     pub stalled_in_send: u64,
+    /// What enforced its slots.
+    pub guard: GuardName,
+    /// Frames that the kernel guard dropped.
+    pub guard_drops: u64,
     /// Frames whose payload was not what it had sent.
     pub payload_errors: u64,
     /// Actual - scheduled transmit.
@@ -154,6 +160,17 @@ impl fmt::Display for Role {
             Role::Slave => "slave",
         })
     }
+}
+
+/// What keeps a station from sending after its slot's `latest` instant.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GuardName {
+    /// The kernel guard, behind its own last look at the clock.
+    Kernel,
+    /// Only that.
+    #[default]
+    User,
 }
 
 /// Whether a run kept what it promises.
@@ -210,6 +227,8 @@ pub enum MissKind {
     PayloadError,
     /// The station was held up inside the send call.
     StalledInSend,
+    /// The station was held up, and the kernel guard dropped its frame.
+    GuardDropped,
     /// The station was late and skipped the slot.
     Overrun,
     /// The master sent no Synchronisation frame.
@@ -224,6 +243,7 @@ impl fmt::Display for MissKind {
             MissKind::OutOfSlot => "out of slot",
             MissKind::PayloadError => "payload error",
             MissKind::StalledInSend => "stalled in send",
+            MissKind::GuardDropped => "guard dropped",
             MissKind::Overrun => "overrun",
             MissKind::SyncSkipped => "sync skipped",
         })
@@ -242,7 +262,7 @@ mod tests {
     fn the_fields_are_in_the_promised_order() {
         let names = [
             "stations cycle_ns cycles syncs_sent syncs_skipped frames_expected frames_seen slots_missed",
-            "overruns stalled_in_send overlaps out_of_slot unexplained payload_errors slot_error_ns",
+            "overruns stalled_in_send guard_drops overlaps out_of_slot unexplained payload_errors slot_error_ns",
             "slot_error_abs_ns sync_period_jitter_ns sync_error_ns per_station host verdict",
             "rt_cpu_percent clock_steps capture_dropped frames_lost misses",
         ];

@@ -8,9 +8,8 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use super::figures::{Figures, Miss, StationFigures};
+use super::figures::{Figures, GuardName, Miss, StationFigures};
 use super::histogram::{SignedHistogram, Summary};
-use super::host::HostFacts;
 use super::text::{
     Column, cut, exact_time, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
@@ -37,7 +36,7 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         jitter(figures, width),
         misses(figures, width),
         notes(figures, width),
-        host(&figures.host, width),
+        host(figures, width),
         verdict(figures, width),
     ];
     let mut screen = String::new();
@@ -167,6 +166,7 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         (figures.slots_missed, "slots missed"),
         (figures.overruns, "overruns"),
         (figures.stalled_in_send, "stalled in send"),
+        (figures.guard_drops, "guard drops"),
         (figures.overlaps, "overlaps"),
         (figures.out_of_slot, "out of slot"),
         (figures.unexplained, "unexplained"),
@@ -233,7 +233,8 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
     lines
 }
 
-fn host(host: &HostFacts, width: usize) -> Vec<String> {
+fn host(figures: &Figures, width: usize) -> Vec<String> {
+    let host = &figures.host;
     let mut items = vec![
         format!("Linux {}", host.kernel),
         host.preemption.clone(),
@@ -247,8 +248,19 @@ fn host(host: &HostFacts, width: usize) -> Vec<String> {
         Err(_) => "no rt throttling".to_owned(),
     }));
     items.extend(host.steal_ticks.map(|ticks| format!("steal {} ticks", grouped(ticks))));
+    items.push(slot_guard(&figures.per_station));
     items.push(format!("rtnet {}", host.rtnet));
     list("host: ", &items, width)
+}
+
+/// What enforced the slots, and where.
+fn slot_guard(stations: &[StationFigures]) -> String {
+    let kernel = stations.iter().filter(|station| station.guard == GuardName::Kernel).count();
+    match kernel {
+        0 => "no kernel guard".to_owned(),
+        all if all == stations.len() => "kernel guard".to_owned(),
+        some => format!("kernel guard in {some} of {} stations", stations.len()),
+    }
 }
 
 /// Its last line says it all; reasons that do not fit that line stand above it.

@@ -8,6 +8,7 @@
 //! duration = "10s"
 //! seed = 1
 //! late = "skip"             # or "send", as RTnet does
+//! slot_guard = "auto"       # or "kernel", "user": what keeps stations from sending later
 //!
 //! [[station]]
 //! name = "master"
@@ -26,7 +27,7 @@ use rtnet::wire::ethernet;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotPlan, StationPlan, default_sync_window};
+use super::{MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window};
 use crate::report::figures::Role;
 use crate::units::{AnySpan, FileRate, NonNegativeSpan, PositiveSpan};
 
@@ -85,6 +86,7 @@ struct NetworkFile {
     duration: Option<PositiveSpan>,
     seed: Option<u64>,
     late: Option<Late>,
+    slot_guard: Option<SlotGuard>,
     station: Vec<Spanned<StationFile>>,
 }
 
@@ -151,6 +153,7 @@ impl Source<'_> {
             duration: network.duration.map_or(DEFAULT_DURATION, |duration| duration.0),
             seed: network.seed.unwrap_or(1),
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
+            slot_guard: network.slot_guard.unwrap_or_default(),
             stations,
         };
         let without =
@@ -357,6 +360,8 @@ slots = [{ id = 0, offset = "100us" }]
         );
         let slot = SlotPlan { id: 0, offset: Span::from_micros(500), phase: 1, period: 2, size: 100 };
         assert_eq!(arm.slots, [slot]);
+        let guarded = GOOD.replace("rate =", "slot_guard = \"kernel\"\nrate =");
+        assert_eq!(parse(&guarded).unwrap().slot_guard, SlotGuard::Kernel);
         // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
         assert_eq!(network.guard.nanos(), 400_000 - 8_160);
     }

@@ -3,11 +3,14 @@
 
 mod file;
 
+use clap::ValueEnum;
 use rtmac::tdma::schedule::{self, Conflict, Rate, Schedule};
 use rtmac::tdma::{LatePolicy, SlotConfig};
+use rtnet::live::GuardMode;
 use rtnet::sim::Random;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{self, Address};
+use serde::Deserialize;
 
 use crate::report::figures::Role;
 
@@ -43,6 +46,8 @@ pub struct Scenario {
     pub seed: u64,
     /// What stations do with a slot that has passed.
     pub late: LatePolicy,
+    /// What keeps stations from sending later than that.
+    pub slot_guard: SlotGuard,
     /// The first is the master.
     pub stations: Vec<StationPlan>,
 }
@@ -81,6 +86,39 @@ pub struct SlotPlan {
     pub period: u32,
     /// Largest payload behind the Ethernet header.
     pub size: usize,
+}
+
+/// What keeps a station from sending after its slot's `latest` instant.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum SlotGuard {
+    /// The kernel if it lets us, and a line that says why if not
+    #[default]
+    Auto,
+    /// The kernel, or it does not run
+    Kernel,
+    /// Only the station's own last look at the clock
+    User,
+}
+
+impl SlotGuard {
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            SlotGuard::Auto => "auto",
+            SlotGuard::Kernel => "kernel",
+            SlotGuard::User => "user",
+        }
+    }
+
+    /// As a port takes it.
+    pub fn mode(self) -> GuardMode {
+        match self {
+            SlotGuard::Auto => GuardMode::Auto,
+            SlotGuard::Kernel => GuardMode::Kernel,
+            SlotGuard::User => GuardMode::User,
+        }
+    }
 }
 
 /// What `lab run` without a file is told.
@@ -149,8 +187,10 @@ impl Uniform {
             })
             .collect();
         let guard = length - air;
-        let late = LatePolicy::Skip;
-        Ok(Scenario { cycle, sync_window, rate, guard, duration, seed, late, stations }.with_random_clocks())
+        let (late, slot_guard) = (LatePolicy::Skip, SlotGuard::Auto);
+        let scenario =
+            Scenario { cycle, sync_window, rate, guard, duration, seed, late, slot_guard, stations };
+        Ok(scenario.with_random_clocks())
     }
 }
 

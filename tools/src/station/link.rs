@@ -54,8 +54,13 @@ impl LabOptions {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Report {
-    /// It is about to run; what the host refused it.
-    Started(Vec<String>),
+    /// It is about to run.
+    Started {
+        /// Whether the kernel enforces its slots.
+        guarded: bool,
+        /// What the host refused it.
+        refused: Vec<String>,
+    },
     /// What happened: cycle, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was
     /// missed by it, why (its place in [`Cause::ALL`]).
     Events(Vec<(u32, u8, i64, Option<u8>)>),

@@ -18,7 +18,7 @@ use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime, SLAVE_PRIORITY};
-use rtnet::live::{Driver, DriverConfig, Port};
+use rtnet::live::{Driver, DriverConfig, GuardMode, Port};
 use rtnet::station::Station;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
@@ -54,6 +54,8 @@ pub struct Options {
     pub cpu: Option<usize>,
     /// How long before its instant a frame is spun for.
     pub spin: Span,
+    /// Whether the kernel is to enforce its slots.
+    pub guard: GuardMode,
     /// Set by a lab.
     pub lab: Option<LabOptions>,
 }
@@ -74,6 +76,8 @@ pub fn sync_latest(window: Span) -> Span {
 pub struct Ready {
     driver: Driver<Tdma>,
     realtime: RealTime,
+    guarded: bool,
+    guard_refused: Option<String>,
     counts: Arc<TrafficCounts>,
     stop: Arc<AtomicBool>,
     in_lab: bool,
@@ -90,14 +94,28 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let interface = Interface::find(&options.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
-    let driver = driver(&options, &interface, stop.clone(), counts.clone())?;
+    let port = port(&options, &interface)?;
+    let (guarded, guard_refused) = (port.is_guarded(), port.guard_refused().map(str::to_owned));
+    let driver = driver(&options, &interface, port, stop.clone(), counts.clone())?;
     let in_lab = options.lab.is_some();
     let is_master = matches!(options.tdma.role, RoleConfig::Master(_));
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
     let realtime = RealTime { priority: options.fifo.then_some(priority), cpu: options.cpu };
     let desk = Desk::new(&options, &driver, interface.address.to_string(), counts.clone());
-    let teller = Teller::new(&options, interface.address);
-    Ok(Ready { driver, realtime, counts, stop, in_lab, teller, desk, control, _name: name })
+    let teller = Teller::new(&options, interface.address, guarded);
+    Ok(Ready {
+        driver,
+        realtime,
+        guarded,
+        guard_refused,
+        counts,
+        stop,
+        in_lab,
+        teller,
+        desk,
+        control,
+        _name: name,
+    })
 }
 
 impl Ready {
@@ -113,12 +131,13 @@ impl Ready {
             let _ = told.send(refused);
             driver.run();
         })?;
-        let refused = refusals.recv().context("the real-time thread did not start")?;
+        let mut refused = refusals.recv().context("the real-time thread did not start")?;
+        refused.extend(self.guard_refused);
         // What this thread may still do is what those that it starts may do.
         drop_capabilities();
         stop_when_told(&self.stop, self.in_lab)?;
         self.desk.note_host(&refused);
-        self.teller.started(refused)?;
+        self.teller.started(self.guarded, refused)?;
         let mut told = Instant::now();
         loop {
             let ended = thread.is_finished();
@@ -143,16 +162,22 @@ impl Ready {
     }
 }
 
+/// Data of a lab's test traffic, if it has any.
+fn port(options: &Options, interface: &Interface) -> Result<Port> {
+    let data: &[_] = if options.lab.is_some() { &[EtherType::EXPERIMENTAL] } else { &[] };
+    Ok(Port::open(interface, data, options.clock(), options.spin.nanos().max(0) as u64, options.guard)?)
+}
+
 fn driver(
     options: &Options,
     interface: &Interface,
+    port: Port,
     stop: Arc<AtomicBool>,
     counts: Arc<TrafficCounts>,
 ) -> Result<Driver<Tdma>> {
     let tdma = TdmaConfig { address: interface.address, ..options.tdma.clone() };
     let discipline = Tdma::new(&tdma).map_err(|refused| anyhow!(refused))?;
     let mut services: Vec<Box<dyn Service>> = Vec::new();
-    let mut data = Vec::new();
     if let Some(lab) = &options.lab {
         let plan = TrafficPlan {
             station: lab.station,
@@ -163,12 +188,7 @@ fn driver(
             from_payload: lab.from_payload,
         };
         services.push(Box::new(Traffic::new(plan, counts)));
-        data.push(EtherType::EXPERIMENTAL);
     }
-    let port = Port::open(interface, &data, options.clock(), options.spin.nanos().max(0) as u64)
-        .with_context(|| {
-            format!("packet sockets on '{}' (run as root, or give CAP_NET_RAW)", interface.name)
-        })?;
     let config = DriverConfig { stop, sample_time: options.lab.is_some() };
     Ok(Driver::new(Station::new(discipline, services), port, config))
 }

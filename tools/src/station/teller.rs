@@ -19,20 +19,21 @@ pub enum Teller {
 }
 
 impl Teller {
-    pub fn new(options: &Options, address: Address) -> Self {
+    pub fn new(options: &Options, address: Address, guarded: bool) -> Self {
         match options.lab {
             Some(_) => Teller::Lab,
             None => {
                 let name = options.name.clone().unwrap_or_else(|| options.interface.clone());
-                print(&format!("{name}: on {} ({address}); Ctrl-C ends it", options.interface));
+                let guard = if guarded { ", kernel guard" } else { "" };
+                print(&format!("{name}: on {} ({address}{guard}); Ctrl-C ends it", options.interface));
                 Teller::Person { name, state: SyncState::Waiting, last: None }
             }
         }
     }
 
-    pub fn started(&self, refused: Vec<String>) -> Result<()> {
+    pub fn started(&self, guarded: bool, refused: Vec<String>) -> Result<()> {
         match self {
-            Teller::Lab => say(&Report::Started(refused)),
+            Teller::Lab => say(&Report::Started { guarded, refused }),
             Teller::Person { name, .. } => {
                 refused.iter().for_each(|line| eprintln!("{name}: {line}"));
                 Ok(())
@@ -89,7 +90,7 @@ impl Drop for Teller {
             let counters = &status.counters;
             print(&format!(
                 "{name}: ended in cycle {} ({}): {} syncs sent, {} skipped, {} received; {} frames sent, {} \
-                 overruns, {} stalled in send",
+                 overruns, {} stalled in send, {} dropped by the kernel guard",
                 status.cycle,
                 status.state.name(),
                 counters.syncs_sent,
@@ -98,6 +99,7 @@ impl Drop for Teller {
                 counters.frames_sent,
                 counters.overruns,
                 counters.stalled_in_send,
+                counters.guard_drops,
             ));
         }
     }

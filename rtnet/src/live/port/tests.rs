@@ -9,10 +9,14 @@ const ROOM_FOR_A_BUSY_HOST: Span = Span::from_millis(1_000);
 
 /// A port that hears itself: on the loopback of a namespace of the test's own.
 fn port() -> Port {
+    port_with(GuardMode::Auto)
+}
+
+fn port_with(guard: GuardMode) -> Port {
     let index = nix::net::if_::if_nametoindex("lo").unwrap();
     let interface = Interface { name: "lo".into(), index, address: Address::default() };
     let clock = EmulatedClock { anchor: monotonic(), offset: Span::from_millis(300), drift_ppb: 40_000 };
-    Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, 50_000).unwrap()
+    Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, 50_000, guard).unwrap()
 }
 
 fn transmission(pool: &Pool, at: Instant, latest: Instant) -> Transmission {
@@ -81,5 +85,46 @@ fn what_the_kernel_drops_from_a_full_socket_is_counted() {
         assert!(dropped > 0 && frames > 0);
         assert_eq!(frames + dropped, sent);
         assert_eq!(port.counters().socket_full, dropped, "none is counted twice");
+    });
+}
+
+/// A frame held up for 20 ms after the last look at the clock, when it had 10: what became of it, and what arrived.
+fn held_up(guard: GuardMode) -> (Sent, usize, Port) {
+    let (mut port, pool) = (port_with(guard), Pool::new(1));
+    port.hold_before_send(|| sleep_until(monotonic() + 20_000_000));
+    let at = port.now() + Span::from_millis(1);
+    let sent = port.transmit(transmission(&pool, at, at + Span::from_millis(10)));
+    let arrived = received(&mut port).len();
+    (sent, arrived, port)
+}
+
+#[test]
+fn what_is_held_up_after_the_check_leaves_late_only_without_a_guard() {
+    in_a_namespace(|| {
+        let (sent, arrived, port) = held_up(GuardMode::User);
+        assert!(matches!(sent, Sent::StalledUntil(_)), "{sent:?}");
+        assert_eq!((arrived, port.is_guarded(), port.guard_refused()), (1, false, None));
+        let (sent, arrived, port) = held_up(GuardMode::Auto);
+        if let Some(line) = port.guard_refused() {
+            let _ = io::Write::write_all(&mut io::stderr(), format!("SKIP: {line}\n").as_bytes());
+            return;
+        }
+        let Sent::Guarded(at, frame) = sent else { panic!("{sent:?}") };
+        assert!(port.now() >= at);
+        assert_eq!((frame.len(), arrived), (60, 0));
+    });
+}
+
+#[test]
+fn a_frame_that_the_kernel_refuses_for_another_reason_was_not_dropped_by_the_guard() {
+    in_a_namespace(|| {
+        let (mut port, pool) = (port(), Pool::new(1));
+        let at = port.now();
+        let mut short = transmission(&pool, at, at + ROOM_FOR_A_BUSY_HOST);
+        // No frame is shorter than its header.
+        short.frame.set_len(13);
+        short.stamp = None;
+        let sent = port.transmit(short);
+        assert!(matches!(sent, Sent::Failed(_, _)), "{sent:?}");
     });
 }

@@ -1,4 +1,5 @@
 use super::super::figures::{MissKind, Role, Verdict};
+use super::super::host::HostFacts;
 use super::*;
 
 /// Four stations, two of them with a fault.
@@ -25,6 +26,7 @@ fn fixed() -> (Figures, SignedHistogram) {
         sync_error_ns: if role == Role::Master { Summary::default() } else { sync.summary() },
         cpu_percent: 3.04,
         notes: vec!["SCHED_FIFO refused: operation not permitted".into()],
+        guard: if role == Role::Master { GuardName::Kernel } else { GuardName::User },
         ..StationFigures::default()
     };
     let mut per_station =

@@ -1,0 +1,174 @@
+//! The kernel guard: a program at an interface's egress that drops what would leave too late.
+//!
+//! ```text
+//!   station                         kernel
+//!   page.begin, page.end ──────────► ┌─────────┐ in time
+//!   check, send ───── frame ───────► │ program │ ────────► wire
+//!   ENOBUFS, page.late + 1 ◄──────── └─────────┘
+//! ```
+//!
+//! Between a station's last look at the clock and the wire anything may stop it: the guard looks again, in
+//! the kernel, where nothing is preempted any more on the way to the wire of a virtual link. (On a network
+//! card, the card's own queue is behind it.) A station writes its transmission's window into a page that it
+//! shares with the program, which costs no system call. Times are CLOCK_MONOTONIC, nanoseconds.
+//!
+//! The page begins as zero, and a window is closed after its frame: what is sent outside of any window is
+//! dropped, too. That holds for frames with [`MARK`], which sockets of guarded ports set, whoever sends
+//! them; all others pass, so that an interface can be shared with ordinary traffic.
+
+mod bpf;
+mod clsact;
+mod program;
+
+use core::sync::atomic::{AtomicU64, Ordering};
+use std::io;
+use std::os::fd::{AsRawFd, OwnedFd};
+
+use crate::clock::True;
+
+pub use program::MARK;
+
+/// Whether a port is to have a guard.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum GuardMode {
+    /// If the host lets it; if not, it goes on and says why.
+    #[default]
+    Auto,
+    /// Not without.
+    Kernel,
+    /// Without: the last look at the clock before `send` is the last.
+    User,
+}
+
+/// Why there is no guard: what was asked of the kernel, and its answer.
+#[derive(Debug, thiserror::Error)]
+#[error("{step}: {error}")]
+pub struct GuardRefused {
+    step: &'static str,
+    error: io::Error,
+}
+
+impl GuardRefused {
+    pub(super) fn new(step: &'static str, error: io::Error) -> Self {
+        Self { step, error }
+    }
+
+    /// What to do about it.
+    pub fn remedy(&self) -> &'static str {
+        match self.error.kind() {
+            io::ErrorKind::PermissionDenied => "run as root, or give CAP_BPF and CAP_NET_ADMIN",
+            io::ErrorKind::Unsupported => "run it in the host's time namespace",
+            _ => "it needs eBPF and tcx (Linux 6.6) or clsact",
+        }
+    }
+}
+
+/// What became of the frames that a guard has seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct GuardCounters {
+    /// In their window.
+    pub passed: u64,
+    /// Dropped: after their window's end, or without a window.
+    pub late: u64,
+    /// Dropped: before their window's begin.
+    pub early: u64,
+}
+
+/// A guard at an interface, until it is dropped or its process ends. (A clsact filter stays if the process is
+/// killed: it drops marked frames until the next guard there replaces it.)
+pub struct Guard {
+    mapping: bpf::Mapping,
+    _hook: Hook,
+}
+
+/// What the station and the program share.
+#[repr(C)]
+struct Page {
+    begin: AtomicU64,
+    end: AtomicU64,
+    passed: AtomicU64,
+    late: AtomicU64,
+    early: AtomicU64,
+}
+
+/// What holds the program in place.
+enum Hook {
+    Tcx { _link: OwnedFd },
+    Clsact { _filter: clsact::Filter },
+}
+
+type Attach = fn(&OwnedFd, u32) -> io::Result<Hook>;
+
+impl Guard {
+    /// Attaches a guard to an interface of the calling thread's namespace. Needs CAP_BPF and CAP_NET_ADMIN.
+    pub fn attach(interface: u32) -> Result<Self, GuardRefused> {
+        Self::attach_by(
+            |program, interface| tcx(program, interface).or_else(|_| clsact(program, interface)),
+            interface,
+        )
+    }
+
+    fn attach_by(hook: Attach, interface: u32) -> Result<Self, GuardRefused> {
+        let refused = |step| move |error| GuardRefused::new(step, error);
+        the_kernels_clock().map_err(refused("CLOCK_MONOTONIC"))?;
+        let map = bpf::create_map().map_err(refused("bpf map"))?;
+        let mapping = bpf::Mapping::new(&map).map_err(refused("bpf map in memory"))?;
+        let program = program::assemble(map.as_raw_fd());
+        let program = bpf::load(&program).map_err(refused("bpf program"))?;
+        let hook = hook(&program, interface).map_err(refused("tcx, clsact"))?;
+        Ok(Self { mapping, _hook: hook })
+    }
+
+    /// From here on a frame may leave from `begin` to `end`.
+    #[inline]
+    pub fn open(&self, begin: True, end: True) {
+        // The program runs in this thread's own `send`: no order beyond the program's is needed.
+        self.mapping.page().begin.store(begin, Ordering::Relaxed);
+        self.mapping.page().end.store(end, Ordering::Relaxed);
+    }
+
+    /// From here on no frame may leave.
+    #[inline]
+    pub fn close(&self) {
+        self.mapping.page().end.store(0, Ordering::Relaxed);
+    }
+
+    /// How many frames were dropped so far, for whatever reason.
+    #[inline]
+    pub fn drops(&self) -> u64 {
+        let GuardCounters { late, early, .. } = self.counters();
+        late + early
+    }
+
+    /// What was counted so far. Asks nobody.
+    #[inline]
+    pub fn counters(&self) -> GuardCounters {
+        let Page { passed, late, early, .. } = self.mapping.page();
+        let [passed, late, early] = [passed, late, early].map(|counter| counter.load(Ordering::Relaxed));
+        GuardCounters { passed, late, early }
+    }
+}
+
+fn tcx(program: &OwnedFd, interface: u32) -> io::Result<Hook> {
+    Ok(Hook::Tcx { _link: bpf::attach(program, interface)? })
+}
+
+fn clsact(program: &OwnedFd, interface: u32) -> io::Result<Hook> {
+    Ok(Hook::Clsact { _filter: clsact::Filter::attach(program, interface)? })
+}
+
+/// A time namespace may have set CLOCK_MONOTONIC off: the program, which reads the kernel's own, would drop
+/// everything.
+fn the_kernels_clock() -> io::Result<()> {
+    // Without time namespaces there is no such file.
+    let offsets = std::fs::read_to_string("/proc/self/timens_offsets").unwrap_or_default();
+    let line = offsets.lines().find(|line| line.starts_with("monotonic")).unwrap_or_default();
+    if line.split_whitespace().skip(1).all(|offset| offset == "0") {
+        Ok(())
+    } else {
+        Err(io::Error::new(io::ErrorKind::Unsupported, "set off by a time namespace"))
+    }
+}
+
+#[cfg(test)]
+mod tests;

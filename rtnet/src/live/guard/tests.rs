@@ -1,0 +1,89 @@
+use super::*;
+use crate::live::clock::monotonic;
+use crate::live::packet;
+use crate::live::ring::tests::in_a_namespace;
+use socket2::Socket;
+
+const SECOND: True = 1_000_000_000;
+
+/// A socket whose frames are marked, on the loopback.
+fn marked(interface: u32, mark: u32) -> Socket {
+    let socket = packet::open().unwrap();
+    packet::bind(&socket, interface, 0).unwrap();
+    socket.set_mark(mark).unwrap();
+    socket
+}
+
+/// A guard on the loopback of a namespace of the test's own, by each hook that this kernel has.
+fn with_each_hook(test: fn(&dyn Fn() -> Guard, &Socket, u32)) {
+    for (name, hook) in [("tcx", tcx as Attach), ("clsact", clsact as Attach)] {
+        in_a_namespace(|| {
+            let lo = nix::net::if_::if_nametoindex("lo").unwrap();
+            if let Err(refused) = Guard::attach_by(hook, lo) {
+                let line = format!("SKIP {name}: {refused}: {}\n", refused.remedy());
+                let _ = io::Write::write_all(&mut io::stderr(), line.as_bytes());
+                return;
+            }
+            test(&|| Guard::attach_by(hook, lo).unwrap(), &marked(lo, MARK), lo);
+        });
+    }
+}
+
+#[test]
+fn what_is_outside_its_window_is_dropped_and_counted_by_either_hook() {
+    with_each_hook(|attach, socket, _| {
+        let (guard, now) = (attach(), monotonic());
+        let sent = |begin, end| {
+            guard.open(begin, end);
+            packet::send(socket, &[0; 60])
+        };
+        assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS), "no window yet");
+        assert_eq!(sent(now - SECOND, now + SECOND), Ok(()));
+        assert_eq!(sent(now - SECOND, now), Err(libc::ENOBUFS));
+        assert_eq!(sent(now + SECOND, now + 2 * SECOND), Err(libc::ENOBUFS));
+        guard.open(now - SECOND, now + SECOND);
+        guard.close();
+        assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS), "closed");
+        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 3, early: 1 });
+        assert_eq!(guard.drops(), 4);
+    });
+}
+
+#[test]
+fn others_frames_pass_and_all_do_once_the_guard_is_gone() {
+    with_each_hook(|attach, socket, lo| {
+        let guard = attach();
+        for mark in [0, 1, MARK + 1, !MARK] {
+            assert_eq!(packet::send(&marked(lo, mark), &[0; 60]), Ok(()));
+        }
+        assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS));
+        assert_eq!(guard.counters(), GuardCounters { passed: 0, late: 1, early: 0 });
+        drop(guard);
+        assert_eq!(packet::send(socket, &[0; 60]), Ok(()));
+    });
+}
+
+#[test]
+fn a_filter_that_a_killed_station_left_is_replaced() {
+    in_a_namespace(|| {
+        let lo = nix::net::if_::if_nametoindex("lo").unwrap();
+        let Ok(killed) = Guard::attach_by(clsact, lo) else {
+            let _ = io::Write::write_all(&mut io::stderr(), b"SKIP: no clsact\n");
+            return;
+        };
+        // What is never dropped removes nothing, as a killed process.
+        std::mem::forget(killed);
+        let (guard, socket) = (Guard::attach_by(clsact, lo).unwrap(), marked(lo, MARK));
+        guard.open(0, True::MAX);
+        assert_eq!(packet::send(&socket, &[0; 60]), Ok(()), "the one left would have dropped it");
+        drop(guard);
+        assert_eq!(packet::send(&socket, &[0; 60]), Ok(()));
+    });
+}
+
+#[test]
+fn an_interface_that_is_not_there_is_refused_in_one_line() {
+    let refused = Guard::attach(u32::MAX >> 1).err().unwrap();
+    let line = format!("{refused}: {}", refused.remedy());
+    assert!(!line.contains('\n'), "{line}");
+}

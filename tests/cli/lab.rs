@@ -85,6 +85,32 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
 }
 
 #[test]
+fn a_lab_says_what_enforced_its_slots() {
+    if !as_root("a_lab_says_what_enforced_its_slots") {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let json = dir.path().join("report.json");
+    let report = |slot_guard: &str| {
+        let mut lab = lab("2", "500ms");
+        let output = lab.args(["--slot-guard", slot_guard, "--json"]).arg(&json).output().unwrap();
+        let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+        let guards = report["per_station"].as_array().unwrap().iter().map(|station| station["guard"].clone());
+        (String::from_utf8(output.stdout).unwrap(), guards.collect::<Vec<_>>())
+    };
+    let (screen, guards) = report("user");
+    assert_eq!(guards, ["user", "user"]);
+    assert!(screen.contains("no kernel guard"), "{screen}");
+    // A host that has no guard says so, once.
+    let (screen, guards) = report("auto");
+    let refused = screen.matches("note: kernel guard: ").count();
+    assert!(
+        guards == ["kernel", "kernel"] && refused == 0 || guards == ["user", "user"] && refused == 1,
+        "{screen}"
+    );
+}
+
+#[test]
 fn a_file_says_what_the_network_is() {
     if !as_root("a_file_says_what_the_network_is") {
         return;

@@ -63,6 +63,20 @@ impl Medium {
     where
         D::Status: Send,
     {
+        self.start_held(clock, to, None, discipline)
+    }
+
+    /// The same for one that does something between its last look at the clock and each `send`.
+    pub fn start_held<D: Discipline + 'static>(
+        &mut self,
+        clock: EmulatedClock,
+        to: u8,
+        hold: Option<fn()>,
+        discipline: impl FnOnce(Address) -> D,
+    ) -> Running<D>
+    where
+        D::Status: Send,
+    {
         let (number, address) = (self.stations, Self::address(self.stations));
         self.stations += 1;
         let namespace = Namespace::new().unwrap();
@@ -71,7 +85,10 @@ impl Medium {
         let spin = DEFAULT_LEAD.nanos() as u64;
         let open =
             || Port::open(&Interface::find("rt0").unwrap(), &data, clock, spin, GuardMode::Auto).unwrap();
-        let port = namespace.run(open).unwrap();
+        let mut port = namespace.run(open).unwrap();
+        if let Some(hold) = hold {
+            port.hold_before_send(hold);
+        }
         let traffic = TestTraffic::new(number.into(), address, Self::address(to));
         let tally = traffic.tally.clone();
         let services: Vec<Box<dyn Service>> = vec![Box::new(traffic)];

@@ -3,6 +3,7 @@
 // Real stations need real time.
 #![allow(clippy::disallowed_methods)]
 
+mod kernel_guard;
 mod live;
 mod peer_over_veth;
 mod sync_loss;

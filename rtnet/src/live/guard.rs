@@ -58,7 +58,7 @@ impl GuardRefused {
         match self.error.kind() {
             io::ErrorKind::PermissionDenied => "run as root, or give CAP_BPF and CAP_NET_ADMIN",
             io::ErrorKind::Unsupported => "run it in the host's time namespace",
-            _ => "it needs eBPF and tcx (Linux 6.6) or clsact",
+            _ => "the interface needs tcx, Linux 6.6, or clsact",
         }
     }
 }
@@ -162,12 +162,16 @@ fn clsact(program: &OwnedFd, interface: u32) -> io::Result<Hook> {
 fn the_kernels_clock() -> io::Result<()> {
     // Without time namespaces there is no such file.
     let offsets = std::fs::read_to_string("/proc/self/timens_offsets").unwrap_or_default();
-    let line = offsets.lines().find(|line| line.starts_with("monotonic")).unwrap_or_default();
-    if line.split_whitespace().skip(1).all(|offset| offset == "0") {
-        Ok(())
-    } else {
-        Err(io::Error::new(io::ErrorKind::Unsupported, "set off by a time namespace"))
+    if is_set_off(&offsets) {
+        return Err(io::Error::new(io::ErrorKind::Unsupported, "set off by a time namespace"));
     }
+    Ok(())
+}
+
+/// Lines of clock, seconds, nanoseconds.
+fn is_set_off(offsets: &str) -> bool {
+    let monotonic = offsets.lines().filter_map(|line| line.strip_prefix("monotonic"));
+    monotonic.flat_map(str::split_whitespace).any(|offset| offset != "0")
 }
 
 #[cfg(test)]

@@ -151,6 +151,12 @@ fn exit() -> Instruction {
     instruction(0x95, R0, R0, 0, 0)
 }
 
+/// A program that ends the chain with TCX_PASS, so that nothing behind it runs.
+#[cfg(test)]
+pub fn pass_everything() -> [Instruction; 2] {
+    [set(R0, 0), exit()]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -87,3 +87,25 @@ fn an_interface_that_is_not_there_is_refused_in_one_line() {
     let line = format!("{refused}: {}", refused.remedy());
     assert!(!line.contains('\n'), "{line}");
 }
+
+#[test]
+fn a_program_that_was_there_before_and_passes_everything_does_not_help() {
+    in_a_namespace(|| {
+        let lo = nix::net::if_::if_nametoindex("lo").unwrap();
+        let other = bpf::load(&program::pass_everything()).and_then(|program| bpf::attach(&program, lo));
+        let (Ok(_other), Ok(guard)) = (other, Guard::attach_by(tcx, lo)) else {
+            let _ = io::Write::write_all(&mut io::stderr(), b"SKIP: no tcx\n");
+            return;
+        };
+        assert_eq!(packet::send(&marked(lo, MARK), &[0; 60]), Err(libc::ENOBUFS));
+        assert_eq!(guard.drops(), 1);
+    });
+}
+
+#[test]
+fn a_time_namespace_is_noticed() {
+    assert!(!is_set_off(""));
+    assert!(!is_set_off("monotonic           0         0\nboottime     100         0\n"));
+    assert!(is_set_off("monotonic          86400         0\nboottime       0         0\n"));
+    assert!(is_set_off("monotonic           0         -7\n"));
+}

@@ -162,7 +162,7 @@ impl Ready {
     }
 }
 
-/// Data of a lab's test traffic, if it has any.
+/// A port that hears the test traffic, in a lab.
 fn port(options: &Options, interface: &Interface) -> Result<Port> {
     let data: &[_] = if options.lab.is_some() { &[EtherType::EXPERIMENTAL] } else { &[] };
     Ok(Port::open(interface, data, options.clock(), options.spin.nanos().max(0) as u64, options.guard)?)

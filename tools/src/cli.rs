@@ -25,6 +25,14 @@ pub enum Verb {
     /// Networks on this machine, each station in a network namespace of its own
     #[command(subcommand)]
     Lab(LabVerb),
+    /// Measure what this host can hold: which cycle, how many stations, how many missed slots
+    ///
+    /// Measures how late threads wake, how often the host holds the core up, what sending costs, and
+    /// what this process may do. Ends with a network to try, as its last line: `HOLDS: ...`, or
+    /// `DOES NOT HOLD: ...` with the best there is. An ordinary user gets what needs no privilege.
+    ///
+    /// Exit status: 0 it was measured, whatever the verdict; 2 bad usage.
+    Doctor(DoctorArgs),
     /// Run one station in the foreground, on any Ethernet interface
     Station(Box<StationArgs>),
     /// Look at a running station, or change its part in the cycle
@@ -253,6 +261,34 @@ pub struct LabRunArgs {
     /// Write every frame on the medium as pcapng
     #[arg(long, value_name = "FILE")]
     pub pcap: Option<PathBuf>,
+}
+
+/// Arguments of `doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArgs {
+    /// The core that real-time threads would use [default: the last]
+    #[arg(long, value_name = "N")]
+    pub cpu: Option<usize>,
+    /// How long to measure altogether, at least 1s
+    #[arg(long, default_value = "20s", value_parser = parse_measurement)]
+    pub duration: Span,
+    /// Write all figures as JSON, too
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Enter a user namespace and end: 0 it could be done, 1 not
+    #[arg(long, hide = true)]
+    pub probe_user_namespace: bool,
+}
+
+/// A shorter one sees too few wake-ups to tell anything of the late ones.
+fn parse_measurement(text: &str) -> Result<Span, String> {
+    let span = parse_positive_span(text).map_err(|error| error.to_string())?;
+    let least = Span::from_millis(1_000);
+    if span < least {
+        Err(format!("'{text}' is too short: at least 1s, or nothing is seen"))
+    } else {
+        Ok(span)
+    }
 }
 
 /// Arguments of `station`.

@@ -6,6 +6,7 @@
 pub mod cli;
 pub mod cmd;
 pub mod control;
+pub mod doctor;
 pub mod lab;
 pub mod report;
 pub mod scenario;

@@ -14,6 +14,7 @@ fn main() -> ExitCode {
         Verb::Lab(LabVerb::Down(args)) => cmd::lab::down(args),
         Verb::Lab(LabVerb::Status(args)) => cmd::lab::status(args),
         Verb::Lab(LabVerb::Exec(args)) => cmd::lab::exec(args),
+        Verb::Doctor(args) => cmd::doctor::doctor(args),
         Verb::Station(args) => cmd::station::station(args),
         Verb::Tdma(args) => cmd::tdma::tdma(args),
         Verb::Slot(args) => cmd::slot::slot(args),

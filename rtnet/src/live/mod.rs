@@ -22,5 +22,5 @@ pub mod realtime;
 pub mod ring;
 
 pub use driver::{Answer, Driver, DriverConfig, Record, Snapshot};
-pub use guard::GuardMode;
+pub use guard::{Guard, GuardMode, GuardRefused};
 pub use port::{OpenError, Port, PortCounters};

@@ -1,12 +1,10 @@
 //! `rtnet lab run`.
 
 use std::io::Write;
-use std::path::Path;
 
-use anyhow::Context;
 use rtnet::time::Span;
 
-use super::Failure;
+use super::{Failure, screen_width, writable, write_json};
 use crate::cli::LabRunArgs;
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
@@ -19,19 +17,16 @@ const DEFAULT_SEED: u64 = 1;
 const SHORT: Span = Span::from_millis(2_000);
 /// Cycles that a network takes to come up: calibration, mostly.
 const JOINING_CYCLES: i64 = 250;
-/// Columns of the report when the terminal does not say.
-const WIDTH: usize = 100;
 
 /// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
 pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
     let (scenario, options) = prepared(args).map_err(Failure::Usage)?;
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
     let outcome = lab.run(&scenario).map_err(Failure::Run)?;
-    let width = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok()).unwrap_or(WIDTH);
     if let Some(path) = &args.json {
         write_json(path, &outcome.figures).map_err(Failure::Run)?;
     }
-    let screen = screen::render(&outcome.figures, width.max(screen::WIDTH_MIN), &outcome.slot_error_abs);
+    let screen = screen::render(&outcome.figures, screen_width(), &outcome.slot_error_abs);
     // Whoever closed our output does not want to read the rest.
     let _ = std::io::stdout().write_all(screen.as_bytes());
     Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
@@ -79,17 +74,4 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
         scenario = scenario.with_random_clocks();
     }
     Ok(if args.ideal_clocks { scenario.with_ideal_clocks() } else { scenario })
-}
-
-/// A file that cannot be written is better known before the run than after it.
-fn writable(path: &Path) -> anyhow::Result<()> {
-    let open = std::fs::File::options().append(true).create(true).open(path);
-    open.with_context(|| format!("{} cannot be written", path.display())).map(drop)
-}
-
-/// Writes a report.
-pub fn write_json(path: &Path, figures: &impl serde::Serialize) -> anyhow::Result<()> {
-    let mut text = serde_json::to_string_pretty(figures)?;
-    text.push('\n');
-    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
 }

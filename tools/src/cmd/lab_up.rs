@@ -12,7 +12,8 @@ use rtnet::time::Span;
 
 use super::Failure;
 use super::lab::{account, is_well};
-use super::lab_run::{prepared, write_json};
+use super::lab_run::prepared;
+use super::write_json;
 use crate::cli::LabUpArgs;
 use crate::control::{Directory, Home, LabStatus, check_name};
 use crate::lab;

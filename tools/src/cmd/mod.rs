@@ -1,5 +1,6 @@
 //! One module per verb: from arguments to the thing done.
 
+pub mod doctor;
 pub mod lab;
 pub mod lab_run;
 pub mod lab_up;
@@ -7,6 +8,16 @@ pub mod manual;
 pub mod slot;
 pub mod station;
 pub mod tdma;
+
+use std::path::Path;
+
+use anyhow::Context;
+use serde::Serialize;
+
+use crate::report::screen::WIDTH_MIN;
+
+/// Columns of a report when the terminal does not say.
+const WIDTH: usize = 100;
 
 /// Whose fault a failure is, which the exit status tells.
 #[derive(Debug)]
@@ -34,8 +45,26 @@ impl Failure {
 }
 
 /// Prints something as JSON or in words. Whoever closed our output does not want to read the rest.
-fn print<T: serde::Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
+fn print<T: Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
     let text = if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) };
     let _ = std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes());
     Ok(())
+}
+
+/// Columns of a report: the terminal's, but not too few.
+fn screen_width() -> usize {
+    let said = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok());
+    said.unwrap_or(WIDTH).max(WIDTH_MIN)
+}
+
+/// A file that cannot be written is better known before the run than after it.
+fn writable(path: &Path) -> anyhow::Result<()> {
+    let open = std::fs::File::options().append(true).create(true).open(path);
+    open.with_context(|| format!("{} cannot be written", path.display())).map(drop)
+}
+
+fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
+    let mut text = serde_json::to_string_pretty(report)?;
+    text.push('\n');
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
 }

@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 
 use super::figures::{Figures, GuardName, Miss, StationFigures};
 use super::histogram::{SignedHistogram, Summary};
+use super::host::HostFacts;
 use super::text::{
     Column, cut, exact_time, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
@@ -36,7 +37,7 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         jitter(figures, width),
         misses(figures, width),
         notes(figures, width),
-        host(figures, width),
+        host_lines(&figures.host, Some(slot_guard(&figures.per_station)), width),
         verdict(figures, width),
     ];
     let mut screen = String::new();
@@ -233,8 +234,8 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
     lines
 }
 
-fn host(figures: &Figures, width: usize) -> Vec<String> {
-    let host = &figures.host;
+/// What a run took place on, in one list, and what else there is to say of it.
+pub(crate) fn host_lines(host: &HostFacts, more: Option<String>, width: usize) -> Vec<String> {
     let mut items = vec![
         format!("Linux {}", host.kernel),
         host.preemption.clone(),
@@ -248,7 +249,7 @@ fn host(figures: &Figures, width: usize) -> Vec<String> {
         Err(_) => "no rt throttling".to_owned(),
     }));
     items.extend(host.steal_ticks.map(|ticks| format!("steal {} ticks", grouped(ticks))));
-    items.push(slot_guard(&figures.per_station));
+    items.extend(more);
     items.push(format!("rtnet {}", host.rtnet));
     list("host: ", &items, width)
 }

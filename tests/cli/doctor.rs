@@ -1,0 +1,70 @@
+//! `rtnet doctor` from the outside: what it writes, as root and as anybody. It spins at real-time
+//! priority, which labs beside it would suffer from: hence this file of its own, whose tests share one run.
+
+use std::fs;
+use std::process::Command;
+use std::sync::LazyLock;
+
+use serde_json::Value;
+
+/// This host, examined for a second: the screen and the JSON.
+static EXAMINED: LazyLock<(String, Value)> = LazyLock::new(|| {
+    let dir = tempfile::tempdir().unwrap();
+    let json = dir.path().join("doctor.json");
+    let mut doctor = Command::new(env!("CARGO_BIN_EXE_rtnet"));
+    let output = doctor.args(["doctor", "--duration", "1s", "--json"]).arg(&json).output().unwrap();
+    let screen = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{screen}{}", String::from_utf8_lossy(&output.stderr));
+    (screen, serde_json::from_slice(&fs::read(json).unwrap()).unwrap())
+});
+
+fn share(value: &Value) -> f64 {
+    let share = value.as_f64().unwrap();
+    assert!((0.0..=1.0).contains(&share), "{share}");
+    share
+}
+
+#[test]
+fn a_host_is_examined_and_told_what_it_holds() {
+    let (screen, findings) = &*EXAMINED;
+    let last = screen.lines().last().unwrap();
+    assert!(last.starts_with("HOLDS: ") || last.starts_with("DOES NOT HOLD: "), "{screen}");
+    assert_eq!(findings["verdict"].as_array().unwrap().last().unwrap(), last);
+    let recommended = &findings["recommended"];
+    assert_eq!(recommended["stations"], 8);
+    assert!(recommended["cycle_ns"].as_i64() >= Some(250_000), "{recommended}");
+    assert!(recommended["guard_ns"].as_i64() > Some(0), "{recommended}");
+    share(&recommended["predicted_miss_share"]);
+
+    let wakeups = findings["wakeups"].as_array().unwrap();
+    assert!(!wakeups.is_empty() && wakeups.iter().all(|of| of["lateness_ns"]["n"].as_u64() >= Some(100)));
+    assert!(
+        wakeups.iter().flat_map(|of| of["later"].as_array().unwrap()).all(|of| share(&of["share"]) >= 0.0)
+    );
+    let candidates = findings["candidates"].as_array().unwrap();
+    assert_eq!(candidates.len(), 30 * wakeups.len(), "6 cycles by 5 numbers of stations, cold and warm");
+    for candidate in candidates {
+        share(&candidate["predicted_miss_share"]);
+        assert!(candidate["load"].as_f64() > Some(0.0), "{candidate}");
+    }
+    assert!(findings["outages"]["watched_ns"].as_i64() >= Some(100_000_000));
+    assert!(findings["clock_gettime_ns"].as_f64() > Some(0.0));
+    assert!(!findings["host"]["kernel"].as_str().unwrap().is_empty());
+    let rights = findings["rights"]["process"].as_array().unwrap();
+    let unexplained = rights.iter().find(|right| right["allowed"] == false && right["note"].is_null());
+    assert_eq!(unexplained, None, "a refusal has a reason");
+}
+
+#[test]
+fn what_is_not_measured_is_a_line_with_the_remedy() {
+    let (screen, findings) = &*EXAMINED;
+    let lines = findings["not_measured"].as_array().unwrap();
+    assert_eq!(
+        findings["wire"].is_null(),
+        lines.iter().any(|line| line.as_str().unwrap().starts_with("sending"))
+    );
+    assert_eq!(lines.is_empty(), !screen.contains("not measured: "), "{screen}");
+    if !nix::unistd::geteuid().is_root() {
+        assert!(screen.contains("run as root"), "{screen}");
+    }
+}

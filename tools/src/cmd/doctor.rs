@@ -1,0 +1,30 @@
+//! `rtnet doctor`.
+
+use std::io::Write;
+
+use rtnet::time::Span;
+
+use super::{Failure, screen_width, writable, write_json};
+use crate::cli::DoctorArgs;
+use crate::doctor::{self, Options, rights, screen};
+
+/// Measurements up to this long show no progress.
+const SHORT: Span = Span::from_millis(2_000);
+
+/// Examines this host and tells what it can hold; the exit status does not depend on the verdict.
+pub fn doctor(args: &DoctorArgs) -> Result<u8, Failure> {
+    if args.probe_user_namespace {
+        return Ok(u8::from(rights::enter_user_namespace().is_err()));
+    }
+    if let Some(path) = &args.json {
+        writable(path).map_err(Failure::Usage)?;
+    }
+    let options = Options { cpu: args.cpu, duration: args.duration, progress: args.duration > SHORT };
+    let findings = doctor::examine(&options).map_err(Failure::Usage)?;
+    if let Some(path) = &args.json {
+        write_json(path, &findings).map_err(Failure::Run)?;
+    }
+    // Whoever closed our output does not want to read the rest.
+    let _ = std::io::stdout().write_all(screen::render(&findings, screen_width()).as_bytes());
+    Ok(0)
+}

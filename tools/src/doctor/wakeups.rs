@@ -1,0 +1,76 @@
+//! How late a thread wakes: absolute sleeps on one core, the core cold and warm in turns.
+
+use rtnet::live::clock::{monotonic, sleep_until};
+use rtnet::live::realtime::WarmCore;
+use rtnet::time::Span;
+
+use super::on_core;
+use crate::report::histogram::SignedHistogram;
+
+/// From one wake-up to the next.
+pub const PERIOD: Span = Span::from_millis(1);
+/// Blocks, cold and warm in turns, are about so long at least: a host's bad second falls on both.
+const BLOCK: Span = Span::from_millis(500);
+/// Each block has a histogram of its own, half a megabyte: there are no more of either state than this.
+const PAIRS_MAX: i64 = 12;
+/// Wake-ups at a block's begin that do not count: the thread is new.
+const SETTLE: u64 = 5;
+
+/// Actual - programmed wake-up in nanoseconds, block by block.
+pub struct Wakeups {
+    /// The core idles between wake-ups.
+    pub cold: Vec<SignedHistogram>,
+    /// It does not; or why it cannot be kept from it.
+    pub warm: Result<Vec<SignedHistogram>, String>,
+}
+
+/// Measures for about `span` altogether.
+pub fn measure(cpu: usize, span: Span) -> Wakeups {
+    let pairs = (span.nanos() / (2 * BLOCK.nanos())).clamp(1, PAIRS_MAX);
+    let block = span / (2 * pairs);
+    let (mut cold, mut warm) = (Vec::new(), Vec::new());
+    let mut refused = None;
+    for _ in 0..pairs {
+        cold.push(wake_often(cpu, block));
+        match WarmCore::start(cpu) {
+            Ok(_warm) => warm.push(wake_often(cpu, block)),
+            Err(line) => refused = Some(line),
+        }
+    }
+    Wakeups { cold, warm: refused.map_or(Ok(warm), Err) }
+}
+
+fn wake_often(cpu: usize, block: Span) -> SignedHistogram {
+    let mut lateness = SignedHistogram::new();
+    on_core(cpu, || sleep_often(block, &mut lateness));
+    lateness
+}
+
+/// After a hold-up longer than the period, what was due in it is due still: each wake-up has its own
+/// lateness, as each slot would have.
+fn sleep_often(block: Span, lateness: &mut SignedHistogram) {
+    let period = PERIOD.nanos() as u64;
+    let mut due = monotonic();
+    for number in 0..SETTLE + block.nanos() as u64 / period {
+        due += period;
+        sleep_until(due);
+        let late = monotonic().wrapping_sub(due) as i64;
+        if number >= SETTLE {
+            lateness.record(late);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_wakeup_counts_and_none_is_early() {
+        let wakeups = measure(0, Span::from_millis(40));
+        let [cold] = &wakeups.cold[..] else { panic!("{} blocks", wakeups.cold.len()) };
+        assert_eq!(cold.len(), 20);
+        assert!(cold.min() >= 0);
+        assert!(wakeups.warm.is_err() || wakeups.warm.is_ok_and(|warm| warm[0].len() == 20));
+    }
+}

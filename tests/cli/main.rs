@@ -5,6 +5,7 @@
 
 mod lab;
 mod live;
+mod observe;
 mod station;
 
 use std::io::Write;

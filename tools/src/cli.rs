@@ -7,6 +7,7 @@ use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
 use crate::control::Place;
+use crate::observe::ear::Spot;
 use crate::scenario::SlotGuard;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
@@ -43,6 +44,25 @@ pub enum Verb {
     /// slot any more. In a lab, a slot that overlaps another station's is refused; a station of its own
     /// knows only its own slots, and trusts that you know the others'.
     Slot(SlotArgs),
+    /// Listen to a network, and tell how its syncs and frames are spread about their instants
+    ///
+    /// Nothing is sent. Of a lab it listens on the bridge, as the user who owns the lab; on an interface as
+    /// root, where a station's own frames are not heard on its own interface. Where cycles begin is learned from
+    /// 64 syncs first, for 5 s at most.
+    ///
+    /// Exit status: 0; 1 no sync was heard, or the network went away; 2 bad usage, no such interface or lab, or
+    /// no privileges.
+    Jitter(JitterArgs),
+    /// Listen to a network, and show each frame, or write it for Wireshark
+    ///
+    /// Nothing is sent. A line has the time of day (UTC, the kernel's stamp), who sends to whom, the slot error of
+    /// a frame that says when it was scheduled, else @ and its place in the cycle, and what it is. With -w
+    /// frames are written instead, each with a comment that says its cycle, slot and slot error. Where cycles
+    /// begin is learned from the syncs first, which takes up to half a second.
+    ///
+    /// Exit status: 0; 1 the network went away, or the file cannot be written; 2 bad usage, no such interface or
+    /// lab, or no privileges.
+    Dump(DumpArgs),
     /// Print completions for a shell, as in `source <(rtnet completions bash)`
     Completions {
         /// Which shell
@@ -54,6 +74,61 @@ pub enum Verb {
         #[arg(default_value = ".", value_name = "DIRECTORY")]
         directory: PathBuf,
     },
+}
+
+/// Where to listen.
+#[derive(Debug, Args)]
+pub struct ListenArgs {
+    /// On this interface of this network namespace
+    #[arg(long, value_name = "IF", conflicts_with = "lab")]
+    pub interface: Option<String>,
+    /// On the bridge of this lab [default: the lab named 'lab']
+    #[arg(long, value_name = "NAME")]
+    pub lab: Option<String>,
+}
+
+impl ListenArgs {
+    /// The one place that is meant.
+    pub fn spot(&self) -> Spot {
+        match &self.interface {
+            Some(interface) => Spot::Interface(interface.clone()),
+            None => Spot::Lab(self.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into())),
+        }
+    }
+}
+
+/// Arguments of `jitter`.
+#[derive(Debug, Args)]
+pub struct JitterArgs {
+    /// Where.
+    #[command(flatten)]
+    pub at: ListenArgs,
+    /// How long
+    #[arg(long, default_value = "10s", value_parser = parse_positive_span)]
+    pub duration: Span,
+    /// Line rate at which overlaps are computed
+    #[arg(long, default_value = "1G", value_parser = parse_rate)]
+    pub rate: Rate,
+    /// Write the figures as JSON, too
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Arguments of `dump`.
+#[derive(Debug, Args)]
+pub struct DumpArgs {
+    /// Where.
+    #[command(flatten)]
+    pub at: ListenArgs,
+    /// Write the frames into this file, as pcapng, instead of showing them
+    #[arg(short, long, value_name = "FILE.pcapng")]
+    pub write: Option<PathBuf>,
+    /// End after so many frames
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub count: Option<u64>,
+    /// End after so long [default: go on until Ctrl-C]
+    #[arg(long, value_parser = parse_positive_span)]
+    pub duration: Option<Span>,
 }
 
 /// Which running station.

@@ -8,6 +8,7 @@ pub mod cmd;
 pub mod control;
 pub mod doctor;
 pub mod lab;
+pub mod observe;
 pub mod report;
 pub mod scenario;
 pub mod station;

@@ -20,6 +20,8 @@ fn main() -> ExitCode {
         Verb::Slot(args) => cmd::slot::slot(args),
         Verb::Completions { shell } => cmd::manual::completions(*shell),
         Verb::Man { directory } => cmd::manual::man(directory),
+        Verb::Jitter(args) => cmd::jitter::jitter(args),
+        Verb::Dump(args) => cmd::dump::dump(args),
     };
     match done {
         Ok(status) => ExitCode::from(status),

@@ -1,6 +1,8 @@
 //! One module per verb: from arguments to the thing done.
 
 pub mod doctor;
+pub mod dump;
+pub mod jitter;
 pub mod lab;
 pub mod lab_run;
 pub mod lab_up;

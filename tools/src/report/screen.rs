@@ -30,7 +30,7 @@ const NAME_MAX: usize = 12;
 /// The histogram is that of |slot error - the station's median| over all stations, in nanoseconds.
 pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> String {
     let width = width.max(WIDTH_MIN);
-    let sections = [
+    sections(&[
         headline(figures, width),
         stations(&figures.per_station, width),
         bars(histogram, width),
@@ -39,7 +39,11 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         notes(figures, width),
         host_lines(&figures.host, Some(slot_guard(&figures.per_station)), width),
         verdict(figures, width),
-    ];
+    ])
+}
+
+/// Those that say something, with an empty line between them.
+pub(crate) fn sections(sections: &[Vec<String>]) -> String {
     let mut screen = String::new();
     for lines in sections.iter().filter(|lines| !lines.is_empty()) {
         if !screen.is_empty() {

@@ -1,0 +1,350 @@
+//! What an observer counts: errors per station and slot, periods, gaps, overlaps. Pure.
+
+use std::collections::BTreeMap;
+
+use rtmac::tdma::schedule::Rate;
+use rtmac::wire::Message;
+use rtnet::clock::True;
+use rtnet::time::{GlobalTime, Span};
+use rtnet::wire::ethernet::{Address, EtherType};
+
+use super::decode::What;
+use super::watch::{Sight, When};
+use crate::report::histogram::SignedHistogram;
+
+/// Streams that are told apart; forged addresses may make any number.
+const STREAMS_AT_MOST: usize = 1_000;
+
+/// All that was counted.
+#[derive(Debug)]
+pub struct Tally {
+    rate: Rate,
+    /// Frames.
+    pub frames: u64,
+    /// Frames by kind.
+    pub kinds: BTreeMap<&'static str, u64>,
+    /// Two frames on the air at once, at the medium's rate.
+    pub overlaps: u64,
+    /// Cycle numbers without a sync.
+    pub sync_gaps: u64,
+    /// Syncs whose cycle number does not follow the one before.
+    pub syncs_repeated: u64,
+    /// (t(n) - t(n-1)) - T of neighbouring cycles' syncs.
+    pub sync_period_jitter: SignedHistogram,
+    /// Each station's frames of one kind or slot.
+    pub streams: BTreeMap<Stream, Seen>,
+    /// Frames of streams beyond those that are told apart.
+    pub frames_beyond: u64,
+    /// Frames that came when there was no line, or no stamp to be trusted.
+    pub not_judged: u64,
+    last_sync: Option<(u32, GlobalTime, Option<True>)>,
+    busy_until: Option<True>,
+}
+
+/// Whose frames, and which.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Stream {
+    /// Who sent them.
+    pub source: Address,
+    /// Which of its frames.
+    pub which: Which,
+}
+
+/// Which of a station's frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Which {
+    /// Its syncs.
+    Sync,
+    /// Test traffic in one slot.
+    Slot {
+        /// The station's number in its lab.
+        station: usize,
+        /// The slot's id.
+        slot: u8,
+    },
+    /// What comes with every turn, but does not say when it was to be.
+    Foreign(EtherType),
+    /// What comes now and then: calibration, tunnel.
+    Sporadic(&'static str),
+}
+
+/// One stream.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// Its frames.
+    pub frames: u64,
+    /// stamp - (scheduled + offset); for a stream that does not say when: stamp - (cycle's start + offset).
+    pub times: SignedHistogram,
+    turns: Turns,
+}
+
+/// The cycles in which a stream was seen.
+#[derive(Clone, Copy, Debug, Default)]
+struct Turns {
+    last: Option<u32>,
+    count: u64,
+    spanned: u64,
+    step: u64,
+}
+
+impl Tally {
+    /// Nothing yet, on a medium of this rate.
+    pub fn new(rate: Rate) -> Self {
+        Self {
+            rate,
+            frames: 0,
+            kinds: BTreeMap::new(),
+            overlaps: 0,
+            sync_gaps: 0,
+            syncs_repeated: 0,
+            sync_period_jitter: SignedHistogram::new(),
+            streams: BTreeMap::new(),
+            frames_beyond: 0,
+            not_judged: 0,
+            last_sync: None,
+            busy_until: None,
+        }
+    }
+
+    /// Counts a frame of `wire_len` bytes.
+    pub fn frame(&mut self, at: Option<True>, wire_len: usize, sight: &Sight) {
+        let what = &sight.decoded.what;
+        self.frames += 1;
+        *self.kinds.entry(what.kind()).or_default() += 1;
+        self.occupy(at, wire_len);
+        if let What::Tdma(Message::Sync { cycle, sched, .. }) = *what {
+            self.sync(at, cycle, sched);
+        }
+        if sight.when == When::Unknown {
+            self.not_judged += 1;
+        }
+        if let Some(which) = which(what) {
+            self.enter(Stream { source: sight.decoded.source, which }, sight);
+        }
+    }
+
+    fn occupy(&mut self, at: Option<True>, wire_len: usize) {
+        let Some(at) = at else {
+            self.busy_until = None;
+            return;
+        };
+        let until = at.saturating_add(self.rate.air_time(wire_len).nanos() as u64);
+        self.overlaps += u64::from(self.busy_until.is_some_and(|busy| at < busy));
+        self.busy_until = Some(self.busy_until.map_or(until, |busy| busy.max(until)));
+    }
+
+    fn sync(&mut self, at: Option<True>, cycle: u32, sched: GlobalTime) {
+        if let Some((last, last_sched, last_at)) = self.last_sync {
+            match cycle.wrapping_sub(last) as i32 {
+                1 => {
+                    if let (Some(at), Some(last_at)) = (at, last_at) {
+                        let period = Span::from_nanos(at.wrapping_sub(last_at) as i64);
+                        self.sync_period_jitter.record((period - (sched - last_sched)).nanos());
+                    }
+                }
+                ..=0 => self.syncs_repeated += 1,
+                ahead => self.sync_gaps += ahead as u64 - 1,
+            }
+        }
+        self.last_sync = Some((cycle, sched, at));
+    }
+
+    fn enter(&mut self, stream: Stream, sight: &Sight) {
+        if self.streams.len() >= STREAMS_AT_MOST && !self.streams.contains_key(&stream) {
+            self.frames_beyond += 1;
+            return;
+        }
+        let seen = self.streams.entry(stream).or_default();
+        seen.frames += 1;
+        if let Some(cycle) = sight.cycle {
+            seen.turns.note(cycle);
+        }
+        if let When::SlotError(time) | When::Place(time) = sight.when {
+            seen.times.record(time.nanos());
+        }
+    }
+}
+
+impl std::fmt::Display for Which {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Which::Sync => f.write_str("sync"),
+            Which::Slot { slot, .. } => write!(f, "slot {slot}"),
+            Which::Foreign(ether_type) => write!(f, "{ether_type:?}"),
+            Which::Sporadic(kind) => f.write_str(kind),
+        }
+    }
+}
+
+impl Seen {
+    /// Turns without a frame between the first and the last, if a turn is as often as the shortest step between
+    /// two cycles with one.
+    pub fn missed(&self) -> u64 {
+        let Turns { count, spanned, step, .. } = self.turns;
+        spanned.checked_div(step).map_or(0, |steps| (steps + 1).saturating_sub(count))
+    }
+}
+
+impl Turns {
+    fn note(&mut self, cycle: u32) {
+        match self.last.map(|last| cycle.wrapping_sub(last) as i32) {
+            Some(0) => return,
+            Some(step @ 1..) => {
+                self.spanned += step as u64;
+                self.step = if self.step == 0 { step as u64 } else { self.step.min(step as u64) };
+            }
+            // The first; or a master counts from another number.
+            _ => {}
+        }
+        self.count += 1;
+        self.last = Some(cycle);
+    }
+}
+
+/// A frame that no station takes belongs to no stream.
+fn which(what: &What) -> Option<Which> {
+    match what {
+        What::Tdma(Message::Sync { .. }) => Some(Which::Sync),
+        What::Data(tag) => Some(Which::Slot { station: tag.station(), slot: tag.slot }),
+        What::Other(ether_type, _) => Some(Which::Foreign(*ether_type)),
+        What::Refused(_) => None,
+        what => Some(Which::Sporadic(what.kind())),
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use rtnet::buf::Pool;
+    use rtnet::wire::ethernet::Header;
+    use zerocopy::IntoBytes;
+
+    use super::*;
+    use crate::observe::watch::Watch;
+
+    const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
+    const PERIOD: u64 = 1_000_000;
+
+    /// A sync that was sent at its scheduled time.
+    pub(in crate::observe) fn sync(cycle: u32, sched: GlobalTime) -> Vec<u8> {
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, MASTER, &mut frame);
+        frame.to_vec()
+    }
+
+    /// Test traffic, the 78th of a station.
+    pub(in crate::observe) fn data(station: u8, slot: u8, cycle: u32, scheduled: GlobalTime) -> Vec<u8> {
+        let header = Header::new(MASTER, Address([2, 0, 0, 0, 0, station + 1]), EtherType::EXPERIMENTAL);
+        let scheduled = scheduled.nanos().to_be_bytes();
+        let parts: [&[u8]; 6] = [
+            header.as_bytes(),
+            &[0, station, slot, 0],
+            &cycle.to_be_bytes(),
+            &77_u64.to_be_bytes(),
+            &scheduled,
+            &[0; 40],
+        ];
+        parts.concat()
+    }
+
+    fn sched(cycle: u32) -> GlobalTime {
+        GlobalTime::from_nanos(u64::from(cycle) * PERIOD)
+    }
+
+    struct Medium(Watch, Tally);
+
+    impl Medium {
+        fn new() -> Self {
+            Self(Watch::default(), Tally::new(Rate::from_bits_per_second(1_000_000_000)))
+        }
+        fn pass(&mut self, at: u64, frame: &[u8]) {
+            let sight = self.0.frame(Some(at), frame, frame.len());
+            self.1.frame(Some(at), frame.len(), &sight);
+        }
+        fn sync(&mut self, cycle: u32, late: u64) {
+            self.pass(u64::from(cycle) * PERIOD + late, &sync(cycle, sched(cycle)));
+        }
+        fn data(&mut self, cycle: u32, late: u64) {
+            let scheduled = sched(cycle) + Span::from_micros(300);
+            self.pass(scheduled.nanos() + late, &data(2, 0, cycle, scheduled));
+        }
+        fn seen(&self, which: Which) -> &Seen {
+            self.1.streams.iter().find(|(stream, _)| stream.which == which).unwrap().1
+        }
+    }
+
+    const DATA: Which = Which::Slot { station: 2, slot: 0 };
+
+    #[test]
+    fn errors_are_kept_by_station_and_slot() {
+        let mut medium = Medium::new();
+        for cycle in 1..=100 {
+            medium.sync(cycle, 5_000);
+            medium.data(cycle, if cycle == 50 { 12_000 } else { 5_500 });
+        }
+        let summary = medium.seen(DATA).times.summary();
+        assert_eq!(
+            (summary.n, summary.min, summary.p50, summary.max),
+            (100, Some(500), Some(500), Some(7_000))
+        );
+        assert_eq!(medium.seen(Which::Sync).times.summary().max, Some(0));
+        assert_eq!(medium.1.kinds, BTreeMap::from([("data", 100), ("sync", 100)]));
+        assert_eq!((medium.1.not_judged, medium.1.overlaps), (0, 0));
+    }
+
+    #[test]
+    fn turns_without_a_frame_are_missed_at_the_stream_s_own_step() {
+        let mut medium = Medium::new();
+        for cycle in (1..=101).filter(|cycle| ![20, 21].contains(cycle)) {
+            medium.sync(cycle, 0);
+            // Every second cycle; 41 and 43 are missing.
+            if cycle % 2 == 1 && ![41, 43].contains(&cycle) {
+                medium.data(cycle, 0);
+            }
+        }
+        // With 21 there are three.
+        assert_eq!((medium.seen(DATA).frames, medium.seen(DATA).missed()), (48, 3));
+        assert_eq!((medium.1.sync_gaps, medium.seen(Which::Sync).missed()), (2, 2));
+    }
+
+    #[test]
+    fn periods_are_those_of_neighbouring_cycles() {
+        let mut medium = Medium::new();
+        for (cycle, late) in [(1, 0), (2, 300), (3, 0), (5, 9_000), (5, 9_500), (6, 9_000)] {
+            medium.sync(cycle, late);
+        }
+        let summary = medium.1.sync_period_jitter.summary();
+        assert_eq!((summary.n, summary.min, summary.max), (3, Some(-500), Some(300)));
+        assert_eq!((medium.1.sync_gaps, medium.1.syncs_repeated), (1, 1));
+    }
+
+    #[test]
+    fn frames_that_are_on_the_air_at_once_overlap() {
+        let mut medium = Medium::new();
+        medium.sync(1, 0);
+        // A sync takes (60 + 24) x 8 ns.
+        medium.pass(PERIOD + 671, &[0; 60]);
+        assert_eq!(medium.1.overlaps, 1);
+        medium.pass(PERIOD + 671 + 672, &[0; 60]);
+        assert_eq!(medium.1.overlaps, 1);
+    }
+
+    #[test]
+    fn what_does_not_say_when_has_its_place_and_forged_sources_are_bounded() {
+        let mut medium = Medium::new();
+        for cycle in 1..=70 {
+            medium.sync(cycle, 0);
+            medium.pass(u64::from(cycle) * PERIOD + 400_000, &[1; 60]);
+        }
+        let seen = medium.seen(Which::Foreign(EtherType(0x0101)));
+        // In the first cycle nobody knows yet how long one is.
+        assert_eq!((seen.times.summary().n, seen.times.median()), (69, 400_000));
+        assert_eq!(medium.1.not_judged, 1);
+        for forged in 0..2_000_u32 {
+            let mut frame = [2; 60];
+            frame[6..10].copy_from_slice(&forged.to_be_bytes());
+            medium.pass(71 * PERIOD, &frame);
+        }
+        assert_eq!(medium.1.streams.len(), STREAMS_AT_MOST);
+        assert_eq!(medium.1.frames_beyond, 2_000 - (STREAMS_AT_MOST as u64 - 2));
+    }
+}

@@ -16,7 +16,7 @@
 //! ```
 //!
 //! The frame's length does not count: what may not happen is that a transmission *starts* late, and the
-//! schedule has room for a frame's time on the air behind `latest`.
+//! schedule has room for a frame's time on the air behind the window's end.
 
 use core::mem::offset_of;
 

@@ -40,7 +40,7 @@ fn real_time_threads_allocate_nothing_once_they_are_locked() {
         segment.attach(namespace, &format!("port{station}"), "rt0", ADDRESSES[station].0).unwrap();
         let mut driver = driver(station, namespace, stop.clone());
         snapshots.push(driver.snapshots());
-        control.push((driver.commands(), driver.answers()));
+        control.push(driver.errands());
         threads.push(std::thread::spawn(move || {
             mark_real_time();
             drop(std::hint::black_box(Box::new(7)));
@@ -63,17 +63,17 @@ fn real_time_threads_allocate_nothing_once_they_are_locked() {
     };
     let locked = wait_until("locked", &|state, _| state == SyncState::Locked);
     let before = REAL_TIME_CALLS.load(Ordering::Relaxed);
-    let (commands, answers) = &control[1];
+    let errands = &control[1];
     for command in every_command() {
-        assert!(commands.push(command).is_ok());
+        assert!(errands.send(command).is_ok());
         let deadline = Instant::now() + PATIENCE;
         let answer = loop {
-            match answers.pop() {
-                Some(answer) => break answer,
+            match errands.take() {
+                Some(errand) => break errand.result.unwrap(),
                 None => assert!(Instant::now() < deadline, "a command has no answer"),
             }
         };
-        assert!(answer.result.is_ok(), "{:?}", answer.result);
+        assert!(answer.is_ok(), "{answer:?}");
     }
     let later = wait_until("cycles pass", &|_, cycle| cycle >= locked.cycle + CYCLES);
     let allocations = REAL_TIME_CALLS.load(Ordering::Relaxed) - before;

@@ -99,6 +99,8 @@ fn a_lab_is_stood_up_looked_at_changed_and_taken_down() {
 
     let refused = refusal(&cell.slot("slave2", &["set", "0=2800us"]));
     assert!(refused.contains("overlap") && refused.contains("slave3"), "{refused}");
+    let refused = refusal(&cell.slot("slave2", &["set", "0=1600us,size=50"]));
+    assert!(refused.contains("a size of 50 is not within 64"), "{refused}");
     let refused = refusal(&cell.slot("slave2", &["remove", "0"]));
     assert!(refused.contains("only one of a slave"), "{refused}");
     let refused = refusal(&cell.slot("slave9", &["list"]));
@@ -158,6 +160,10 @@ fn a_detached_station_is_silent_and_joins_again() {
         let output = rtnet().args(["tdma", "-S", &cell.place("slave3")]).args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     };
+    for (station, role) in [("slave3", &["master", "--cycle", "4ms"][..]), ("master", &["detach"])] {
+        let refused = rtnet().args(["tdma", "-S", &cell.place(station)]).args(role).output().unwrap();
+        assert!(refusal(&refused).contains("master"), "a lab keeps its master");
+    }
     tdma(&["detach"]);
     let station = cell.station("slave3");
     assert_eq!(station["role"], "detached");
@@ -167,6 +173,9 @@ fn a_detached_station_is_silent_and_joins_again() {
     tdma(&["slave", "--rounds", "5"]);
     wait_until("it is locked again", || cell.station("slave3")["standing"]["state"] == "locked");
     wait_until("it sends again", || cell.station("slave3")["counters"]["frames_sent"].as_u64() > sent);
+    std::thread::sleep(Duration::from_millis(200));
+    let account = cell.down();
+    assert_eq!((&account["unexplained"], &account["frames_lost"]), (&0.into(), &0.into()), "{account:#}");
 }
 
 #[test]

@@ -146,6 +146,12 @@ pub enum Refused {
         /// Which.
         id: u8,
     },
+    /// Requests and replies are under way in it.
+    #[error("slot {id} is calibrated in just now: ask again when the station is locked")]
+    Calibrating {
+        /// Which.
+        id: u8,
+    },
     /// More rounds than are kept.
     #[error("{rounds} calibration rounds: at most {MAX_ROUNDS}")]
     TooManyRounds {

@@ -308,10 +308,17 @@ impl Discipline for Tdma {
                 if let Role::Master(master) = &self.role {
                     checked(*master.config(), &[*slot])?;
                 }
+                self.not_while_calibrating(slot.id)?;
+                if let Some(&TimeLine { period: cycle, .. }) = self.line()
+                    && slot.offset >= cycle
+                {
+                    return Err(Refused::BeyondCycle { id: slot.id, offset: slot.offset, cycle });
+                }
                 self.slots.set(*slot, cycle)?;
             }
             TdmaCommand::RemoveSlot(id) => {
-                let others = self.slots.statuses().any(|slot| slot.config.id != *id);
+                self.not_while_calibrating(*id)?;
+                let others = self.slots.planned().any(|slot| slot.id != *id);
                 if matches!(self.role, Role::Slave(_)) && !others {
                     return Err(Refused::LastSlot { id: *id });
                 }
@@ -319,13 +326,14 @@ impl Discipline for Tdma {
             }
             TdmaCommand::Become(NewRole(role)) => {
                 if let Role::Master(master) = role {
-                    let beyond =
-                        self.slots.statuses().find(|slot| slot.config.offset >= master.config().cycle);
-                    if let Some(SlotStatus { config: SlotConfig { id, offset, .. }, .. }) = beyond {
-                        return Err(Refused::BeyondCycle { id, offset, cycle: master.config().cycle });
+                    let cycle = master.config().cycle;
+                    if let Some(SlotConfig { id, offset, .. }) =
+                        self.slots.planned().find(|slot| slot.offset >= cycle)
+                    {
+                        return Err(Refused::BeyondCycle { id, offset, cycle });
                     }
                 }
-                if let (Role::Slave(slave), None) = (&*role, self.slots.first())
+                if let (Role::Slave(slave), None) = (&*role, self.slots.planned().next())
                     && slave.calibration().delay().is_none()
                 {
                     return Err(Refused::NoSlotToCalibrate);
@@ -354,6 +362,18 @@ impl Tdma {
                 self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
             }
             None => self.pass(job),
+        }
+    }
+
+    /// A reply is on its way in the slot that calibration uses: it stays where it is for the while.
+    fn not_while_calibrating(&self, id: Channel) -> Result<(), Refused> {
+        match (&self.role, self.slots.first()) {
+            (Role::Slave(slave), Some(first))
+                if slave.line().is_some() && slave.calibration().delay().is_none() && first.id == id =>
+            {
+                Err(Refused::Calibrating { id })
+            }
+            _ => Ok(()),
         }
     }
 

@@ -63,8 +63,9 @@ struct Slot {
     queue: PriorityQueue<Buf>,
     /// The cycle it is used in next.
     next: u32,
-    /// What becomes of it once its turn in the cycle in which that was asked for has passed.
-    change: Option<Change>,
+    /// What becomes of it once its turn in the cycle in which that was asked for has passed, and from which
+    /// cycle on.
+    change: Option<(Change, u32)>,
     sent: u64,
 }
 
@@ -132,11 +133,21 @@ impl Slots {
 
     fn change(&mut self, id: Channel, change: Change, cycle: u32) {
         let slot = &mut self.table[usize::from(id)];
+        let from = cycle.wrapping_add(1);
         if slot.config.is_some() && cycle.wrapping_sub(slot.next) as i32 >= 0 {
-            slot.change = Some(change);
+            slot.change = Some((change, from));
         } else {
-            self.dropped += slot.apply(change, cycle.wrapping_add(1));
+            self.dropped += slot.apply(change, from);
         }
+    }
+
+    /// What is configured of every slot, with the changes that are still to come.
+    pub fn planned(&self) -> impl Iterator<Item = SlotConfig> {
+        self.table.iter().filter_map(|slot| match slot.change {
+            Some((Change::Set(config), _)) => Some(config),
+            Some((Change::Remove, _)) => None,
+            None => slot.config,
+        })
     }
 
     /// Queued frames whose slot was removed or became too small for them.
@@ -174,7 +185,7 @@ impl Slots {
     /// Lets every slot begin with its first turn on `line` that is not before `from`.
     pub fn align(&mut self, line: &TimeLine, from: Instant) {
         for slot in &mut self.table {
-            if let Some(change) = slot.change.take() {
+            if let Some((change, _)) = slot.change.take() {
                 self.dropped += slot.apply(change, line.cycle);
             }
             let Some(SlotConfig { phase, period, offset, .. }) = slot.config else { continue };
@@ -203,7 +214,16 @@ impl Slots {
     pub fn pass_until(&mut self, id: Channel, cycle: u32) {
         let slot = &mut self.table[usize::from(id)];
         match (slot.change.take(), slot.config) {
-            (Some(change), _) => self.dropped += slot.apply(change, cycle),
+            // Where the turn was still due before the cycle in which the change was asked for, it is not yet over.
+            (Some((change, from)), Some(config)) if (from.wrapping_sub(cycle) as i32) > 0 => {
+                slot.next = next_cycle(cycle, config.phase, config.period);
+                if (from.wrapping_sub(slot.next) as i32) > 0 {
+                    slot.change = Some((change, from));
+                } else {
+                    self.dropped += slot.apply(change, from);
+                }
+            }
+            (Some((change, _)), _) => self.dropped += slot.apply(change, cycle),
             (None, Some(config)) => slot.next = next_cycle(cycle, config.phase, config.period),
             (None, None) => {}
         }

@@ -265,6 +265,26 @@ fn a_slave_keeps_the_slot_it_calibrates_in() {
 }
 
 #[test]
+fn slots_that_are_about_to_go_do_not_count() {
+    let mut slave = locked_slave();
+    let other =
+        SlotConfig { id: 2, offset: Span::from_micros(600), ..slave.status().slots[0].unwrap().config };
+    slave.command(at(2_650), &mut TdmaCommand::SetSlot(other)).unwrap();
+    hear_syncs(&mut slave, 3..=3);
+    // Both still have their turn in cycle 3.
+    assert_eq!(slave.command(at(3_100), &mut TdmaCommand::RemoveSlot(2)), Ok(4));
+    let error = slave.command(at(3_100), &mut TdmaCommand::RemoveSlot(0)).unwrap_err();
+    assert!(matches!(error, Refused::LastSlot { id: 0 }), "{error}");
+}
+
+#[test]
+fn a_slot_beyond_the_masters_cycle_is_refused_once_that_is_known() {
+    let mut slave = locked_slave();
+    let error = slave.command(at(2_600), &mut moved(5_000, 100)).unwrap_err();
+    assert!(error.to_string().contains("5ms is beyond the cycle of 1ms"), "{error}");
+}
+
+#[test]
 fn who_is_detached_is_silent_and_deaf_until_attached_again() {
     let pool = Pool::new(1);
     let mut slave = locked_slave();

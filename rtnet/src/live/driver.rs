@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crossbeam::atomic::AtomicCell;
 use crossbeam::queue::ArrayQueue;
 
 use crate::clock::True;
@@ -20,8 +21,6 @@ const LONGEST_SLEEP: True = 100_000_000;
 const SNAPSHOT_EVERY: True = 100_000_000;
 /// Snapshots that wait; with none looked at, the oldest stay. One at every change of state, too.
 const SNAPSHOTS: usize = 16;
-/// Commands that wait for the loop, and answers for whoever asked.
-const COMMANDS: usize = 16;
 /// Records that wait for the control thread: a second of what eight slots a millisecond can tell.
 const RECORDS: usize = 16_384;
 
@@ -62,12 +61,47 @@ pub struct Snapshot<S> {
     pub records_lost: u64,
 }
 
-/// What became of a command: itself, with what it replaced, and the first cycle in which it holds.
-pub struct Answer<D: Discipline> {
-    /// As it was asked for, or what it left behind.
+/// A command on its way to the loop and back.
+pub struct Errand<D: Discipline> {
+    /// What is asked for; on the way back with what it replaced.
     pub command: D::Command,
-    /// From when on, or why not.
-    pub result: Result<u32, D::Refused>,
+    /// From which cycle on it holds, or why not; `None` on the way there.
+    pub result: Option<Result<u32, D::Refused>>,
+}
+
+/// The two ends of the way of commands: one errand at a time, handed over by swapping a pointer, so that the loop
+/// never waits for somebody who was preempted while handing it over.
+pub struct Errands<D: Discipline> {
+    asked: AtomicCell<Option<Box<Errand<D>>>>,
+    answered: AtomicCell<Option<Box<Errand<D>>>>,
+    /// Whether one is under way.
+    under_way: AtomicBool,
+}
+
+impl<D: Discipline> Errands<D> {
+    fn new() -> Self {
+        Self {
+            asked: AtomicCell::new(None),
+            answered: AtomicCell::new(None),
+            under_way: AtomicBool::new(false),
+        }
+    }
+
+    /// Sends a command; gives it back while another is under way. For one thread.
+    pub fn send(&self, command: D::Command) -> Result<(), D::Command> {
+        if self.under_way.swap(true, Ordering::Relaxed) {
+            return Err(command);
+        }
+        self.asked.store(Some(Box::new(Errand { command, result: None })));
+        Ok(())
+    }
+
+    /// The command that has come back, if it has.
+    pub fn take(&self) -> Option<Errand<D>> {
+        let errand = self.answered.take()?;
+        self.under_way.store(false, Ordering::Relaxed);
+        Some(*errand)
+    }
 }
 
 /// Drives a station on a port. [`Driver::run`] is the real-time thread.
@@ -77,12 +111,14 @@ pub struct Driver<D: Discipline> {
     config: DriverConfig,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
-    commands: Arc<ArrayQueue<D::Command>>,
-    answers: Arc<ArrayQueue<Answer<D>>>,
+    errands: Arc<Errands<D>>,
     records_lost: u64,
     next_snapshot: True,
     /// The state in the last snapshot.
     shown: SyncState,
+    /// When this turn looked at what is due, and when it had woken for that.
+    looked: True,
+    woke: True,
 }
 
 impl<D: Discipline> Driver<D> {
@@ -94,11 +130,12 @@ impl<D: Discipline> Driver<D> {
             config,
             records: Arc::new(ArrayQueue::new(RECORDS)),
             snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
-            commands: Arc::new(ArrayQueue::new(COMMANDS)),
-            answers: Arc::new(ArrayQueue::new(COMMANDS)),
+            errands: Arc::new(Errands::new()),
             records_lost: 0,
             next_snapshot: 0,
             shown: SyncState::Waiting,
+            looked: 0,
+            woke: 0,
         }
     }
 
@@ -112,14 +149,9 @@ impl<D: Discipline> Driver<D> {
         self.snapshots.clone()
     }
 
-    /// Where the loop finds commands: one is carried out in a turn, after the slot's send.
-    pub fn commands(&self) -> Arc<ArrayQueue<D::Command>> {
-        self.commands.clone()
-    }
-
-    /// Where the loop leaves what became of them. With none taken, no more commands are carried out.
-    pub fn answers(&self) -> Arc<ArrayQueue<Answer<D>>> {
-        self.answers.clone()
+    /// The way of commands: one is carried out in a turn, after the slot's send.
+    pub fn errands(&self) -> Arc<Errands<D>> {
+        self.errands.clone()
     }
 
     /// Runs until told to stop, then leaves a last snapshot.
@@ -140,11 +172,16 @@ impl<D: Discipline> Driver<D> {
     fn turn(&mut self) {
         let Self { station, port, .. } = self;
         port.drain_control(|rx, frame| station.on_frame(rx, frame));
-        let now = port.now();
+        (self.looked, self.woke) = (monotonic(), port.woke());
+        let now = port.clock().local(self.looked);
         station.on_timeout(now);
         if let Some(transmission) = station.next_transmission(now) {
             let sent = port.transmit(transmission);
             let sampled = matches!(sent, Sent::At(_) | Sent::StalledUntil(_));
+            if let Sent::Late(at, _) = &sent {
+                // What is told of last was judged by that look at the clock.
+                (self.looked, self.woke) = (port.clock().truth(*at), port.woke());
+            }
             station.on_sent(sent);
             port.drain_data(|rx, frame| station.on_frame(rx, frame));
             self.tell(sampled);
@@ -162,7 +199,7 @@ impl<D: Discipline> Driver<D> {
     fn tell(&mut self, sample_time: bool) {
         let now = monotonic();
         while let Some(event) = self.station.discipline_mut().next_event() {
-            let late = event.kind.is_miss().then(|| self.why_late(now, event.span));
+            let late = event.kind.is_miss().then(|| self.why_late(event.span));
             self.record(Record::Event(event, event.kind.cause().or(late)));
         }
         let time = self.station.discipline().time();
@@ -177,22 +214,20 @@ impl<D: Discipline> Driver<D> {
         }
     }
 
-    /// Carries out one command, if there is one. Its answer takes it along: nothing is freed here.
+    /// Carries out a command, if there is one. It goes back with what it replaced: nothing is freed here.
     fn obey(&mut self) -> bool {
-        if self.commands.is_empty() || self.answers.is_full() {
-            return false;
-        }
-        let Some(mut command) = self.commands.pop() else { return false };
-        let result = self.station.discipline_mut().command(self.port.now(), &mut command);
-        // Nobody else fills this queue, and it had a place.
-        let _ = self.answers.push(Answer { command, result });
+        let Some(mut errand) = self.errands.asked.take() else { return false };
+        errand.result = Some(self.station.discipline_mut().command(self.port.now(), &mut errand.command));
+        // There is only this one, so that the place is free.
+        self.errands.answered.store(Some(errand));
         true
     }
 
-    /// Why the loop was `late` beyond the last moment: it woke after that moment already, or only got there later.
-    fn why_late(&self, now: True, late: Span) -> Cause {
-        let last_moment = now.saturating_sub(late.nanos().max(0) as u64);
-        if self.port.woke() > last_moment { Cause::TimerLate } else { Cause::Preempted }
+    /// Why the loop was `late` beyond the last moment when it looked: it had woken after that moment already, or only got
+    /// to it later.
+    fn why_late(&self, late: Span) -> Cause {
+        let last_moment = self.looked.saturating_sub(late.nanos().max(0) as u64);
+        if self.woke > last_moment { Cause::TimerLate } else { Cause::Preempted }
     }
 
     fn record(&mut self, record: Record) {

@@ -75,7 +75,7 @@ pub struct GuardCounters {
 }
 
 /// A guard at an interface, until it is dropped or its process ends. (A clsact filter stays if the process is
-/// killed: it drops marked frames until the next guard there replaces it.)
+/// killed, or has given up CAP_NET_ADMIN: it drops marked frames until the next guard there replaces it.)
 pub struct Guard {
     mapping: bpf::Mapping,
     _hook: Hook,

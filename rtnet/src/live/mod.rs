@@ -21,6 +21,6 @@ mod port;
 pub mod realtime;
 pub mod ring;
 
-pub use driver::{Answer, Driver, DriverConfig, Record, Snapshot};
+pub use driver::{Driver, DriverConfig, Errand, Errands, Record, Snapshot};
 pub use guard::{Guard, GuardMode, GuardRefused};
 pub use port::{OpenError, Port, PortCounters};

@@ -140,8 +140,10 @@ impl Port {
 
     /// Marked once, so that the guard knows this port's frames at no cost for each.
     fn attach_guard(&self, interface: &Interface) -> Result<Guard, GuardRefused> {
+        let guard = Guard::attach(interface.index)?;
+        // Not before: without a guard a mark would only meet what a killed station left.
         self.sender.set_mark(MARK).map_err(|error| GuardRefused::new("SO_MARK", error))?;
-        Guard::attach(interface.index)
+        Ok(guard)
     }
 
     /// Whether the kernel enforces `latest`.

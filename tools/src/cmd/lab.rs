@@ -11,7 +11,7 @@ use rtnet::time::Span;
 
 use super::Failure;
 use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabStatusArgs};
-use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, MemberStatus, Place, Reply, Request};
+use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, MemberStatus, Place};
 use crate::lab;
 use crate::report::text::{Column, grouped, table};
 
@@ -61,13 +61,13 @@ fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
 pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
     let directory = Directory::of_user();
     if let Some(lab) = &args.name {
-        let status = status_of(&directory, lab).map_err(Failure::Usage)?;
+        let status = control::lab_status(&directory, lab).map_err(Failure::Usage)?;
         super::print(args.json, &status, account).map_err(Failure::Run)?;
         return Ok(0);
     }
     let mut all = Vec::new();
     for lab in directory.labs() {
-        match status_of(&directory, &lab) {
+        match control::lab_status(&directory, &lab) {
             Ok(status) => all.push(status),
             Err(error) => eprintln!("rtnet: {error:#}"),
         }
@@ -83,16 +83,8 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
 /// What running labs take of a core already, as a share.
 pub fn taken(directory: &Directory, cpu: Option<usize>) -> f64 {
     let cpu = cpu.or(rtnet::live::realtime::allowed_cpus().last().copied());
-    let running = directory.labs().into_iter().filter_map(|lab| status_of(directory, &lab).ok());
+    let running = directory.labs().into_iter().filter_map(|lab| control::lab_status(directory, &lab).ok());
     running.filter(|status| Some(status.cpu) == cpu).map(|status| status.load).sum()
-}
-
-fn status_of(directory: &Directory, lab: &str) -> Result<LabStatus> {
-    match control::ask_lab(directory, lab, LabRequest::Status)? {
-        LabReply::Status(status) => Ok(*status),
-        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
-        _ => bail!("lab '{lab}' answers what it was not asked"),
-    }
 }
 
 /// Runs a command beside a station; returns only if it cannot.
@@ -112,11 +104,7 @@ pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
 fn enter(place: &Place) -> Result<()> {
     let lab = place.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into());
     let place = Place { lab: Some(lab), station: place.station.clone() };
-    let pid = match control::ask(&Directory::of_user(), &place, Request::Status)? {
-        Reply::Status(status) => status.pid,
-        Reply::Refused(why) => bail!("station '{place}': {why}"),
-        Reply::Applied(_) => bail!("station '{place}' answers what it was not asked"),
-    };
+    let pid = control::station_status(&Directory::of_user(), &place)?.pid;
     lab::enter::enter(pid, Path::new(&format!("/proc/{pid}/ns/net")))
         .with_context(|| format!("station '{place}'"))
 }

@@ -1,12 +1,12 @@
 //! `rtnet slot`.
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::Result;
 
 use super::Failure;
 use super::station::SlotArg;
-use super::tdma::{applied, slots, status, told};
+use super::tdma::{applied, by_lab, slots, status, told};
 use crate::cli::{SlotArgs, SlotVerb, Which};
-use crate::control::{self, Directory, LabReply, LabRequest, Request, StationStatus};
+use crate::control::{LabRequest, Request, StationStatus};
 
 /// Looks at a station's slots, or changes them.
 pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
@@ -38,14 +38,5 @@ fn remove(which: &Which, id: u8) -> Result<u32> {
     match &which.place.lab {
         None => applied(which, Request::RemoveSlot(id)),
         Some(lab) => by_lab(lab, LabRequest::RemoveSlot { station: which.place.station.clone(), id }),
-    }
-}
-
-/// A lab knows the slots of all its stations, so it is asked instead of the one.
-fn by_lab(lab: &str, request: LabRequest) -> Result<u32> {
-    match control::ask_lab(&Directory::of_user(), lab, request)? {
-        LabReply::Applied(from) => Ok(from),
-        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
-        _ => bail!("lab '{lab}' answers what it was not asked"),
     }
 }

@@ -5,7 +5,9 @@ use rtnet::time::Span;
 
 use super::Failure;
 use crate::cli::{TdmaArgs, TdmaVerb, Which};
-use crate::control::{self, Directory, Reply, Request, RoleRequest, SlotShown, StationStatus};
+use crate::control::{
+    self, Directory, LabReply, LabRequest, Place, Reply, Request, RoleRequest, SlotShown, StationStatus,
+};
 use crate::report::text::{Column, grouped, micros, table};
 use crate::station::misses::{Miss, Misses};
 
@@ -25,17 +27,18 @@ pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
         TdmaVerb::Slave { rounds } => RoleRequest::Slave { rounds },
         TdmaVerb::Detach => RoleRequest::Detached,
     };
-    let from = applied(&args.which, Request::Become(role)).map_err(Failure::Usage)?;
+    let Place { lab, station } = args.which.place.clone();
+    let from = match lab {
+        None => applied(&args.which, Request::Become(role)),
+        Some(lab) => by_lab(&lab, LabRequest::Become { station, role }),
+    };
+    let from = from.map_err(Failure::Usage)?;
     told(&args.which, from, &format!("{}: {}", args.which.place, became(role)))
 }
 
 /// Asks a station where it stands.
 pub fn status(which: &Which) -> Result<StationStatus> {
-    match control::ask(&Directory::of_user(), &which.place, Request::Status)? {
-        Reply::Status(status) => Ok(*status),
-        Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
-        Reply::Applied(_) => bail!("station '{}' answers what it was not asked", which.place),
-    }
+    control::station_status(&Directory::of_user(), &which.place)
 }
 
 /// Asks for a change; the cycle from which it holds.
@@ -44,6 +47,15 @@ pub fn applied(which: &Which, request: Request) -> Result<u32> {
         Reply::Applied(from) => Ok(from),
         Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
         Reply::Status(_) => bail!("station '{}' answers what it was not asked", which.place),
+    }
+}
+
+/// A lab knows all its stations, so it is asked instead of the one.
+pub fn by_lab(lab: &str, request: LabRequest) -> Result<u32> {
+    match control::ask_lab(&Directory::of_user(), lab, request)? {
+        LabReply::Applied(from) => Ok(from),
+        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
+        _ => bail!("lab '{lab}' answers what it was not asked"),
     }
 }
 

@@ -10,24 +10,50 @@ use serde::de::DeserializeOwned;
 use socket2::{Domain, SockAddr, Socket, Type};
 
 use super::places::{Directory, Place};
-use super::protocol::{Envelope, LabReply, LabRequest, Reply, Request, read};
+use super::protocol::{Envelope, LabReply, LabRequest, LabStatus, Reply, Request, StationStatus, read};
 
 /// A control thread answers within milliseconds; one that does not is stopped or stuck.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// A lab that ends waits for stations that may be stopped.
+const DOWN_WITHIN: Duration = Duration::from_secs(20);
 /// Longest reply: a lab with 250 stations.
 const REPLY_AT_MOST: usize = 192 * 1024;
 
 /// Asks a station.
 pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Reply> {
+    ask_within(directory, place, request, PATIENCE)
+}
+
+/// Asks a station that is to answer soon.
+pub fn ask_within(directory: &Directory, place: &Place, request: Request, within: Duration) -> Result<Reply> {
     let path = directory.station(place);
-    exchange(&path, request)
+    exchange(&path, request, within)
         .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
 }
 
 /// Asks a lab.
 pub fn ask_lab(directory: &Directory, lab: &str, request: LabRequest) -> Result<LabReply> {
     let path = directory.lab(lab);
-    exchange(&path, request).map_err(|error| explain(error, "lab", lab, directory.labs()))
+    let within = if request == LabRequest::Down { DOWN_WITHIN } else { PATIENCE };
+    exchange(&path, request, within).map_err(|error| explain(error, "lab", lab, directory.labs()))
+}
+
+/// How a station stands.
+pub fn station_status(directory: &Directory, place: &Place) -> Result<StationStatus> {
+    match ask(directory, place, Request::Status)? {
+        Reply::Status(status) => Ok(*status),
+        Reply::Refused(why) => Err(anyhow!("station '{place}': {why}")),
+        Reply::Applied(_) => bail!("station '{place}' answers what it was not asked"),
+    }
+}
+
+/// How a lab goes.
+pub fn lab_status(directory: &Directory, lab: &str) -> Result<LabStatus> {
+    match ask_lab(directory, lab, LabRequest::Status)? {
+        LabReply::Status(status) => Ok(*status),
+        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
+        _ => bail!("lab '{lab}' answers what it was not asked"),
+    }
 }
 
 /// Says what there is instead of what does not exist.
@@ -47,7 +73,7 @@ fn explain(error: anyhow::Error, what: &str, name: &str, mut instead: Vec<String
             anyhow!("{what} '{name}' belongs to another user: ask as the one who started it")
         }
         ErrorKind::WouldBlock | ErrorKind::TimedOut => {
-            anyhow!("{what} '{name}' has not answered in {} s: its process is stopped", PATIENCE.as_secs())
+            anyhow!("{what} '{name}' has not answered in time: its process, or one it waits for, is stopped")
         }
         ErrorKind::ConnectionReset => {
             anyhow!("{what} '{name}' hung up: it has ended, or has too many clients; ask again")
@@ -56,10 +82,10 @@ fn explain(error: anyhow::Error, what: &str, name: &str, mut instead: Vec<String
     }
 }
 
-fn exchange<A: Serialize, B: DeserializeOwned>(path: &Path, request: A) -> Result<B> {
+fn exchange<A: Serialize, B: DeserializeOwned>(path: &Path, request: A, within: Duration) -> Result<B> {
     let mut connection = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
-    connection.set_read_timeout(Some(PATIENCE))?;
-    connection.set_write_timeout(Some(PATIENCE))?;
+    connection.set_read_timeout(Some(within))?;
+    connection.set_write_timeout(Some(within))?;
     connection.connect(&SockAddr::unix(path)?)?;
     connection.send_with_flags(&Envelope::pack(request), nix::libc::MSG_NOSIGNAL)?;
     let mut reply = vec![0; REPLY_AT_MOST + 1];

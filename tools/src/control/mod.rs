@@ -14,7 +14,7 @@ mod places;
 mod protocol;
 mod server;
 
-pub use client::{ask, ask_lab};
+pub use client::{ask, ask_lab, ask_within, lab_status, station_status};
 pub use places::{Directory, Held, Home, Place, check_name};
 pub use protocol::{
     Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotRequest,

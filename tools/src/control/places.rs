@@ -26,7 +26,6 @@ const NAME_AT_MOST: usize = 32;
 /// A lab's own files in its directory.
 const LOCK: &str = ".lock";
 const SOCKET: &str = ".sock";
-const LOG: &str = ".log";
 
 /// `[LAB/]STATION`, as it stands behind `-S`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -146,11 +145,6 @@ impl Directory {
     /// The socket of a lab.
     pub fn lab(&self, lab: &str) -> PathBuf {
         self.0.join(lab).join(SOCKET)
-    }
-
-    /// Where a lab writes what it has to say.
-    pub fn log(&self, lab: &str) -> PathBuf {
-        self.0.join(lab).join(LOG)
     }
 
     /// Takes a station's name.

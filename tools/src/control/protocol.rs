@@ -183,6 +183,13 @@ pub enum LabRequest {
         /// Which.
         id: u8,
     },
+    /// Let a slave leave the cycle, or join it again.
+    Become {
+        /// Which.
+        station: String,
+        /// What it is to be.
+        role: RoleRequest,
+    },
 }
 
 /// What it answers.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, ErrorKind, Read};
 use std::os::fd::AsFd;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -52,6 +52,8 @@ pub struct Server {
     listener: Socket,
     clients: Vec<Client>,
     path: PathBuf,
+    /// The file's number: another of this name is somebody else's.
+    inode: u64,
     traffic: Traffic,
 }
 
@@ -78,7 +80,8 @@ impl Server {
         // Its directory lets nobody else in; this is for directories that somebody else has made.
         fs::set_permissions(path, fs::Permissions::from_mode(0o600))?;
         listener.listen(BACKLOG)?;
-        Ok(Self { listener, clients: Vec::new(), path: path.to_owned(), traffic: Traffic::default() })
+        let inode = fs::metadata(path)?.ino();
+        Ok(Self { listener, clients: Vec::new(), path: path.to_owned(), inode, traffic: Traffic::default() })
     }
 
     /// What was counted so far.
@@ -148,7 +151,9 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // Who comes too late finds nothing, or nobody: both are told alike.
-        let _ = fs::remove_file(&self.path);
+        if fs::metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
+            // Who comes too late finds nothing, or nobody: both are told alike.
+            let _ = fs::remove_file(&self.path);
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! What this process may do here, and what the kernel can. Every probe leaves nothing behind.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io;
 use std::process::Command;
 
@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::on_core;
 use crate::lab::namespace::{Namespace, Segment};
+use crate::lab::userns;
 
 /// The hidden option of `rtnet doctor` with which it asks itself, as a process with one thread.
 pub const PROBE_OPTION: &str = "--probe-user-namespace";
@@ -129,14 +130,8 @@ fn tun() -> Result<(), String> {
 
 /// Whether an ordinary user could make namespaces, and what forbids it.
 fn user_namespaces() -> Right {
-    let setting = |path: &str| fs::read_to_string(path).ok().and_then(|text| text.trim().parse::<u64>().ok());
-    let forbidden = forbidden(
-        setting("/proc/sys/kernel/unprivileged_userns_clone"),
-        setting("/proc/sys/kernel/apparmor_restrict_unprivileged_userns"),
-        setting("/proc/sys/user/max_user_namespaces"),
-    );
     let name = "user namespaces";
-    match (try_user_namespace(), forbidden) {
+    match (try_user_namespace(), userns::forbidden()) {
         (_, Some(why)) => {
             Right { name, allowed: Some(false), note: Some(format!("for ordinary users: {why}")) }
         }
@@ -152,21 +147,6 @@ fn user_namespaces() -> Right {
     }
 }
 
-/// What the sysctls say against it; none of them exists everywhere.
-fn forbidden(clone: Option<u64>, apparmor: Option<u64>, max: Option<u64>) -> Option<String> {
-    if clone == Some(0) {
-        return Some("kernel.unprivileged_userns_clone is 0: set it to 1".into());
-    }
-    if max == Some(0) {
-        return Some("user.max_user_namespaces is 0: raise it".into());
-    }
-    let restricted = apparmor.is_some_and(|value| value != 0);
-    restricted.then(|| {
-        "kernel.apparmor_restrict_unprivileged_userns is 1: set it to 0, or write an AppArmor profile for rtnet"
-            .into()
-    })
-}
-
 fn try_user_namespace() -> io::Result<bool> {
     let status = Command::new(std::env::current_exe()?).args(["doctor", PROBE_OPTION]).status()?;
     match status.code() {
@@ -179,20 +159,6 @@ fn try_user_namespace() -> io::Result<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_forbids_user_namespaces_is_named_with_the_remedy() {
-        assert_eq!(forbidden(None, None, None), None);
-        assert_eq!(forbidden(Some(1), Some(0), Some(63_000)), None);
-        for (found, name) in [
-            (forbidden(Some(0), None, Some(63_000)), "kernel.unprivileged_userns_clone"),
-            (forbidden(None, Some(1), Some(63_000)), "kernel.apparmor_restrict_unprivileged_userns"),
-            (forbidden(None, None, Some(0)), "user.max_user_namespaces"),
-        ] {
-            let line = found.unwrap();
-            assert!(line.starts_with(name) && line.contains(": "), "{line}");
-        }
-    }
 
     #[test]
     fn a_refusal_says_what_to_do() {

@@ -324,6 +324,7 @@ impl Analysis {
         if !counts {
             return;
         }
+        self.timetable.sent(station, cycle);
         let Some(&slot) = self.timetable.at(station, tag.slot, cycle) else {
             return self.find(Finding::of(station, cycle, FindingKind::OutOfSlot, Span::ZERO));
         };
@@ -356,7 +357,10 @@ impl Analysis {
     /// Every turn of a slot from `next` up to `end` was missed.
     fn slot_gaps(&mut self, station: usize, id: u8, next: u32, end: u32) {
         if self.window.is_some() {
-            let turns: Vec<u32> = self.timetable.turns(station, id, next, end).collect();
+            let room = FINDINGS_MAX.saturating_sub(self.findings.len());
+            let turns: Vec<u32> = self.timetable.turns(station, id, next, end).take(room).collect();
+            let all = self.timetable.count_of(station, id, next, end);
+            self.findings_dropped += all.saturating_sub(turns.len() as u64);
             self.gaps(turns.into_iter(), FindingKind::SlotMissed, station);
         }
     }

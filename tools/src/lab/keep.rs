@@ -4,15 +4,16 @@ use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use rtnet::time::Span;
+use rtnet::wire::ethernet::MTU;
 
 use super::members::Member;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
 use crate::control::{
-    self, Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Place, Reply, Request, Server,
-    SlotRequest, check_name, read,
+    self, Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Place, Reply, Request, RoleRequest,
+    Server, SlotRequest, check_name, read,
 };
 use crate::scenario::{Scenario, SlotPlan};
 
@@ -20,6 +21,10 @@ use crate::scenario::{Scenario, SlotPlan};
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
 /// How long records are kept: a station that was stopped for less has its misses explained.
 const RECORDS_KEPT: Duration = Duration::from_secs(600);
+/// How long a station may take to answer its lab: the observer's ring holds a second.
+const STATION_WITHIN: Duration = Duration::from_millis(500);
+/// A lab is judged for so many cycles, 12 days at 1 ms: half of what cycle numbers tell apart.
+const CYCLES_AT_MOST: u32 = 1 << 30;
 /// Changes of slots in a lab's life, each of which is remembered.
 const CHANGES_AT_MOST: u32 = 100_000;
 
@@ -39,7 +44,7 @@ pub fn keep(
         let _ = writeln!(std::io::stderr(), "rtnet: {note}");
     }
     lab.join(&scenario)?;
-    lab.begin(i32::MAX as u32)?;
+    lab.begin(CYCLES_AT_MOST)?;
     let mut server = Server::bind(&home.socket())?;
     let since = Instant::now();
     let mut keeper = Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, over: None };
@@ -53,12 +58,16 @@ pub fn keep(
             judged = Instant::now();
             keeper.judge();
         }
-        let interrupted = keeper.lab.interrupted.load(Ordering::Relaxed);
+        let interrupted = keeper.lab.interrupted.load(Ordering::Relaxed) || keeper.lab.analysis.is_complete();
         if keeper.over.is_none() && (interrupted || until.is_some_and(|until| Instant::now() >= until)) {
             keeper.end()?;
         }
     }
     keeper.over.context("a lab ends with its figures")
+}
+
+fn reply(applied: Result<u32>) -> LabReply {
+    applied.map_or_else(|error| LabReply::Refused(format!("{error:#}")), LabReply::Applied)
 }
 
 struct Keeper {
@@ -84,6 +93,7 @@ impl Keeper {
             },
             Ok(LabRequest::SetSlot { station, slot }) => self.change(&station, slot.id, Some(slot)),
             Ok(LabRequest::RemoveSlot { station, id }) => self.change(&station, id, None),
+            Ok(LabRequest::Become { station, role }) => reply(self.try_become(&station, role)),
         };
         Envelope::pack(reply)
     }
@@ -114,27 +124,30 @@ impl Keeper {
     }
 
     fn change(&mut self, station: &str, id: u8, slot: Option<SlotRequest>) -> LabReply {
-        match self.try_change(station, id, slot) {
-            Ok(from) => LabReply::Applied(from),
-            Err(error) => LabReply::Refused(format!("{error:#}")),
-        }
+        reply(self.try_change(station, id, slot))
     }
 
     /// Changes a slot where it hits no neighbour, and expects it so from the cycle that the station tells.
     fn try_change(&mut self, name: &str, id: u8, slot: Option<SlotRequest>) -> Result<u32> {
-        let Some(station) = self.scenario.stations.iter().position(|plan| plan.name == name) else {
-            let names: Vec<&str> = self.scenario.stations.iter().map(|plan| plan.name.as_str()).collect();
-            bail!("there is no station '{name}': there is {}", names.join(", "));
-        };
+        let station = self.station(name)?;
         ensure!(
             self.changes < CHANGES_AT_MOST,
             "{CHANGES_AT_MOST} changes were made: take the lab down first"
         );
+        if let Some(SlotRequest { size, phase, period, .. }) = slot {
+            let payload = self.scenario.stations[station].payload;
+            ensure!(phase < period, "phase {} of {period} does not exist", u64::from(phase) + 1);
+            ensure!(
+                (payload..=MTU).contains(&size),
+                "a size of {size} is not within {payload}, the payload of '{name}', and {MTU}"
+            );
+        }
+        self.must_be_locked(station)?;
         let plan = slot.map(|slot| SlotPlan {
             id,
             offset: Span::from_nanos(slot.offset_ns),
             phase: slot.phase,
-            period: slot.period.max(1),
+            period: slot.period,
             size: slot.size,
         });
         let mut changed = self.scenario.clone();
@@ -146,15 +159,66 @@ impl Keeper {
         }
         let place = Place { lab: Some(self.home.lab.clone()), station: name.to_owned() };
         let request = slot.map_or(Request::RemoveSlot(id), Request::SetSlot);
-        let from = match control::ask(&self.home.directory, &place, request)? {
-            Reply::Applied(from) => from,
-            Reply::Refused(why) => bail!("station '{name}': {why}"),
-            Reply::Status(_) => bail!("station '{name}' answers what it was not asked"),
-        };
+        let from = self.ask(&place, request)?;
         self.lab.analysis.timetable.change(station, id, plan, from);
         self.scenario = changed;
         self.changes += 1;
         Ok(from)
+    }
+
+    /// Lets a slave leave the cycle, or join it again: from when on its frames are expected no more, or, from its
+    /// first on, again.
+    fn try_become(&mut self, name: &str, role: RoleRequest) -> Result<u32> {
+        let station = self.station(name)?;
+        ensure!(
+            station != 0,
+            "'{name}' is the lab's master, by whose time all is judged: it stays what it is"
+        );
+        let place = Place { lab: Some(self.home.lab.clone()), station: name.to_owned() };
+        match role {
+            RoleRequest::Master { .. } => bail!("a lab has one master, '{}'", self.scenario.stations[0].name),
+            RoleRequest::Detached => {
+                self.must_be_locked(station)?;
+                let from = self.ask(&place, Request::Become(role))?;
+                self.lab.analysis.timetable.leave(station, from);
+                Ok(from)
+            }
+            RoleRequest::Slave { .. } => {
+                if !self.lab.analysis.timetable.is_away(station) {
+                    self.must_be_locked(station)?;
+                }
+                let from = self.ask(&place, Request::Become(role))?;
+                self.lab.analysis.timetable.leave(station, from);
+                self.lab.analysis.timetable.may_return(station);
+                Ok(from)
+            }
+        }
+    }
+
+    fn station(&self, name: &str) -> Result<usize> {
+        self.scenario.stations.iter().position(|plan| plan.name == name).ok_or_else(|| {
+            let names: Vec<&str> = self.scenario.stations.iter().map(|plan| plan.name.as_str()).collect();
+            anyhow!("there is no station '{name}': there is {}", names.join(", "))
+        })
+    }
+
+    /// Who does not know which cycle it is cannot say from which on it is different.
+    fn must_be_locked(&self, station: usize) -> Result<()> {
+        let (name, state) = (&self.scenario.stations[station].name, self.state(station));
+        ensure!(
+            state == "locked" || state == "holdover",
+            "station '{name}' is {state}: ask again when it is locked"
+        );
+        Ok(())
+    }
+
+    /// Asks a station. Meanwhile nobody looks at the medium, so it is not waited for long.
+    fn ask(&self, place: &Place, request: Request) -> Result<u32> {
+        match control::ask_within(&self.home.directory, place, request, STATION_WITHIN)? {
+            Reply::Applied(from) => Ok(from),
+            Reply::Refused(why) => bail!("station '{}': {why}", place.station),
+            Reply::Status(_) => bail!("station '{}' answers what it was not asked", place.station),
+        }
     }
 
     fn state(&self, station: usize) -> String {

@@ -7,6 +7,8 @@ use crate::scenario::{Scenario, SlotPlan};
 /// Every station's slots, with the cycles in which they hold.
 pub struct Timetable {
     stations: Vec<Vec<Entry>>,
+    /// The slots of those that have left, to hold again from their next frame on, if it may come.
+    away: Vec<Option<(Vec<SlotPlan>, bool)>>,
 }
 
 struct Entry {
@@ -22,7 +24,10 @@ impl Timetable {
     pub fn of(scenario: &Scenario) -> Self {
         let entry = |&plan: &SlotPlan| Entry { plan, from: None, until: None };
         let entries = |slots: &Vec<SlotPlan>| slots.iter().map(entry).collect();
-        Self { stations: scenario.stations.iter().map(|station| entries(&station.slots)).collect() }
+        Self {
+            stations: scenario.stations.iter().map(|station| entries(&station.slots)).collect(),
+            away: scenario.stations.iter().map(|_| None).collect(),
+        }
     }
 
     /// From cycle `from` on a slot is as `plan` says, or there is none.
@@ -34,6 +39,43 @@ impl Timetable {
             open.until = Some(from);
         }
         entries.extend(plan.map(|plan| Entry { plan, from: Some(from), until: None }));
+    }
+
+    /// From cycle `from` on nothing is expected of a station.
+    pub fn leave(&mut self, station: usize, from: u32) {
+        if self.is_away(station) {
+            return;
+        }
+        let open = self.stations[station].iter().filter(|entry| entry.until.is_none());
+        let plans: Vec<SlotPlan> = open.map(|entry| entry.plan).collect();
+        for plan in &plans {
+            self.change(station, plan.id, None, from);
+        }
+        self.away[station] = Some((plans, false));
+    }
+
+    /// Whether a station has left and was not heard again.
+    pub fn is_away(&self, station: usize) -> bool {
+        self.away[station].is_some()
+    }
+
+    /// A station that has left may send again.
+    pub fn may_return(&mut self, station: usize) {
+        if let Some((_, may)) = &mut self.away[station] {
+            *may = true;
+        }
+    }
+
+    /// A station has sent in a cycle: if it had left, it is back.
+    pub fn sent(&mut self, station: usize, cycle: u32) {
+        if !matches!(self.away[station], Some((_, true)))
+            || self.stations[station].iter().any(|e| e.holds(cycle))
+        {
+            return;
+        }
+        for plan in self.away[station].take().map(|(plans, _)| plans).unwrap_or_default() {
+            self.change(station, plan.id, Some(plan), cycle);
+        }
     }
 
     /// A slot as it is in a cycle.
@@ -63,13 +105,18 @@ impl Timetable {
         })
     }
 
-    /// How many turns all slots of a station have in those cycles.
-    pub fn count(&self, station: usize, next: u32, end: u32) -> u64 {
+    /// How many those are.
+    pub fn count_of(&self, station: usize, id: u8, next: u32, end: u32) -> u64 {
         let count = |entry: &Entry| {
             let (next, end) = entry.within(next, end);
             count(next, end, entry.plan.phase, entry.plan.period)
         };
-        self.stations[station].iter().map(count).sum()
+        self.entries(station, id).map(count).sum()
+    }
+
+    /// How many turns all slots of a station have in those cycles.
+    pub fn count(&self, station: usize, next: u32, end: u32) -> u64 {
+        self.ids(station).into_iter().map(|id| self.count_of(station, id, next, end)).sum()
     }
 
     fn entries(&self, station: usize, id: u8) -> impl Iterator<Item = &Entry> {
@@ -154,6 +201,19 @@ mod tests {
         timetable.change(1, 0, Some(plan), 120);
         assert_eq!(timetable.count(1, 98, 200), 12 + 80);
         assert_eq!(timetable.ids(1), [0]);
+    }
+
+    #[test]
+    fn nothing_is_expected_of_who_has_left_until_it_sends_again() {
+        let (mut timetable, _) = timetable();
+        timetable.leave(1, 100);
+        timetable.sent(1, 110);
+        assert_eq!(timetable.count(1, 90, 200), 10, "it may not send yet");
+        timetable.may_return(1);
+        timetable.sent(1, 99);
+        timetable.sent(1, 120);
+        timetable.sent(1, 121);
+        assert_eq!(timetable.turns(1, 0, 98, 123).collect::<Vec<_>>(), [98, 99, 120, 121, 122]);
     }
 
     #[test]

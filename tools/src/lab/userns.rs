@@ -9,25 +9,6 @@ use nix::errno::Errno;
 use nix::sched::{CloneFlags, unshare};
 use nix::unistd::{getegid, geteuid};
 
-/// Switches that forbid user namespaces, the value with which they do, and how to turn them.
-const FORBIDDEN: [(&str, &str, &str); 3] = [
-    (
-        "/proc/sys/kernel/apparmor_restrict_unprivileged_userns",
-        "1",
-        "this distribution forbids it by AppArmor: sysctl kernel.apparmor_restrict_unprivileged_userns=0 allows it",
-    ),
-    (
-        "/proc/sys/kernel/unprivileged_userns_clone",
-        "0",
-        "this distribution forbids it: sysctl kernel.unprivileged_userns_clone=1 allows it",
-    ),
-    (
-        "/proc/sys/user/max_user_namespaces",
-        "0",
-        "this host forbids it: sysctl user.max_user_namespaces=1000 allows it",
-    ),
-];
-
 /// Sees to it that this process may make network namespaces: root may, others become root of a user namespace.
 /// To be called before there is a second thread.
 pub fn gain_namespaces() -> Result<()> {
@@ -48,15 +29,53 @@ pub fn gain_namespaces() -> Result<()> {
     write("gid_map", &format!("0 {group} 1")).map_err(refused)
 }
 
-/// Who or what stands in the way, and what to do.
+/// What to do where the kernel does not let an ordinary user in.
 pub fn remedy() -> &'static str {
-    let forbids = |&&(file, value, _): &&(&str, &str, &str)| {
-        fs::read_to_string(file).is_ok_and(|found| found.trim() == value)
-    };
-    FORBIDDEN.iter().find(forbids).map_or("run it as root", |(.., remedy)| remedy)
+    forbidden().unwrap_or("run it as root")
+}
+
+/// Which setting forbids user namespaces to ordinary users here, and what to set it to.
+pub fn forbidden() -> Option<&'static str> {
+    let setting = |path: &str| fs::read_to_string(path).ok().and_then(|text| text.trim().parse::<u64>().ok());
+    forbidden_by(
+        setting("/proc/sys/kernel/unprivileged_userns_clone"),
+        setting("/proc/sys/kernel/apparmor_restrict_unprivileged_userns"),
+        setting("/proc/sys/user/max_user_namespaces"),
+    )
+}
+
+/// None of the settings exists everywhere.
+fn forbidden_by(clone: Option<u64>, apparmor: Option<u64>, max: Option<u64>) -> Option<&'static str> {
+    match (clone, apparmor, max) {
+        (Some(0), ..) => Some("kernel.unprivileged_userns_clone is 0: set it to 1"),
+        (.., Some(0)) => Some("user.max_user_namespaces is 0: raise it"),
+        (_, Some(1..), _) => Some(
+            "kernel.apparmor_restrict_unprivileged_userns is 1: set it to 0, or write an AppArmor profile for rtnet",
+        ),
+        _ => None,
+    }
 }
 
 fn write(file: &str, text: &str) -> Result<()> {
     let path = format!("/proc/self/{file}");
     fs::write(&path, text).with_context(|| format!("{path} cannot be written"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_forbids_user_namespaces_is_named_with_the_remedy() {
+        assert_eq!(forbidden_by(None, None, None), None);
+        assert_eq!(forbidden_by(Some(1), Some(0), Some(63_000)), None);
+        for (found, name) in [
+            (forbidden_by(Some(0), None, Some(63_000)), "kernel.unprivileged_userns_clone"),
+            (forbidden_by(None, Some(1), Some(63_000)), "kernel.apparmor_restrict_unprivileged_userns"),
+            (forbidden_by(None, None, Some(0)), "user.max_user_namespaces"),
+        ] {
+            let line = found.unwrap();
+            assert!(line.starts_with(name) && line.contains(": "), "{line}");
+        }
+    }
 }

@@ -13,7 +13,7 @@ use rtnet::live::interface::Interface;
 use rtnet::live::ring::{CaptureRing, Captured, RingConfig};
 use rtnet::wire::ethernet::Address;
 
-use crate::control::{Directory, LabReply, LabRequest, LabStatus, ask_lab};
+use crate::control::{Directory, lab_status};
 use crate::lab::enter::enter;
 
 /// How long nothing is looked at when nothing comes.
@@ -59,7 +59,8 @@ impl Ear {
         let (interface, lab) = match spot {
             Spot::Interface(name) => (Interface::find(name)?.name, None),
             Spot::Lab(name) => {
-                let status = status_of(name)?;
+                // To be asked before a user namespace is entered, in which one is root.
+                let status = lab_status(&Directory::of_user(), name)?;
                 enter(status.pid, &status.bridge_namespace).with_context(|| format!("lab '{name}'"))?;
                 (status.bridge.clone(), Some(status))
             }
@@ -116,15 +117,6 @@ impl Ear {
             Some(lab) => format!("{} of lab '{lab}'", self.interface),
             None => self.interface.clone(),
         }
-    }
-}
-
-fn status_of(lab: &str) -> Result<LabStatus> {
-    // To be asked before a user namespace is entered, in which one is root.
-    match ask_lab(&Directory::of_user(), lab, LabRequest::Status)? {
-        LabReply::Status(status) => Ok(*status),
-        LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
-        _ => bail!("lab '{lab}' answers what it was not asked"),
     }
 }
 

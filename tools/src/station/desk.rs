@@ -11,7 +11,7 @@ use rtmac::tdma::{
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::live::clock::{monotonic, realtime};
-use rtnet::live::{Answer, Driver, Record, Snapshot};
+use rtnet::live::{Driver, Errand, Errands, Record, Snapshot};
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::link::Standing;
@@ -39,8 +39,7 @@ pub struct Desk {
     step_limit: Option<Span>,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<TdmaStatus>>>,
-    commands: Arc<ArrayQueue<TdmaCommand>>,
-    answers: Arc<ArrayQueue<Answer<Tdma>>>,
+    errands: Arc<Errands<Tdma>>,
     counts: Arc<TrafficCounts>,
     newest: Option<Snapshot<TdmaStatus>>,
     /// Whether there is a newer one than was last asked for.
@@ -49,6 +48,8 @@ pub struct Desk {
     misses: Misses,
     /// Whether the process was continued after it had been stopped.
     continued: Arc<AtomicBool>,
+    /// Whether it was so the last time.
+    was_continued: bool,
 }
 
 impl Desk {
@@ -69,14 +70,14 @@ impl Desk {
             step_limit: lab.map(|lab| Span::from_nanos(lab.step_limit_ns)),
             records: driver.records(),
             snapshots: driver.snapshots(),
-            commands: driver.commands(),
-            answers: driver.answers(),
+            errands: driver.errands(),
             counts,
             newest: None,
             news: false,
             host: Vec::new(),
             misses: Misses::default(),
             continued: continued(),
+            was_continued: false,
         }
     }
 
@@ -88,7 +89,10 @@ impl Desk {
     /// What was recorded since the last time.
     pub fn records(&mut self) -> Vec<Record> {
         let records: Vec<Record> = std::iter::from_fn(|| self.records.pop()).collect();
-        self.misses.note(&records, self.continued.swap(false, Ordering::Relaxed));
+        // Of what was missed meanwhile some may be told only the next time.
+        let now = self.continued.swap(false, Ordering::Relaxed);
+        let before = std::mem::replace(&mut self.was_continued, now);
+        self.misses.note(&records, now || before);
         records
     }
 
@@ -127,14 +131,14 @@ impl Desk {
     /// Hands a command to the real-time thread, and waits for what becomes of it.
     fn command(&mut self, command: TdmaCommand) -> Reply {
         // Of one that was given up waiting for.
-        while self.answers.pop().is_some() {}
-        if self.commands.push(command).is_err() {
-            return Reply::Refused("the real-time thread does not take commands: it is stuck".into());
+        drop(self.errands.take());
+        if self.errands.send(command).is_err() {
+            return Reply::Refused("the command before this one is not carried out yet: ask again".into());
         }
         let deadline = Instant::now() + ANSWER_WITHIN;
         while Instant::now() < deadline {
             std::thread::sleep(LOOK_EVERY);
-            if let Some(Answer { result, .. }) = self.answers.pop() {
+            if let Some(Errand { result: Some(result), .. }) = self.errands.take() {
                 return result.map_or_else(|refused| Reply::Refused(refused.to_string()), Reply::Applied);
             }
         }

@@ -81,6 +81,8 @@ pub struct Ready {
     counts: Arc<TrafficCounts>,
     stop: Arc<AtomicBool>,
     in_lab: bool,
+    /// By its command line.
+    is_master: bool,
     teller: Teller,
     desk: Desk,
     // Gone before the name is free again.
@@ -111,6 +113,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         counts,
         stop,
         in_lab,
+        is_master,
         teller,
         desk,
         control,
@@ -151,7 +154,10 @@ impl Ready {
             }
             told = Instant::now();
             let newest = self.desk.news();
-            if let Some(why) = self.teller.tell(self.desk.records(), newest, &self.counts)? {
+            // Who was made a master by command stays, and says whom it makes way for.
+            if let Some(why) =
+                self.teller.tell(self.desk.records(), newest, &self.counts)?.filter(|_| self.is_master)
+            {
                 self.stop.store(true, Ordering::Relaxed);
                 bail!(why);
             }

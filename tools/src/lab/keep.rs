@@ -142,7 +142,7 @@ impl Keeper {
                 "a size of {size} is not within {payload}, the payload of '{name}', and {MTU}"
             );
         }
-        self.must_be_locked(station)?;
+        self.must_have_been_locked(station)?;
         let plan = slot.map(|slot| SlotPlan {
             id,
             offset: Span::from_nanos(slot.offset_ns),
@@ -178,14 +178,14 @@ impl Keeper {
         match role {
             RoleRequest::Master { .. } => bail!("a lab has one master, '{}'", self.scenario.stations[0].name),
             RoleRequest::Detached => {
-                self.must_be_locked(station)?;
+                self.must_have_been_locked(station)?;
                 let from = self.ask(&place, Request::Become(role))?;
                 self.lab.analysis.timetable.leave(station, from);
                 Ok(from)
             }
             RoleRequest::Slave { .. } => {
                 if !self.lab.analysis.timetable.is_away(station) {
-                    self.must_be_locked(station)?;
+                    self.must_have_been_locked(station)?;
                 }
                 let from = self.ask(&place, Request::Become(role))?;
                 self.lab.analysis.timetable.leave(station, from);
@@ -203,19 +203,22 @@ impl Keeper {
     }
 
     /// Who does not know which cycle it is cannot say from which on it is different.
-    fn must_be_locked(&self, station: usize) -> Result<()> {
+    fn must_have_been_locked(&self, station: usize) -> Result<()> {
         let (name, state) = (&self.scenario.stations[station].name, self.state(station));
-        ensure!(
-            state == "locked" || state == "holdover",
-            "station '{name}' is {state}: ask again when it is locked"
-        );
+        let knows = matches!(state.as_str(), "locked" | "holdover" | "lost");
+        ensure!(knows, "station '{name}' is {state}: ask again when it is locked");
         Ok(())
     }
 
     /// Asks a station. Meanwhile nobody looks at the medium, so it is not waited for long.
     fn ask(&self, place: &Place, request: Request) -> Result<u32> {
         match control::ask_within(&self.home.directory, place, request, STATION_WITHIN)? {
-            Reply::Applied(from) => Ok(from),
+            // One that was lost for long has no idea of the cycle any more, and changed at once.
+            Reply::Applied(from) => {
+                let current = self.lab.analysis.current().unwrap_or(from);
+                let known = current.wrapping_sub(from) as i32 <= 0;
+                Ok(if known { from } else { current.wrapping_add(1) })
+            }
             Reply::Refused(why) => bail!("station '{}': {why}", place.station),
             Reply::Status(_) => bail!("station '{}' answers what it was not asked", place.station),
         }

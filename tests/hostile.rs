@@ -62,6 +62,7 @@ impl Victim {
                 sync_latest: latest,
                 reply_latest: latest,
                 epoch: Offset::default(),
+                resume: None,
             }),
         };
         let offset = if self.address() == SLAVE { Span::from_micros(400) } else { Span::from_micros(200) };

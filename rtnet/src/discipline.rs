@@ -219,6 +219,8 @@ pub struct Event {
     pub cycle: u32,
     /// What it was.
     pub kind: EventKind,
+    /// In which of the station's slots, if it was in one.
+    pub slot: Option<Channel>,
     /// How much: lateness, size of a step, measured delay.
     pub span: Span,
 }
@@ -234,6 +236,8 @@ pub enum EventKind {
     GuardDropped,
     /// A slot was passed over because synchronisation did not allow it.
     SlotSilent,
+    /// Nothing waited for a slot that was used the last time. Those after it are only counted.
+    SlotEmpty,
     /// A slot begins after the master's cycle ends, by so much: it is never used.
     SlotBeyondCycle,
     /// The kernel refused a frame; the span is its error number.
@@ -262,11 +266,12 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 16] = [
+    pub const ALL: [EventKind; 17] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::GuardDropped,
         EventKind::SlotSilent,
+        EventKind::SlotEmpty,
         EventKind::SlotBeyondCycle,
         EventKind::SendFailed,
         EventKind::SyncSkipped,
@@ -284,7 +289,10 @@ impl EventKind {
     /// Whether a slot or a Synchronisation was missed by it, or a frame was late.
     pub const fn is_miss(self) -> bool {
         use EventKind::*;
-        matches!(self, Overrun | StalledInSend | GuardDropped | SlotSilent | SendFailed | SyncSkipped)
+        matches!(
+            self,
+            Overrun | StalledInSend | GuardDropped | SlotSilent | SlotEmpty | SendFailed | SyncSkipped
+        )
     }
 
     /// Why that was, as far as the kind tells. What was too late for its instant only the loop's stamps explain.
@@ -292,6 +300,7 @@ impl EventKind {
         match self {
             EventKind::StalledInSend | EventKind::GuardDropped => Some(Cause::StalledInSend),
             EventKind::SlotSilent => Some(Cause::NoSync),
+            EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::SendFailed => Some(Cause::Refused),
             _ => None,
         }
@@ -304,6 +313,7 @@ impl EventKind {
             EventKind::StalledInSend => "stalled_in_send",
             EventKind::GuardDropped => "guard_dropped",
             EventKind::SlotSilent => "slot_silent",
+            EventKind::SlotEmpty => "slot_empty",
             EventKind::SlotBeyondCycle => "slot_beyond_cycle",
             EventKind::SendFailed => "send_failed",
             EventKind::SyncSkipped => "sync_skipped",
@@ -331,14 +341,22 @@ pub enum Cause {
     StalledInSend,
     /// There was no Synchronisation to follow, or none yet.
     NoSync,
+    /// Nothing was queued in time.
+    QueueEmpty,
     /// The kernel did not take the frame.
     Refused,
 }
 
 impl Cause {
     /// Every cause.
-    pub const ALL: [Cause; 5] =
-        [Cause::TimerLate, Cause::Preempted, Cause::StalledInSend, Cause::NoSync, Cause::Refused];
+    pub const ALL: [Cause; 6] = [
+        Cause::TimerLate,
+        Cause::Preempted,
+        Cause::StalledInSend,
+        Cause::NoSync,
+        Cause::QueueEmpty,
+        Cause::Refused,
+    ];
 
     /// The cause's name in reports.
     pub const fn name(self) -> &'static str {
@@ -347,6 +365,7 @@ impl Cause {
             Cause::Preempted => "preempted",
             Cause::StalledInSend => "stalled_in_send",
             Cause::NoSync => "sync_lost_or_late",
+            Cause::QueueEmpty => "queue_empty",
             Cause::Refused => "refused",
         }
     }

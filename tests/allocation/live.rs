@@ -106,6 +106,7 @@ fn role(station: usize) -> RoleConfig {
             sync_latest: LATE,
             reply_latest: LATE,
             epoch: Offset::default(),
+            resume: None,
         }),
         _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE) }),
     }

@@ -96,6 +96,7 @@ impl Seat {
                 sync_latest: latest,
                 reply_latest: latest,
                 epoch,
+                resume: None,
             }),
             _ => RoleConfig::Slave(SlaveConfig { rounds: 20, step_limit: None }),
         };

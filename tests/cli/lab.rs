@@ -57,9 +57,7 @@ fn running(lab: &Child, stations: usize) -> Vec<i32> {
 
 #[test]
 fn a_lab_reports_what_it_measured_and_leaves_nothing() {
-    if !as_root("a_lab_reports_what_it_measured_and_leaves_nothing") {
-        return;
-    }
+    let Some(_alone) = as_root("a_lab_reports_what_it_measured_and_leaves_nothing") else { return };
     let before = veths();
     let dir = tempfile::tempdir().unwrap();
     let (json, pcap) = (dir.path().join("report.json"), dir.path().join("frames.pcapng"));
@@ -86,9 +84,7 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
 
 #[test]
 fn a_lab_says_what_enforced_its_slots() {
-    if !as_root("a_lab_says_what_enforced_its_slots") {
-        return;
-    }
+    let Some(_alone) = as_root("a_lab_says_what_enforced_its_slots") else { return };
     let dir = tempfile::tempdir().unwrap();
     let json = dir.path().join("report.json");
     let report = |slot_guard: &str| {
@@ -112,9 +108,7 @@ fn a_lab_says_what_enforced_its_slots() {
 
 #[test]
 fn a_file_says_what_the_network_is() {
-    if !as_root("a_file_says_what_the_network_is") {
-        return;
-    }
+    let Some(_alone) = as_root("a_file_says_what_the_network_is") else { return };
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/two_stations.toml");
     let run = || rtnet().args(["lab", "run"]).arg(&example).output().unwrap();
     // A host that stands still for a while at the end is not what this is about.
@@ -127,9 +121,7 @@ fn a_file_says_what_the_network_is() {
 
 #[test]
 fn a_station_that_dies_fails_the_run_by_name() {
-    if !as_root("a_station_that_dies_fails_the_run_by_name") {
-        return;
-    }
+    let Some(_alone) = as_root("a_station_that_dies_fails_the_run_by_name") else { return };
     let lab = lab("3", "60s").spawn().unwrap();
     let victim = running(&lab, 3)[1];
     kill(Pid::from_raw(victim), Signal::SIGKILL).unwrap();
@@ -141,9 +133,7 @@ fn a_station_that_dies_fails_the_run_by_name() {
 
 #[test]
 fn frames_that_do_not_reach_their_receiver_fail_the_run() {
-    if !as_root("frames_that_do_not_reach_their_receiver_fail_the_run") {
-        return;
-    }
+    let Some(_alone) = as_root("frames_that_do_not_reach_their_receiver_fail_the_run") else { return };
     let lab = lab("3", "60s").spawn().unwrap();
     let sleeper = Pid::from_raw(running(&lab, 3)[2]);
     // More than its sockets hold.
@@ -161,9 +151,7 @@ fn frames_that_do_not_reach_their_receiver_fail_the_run() {
 
 #[test]
 fn ctrl_c_ends_the_run_with_the_report_so_far() {
-    if !as_root("ctrl_c_ends_the_run_with_the_report_so_far") {
-        return;
-    }
+    let Some(_alone) = as_root("ctrl_c_ends_the_run_with_the_report_so_far") else { return };
     let lab = lab("3", "60s").spawn().unwrap();
     let stations = running(&lab, 3);
     kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
@@ -177,9 +165,7 @@ fn ctrl_c_ends_the_run_with_the_report_so_far() {
 
 #[test]
 fn a_killed_lab_takes_its_stations_and_interfaces_along() {
-    if !as_root("a_killed_lab_takes_its_stations_and_interfaces_along") {
-        return;
-    }
+    let Some(_alone) = as_root("a_killed_lab_takes_its_stations_and_interfaces_along") else { return };
     let before = veths();
     let mut lab = lab("3", "60s").spawn().unwrap();
     let stations = running(&lab, 3);
@@ -191,9 +177,7 @@ fn a_killed_lab_takes_its_stations_and_interfaces_along() {
 
 #[test]
 fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
-    if !as_root("an_ordinary_user_has_a_lab_in_a_user_namespace") {
-        return;
-    }
+    let Some(_alone) = as_root("an_ordinary_user_has_a_lab_in_a_user_namespace") else { return };
     use std::os::unix::process::CommandExt;
     // The binary's folder may be closed to others, so that it is run from a place that is not.
     let dir = tempfile::tempdir().unwrap();

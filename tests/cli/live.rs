@@ -89,9 +89,7 @@ fn refusal(output: &Output) -> String {
 
 #[test]
 fn a_lab_is_stood_up_looked_at_changed_and_taken_down() {
-    if !as_root("a_lab_is_stood_up_looked_at_changed_and_taken_down") {
-        return;
-    }
+    let Some(_alone) = as_root("a_lab_is_stood_up_looked_at_changed_and_taken_down") else { return };
     let cell = Cell::up("looked");
     let station = cell.station("slave2");
     assert_eq!((&station["role"], &station["standing"]["state"]), (&"slave".into(), &"locked".into()));
@@ -134,9 +132,7 @@ fn pid(station: &Value) -> u64 {
 
 #[test]
 fn a_slot_moves_a_hundred_times_and_no_frame_is_lost() {
-    if !as_root("a_slot_moves_a_hundred_times_and_no_frame_is_lost") {
-        return;
-    }
+    let Some(_alone) = as_root("a_slot_moves_a_hundred_times_and_no_frame_is_lost") else { return };
     let cell = Cell::up("moved");
     for turn in 0..100 {
         let offset = if turn % 2 == 0 { "0=2300us" } else { "0=1600us" };
@@ -152,9 +148,7 @@ fn a_slot_moves_a_hundred_times_and_no_frame_is_lost() {
 
 #[test]
 fn a_detached_station_is_silent_and_joins_again() {
-    if !as_root("a_detached_station_is_silent_and_joins_again") {
-        return;
-    }
+    let Some(_alone) = as_root("a_detached_station_is_silent_and_joins_again") else { return };
     let cell = Cell::up("detached");
     let tdma = |arguments: &[&str]| {
         let output = rtnet().args(["tdma", "-S", &cell.place("slave3")]).args(arguments).output().unwrap();
@@ -180,9 +174,7 @@ fn a_detached_station_is_silent_and_joins_again() {
 
 #[test]
 fn a_station_that_was_stopped_says_that_it_was_preempted() {
-    if !as_root("a_station_that_was_stopped_says_that_it_was_preempted") {
-        return;
-    }
+    let Some(_alone) = as_root("a_station_that_was_stopped_says_that_it_was_preempted") else { return };
     use nix::sys::signal::{Signal, kill};
     let cell = Cell::up("stopped");
     let slave = nix::unistd::Pid::from_raw(pid(&cell.station("slave2")) as i32);
@@ -207,9 +199,7 @@ fn a_station_that_was_stopped_says_that_it_was_preempted() {
 
 #[test]
 fn hostile_clients_are_refused_and_disturb_nobody() {
-    if !as_root("hostile_clients_are_refused_and_disturb_nobody") {
-        return;
-    }
+    let Some(_alone) = as_root("hostile_clients_are_refused_and_disturb_nobody") else { return };
     let cell = Cell::up("hostile");
     let whole = br#"{"version":1,"body":{"set_slot":{"id":0,"offset_ns":1,"phase":0,"period":0,"size":9}}}"#;
     let mut packets: Vec<Vec<u8>> = (1..whole.len()).map(|end| whole[..end].to_vec()).collect();
@@ -252,9 +242,10 @@ fn hostile_clients_are_refused_and_disturb_nobody() {
 
 #[test]
 fn two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo() {
-    if !as_root("two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo") {
+    let Some(_alone) = as_root("two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo")
+    else {
         return;
-    }
+    };
     let up = |name: &str| {
         let name = format!("{name}-{}", std::process::id());
         let mut command = rtnet();
@@ -279,9 +270,7 @@ fn two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo()
 
 #[test]
 fn an_ordinary_user_keeps_a_lab_up() {
-    if !as_root("an_ordinary_user_keeps_a_lab_up") {
-        return;
-    }
+    let Some(_alone) = as_root("an_ordinary_user_keeps_a_lab_up") else { return };
     use std::os::unix::fs::PermissionsExt;
     use std::os::unix::process::CommandExt;
     // Neither the binary's folder nor ours is open to others.
@@ -317,9 +306,7 @@ fn an_ordinary_user_keeps_a_lab_up() {
 
 #[test]
 fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
-    if !as_root("a_lab_that_was_killed_leaves_its_name_to_the_next") {
-        return;
-    }
+    let Some(_alone) = as_root("a_lab_that_was_killed_leaves_its_name_to_the_next") else { return };
     let cell = Cell::up("killed");
     let status = cell.status();
     let taken = rtnet().args(["lab", "up", "--name", &cell.name]).output().unwrap();

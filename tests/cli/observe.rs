@@ -79,9 +79,7 @@ fn json(output: &Output) -> Value {
 #[test]
 fn observers_tell_of_a_lab_what_it_does_and_send_nothing() {
     let test = "observers_tell_of_a_lab_what_it_does_and_send_nothing";
-    if !as_root(test) {
-        return;
-    }
+    let Some(_alone) = as_root(test) else { return };
     let lab = Lab::up("observed", "3");
     let dir = tempfile::tempdir().unwrap();
     let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("jitter.json"));
@@ -156,9 +154,7 @@ fn decoded_by_tshark(test: &str, pcap: &Path) {
 #[test]
 fn ctrl_c_ends_a_dump_with_a_complete_file() {
     let test = "ctrl_c_ends_a_dump_with_a_complete_file";
-    if !as_root(test) {
-        return;
-    }
+    let Some(_alone) = as_root(test) else { return };
     let lab = Lab::up("interrupted", "2");
     let dir = tempfile::tempdir().unwrap();
     let pcap = dir.path().join("frames.pcapng");
@@ -198,9 +194,7 @@ fn what_cannot_be_listened_to_is_named_with_a_remedy() {
 #[test]
 fn an_interface_without_a_master_is_told_to_be_silent() {
     use tools::lab::namespace::{Namespace, Segment};
-    if !as_root("an_interface_without_a_master_is_told_to_be_silent") {
-        return;
-    }
+    let Some(_alone) = as_root("an_interface_without_a_master_is_told_to_be_silent") else { return };
     let (namespace, mut segment) = (Namespace::new().unwrap(), Segment::new().unwrap());
     segment.attach(&namespace, "port0", "rt0", [2, 0, 0, 0, 0, 1]).unwrap();
     let mut command = rtnet();
@@ -215,9 +209,10 @@ fn an_interface_without_a_master_is_told_to_be_silent() {
 /// is late by.
 #[test]
 fn an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does() {
-    if !as_root("an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does") {
+    let Some(_alone) = as_root("an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does")
+    else {
         return;
-    }
+    };
     let dir = tempfile::tempdir().unwrap();
     let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("report.json"));
     let mut lab = rtnet();

@@ -86,9 +86,7 @@ fn an_interface_that_does_not_exist_is_named_with_those_there_are() {
 
 #[test]
 fn a_slave_joins_a_master_and_notices_its_end() {
-    if !as_root("a_slave_joins_a_master_and_notices_its_end") {
-        return;
-    }
+    let Some(_alone) = as_root("a_slave_joins_a_master_and_notices_its_end") else { return };
     let medium = Medium::new();
     let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--name", "join-master"];
     let master = Station::start(&medium.a, &cycle);
@@ -105,9 +103,7 @@ fn a_slave_joins_a_master_and_notices_its_end() {
 
 #[test]
 fn a_second_master_refuses_to_start_and_names_the_first() {
-    if !as_root("a_second_master_refuses_to_start_and_names_the_first") {
-        return;
-    }
+    let Some(_alone) = as_root("a_second_master_refuses_to_start_and_names_the_first") else { return };
     let medium = Medium::new();
     let master = Station::start(&medium.a, &["--interface", "rt0", "--master", "--cycle", "5ms"]);
     master.wait_for("master_active");
@@ -120,9 +116,7 @@ fn a_second_master_refuses_to_start_and_names_the_first() {
 
 #[test]
 fn a_name_is_taken_once() {
-    if !as_root("a_name_is_taken_once") {
-        return;
-    }
+    let Some(_alone) = as_root("a_name_is_taken_once") else { return };
     let medium = Medium::new();
     let options = ["--interface", "rt0", "--slave", "--rounds", "0", "--name", "taken-once"];
     let first = Station::start(&medium.a, &options);

@@ -152,12 +152,9 @@ pub fn clock(offset: Span, drift_ppb: i64) -> EmulatedClock {
 /// Our master on this clock, with one slot.
 pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma {
     let epoch = Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()));
-    let late = Span::from_millis(1);
-    ours(
-        address,
-        offset,
-        RoleConfig::Master(MasterConfig { cycle: CYCLE, sync_latest: late, reply_latest: late, epoch }),
-    )
+    let (cycle, late) = (CYCLE, Span::from_millis(1));
+    let config = MasterConfig { cycle, sync_latest: late, reply_latest: late, epoch, resume: None };
+    ours(address, offset, RoleConfig::Master(config))
 }
 
 /// Our slave, with one slot.

@@ -266,6 +266,7 @@ impl Plan {
                 sync_latest: self.sync_window / 2,
                 reply_latest: self.latest,
                 epoch: epoch(),
+                resume: None,
             }),
             None => RoleConfig::Slave(SlaveConfig { rounds: self.rounds, step_limit: None }),
         };

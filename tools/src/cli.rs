@@ -1,5 +1,7 @@
 //! The command line: the one source of its help.
 
+mod lab;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -10,6 +12,10 @@ use crate::control::Place;
 use crate::observe::ear::Spot;
 use crate::scenario::SlotGuard;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
+
+pub use lab::{
+    DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
+};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
 #[derive(Debug, Parser)]
@@ -206,136 +212,6 @@ pub enum SlotVerb {
         /// Its id
         id: u8,
     },
-}
-
-/// What can be done with a network on this machine.
-#[derive(Debug, Subcommand)]
-pub enum LabVerb {
-    /// Stand a network up, measure it, print a report, and take it down again
-    ///
-    /// Every station is a process in its own namespace, joined by a bridge. The first is the master.
-    /// Each sends one frame per slot to the next station; an observer on the bridge checks that every
-    /// frame is in its slot. An ordinary user's lab lives in a user namespace, without SCHED_FIFO. Durations
-    /// are written 250us, 1ms, 10s.
-    ///
-    /// Exit status: 0 all is well; 1 something unexplained, payload errors, lost frames or a lost station;
-    /// 2 bad usage, bad configuration, or no privileges.
-    Run(LabRunArgs),
-    /// Stand a network up and keep it: it runs until `rtnet lab down`
-    ///
-    /// Takes the same arguments as `lab run`; with --duration it goes down by itself. Exit status: 0 all its
-    /// stations are locked; 2 it could not be stood up, and nothing is left of it.
-    Up(LabUpArgs),
-    /// Take a network down, and tell how it went
-    ///
-    /// Exit status: 0 all was well; 1 something unexplained, payload errors, lost frames or a lost station;
-    /// 2 there is no such lab.
-    Down(LabDownArgs),
-    /// How a network is going, or all of them
-    Status(LabStatusArgs),
-    /// Run a command in the network namespace of a station
-    Exec(LabExecArgs),
-}
-
-/// Arguments of `lab up`.
-#[derive(Debug, Args)]
-pub struct LabUpArgs {
-    /// What network.
-    #[command(flatten)]
-    pub run: LabRunArgs,
-    /// A name that no other lab on this machine has
-    #[arg(long, default_value = DEFAULT_LAB)]
-    pub name: String,
-    /// Stay in the foreground; Ctrl-C takes the network down
-    #[arg(long)]
-    pub foreground: bool,
-    /// Let go of standard output and error once the network is up
-    #[arg(long, hide = true)]
-    pub detached: bool,
-}
-
-/// Arguments of `lab down`.
-#[derive(Debug, Args)]
-pub struct LabDownArgs {
-    /// Which
-    #[arg(default_value = DEFAULT_LAB, conflicts_with = "all")]
-    pub name: String,
-    /// Every one of this user's
-    #[arg(long)]
-    pub all: bool,
-    /// Print JSON
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Arguments of `lab status`.
-#[derive(Debug, Args)]
-pub struct LabStatusArgs {
-    /// Which [default: every one of this user's]
-    pub name: Option<String>,
-    /// Print JSON
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Arguments of `lab exec`.
-#[derive(Debug, Args)]
-pub struct LabExecArgs {
-    /// Which station; without LAB/ one of the lab named 'lab'
-    #[arg(value_name = "[LAB/]STATION")]
-    pub place: Place,
-    /// What to run there, and its arguments
-    #[arg(last = true, required = true, value_name = "COMMAND")]
-    pub command: Vec<std::ffi::OsString>,
-}
-
-/// The lab that is meant when none is named.
-pub const DEFAULT_LAB: &str = "lab";
-
-/// Arguments of `lab run`.
-#[derive(Debug, Args)]
-pub struct LabRunArgs {
-    /// Take the network from this file instead of from options
-    pub file: Option<PathBuf>,
-    /// How many stations, the master included
-    #[arg(long, default_value_t = 4, conflicts_with = "file")]
-    pub stations: usize,
-    /// From one cycle's start to the next
-    #[arg(long, default_value = "1ms", value_parser = parse_positive_span, conflicts_with = "file")]
-    pub cycle: Span,
-    /// How long to measure [default: 10s, or what the file says]
-    #[arg(long, value_parser = parse_positive_span)]
-    pub duration: Option<Span>,
-    /// Bytes of each frame behind its Ethernet header
-    #[arg(long, default_value_t = 64, value_name = "BYTES", conflicts_with = "file")]
-    pub payload: usize,
-    /// Line rate at which slots and overlaps are computed
-    #[arg(long, default_value = "1G", value_parser = parse_rate, conflicts_with = "file")]
-    pub rate: Rate,
-    /// Least guard band behind each frame [default: the rest of the slot]
-    #[arg(long, value_parser = parse_nonnegative_span, conflicts_with = "file")]
-    pub guard: Option<Span>,
-    /// What keeps stations from sending later than their slots allow [default: auto, or what the file says]
-    #[arg(long)]
-    pub slot_guard: Option<SlotGuard>,
-    /// Seed of the stations' clocks, which are off by up to 1 s and 50 ppm [default: 1]
-    #[arg(long)]
-    pub seed: Option<u64>,
-    /// Give every station the host's own clock
-    #[arg(long)]
-    pub ideal_clocks: bool,
-    /// Keep the real-time core from idling: steadier, at the price of its power
-    #[arg(long)]
-    pub warm_core: bool,
-    /// The core of all real-time threads [default: the last]
-    #[arg(long, value_name = "N")]
-    pub cpu: Option<usize>,
-    /// Write the report as JSON, too
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-    /// Write every frame on the medium as pcapng
-    #[arg(long, value_name = "FILE")]
-    pub pcap: Option<PathBuf>,
 }
 
 /// Arguments of `doctor`.

@@ -13,6 +13,7 @@ fn main() -> ExitCode {
         Verb::Lab(LabVerb::Up(args)) => cmd::lab_up::lab_up(args),
         Verb::Lab(LabVerb::Down(args)) => cmd::lab::down(args),
         Verb::Lab(LabVerb::Status(args)) => cmd::lab::status(args),
+        Verb::Lab(LabVerb::Restart(args)) => cmd::lab::restart(args),
         Verb::Lab(LabVerb::Exec(args)) => cmd::lab::exec(args),
         Verb::Doctor(args) => cmd::doctor::doctor(args),
         Verb::Station(args) => cmd::station::station(args),

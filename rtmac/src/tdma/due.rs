@@ -58,7 +58,7 @@ impl Tdma {
             } else if !self.may_do(&job) {
                 self.silent = Some((job.cycle(), job.at()));
                 self.counters.slots_silent += 1;
-                self.events.note(job.cycle(), EventKind::SlotSilent, Span::ZERO);
+                self.events.note_job(&job, EventKind::SlotSilent, Span::ZERO);
             } else {
                 return Some(job);
             }
@@ -102,7 +102,7 @@ impl Tdma {
     /// master had skipped it.
     pub(super) fn guard_dropped(&mut self, job: &Job, late: Span) {
         self.counters.guard_drops += 1;
-        self.events.note(job.cycle(), EventKind::GuardDropped, late);
+        self.events.note_job(job, EventKind::GuardDropped, late);
         if let Job::Sync { .. } = job {
             self.missed(job, late);
         }
@@ -123,6 +123,6 @@ impl Tdma {
                 EventKind::Overrun
             }
         };
-        self.events.note(job.cycle(), kind, late);
+        self.events.note_job(job, kind, late);
     }
 }

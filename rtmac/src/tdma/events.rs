@@ -5,8 +5,11 @@ use std::collections::VecDeque;
 use rtnet::discipline::{Event, EventKind};
 use rtnet::time::Span;
 
-/// Events that are kept: half a second of one a cycle at 1 ms, and the shell takes them every turn.
-const CAPACITY: usize = 512;
+use super::job::Job;
+
+/// Events that are kept: two seconds of what a master that was stopped has missed at 1 ms, since it notices all of
+/// it at once. Otherwise the shell takes them every turn.
+const CAPACITY: usize = 4096;
 
 /// A bounded log; what does not fit is counted.
 pub struct Events {
@@ -19,11 +22,21 @@ impl Events {
         Self { log: VecDeque::with_capacity(CAPACITY), lost: 0 }
     }
 
+    /// Something of the cycle as a whole.
     pub fn note(&mut self, cycle: u32, kind: EventKind, span: Span) {
+        self.push(Event { cycle, kind, slot: None, span });
+    }
+
+    /// Something that became of a job.
+    pub fn note_job(&mut self, job: &Job, kind: EventKind, span: Span) {
+        self.push(Event { cycle: job.cycle(), kind, slot: job.slot(), span });
+    }
+
+    fn push(&mut self, event: Event) {
         if self.log.len() == CAPACITY {
             self.lost += 1;
         } else {
-            self.log.push_back(Event { cycle, kind, span });
+            self.log.push_back(event);
         }
     }
 

@@ -1,7 +1,7 @@
 //! One thing to be done at an instant of a cycle.
 
 use rtnet::buf::Buf;
-use rtnet::discipline::Returned;
+use rtnet::discipline::{Channel, Returned};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant};
 
@@ -40,6 +40,14 @@ impl Job {
         match self {
             Job::Sync { cycle, .. } | Job::Reply { cycle, .. } => *cycle,
             Job::Request(turn) | Job::Data(turn) => turn.cycle,
+        }
+    }
+
+    /// The slot that it is of.
+    pub fn slot(&self) -> Option<Channel> {
+        match self {
+            Job::Sync { .. } | Job::Reply { .. } => None,
+            Job::Request(turn) | Job::Data(turn) => Some(turn.id),
         }
     }
 

@@ -41,6 +41,9 @@ pub struct MasterConfig {
     pub reply_latest: Span,
     /// From this station's clock to global time, taken once.
     pub epoch: Offset,
+    /// A cycle and its scheduled start, of a master before this one whose grid is gone on with. `None`: a new
+    /// grid begins.
+    pub resume: Option<(u32, GlobalTime)>,
 }
 
 /// A station that gives the time.
@@ -97,10 +100,15 @@ impl Master {
         }
     }
 
-    /// Cycle 0 begins now, without a Synchronisation; the first carries cycle 1, as RTnet's does.
+    /// Of a new grid cycle 0 begins now, without a Synchronisation; the first carries cycle 1, as RTnet's does. Of
+    /// one that is gone on with, the next cycle is the first to be told of.
     fn grid(&self, now: Instant) -> TimeLine {
-        let MasterConfig { cycle: period, epoch: offset, .. } = self.config;
-        TimeLine { cycle: 0, start: now, sched: offset.global(now), period, offset }
+        let MasterConfig { cycle: period, epoch: offset, resume, .. } = self.config;
+        let (cycle, sched) = resume.unwrap_or((0, offset.global(now)));
+        let known = TimeLine { cycle, start: offset.local(sched), sched, period, offset };
+        let gone = (now - known.start).nanos().div_euclid(period.nanos());
+        let cycle = cycle.wrapping_add(gone as u32);
+        TimeLine { cycle, start: known.start_of(cycle), sched: known.sched_of(cycle), ..known }
     }
 
     /// Another master's Synchronisation. Before this one speaks, it yields; `true` when it just did.
@@ -217,7 +225,8 @@ mod tests {
     fn master() -> Master {
         let (sync_latest, reply_latest) = (Span::from_micros(40), Span::from_micros(40));
         let epoch = Offset::between(at(0), GlobalTime::from_nanos(u64::MAX - 4_999_999));
-        Master::new(MasterConfig { cycle: Span::from_millis(1), sync_latest, reply_latest, epoch })
+        let cycle = Span::from_millis(1);
+        Master::new(MasterConfig { cycle, sync_latest, reply_latest, epoch, resume: None })
     }
 
     fn active() -> Master {
@@ -233,6 +242,19 @@ mod tests {
         let (cycle, start, sched) = active().next_sync().unwrap();
         assert_eq!((cycle, start), (1, at(4_000)));
         assert_eq!(sched.nanos(), u64::MAX - 999_999, "global time is the epoch's, modulo 2^64");
+    }
+
+    #[test]
+    fn a_grid_that_is_gone_on_with_keeps_its_numbers_and_its_instants() {
+        let mut master = master();
+        let MasterConfig { epoch, .. } = master.config;
+        // Its predecessor's cycle u32::MAX was to begin at 1.2 ms on this clock.
+        master.config.resume = Some((u32::MAX, epoch.global(at(1_200))));
+        master.on_timeout(at(0));
+        assert!(master.on_timeout(at(3_300)));
+        let (cycle, start, sched) = master.next_sync().unwrap();
+        assert_eq!((cycle, start), (2, at(4_200)));
+        assert_eq!(sched, epoch.global(at(4_200)));
     }
 
     #[test]

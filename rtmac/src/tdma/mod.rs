@@ -131,6 +131,9 @@ impl Tdma {
             Job::Data(turn) => {
                 let Some((priority, frame)) = self.slots.dequeue(turn.id) else {
                     self.counters.slots_empty += 1;
+                    if self.slots.was_used(turn.id) {
+                        self.events.note_job(&job, EventKind::SlotEmpty, Span::ZERO);
+                    }
                     return None;
                 };
                 (frame, None, priority)
@@ -201,12 +204,10 @@ impl Discipline for Tdma {
         match &mut self.role {
             Role::Master(master) => {
                 if master.on_timeout(now)
-                    && let Some(line) = master.line()
+                    && let (Some(line), Some((cycle, start, sched))) = (master.line(), master.next_sync())
                 {
-                    let first =
-                        TimeLine { cycle: 1, start: line.start_of(1), sched: line.sched_of(1), ..*line };
-                    self.slots.align(&first, now);
-                    self.events.note(1, EventKind::MasterActive, Span::ZERO);
+                    self.slots.align(&TimeLine { cycle, start, sched, ..*line }, now);
+                    self.events.note(cycle, EventKind::MasterActive, Span::ZERO);
                 }
             }
             Role::Slave(slave) => slave.on_timeout(now, &mut self.events),
@@ -236,7 +237,7 @@ impl Discipline for Tdma {
             Sent::StalledUntil(until) => {
                 self.count_sent(&job, None);
                 self.counters.stalled_in_send += 1;
-                self.events.note(job.cycle(), EventKind::StalledInSend, until - job.latest());
+                self.events.note_job(&job, EventKind::StalledInSend, until - job.latest());
             }
             Sent::Late(now, frame) => {
                 self.missed(&job, now - job.latest());
@@ -250,7 +251,7 @@ impl Discipline for Tdma {
             }
             Sent::Failed(errno, frame) => {
                 self.counters.send_failed += 1;
-                self.events.note(job.cycle(), EventKind::SendFailed, Span::from_nanos(i64::from(errno)));
+                self.events.note_job(&job, EventKind::SendFailed, Span::from_nanos(i64::from(errno)));
                 self.put_off(&job);
                 return job.returned(frame, priority);
             }

@@ -67,6 +67,8 @@ struct Slot {
     /// cycle on.
     change: Option<(Change, u32)>,
     sent: u64,
+    /// Whether a frame was taken for its last turn.
+    used: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -110,6 +112,7 @@ impl Slots {
             next: 0,
             change: None,
             sent: 0,
+            used: false,
         };
         Self { table: (0..=max_id).map(place).collect(), dropped: 0 }
     }
@@ -253,7 +256,15 @@ impl Slots {
     }
 
     pub fn dequeue(&mut self, id: Channel) -> Option<(Priority, Buf)> {
-        self.table[usize::from(id)].queue.pop()
+        let slot = &mut self.table[usize::from(id)];
+        let frame = slot.queue.pop();
+        slot.used |= frame.is_some();
+        frame
+    }
+
+    /// Whether a slot that is empty was used in its turn before this one.
+    pub fn was_used(&mut self, id: Channel) -> bool {
+        std::mem::take(&mut self.table[usize::from(id)].used)
     }
 
     pub fn payload_limit(&self, ch: Channel) -> Result<usize, SendError> {

@@ -18,6 +18,7 @@ fn master_config() -> MasterConfig {
         sync_latest: late,
         reply_latest: late,
         epoch: Default::default(),
+        resume: None,
     }
 }
 
@@ -330,12 +331,12 @@ fn what_the_guard_drops_comes_back_and_a_cycle_without_its_sync_is_a_skipped_one
     let dropped = master.on_sent(Sent::Guarded(at(4_422), data.frame)).unwrap();
     assert_eq!((dropped.priority, dropped.channel), (Priority::DEFAULT, 0));
     let told: Vec<_> = std::iter::from_fn(|| master.next_event()).collect();
-    let event = |kind, micros| Event { cycle: 1, kind, span: Span::from_micros(micros) };
+    let event = |kind, slot, micros| Event { cycle: 1, kind, slot, span: Span::from_micros(micros) };
     let expected = [
-        event(EventKind::MasterActive, 0),
-        event(EventKind::GuardDropped, 7),
-        event(EventKind::SyncSkipped, 7),
-        event(EventKind::GuardDropped, 2),
+        event(EventKind::MasterActive, None, 0),
+        event(EventKind::GuardDropped, None, 7),
+        event(EventKind::SyncSkipped, None, 7),
+        event(EventKind::GuardDropped, Some(0), 2),
     ];
     assert_eq!(told, expected);
     let Counters { guard_drops, syncs_skipped, overruns, frames_sent, .. } = master.status().counters;

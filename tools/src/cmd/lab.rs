@@ -10,13 +10,15 @@ use anyhow::{Context, Result, anyhow, bail};
 use rtnet::time::Span;
 
 use super::Failure;
-use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabStatusArgs};
+use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatusArgs};
 use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, MemberStatus, Place};
 use crate::lab;
-use crate::report::text::{Column, grouped, table};
+use crate::report::text::{Column, grouped, micros, table};
 
 /// How long a lab that has answered may take to be gone.
 const GONE_WITHIN: Duration = Duration::from_secs(5);
+/// How long a station that was restarted is waited for: calibration takes some hundred cycles.
+const LOCKED_WITHIN: Duration = Duration::from_secs(30);
 /// Columns of a table of stations.
 const WIDTH: usize = 110;
 
@@ -87,6 +89,39 @@ pub fn taken(directory: &Directory, cpu: Option<usize>) -> f64 {
     running.filter(|status| Some(status.cpu) == cpu).map(|status| status.load).sum()
 }
 
+/// Puts a new process in the place of a station's, and waits until it is locked again.
+pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
+    let station = &args.place.station;
+    let lab = args.place.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into());
+    let directory = Directory::of_user();
+    let request = LabRequest::Restart { station: station.clone() };
+    super::tdma::by_lab(&lab, request).map_err(Failure::Usage)?;
+    let begun = Instant::now();
+    loop {
+        let status = control::lab_status(&directory, &lab).map_err(Failure::Run)?;
+        let member = status.stations.iter().find(|member| member.name == *station);
+        let member = member.context("the lab has lost it").map_err(Failure::Run)?;
+        match (member.state.as_str(), &member.failed) {
+            ("locked", _) if member.restarts > 0 => {
+                let after = begun.elapsed().as_secs_f64();
+                println!("{lab}/{station} is restarted as process {}, locked after {after:.1} s", member.pid);
+                return Ok(0);
+            }
+            ("ended", why) => {
+                let why = why.as_deref().unwrap_or("it has ended again");
+                return Err(Failure::Run(anyhow!("station '{lab}/{station}': {why}")));
+            }
+            (state, _) if begun.elapsed() > LOCKED_WITHIN => {
+                let within = LOCKED_WITHIN.as_secs();
+                return Err(Failure::Run(anyhow!(
+                    "station '{lab}/{station}' is {state} after {within} s: `rtnet lab status {lab}` tells how it goes on"
+                )));
+            }
+            _ => std::thread::sleep(Duration::from_millis(20)),
+        }
+    }
+}
+
 /// Runs a command beside a station; returns only if it cannot.
 pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
     let (program, arguments) = args.command.split_first().context("no command").map_err(Failure::Usage)?;
@@ -112,7 +147,8 @@ fn enter(place: &Place) -> Result<()> {
 /// Whether nothing happened that ought not to.
 pub fn is_well(status: &LabStatus) -> bool {
     let of_station = |station: &MemberStatus| station.payload_errors > 0 || station.state == "ended";
-    status.unexplained == 0 && status.frames_lost == 0 && !status.stations.iter().any(of_station)
+    let of_lab = [status.unexplained, status.frames_lost, status.not_judged];
+    of_lab == [0; 3] && !status.stations.iter().any(of_station)
 }
 
 /// A lab in words.
@@ -138,6 +174,8 @@ pub fn account(status: &LabStatus) -> String {
         right("process", |s| s.pid.to_string()),
         right("frames", |s| grouped(s.frames_seen)),
         right("missed", |s| grouped(s.slots_missed)),
+        right("p99 us", |s| s.slot_error_ns.p99.map_or("-".into(), micros)),
+        right("max us", |s| s.slot_error_ns.max.map_or("-".into(), micros)),
         right("bad", |s| grouped(s.payload_errors)),
         right("lost", |s| grouped(s.frames_lost)),
     ];
@@ -148,7 +186,19 @@ pub fn account(status: &LabStatus) -> String {
     };
     let refused: String = stations.iter().filter_map(refused).collect();
     text += &format!("{}{refused}", if refused.is_empty() { "" } else { "\n" });
+    let failed = |s: &MemberStatus| s.failed.as_ref().map(|why| format!("\nstation {}: {why}\n", s.name));
+    text.extend(stations.iter().filter_map(failed));
     status.notes.iter().for_each(|note| text += &format!("\nnote: {note}\n"));
+    if !status.causes.is_empty() {
+        let counts =
+            status.causes.iter().map(|(cause, n)| format!("{} {}", cause.replace('_', " "), grouped(*n)));
+        text += &format!("\nmissed or late, by cause: {}\n", counts.collect::<Vec<_>>().join(", "));
+    }
+    status.unexplained_last.iter().for_each(|line| text += &format!("unexplained: {line}\n"));
+    if status.not_judged > 0 {
+        text +=
+            &format!("not judged: {} frames, lost by the observer or wrongly stamped\n", status.not_judged);
+    }
     text += &format!(
         "\n{}: {} of {} frames in their slots, {} missed, {} overlaps, {} out of slot, unexplained {}\n",
         if is_well(status) { "OK" } else { "NOT OK" },

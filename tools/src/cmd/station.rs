@@ -78,6 +78,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
                     Some(lab) => link::offset(lab.epoch),
                     None => station::epoch(&EmulatedClock::default()),
                 },
+                resume: lab.as_ref().and_then(LabOptions::resume),
             })
         }
         None => RoleConfig::Slave(SlaveConfig {

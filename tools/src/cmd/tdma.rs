@@ -131,6 +131,10 @@ fn misses(status: &StationStatus) -> String {
     let columns = [
         left("the longest", |miss| miss.what.replace('_', " ")),
         Column::right(["", "cycle"], worst.iter().map(|miss| grouped(miss.cycle.into()))),
+        Column::right(
+            ["", "slot"],
+            worst.iter().map(|miss| miss.slot.map_or("-".into(), |id| id.to_string())),
+        ),
         Column::right(["", "by us"], worst.iter().map(|miss| micros(miss.late_ns))),
         left("cause", |miss| miss.cause.replace('_', " ")),
     ];

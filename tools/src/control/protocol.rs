@@ -8,6 +8,8 @@ use rtnet::time::Span;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::report::figures::GuardName;
+use crate::report::histogram::Summary;
 use crate::station::link::Standing;
 use crate::station::misses::Misses;
 
@@ -190,6 +192,11 @@ pub enum LabRequest {
         /// What it is to be.
         role: RoleRequest,
     },
+    /// Put a new process in the place of one of its stations'.
+    Restart {
+        /// Which.
+        station: String,
+    },
 }
 
 /// What it answers.
@@ -241,6 +248,12 @@ pub struct LabStatus {
     pub out_of_slot: u64,
     /// Of all that ought not to be, what has no record of its cause.
     pub unexplained: u64,
+    /// The newest of that, in words.
+    pub unexplained_last: Vec<String>,
+    /// The rest, by cause.
+    pub causes: BTreeMap<String, u64>,
+    /// Frames that the observer lost, or whose stamps a step of the wall clock made worthless.
+    pub not_judged: u64,
     /// Frames on the medium that did not reach their receiver; known at the end only.
     pub frames_lost: u64,
     /// Its stations.
@@ -254,7 +267,7 @@ pub struct MemberStatus {
     pub name: String,
     /// `master`, `slave`.
     pub role: String,
-    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`, or `ended`.
+    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`; of its process `stopped`, `restarting`, `ended`.
     pub state: String,
     /// Its process.
     pub pid: u32,
@@ -268,6 +281,18 @@ pub struct MemberStatus {
     pub payload_errors: u64,
     /// Frames on the medium that it did not receive; known at the end only.
     pub frames_lost: u64,
+    /// Actual - scheduled transmit.
+    pub slot_error_ns: Summary,
+    /// From a slot's begin to its end.
+    pub slot_length_ns: i64,
+    /// What enforces its slots.
+    pub guard: GuardName,
+    /// What it told of, by kind.
+    pub events: BTreeMap<String, u64>,
+    /// Processes that it has had before this one.
+    pub restarts: u32,
+    /// Why it cannot go on, if it has said so.
+    pub failed: Option<String>,
     /// Frames refused, by reason.
     pub refusals: BTreeMap<String, u64>,
 }

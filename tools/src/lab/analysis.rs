@@ -53,18 +53,27 @@ pub struct Finding {
 
 impl Finding {
     /// What one station alone did or left undone.
-    pub fn of(station: usize, cycle: u32, kind: FindingKind, span: Span) -> Self {
-        Self { cycle, kind, authors: [Some(Author { station, cycle }), None], span }
+    pub fn of(author: Author, kind: FindingKind, span: Span) -> Self {
+        Self { cycle: author.cycle, kind, authors: [Some(author), None], span }
     }
 }
 
-/// Whose frame it is, and of which cycle: the frame that is hit need not be of the cycle of the one that hits.
+/// Whose frame it is, and of which cycle and slot: the frame that is hit need not be of the cycle of the one that
+/// hits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Author {
     /// The station's number.
     pub station: usize,
     /// The cycle in whose slot it was to be.
     pub cycle: u32,
+    /// That slot; none: a Synchronisation.
+    pub slot: Option<u8>,
+}
+
+impl Author {
+    fn sync(cycle: u32) -> Self {
+        Self { station: 0, cycle, slot: None }
+    }
 }
 
 /// Kinds of [`Finding`].
@@ -82,6 +91,19 @@ pub enum FindingKind {
     Repeated,
 }
 
+impl FindingKind {
+    /// Its name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            FindingKind::Overlap => "overlap",
+            FindingKind::OutOfSlot => "frame out of slot",
+            FindingKind::SyncGap => "missing sync",
+            FindingKind::SlotMissed => "missing frame",
+            FindingKind::Repeated => "repeated frame",
+        }
+    }
+}
+
 /// One station, as seen from the medium.
 pub struct Seen {
     /// Frames in its slots.
@@ -93,6 +115,8 @@ pub struct Seen {
     last: BTreeMap<u8, u32>,
     /// The newest cycle with a frame of it, and how many.
     newest: (u32, u64),
+    /// From which cycle on it is waited for, and in which it was heard.
+    awaited: Option<(u32, Option<u32>)>,
 }
 
 /// The analysis of a run.
@@ -106,6 +130,8 @@ pub struct Analysis {
     pub timetable: Timetable,
     window: Option<(u32, u32)>,
     current: Option<u32>,
+    /// The first cycle that was heard of, and its start: from it follow all others.
+    grid: Option<(u32, GlobalTime)>,
     last_sync: Option<(u32, True)>,
     busy: Option<(True, Option<Author>)>,
     /// Cycles of which not every frame could be judged, first and last.
@@ -132,6 +158,7 @@ impl Analysis {
             passed: Passed::default(),
             last: BTreeMap::new(),
             newest: (0, 0),
+            awaited: None,
         };
         Self {
             master,
@@ -142,6 +169,7 @@ impl Analysis {
             timetable: Timetable::of(scenario),
             window: None,
             current: None,
+            grid: None,
             last_sync: None,
             busy: None,
             blind: Vec::new(),
@@ -157,6 +185,35 @@ impl Analysis {
     /// The cycle of the newest Synchronisation.
     pub fn current(&self) -> Option<u32> {
         self.current
+    }
+
+    /// The cycle that it is at a true moment, by the master's grid, be there a master or not.
+    pub fn cycle_at(&self, at: True) -> Option<u32> {
+        let (first, sched) = self.grid?;
+        let gone = (self.master.global(at) - sched).nanos().div_euclid(self.cycle.nanos());
+        Some(first.wrapping_add(gone as u32))
+    }
+
+    /// A cycle of the master's grid, and its start.
+    pub fn grid(&self) -> Option<(u32, GlobalTime)> {
+        let current = self.current?;
+        Some((current, self.start_of(current)?))
+    }
+
+    /// A cycle's start on the master's clock.
+    fn start_of(&self, cycle: u32) -> Option<GlobalTime> {
+        let (first, sched) = self.grid?;
+        Some(sched + self.cycle * i64::from(cycle.wrapping_sub(first) as i32))
+    }
+
+    /// A station's next frame, of cycle `from` or later, is waited for: see [`Analysis::heard_again`].
+    pub fn await_again(&mut self, station: usize, from: u32) {
+        self.stations[station].awaited = Some((from, None));
+    }
+
+    /// The cycle of the first frame of a station that was waited for.
+    pub fn heard_again(&self, station: usize) -> Option<u32> {
+        self.stations[station].awaited?.1
     }
 
     /// Counts from cycle `from` on, for `cycles` cycles.
@@ -195,7 +252,7 @@ impl Analysis {
                 Ok(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) => Some((cycle, sched)),
                 _ => None,
             };
-            let author = sync.map(|(cycle, _)| Author { station: 0, cycle });
+            let author = sync.map(|(cycle, _)| Author::sync(cycle));
             self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), author);
             if let Some((cycle, sched)) = sync {
                 self.sync(at, cycle, sched, air);
@@ -203,9 +260,9 @@ impl Analysis {
         } else if let Some((tag, _)) = Tag::read(bytes)
             && tag.station() < self.stations.len()
         {
-            let author = Author { station: tag.station(), cycle: tag.cycle() };
+            let author = Author { station: tag.station(), cycle: tag.cycle(), slot: Some(tag.slot) };
             self.occupy(at, air, Some(tag.cycle()), Some(author));
-            self.data(at, tag, air);
+            self.data(at, tag, author, air);
         }
     }
 
@@ -292,7 +349,14 @@ impl Analysis {
     }
 
     fn sync(&mut self, at: True, cycle: u32, sched: GlobalTime, air: Span) {
-        let error = self.error(at, sched);
+        self.grid.get_or_insert((cycle, sched));
+        self.heard(0, cycle);
+        let author = Author::sync(cycle);
+        let due = self.start_of(cycle).unwrap_or(sched);
+        let error = self.error(at, due);
+        if sched != due {
+            self.find(Finding::of(author, FindingKind::OutOfSlot, sched - due));
+        }
         if let (false, Some((_, last))) = (self.sees, self.blind.last_mut()) {
             *last = cycle;
             self.sees = true;
@@ -301,7 +365,7 @@ impl Analysis {
             self.syncs += 1;
         }
         if error < -clock_share(self.guard) || error > self.sync_window - air {
-            self.find(Finding::of(0, cycle, FindingKind::OutOfSlot, error));
+            self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         if let Some((last, last_at)) = self.last_sync {
             match cycle.wrapping_sub(last) as i32 {
@@ -309,7 +373,7 @@ impl Analysis {
                     let period = self.master.clock.local(at) - self.master.clock.local(last_at);
                     self.sync_period_jitter.record((period - self.cycle).nanos());
                 }
-                ..=0 => self.find(Finding::of(0, cycle, FindingKind::Repeated, Span::ZERO)),
+                ..=0 => self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO)),
                 _ => self.sync_gaps(last.wrapping_add(1), cycle),
             }
         }
@@ -317,8 +381,9 @@ impl Analysis {
         self.current = Some(cycle);
     }
 
-    fn data(&mut self, at: True, tag: &Tag, air: Span) {
-        let (station, cycle) = (tag.station(), tag.cycle());
+    fn data(&mut self, at: True, tag: &Tag, author: Author, air: Span) {
+        let Author { station, cycle, .. } = author;
+        self.heard(station, cycle);
         let counts = self.counts(cycle);
         self.stations[station].passed.note(tag.sequence(), counts);
         if !counts {
@@ -326,19 +391,21 @@ impl Analysis {
         }
         self.timetable.sent(station, cycle);
         let Some(&slot) = self.timetable.at(station, tag.slot, cycle) else {
-            return self.find(Finding::of(station, cycle, FindingKind::OutOfSlot, Span::ZERO));
+            return self.find(Finding::of(author, FindingKind::OutOfSlot, Span::ZERO));
         };
-        let error = self.error(at, tag.scheduled());
+        // What the frame says of its instant is what its station believes.
+        let Some(start) = self.start_of(cycle) else { return };
+        let error = self.error(at, start + slot.offset);
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
         // the same share of its own.
         let share = clock_share(self.guard);
         let end = self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard - share;
         if error < -share || error + air > end {
-            self.find(Finding::of(station, cycle, FindingKind::OutOfSlot, error));
+            self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         let next = match self.stations[station].last.insert(slot.id, cycle) {
             Some(last) if (cycle.wrapping_sub(last) as i32) <= 0 => {
-                return self.find(Finding::of(station, cycle, FindingKind::Repeated, Span::ZERO));
+                return self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO));
             }
             Some(last) => last.wrapping_add(1),
             None => self.window.map_or(cycle, |(from, _)| from),
@@ -348,6 +415,15 @@ impl Analysis {
         seen.frames += 1;
         seen.newest = (cycle, if seen.newest.0 == cycle { seen.newest.1 + 1 } else { 1 });
         seen.slot_error.record(error.nanos());
+    }
+
+    /// A frame of a station that may have been waited for.
+    fn heard(&mut self, station: usize, cycle: u32) {
+        if let Some((from, again @ None)) = &mut self.stations[station].awaited
+            && cycle.wrapping_sub(*from) as i32 >= 0
+        {
+            *again = Some(cycle);
+        }
     }
 
     fn error(&self, at: True, scheduled: GlobalTime) -> Span {
@@ -361,23 +437,24 @@ impl Analysis {
             let turns: Vec<u32> = self.timetable.turns(station, id, next, end).take(room).collect();
             let all = self.timetable.count_of(station, id, next, end);
             self.findings_dropped += all.saturating_sub(turns.len() as u64);
-            self.gaps(turns.into_iter(), FindingKind::SlotMissed, station);
+            let author = |cycle| Author { station, cycle, slot: Some(id) };
+            self.gaps(turns.into_iter().map(author), FindingKind::SlotMissed);
         }
     }
 
     fn sync_gaps(&mut self, next: u32, end: u32) {
         if self.window.is_some() {
-            self.gaps(turns(next, end, 0, 1), FindingKind::SyncGap, 0);
+            self.gaps(turns(next, end, 0, 1).map(Author::sync), FindingKind::SyncGap);
         }
     }
 
-    fn gaps(&mut self, cycles: impl Iterator<Item = u32>, kind: FindingKind, station: usize) {
-        for cycle in cycles {
+    fn gaps(&mut self, missing: impl Iterator<Item = Author>, kind: FindingKind) {
+        for author in missing {
             if self.findings.len() >= FINDINGS_MAX {
                 self.findings_dropped += 1;
                 return;
             }
-            self.find(Finding::of(station, cycle, kind, Span::ZERO));
+            self.find(Finding::of(author, kind, Span::ZERO));
         }
     }
 

@@ -5,6 +5,8 @@ use crate::station::traffic::step;
 
 /// Gaps that are kept; what is missing in later ones counts as lost.
 const GAPS_MAX: usize = 1_000_000;
+/// More than a sender sends within what a capture ring holds back.
+const BEYOND: u64 = 10_000;
 
 /// What a receiver heard of its sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,6 +15,8 @@ pub struct Heard {
     pub received: u64,
     /// The numbers of the first and the last.
     pub range: Option<(u64, u64)>,
+    /// Whether it has begun to hear while the sender sent already.
+    pub anew: bool,
 }
 
 /// What the observer saw of one sender.
@@ -43,7 +47,14 @@ impl Passed {
     pub fn lost(&self, heard: &Heard) -> u64 {
         let Some((from, to)) = self.counted else { return 0 };
         let (first, last) = heard.range.unwrap_or((from, to));
-        self.passed(first.min(from), last.max(to)).saturating_sub(heard.received)
+        // One that has come anew could not hear what passed before its first.
+        let from = if heard.anew { first } else { first.min(from) };
+        self.passed(from, last.max(to)).saturating_sub(heard.received)
+    }
+
+    /// A number that the sender has not come to yet, however much of it has not been seen yet.
+    pub fn beyond(&self) -> u64 {
+        self.range.map_or(0, |(_, last)| last + BEYOND)
     }
 
     /// How many frames with these numbers were on the medium.
@@ -72,7 +83,7 @@ mod tests {
 
     #[track_caller]
     fn lost(received: u64, range: Option<(u64, u64)>, expected: u64) {
-        assert_eq!(passed().lost(&Heard { received, range }), expected);
+        assert_eq!(passed().lost(&Heard { received, range, anew: false }), expected);
     }
 
     #[test]
@@ -90,12 +101,20 @@ mod tests {
     }
 
     #[test]
+    fn what_passed_before_a_receiver_came_anew_is_not_lost() {
+        let lost = |received, range| passed().lost(&Heard { received, range, anew: true });
+        assert_eq!(lost(29, Some((50, 79))), 0);
+        assert_eq!(lost(27, Some((50, 79))), 2, "30 numbers, one of which was never sent");
+        assert_eq!(lost(19, Some((50, 69))), 10, "the last ten never came");
+    }
+
+    #[test]
     fn a_forged_number_from_far_away_changes_nothing() {
         let mut passed = passed();
         passed.note(1 << 40, true);
         passed.note(u64::MAX, true);
         passed.note(40, true);
         passed.note(100, true);
-        assert_eq!(passed.lost(&Heard { received: 97, range: Some((0, 99)) }), 1);
+        assert_eq!(passed.lost(&Heard { received: 97, range: Some((0, 99)), anew: false }), 1);
     }
 }

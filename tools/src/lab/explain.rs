@@ -1,11 +1,13 @@
-//! Which findings have a record of the same cycle: what a station noticed itself is explained, what it
-//! did not is not. A slot that was silent for want of a sync needs the record of why there was none.
+//! Which findings have a record of the same cycle and slot: what a station noticed itself is explained, what it
+//! did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
+//! station missed that was not there is explained by its absence.
 
 use std::collections::BTreeMap;
 
-use rtnet::discipline::{Cause, EventKind};
+use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 
+use super::absences::Absences;
 use super::analysis::{Author, Finding, FindingKind};
 
 /// A lab's first station is its master.
@@ -14,11 +16,16 @@ const MASTER: usize = 0;
 /// a time step must be confirmed by the next.
 const SILENCE_AFTER: u32 = 4;
 
-/// What the stations told of themselves.
+/// What the stations told of themselves, and when they could not.
 #[derive(Debug, Default)]
 pub struct Records {
-    by_cycle: BTreeMap<(u32, usize, EventKind), (Span, Option<Cause>)>,
+    by_cycle: BTreeMap<Key, (Span, Option<Cause>)>,
+    /// When stations were not there.
+    pub absences: Absences,
 }
+
+/// Cycle, station, slot, kind.
+type Key = (u32, usize, Option<Channel>, EventKind);
 
 /// What a station told of one cycle.
 #[derive(Clone, Copy, Debug)]
@@ -34,39 +41,48 @@ pub struct Record {
 }
 
 impl Records {
-    /// A station noticed something in a cycle. Of several the longest is kept.
-    pub fn note(&mut self, cycle: u32, station: usize, kind: EventKind, span: Span, cause: Option<Cause>) {
-        let longest = self.by_cycle.entry((cycle, station, kind)).or_insert((span, cause));
+    /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
+    pub fn note(&mut self, author: Author, kind: EventKind, span: Span, cause: Option<Cause>) {
+        let key = (author.cycle, author.station, author.slot, kind);
+        let longest = self.by_cycle.entry(key).or_insert((span, cause));
         *longest = (*longest).max((span, cause));
     }
 
     /// Forgets what is older than this cycle.
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
+        self.absences.forget_before(cycle);
     }
 
     /// The records of one kind in `cycles` cycles from `from` on, with their station.
     pub fn of_kind(&self, kind: EventKind, from: u32, cycles: u32) -> impl Iterator<Item = Record> {
-        self.by_cycle.iter().filter_map(move |(&(cycle, station, of), &(span, cause))| {
+        self.by_cycle.iter().filter_map(move |(&(cycle, station, _, of), &(span, cause))| {
             let record = Record { cycle, station, span, cause };
             (of == kind && cycle.wrapping_sub(from) < cycles).then_some(record)
         })
     }
 
-    /// Why something was found, if a station involved, or the master whose time they follow, has told
-    /// of it. A send that failed is told of, but excuses nothing: stations are not late for it.
-    pub fn explain(&self, finding: &Finding) -> Option<(EventKind, Span)> {
+    /// Why something was found, by the cause's name, if a station involved, or the master whose time they follow,
+    /// has told of it, or could not. A send that failed is told of, but excuses nothing: stations are not late
+    /// for it.
+    pub fn explain(&self, finding: &Finding) -> Option<&'static str> {
         let mut authors = finding.authors.iter().flatten().copied();
         match finding.kind {
-            // A Synchronisation that was held up moves every station of its cycle.
-            FindingKind::Overlap | FindingKind::OutOfSlot => authors
-                .flat_map(|author| [author, Author { station: MASTER, ..author }])
-                .find_map(|author| self.get(author, EventKind::StalledInSend)),
+            // A Synchronisation that was held up moves every station of its cycle. What a station had to tell
+            // of its last moments went with it.
+            FindingKind::Overlap | FindingKind::OutOfSlot => authors.find_map(|author| {
+                self.told(author, EventKind::StalledInSend)
+                    .or_else(|| self.told(master(author), EventKind::StalledInSend))
+                    .or_else(|| self.absence(author))
+            }),
             // One that the kernel guard dropped is skipped, too.
-            FindingKind::SyncGap => authors.find_map(|author| self.get(author, EventKind::SyncSkipped)),
+            FindingKind::SyncGap => authors.find_map(|author| {
+                self.told(author, EventKind::SyncSkipped).or_else(|| self.absence(author))
+            }),
             FindingKind::SlotMissed => authors.find_map(|author| {
-                self.get(author, EventKind::Overrun)
-                    .or_else(|| self.get(author, EventKind::GuardDropped))
+                self.told(author, EventKind::Overrun)
+                    .or_else(|| self.told(author, EventKind::GuardDropped))
+                    .or_else(|| self.absence(author))
                     .or_else(|| self.silence(author))
             }),
             FindingKind::Repeated => None,
@@ -74,39 +90,66 @@ impl Records {
     }
 
     /// A station that was silent did what it must, but that alone explains nothing: why were there no syncs
-    /// to follow? One that was lost on its way has no record.
-    fn silence(&self, author: Author) -> Option<(EventKind, Span)> {
-        let silent = self.get(author, EventKind::SlotSilent)?;
-        let before = |author: Author, kind: EventKind| {
-            (0..=SILENCE_AFTER)
-                .any(|i| self.get(Author { cycle: author.cycle.wrapping_sub(i), ..author }, kind).is_some())
-        };
-        let master = Author { station: MASTER, ..author };
-        let why = before(master, EventKind::SyncSkipped)
-            || before(master, EventKind::StalledInSend)
-            || before(author, EventKind::SyncLate)
-            || before(author, EventKind::TimeStep)
-            || before(author, EventKind::DuplicateCycle);
+    /// to follow? One that was lost on its way has no record. Without a master for long, a station has no line to
+    /// tell by which slots it is silent in.
+    fn silence(&self, author: Author) -> Option<&'static str> {
+        let mut before =
+            (0..=SILENCE_AFTER).map(|i| Author { cycle: author.cycle.wrapping_sub(i), ..author });
+        let absent = before
+            .clone()
+            .any(|author| self.absence(master(author)).or_else(|| self.absence(author)).is_some());
+        let silent = self.told(author, EventKind::SlotSilent).or(absent.then_some(Cause::NoSync.name()))?;
+        let why = absent
+            || before.any(|author| {
+                let of_cycle = Author { slot: None, ..author };
+                let told = |kind| self.told(of_cycle, kind).is_some();
+                self.told(master(author), EventKind::SyncSkipped).is_some()
+                    || self.told(master(author), EventKind::StalledInSend).is_some()
+                    || [EventKind::SyncLate, EventKind::TimeStep, EventKind::DuplicateCycle]
+                        .into_iter()
+                        .any(told)
+            });
         why.then_some(silent)
     }
 
-    fn get(&self, Author { station, cycle }: Author, kind: EventKind) -> Option<(EventKind, Span)> {
-        self.by_cycle.get(&(cycle, station, kind)).map(|&(span, _)| (kind, span))
+    fn absence(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
+        self.absences.of(station, cycle).map(|why| why.name())
     }
+
+    /// The cause that a station told, or what it told of.
+    fn told(&self, Author { station, cycle, slot }: Author, kind: EventKind) -> Option<&'static str> {
+        let (_, cause) = self.by_cycle.get(&(cycle, station, slot, kind))?;
+        Some(cause.map_or(kind.name(), Cause::name))
+    }
+}
+
+/// Whose Synchronisation the author's station follows.
+fn master(author: Author) -> Author {
+    Author { station: MASTER, slot: None, ..author }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lab::absences::Absence;
+
+    /// In the station's slot 0; the master's Synchronisation.
+    fn author(cycle: u32, station: usize) -> Author {
+        Author { station, cycle, slot: (station != MASTER).then_some(0) }
+    }
+
+    fn of_cycle(cycle: u32, station: usize) -> Author {
+        Author { station, cycle, slot: None }
+    }
 
     fn finding(cycle: u32, kind: FindingKind, station: usize) -> Finding {
-        Finding::of(station, cycle, kind, Span::ZERO)
+        Finding::of(author(cycle, station), kind, Span::ZERO)
     }
 
     #[test]
     fn only_a_record_of_the_same_cycle_and_station_explains() {
         let mut records = Records::default();
-        records.note(7, 2, EventKind::Overrun, Span::from_nanos(5), None);
+        records.note(author(7, 2), EventKind::Overrun, Span::from_nanos(5), None);
         let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
         assert!(explained(7, FindingKind::SlotMissed, 2));
         assert!(!explained(8, FindingKind::SlotMissed, 2));
@@ -117,7 +160,7 @@ mod tests {
     #[test]
     fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
         let mut records = Records::default();
-        records.note(7, 2, EventKind::GuardDropped, Span::from_nanos(5), None);
+        records.note(author(7, 2), EventKind::GuardDropped, Span::from_nanos(5), None);
         let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
         assert!(explained(7, FindingKind::SlotMissed, 2));
         assert!(!explained(8, FindingKind::SlotMissed, 2));
@@ -129,7 +172,7 @@ mod tests {
     #[test]
     fn a_held_up_synchronisation_explains_what_follows_in_its_cycle() {
         let mut records = Records::default();
-        records.note(9, 0, EventKind::StalledInSend, Span::from_nanos(5), None);
+        records.note(author(9, 0), EventKind::StalledInSend, Span::from_nanos(5), None);
         assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_some());
         assert!(records.explain(&finding(9, FindingKind::SlotMissed, 4)).is_none());
         assert!(records.explain(&finding(9, FindingKind::SyncGap, 0)).is_none(), "it was sent");
@@ -138,32 +181,78 @@ mod tests {
     #[test]
     fn a_silent_slot_is_explained_by_what_silenced_it() {
         let mut records = Records::default();
-        records.note(20, 2, EventKind::SlotSilent, Span::ZERO, None);
+        records.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
         let explained =
             |records: &Records| records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some();
         assert!(!explained(&records), "the sync was lost on its way");
-        records.note(19, 2, EventKind::Overrun, Span::ZERO, None);
-        records.note(19, 3, EventKind::TimeStep, Span::ZERO, None);
-        records.note(15, 0, EventKind::SyncSkipped, Span::ZERO, None);
-        records.note(21, 0, EventKind::SyncSkipped, Span::ZERO, None);
+        records.note(author(19, 2), EventKind::Overrun, Span::ZERO, None);
+        records.note(of_cycle(19, 3), EventKind::TimeStep, Span::ZERO, None);
+        records.note(author(15, 0), EventKind::SyncSkipped, Span::ZERO, None);
+        records.note(author(21, 0), EventKind::SyncSkipped, Span::ZERO, None);
         assert!(!explained(&records), "no cause, somebody else's, long ago, and too late");
         let mut late = Records::default();
-        late.note(20, 2, EventKind::SlotSilent, Span::ZERO, None);
-        late.note(19, 2, EventKind::SyncLate, Span::ZERO, None);
+        late.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
+        late.note(of_cycle(19, 2), EventKind::SyncLate, Span::ZERO, None);
         assert!(explained(&late));
-        records.note(18, 0, EventKind::SyncSkipped, Span::ZERO, None);
+        records.note(author(18, 0), EventKind::SyncSkipped, Span::ZERO, None);
         assert!(explained(&records));
     }
 
     #[test]
     fn a_frame_that_hits_the_next_cycles_sync_is_explained_by_its_own_cycle() {
         let mut records = Records::default();
-        let [late, sync] = [Author { station: 5, cycle: 9 }, Author { station: MASTER, cycle: 10 }];
+        let [late, sync] = [author(9, 5), author(10, MASTER)];
         let authors = [Some(late), Some(sync)];
         let overlap = Finding { cycle: 10, kind: FindingKind::Overlap, authors, span: Span::ZERO };
-        records.note(10, 5, EventKind::StalledInSend, Span::ZERO, None);
+        records.note(author(10, 5), EventKind::StalledInSend, Span::ZERO, None);
         assert!(records.explain(&overlap).is_none());
-        records.note(9, 5, EventKind::StalledInSend, Span::ZERO, None);
+        records.note(author(9, 5), EventKind::StalledInSend, Span::ZERO, None);
         assert!(records.explain(&overlap).is_some());
+    }
+
+    #[test]
+    fn two_slots_of_one_cycle_are_told_of_one_by_one() {
+        let mut records = Records::default();
+        records.note(author(7, 2), EventKind::Overrun, Span::ZERO, Some(Cause::TimerLate));
+        let missed = |slot| {
+            Finding::of(Author { slot: Some(slot), ..author(7, 2) }, FindingKind::SlotMissed, Span::ZERO)
+        };
+        assert_eq!(records.explain(&missed(0)), Some("timer_late"));
+        assert_eq!(records.explain(&missed(3)), None, "nobody told of that one");
+        records.note(Author { slot: Some(3), ..author(7, 2) }, EventKind::Overrun, Span::ZERO, None);
+        assert!(records.explain(&missed(3)).is_some());
+        assert_eq!(records.of_kind(EventKind::Overrun, 7, 1).count(), 2);
+    }
+
+    #[test]
+    fn who_was_not_there_missed_its_slots_for_that_and_nobody_else_did() {
+        let mut records = Records::default();
+        records.absences.begin(2, Absence::Down, 10);
+        let why = |records: &Records, cycle, kind, station| records.explain(&finding(cycle, kind, station));
+        assert_eq!(why(&records, 9, FindingKind::SlotMissed, 2), None);
+        assert_eq!(why(&records, 10, FindingKind::SlotMissed, 2), Some("station_down"));
+        assert_eq!(
+            why(&records, 10, FindingKind::OutOfSlot, 2),
+            Some("station_down"),
+            "its last word is not known"
+        );
+        assert_eq!(why(&records, 10, FindingKind::SlotMissed, 3), None);
+        records.absences.end(2, Absence::Down, 20);
+        assert_eq!(
+            why(&records, 20, FindingKind::SlotMissed, 2),
+            Some("sync_lost_or_late"),
+            "until it is locked"
+        );
+        assert_eq!(why(&records, 30, FindingKind::SlotMissed, 2), None);
+    }
+
+    #[test]
+    fn without_a_master_there_are_no_syncs_and_all_are_silent() {
+        let mut records = Records::default();
+        records.absences.begin(MASTER, Absence::Down, 10);
+        let why = |cycle, kind, station| records.explain(&finding(cycle, kind, station));
+        assert_eq!(why(12, FindingKind::SyncGap, MASTER), Some("station_down"));
+        assert_eq!(why(5_000, FindingKind::SlotMissed, 3), Some("sync_lost_or_late"));
+        assert_eq!(why(12, FindingKind::OutOfSlot, 3), None, "who sends must know when");
     }
 }

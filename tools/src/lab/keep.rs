@@ -8,7 +8,9 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::MTU;
 
+use super::analysis::{Author, Finding};
 use super::members::Member;
+use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
 use crate::control::{
@@ -23,6 +25,9 @@ const JUDGE_EVERY: Duration = Duration::from_secs(1);
 const RECORDS_KEPT: Duration = Duration::from_secs(600);
 /// How long a station may take to answer its lab: the observer's ring holds a second.
 const STATION_WITHIN: Duration = Duration::from_millis(500);
+/// How long a station that is restarted may take to end before it is killed: its slowest thread looks ten times a
+/// second.
+const END_WITHIN: Duration = Duration::from_secs(1);
 /// A lab is judged for so many cycles, 12 days at 1 ms: half of what cycle numbers tell apart.
 const CYCLES_AT_MOST: u32 = 1 << 30;
 /// Changes of slots in a lab's life, each of which is remembered.
@@ -47,13 +52,16 @@ pub fn keep(
     lab.begin(CYCLES_AT_MOST)?;
     let mut server = Server::bind(&home.socket())?;
     let since = Instant::now();
-    let mut keeper = Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, over: None };
+    let restarting = scenario.stations.iter().map(|_| None).collect();
+    let mut keeper =
+        Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, restarting, over: None };
     ready(&keeper.status())?;
     let until = at_most.map(|span| since + Duration::from_nanos(span.nanos().max(0) as u64));
     let mut judged = Instant::now();
     while keeper.over.is_none() {
         server.serve(LOOK_EVERY, |packet, _| keeper.answer(packet));
         keeper.lab.take_in()?;
+        keeper.restart_ended();
         if judged.elapsed() >= JUDGE_EVERY {
             judged = Instant::now();
             keeper.judge();
@@ -78,6 +86,8 @@ struct Keeper {
     tally: Tally,
     since: Instant,
     changes: u32,
+    /// By station, whether it is to be started anew, and since when.
+    restarting: Vec<Option<Instant>>,
     /// The figures of the end.
     over: Option<LabStatus>,
 }
@@ -94,6 +104,7 @@ impl Keeper {
             Ok(LabRequest::SetSlot { station, slot }) => self.change(&station, slot.id, Some(slot)),
             Ok(LabRequest::RemoveSlot { station, id }) => self.change(&station, id, None),
             Ok(LabRequest::Become { station, role }) => reply(self.try_become(&station, role)),
+            Ok(LabRequest::Restart { station }) => reply(self.try_restart(&station)),
         };
         Envelope::pack(reply)
     }
@@ -195,6 +206,44 @@ impl Keeper {
         }
     }
 
+    /// Has a station's process end, if it runs, and another take its place.
+    fn try_restart(&mut self, name: &str) -> Result<u32> {
+        let station = self.station(name)?;
+        ensure!(self.restarting[station].is_none(), "station '{name}' is being restarted already");
+        ensure!(
+            !self.lab.analysis.timetable.is_away(station),
+            "station '{name}' is detached: let it join first (`rtnet tdma -S {}/{name} slave`)",
+            self.home.lab
+        );
+        let member = &mut self.lab.members[station];
+        if !member.ended {
+            member.tell_to_end();
+        }
+        self.restarting[station] = Some(Instant::now());
+        Ok(self.lab.analysis.current().unwrap_or_default())
+    }
+
+    /// Starts those anew that were to end and have. Who does not end is killed: it is to be gone anyway.
+    fn restart_ended(&mut self) {
+        for station in 0..self.restarting.len() {
+            let Some(since) = self.restarting[station] else { continue };
+            let member = &mut self.lab.members[station];
+            if !member.silent {
+                if since.elapsed() > END_WITHIN
+                    && let Some(process) = &mut member.process
+                {
+                    process.kill();
+                }
+                continue;
+            }
+            self.restarting[station] = None;
+            if let Err(error) = self.lab.restart(&self.scenario, station) {
+                self.lab.members[station].failed = Some(format!("it cannot be started anew: {error:#}"));
+                self.lab.members[station].ended = true;
+            }
+        }
+    }
+
     fn station(&self, name: &str) -> Result<usize> {
         self.scenario.stations.iter().position(|plan| plan.name == name).ok_or_else(|| {
             let names: Vec<&str> = self.scenario.stations.iter().map(|plan| plan.name.as_str()).collect();
@@ -226,12 +275,19 @@ impl Keeper {
 
     fn state(&self, station: usize) -> String {
         let member = &self.lab.members[station];
-        if member.ended { "ended".into() } else { member.state().into() }
+        let is_stopped = || member.process.as_ref().is_some_and(Process::is_stopped);
+        match member {
+            _ if self.restarting[station].is_some() => "restarting".into(),
+            Member { ended: true, .. } => "ended".into(),
+            _ if is_stopped() => "stopped".into(),
+            _ => member.state().into(),
+        }
     }
 
-    fn status(&self) -> LabStatus {
-        let analysis = &self.lab.analysis;
+    fn status(&mut self) -> LabStatus {
+        let not_judged = self.lab.not_judged();
         let stations: Vec<MemberStatus> = (0..self.lab.members.len()).map(|i| self.member(i)).collect();
+        let analysis = &self.lab.analysis;
         LabStatus {
             name: self.home.lab.clone(),
             pid: std::process::id(),
@@ -249,9 +305,18 @@ impl Keeper {
             overlaps: self.tally.overlaps,
             out_of_slot: self.tally.out_of_slot,
             unexplained: self.tally.unexplained,
+            unexplained_last: self.tally.shown.iter().map(|finding| self.words(finding)).collect(),
+            causes: self.tally.causes.clone(),
+            not_judged,
             frames_lost: stations.iter().map(|s| s.frames_lost).sum(),
             stations,
         }
+    }
+
+    fn words(&self, finding: &Finding) -> String {
+        let who = |author: Author| self.scenario.stations[author.station].name.clone();
+        let who: Vec<String> = finding.authors.iter().flatten().copied().map(who).collect();
+        format!("cycle {}: {} of {} ({})", finding.cycle, finding.kind.name(), who.join(", "), finding.span)
     }
 
     fn member(&self, station: usize) -> MemberStatus {
@@ -270,6 +335,12 @@ impl Keeper {
             slots_missed: self.lab.analysis.expected(station).saturating_sub(seen.frames),
             payload_errors: member.payload_errors(),
             frames_lost: lost,
+            slot_error_ns: seen.slot_error.summary(),
+            slot_length_ns: self.lab.analysis.slot_length(station).nanos(),
+            guard: member.guarded.into(),
+            events: member.events.clone(),
+            restarts: member.restarts,
+            failed: member.failed.clone(),
             refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         }
     }

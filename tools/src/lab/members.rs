@@ -1,18 +1,19 @@
 //! One station of a lab, seen from the lab: how it is started, what it has told.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
 
 use rtmac::tdma::LatePolicy;
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::EventKind;
-use rtnet::time::{GlobalTime, Offset};
+use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::analysis::TrueMaster;
+use super::analysis::{Author, TrueMaster};
 use super::delivery::Heard;
 use super::explain::Records;
 use super::namespace::Namespace;
 use super::processes::Process;
 use super::run::INTERFACE;
+use crate::control::Home;
 use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
@@ -38,8 +39,14 @@ pub struct Member {
     pub silent: bool,
     pub resident: u64,
     pub cpu_seconds: f64,
+    /// Of the whole cycle, what it told of since the begin, by name.
+    pub events: BTreeMap<String, u64>,
+    /// Processes that it has had before this one.
+    pub restarts: u32,
     counting: bool,
     told_to_end: bool,
+    /// Test traffic that was not what was sent, in those processes.
+    former_errors: u64,
 }
 
 impl Member {
@@ -58,9 +65,21 @@ impl Member {
             silent: false,
             resident: 0,
             cpu_seconds: 0.0,
+            events: BTreeMap::new(),
+            restarts: 0,
             counting: false,
             told_to_end: false,
+            former_errors: 0,
         }
+    }
+
+    /// A new process in the place of one that has ended.
+    pub fn restart(&mut self, process: Process) {
+        self.former_errors = self.payload_errors();
+        self.process = Some(process);
+        self.restarts += 1;
+        (self.standing, self.standing_at_begin) = (None, None);
+        (self.failed, self.ended, self.silent, self.told_to_end) = (None, false, false, false);
     }
 
     pub fn pid(&self) -> u32 {
@@ -107,7 +126,7 @@ impl Member {
         let count = |standing: &Option<Standing>| {
             standing.as_ref().and_then(|s| s.refusals.get("bad_payload").copied()).unwrap_or(0)
         };
-        count(&self.standing).saturating_sub(count(&self.standing_at_begin))
+        self.former_errors + count(&self.standing).saturating_sub(count(&self.standing_at_begin))
     }
 
     /// Test traffic missing between frames that it received, since the begin.
@@ -121,7 +140,7 @@ impl Member {
         let Some(standing) = &self.standing else { return Heard::default() };
         let Standing { received, missing, first, .. } = *standing;
         let range = (received > 0).then(|| (first, first + received + missing - 1));
-        Heard { received, range }
+        Heard { received, range, anew: self.restarts > 0 }
     }
 
     /// Locked, or bridging one cycle, when the measurement ended.
@@ -161,10 +180,11 @@ impl Member {
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => self.standing = Some(*standing),
             Some(Report::Events(events)) => {
-                for (cycle, kind, span, cause) in events {
+                for (cycle, slot, kind, span, cause) in events {
                     if let Some(kind) = link::kind(kind) {
+                        let author = Author { station, cycle, slot };
                         let cause = cause.and_then(link::cause);
-                        records.note(cycle, station, kind, rtnet::Span::from_nanos(span), cause);
+                        records.note(author, kind, Span::from_nanos(span), cause);
                         self.remember(kind, cycle);
                     }
                 }
@@ -181,6 +201,9 @@ impl Member {
 
     /// What a reader of the report should know.
     fn remember(&mut self, kind: EventKind, cycle: u32) {
+        if self.counting {
+            *self.events.entry(kind.name().into()).or_default() += 1;
+        }
         let worth_knowing = [
             EventKind::SyncLost,
             EventKind::SendFailed,
@@ -202,16 +225,38 @@ pub fn clock(scenario: &Scenario, station: usize, anchor: True) -> EmulatedClock
     EmulatedClock { anchor, offset: plan.clock_offset, drift_ppb: plan.clock_drift_ppb }
 }
 
+/// What all stations of a lab are started with.
+#[derive(Clone, Debug)]
+pub struct Launch {
+    /// CLOCK_MONOTONIC at which only their clocks' offsets apply.
+    pub anchor: True,
+    /// From the master's clock to global time.
+    pub epoch: Offset,
+    /// The core of their real-time threads.
+    pub cpu: usize,
+    /// Whether those ask for SCHED_FIFO.
+    pub fifo: bool,
+    /// Where they are to be asked, if they are to be.
+    pub home: Option<Home>,
+}
+
+/// Where a station goes on that comes after another process of its.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Resume {
+    /// A cycle of the master's grid, and its scheduled start.
+    pub grid: Option<(u32, GlobalTime)>,
+    /// The number of its first frame of test traffic.
+    pub first: u64,
+}
+
 /// The command line of a station's process, behind the verb.
 pub fn arguments(
     scenario: &Scenario,
     station: usize,
-    anchor: True,
-    epoch: Offset,
-    cpu: usize,
-    fifo: bool,
-    control: Option<PathBuf>,
+    launch: &Launch,
+    resume: &Resume,
 ) -> anyhow::Result<Vec<String>> {
+    let Launch { anchor, epoch, cpu, fifo, .. } = *launch;
     let plan = &scenario.stations[station];
     let mut line: Vec<String> = Vec::new();
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
@@ -233,7 +278,7 @@ pub fn arguments(
     let lab = LabOptions {
         station: station as u16,
         name: plan.name.clone(),
-        control,
+        control: launch.home.as_ref().map(|home| home.station(&plan.name)),
         anchor,
         offset_ns: plan.clock_offset.nanos(),
         drift_ppb: plan.clock_drift_ppb,
@@ -243,6 +288,8 @@ pub fn arguments(
         payload: plan.payload,
         from_payload: scenario.stations[scenario.sender(station)].payload,
         step_limit_ns: clock_share(scenario.guard).nanos(),
+        resume: resume.grid.map(|(cycle, sched)| (cycle, sched.nanos())),
+        first: resume.first,
     };
     add("--lab", serde_json::to_string(&lab)?);
     if plan.role == Role::Master {

@@ -13,6 +13,7 @@
 //!
 //! The namespaces have no names: they go with the last process inside, however it ends.
 
+mod absences;
 pub mod analysis;
 mod delivery;
 pub mod enter;

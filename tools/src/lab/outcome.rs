@@ -6,7 +6,7 @@ use super::Outcome;
 use super::analysis::{Analysis, Finding, FindingKind};
 use super::explain::Records;
 use super::members::Member;
-use crate::report::figures::{Figures, GuardName, Miss, MissKind, Role, StationFigures, Verdict};
+use crate::report::figures::{Figures, Miss, MissKind, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
@@ -58,6 +58,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
     figures.slot_error_ns = all.slot_error.summary();
     figures.slot_error_abs_ns = all.slot_error_abs.summary();
     figures.sync_error_ns = all.sync_error.summary();
+    figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     figures.unexplained = analysis.findings_dropped;
     let silent = own(EventKind::SlotSilent).count() as u64;
     if silent > 0 {
@@ -141,7 +142,7 @@ fn station_figures(
         slots_missed: missed,
         overruns: own(EventKind::Overrun),
         stalled_in_send: own(EventKind::StalledInSend),
-        guard: if member.guarded { GuardName::Kernel } else { GuardName::User },
+        guard: member.guarded.into(),
         guard_drops: own(EventKind::GuardDropped),
         payload_errors: member.payload_errors(),
         slot_error_ns: seen.slot_error.summary(),

@@ -71,6 +71,17 @@ impl Process {
         line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
     }
 
+    /// Whether somebody has stopped it (SIGSTOP).
+    pub fn is_stopped(&self) -> bool {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid())).unwrap_or_default();
+        stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('T'))
+    }
+
+    /// Ends it at once. Fails only if it has ended.
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+    }
+
     /// Tells it to end, without waiting.
     pub fn tell_to_end(&mut self) {
         self.child.stdin = None;

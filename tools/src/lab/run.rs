@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -12,9 +12,10 @@ use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
 use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
+use super::absences::Absence;
 use super::analysis::{Analysis, TrueMaster};
 use super::explain::Records;
-use super::members::{Member, arguments};
+use super::members::{Launch, Member, Resume, arguments};
 use super::namespace::{Namespace, Segment};
 use super::outcome;
 use super::processes::{Process, Told};
@@ -65,6 +66,11 @@ fn is_throttled() -> bool {
     runtime.map_or(true, |runtime| runtime.trim() != "-1")
 }
 
+/// A station's port of the bridge.
+fn port_name(station: usize) -> String {
+    format!("port{station}")
+}
+
 /// How to run a scenario.
 #[derive(Clone, Debug, Default)]
 pub struct RunOptions {
@@ -94,7 +100,9 @@ pub struct Outcome {
 pub struct Lab {
     // Fields are dropped in this order: processes first, then what they live in.
     pub(super) members: Vec<Member>,
+    teller: Sender<Told>,
     told: Receiver<Told>,
+    launch: Launch,
     ring: CaptureRing,
     wall: WallClock,
     distrusted_until: Option<Instant>,
@@ -159,7 +167,7 @@ impl Lab {
         let mut members: Vec<Member> = Vec::new();
         for station in 0..scenario.stations.len() {
             let namespace = Namespace::new()?;
-            segment.attach(&namespace, &format!("port{station}"), INTERFACE, scenario.address(station).0)?;
+            segment.attach(&namespace, &port_name(station), INTERFACE, scenario.address(station).0)?;
             members.push(Member::new(namespace));
         }
         let clock = super::members::clock(scenario, 0, anchor);
@@ -173,14 +181,16 @@ impl Lab {
             started => started.and_then(Result::ok),
         };
         let (teller, told) = channel();
+        let launch = Launch { anchor, epoch, cpu, fifo, home: options.home.clone() };
         for (station, member) in members.iter_mut().enumerate() {
-            let control = options.home.as_ref().map(|home| home.station(&scenario.stations[station].name));
-            let arguments = arguments(scenario, station, anchor, epoch, cpu, fifo, control)?;
+            let arguments = arguments(scenario, station, &launch, &Resume::default())?;
             member.process = Some(Process::start(&member.namespace, station, &arguments, teller.clone())?);
         }
         Ok(Self {
             members,
+            teller,
             told,
+            launch,
             ring,
             wall: WallClock::default(),
             distrusted_until: None,
@@ -310,9 +320,62 @@ impl Lab {
         });
         written?;
         while let Ok((station, report)) = self.told.try_recv() {
+            let has_ended = report.is_none();
             self.members[station].take(station, report, &mut self.records, &self.master);
+            if has_ended {
+                self.note_end(station);
+            }
+        }
+        self.note_returns();
+        Ok(())
+    }
+
+    /// A station's process has ended: what it had to tell of later than this went with it.
+    fn note_end(&mut self, station: usize) {
+        let told_until = self.members[station].standing.as_ref().map_or(monotonic(), |standing| standing.at);
+        if let Some(from) = self.analysis.cycle_at(told_until) {
+            self.records.absences.begin(station, Absence::Down, from);
+        }
+    }
+
+    /// Who was restarted is there again from its first frame on.
+    fn note_returns(&mut self) {
+        for (station, member) in self.members.iter().enumerate() {
+            if !member.silent
+                && self.records.absences.is_open(station, Absence::Down)
+                && let Some(cycle) = self.analysis.heard_again(station)
+            {
+                self.records.absences.end(station, Absence::Down, cycle);
+            }
+        }
+    }
+
+    /// Starts a station anew whose process has ended. A master goes on with its predecessor's grid.
+    pub(super) fn restart(&mut self, scenario: &Scenario, station: usize) -> Result<()> {
+        let sender = &self.analysis.stations[station].passed;
+        let resume = Resume { grid: self.analysis.grid(), first: sender.beyond() };
+        let arguments = arguments(scenario, station, &self.launch, &resume)?;
+        let member = &mut self.members[station];
+        // Somebody may have taken its interface away.
+        if member.namespace.netlink()?.link_index(INTERFACE).is_err() {
+            self.segment.attach(
+                &member.namespace,
+                &port_name(station),
+                INTERFACE,
+                scenario.address(station).0,
+            )?;
+        }
+        let process = Process::start(&member.namespace, station, &arguments, self.teller.clone())?;
+        member.restart(process);
+        if let Some(now) = self.analysis.cycle_at(monotonic()) {
+            self.analysis.await_again(station, now);
         }
         Ok(())
+    }
+
+    /// Frames of which nothing is known: lost by the observer, or stamped while the wall clock was set.
+    pub(super) fn not_judged(&mut self) -> u64 {
+        self.ring.dropped().unwrap_or(0) + self.ring.unreadable() + self.distrusted
     }
 
     /// A station that cannot be what it is to be ends the run before it begins.

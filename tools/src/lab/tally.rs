@@ -1,13 +1,13 @@
 //! The running account of a lab that stays: what was found is judged once its records have arrived, and then
 //! only counted, so that a lab of days needs no more memory than one of a minute.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use super::analysis::{Analysis, Finding, FindingKind};
 use super::explain::Records;
 
 /// Findings without a record that are kept to be shown; the rest is only counted.
-const SHOWN_AT_MOST: usize = 100;
+const SHOWN_AT_MOST: usize = 10;
 
 /// What was found so far.
 #[derive(Default)]
@@ -20,7 +20,9 @@ pub struct Tally {
     pub out_of_slot: u64,
     /// Findings without a record.
     pub unexplained: u64,
-    /// The newest of them.
+    /// Those with one, by the cause that it tells.
+    pub causes: BTreeMap<String, u64>,
+    /// The newest of those without.
     pub shown: VecDeque<Finding>,
 }
 
@@ -50,7 +52,9 @@ impl Tally {
             FindingKind::OutOfSlot => self.out_of_slot += 1,
             FindingKind::SyncGap | FindingKind::SlotMissed | FindingKind::Repeated => {}
         }
-        if records.explain(&finding).is_none() {
+        if let Some(cause) = records.explain(&finding) {
+            *self.causes.entry(cause.into()).or_default() += 1;
+        } else {
             self.unexplained += 1;
             if self.shown.len() == SHOWN_AT_MOST {
                 self.shown.pop_front();

@@ -52,6 +52,8 @@ pub struct Figures {
     pub sync_period_jitter_ns: Summary,
     /// Estimated - true global time, all slaves.
     pub sync_error_ns: Summary,
+    /// |estimated - true global time|, so that its tail is that of both sides.
+    pub sync_error_abs_ns: Summary,
     /// One entry per station.
     pub per_station: Vec<StationFigures>,
     /// What the run took place on.
@@ -173,6 +175,12 @@ pub enum GuardName {
     User,
 }
 
+impl From<bool> for GuardName {
+    fn from(is_guarded: bool) -> Self {
+        if is_guarded { GuardName::Kernel } else { GuardName::User }
+    }
+}
+
 /// Whether a run kept what it promises.
 #[derive(Clone, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 pub struct Verdict {
@@ -263,7 +271,7 @@ mod tests {
         let names = [
             "stations cycle_ns cycles syncs_sent syncs_skipped frames_expected frames_seen slots_missed",
             "overruns stalled_in_send guard_drops overlaps out_of_slot unexplained payload_errors slot_error_ns",
-            "slot_error_abs_ns sync_period_jitter_ns sync_error_ns per_station host verdict",
+            "slot_error_abs_ns sync_period_jitter_ns sync_error_ns sync_error_abs_ns per_station host verdict",
             "rt_cpu_percent clock_steps capture_dropped frames_lost misses",
         ];
         let json = serde_json::to_string(&Figures::default()).unwrap();

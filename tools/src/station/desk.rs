@@ -160,6 +160,7 @@ impl Desk {
                     sync_latest: sync_latest(default_sync_window(cycle)),
                     reply_latest: self.latest,
                     epoch: self.epoch(),
+                    resume: None,
                 }))
             }
         }

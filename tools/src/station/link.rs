@@ -8,7 +8,7 @@ use rtmac::tdma::{RoleName, TdmaStatus};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::{Record, Snapshot};
-use rtnet::time::{Offset, Span};
+use rtnet::time::{GlobalTime, Offset, Span};
 use serde::{Deserialize, Serialize};
 
 use super::traffic::TrafficCounts;
@@ -40,6 +40,10 @@ pub struct LabOptions {
     pub from_payload: usize,
     /// How much a Synchronisation may disagree before it is a time step, nanoseconds.
     pub step_limit_ns: i64,
+    /// For a master that comes after another: a cycle of its grid, and that cycle's scheduled start.
+    pub resume: Option<(u32, u64)>,
+    /// The number of its first frame of test traffic.
+    pub first: u64,
 }
 
 impl LabOptions {
@@ -47,6 +51,11 @@ impl LabOptions {
     pub fn clock(&self) -> EmulatedClock {
         let offset = Span::from_nanos(self.offset_ns);
         EmulatedClock { anchor: self.anchor, offset, drift_ppb: self.drift_ppb }
+    }
+
+    /// The grid that its master is to go on with.
+    pub fn resume(&self) -> Option<(u32, GlobalTime)> {
+        self.resume.map(|(cycle, sched)| (cycle, GlobalTime::from_nanos(sched)))
     }
 }
 
@@ -61,9 +70,9 @@ pub enum Report {
         /// What the host refused it.
         refused: Vec<String>,
     },
-    /// What happened: cycle, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was
+    /// What happened: cycle, slot, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was
     /// missed by it, why (its place in [`Cause::ALL`]).
-    Events(Vec<(u32, u8, i64, Option<u8>)>),
+    Events(Vec<(u32, Option<u8>, u8, i64, Option<u8>)>),
     /// Estimates of global time: CLOCK_MONOTONIC, estimate.
     Times(Vec<(u64, u64)>),
     /// Where it stands.
@@ -146,8 +155,8 @@ pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
     let (mut events, mut times) = (Vec::new(), Vec::new());
     for record in records {
         match record {
-            Record::Event(Event { cycle, kind, span }, cause) => {
-                events.push((cycle, number(kind), span.nanos(), cause.map(|cause| cause as u8)));
+            Record::Event(Event { cycle, kind, slot, span }, cause) => {
+                events.push((cycle, slot, number(kind), span.nanos(), cause.map(|cause| cause as u8)));
             }
             Record::Time(at, global) => times.push((at, global.nanos())),
         }
@@ -178,7 +187,7 @@ fn number(kind: EventKind) -> u8 {
 
 /// An offset from its number.
 pub fn offset(nanos: u64) -> Offset {
-    Offset::between(Default::default(), rtnet::GlobalTime::from_nanos(nanos))
+    Offset::between(Default::default(), GlobalTime::from_nanos(nanos))
 }
 
 #[cfg(test)]
@@ -194,7 +203,7 @@ mod tests {
 
     #[test]
     fn a_report_is_one_line_and_reads_back() {
-        let report = Report::Events(vec![(7, 1, -3, Some(2))]);
+        let report = Report::Events(vec![(7, Some(0), 1, -3, Some(2))]);
         let line = serde_json::to_string(&report).unwrap();
         assert!(!line.contains('\n'));
         assert_eq!(serde_json::from_str::<Report>(&line).unwrap(), report);

@@ -27,7 +27,9 @@ pub struct Misses {
 pub struct Miss {
     /// In which cycle.
     pub cycle: u32,
-    /// `overrun`, `stalled_in_send`, `slot_silent`, `send_failed` or `sync_skipped`.
+    /// In which slot; none: a Synchronisation, or a calibration reply.
+    pub slot: Option<u8>,
+    /// `overrun`, `stalled_in_send`, `guard_dropped`, `slot_silent`, `slot_empty`, `send_failed` or `sync_skipped`.
     pub what: String,
     /// By how much, nanoseconds; of a failed send, its error number.
     pub late_ns: i64,
@@ -50,6 +52,7 @@ impl Misses {
         *self.causes.entry(cause.name().into()).or_default() += 1;
         let miss = Miss {
             cycle: event.cycle,
+            slot: event.slot,
             what: event.kind.name().into(),
             late_ns: event.span.nanos(),
             cause: cause.name().into(),
@@ -73,7 +76,8 @@ mod tests {
     use rtnet::time::Span;
 
     fn record(cycle: u32, late: i64, cause: Option<Cause>) -> Record {
-        Record::Event(Event { cycle, kind: EventKind::Overrun, span: Span::from_micros(late) }, cause)
+        let span = Span::from_micros(late);
+        Record::Event(Event { cycle, kind: EventKind::Overrun, slot: Some(0), span }, cause)
     }
 
     #[test]

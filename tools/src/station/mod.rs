@@ -192,6 +192,7 @@ fn driver(
             from: lab.from,
             payload: lab.payload,
             from_payload: lab.from_payload,
+            first: lab.first,
         };
         services.push(Box::new(Traffic::new(plan, counts)));
     }

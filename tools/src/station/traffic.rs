@@ -111,6 +111,8 @@ pub struct TrafficPlan {
     pub payload: usize,
     /// The same of the frames that come here.
     pub from_payload: usize,
+    /// The number of its first frame.
+    pub first: u64,
 }
 
 /// What the control thread may look at while the real-time thread counts.
@@ -127,7 +129,7 @@ pub struct TrafficCounts {
 impl Traffic {
     /// Traffic by this plan, counted into `counts`.
     pub fn new(plan: TrafficPlan, counts: Arc<TrafficCounts>) -> Self {
-        Self { plan, pool: Pool::new(POOL), sequence: 0, heard: None, counts }
+        Self { plan, pool: Pool::new(POOL), sequence: plan.first, heard: None, counts }
     }
 
     fn write(&mut self, slot: &Opportunity, frame: &mut Buf) {
@@ -201,7 +203,8 @@ mod tests {
 
     fn pair() -> (Traffic, Traffic, Arc<TrafficCounts>) {
         let counts = Arc::new(TrafficCounts::default());
-        let a = TrafficPlan { station: 0, source: A, destination: B, from: 1, payload: 64, from_payload: 64 };
+        let (payload, from_payload, first) = (64, 64, 0);
+        let a = TrafficPlan { station: 0, source: A, destination: B, from: 1, payload, from_payload, first };
         let b = TrafficPlan { station: 1, source: B, destination: A, from: 0, ..a };
         (Traffic::new(a, Arc::default()), Traffic::new(b, counts.clone()), counts)
     }

@@ -43,6 +43,7 @@ impl Bench {
                 from: 1 - station,
                 payload: 64,
                 from_payload: 64,
+                first: 0,
             };
             Traffic::new(plan, Default::default())
         });
@@ -58,8 +59,13 @@ impl Bench {
     }
 
     fn data(&mut self, station: usize, cycle: u32, late: i64) {
+        self.data_by_a_line_off(station, cycle, 0, late);
+    }
+
+    /// A frame of a station whose own time line is wrong.
+    fn data_by_a_line_off(&mut self, station: usize, cycle: u32, off: i64, late: i64) {
         let offset = self.scenario.stations[station].slots[0].offset;
-        let begin = u64::from(cycle) * CYCLE + offset.nanos() as u64;
+        let begin = (u64::from(cycle) * CYCLE + offset.nanos() as u64).wrapping_add_signed(off);
         let slot = Opportunity {
             channel: 0,
             cycle,
@@ -152,6 +158,31 @@ fn frames_that_leave_their_slot_or_overlap_are_found() {
 }
 
 #[test]
+fn a_station_in_time_by_its_own_wrong_line_is_not_in_its_slot() {
+    let analysis = Bench::new().run(|bench| {
+        bench.sync(12, 0);
+        bench.data(0, 12, 0);
+        bench.data_by_a_line_off(1, 12, 355_000, 0);
+    });
+    assert_eq!(found(&analysis), [(12, FindingKind::OutOfSlot, Some(1))]);
+    assert_eq!(analysis.stations[1].slot_error.max(), 355_000);
+}
+
+#[test]
+fn a_sync_that_tells_another_grid_is_found() {
+    let analysis = Bench::new().run(|bench| {
+        let (xmit, sched) = (GlobalTime::from_nanos(12 * CYCLE), GlobalTime::from_nanos(12 * CYCLE + 50));
+        let mut frame = Pool::new(1).take().unwrap();
+        let sync = Message::Sync { cycle: 12, xmit, sched };
+        sync.write(Address::BROADCAST, Address::default(), &mut frame);
+        bench.analysis.frame(12 * CYCLE, &frame);
+        bench.data(0, 12, 0);
+        bench.data(1, 12, 0);
+    });
+    assert_eq!(found(&analysis), [(12, FindingKind::OutOfSlot, Some(0))]);
+}
+
+#[test]
 fn a_late_sync_or_a_second_one_is_found() {
     let with = |late: i64, twice: bool| {
         Bench::new().run(move |bench| {
@@ -219,7 +250,7 @@ fn what_comes_after_an_early_end_does_not_count() {
     assert_eq!(found(&bench.analysis), []);
     // The second cycle had begun when it ended.
     assert_eq!((bench.analysis.expected(1), bench.analysis.stations[1].frames), (2, 2));
-    let heard = Heard { received: 2, range: Some((0, 1)) };
+    let heard = Heard { anew: false, received: 2, range: Some((0, 1)) };
     assert_eq!(bench.analysis.stations[1].passed.lost(&heard), 0);
 }
 

@@ -1,83 +1,15 @@
 //! Labs that stay: asked, changed, abused and taken down.
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use socket2::{Domain, SockAddr, Socket, Type};
+use socket2::Socket;
 
+use crate::cell::{Cell, json, text, wait_until};
 use crate::{as_root, rtnet};
-
-/// A lab of `cell.toml`; taken down, at the latest, when dropped.
-struct Cell {
-    name: String,
-}
-
-impl Cell {
-    fn up(what: &str) -> Self {
-        let cell = Self { name: format!("{what}-{}", std::process::id()) };
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/cell.toml");
-        let output = rtnet().args(["lab", "up", "--name", &cell.name]).arg(file).output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        assert!(text(&output.stdout).contains("is up: 4 stations, cycle 4ms"));
-        cell
-    }
-
-    fn place(&self, station: &str) -> String {
-        format!("{}/{station}", self.name)
-    }
-
-    fn slot(&self, station: &str, arguments: &[&str]) -> Output {
-        rtnet().args(["slot", "-S", &self.place(station)]).args(arguments).output().unwrap()
-    }
-
-    fn status(&self) -> Value {
-        json(rtnet().args(["lab", "status", &self.name, "--json"]))
-    }
-
-    fn station(&self, station: &str) -> Value {
-        json(rtnet().args(["tdma", "-S", &self.place(station), "status", "--json"]))
-    }
-
-    fn socket(&self, station: &str) -> PathBuf {
-        Path::new("/run/rtnet").join(&self.name).join(format!("{station}.sock"))
-    }
-
-    fn connect(&self, station: &str) -> Socket {
-        let socket = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
-        socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
-        socket.connect(&SockAddr::unix(self.socket(station)).unwrap()).unwrap();
-        socket
-    }
-
-    /// Takes it down; its account.
-    fn down(self) -> Value {
-        let output = rtnet().args(["lab", "down", &self.name, "--json"]).output().unwrap();
-        let account: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{account:#}");
-        assert!(!Path::new("/run/rtnet").join(&self.name).exists(), "nothing is left");
-        account[0].clone()
-    }
-}
-
-impl Drop for Cell {
-    fn drop(&mut self) {
-        // Gone already where all went well.
-        let _ = rtnet().args(["lab", "down", &self.name]).output();
-    }
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn json(command: &mut Command) -> Value {
-    let output = command.output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
 
 /// What a command that is refused says: one line.
 fn refusal(output: &Output) -> String {
@@ -324,12 +256,4 @@ fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
     assert_eq!(next.down()["unexplained"], 0);
     let again = rtnet().args(["lab", "down", &cell.name]).output().unwrap();
     assert!(refusal(&again).contains("there is no lab"));
-}
-
-fn wait_until(what: &str, holds: impl Fn() -> bool) {
-    let deadline = Instant::now() + Duration::from_secs(10);
-    while !holds() {
-        assert!(Instant::now() < deadline, "in vain: {what}");
-        std::thread::sleep(Duration::from_millis(20));
-    }
 }

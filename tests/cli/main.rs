@@ -3,6 +3,8 @@
 // A test of real processes waits for them.
 #![allow(clippy::disallowed_methods)]
 
+mod abused;
+mod cell;
 mod lab;
 mod live;
 mod observe;

@@ -10,6 +10,7 @@ use rtmac::tdma::{
     MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotStatus, Tdma, TdmaCommand, TdmaStatus,
 };
 use rtnet::clock::EmulatedClock;
+use rtnet::discipline::Cause;
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::{Driver, Errand, Errands, Record, Snapshot};
 use rtnet::time::{GlobalTime, Offset, Span};
@@ -88,11 +89,14 @@ impl Desk {
 
     /// What was recorded since the last time.
     pub fn records(&mut self) -> Vec<Record> {
-        let records: Vec<Record> = std::iter::from_fn(|| self.records.pop()).collect();
+        let mut records: Vec<Record> = std::iter::from_fn(|| self.records.pop()).collect();
         // Of what was missed meanwhile some may be told only the next time.
         let now = self.continued.swap(false, Ordering::Relaxed);
         let before = std::mem::replace(&mut self.was_continued, now);
-        self.misses.note(&records, now || before);
+        if now || before {
+            records.iter_mut().for_each(blame_who_stopped_it);
+        }
+        self.misses.note(&records);
         records
     }
 
@@ -194,6 +198,13 @@ impl Desk {
             misses: self.misses.clone(),
             control: traffic.named(),
         }))
+    }
+}
+
+/// Who was stopped was woken late, but by no timer.
+fn blame_who_stopped_it(record: &mut Record) {
+    if let Record::Event(_, Some(cause @ Cause::TimerLate)) = record {
+        *cause = Cause::Preempted;
     }
 }
 

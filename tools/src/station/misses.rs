@@ -38,12 +38,10 @@ pub struct Miss {
 }
 
 impl Misses {
-    /// Takes in what was missed. `stopped`: the process was stopped since the last records, so that no timer is
-    /// to blame.
-    pub fn note(&mut self, records: &[Record], stopped: bool) {
+    /// Takes in what was missed.
+    pub fn note(&mut self, records: &[Record]) {
         for record in records {
             let Record::Event(event, Some(cause)) = *record else { continue };
-            let cause = if stopped && cause == Cause::TimerLate { Cause::Preempted } else { cause };
             self.enter(event, cause);
         }
     }
@@ -84,11 +82,10 @@ mod tests {
     fn the_worst_and_the_latest_are_kept_and_all_are_counted() {
         let mut misses = Misses::default();
         for cycle in 0..1_000 {
-            misses.note(&[record(cycle, i64::from(cycle % 100), Some(Cause::TimerLate))], cycle == 999);
+            misses.note(&[record(cycle, i64::from(cycle % 100), Some(Cause::TimerLate))]);
         }
-        misses.note(&[record(1_000, 1_000_000, None)], false);
-        assert_eq!(misses.causes["timer_late"] + misses.causes["preempted"], 1_000);
-        assert_eq!(misses.causes["preempted"], 1, "who was stopped was not woken late");
+        misses.note(&[record(1_000, 1_000_000, None)]);
+        assert_eq!(misses.causes["timer_late"], 1_000);
         assert!(misses.worst.iter().all(|miss| miss.late_ns == 99_000));
         assert_eq!((misses.worst.len(), misses.latest.len()), (WORST, LATEST));
         assert_eq!(misses.latest.back().unwrap().cycle, 999, "what was no miss is not listed");

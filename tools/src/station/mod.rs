@@ -1,6 +1,7 @@
 //! One live station in the foreground: its options, its real-time thread, its control thread.
 
 mod desk;
+mod halt;
 pub mod link;
 pub mod misses;
 mod teller;
@@ -96,7 +97,8 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let interface = Interface::find(&options.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
-    let port = port(&options, &interface)?;
+    let mut port = port(&options, &interface)?;
+    halt::arm(&mut port)?;
     let (guarded, guard_refused) = (port.is_guarded(), port.guard_refused().map(str::to_owned));
     let driver = driver(&options, &interface, port, stop.clone(), counts.clone())?;
     let in_lab = options.lab.is_some();

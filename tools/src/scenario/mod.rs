@@ -134,7 +134,7 @@ pub struct Uniform {
     pub payload: usize,
     /// The medium's.
     pub rate: Rate,
-    /// Least guard band; the rest of the slot if not given.
+    /// Guard band of each slot; the rest of the slot if not given.
     pub guard: Option<Span>,
     /// Everything random follows from it.
     pub seed: u64,
@@ -155,7 +155,8 @@ pub enum ScenarioError {
 }
 
 impl Uniform {
-    /// The network: slots of equal length after the sync window, the master's first.
+    /// The network: slots of equal length after the sync window, the master's first. They begin where they do
+    /// whatever the guard band is: one that is less than the rest of the slot makes less of it usable.
     pub fn scenario(&self) -> Result<Scenario, ScenarioError> {
         let &Uniform { stations: n, cycle, duration, payload, rate, guard, seed } = self;
         if !(2..=MAX_STATIONS).contains(&n) {
@@ -186,7 +187,7 @@ impl Uniform {
                 }],
             })
             .collect();
-        let guard = length - air;
+        let guard = guard.unwrap_or(length - air);
         let (late, slot_guard) = (LatePolicy::Skip, SlotGuard::Auto);
         let scenario =
             Scenario { cycle, sync_window, rate, guard, duration, seed, late, slot_guard, stations };
@@ -286,6 +287,34 @@ mod tests {
         let offsets: Vec<_> = scenario.stations.iter().map(|s| s.slots[0].offset.nanos()).collect();
         assert_eq!(offsets[..3], [50_000, 168_750, 287_500]);
         assert_eq!(scenario.guard.nanos(), 118_750 - 816);
+    }
+
+    #[test]
+    fn a_guard_band_means_the_same_as_an_option_and_in_a_file() {
+        let names = [("master", "master"), ("slave1", "slave"), ("slave2", "slave")];
+        let stations =
+            names.map(|(name, role)| format!("[[station]]\nname = \"{name}\"\nrole = \"{role}\"\n"));
+        for guard in [None, Some(Span::ZERO), Some(Span::from_micros(20))] {
+            let line = guard.map_or(String::new(), |guard| format!("guard = \"{guard}\"\n"));
+            let text = format!("cycle = \"1ms\"\nduration = \"1s\"\n{line}{}", stations.concat());
+            let by_file = Source { file: "net.toml", text: &text }.parse().unwrap();
+            let by_options = Uniform { guard, ..uniform(3, Span::from_millis(1)) }.scenario().unwrap();
+            assert_eq!(by_options, by_file);
+            assert_eq!(by_options.latest(), by_options.guard / 2);
+        }
+    }
+
+    #[test]
+    fn a_guard_band_less_than_the_rest_moves_no_slot_and_one_too_large_is_refused() {
+        let with = |guard| Uniform { guard, ..uniform(8, Span::from_millis(1)) }.scenario();
+        let rest = Span::from_nanos(118_750 - 816);
+        let (whole, small) = (with(None).unwrap(), with(Some(Span::from_micros(20))).unwrap());
+        assert_eq!(small.stations, whole.stations);
+        assert_eq!((small.guard, small.latest()), (Span::from_micros(20), Span::from_micros(10)));
+        assert_eq!(small.schedule().conflicts(), []);
+        assert_eq!(with(Some(rest)), Ok(whole));
+        let error = with(Some(rest + Span::from_nanos(1))).unwrap_err().to_string();
+        assert!(error.contains("frame 816ns + guard band 117.935us) = 1.000008ms"), "{error}");
     }
 
     #[test]

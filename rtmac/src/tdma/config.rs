@@ -175,12 +175,15 @@ pub enum Refused {
     },
 }
 
+/// Whether slaves would follow a cycle of this length.
+pub fn check_cycle(cycle: Span) -> Result<(), Refused> {
+    if PERIODS.contains(&cycle) { Ok(()) } else { Err(Refused::Cycle { cycle }) }
+}
+
 /// A master knows its cycle, so that its own slots can be checked against it.
 pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
     let MasterConfig { cycle, sync_latest, .. } = master;
-    if !PERIODS.contains(&cycle) {
-        return Err(Refused::Cycle { cycle });
-    }
+    check_cycle(cycle)?;
     if sync_latest >= cycle {
         return Err(Refused::SyncWindow { cycle });
     }

@@ -38,7 +38,9 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 use config::checked;
-pub use config::{DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig};
+pub use config::{
+    DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
+};
 use events::Events;
 use job::{Job, Pending};
 pub use line::TimeLine;

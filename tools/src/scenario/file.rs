@@ -21,7 +21,7 @@
 use std::path::Path;
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
-use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS};
+use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle};
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
@@ -79,7 +79,7 @@ pub struct Source<'a> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NetworkFile {
-    cycle: PositiveSpan,
+    cycle: Spanned<PositiveSpan>,
     rate: Option<FileRate>,
     sync_window: Option<PositiveSpan>,
     guard: Option<NonNegativeSpan>,
@@ -136,7 +136,8 @@ impl Source<'_> {
     pub fn parse(self) -> Result<Scenario, FileError> {
         let network: NetworkFile = toml::from_str(self.text)
             .map_err(|error| FileError::Toml(self.file.into(), error.to_string()))?;
-        let cycle = network.cycle.0;
+        let cycle = network.cycle.get_ref().0;
+        check_cycle(cycle).map_err(|refused| self.impossible(network.cycle.span().start, refused))?;
         let rate = network.rate.map_or(DEFAULT_RATE, |rate| rate.0);
         let sync_window = network.sync_window.map_or(default_sync_window(cycle), |window| window.0);
         self.check_stations(&network.station)?;

@@ -5,7 +5,7 @@ mod file;
 
 use clap::ValueEnum;
 use rtmac::tdma::schedule::{self, Conflict, Rate, Schedule};
-use rtmac::tdma::{LatePolicy, SlotConfig};
+use rtmac::tdma::{LatePolicy, Refused, SlotConfig, check_cycle};
 use rtnet::live::GuardMode;
 use rtnet::sim::Random;
 use rtnet::time::Span;
@@ -152,6 +152,9 @@ pub enum ScenarioError {
     /// The slots do not go together.
     #[error("{0}")]
     Conflict(Conflict),
+    /// No station would take it.
+    #[error(transparent)]
+    Refused(#[from] Refused),
 }
 
 impl Uniform {
@@ -165,6 +168,7 @@ impl Uniform {
         if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
             return Err(ScenarioError::Payload(payload));
         }
+        check_cycle(cycle)?;
         let sync_window = default_sync_window(cycle);
         let length =
             schedule::divide(cycle, sync_window, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
@@ -332,5 +336,14 @@ mod tests {
     fn a_cycle_too_short_is_refused_with_the_sum() {
         let error = uniform(8, Span::from_micros(5)).scenario().unwrap_err().to_string();
         assert!(error.contains("8 slots do not fit a cycle of 5us"), "{error}");
+    }
+
+    #[test]
+    fn a_cycle_that_no_slave_follows_is_refused() {
+        for cycle in [Span::from_millis(100_001), Span::from_nanos(999)] {
+            let error = uniform(2, cycle).scenario().unwrap_err().to_string();
+            assert_eq!(error, format!("a cycle of {cycle}: no slave follows one outside 1us to 100s"));
+        }
+        assert!(uniform(2, Span::from_millis(100_000)).scenario().is_ok());
     }
 }

@@ -53,6 +53,7 @@ fn without_slots_the_cycle_is_divided_evenly() {
 fn what_cannot_be_names_file_line_and_remedy() {
     let cases = [
         (("cycle = \"1ms\"", "cycle = \"1\""), "line 2"),
+        (("\"1ms\"", "\"200s\""), "net.toml:2: a cycle of 200s: no slave follows one outside 1us to 100s"),
         (("rate =", "rat ="), "unknown field `rat`"),
         (("\"500us\"", "\"105us\""), "net.toml:8: slot 0 of master and slot 0 of arm overlap: 100us"),
         (("\"500us\"", "\"999us\""), "net.toml:8: slot 0 of arm ends after the cycle"),

@@ -21,7 +21,7 @@
 use std::path::Path;
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
-use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle};
+use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle, check_rounds};
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
@@ -169,8 +169,9 @@ impl Source<'_> {
             }
         }
         if let Some(conflict) = scenario.schedule().conflicts().first() {
-            return Err(self.impossible(self.place_of(&network, conflict), conflict));
+            return Err(self.impossible(place_of(&network, conflict), conflict));
         }
+        self.check_calibration(&network, &scenario)?;
         if asked.is_none() {
             scenario.guard = widest_guard(&scenario);
         }
@@ -278,25 +279,40 @@ impl Source<'_> {
         Ok(())
     }
 
-    /// Where the slot stands that a conflict names last.
-    fn place_of(&self, network: &NetworkFile, conflict: &Conflict) -> usize {
-        let (owner, id) = match conflict {
-            Conflict::Overlap { b, b_id, .. } => (b, *b_id),
-            Conflict::InSyncWindow { owner, id, .. } | Conflict::BeyondCycle { owner, id, .. } => {
-                (owner, *id)
-            }
-            Conflict::DoesNotFit { .. } => return 0,
-        };
-        let station = network.station.iter().find(|entry| entry.get_ref().name.get_ref() == owner);
-        let slots = station.and_then(|entry| entry.get_ref().slots.as_ref());
-        let slot = slots.and_then(|slots| slots.iter().find(|slot| slot.get_ref().id == id));
-        slot.map(|slot| slot.span().start).or(station.map(|entry| entry.span().start)).unwrap_or(0)
+    fn check_calibration(&self, network: &NetworkFile, scenario: &Scenario) -> Result<(), FileError> {
+        for slave in scenario.stations.iter().filter(|station| station.role == Role::Slave) {
+            let slots = || slave.slots.iter().map(|slot| (slot.id, slot.period));
+            check_rounds(slave.rounds, slots()).map_err(|refused| {
+                let first = slots().min().map_or(0, |(id, _)| id);
+                self.impossible(place_of_slot(network, &slave.name, first), refused)
+            })?;
+        }
+        Ok(())
     }
 
     fn impossible(&self, at: usize, what: impl ToString) -> FileError {
         let line = self.text[..at.min(self.text.len())].matches('\n').count() + 1;
         FileError::Impossible { file: self.file.into(), line, what: what.to_string() }
     }
+}
+
+/// Where the slot stands that a conflict names last.
+fn place_of(network: &NetworkFile, conflict: &Conflict) -> usize {
+    match conflict {
+        Conflict::Overlap { b, b_id, .. } => place_of_slot(network, b, *b_id),
+        Conflict::InSyncWindow { owner, id, .. } | Conflict::BeyondCycle { owner, id, .. } => {
+            place_of_slot(network, owner, *id)
+        }
+        Conflict::DoesNotFit { .. } => 0,
+    }
+}
+
+/// Where a slot stands, or else its station.
+fn place_of_slot(network: &NetworkFile, owner: &str, id: u8) -> usize {
+    let station = network.station.iter().find(|entry| entry.get_ref().name.get_ref() == owner);
+    let slots = station.and_then(|entry| entry.get_ref().slots.as_ref());
+    let slot = slots.and_then(|slots| slots.iter().find(|slot| slot.get_ref().id == id));
+    slot.map(|slot| slot.span().start).or(station.map(|entry| entry.span().start)).unwrap_or(0)
 }
 
 /// `P/N`: phase P, from 1, of a period of N cycles.

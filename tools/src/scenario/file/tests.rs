@@ -62,6 +62,10 @@ fn what_cannot_be_names_file_line_and_remedy() {
             "net.toml:8: slot 0 of arm begins at 20us, inside the sync window of 50us",
         ),
         (("\"2/2\"", "\"3/2\""), "net.toml:8: '3/2' is no phase"),
+        (
+            ("\"2/2\"", "\"2/1025\""),
+            "net.toml:8: slot 0: a slave calibrates in its first slot, and no master promises a reply 1025 cycles",
+        ),
         (("size = 100", "size = 60"), "net.toml:8: a size of 60 must hold the payload of 64"),
         (("\"slave\"", "\"master\""), "net.toml:10: 'master' is a second master beside 'arm'"),
         (("role = \"master\"", "role = \"slave\""), "no station has the role"),

@@ -118,6 +118,49 @@ fn a_second_master_refuses_to_start_and_names_the_first() {
     assert!(message.contains("--slave"), "the remedy: {message}");
 }
 
+/// What is asked of a running station: refused in one line, which is returned, or done.
+fn asked(arguments: &[&str]) -> Result<(), String> {
+    let output = rtnet().args(arguments).output().unwrap();
+    if output.status.success() {
+        return Ok(());
+    }
+    let message = refused(&output);
+    assert_eq!((output.status.code(), message.lines().count()), (Some(2), 1), "{message}");
+    Err(message)
+}
+
+#[test]
+fn a_running_station_refuses_slots_of_its_own_that_clash() {
+    if !as_root("a_running_station_refuses_slots_of_its_own_that_clash") {
+        return;
+    }
+    let medium = Medium::new();
+    let name = format!("clash-{}", std::process::id());
+    let options = ["--interface", "rt0", "--master", "--cycle", "5ms", "--slot", "0=200us", "--name", &name];
+    let master = Station::start(&medium.a, &options);
+    master.wait_for("master_active");
+    let set = |slot: &str| asked(&["slot", "-S", &name, "set", slot]);
+    for (slot, expected) in [
+        (
+            "2=205us",
+            "slot 0 and slot 2 overlap: 200us + frame 12.304us = 212.304us, but slot 2 begins at 205us",
+        ),
+        ("0=20us", "slot 0 begins at 20us, inside the sync window of 50us; let it begin"),
+        ("2=4990us", "slot 2 ends after the cycle: 4.99ms + frame 12.304us = 5.002304ms, the cycle is 5ms"),
+    ] {
+        let message = set(slot).unwrap_err();
+        assert!(message.contains(expected) && message.contains("knows only its own slots"), "{message}");
+    }
+    // What was set a moment ago is known, and what was refused is not there.
+    set("2=2ms,phase=1/2").unwrap();
+    set("3=2ms,phase=2/2").unwrap();
+    assert!(set("4=2ms,phase=1/4").unwrap_err().contains("slot 2 and slot 4 overlap"));
+    asked(&["slot", "-S", &name, "remove", "2"]).unwrap();
+    set("4=2ms,phase=1/4").unwrap();
+    let message = asked(&["tdma", "-S", &name, "master", "--cycle", "2ms"]).unwrap_err();
+    assert!(message.contains("ends after the cycle") && message.contains("the cycle is 2ms"), "{message}");
+}
+
 #[test]
 fn a_name_is_taken_once() {
     if !as_root("a_name_is_taken_once") {

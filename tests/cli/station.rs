@@ -5,6 +5,8 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use tools::lab::namespace::{Namespace, Segment};
 
 use crate::{as_root, rtnet};
@@ -57,6 +59,12 @@ impl Station {
             }
         }
     }
+
+    /// Tells it to end, as Ctrl-C does; its exit status.
+    fn end(mut self) -> Option<i32> {
+        kill(Pid::from_raw(self.child.id() as i32), Signal::SIGINT).unwrap();
+        self.child.wait().unwrap().code()
+    }
 }
 
 impl Drop for Station {
@@ -101,6 +109,7 @@ fn a_slave_joins_a_master_and_notices_its_end() {
     assert!(locked.contains("of 5ms"), "{locked}");
     drop(master);
     slave.wait_for("sync_lost");
+    assert_eq!(slave.end(), Some(0), "told to end");
 }
 
 #[test]
@@ -113,7 +122,9 @@ fn a_second_master_refuses_to_start_and_names_the_first() {
     master.wait_for("master_active");
     let mut second = rtnet();
     second.args(["station", "--interface", "rt0", "--master", "--cycle", "5ms"]);
-    let message = refused(&output_in(&medium.b, second));
+    let output = output_in(&medium.b, second);
+    assert_eq!(output.status.code(), Some(1), "it ran: the help says so");
+    let message = refused(&output);
     assert!(message.contains("another master (02:00:00:00:00:0a) is active on this medium"), "{message}");
     assert!(message.contains("--slave"), "the remedy: {message}");
 }

@@ -38,6 +38,10 @@ pub enum Verb {
     ///
     /// It knows only its own slots, and refuses those that overlap each other, or as master its sync window or the
     /// cycle's end; that they keep clear of other stations' slots is for you to see to.
+    ///
+    /// Exit status: 0 it was told to end (Ctrl-C, SIGTERM); 1 it ran, and something was not as it should be, as
+    /// another master on this medium; 2 bad usage, slots that do not go together, a name that is taken, no such
+    /// interface, or no privileges.
     Station(Box<StationArgs>),
     /// Look at a running station, or change its part in the cycle
     Tdma(TdmaArgs),

@@ -41,6 +41,13 @@ pub enum Verb {
     /// Exit status: 0 it was measured, whatever the verdict; 2 bad usage.
     Doctor(DoctorArgs),
     /// Run one station in the foreground, on any Ethernet interface
+    ///
+    /// It knows only its own slots, and refuses those that overlap each other, or as master its sync window or the
+    /// cycle's end; that they keep clear of other stations' slots is for you to see to.
+    ///
+    /// Exit status: 0 it was told to end (Ctrl-C, SIGTERM); 1 it ran, and something was not as it should be, as
+    /// another master on this medium; 2 bad usage, slots that do not go together, a name that is taken, no such
+    /// interface, or no privileges.
     Station(Box<StationArgs>),
     /// Look at a running station, or change its part in the cycle
     Tdma(TdmaArgs),
@@ -48,7 +55,7 @@ pub enum Verb {
     ///
     /// A change is effective from the next cycle on, and no queued frame is lost unless it does not fit its
     /// slot any more. In a lab, a slot that overlaps another station's is refused; a station of its own
-    /// knows only its own slots, and trusts that you know the others'.
+    /// refuses what overlaps its own slots, or as master its sync window, and trusts that you know the others'.
     Slot(SlotArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants
     ///
@@ -268,6 +275,9 @@ pub struct StationArgs {
     /// phase P of N cycles and size in bytes. Can be given several times
     #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
     pub slots: Vec<crate::cmd::station::SlotArg>,
+    /// Line rate at which its slots are checked against each other, and a master's against its cycle
+    #[arg(long, default_value = "1G", value_parser = parse_rate)]
+    pub rate: Rate,
     /// A name that no other station on this machine has; under it `rtnet tdma` and `rtnet slot` find it
     #[arg(long)]
     pub name: Option<String>,

@@ -49,6 +49,11 @@ impl Calibration {
         }
     }
 
+    /// How many are to be measured.
+    pub fn rounds(&self) -> u32 {
+        self.rounds
+    }
+
     /// The delay from the master, once measured.
     pub fn delay(&self) -> Option<Span> {
         self.delay

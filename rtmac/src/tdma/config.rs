@@ -4,9 +4,10 @@ use rtnet::discipline::Channel;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
+use super::master::MAX_REPLY_AHEAD;
 use super::slave::PERIODS;
 use super::slot::MIN_SIZE;
-use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig};
+use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig, Tdma};
 
 /// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
 /// within 50 us in 99 of 100 cases on a virtual machine.
@@ -161,6 +162,18 @@ pub enum Refused {
     /// A slave that is to calibrate without a slot.
     #[error("a slave calibrates in its first slot: give it one, or 0 rounds")]
     NoSlotToCalibrate,
+    /// A slave asks for a reply in the next use of its first slot, further ahead than masters look.
+    #[error(
+        "slot {id}: a slave calibrates in its first slot, and no master promises a reply {period} cycles ahead: \
+         give that slot a period of at most {MAX_REPLY_AHEAD}, or a lower id to one with such a period, or the slave \
+         0 rounds"
+    )]
+    NeverCalibrated {
+        /// Which slot.
+        id: u8,
+        /// In cycles.
+        period: u32,
+    },
     /// No slave would follow.
     #[error("a cycle of {cycle}: no slave follows one outside {} to {}", PERIODS.start(), PERIODS.end())]
     Cycle {
@@ -175,12 +188,52 @@ pub enum Refused {
     },
 }
 
+/// Whether a slave can calibrate in so many rounds with these slots, each an id and a period.
+pub fn check_rounds(rounds: u32, slots: impl Iterator<Item = (Channel, u32)>) -> Result<(), Refused> {
+    match (rounds, slots.min()) {
+        (0, _) => Ok(()),
+        (too_many, _) if too_many > MAX_ROUNDS => Err(Refused::TooManyRounds { rounds }),
+        (_, None) => Err(Refused::NoSlotToCalibrate),
+        (_, Some((id, period))) if period > MAX_REPLY_AHEAD => Err(Refused::NeverCalibrated { id, period }),
+        _ => Ok(()),
+    }
+}
+
+impl Tdma {
+    /// A reply is on its way in the slot that calibration uses: it stays where it is for the while.
+    pub(super) fn not_while_calibrating(&self, id: Channel) -> Result<(), Refused> {
+        match (&self.role, self.slots.first()) {
+            (Role::Slave(slave), Some(first))
+                if slave.line().is_some() && slave.calibration().delay().is_none() && first.id == id =>
+            {
+                Err(Refused::Calibrating { id })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A slave that is still to calibrate must be able to with the slots that it would have: slot `id` as `changed`.
+    pub(super) fn can_calibrate(&self, id: Channel, changed: Option<&SlotConfig>) -> Result<(), Refused> {
+        match &self.role {
+            Role::Slave(slave) if slave.calibration().delay().is_none() => {
+                let others = self.slots.planned().filter(|slot| slot.id != id);
+                let slots = others.chain(changed.copied()).map(|slot| (slot.id, slot.period));
+                check_rounds(slave.calibration().rounds(), slots)
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Whether slaves would follow a cycle of this length.
+pub fn check_cycle(cycle: Span) -> Result<(), Refused> {
+    if PERIODS.contains(&cycle) { Ok(()) } else { Err(Refused::Cycle { cycle }) }
+}
+
 /// A master knows its cycle, so that its own slots can be checked against it.
 pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
     let MasterConfig { cycle, sync_latest, .. } = master;
-    if !PERIODS.contains(&cycle) {
-        return Err(Refused::Cycle { cycle });
-    }
+    check_cycle(cycle)?;
     if sync_latest >= cycle {
         return Err(Refused::SyncWindow { cycle });
     }

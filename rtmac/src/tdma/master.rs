@@ -24,8 +24,8 @@ const LISTEN_CYCLES: i64 = 3;
 const LISTEN_AT_LEAST: Span = Span::from_millis(3);
 /// Calibration requests that wait for their reply's instant, as in RTnet.
 pub const MAX_PENDING_REPLIES: usize = 64;
-/// Furthest cycle a reply may be asked for: real stations ask for one slot period ahead.
-const MAX_REPLY_AHEAD: i32 = 1024;
+/// Furthest cycle a reply may be asked for: stations ask for one period of their first slot ahead.
+pub const MAX_REPLY_AHEAD: u32 = 1024;
 
 /// Times that a late reply is put off. Real stations never ask again: they wait for ever.
 const PUT_OFF_AT_MOST: u8 = 8;
@@ -130,7 +130,7 @@ impl Master {
         offset: u64,
     ) -> Result<(), Refusal> {
         let Phase::Active { line } = &self.phase else { return Err(Refusal::NotMaster) };
-        if offset >= line.period.nanos() as u64 || line.ahead(cycle) > MAX_REPLY_AHEAD {
+        if offset >= line.period.nanos() as u64 || line.ahead(cycle) > MAX_REPLY_AHEAD as i32 {
             return Err(Refusal::ReplyImplausible);
         }
         let at = line.start_of(cycle) + Span::from_nanos(offset as i64);

@@ -38,12 +38,15 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 use config::checked;
-pub use config::{DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig};
+pub use config::{
+    DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
+    check_rounds,
+};
 use events::Events;
 use job::{Job, Pending};
 pub use line::TimeLine;
 use master::Master;
-pub use master::{MAX_PENDING_REPLIES, MasterConfig};
+pub use master::{MAX_PENDING_REPLIES, MAX_REPLY_AHEAD, MasterConfig};
 use slave::Slave;
 pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
 use slot::Slots;
@@ -88,10 +91,9 @@ impl Tdma {
         }
         match config.role {
             RoleConfig::Master(master) => drop(checked(master, &config.slots)?),
-            RoleConfig::Slave(slave) if slave.rounds > 0 && config.slots.is_empty() => {
-                return Err(Refused::NoSlotToCalibrate);
+            RoleConfig::Slave(slave) => {
+                check_rounds(slave.rounds, config.slots.iter().map(|slot| (slot.id, slot.period)))?;
             }
-            RoleConfig::Slave(_) => {}
         }
         let NewRole(role) = NewRole::attached(config.role)?;
         Ok(Self {
@@ -310,6 +312,7 @@ impl Discipline for Tdma {
                     checked(*master.config(), &[*slot])?;
                 }
                 self.not_while_calibrating(slot.id)?;
+                self.can_calibrate(slot.id, Some(slot))?;
                 if let Some(&TimeLine { period: cycle, .. }) = self.line()
                     && slot.offset >= cycle
                 {
@@ -323,6 +326,7 @@ impl Discipline for Tdma {
                 if matches!(self.role, Role::Slave(_)) && !others {
                     return Err(Refused::LastSlot { id: *id });
                 }
+                self.can_calibrate(*id, None)?;
                 self.slots.remove(*id, cycle)?;
             }
             TdmaCommand::Become(NewRole(role)) => {
@@ -334,10 +338,9 @@ impl Discipline for Tdma {
                         return Err(Refused::BeyondCycle { id, offset, cycle });
                     }
                 }
-                if let (Role::Slave(slave), None) = (&*role, self.slots.planned().next())
-                    && slave.calibration().delay().is_none()
-                {
-                    return Err(Refused::NoSlotToCalibrate);
+                if let Role::Slave(slave) = &*role {
+                    let slots = self.slots.planned().map(|slot| (slot.id, slot.period));
+                    check_rounds(slave.calibration().rounds(), slots)?;
                 }
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;
@@ -363,18 +366,6 @@ impl Tdma {
                 self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
             }
             None => self.pass(job),
-        }
-    }
-
-    /// A reply is on its way in the slot that calibration uses: it stays where it is for the while.
-    fn not_while_calibrating(&self, id: Channel) -> Result<(), Refused> {
-        match (&self.role, self.slots.first()) {
-            (Role::Slave(slave), Some(first))
-                if slave.line().is_some() && slave.calibration().delay().is_none() && first.id == id =>
-            {
-                Err(Refused::Calibrating { id })
-            }
-            _ => Ok(()),
         }
     }
 

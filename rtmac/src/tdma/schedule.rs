@@ -201,8 +201,8 @@ impl Schedule {
 }
 
 /// Divides what the sync window leaves of a cycle evenly: the length of each of `slots` slots for a
-/// payload of `size` bytes, frame and guard band together. `guard` asks for a guard band at least as
-/// wide; without it the guard band is the rest of the slot.
+/// payload of `size` bytes, frame and guard band together. Without `guard` the guard band is the rest of
+/// the slot; one that is given must fit, and what is beyond it stays free.
 pub fn divide(
     cycle: Span,
     sync_window: Span,

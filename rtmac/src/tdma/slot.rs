@@ -38,7 +38,8 @@ pub struct SlotConfig {
 }
 
 impl SlotConfig {
-    fn check(&self, max: u8) -> Result<(), Refused> {
+    /// Whether it is a slot at all, ids going up to `max`: what goes with other slots is for a schedule to say.
+    pub fn check(&self, max: u8) -> Result<(), Refused> {
         let SlotConfig { id, offset, phase, period, size, .. } = *self;
         if id > max {
             return Err(Refused::SlotId { id, max });

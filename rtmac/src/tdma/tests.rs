@@ -265,6 +265,43 @@ fn a_slave_keeps_the_slot_it_calibrates_in() {
     assert_eq!(slave.status().slots.iter().flatten().count(), 1);
 }
 
+/// A slave with these slots, each an id and a period.
+fn with_slots(rounds: u32, slots: &[(u8, u32)]) -> TdmaConfig {
+    let whole = config(RoleConfig::Slave(SlaveConfig { rounds, step_limit: None }));
+    let slots = slots.iter().map(|&(id, period)| SlotConfig { id, period, ..whole.slots[0] });
+    TdmaConfig { slots: slots.collect(), ..whole }
+}
+
+#[test]
+fn a_first_slot_in_which_no_master_would_reply_is_refused() {
+    let request = |reply_cycle| Message::Request { xmit: 0, reply_cycle, reply_offset: 0 };
+    assert!(matches!(hear(&mut active_master(), OTHER, request(MAX_REPLY_AHEAD)), Claimed::Kept));
+    let never = hear(&mut active_master(), OTHER, request(MAX_REPLY_AHEAD + 1));
+    assert!(matches!(never, Claimed::Refused(Refusal::ReplyImplausible)), "a slave would ask for ever");
+
+    let refused = Refused::NeverCalibrated { id: 1, period: 1_025 };
+    assert_eq!(Tdma::new(&with_slots(1, &[(2, 1_024), (1, 1_025)])).err(), Some(refused));
+    for (rounds, slots) in [(0, &[(1, 1_025)][..]), (1, &[(2, 1_024)]), (1, &[(0, 1), (1, 1_025)])] {
+        assert!(Tdma::new(&with_slots(rounds, slots)).is_ok(), "{slots:?}");
+    }
+}
+
+#[test]
+fn no_command_leaves_a_slave_with_a_first_slot_in_which_no_master_would_reply() {
+    let refused = Err(Refused::NeverCalibrated { id: 1, period: 1_025 });
+    let set = TdmaCommand::SetSlot(with_slots(1, &[(1, 1_025)]).slots[0]);
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, step_limit: None });
+    let calibrate = TdmaCommand::Become(NewRole::attached(role).unwrap());
+    for (rounds, slots, mut command) in [
+        (1, &[(2, 1_024)][..], set),
+        (1, &[(0, 1), (1, 1_025)], TdmaCommand::RemoveSlot(0)),
+        (0, &[(1, 1_025)], calibrate),
+    ] {
+        let mut slave = Tdma::new(&with_slots(rounds, slots)).unwrap();
+        assert_eq!(slave.command(at(0), &mut command), refused, "{slots:?}");
+    }
+}
+
 #[test]
 fn slots_that_are_about_to_go_do_not_count() {
     let mut slave = locked_slave();

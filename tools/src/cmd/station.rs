@@ -13,7 +13,7 @@ use crate::cli::{Late, Scheduling, StationArgs};
 use crate::control::SlotRequest;
 use crate::scenario::{default_sync_window, parse_phase};
 use crate::station::link::{self, LabOptions};
-use crate::station::{self, Options};
+use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
 
 /// `ID=OFFSET[,phase=P/N][,size=B]`
@@ -69,7 +69,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         args.lab.as_deref().map(serde_json::from_str).transpose().context("--lab is set by a lab only")?;
     let role = match args.cycle.filter(|_| args.master) {
         Some(cycle) => {
-            let window = args.sync_window.unwrap_or(default_sync_window(cycle));
+            let window = sync_window(args, cycle);
             RoleConfig::Master(MasterConfig {
                 cycle,
                 sync_latest: station::sync_latest(window),
@@ -97,17 +97,28 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
     };
     // What cannot be is refused before anything is opened.
     Tdma::new(&tdma).map_err(|refused| anyhow!(refused))?;
+    let given = args.cycle.filter(|_| args.master).map(|cycle| (cycle, sync_window(args, cycle)));
+    // A lab has judged the slots of all its stations together.
+    let own_slots = lab.is_none().then(|| OwnSlots::of(&tdma, given, args.rate));
+    if let Some(own) = &own_slots {
+        own.check().map_err(|why| anyhow!(why))?;
+    }
     Ok(Options {
         interface: args.interface.clone(),
         name: args.name.clone(),
         tdma,
         latest: args.latest,
+        own_slots,
         fifo: args.scheduling == Scheduling::Fifo,
         cpu: args.cpu,
         spin: args.lead,
         guard: args.slot_guard.mode(),
         lab,
     })
+}
+
+fn sync_window(args: &StationArgs, cycle: Span) -> Span {
+    args.sync_window.unwrap_or(default_sync_window(cycle))
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@
 use std::path::Path;
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
-use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS};
+use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle, check_rounds};
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
@@ -79,7 +79,7 @@ pub struct Source<'a> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NetworkFile {
-    cycle: PositiveSpan,
+    cycle: Spanned<PositiveSpan>,
     rate: Option<FileRate>,
     sync_window: Option<PositiveSpan>,
     guard: Option<NonNegativeSpan>,
@@ -136,7 +136,8 @@ impl Source<'_> {
     pub fn parse(self) -> Result<Scenario, FileError> {
         let network: NetworkFile = toml::from_str(self.text)
             .map_err(|error| FileError::Toml(self.file.into(), error.to_string()))?;
-        let cycle = network.cycle.0;
+        let cycle = network.cycle.get_ref().0;
+        check_cycle(cycle).map_err(|refused| self.impossible(network.cycle.span().start, refused))?;
         let rate = network.rate.map_or(DEFAULT_RATE, |rate| rate.0);
         let sync_window = network.sync_window.map_or(default_sync_window(cycle), |window| window.0);
         self.check_stations(&network.station)?;
@@ -168,8 +169,9 @@ impl Source<'_> {
             }
         }
         if let Some(conflict) = scenario.schedule().conflicts().first() {
-            return Err(self.impossible(self.place_of(&network, conflict), conflict));
+            return Err(self.impossible(place_of(&network, conflict), conflict));
         }
+        self.check_calibration(&network, &scenario)?;
         if asked.is_none() {
             scenario.guard = widest_guard(&scenario);
         }
@@ -277,25 +279,40 @@ impl Source<'_> {
         Ok(())
     }
 
-    /// Where the slot stands that a conflict names last.
-    fn place_of(&self, network: &NetworkFile, conflict: &Conflict) -> usize {
-        let (owner, id) = match conflict {
-            Conflict::Overlap { b, b_id, .. } => (b, *b_id),
-            Conflict::InSyncWindow { owner, id, .. } | Conflict::BeyondCycle { owner, id, .. } => {
-                (owner, *id)
-            }
-            Conflict::DoesNotFit { .. } => return 0,
-        };
-        let station = network.station.iter().find(|entry| entry.get_ref().name.get_ref() == owner);
-        let slots = station.and_then(|entry| entry.get_ref().slots.as_ref());
-        let slot = slots.and_then(|slots| slots.iter().find(|slot| slot.get_ref().id == id));
-        slot.map(|slot| slot.span().start).or(station.map(|entry| entry.span().start)).unwrap_or(0)
+    fn check_calibration(&self, network: &NetworkFile, scenario: &Scenario) -> Result<(), FileError> {
+        for slave in scenario.stations.iter().filter(|station| station.role == Role::Slave) {
+            let slots = || slave.slots.iter().map(|slot| (slot.id, slot.period));
+            check_rounds(slave.rounds, slots()).map_err(|refused| {
+                let first = slots().min().map_or(0, |(id, _)| id);
+                self.impossible(place_of_slot(network, &slave.name, first), refused)
+            })?;
+        }
+        Ok(())
     }
 
     fn impossible(&self, at: usize, what: impl ToString) -> FileError {
         let line = self.text[..at.min(self.text.len())].matches('\n').count() + 1;
         FileError::Impossible { file: self.file.into(), line, what: what.to_string() }
     }
+}
+
+/// Where the slot stands that a conflict names last.
+fn place_of(network: &NetworkFile, conflict: &Conflict) -> usize {
+    match conflict {
+        Conflict::Overlap { b, b_id, .. } => place_of_slot(network, b, *b_id),
+        Conflict::InSyncWindow { owner, id, .. } | Conflict::BeyondCycle { owner, id, .. } => {
+            place_of_slot(network, owner, *id)
+        }
+        Conflict::DoesNotFit { .. } => 0,
+    }
+}
+
+/// Where a slot stands, or else its station.
+fn place_of_slot(network: &NetworkFile, owner: &str, id: u8) -> usize {
+    let station = network.station.iter().find(|entry| entry.get_ref().name.get_ref() == owner);
+    let slots = station.and_then(|entry| entry.get_ref().slots.as_ref());
+    let slot = slots.and_then(|slots| slots.iter().find(|slot| slot.get_ref().id == id));
+    slot.map(|slot| slot.span().start).or(station.map(|entry| entry.span().start)).unwrap_or(0)
 }
 
 /// `P/N`: phase P, from 1, of a period of N cycles.
@@ -322,79 +339,4 @@ fn widest_guard(scenario: &Scenario) -> Span {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const GOOD: &str = r#"
-cycle = "1ms"
-rate = "100M"
-
-[[station]]
-name = "arm"
-role = "slave"
-slots = [{ id = 0, offset = "500us", phase = "2/2", size = 100 }]
-
-[[station]]
-name = "master"
-role = "master"
-clock = { offset = "-120ms", drift_ppm = 12.5 }
-slots = [{ id = 0, offset = "100us" }]
-"#;
-
-    fn parse(text: &str) -> Result<Scenario, FileError> {
-        Source { file: "net.toml", text }.parse()
-    }
-
-    fn refused(from: &str, to: &str) -> String {
-        assert!(GOOD.contains(from));
-        parse(&GOOD.replace(from, to)).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn a_file_says_everything_per_station() {
-        let network = parse(GOOD).unwrap();
-        let [master, arm] = &network.stations[..] else { panic!() };
-        assert_eq!(
-            (master.role, master.clock_offset, master.clock_drift_ppb),
-            (Role::Master, Span::from_millis(-120), 12_500)
-        );
-        let slot = SlotPlan { id: 0, offset: Span::from_micros(500), phase: 1, period: 2, size: 100 };
-        assert_eq!(arm.slots, [slot]);
-        let guarded = GOOD.replace("rate =", "slot_guard = \"kernel\"\nrate =");
-        assert_eq!(parse(&guarded).unwrap().slot_guard, SlotGuard::Kernel);
-        // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
-        assert_eq!(network.guard.nanos(), 400_000 - 8_160);
-    }
-
-    #[test]
-    fn without_slots_the_cycle_is_divided_evenly() {
-        let text = GOOD.lines().filter(|line| !line.starts_with("slots")).collect::<Vec<_>>().join("\n");
-        let network = parse(&text).unwrap();
-        let offsets: Vec<_> =
-            network.stations.iter().map(|station| station.slots[0].offset.nanos()).collect();
-        assert_eq!(offsets, [525_000, 50_000], "in the order of the file; the master is listed first");
-    }
-
-    #[test]
-    fn what_cannot_be_names_file_line_and_remedy() {
-        let cases = [
-            (("cycle = \"1ms\"", "cycle = \"1\""), "line 2"),
-            (("rate =", "rat ="), "unknown field `rat`"),
-            (("\"500us\"", "\"105us\""), "net.toml:8: slot 0 of master and slot 0 of arm overlap: 100us"),
-            (("\"500us\"", "\"999us\""), "net.toml:8: slot 0 of arm ends after the cycle"),
-            (
-                ("\"500us\"", "\"20us\""),
-                "net.toml:8: slot 0 of arm begins at 20us, inside the sync window of 50us",
-            ),
-            (("\"2/2\"", "\"3/2\""), "net.toml:8: '3/2' is no phase"),
-            (("size = 100", "size = 60"), "net.toml:8: a size of 60 must hold the payload of 64"),
-            (("\"slave\"", "\"master\""), "net.toml:10: 'master' is a second master beside 'arm'"),
-            (("role = \"master\"", "role = \"slave\""), "no station has the role"),
-            (("name = \"arm\"", "name = \"master\""), "net.toml:11: the name 'master' is taken"),
-        ];
-        for ((from, to), expected) in cases {
-            let error = refused(from, to);
-            assert!(error.contains(expected), "{to}: {error}");
-        }
-    }
-}
+mod tests;

@@ -5,7 +5,7 @@ mod file;
 
 use clap::ValueEnum;
 use rtmac::tdma::schedule::{self, Conflict, Rate, Schedule};
-use rtmac::tdma::{LatePolicy, SlotConfig};
+use rtmac::tdma::{LatePolicy, Refused, SlotConfig, check_cycle};
 use rtnet::live::GuardMode;
 use rtnet::sim::Random;
 use rtnet::time::Span;
@@ -134,7 +134,7 @@ pub struct Uniform {
     pub payload: usize,
     /// The medium's.
     pub rate: Rate,
-    /// Least guard band; the rest of the slot if not given.
+    /// Guard band of each slot; the rest of the slot if not given.
     pub guard: Option<Span>,
     /// Everything random follows from it.
     pub seed: u64,
@@ -152,10 +152,14 @@ pub enum ScenarioError {
     /// The slots do not go together.
     #[error("{0}")]
     Conflict(Conflict),
+    /// No station would take it.
+    #[error(transparent)]
+    Refused(#[from] Refused),
 }
 
 impl Uniform {
-    /// The network: slots of equal length after the sync window, the master's first.
+    /// The network: slots of equal length after the sync window, the master's first. They begin where they do
+    /// whatever the guard band is: one that is less than the rest of the slot makes less of it usable.
     pub fn scenario(&self) -> Result<Scenario, ScenarioError> {
         let &Uniform { stations: n, cycle, duration, payload, rate, guard, seed } = self;
         if !(2..=MAX_STATIONS).contains(&n) {
@@ -164,6 +168,7 @@ impl Uniform {
         if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
             return Err(ScenarioError::Payload(payload));
         }
+        check_cycle(cycle)?;
         let sync_window = default_sync_window(cycle);
         let length =
             schedule::divide(cycle, sync_window, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
@@ -186,7 +191,7 @@ impl Uniform {
                 }],
             })
             .collect();
-        let guard = length - air;
+        let guard = guard.unwrap_or(length - air);
         let (late, slot_guard) = (LatePolicy::Skip, SlotGuard::Auto);
         let scenario =
             Scenario { cycle, sync_window, rate, guard, duration, seed, late, slot_guard, stations };
@@ -289,6 +294,34 @@ mod tests {
     }
 
     #[test]
+    fn a_guard_band_means_the_same_as_an_option_and_in_a_file() {
+        let names = [("master", "master"), ("slave1", "slave"), ("slave2", "slave")];
+        let stations =
+            names.map(|(name, role)| format!("[[station]]\nname = \"{name}\"\nrole = \"{role}\"\n"));
+        for guard in [None, Some(Span::ZERO), Some(Span::from_micros(20))] {
+            let line = guard.map_or(String::new(), |guard| format!("guard = \"{guard}\"\n"));
+            let text = format!("cycle = \"1ms\"\nduration = \"1s\"\n{line}{}", stations.concat());
+            let by_file = Source { file: "net.toml", text: &text }.parse().unwrap();
+            let by_options = Uniform { guard, ..uniform(3, Span::from_millis(1)) }.scenario().unwrap();
+            assert_eq!(by_options, by_file);
+            assert_eq!(by_options.latest(), by_options.guard / 2);
+        }
+    }
+
+    #[test]
+    fn a_guard_band_less_than_the_rest_moves_no_slot_and_one_too_large_is_refused() {
+        let with = |guard| Uniform { guard, ..uniform(8, Span::from_millis(1)) }.scenario();
+        let rest = Span::from_nanos(118_750 - 816);
+        let (whole, small) = (with(None).unwrap(), with(Some(Span::from_micros(20))).unwrap());
+        assert_eq!(small.stations, whole.stations);
+        assert_eq!((small.guard, small.latest()), (Span::from_micros(20), Span::from_micros(10)));
+        assert_eq!(small.schedule().conflicts(), []);
+        assert_eq!(with(Some(rest)), Ok(whole));
+        let error = with(Some(rest + Span::from_nanos(1))).unwrap_err().to_string();
+        assert!(error.contains("frame 816ns + guard band 117.935us) = 1.000008ms"), "{error}");
+    }
+
+    #[test]
     fn clocks_follow_from_the_seed() {
         let clocks = |seed| {
             let scenario = Uniform { seed, ..uniform(4, Span::from_millis(1)) }.scenario().unwrap();
@@ -303,5 +336,14 @@ mod tests {
     fn a_cycle_too_short_is_refused_with_the_sum() {
         let error = uniform(8, Span::from_micros(5)).scenario().unwrap_err().to_string();
         assert!(error.contains("8 slots do not fit a cycle of 5us"), "{error}");
+    }
+
+    #[test]
+    fn a_cycle_that_no_slave_follows_is_refused() {
+        for cycle in [Span::from_millis(100_001), Span::from_nanos(999)] {
+            let error = uniform(2, cycle).scenario().unwrap_err().to_string();
+            assert_eq!(error, format!("a cycle of {cycle}: no slave follows one outside 1us to 100s"));
+        }
+        assert!(uniform(2, Span::from_millis(100_000)).scenario().is_ok());
     }
 }

@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotStatus, Tdma, TdmaCommand, TdmaStatus,
+    MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotStatus, Tdma, TdmaCommand,
+    TdmaStatus,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Cause;
@@ -18,7 +19,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use super::link::Standing;
 use super::misses::Misses;
 use super::traffic::TrafficCounts;
-use super::{Options, sync_latest};
+use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
     Envelope, Reply, Request, RoleRequest, SlotRequest, SlotShown, StationStatus, Traffic, read,
 };
@@ -38,6 +39,10 @@ pub struct Desk {
     /// How long after its begin a slot may still be used, unless a lab says otherwise.
     latest: Span,
     step_limit: Option<Span>,
+    /// A single station's slots with every change that was carried out; a lab sees to its stations' itself.
+    own_slots: Option<OwnSlots>,
+    /// The same as they will be when the command under way is carried out.
+    to_be: Option<OwnSlots>,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<TdmaStatus>>>,
     errands: Arc<Errands<Tdma>>,
@@ -69,6 +74,8 @@ impl Desk {
             clock: options.clock(),
             latest: options.latest,
             step_limit: lab.map(|lab| Span::from_nanos(lab.step_limit_ns)),
+            own_slots: options.own_slots.clone(),
+            to_be: None,
             records: driver.records(),
             snapshots: driver.snapshots(),
             errands: driver.errands(),
@@ -119,9 +126,11 @@ impl Desk {
             Err(why) => Reply::Refused(why),
             Ok(Request::Status) => self.status(traffic),
             Ok(Request::SetSlot(slot)) => self.set_slot(&slot),
-            Ok(Request::RemoveSlot(id)) => self.command(TdmaCommand::RemoveSlot(id)),
+            Ok(Request::RemoveSlot(id)) => {
+                self.change(TdmaCommand::RemoveSlot(id), |own, _| Ok(own.without(id)))
+            }
             Ok(Request::Become(role)) => match self.role(role) {
-                Ok(role) => self.command(TdmaCommand::Become(role)),
+                Ok(new) => self.take_role(role, new),
                 Err(refused) => Reply::Refused(refused.to_string()),
             },
         };
@@ -129,28 +138,71 @@ impl Desk {
     }
 
     fn set_slot(&mut self, slot: &SlotRequest) -> Reply {
-        self.command(TdmaCommand::SetSlot(slot.config(self.latest)))
+        let slot = slot.config(self.latest);
+        self.change(TdmaCommand::SetSlot(slot), |own, heard| {
+            let own = own.with(slot);
+            own.check_slot(slot.id, heard).map(|()| own)
+        })
+    }
+
+    fn take_role(&mut self, role: RoleRequest, new: NewRole) -> Reply {
+        let given = match role {
+            RoleRequest::Master { cycle_ns } => Some(Span::from_nanos(cycle_ns)),
+            RoleRequest::Slave { .. } | RoleRequest::Detached => None,
+        };
+        let given = given.map(|cycle| (cycle, default_sync_window(cycle)));
+        self.change(TdmaCommand::Become(new), |own, _| {
+            let own = own.giving(given);
+            own.check().map(|()| own)
+        })
+    }
+
+    /// Asks for a change that goes with the station's own slots: `to_be` says what becomes of them, by the cycle
+    /// that was heard of a master, or why not.
+    fn change(
+        &mut self,
+        command: TdmaCommand,
+        to_be: impl FnOnce(&OwnSlots, Option<Span>) -> Result<OwnSlots, String>,
+    ) -> Reply {
+        // Of one that was given up waiting for.
+        self.answered();
+        self.look();
+        let slave = self.newest.filter(|newest| newest.status.role == RoleName::Slave);
+        let heard = slave.and_then(|slave| slave.status.period);
+        match self.own_slots.as_ref().map(|own| to_be(own, heard)).transpose() {
+            Ok(to_be) => self.command(command, to_be),
+            Err(why) => Reply::Refused(why),
+        }
     }
 
     /// Hands a command to the real-time thread, and waits for what becomes of it.
-    fn command(&mut self, command: TdmaCommand) -> Reply {
-        // Of one that was given up waiting for.
-        drop(self.errands.take());
+    fn command(&mut self, command: TdmaCommand, to_be: Option<OwnSlots>) -> Reply {
         if self.errands.send(command).is_err() {
             return Reply::Refused("the command before this one is not carried out yet: ask again".into());
         }
+        self.to_be = to_be;
         let deadline = Instant::now() + ANSWER_WITHIN;
         while Instant::now() < deadline {
             std::thread::sleep(LOOK_EVERY);
-            if let Some(Errand { result: Some(result), .. }) = self.errands.take() {
+            if let Some(result) = self.answered() {
                 return result.map_or_else(|refused| Reply::Refused(refused.to_string()), Reply::Applied);
             }
         }
         let within = ANSWER_WITHIN.as_secs();
-        Reply::Refused(format!("the real-time thread has not answered within {within} s: it may do so later"))
+        Reply::Refused(format!("the real-time thread has not answered within {within}s: it may do so later"))
     }
 
-    fn role(&mut self, role: RoleRequest) -> Result<NewRole, rtmac::tdma::Refused> {
+    /// What became of the command under way, once that is known.
+    fn answered(&mut self) -> Option<Result<u32, Refused>> {
+        let Errand { result, .. } = self.errands.take()?;
+        let to_be = self.to_be.take();
+        if let Some(Ok(_)) = result {
+            self.own_slots = to_be;
+        }
+        result
+    }
+
+    fn role(&mut self, role: RoleRequest) -> Result<NewRole, Refused> {
         match role {
             RoleRequest::Detached => Ok(NewRole::detached()),
             RoleRequest::Slave { rounds } => {

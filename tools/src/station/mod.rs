@@ -4,6 +4,7 @@ mod desk;
 mod halt;
 pub mod link;
 pub mod misses;
+mod own_slots;
 mod teller;
 pub mod traffic;
 
@@ -28,6 +29,7 @@ use crate::control::{Directory, Held, Place, Server};
 use desk::Desk;
 pub use desk::epoch;
 use link::LabOptions;
+pub use own_slots::OwnSlots;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
 
@@ -49,6 +51,8 @@ pub struct Options {
     pub tdma: TdmaConfig,
     /// How long after its begin a slot that is defined later may still be used.
     pub latest: Span,
+    /// What changes of its slots are judged by; none in a lab, which judges them itself.
+    pub own_slots: Option<OwnSlots>,
     /// Whether to ask for SCHED_FIFO.
     pub fifo: bool,
     /// The core for the real-time thread.

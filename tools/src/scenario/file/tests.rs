@@ -1,0 +1,78 @@
+use super::*;
+
+const GOOD: &str = r#"
+cycle = "1ms"
+rate = "100M"
+
+[[station]]
+name = "arm"
+role = "slave"
+slots = [{ id = 0, offset = "500us", phase = "2/2", size = 100 }]
+
+[[station]]
+name = "master"
+role = "master"
+clock = { offset = "-120ms", drift_ppm = 12.5 }
+slots = [{ id = 0, offset = "100us" }]
+"#;
+
+fn parse(text: &str) -> Result<Scenario, FileError> {
+    Source { file: "net.toml", text }.parse()
+}
+
+fn refused(from: &str, to: &str) -> String {
+    assert!(GOOD.contains(from));
+    parse(&GOOD.replace(from, to)).unwrap_err().to_string()
+}
+
+#[test]
+fn a_file_says_everything_per_station() {
+    let network = parse(GOOD).unwrap();
+    let [master, arm] = &network.stations[..] else { panic!() };
+    assert_eq!(
+        (master.role, master.clock_offset, master.clock_drift_ppb),
+        (Role::Master, Span::from_millis(-120), 12_500)
+    );
+    let slot = SlotPlan { id: 0, offset: Span::from_micros(500), phase: 1, period: 2, size: 100 };
+    assert_eq!(arm.slots, [slot]);
+    let guarded = GOOD.replace("rate =", "slot_guard = \"kernel\"\nrate =");
+    assert_eq!(parse(&guarded).unwrap().slot_guard, SlotGuard::Kernel);
+    // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
+    assert_eq!(network.guard.nanos(), 400_000 - 8_160);
+}
+
+#[test]
+fn without_slots_the_cycle_is_divided_evenly() {
+    let text = GOOD.lines().filter(|line| !line.starts_with("slots")).collect::<Vec<_>>().join("\n");
+    let network = parse(&text).unwrap();
+    let offsets: Vec<_> = network.stations.iter().map(|station| station.slots[0].offset.nanos()).collect();
+    assert_eq!(offsets, [525_000, 50_000], "in the order of the file; the master is listed first");
+}
+
+#[test]
+fn what_cannot_be_names_file_line_and_remedy() {
+    let cases = [
+        (("cycle = \"1ms\"", "cycle = \"1\""), "line 2"),
+        (("\"1ms\"", "\"200s\""), "net.toml:2: a cycle of 200s: no slave follows one outside 1us to 100s"),
+        (("rate =", "rat ="), "unknown field `rat`"),
+        (("\"500us\"", "\"105us\""), "net.toml:8: slot 0 of master and slot 0 of arm overlap: 100us"),
+        (("\"500us\"", "\"999us\""), "net.toml:8: slot 0 of arm ends after the cycle"),
+        (
+            ("\"500us\"", "\"20us\""),
+            "net.toml:8: slot 0 of arm begins at 20us, inside the sync window of 50us",
+        ),
+        (("\"2/2\"", "\"3/2\""), "net.toml:8: '3/2' is no phase"),
+        (
+            ("\"2/2\"", "\"2/1025\""),
+            "net.toml:8: slot 0: a slave calibrates in its first slot, and no master promises a reply 1025 cycles",
+        ),
+        (("size = 100", "size = 60"), "net.toml:8: a size of 60 must hold the payload of 64"),
+        (("\"slave\"", "\"master\""), "net.toml:10: 'master' is a second master beside 'arm'"),
+        (("role = \"master\"", "role = \"slave\""), "no station has the role"),
+        (("name = \"arm\"", "name = \"master\""), "net.toml:11: the name 'master' is taken"),
+    ];
+    for ((from, to), expected) in cases {
+        let error = refused(from, to);
+        assert!(error.contains(expected), "{to}: {error}");
+    }
+}

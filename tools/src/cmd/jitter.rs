@@ -60,7 +60,7 @@ fn observe(ear: &mut Ear, watch: &mut Watch, tally: &mut Tally, until: Instant) 
         if (next_progress..until).contains(&Instant::now()) {
             next_progress += PROGRESS_EVERY;
             let left = until.saturating_duration_since(Instant::now()).as_secs_f64().round();
-            eprintln!("rtnet: {} frames, {left} s to go", grouped(tally.frames));
+            eprintln!("rtnet: {} frames, {left}s to go", grouped(tally.frames));
         }
     }
     Ok(())

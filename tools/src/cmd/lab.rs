@@ -119,7 +119,7 @@ pub fn is_well(status: &LabStatus) -> bool {
 pub fn account(status: &LabStatus) -> String {
     let stations = &status.stations;
     let mut text = format!(
-        "lab '{}': {} stations, cycle {}, {} cycles in {} s, process {}\n\n",
+        "lab '{}': {} stations, cycle {}, {} cycles in {}s, process {}\n\n",
         status.name,
         stations.len(),
         Span::from_nanos(status.cycle_ns as i64),

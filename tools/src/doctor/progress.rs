@@ -30,7 +30,7 @@ impl Progress {
                     Ok(new) => stage = new,
                     Err(RecvTimeoutError::Timeout) => {
                         next += EVERY;
-                        eprintln!("rtnet: {} of {whole:.0} s: {stage}", start.elapsed().as_secs());
+                        eprintln!("rtnet: {}s of {whole:.0}s: {stage}", start.elapsed().as_secs());
                     }
                     Err(RecvTimeoutError::Disconnected) => return,
                 }

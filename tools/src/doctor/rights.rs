@@ -58,7 +58,7 @@ impl Rights {
         let process = vec![
             set_up("SCHED_FIFO", "SCHED_FIFO"),
             set_up("locked memory", "mlockall"),
-            set_up("timer slack 1 ns", "timer slack"),
+            set_up("timer slack 1ns", "timer slack"),
             right(
                 "packet sockets",
                 packet.map(drop).map_err(|e| format!("{e}: give CAP_NET_RAW, or run as root")),

@@ -6,7 +6,7 @@ use super::words::{accepted, cell, rounded};
 use super::{Findings, Lateness};
 use crate::report::histogram::Summary;
 use crate::report::screen::host_lines;
-use crate::report::text::{Column, exact_time, list, micros_or_dash, paragraph, table};
+use crate::report::text::{Column, duration, list, micros_or_dash, paragraph, table};
 
 /// A row of times: what, its summary, and the shares beyond the limits where those matter.
 type Row<'a> = (String, &'a Summary, Option<&'a Lateness>);
@@ -40,11 +40,7 @@ fn headline(findings: &Findings) -> Vec<String> {
         }
     };
     let scheduling = findings.scheduling;
-    vec![format!(
-        "cpu {} ({others}), {scheduling}, {}",
-        findings.cpu,
-        exact_time(findings.duration_ns as u64)
-    )]
+    vec![format!("cpu {} ({others}), {scheduling}, {}", findings.cpu, duration(findings.duration_ns as u64))]
 }
 
 fn times(findings: &Findings, width: usize) -> Vec<String> {
@@ -94,7 +90,7 @@ fn outages(findings: &Findings, width: usize) -> Vec<String> {
         .collect();
     items.push(format!("the longest {}", rounded(findings.outages.longest_ns)));
     let mut lines = list("outages of the core in a second: ", &items, width);
-    let mut costs = vec![format!("one reading {:.0} ns", findings.clock_gettime_ns)];
+    let mut costs = vec![format!("one reading {:.0}ns", findings.clock_gettime_ns)];
     costs.extend(findings.timer_slack_ns.map(|slack| format!("timer slack {}", rounded(slack))));
     costs.extend(findings.wire.map(|wire| format!("a slot takes {} of the core", rounded(wire.turn_ns))));
     lines.extend(list("clock: ", &costs, width));

@@ -5,7 +5,7 @@
 use super::figures::{JitterFigures, OtherFigures, SlotFigures};
 use crate::report::histogram::Summary;
 use crate::report::screen::{WIDTH_MIN, host_lines, sections};
-use crate::report::text::{Column, cut, exact_time, grouped, list, micros_or_dash, paragraph, table};
+use crate::report::text::{Column, about, cut, duration, grouped, list, micros_or_dash, paragraph, table};
 
 /// Streams shown of each kind; more are in the JSON report.
 const SHOWN: usize = 100;
@@ -32,8 +32,8 @@ fn headline(figures: &JitterFigures, width: usize) -> Vec<String> {
         None => figures.interface.clone(),
     };
     let mut items = vec![place];
-    items.extend(figures.cycle_ns.map(|cycle| format!("cycle {}", exact_time(cycle))));
-    items.push(format!("{:.1} s", figures.observed_ns as f64 / 1e9));
+    items.extend(figures.cycle_ns.map(|cycle| format!("cycle {}", duration(cycle))));
+    items.push(about(figures.observed_ns));
     items.push(format!("{} frames", grouped(figures.frames)));
     items.extend(figures.kinds.iter().map(|(kind, count)| format!("{kind} {}", grouped(*count))));
     items.extend(figures.clock_drift_ppb.map(|ppb| format!("master's clock {:+.1} ppm", ppb as f64 / 1e3)));

@@ -12,7 +12,7 @@ use super::figures::{Figures, GuardName, Miss, StationFigures};
 use super::histogram::{SignedHistogram, Summary};
 use super::host::HostFacts;
 use super::text::{
-    Column, cut, exact_time, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
+    Column, about, cut, duration, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
 
 /// The least width that the report is laid out for, in columns.
@@ -23,6 +23,9 @@ const MISSES_SHOWN: usize = 10;
 
 /// Longer names of stations are cut in the tables.
 const NAME_MAX: usize = 12;
+
+/// Columns of a bin of the histogram: `100us .. 200us`.
+const BIN_WIDTH: usize = 14;
 
 /// The report in plain text, no line of it longer than `width` columns (less than [`WIDTH_MIN`] counts
 /// as that).
@@ -58,12 +61,11 @@ pub(crate) fn sections(sections: &[Vec<String>]) -> String {
 }
 
 fn headline(figures: &Figures, width: usize) -> Vec<String> {
-    let seconds = figures.cycles as f64 * figures.cycle_ns as f64 / 1e9;
     let items = [
         format!("{} stations", grouped(figures.stations)),
-        format!("cycle {}", exact_time(figures.cycle_ns)),
+        format!("cycle {}", duration(figures.cycle_ns)),
         format!("{} cycles", grouped(figures.cycles)),
-        format!("{seconds:.1} s"),
+        about(figures.cycles.saturating_mul(figures.cycle_ns)),
         format!("real-time threads {:.1} % cpu", figures.rt_cpu_percent),
     ];
     list("", &items, width)
@@ -109,7 +111,7 @@ fn bars(histogram: &SignedHistogram, width: usize) -> Vec<String> {
     let highest = counts.iter().copied().max().unwrap_or(0);
     let digits = grouped(highest).len().max("frames".len());
     // The rest of a line: the label, two spaces, one space, the count, two spaces, the share.
-    let bar_width = width - (17 + 2 + 1 + digits + 2 + 10);
+    let bar_width = width - (BIN_WIDTH + 2 + 1 + digits + 2 + 10);
 
     let head = ["|slot error - median|", "frames", "up to here"];
     let mut lines = vec![format!(
@@ -117,21 +119,21 @@ fn bars(histogram: &SignedHistogram, width: usize) -> Vec<String> {
         format!("{}  (bars in log scale)", head[0]),
         head[1],
         head[2],
-        left = 17 + 2 + bar_width,
+        left = BIN_WIDTH + 2 + bar_width,
     )];
     let mut so_far = 0;
     for i in first..=last {
         let label = match i.checked_sub(1).map(|lower| edges[lower]) {
-            None => format!("< {}", exact_time(edges[0])),
-            Some(from) if i == edges.len() => format!(">= {}", exact_time(from)),
-            Some(from) => format!("{} .. {}", exact_time(from), exact_time(edges[i])),
+            None => format!("< {}", duration(edges[0])),
+            Some(from) if i == edges.len() => format!(">= {}", duration(from)),
+            Some(from) => format!("{} .. {}", duration(from), duration(edges[i])),
         };
         so_far += counts[i];
         // Rounded down: 100 % is all of them.
         let share = (so_far as f64 / histogram.len() as f64 * 1e6).floor() / 1e4;
         let bar = "#".repeat(bar_length(counts[i], highest, bar_width));
         let count = grouped(counts[i]);
-        lines.push(format!("{label:>17}  {bar:<bar_width$} {count:>digits$}  {share:>8.4} %"));
+        lines.push(format!("{label:>BIN_WIDTH$}  {bar:<bar_width$} {count:>digits$}  {share:>8.4} %"));
     }
     lines
 }
@@ -249,7 +251,7 @@ pub(crate) fn host_lines(host: &HostFacts, more: Option<String>, width: usize) -
     items.extend(host.virtual_machine.map(|yes| if yes { "virtual machine" } else { "no vm" }.to_owned()));
     items.extend(host.idle_driver.as_ref().map(|driver| format!("idle driver {driver}")));
     items.extend(host.rt_runtime_us.map(|us| match u64::try_from(us) {
-        Ok(us) => format!("rt throttling at {} us per s", grouped(us)),
+        Ok(us) => format!("rt throttling at {} in 1s", duration(us.saturating_mul(1_000))),
         Err(_) => "no rt throttling".to_owned(),
     }));
     items.extend(host.steal_ticks.map(|ticks| format!("steal {} ticks", grouped(ticks))));

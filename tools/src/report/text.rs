@@ -2,6 +2,8 @@
 
 use std::mem;
 
+use rtnet::time::Span;
+
 const UNITS: [(u64, &str); 3] = [(1_000_000_000, "s"), (1_000_000, "ms"), (1_000, "us")];
 
 /// `240 000`.
@@ -32,10 +34,16 @@ pub(crate) fn micros_or_dash(ns: Option<i64>) -> String {
     ns.map_or_else(|| "-".to_owned(), micros)
 }
 
-/// Nanoseconds in the unit that suits, all digits kept: `1 ms`, `1.5 ms`, `0.1 us`.
-pub(crate) fn exact_time(ns: u64) -> String {
-    let (size, unit) = unit_for(ns);
-    format!("{} {unit}", ns as f64 / size as f64)
+/// A duration as it is written everywhere, all digits kept: `1ms`, `1.5ms`, `100ns`.
+pub(crate) fn duration(ns: u64) -> String {
+    Span::from_nanos(i64::try_from(ns).unwrap_or(i64::MAX)).to_string()
+}
+
+/// The same, to a tenth where it is a second and more: `9.9s`, `500ms`.
+pub(crate) fn about(ns: u64) -> String {
+    const SECOND: u64 = 1_000_000_000;
+    const TENTH: u64 = SECOND / 10;
+    duration(if ns < SECOND { ns } else { ns.saturating_add(TENTH / 2) / TENTH * TENTH })
 }
 
 /// Nanoseconds in the unit that suits, signed, to three digits: `+1.23ms`; `0` is without a unit.

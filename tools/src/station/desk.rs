@@ -185,7 +185,7 @@ impl Desk {
             }
         }
         let within = ANSWER_WITHIN.as_secs();
-        Reply::Refused(format!("the real-time thread has not answered within {within} s: it may do so later"))
+        Reply::Refused(format!("the real-time thread has not answered within {within}s: it may do so later"))
     }
 
     /// What became of the command under way, once that is known.

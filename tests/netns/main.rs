@@ -5,5 +5,6 @@
 
 mod kernel_guard;
 mod live;
+mod not_for_us;
 mod peer_over_veth;
 mod sync_loss;

@@ -16,7 +16,8 @@ const WHOLE: u32 = u32::MAX;
 const NOTHING: u32 = 0;
 
 /// Lets only frames to this host or to groups through, so that what a bridge floods or a promiscuous
-/// interface picks up wakes nobody and fills nobody's buffer.
+/// interface picks up wakes nobody and fills nobody's buffer. Broadcasts inside a tunnel pass: they are for the
+/// station's VNIC, whether or not it has one.
 pub fn accept_only_ours(socket: &Socket) -> io::Result<()> {
     socket.attach_filter(&[
         SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),

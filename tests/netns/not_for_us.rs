@@ -1,0 +1,80 @@
+//! What a medium floods is not for a station, and costs it nothing.
+
+use std::time::{Duration, Instant};
+
+use rtnet::clock::EmulatedClock;
+use rtnet::live::interface::Interface;
+use rtnet::live::ring::{CaptureRing, RingConfig};
+use rtnet::live::{GuardMode, Port};
+use rtnet::wire::ethernet::EtherType;
+use tests::bare::Bare;
+use tools::lab::namespace::{Namespace, Segment};
+
+use crate::live::as_root;
+
+const SENDER: [u8; 6] = [2, 0, 0, 0, 0, 1];
+const STATION: [u8; 6] = [2, 0, 0, 0, 0, 2];
+/// The medium does not know it, and floods what is for it.
+const ANOTHER: [u8; 6] = [2, 0, 0, 0, 0, 9];
+/// How long to wait for what must not come, and for what must.
+const SHORT: Duration = Duration::from_millis(50);
+const LONG: Duration = Duration::from_secs(5);
+
+fn frame(to: [u8; 6], ether_type: EtherType) -> [u8; 60] {
+    let mut frame = [0; 60];
+    frame[..6].copy_from_slice(&to);
+    frame[6..12].copy_from_slice(&SENDER);
+    frame[12..14].copy_from_slice(&ether_type.0.to_be_bytes());
+    frame
+}
+
+/// A station's port, and an observer that makes its interface promiscuous.
+fn listening() -> (Port, CaptureRing) {
+    let clock = EmulatedClock::default();
+    let interface = Interface::find("rt0").unwrap();
+    let port = Port::open(&interface, &[EtherType::EXPERIMENTAL], clock, 50_000, GuardMode::User).unwrap();
+    (port, CaptureRing::open("rt0", RingConfig::default()).unwrap())
+}
+
+/// Whether a frame wakes the port `within` that time, and how many it has received altogether.
+fn woken(port: &mut Port, within: Duration) -> (bool, u64) {
+    let begin = Instant::now();
+    port.wait_for_frame(within.as_millis() as i32);
+    let woken = begin.elapsed() < within;
+    port.drain_control(|_, _| ());
+    port.drain_data(|_, _| ());
+    (woken, port.counters().received)
+}
+
+/// Waits until the observer has seen a frame: what the port has not by then, it never will.
+fn seen(observer: &mut CaptureRing) -> usize {
+    let (deadline, mut frames) = (Instant::now() + LONG, 0);
+    while frames == 0 && Instant::now() < deadline {
+        observer.wait(SHORT).unwrap();
+        observer.drain(|_| frames += 1);
+    }
+    frames
+}
+
+#[test]
+fn a_frame_to_another_station_neither_reaches_nor_wakes_a_port() {
+    if !as_root("a_frame_to_another_station_neither_reaches_nor_wakes_a_port") {
+        return;
+    }
+    let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
+    let mut segment = Segment::new().unwrap();
+    segment.attach(&here, "port0", "rt0", SENDER).unwrap();
+    segment.attach(&there, "port1", "rt0", STATION).unwrap();
+    let sender = here.run(|| Bare::open(&Interface::find("rt0").unwrap()).unwrap()).unwrap();
+    let (mut port, mut observer) = there.run(listening).unwrap();
+    let mut received = 0;
+    for ether_type in [EtherType::RTMAC, EtherType::EXPERIMENTAL] {
+        assert!(sender.send(&frame(ANOTHER, ether_type)));
+        assert_eq!(seen(&mut observer), 1, "it is there for all to see");
+        assert_eq!(woken(&mut port, SHORT), (false, received), "{ether_type:?}");
+        assert!(sender.send(&frame(STATION, ether_type)));
+        assert_eq!(seen(&mut observer), 1);
+        received += 1;
+        assert_eq!(woken(&mut port, LONG), (true, received), "its own frames do: {ether_type:?}");
+    }
+}

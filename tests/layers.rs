@@ -124,6 +124,40 @@ fn protocol_code_is_pure() {
     assert!(looked_at > 10, "only {looked_at} files were looked at");
 }
 
+#[test]
+fn every_test_that_the_specification_cites_exists() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace");
+    let text = std::fs::read_to_string(root.join("SPECIFICATION.md")).expect("the specification");
+    let packages = metadata();
+    let folders =
+        packages.workspace_packages().into_iter().filter_map(|package| package.manifest_path.parent());
+    let files: BTreeSet<_> = folders.flat_map(|folder| rust_files(folder.as_std_path())).collect();
+    let sources: Vec<String> =
+        files.iter().map(|file| std::fs::read_to_string(file).expect("a source file")).collect();
+    let cited = cited_tests(&text);
+    assert!(cited.len() > 80, "only {} tests are cited", cited.len());
+    let is_there = |name: &&&str| sources.iter().any(|source| source.contains(&format!("fn {name}(")));
+    let missing: Vec<_> = cited.iter().filter(|name| !is_there(name)).collect();
+    assert!(missing.is_empty(), "tests that are cited and do not exist: {missing:?}");
+}
+
+#[test]
+fn cited_tests_stand_in_the_last_column() {
+    let table =
+        "`not_in_a_table`\n\n| `a_b` is | `c.rs`: `d_e`, `..._f` (`g_h = 1`, `x::i_j`) |\n|---|---|\n";
+    assert_eq!(cited_tests(table), BTreeSet::from(["..._f", "d_e"]));
+}
+
+/// Whatever looks like a test's name in the last columns of the tables.
+fn cited_tests(text: &str) -> BTreeSet<&str> {
+    let rows = text.lines().filter_map(|line| line.strip_prefix('|')?.trim_end().strip_suffix('|'));
+    let shown_by = rows.filter_map(|row| row.rsplit('|').next());
+    // Every second piece stands between backticks.
+    let quoted = shown_by.flat_map(|cell| cell.split('`').skip(1).step_by(2));
+    let word = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '.';
+    quoted.filter(|name| name.contains('_') && !name.ends_with(".rs") && name.chars().all(word)).collect()
+}
+
 fn rust_files(folder: &Path) -> Vec<std::path::PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let paths = entries.map(|entry| entry.expect("a directory entry").path());

@@ -93,6 +93,28 @@ fn an_interface_that_does_not_exist_is_named_with_those_there_are() {
 }
 
 #[test]
+fn without_privileges_one_line_says_what_to_do() {
+    use std::os::unix::fs::PermissionsExt;
+    use std::os::unix::process::CommandExt;
+    if !as_root("without_privileges_one_line_says_what_to_do") {
+        return;
+    }
+    // The binary's folder need not be open to others.
+    let dir = tempfile::tempdir().unwrap();
+    let binary = dir.path().join("rtnet");
+    std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+    std::fs::set_permissions(dir.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
+    let medium = Medium::new();
+    let mut nobody = Command::new(&binary);
+    nobody.args(["station", "--interface", "rt0", "--slave", "--rounds", "0"]);
+    nobody.uid(65_534).gid(65_534).current_dir("/");
+    let output = output_in(&medium.a, nobody);
+    let message = refused(&output);
+    assert_eq!((output.status.code(), message.lines().count()), (Some(2), 1), "{message}");
+    assert!(message.contains("'rt0' (run as root, or give CAP_NET_RAW)"), "{message}");
+}
+
+#[test]
 fn a_slave_joins_a_master_and_notices_its_end() {
     if !as_root("a_slave_joins_a_master_and_notices_its_end") {
         return;

@@ -157,7 +157,7 @@ fn ctrl_c_ends_the_run_with_the_report_so_far() {
     kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
     let output = lab.wait_with_output().unwrap();
     let screen = String::from_utf8(output.stdout).unwrap();
-    assert!(screen.contains("3 stations, cycle 5 ms"), "{screen}");
+    assert!(screen.contains("3 stations, cycle 5ms"), "{screen}");
     assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
     assert_eq!(output.status.code(), Some(0));
     assert!(!stations.into_iter().any(is_there));

@@ -34,7 +34,7 @@ fn a_host_is_examined_and_told_what_it_holds() {
     assert_eq!(recommended["stations"], 8);
     assert!(recommended["cycle_ns"].as_i64() >= Some(250_000), "{recommended}");
     assert!(recommended["guard_ns"].as_i64() > Some(0), "{recommended}");
-    share(&recommended["predicted_miss_share"]);
+    assert!(share(&recommended["predicted_miss_share"]) <= share(&recommended["at_most_miss_share"]));
 
     let wakeups = findings["wakeups"].as_array().unwrap();
     assert!(!wakeups.is_empty() && wakeups.iter().all(|of| of["lateness_ns"]["n"].as_u64() >= Some(100)));

@@ -112,18 +112,19 @@ pub fn verdict(findings: &Findings) -> Vec<String> {
     lines
 }
 
-/// `with this core warm, 8 stations at a cycle of 1ms (guard band 117us) would miss about 0.3 % ...`
+/// `with this core warm, 8 stations at a cycle of 1ms (guard band 117us) would miss about 0.3 % of their slots, ...`
 fn sentence(of: &Recommended, and: &str) -> String {
     let Recommended { network, warm_core, holds, .. } = of;
     let state = if *warm_core { "warm" } else { "cold" };
     let how = if *holds { "" } else { " at best" };
     format!(
         "with this core {state}, {} stations at a cycle of {} (guard band {}) would miss about {} of their slots{how}, \
-         at {:.0} % of the core{and}",
+         in a worse hour at most {}, at {:.0} % of the core{and}",
         network.stations,
         Span::from_nanos(network.cycle_ns),
         rounded(network.guard_ns),
         percent(network.predicted_miss_share),
+        percent(network.at_most_miss_share),
         100.0 * network.load,
     )
 }
@@ -186,6 +187,7 @@ mod tests {
             stations: 8,
             guard_ns: 117_934,
             predicted_miss_share: share,
+            at_most_miss_share: 3.0 * share,
             late_share: share,
             uncertain_share: 0.0,
             outage_share: 0.0,
@@ -207,8 +209,8 @@ mod tests {
         assert_eq!(
             sentence(&short, &quarter(&short)),
             "with this core warm, 8 stations at a cycle of 1ms (guard band 117us) would miss about 0.31 % of their \
-             slots, at 53 % of the core; a quarter of that cycle would want 210 % of it, be throttled, and miss 6 % \
-             or more"
+             slots, in a worse hour at most 0.93 %, at 53 % of the core; a quarter of that cycle would want 210 % of \
+             it, be throttled, and miss 6 % or more"
         );
         assert!(quarter(&of(Some(network(250, 0.0123, 0.9)))).ends_with("90 % of it, which is too much"));
         assert!(quarter(&of(Some(network(250, 0.0123, 0.7)))).ends_with("would miss about 1.23 %"));

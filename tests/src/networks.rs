@@ -37,6 +37,8 @@ pub struct Plan {
     pub host: Host,
     /// Stations that are peers.
     pub peers: Vec<StationId>,
+    /// A peer that is the backup master, and how long after a cycle's start it takes over.
+    pub backup: Option<(StationId, Span)>,
 }
 
 /// A network, and what is known of it from outside.
@@ -80,7 +82,7 @@ impl Plan {
         let scenario = options.scenario().expect("such a lab can be");
         let medium = Medium { rate: scenario.rate.bits_per_second(), ..Medium::default() };
         let (tolerance, host) = (Span::ZERO, Host::IDEAL);
-        Plan { scenario, medium, tolerance, host, peers: Vec::new() }
+        Plan { scenario, medium, tolerance, host, peers: Vec::new(), backup: None }
     }
 
     /// The same with clocks that run at these rates, in parts per billion; they stay as far apart as they begin.
@@ -286,9 +288,11 @@ impl Plan {
 
     fn peer(&self, id: StationId, master: Option<Span>) -> Mixed {
         let StationPlan { rounds, slots, .. } = &self.scenario.stations[id];
+        let backup = self.backup.filter(|(backup, _)| *backup == id).map(|(_, after)| after);
         Mixed::Peer(Box::new(Peer::new(PeerConfig {
             address: self.address(id),
-            master,
+            master: master.or(backup.map(|_| self.cycle())),
+            backup,
             rounds: *rounds,
             slots: slots.iter().map(peer_slot).collect(),
             lead: DEFAULT_LEAD,

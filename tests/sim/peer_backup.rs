@@ -55,6 +55,27 @@ fn our_master_dies_and_the_backup_takes_over_in_that_very_cycle() {
     assert_eq!((lab.judge().data[0], lab.judge().data[BACKUP]), (10, 1_010));
 }
 
+/// As in most real networks: B is within the slot of the master that is silent then, 200 us after it should have sent.
+#[test]
+fn our_slaves_wait_for_a_backup_that_looks_later_than_they_miss_their_master() {
+    let plan = plan(&[]);
+    let mut lab = running(&Plan { backup: Some((BACKUP, Span::from_micros(200))), ..plan });
+    lab.network.stop(0);
+    lab.run_cycles(1_000);
+    let judge = lab.judge();
+    assert_eq!((judge.syncs, judge.overlaps.len(), judge.faults.len()), (1_000, 0, 0));
+    assert!(
+        judge.out_of_slot.iter().all(|author| author.from == BACKUP),
+        "its Synchronisations are where it sends"
+    );
+    for id in SLAVES {
+        assert_eq!((lab.state(id), judge.data[id]), (SyncState::Locked, 1_000));
+        for kind in [EventKind::TimeStep, EventKind::SyncLost, EventKind::SlotSilent] {
+            assert!(lab.cycles_with(id, kind).is_empty(), "station {id}: {kind:?}");
+        }
+    }
+}
+
 #[test]
 fn a_backup_that_took_over_answers_who_joins_then() {
     let plan = plan(&[]);

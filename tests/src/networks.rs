@@ -85,7 +85,7 @@ impl Plan {
         Plan { scenario, medium, tolerance, host, peers: Vec::new(), backup: None }
     }
 
-    /// The same with clocks that run at these rates, in parts per billion; they stay as far apart as they begin.
+    /// The same with clocks that run at these rates, in parts per billion; how far apart they begin stays.
     pub fn with_drift(mut self, drift_ppb: impl Fn(StationId) -> i64) -> Plan {
         for (id, station) in self.scenario.stations.iter_mut().enumerate() {
             station.clock_drift_ppb = drift_ppb(id);

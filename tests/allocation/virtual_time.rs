@@ -1,4 +1,7 @@
-//! Two slaves and their master, driven by hand in virtual time.
+//! Two slaves and their master, driven by hand in virtual time, with the traffic of a lab.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
@@ -9,7 +12,8 @@ use rtnet::discipline::{Discipline, Sent, SyncState, Transmission};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
-use tests::traffic::TestTraffic;
+use tests::traffic;
+use tools::station::traffic::TrafficCounts;
 
 use crate::calls;
 
@@ -17,17 +21,28 @@ const CYCLE: Span = Span::from_millis(1);
 const STATIONS: usize = 3;
 
 #[test]
-fn a_thousand_cycles_of_locked_stations_allocate_nothing() {
+fn stations_allocate_nothing_from_their_first_turn_on() {
     let mut network = Network::new();
-    network.run(Instant::from_nanos(400_000_000));
-    assert!(network.seats.iter().all(|seat| seat.station.discipline().time().state == SyncState::Locked));
-    let (sent, now) = (network.sent, network.now);
 
     let before = calls();
+    network.run(Instant::from_nanos(3_500_000));
+    let listening = (network.sent, network.states());
+    network.run(Instant::from_nanos(10_000_000));
+    let calibrating = network.states();
+    network.run(Instant::from_nanos(400_000_000));
+    let (locked, sent) = (network.states(), network.sent);
+    let now = network.now;
     network.run(now + CYCLE * 1_000);
     let allocations = calls() - before;
 
+    assert_eq!(listening, (0, [SyncState::Locked, SyncState::Waiting, SyncState::Waiting]));
+    assert_eq!(calibrating, [SyncState::Locked, SyncState::Calibrating, SyncState::Calibrating]);
+    assert_eq!(locked, [SyncState::Locked; STATIONS]);
     assert_eq!(network.sent - sent, 1_000 * (STATIONS as u64 + 1), "they were at work");
+    for seat in &network.seats {
+        assert!(seat.counts.received.load(Ordering::Relaxed) >= 1_300, "and checked what they heard");
+        assert_eq!(seat.station.refusals().total(), 0);
+    }
     assert_eq!(allocations, 0);
 }
 
@@ -41,6 +56,7 @@ struct Network {
 struct Seat {
     address: Address,
     station: Station<Tdma>,
+    counts: Arc<TrafficCounts>,
     chosen: Option<Transmission>,
     pool: Pool,
 }
@@ -60,6 +76,10 @@ impl Network {
             }
         }
         self.now = until;
+    }
+
+    fn states(&self) -> [SyncState; STATIONS] {
+        core::array::from_fn(|id| self.seats[id].station.discipline().time().state)
     }
 
     fn next(&self) -> Option<(Instant, usize)> {
@@ -86,8 +106,9 @@ impl Network {
 
 impl Seat {
     fn new(id: u8) -> Self {
+        let stations = STATIONS as u8;
         let address = Address([2, 0, 0, 0, 0, id + 1]);
-        let neighbour = Address([2, 0, 0, 0, 0, (id + 1) % STATIONS as u8 + 1]);
+        let neighbour = Address([2, 0, 0, 0, 0, (id + 1) % stations + 1]);
         let latest = Span::from_micros(50);
         let epoch = Offset::between(Instant::default(), GlobalTime::from_nanos(1_795_000_000_000_000_000));
         let role = match id {
@@ -109,9 +130,11 @@ impl Seat {
             lead: DEFAULT_LEAD,
             late: LatePolicy::Skip,
         });
-        let traffic = TestTraffic::new(id.into(), address, neighbour);
+        let counts = Arc::new(TrafficCounts::default());
+        let from = (id + stations - 1) % stations;
+        let traffic = traffic::of_a_lab((id.into(), address), neighbour, from.into(), counts.clone());
         let station = Station::new(tdma.expect("a sound configuration"), vec![Box::new(traffic)]);
-        Self { address, station, chosen: None, pool: Pool::new(8) }
+        Self { address, station, counts, chosen: None, pool: Pool::new(8) }
     }
 
     fn due(&self) -> Option<Instant> {

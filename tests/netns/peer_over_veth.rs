@@ -17,7 +17,8 @@ const DELAY_AT_MOST: Span = Span::from_micros(500);
 
 fn peer(address: rtnet::wire::ethernet::Address, master: Option<Span>, offset: Span) -> Peer {
     let slot = PeerSlot { id: 0, offset, phase: 0, period: 1, size: 100 };
-    Peer::new(PeerConfig { address, master, rounds: ROUNDS, slots: vec![slot], lead: Span::from_micros(50) })
+    let (backup, lead) = (None, Span::from_micros(50));
+    Peer::new(PeerConfig { address, master, backup, rounds: ROUNDS, slots: vec![slot], lead })
 }
 
 /// A master of ours and a peer that has calibrated with it, if the peer's requests came in time: it is no

@@ -1,12 +1,18 @@
-//! Eight stations with clocks up to a second apart, on hosts that are never late.
+//! `lab run --stations 8 --cycle 1ms` on hosts that are never late, with clocks up to a second apart that run alike.
 
 use rtnet::time::Span;
 use tests::networks::Plan;
+use tools::scenario::Uniform;
+
+fn plan(stations: usize) -> Plan {
+    Plan::lab(stations).with_drift(|_| 0)
+}
 
 #[test]
 fn every_frame_leaves_at_its_scheduled_instant_to_the_nanosecond() {
     for seed in 1..=5 {
-        let mut lab = Plan { seed, ..Plan::evenly(8) }.build();
+        let options = Uniform { seed, ..Plan::lab_options(8) };
+        let mut lab = Plan::of(&options).with_drift(|_| 0).build();
         lab.run_until_locked();
         lab.judge_from_here();
         lab.run_cycles(2_000);
@@ -20,16 +26,16 @@ fn every_frame_leaves_at_its_scheduled_instant_to_the_nanosecond() {
 
 #[test]
 fn nobody_transmits_in_anothers_slot_from_the_very_first_frame_on() {
-    let mut lab = Plan::evenly(8).build();
+    let mut lab = plan(8).build();
     lab.run_cycles(2_000);
     let judge = lab.judge();
-    assert!(judge.calibration >= 7 * 2 * 10, "seven slaves, ten rounds");
+    assert!(judge.calibration >= 7 * 2 * lab.plan.rounds(), "seven slaves, 100 rounds");
     assert_eq!((&judge.overlaps[..], &judge.out_of_slot[..], &judge.faults[..]), (&[][..], &[][..], &[][..]));
 }
 
 #[test]
 fn the_measured_delay_is_the_propagation_to_the_nanosecond() {
-    let mut lab = Plan::evenly(8).build();
+    let mut lab = plan(8).build();
     lab.run_until_locked();
     for id in 1..8 {
         assert_eq!(lab.status(id).delay, Some(lab.plan.medium.propagation));
@@ -38,7 +44,7 @@ fn the_measured_delay_is_the_propagation_to_the_nanosecond() {
 
 #[test]
 fn every_frame_reaches_its_neighbour() {
-    let mut lab = Plan::evenly(4).build();
+    let mut lab = plan(4).build();
     lab.run_until_locked();
     let before: Vec<u64> = lab.tallies.iter().map(|tally| tally.received()).collect();
     lab.run_cycles(100);

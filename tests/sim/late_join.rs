@@ -6,9 +6,10 @@ use tests::networks::Plan;
 
 #[test]
 fn it_is_locked_after_its_calibration_and_disturbs_nobody() {
-    let mut lab = Plan { rounds: 100, ..Plan::evenly(4) }.build_without_slaves();
-    lab.add_next(1_000_000);
-    lab.add_next(2_000_000);
+    let mut lab = Plan::lab(4).with_drift(|_| 0).build_without_slaves();
+    let begin = lab.network.now();
+    lab.add_next(begin + 1_000_000);
+    lab.add_next(begin + 2_000_000);
     lab.run_until_locked();
     lab.run_cycles(500);
     lab.judge_from_here();

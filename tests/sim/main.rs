@@ -5,6 +5,7 @@ mod ideal_host;
 mod late_join;
 mod master_dies;
 mod one_seed_identical_bytes;
+mod peer_backup;
 mod peer_interop;
 mod second_master_refuses;
 mod virtual_machine;

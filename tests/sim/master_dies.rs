@@ -4,7 +4,7 @@ use rtnet::discipline::{EventKind, SyncState};
 use tests::networks::{Lab, Plan};
 
 fn running() -> Lab {
-    let mut lab = Plan::evenly(4).build();
+    let mut lab = Plan::lab(4).with_drift(|_| 0).build();
     lab.run_until_locked();
     lab.judge_from_here();
     lab
@@ -72,7 +72,7 @@ fn a_restarted_master_with_a_new_line_is_followed() {
     lab.run_cycles(20);
     assert!(slaves().all(|id| lab.state(id) == SyncState::Lost));
     let now = lab.network.now();
-    let cycle = lab.plan.cycle;
+    let cycle = lab.plan.cycle();
     lab.add(0, Some(cycle), now + 123_456);
     lab.run_cycles(10);
     for id in slaves() {

@@ -6,12 +6,12 @@ use std::rc::Rc;
 use rtnet::sim::capture::Capture;
 use rtnet::sim::{Host, Medium};
 use tests::networks::Plan;
+use tools::scenario::Uniform;
 
 fn capture(seed: u64) -> Vec<u8> {
-    let plan = Plan::evenly(4);
+    let plan = Plan::of(&Uniform { seed, ..Plan::lab_options(8) }).on(Host::VIRTUAL_MACHINE);
     let medium = Medium { lose_control_ppm: 10_000, lose_data_ppm: 1_000, ..plan.medium };
-    let drift_ppb = vec![10_000, -50_000, 30_000, 0];
-    let mut lab = Plan { medium, drift_ppb, host: Host::VIRTUAL_MACHINE, seed, ..plan }.build();
+    let mut lab = Plan { medium, ..plan }.build();
     let capture = Rc::new(RefCell::new(Capture::new()));
     let writing = capture.clone();
     lab.network.observe(move |aired| writing.borrow_mut().frame(aired.at, aired.bytes));

@@ -5,6 +5,11 @@ use rtnet::time::Span;
 use tests::judge::Author;
 use tests::networks::{Lab, Plan};
 
+/// Clocks that run alike, and ten rounds of calibration.
+fn plan() -> Plan {
+    Plan::lab(4).with_drift(|_| 0).with_rounds(10)
+}
+
 fn check_a_thousand_cycles(lab: &mut Lab) {
     lab.judge_from_here();
     lab.run_cycles(1_000);
@@ -18,7 +23,7 @@ fn check_a_thousand_cycles(lab: &mut Lab) {
 
 #[test]
 fn peers_join_our_master_and_keep_their_slots() {
-    let mut lab = Plan { peers: vec![1, 3], ..Plan::evenly(4) }.build();
+    let mut lab = Plan { peers: vec![1, 3], ..plan() }.build();
     lab.run_until_locked();
     for id in [1, 3] {
         let status = lab.peer_status(id);
@@ -32,7 +37,7 @@ fn peers_join_our_master_and_keep_their_slots() {
 
 #[test]
 fn our_slaves_join_a_peer_that_is_the_master() {
-    let mut lab = Plan { peers: vec![0], ..Plan::evenly(4) }.build();
+    let mut lab = Plan { peers: vec![0], ..plan() }.build();
     lab.run_until_locked();
     for id in 1..4 {
         assert_eq!(lab.status(id).delay, Some(lab.plan.medium.propagation), "exact on an ideal host");
@@ -45,16 +50,16 @@ fn our_slaves_join_a_peer_that_is_the_master() {
 
 #[test]
 fn peers_among_themselves_are_a_network_too() {
-    let mut lab = Plan { peers: vec![0, 1, 2, 3], ..Plan::evenly(4) }.build();
+    let mut lab = Plan { peers: vec![0, 1, 2, 3], ..plan() }.build();
     lab.run_until_locked();
     check_a_thousand_cycles(&mut lab);
 }
 
 #[test]
 fn our_slave_repeats_a_request_that_the_medium_lost() {
-    let plan = Plan { peers: vec![0, 1], ..Plan::evenly(4) };
+    let plan = Plan { peers: vec![0, 1], ..plan() };
     let medium = rtnet::sim::Medium { lose_control_ppm: 100_000, ..plan.medium };
-    let mut lab = Plan { medium, rounds: 100, ..plan }.build();
+    let mut lab = Plan { medium, ..plan }.with_rounds(100).build();
     lab.run_cycles(2_000);
     for id in [2, 3] {
         assert_ne!(lab.state(id), SyncState::Calibrating, "ours is through");
@@ -74,7 +79,7 @@ fn a_late_peer_sends_all_the_same_and_the_judge_sees_it() {
             longest_outage: Span::from_millis(1),
             ..rtnet::sim::Host::IDEAL
         },
-        ..Plan::evenly(4)
+        ..plan()
     }
     .build();
     lab.run_until_locked();

@@ -5,15 +5,14 @@ use tests::networks::Plan;
 
 #[test]
 fn it_hears_the_first_one_and_never_speaks() {
-    let mut lab = Plan::evenly(4).build();
+    let mut lab = Plan::lab(4).with_drift(|_| 0).build();
     lab.run_until_locked();
     lab.judge_from_here();
-    let (now, cycle) = (lab.network.now(), lab.plan.cycle);
+    let (now, cycle) = (lab.network.now(), lab.plan.cycle());
     // Another interface and clock: those of a fifth station.
     let second = {
-        let mut plan = Plan::evenly(5);
-        plan.offsets.truncate(5);
-        lab.plan.offsets.push(plan.offsets[4]);
+        let fifth = Plan::lab(5).scenario.stations.remove(4);
+        lab.plan.scenario.stations.push(fifth);
         lab.clocks.push(lab.clocks[1]);
         lab.add(4, Some(cycle), now + 400_000)
     };

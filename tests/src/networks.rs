@@ -4,17 +4,20 @@ use std::cell::{Ref, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
-use rtmac::tdma::schedule::{self, Rate};
+use clap::Parser;
+use rtmac::tdma::schedule;
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaConfig, TdmaStatus,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig, TdmaStatus,
 };
-use rtnet::clock::EmulatedClock;
+use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Discipline, Event, EventKind, SyncState};
 use rtnet::sim::{Host, Medium, Member, Network, Random, StationId};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, HEADER_LEN};
+use tools::cli::{Cli, LabRunArgs, LabVerb, Verb};
+use tools::scenario::{Scenario, SlotPlan, StationPlan, Uniform};
+use tools::station::sync_latest;
 
 use crate::judge::{Judge, Layout};
 use crate::mixed::{Mixed, MixedStatus};
@@ -24,32 +27,18 @@ use crate::traffic::{Tally, TestTraffic};
 /// What a network is to be like. Station 0 is the master.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// From one cycle's start to the next.
-    pub cycle: Span,
-    /// The Synchronisation's share of it.
-    pub sync_window: Span,
-    /// The medium.
+    /// Cycle, sync window, slots, clocks and calibration rounds: what a lab would stand up.
+    pub scenario: Scenario,
+    /// The medium, at the scenario's rate.
     pub medium: Medium,
-    /// Bytes behind the Ethernet header of every data frame.
-    pub payload: usize,
-    /// Each station's slot; one of them for every station.
-    pub offsets: Vec<Span>,
-    /// From a slot's begin to its end.
-    pub slot: Span,
-    /// How late a slot may be used.
-    pub latest: Span,
     /// How far the judge lets a frame leave its slot.
     pub tolerance: Span,
     /// Every station's host.
     pub host: Host,
-    /// Each station's drift in parts per billion; the last one for all others.
-    pub drift_ppb: Vec<i64>,
-    /// Calibration rounds.
-    pub rounds: u32,
     /// Stations that are peers.
     pub peers: Vec<StationId>,
-    /// Everything random follows from it.
-    pub seed: u64,
+    /// A peer that is the backup master, and how long after a cycle's start it takes over.
+    pub backup: Option<(StationId, Span)>,
 }
 
 /// A network, and what is known of it from outside.
@@ -69,95 +58,115 @@ pub struct Lab {
 
 /// When the master's clock shows 0, it is this late in global time.
 const EPOCH: GlobalTime = GlobalTime::from_nanos(1_795_000_000_000_000_000);
+/// True time when a network begins: no clock is so far behind that it shows less than 0.
+const UPTIME: True = 10_000_000_000;
 
 impl Plan {
-    /// Slots that divide what the sync window leaves of a cycle of 1 ms evenly, as `lab run` does.
-    pub fn evenly(stations: usize) -> Plan {
-        let (cycle, sync_window) = (Span::from_millis(1), Span::from_micros(60));
-        let (medium, payload) = (Medium::default(), 64);
-        let rate = Rate::from_bits_per_second(medium.rate);
-        let slot = schedule::divide(cycle, sync_window, rate, stations, payload, None).expect("they fit");
-        let guard = slot - rate.air_time(payload + HEADER_LEN);
-        Plan {
-            cycle,
-            sync_window,
-            medium,
-            payload,
-            offsets: (0..stations as i64).map(|i| sync_window + slot * i).collect(),
-            slot,
-            latest: schedule::latest(guard),
-            tolerance: Span::ZERO,
-            host: Host::IDEAL,
-            drift_ppb: vec![0],
-            rounds: 10,
-            peers: Vec::new(),
-            seed: 1,
-        }
+    /// The network of `lab run --stations N --cycle 1ms`, on hosts that are never late.
+    pub fn lab(stations: usize) -> Plan {
+        Plan::of(&Plan::lab_options(stations))
     }
 
-    /// Frames of full size, back to back but for `guard`, the last one up to the very end of the cycle.
-    pub fn at_the_end(stations: usize, guard: Span) -> Plan {
-        let plan = Plan::evenly(stations);
-        let payload = 1_500;
-        let slot = Span::from_nanos(plan.medium.air_time(payload + HEADER_LEN) as i64) + guard;
-        let first = plan.cycle - slot * stations as i64;
-        let offsets = (0..stations as i64).map(|i| first + slot * i).collect();
-        Plan { payload, offsets, slot, latest: Span::ZERO, ..plan }
+    /// What `lab run --stations N --cycle 1ms` is told.
+    pub fn lab_options(stations: usize) -> Uniform {
+        let line = format!("rtnet lab run --stations {stations} --cycle 1ms");
+        let verb = Cli::parse_from(line.split(' ')).verb;
+        let Verb::Lab(LabVerb::Run(LabRunArgs { stations, cycle, payload, rate, guard, .. })) = verb else {
+            panic!("{line}");
+        };
+        Uniform { stations, cycle, duration: Span::from_millis(10_000), payload, rate, guard, seed: 1 }
+    }
+
+    /// The network that a lab with these options would be.
+    pub fn of(options: &Uniform) -> Plan {
+        let scenario = options.scenario().expect("such a lab can be");
+        let medium = Medium { rate: scenario.rate.bits_per_second(), ..Medium::default() };
+        let (tolerance, host) = (Span::ZERO, Host::IDEAL);
+        Plan { scenario, medium, tolerance, host, peers: Vec::new(), backup: None }
+    }
+
+    /// The same with clocks that run at these rates, in parts per billion; how far apart they begin stays.
+    pub fn with_drift(mut self, drift_ppb: impl Fn(StationId) -> i64) -> Plan {
+        for (id, station) in self.scenario.stations.iter_mut().enumerate() {
+            station.clock_drift_ppb = drift_ppb(id);
+        }
+        self
+    }
+
+    /// The same with so many calibration rounds for each slave.
+    pub fn with_rounds(mut self, rounds: u32) -> Plan {
+        self.scenario.stations.iter_mut().for_each(|station| station.rounds = rounds);
+        self
     }
 
     /// The same on hosts like this one; the judge allows what the clocks may be wrong by.
     pub fn on(self, host: Host) -> Plan {
-        let air = Span::from_nanos(self.medium.air_time(self.payload + HEADER_LEN) as i64);
-        Plan { host, tolerance: schedule::clock_share(self.slot - air), ..self }
+        Plan { host, tolerance: schedule::clock_share(self.scenario.guard), ..self }
     }
 
     /// Address of a station.
     pub fn address(&self, id: StationId) -> Address {
-        Address([2, 0, 0, 0, (id >> 8) as u8, id as u8 + 1])
+        self.scenario.address(id)
     }
 
     /// How many stations.
     pub fn stations(&self) -> usize {
-        self.offsets.len()
+        self.scenario.stations.len()
+    }
+
+    /// From one cycle's start to the next.
+    pub fn cycle(&self) -> Span {
+        self.scenario.cycle
+    }
+
+    /// Calibration rounds of each slave.
+    pub fn rounds(&self) -> u64 {
+        self.scenario.stations[1].rounds.into()
     }
 
     /// Builds it: the master starts at once, the others within 10 ms.
     pub fn build(&self) -> Lab {
         let mut lab = self.build_without_slaves();
-        let mut random = Random::new(self.seed ^ 0x57a7);
+        let mut random = Random::new(self.scenario.seed ^ 0x57a7);
         for _ in 1..self.stations() {
-            lab.add_next(random.below(10_000_000));
+            lab.add_next(lab.network.now() + random.below(10_000_000));
         }
         lab
     }
 
     /// Builds it with the master alone; [`Lab::add_next`] adds the others.
     pub fn build_without_slaves(&self) -> Lab {
-        let mut random = Random::new(self.seed);
-        let drift = |i: usize| self.drift_ppb.get(i).or(self.drift_ppb.last()).copied().unwrap_or(0);
-        let clocks: Vec<EmulatedClock> = (0..self.stations())
-            .map(|i| {
-                let offset = Span::from_nanos(random.between(0, 999_999_999));
-                EmulatedClock { anchor: 0, offset, drift_ppb: drift(i) }
-            })
-            .collect();
-        let judge = Rc::new(RefCell::new(Judge::new(Layout {
-            cycle: self.cycle,
-            sync_window: self.sync_window,
-            slot: self.slot,
-            tolerance: self.tolerance,
-            offsets: self.offsets.clone(),
-            addresses: (0..self.stations()).map(|id| self.address(id)).collect(),
-            clock: clocks[0],
-            epoch: if self.peers.contains(&0) { Offset::default() } else { epoch() },
-        })));
-        let mut network = Network::new(self.medium, self.seed);
+        let clocks: Vec<EmulatedClock> = (0..self.stations()).map(|id| self.clock(id)).collect();
+        let judge = Rc::new(RefCell::new(Judge::new(self.layout(clocks[0]))));
+        let mut network = Network::new(self.medium, self.scenario.seed);
+        network.run_until(UPTIME);
         let watching = judge.clone();
         network.observe(move |aired| watching.borrow_mut().see(aired));
         let plan = self.clone();
         let mut lab = Lab { plan, network, clocks, events: Vec::new(), tallies: Vec::new(), judge };
-        lab.add_next(0);
+        lab.add_next(UPTIME);
         lab
+    }
+
+    /// A station's clock.
+    pub fn clock(&self, id: StationId) -> EmulatedClock {
+        let station = &self.scenario.stations[id];
+        let (offset, drift_ppb) = (station.clock_offset, station.clock_drift_ppb);
+        EmulatedClock { anchor: UPTIME, offset, drift_ppb }
+    }
+
+    fn layout(&self, master: EmulatedClock) -> Layout {
+        let Scenario { cycle, sync_window, rate, guard, stations, .. } = &self.scenario;
+        Layout {
+            cycle: *cycle,
+            sync_window: *sync_window,
+            slot: rate.air_time(stations[0].payload + HEADER_LEN) + *guard,
+            tolerance: self.tolerance,
+            offsets: stations.iter().map(|station| station.slots[0].offset).collect(),
+            addresses: (0..self.stations()).map(|id| self.address(id)).collect(),
+            clock: master,
+            epoch: if self.peers.contains(&0) { Offset::default() } else { epoch() },
+        }
     }
 }
 
@@ -165,7 +174,7 @@ impl Lab {
     /// Adds the next station of the plan, to start at true time `at`.
     pub fn add_next(&mut self, at: u64) -> StationId {
         let id = self.tallies.len();
-        let role = (id == 0).then_some(self.plan.cycle);
+        let role = (id == 0).then_some(self.plan.cycle());
         self.add(id, role, at)
     }
 
@@ -173,9 +182,9 @@ impl Lab {
     /// master.
     pub fn add(&mut self, id: StationId, master: Option<Span>, at: u64) -> StationId {
         let plan = &self.plan;
-        let to = plan.address((id + 1) % plan.stations());
-        let traffic =
-            TestTraffic { payload: plan.payload, ..TestTraffic::new(id as u16, plan.address(id), to) };
+        let (to, payload) = (plan.scenario.receiver(id), plan.scenario.stations[id].payload);
+        let traffic = TestTraffic::new(id as u16, plan.address(id), plan.address(to));
+        let traffic = TestTraffic { payload, ..traffic };
         self.tallies.push(traffic.tally.clone());
         let discipline = if plan.peers.contains(&id) { plan.peer(id, master) } else { plan.ours(id, master) };
         let station = Station::new(discipline, vec![Box::new(traffic)]);
@@ -185,7 +194,7 @@ impl Lab {
 
     /// Lets so many cycles of true time pass, and takes the events.
     pub fn run_cycles(&mut self, cycles: u64) {
-        let cycle = self.plan.cycle.nanos() as u64;
+        let cycle = self.plan.cycle().nanos() as u64;
         let end = self.network.now() + cycles * cycle;
         while self.network.now() < end {
             self.network.run_until(end.min(self.network.now() + 100 * cycle));
@@ -204,7 +213,7 @@ impl Lab {
         for _ in 0..100 {
             self.run_cycles(100);
             if all(self) {
-                let almost_a_cycle = self.plan.cycle.nanos() as u64 * 9 / 10;
+                let almost_a_cycle = self.plan.cycle().nanos() as u64 * 9 / 10;
                 return self.network.run_until(self.network.now() + almost_a_cycle);
             }
         }
@@ -251,46 +260,50 @@ impl Lab {
 }
 
 impl Plan {
+    /// As `rtnet station` is told by a lab.
     fn ours(&self, id: StationId, master: Option<Span>) -> Mixed {
-        let slot = SlotConfig {
-            id: 0,
-            offset: self.offsets[id],
-            phase: 0,
-            period: 1,
-            size: self.payload,
-            latest: self.latest,
-        };
+        let scenario = &self.scenario;
+        let slots = scenario.stations[id].slots.iter().map(|slot| scenario.slot_config(slot));
+        let rounds = scenario.stations[id].rounds;
+        let step_limit = Some(schedule::clock_share(scenario.guard));
         let role = match master {
             Some(cycle) => RoleConfig::Master(MasterConfig {
                 cycle,
-                sync_latest: self.sync_window / 2,
-                reply_latest: self.latest,
+                sync_latest: sync_latest(scenario.sync_window),
+                reply_latest: scenario.latest(),
                 epoch: epoch(),
                 resume: None,
             }),
-            None => RoleConfig::Slave(SlaveConfig { rounds: self.rounds, step_limit: None }),
+            None => RoleConfig::Slave(SlaveConfig { rounds, step_limit }),
         };
         let tdma = Tdma::new(&TdmaConfig {
             address: self.address(id),
             role,
-            slots: vec![slot],
+            slots: slots.collect(),
             max_slot_id: DEFAULT_MAX_SLOT_ID,
             lead: DEFAULT_LEAD,
-            late: LatePolicy::Skip,
+            late: scenario.late,
         });
         Mixed::Ours(Box::new(tdma.expect("the plan is sound")))
     }
 
     fn peer(&self, id: StationId, master: Option<Span>) -> Mixed {
-        let slot = PeerSlot { id: 0, offset: self.offsets[id], phase: 0, period: 1, size: self.payload };
+        let StationPlan { rounds, slots, .. } = &self.scenario.stations[id];
+        let backup = self.backup.filter(|(backup, _)| *backup == id).map(|(_, after)| after);
         Mixed::Peer(Box::new(Peer::new(PeerConfig {
             address: self.address(id),
-            master,
-            rounds: self.rounds,
-            slots: vec![slot],
+            master: master.or(backup.map(|_| self.cycle())),
+            backup,
+            rounds: *rounds,
+            slots: slots.iter().map(peer_slot).collect(),
             lead: DEFAULT_LEAD,
         })))
     }
+}
+
+fn peer_slot(slot: &SlotPlan) -> PeerSlot {
+    let &SlotPlan { id, offset, phase, period, size } = slot;
+    PeerSlot { id, offset, phase, period, size }
 }
 
 fn epoch() -> Offset {

@@ -16,8 +16,21 @@ use rtnet::discipline::{Channel, Opportunity, Outlet, Service};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant};
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header, MIN_FRAME};
+use tools::station::traffic::{Traffic, TrafficCounts, TrafficPlan};
 
 const FIELDS_END: usize = 30;
+
+/// The traffic of a lab's stations, 64 bytes a frame: station `station` sends to the next address, and checks what
+/// `from` sends.
+pub fn of_a_lab(
+    (station, source): (u16, Address),
+    destination: Address,
+    from: u16,
+    counts: Arc<TrafficCounts>,
+) -> Traffic {
+    let plan = TrafficPlan { station, source, destination, from, payload: 64, from_payload: 64, first: 0 };
+    Traffic::new(plan, counts)
+}
 
 /// Sends to one station, and counts what it hears.
 pub struct TestTraffic {

@@ -11,6 +11,9 @@ pub struct PeerConfig {
     pub address: Address,
     /// The cycle, for a master; a slave follows.
     pub master: Option<Span>,
+    /// For a backup master: how long after a cycle's start it looks whether there was a Synchronisation. Its own
+    /// slots must lie behind.
+    pub backup: Option<Span>,
     /// Calibration rounds.
     pub rounds: u32,
     /// Its slots; the first is the one it calibrates in.

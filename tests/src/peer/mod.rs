@@ -1,5 +1,5 @@
 //! The peer: an independent TDMA station, written from the description of real RTnet stations
-//! (sections 2.3 to 2.8 of the protocol reference) and from nothing of ours but the two hooks.
+//! (sections 2.3 to 2.9 of the protocol reference) and from nothing of ours but the two hooks.
 //!
 //! Its habits are theirs, not ours: every Synchronisation is taken as it is; a slot whose instant has
 //! passed is sent at once; a lost calibration frame is never repeated; the delay is the mean; short
@@ -9,12 +9,19 @@
 //!        ┌──────────────── lap over ────────────────┐
 //!        ▼                                          │
 //!   wait for the pulse of a Synchronisation,  ──► request ──► slots and replies by offset
-//!   or (master) sleep until it is to be sent
+//!   or (master) sleep until it is to be sent,
+//!   or (backup) until it should have been
 //! ```
+//!
+//! A master that hears another follows it, calibrates in its first slot as a slave does, and from the next cycle
+//! on sends Synchronisations itself on the line that it has inherited; a backup stands by.
 //!
 //! A Synchronisation that arrives during a lap moves the clock, but its pulse is not remembered.
 
+mod backup;
+mod calibration;
 mod config;
+mod status;
 mod wire;
 mod worker;
 
@@ -28,7 +35,10 @@ use rtnet::queue::{Priority, PriorityQueue};
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header};
 
+use backup::Watch;
+use calibration::Samples;
 pub use config::{PeerConfig, PeerSlot};
+pub use status::PeerStatus;
 use wire::Tdma;
 use worker::{Job, Worker};
 
@@ -50,28 +60,12 @@ pub struct Peer {
     master: Address,
     delay: Option<Span>,
     samples: Samples,
+    watch: Option<Watch>,
     worker: Worker,
     queues: Vec<PriorityQueue<Buf>>,
     pool: Pool,
     pending: Option<(Job, Priority)>,
     counts: PeerStatus,
-}
-
-/// What a peer counts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PeerStatus {
-    /// The measured delay, once there is one; 0 for a master that started alone.
-    pub delay: Option<Span>,
-    /// Synchronisations sent.
-    pub syncs_sent: u64,
-    /// Calibration requests sent.
-    pub requests_sent: u64,
-    /// Calibration replies sent.
-    pub replies_sent: u64,
-    /// Data frames sent.
-    pub frames_sent: u64,
-    /// Replies discarded because their cycle had passed.
-    pub replies_discarded: u64,
 }
 
 /// Overwritten by every Synchronisation, without any doubt.
@@ -86,18 +80,10 @@ struct Clock {
 enum StartUp {
     Attached,
     Listening(Instant),
-    /// A master that sends Synchronisations.
-    Sending,
-    /// A slave, or a master that heard another.
+    /// A master that sends Synchronisations, or a backup that would.
+    InCharge,
+    /// A slave, or a master that heard another and is not calibrated yet.
     Following,
-}
-
-#[derive(Default)]
-struct Samples {
-    sum: i64,
-    taken: u32,
-    /// A request is on its way, for ever if need be.
-    waiting: bool,
 }
 
 impl Peer {
@@ -110,6 +96,7 @@ impl Peer {
             master: Address::BROADCAST,
             delay: (following && config.rounds == 0).then_some(Span::ZERO),
             samples: Samples::default(),
+            watch: config.backup.map(Watch::new),
             worker: Worker::new(),
             queues: config.slots.iter().map(|_| PriorityQueue::new(16)).collect(),
             pool: Pool::new(4),
@@ -128,6 +115,9 @@ impl Peer {
         let offset = Offset::between(rx, GlobalTime::from_nanos(xmit) + delay);
         self.clock = Some(Clock { cycle, start: offset.local(GlobalTime::from_nanos(sched)), offset });
         self.master = from;
+        if let Some(watch) = &mut self.watch {
+            watch.hear();
+        }
         if matches!(self.start_up, StartUp::Attached | StartUp::Listening(_)) {
             self.start_up = StartUp::Following;
         }
@@ -138,7 +128,7 @@ impl Peer {
 
     fn on_request(&mut self, rx: Instant, from: Address, request: Tdma) -> Result<(), Refusal> {
         let Tdma::Request { xmit, reply_cycle, reply_offset } = request else { return Ok(()) };
-        if self.start_up != StartUp::Sending {
+        if self.start_up != StartUp::InCharge {
             return Err(Refusal::NotMaster);
         }
         if self.worker.pending_replies() == MAX_REQUESTS {
@@ -150,25 +140,30 @@ impl Peer {
     }
 
     fn on_reply(&mut self, rx: Instant, request_xmit: u64, reception: u64, xmit: u64) -> Result<(), Refusal> {
-        if !core::mem::take(&mut self.samples.waiting) {
-            return Err(Refusal::UnexpectedReply);
-        }
-        let round_trip = rx.nanos().wrapping_sub(request_xmit);
-        let twice = round_trip.wrapping_sub(xmit.wrapping_sub(reception));
-        self.samples.sum += (twice.wrapping_add(1) >> 1) as i64;
-        self.samples.taken += 1;
-        if self.samples.taken >= self.config.rounds {
-            self.delay = Some(Span::from_nanos(self.samples.sum / i64::from(self.samples.taken)));
+        self.delay = self.samples.reply(rx, request_xmit, reception, xmit, self.config.rounds)?;
+        if self.calibrated() && self.config.master.is_some() {
+            self.take_charge();
         }
         Ok(())
+    }
+
+    /// From the next cycle on this master sends Synchronisations, or looks whether somebody does. What was heard
+    /// before tells nothing of that.
+    fn take_charge(&mut self) {
+        self.start_up = StartUp::InCharge;
+        self.watch = self.config.backup.map(Watch::new);
+        self.end_lap();
     }
 
     /// The job the worker sleeps for, and its instant by the clock as it is now.
     fn job(&self) -> Option<(Job, Instant)> {
         let clock = self.clock?;
         if self.worker.is_waiting() {
-            let cycle = self.config.master.filter(|_| self.start_up == StartUp::Sending)?;
-            return Some((Job::Sync, clock.start + cycle));
+            let cycle = self.config.master.filter(|_| self.start_up == StartUp::InCharge)?;
+            return Some(match &self.watch {
+                None => (Job::Sync, clock.start + cycle),
+                Some(watch) => (Job::Look, watch.at()),
+            });
         }
         let slots = if self.calibrated() { &self.config.slots[..] } else { &[] };
         let asks = !self.calibrated() && !self.samples.waiting;
@@ -179,7 +174,12 @@ impl Peer {
 
     /// The job, if it is time to choose its frame.
     fn due(&self, now: Instant) -> Option<(Job, Instant)> {
-        self.job().filter(|(_, at)| *at - self.config.lead <= now)
+        self.job().filter(|(job, at)| self.wake(*job, *at) <= now)
+    }
+
+    /// A frame is chosen before its instant, but what has not been heard by then only a look at it tells.
+    fn wake(&self, job: Job, at: Instant) -> Instant {
+        if job == Job::Look { at } else { at - self.config.lead }
     }
 
     fn begin_lap(&mut self, cycle: u32) {
@@ -190,7 +190,14 @@ impl Peer {
     /// Only a worker that waits notices the pulse of a Synchronisation.
     fn end_lap_if_over(&mut self) {
         if self.job().is_none() {
-            self.worker.end_lap();
+            self.end_lap();
+        }
+    }
+
+    fn end_lap(&mut self) {
+        self.worker.end_lap();
+        if let (Some(watch), Some(clock), Some(cycle)) = (&mut self.watch, &self.clock, self.config.master) {
+            watch.sleep(clock.start + cycle);
         }
     }
 
@@ -234,7 +241,7 @@ impl Peer {
                 let tdma = Tdma::Reply { request_xmit, reception, xmit: 0 };
                 Some((tdma, reply.to, Stamp { at_byte: wire::REPLY_STAMP, add: 0 }))
             }
-            Job::Slot(_) => None,
+            Job::Slot(_) | Job::Look => None,
         }
     }
 
@@ -277,9 +284,9 @@ impl Discipline for Peer {
                 self.start_up = StartUp::Listening(now + (cycle * 3).max(Span::from_millis(3)));
             }
             StartUp::Listening(until) if now >= until => {
-                self.start_up = StartUp::Sending;
                 self.delay = Some(Span::ZERO);
                 self.clock = Some(Clock { cycle: 0, start: now, offset: Offset::default() });
+                self.take_charge();
             }
             _ => {}
         }
@@ -293,7 +300,14 @@ impl Discipline for Peer {
     }
 
     fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
-        let (job, at) = self.due(now)?;
+        let (mut job, at) = self.due(now)?;
+        if job == Job::Look {
+            if self.watch.as_mut().is_some_and(Watch::look) {
+                self.begin_lap(self.clock?.cycle);
+                return None;
+            }
+            job = Job::Sync;
+        }
         let built = self.build(job, at);
         match job {
             Job::Sync => self.begin_lap(self.clock?.cycle),
@@ -345,7 +359,7 @@ impl Discipline for Peer {
         match self.start_up {
             StartUp::Attached => Some(Instant::default()),
             StartUp::Listening(until) => Some(until),
-            _ => self.job().map(|(_, at)| at - self.config.lead),
+            _ => self.job().map(|(job, at)| self.wake(job, at)),
         }
     }
 

@@ -10,6 +10,8 @@ use super::PeerSlot;
 pub enum Job {
     /// The Synchronisation of the next cycle.
     Sync,
+    /// A backup's look whether somebody else has sent it.
+    Look,
     /// A calibration request.
     Request,
     /// A calibration reply.
@@ -101,7 +103,7 @@ impl Worker {
     /// The job is done, or there was nothing to send.
     pub fn pass(&mut self, job: &Job, slots: &[PeerSlot]) {
         let place = match job {
-            Job::Sync => Place::Sync,
+            Job::Sync | Job::Look => Place::Sync,
             Job::Request => Place::Request,
             Job::Reply(reply) => {
                 if let Some(i) = self.replies.iter().position(|waiting| waiting == reply) {

@@ -70,9 +70,8 @@ pub enum Report {
         /// What the host refused it.
         refused: Vec<String>,
     },
-    /// What happened: cycle, slot, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was
-    /// missed by it, why (its place in [`Cause::ALL`]).
-    Events(Vec<(u32, Option<u8>, u8, i64, Option<u8>)>),
+    /// What happened.
+    Events(Vec<EventTold>),
     /// Estimates of global time: CLOCK_MONOTONIC, estimate.
     Times(Vec<(u64, u64)>),
     /// Where it stands.
@@ -80,6 +79,10 @@ pub enum Report {
     /// It cannot go on.
     Failed(String),
 }
+
+/// Cycle, slot, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was missed by it, why
+/// (its place in [`Cause::ALL`]).
+pub type EventTold = (u32, Option<u8>, u8, i64, Option<u8>);
 
 /// Where a station stands.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]

@@ -2,14 +2,17 @@
 //!
 //! ```text
 //! 0          14        16     17      18      22         30          38
-//! +----------+---------+------+-------+-------+----------+-----------+---------------------+
-//! | Ethernet | station | slot | 0     | cycle | sequence | scheduled | pattern, byte i is  |
-//! | 0x88B5   |         |      |       |       |          | global, ns| sequence+31*station+i|
-//! +----------+---------+------+-------+-------+----------+-----------+---------------------+
+//! +----------+---------+------+-------+-------+----------+-----------+------+--------+--------+-----
+//! | Ethernet | station | slot | 0     | cycle | sequence | scheduled | seed | seed+1 | seed+2 | ...
+//! | 0x88B5   |         |      |       |       |          | global, ns|      |        |        |
+//! +----------+---------+------+-------+-------+----------+-----------+------+--------+--------+-----
+//!  \___________________________ head ________________________________/ \________ pattern _________/
 //! ```
 //!
-//! All fields big-endian. A frame that misses its slot is worthless: the next slot gets a fresh one, and
-//! the gap in the sequence shows the loss.
+//! All fields big-endian. The pattern is words of eight bytes, the last one cut off where the frame ends. Its
+//! seed is folded from all of the head: whichever byte is changed on the way, head and pattern no longer go
+//! together. A frame that misses its slot is worthless: the next slot gets a fresh one, and the gap in the
+//! sequence shows the loss.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -25,6 +28,9 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 /// Frames being sent or queued at a time: one per slot id.
 const POOL: usize = 8;
+
+/// Bytes in a word of the pattern.
+const WORD: usize = size_of::<u64>();
 
 /// A larger gap in the sequence is not one, but a forged frame: days of frames at 1 ms.
 const MISSING_AT_MOST: u64 = 1 << 30;
@@ -79,12 +85,42 @@ impl Tag {
     pub fn scheduled(&self) -> GlobalTime {
         GlobalTime::from_nanos(self.scheduled.get())
     }
+}
 
-    fn pattern(&self, i: usize) -> u8 {
-        (self.sequence.get() as u8)
-            .wrapping_add((self.station() as u8).wrapping_mul(31))
-            .wrapping_add(i as u8)
-    }
+/// Bytes before the pattern.
+const HEAD: usize = ethernet::HEADER_LEN + size_of::<Tag>();
+/// 2^64 divided by the golden ratio: odd, so that multiplying by it can be undone, and its bits are well mixed.
+const FACTOR: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// Where the pattern of a frame with this head begins: from 0 on, `seed = (seed ^ word) * FACTOR` with its halves
+/// exchanged, for every word of the head, the last one filled up with zeros. Each step can be undone: two heads
+/// that differ in one word never have one seed.
+fn seed(head: &[u8]) -> u64 {
+    let (words, rest) = head.as_chunks();
+    let mut last = [0; WORD];
+    last[..rest.len()].copy_from_slice(rest);
+    let step = |seed: u64, word: &[u8; WORD]| {
+        (seed ^ u64::from_be_bytes(*word)).wrapping_mul(FACTOR).rotate_left(32)
+    };
+    words.iter().chain([&last]).fold(0, step)
+}
+
+/// A word of the pattern. The head decides all of them: 30 ns for a small frame, 0.3 us for the largest.
+fn word(seed: u64, i: usize) -> [u8; WORD] {
+    seed.wrapping_add(i as u64).to_be_bytes()
+}
+
+fn write_pattern(seed: u64, pattern: &mut [u8]) {
+    let (words, rest) = pattern.as_chunks_mut();
+    let last = word(seed, words.len());
+    words.iter_mut().enumerate().for_each(|(i, bytes)| *bytes = word(seed, i));
+    rest.copy_from_slice(&last[..rest.len()]);
+}
+
+fn is_pattern(seed: u64, bytes: &[u8]) -> bool {
+    let (words, rest) = bytes.as_chunks();
+    let last = word(seed, words.len());
+    words.iter().enumerate().all(|(i, bytes)| *bytes == word(seed, i)) && *rest == last[..rest.len()]
 }
 
 /// Sends in every slot, and checks what comes from one other station.
@@ -144,20 +180,18 @@ impl Traffic {
         };
         let header = Header::new(destination, source, EtherType::EXPERIMENTAL);
         frame.set_len(ethernet::HEADER_LEN + payload);
-        let (head, rest) = frame.split_at_mut(ethernet::HEADER_LEN);
-        head.copy_from_slice(header.as_bytes());
-        let (front, pattern) = rest.split_at_mut(size_of::<Tag>());
-        front.copy_from_slice(tag.as_bytes());
-        for (i, byte) in pattern.iter_mut().enumerate() {
-            *byte = tag.pattern(i);
-        }
+        let (head, pattern) = frame.split_at_mut(HEAD);
+        head[..ethernet::HEADER_LEN].copy_from_slice(header.as_bytes());
+        head[ethernet::HEADER_LEN..].copy_from_slice(tag.as_bytes());
+        write_pattern(seed(head), pattern);
     }
 
     fn check(&mut self, frame: &[u8]) -> Option<()> {
-        let (tag, pattern) = Tag::read(frame)?;
+        let (tag, _) = Tag::read(frame)?;
         let TrafficPlan { from, source, from_payload, .. } = self.plan;
         let (header, payload) = Header::parse(frame)?;
-        let intact = pattern.iter().enumerate().all(|(i, &byte)| byte == tag.pattern(i));
+        let (head, pattern) = frame.split_at_checked(HEAD)?;
+        let intact = is_pattern(seed(head), pattern);
         let expected = tag.station() == usize::from(from) && header.destination == source;
         (intact && expected && payload.len() == from_payload).then_some(())?;
         let sequence = tag.sequence.get();
@@ -249,6 +283,35 @@ mod tests {
         let mut own = sent(&mut a, 4);
         own[0] = 0xff;
         assert_eq!(b.on_frame(None, own), Err(Refusal::BadPayload), "to somebody else");
+    }
+
+    #[test]
+    fn a_frame_with_any_one_byte_changed_is_refused() {
+        let (mut a, mut b, counts) = pair();
+        let genuine = sent(&mut a, 0x0102_0304);
+        for at in 0..genuine.len() {
+            for change in 1..=u8::MAX {
+                let mut changed = b.pool.take().unwrap();
+                changed.fill(&genuine);
+                changed[at] ^= change;
+                assert_eq!(b.on_frame(None, changed), Err(Refusal::BadPayload), "byte {at} ^ {change:#x}");
+            }
+        }
+        assert_eq!(counts.received.load(Ordering::Relaxed), 0);
+        assert_eq!(b.on_frame(None, genuine), Ok(()), "and none of them has left a trace");
+    }
+
+    #[test]
+    fn bytes_that_change_places_are_noticed_wherever_they_are() {
+        let (mut a, mut b, _) = pair();
+        let genuine = sent(&mut a, 0x0102_0304);
+        for (one, other) in (0..genuine.len()).flat_map(|one| (0..one).map(move |other| (one, other))) {
+            let mut changed = b.pool.take().unwrap();
+            changed.fill(&genuine);
+            changed.swap(one, other);
+            let same = genuine[one] == genuine[other];
+            assert!(same || b.on_frame(None, changed).is_err(), "bytes {one} and {other}");
+        }
     }
 
     #[test]

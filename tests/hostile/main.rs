@@ -1,9 +1,14 @@
 //! Malformed, truncated and hostile frames: counted, never a panic, never a transmission.
 //!
-//! Each is thrown at a slave that waits, a slave that is locked, a master that listens and a master that
-//! is active, in the scenario of the example frames, so that what they say is as plausible as can be.
-//! What the station then sends is compared with what it sends without that frame.
+//! Each is thrown at a slave in each of its states, a master that listens and a master that is active, in the
+//! scenario of the example frames, so that what they say is as plausible as can be. What the station then sends
+//! is compared with what it sends without that frame.
 
+mod calibration;
+mod frames;
+mod traffic;
+
+use frames::hostile_frame;
 use proptest::prelude::*;
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
@@ -28,6 +33,11 @@ const CYCLE: Span = Span::from_millis(1);
 const HOSTILE: u32 = 100;
 const LAST: u32 = 104;
 
+/// When the hostile frame arrives.
+fn moment() -> Instant {
+    start(HOSTILE) + Span::from_micros(3)
+}
+
 /// Global time of a cycle's start in the scenario of the example frames; also the stations' own clock.
 fn start(cycle: u32) -> Instant {
     Instant::from_nanos(1_000_000_000_000) + CYCLE * i64::from(cycle)
@@ -36,27 +46,59 @@ fn start(cycle: u32) -> Instant {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Victim {
     Waiting,
+    /// It has asked once, and awaits the reply.
+    Calibrating,
     Locked,
+    /// One Synchronisation is missing so far; its cycle was bridged.
+    Holdover,
+    /// Three are.
+    Lost,
     Listening,
     Active,
 }
 
-const VICTIMS: [Victim; 4] = [Victim::Waiting, Victim::Locked, Victim::Listening, Victim::Active];
+const VICTIMS: [Victim; 7] = [
+    Victim::Waiting,
+    Victim::Calibrating,
+    Victim::Locked,
+    Victim::Holdover,
+    Victim::Lost,
+    Victim::Listening,
+    Victim::Active,
+];
+/// Calibration rounds of one that calibrates: more than one lie is needed.
+const ROUNDS: u32 = 3;
 
 type Sent = Vec<(Instant, Vec<u8>)>;
 
 impl Victim {
     fn address(self) -> Address {
-        if matches!(self, Victim::Waiting | Victim::Locked) { SLAVE } else { MASTER }
+        if matches!(self, Victim::Listening | Victim::Active) { MASTER } else { SLAVE }
+    }
+
+    /// Cycles whose Synchronisations it has heard.
+    fn heard(self) -> core::ops::Range<u32> {
+        match self {
+            Victim::Calibrating | Victim::Locked => HOSTILE - 3..HOSTILE,
+            Victim::Holdover => HOSTILE - 4..HOSTILE - 1,
+            Victim::Lost => HOSTILE - 6..HOSTILE - 3,
+            Victim::Waiting | Victim::Listening | Victim::Active => 0..0,
+        }
+    }
+
+    /// Whether it goes on hearing its master.
+    fn hears_on(self) -> bool {
+        matches!(self, Victim::Calibrating | Victim::Locked)
     }
 
     /// The station just before the hostile frame, with a frame to send in every slot.
     fn set_up(self) -> Bench<Tdma> {
         let latest = Span::from_micros(50);
         let role = match self {
-            Victim::Waiting | Victim::Locked => {
+            Victim::Waiting | Victim::Locked | Victim::Holdover | Victim::Lost => {
                 RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None })
             }
+            Victim::Calibrating => RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, step_limit: None }),
             Victim::Listening | Victim::Active => RoleConfig::Master(MasterConfig {
                 cycle: CYCLE,
                 sync_latest: latest,
@@ -79,20 +121,26 @@ impl Victim {
         // A master's cycle 0 begins after three of silence.
         let begin = if self == Victim::Active { start(0) - CYCLE * 3 } else { start(HOSTILE - 1) };
         let mut bench = Bench::new(station, begin);
-        if self == Victim::Locked {
-            (HOSTILE - 3..HOSTILE).for_each(|cycle| genuine_sync(&mut bench, cycle));
-        }
+        self.heard().for_each(|cycle| genuine_sync(&mut bench, cycle));
         bench.advance(start(HOSTILE));
         bench.sent.clear();
         bench
     }
 
-    /// What it does from then on; a locked slave goes on hearing its master.
+    /// What it does from then on.
     fn carry_on(self, bench: &mut Bench<Tdma>) {
-        if self == Victim::Locked {
+        if self.hears_on() {
             (HOSTILE..=LAST).for_each(|cycle| genuine_sync(bench, cycle));
         }
         bench.advance(start(LAST + 1));
+    }
+
+    /// Whether a frame is of the one kind that this slave sends.
+    fn may_send(self, frame: &[u8]) -> bool {
+        match self {
+            Victim::Calibrating => matches!(message(frame), Some(Message::Request { .. })),
+            _ => is_test_traffic(frame),
+        }
     }
 
     fn undisturbed(self) -> Sent {
@@ -129,7 +177,7 @@ fn is_test_traffic(frame: &[u8]) -> bool {
 fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
     let mut bench = victim.set_up();
     let before = bench.station.refusals().total();
-    bench.frame(start(HOSTILE) + Span::from_micros(3), frame);
+    bench.frame(moment(), frame);
     let refused = bench.station.refusals().total() - before;
     victim.carry_on(&mut bench);
 
@@ -145,18 +193,26 @@ fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
     let (replies, others): (Sent, Sent) = bench.sent.into_iter().partition(|(_, sent)| is_reply(sent));
     assert!(replies.len() <= expected_replies, "{}", what());
     check_replies(&replies, frame, message);
+    let is_sync = matches!(message, Message::Sync { .. });
     match victim {
         Victim::Waiting => assert_eq!(others, [], "{}", what()),
         Victim::Active => assert_eq!(others, *undisturbed, "{}", what()),
+        // A reply that it accepts is one sample of several, and no cause to send anything else.
+        _ if !is_sync && victim != Victim::Listening => assert_eq!(others, *undisturbed, "{}", what()),
         // It makes way, or takes no notice.
         Victim::Listening => assert!(others.is_empty() || others == *undisturbed, "{}", what()),
-        Victim::Locked if refused == 1 => {
+        _ if refused == 1 => {
             assert!(others.iter().all(|sent| undisturbed.contains(sent)), "{}", what());
         }
-        // A forged Synchronisation that cannot be told from the master's may move its slots a little.
-        Victim::Locked => {
+        // A forged Synchronisation that cannot be told from the master's may move its slots a little, and where the
+        // master is not heard it is one: its cycle may be the next, and the cycle after it is bridged.
+        Victim::Calibrating | Victim::Locked => {
             assert!(others.len() <= undisturbed.len(), "{}", what());
-            assert!(others.iter().all(|(_, sent)| is_test_traffic(sent)), "{}", what());
+            assert!(others.iter().all(|(_, sent)| victim.may_send(sent)), "{}", what());
+        }
+        Victim::Holdover | Victim::Lost => {
+            assert!(others.len() <= undisturbed.len() + 2, "{}", what());
+            assert!(others.iter().all(|(_, sent)| victim.may_send(sent)), "{}", what());
         }
     }
 }
@@ -182,11 +238,16 @@ fn undisturbed_stations_do_what_the_comparison_takes_for_granted() {
     let cycles = (LAST - HOSTILE + 1) as usize;
     assert_eq!(Victim::Waiting.undisturbed(), []);
     assert_eq!(Victim::Locked.undisturbed().len(), cycles);
+    // It has asked in the cycle before, and asks in every other one: between them it is silent for the reply.
+    let asked = Victim::Calibrating.undisturbed();
+    assert_eq!(asked.len(), cycles / 2);
+    assert!(asked.iter().all(|(_, sent)| Victim::Calibrating.may_send(sent)));
+    assert_eq!((Victim::Holdover.undisturbed(), Victim::Lost.undisturbed()), (vec![], vec![]));
     assert_eq!(Victim::Active.undisturbed().len(), 2 * cycles, "a Synchronisation and a frame each");
     assert!(!Victim::Listening.undisturbed().is_empty());
     let states = VICTIMS.map(|victim| victim.set_up().station.discipline().time().state);
-    use SyncState::{Locked, Waiting};
-    assert_eq!(states, [Waiting, Locked, Waiting, Locked]);
+    use SyncState::{Calibrating, Holdover, Locked, Lost, Waiting};
+    assert_eq!(states, [Waiting, Calibrating, Locked, Holdover, Lost, Waiting, Locked]);
 }
 
 #[test]
@@ -272,42 +333,6 @@ fn a_frame_whose_stamp_was_lost_is_counted_and_tells_nothing() {
             assert_eq!(bench.station.discipline().time(), before.1);
         }
     }
-}
-
-/// Bytes of any kind, from pure noise to forged messages with plausible fields.
-fn hostile_frame() -> impl Strategy<Value = Vec<u8>> {
-    let noise = prop::collection::vec(any::<u8>(), 0..200);
-    let rtmac = (any::<bool>(), prop::collection::vec(any::<u8>(), 0..60)).prop_map(|(to_slave, rest)| {
-        let to = if to_slave { SLAVE } else { MASTER };
-        let head = [0x90, 0x21, 0, 1, 2, 0, 2, 1, 0];
-        [&to.0[..], &MASTER.0[..], &head[..], &rest[..]].concat()
-    });
-    let changed = (0..51usize, prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4));
-    let changed = changed.prop_map(|(number, changes)| {
-        let mut bytes = vectors::vector(number + 1).bytes;
-        let head = bytes.len().min(60);
-        changes.iter().for_each(|(at, byte)| bytes[at.index(head)] = *byte);
-        bytes
-    });
-    let near = -2_000_000i64..4_000_000;
-    let forged = (any::<u8>(), 95u32..110, near.clone(), near, any::<u64>());
-    let forged = forged.prop_map(|(kind, cycle, xmit, sched, wild)| {
-        let global = |ahead| GlobalTime::from_nanos(start(HOSTILE).nanos()) + Span::from_nanos(ahead);
-        let (xmit, sched) = (global(xmit), global(sched));
-        let (message, to) = match kind % 5 {
-            0 => (Message::Sync { cycle, xmit, sched }, Address::BROADCAST),
-            1 => (Message::Sync { cycle: wild as u32, xmit, sched: GlobalTime::from_nanos(wild) }, MASTER),
-            2 => {
-                (Message::Request { xmit: wild, reply_cycle: cycle, reply_offset: wild % 1_200_000 }, MASTER)
-            }
-            3 => (Message::Request { xmit: 0, reply_cycle: wild as u32, reply_offset: wild }, MASTER),
-            _ => (Message::Reply { request_xmit: wild, reception: xmit.nanos(), xmit: sched.nanos() }, SLAVE),
-        };
-        let mut frame = Pool::new(1).take().expect("a new pool is full");
-        message.write(to, Address([2, 0, 0, 0, 0, 0x66]), &mut frame);
-        frame.to_vec()
-    });
-    prop_oneof![noise, rtmac, changed, forged]
 }
 
 proptest! {

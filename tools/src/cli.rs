@@ -35,6 +35,12 @@ pub enum Verb {
     /// Exit status: 0 it was measured, whatever the verdict; 2 bad usage.
     Doctor(DoctorArgs),
     /// Run one station in the foreground, on any Ethernet interface
+    ///
+    /// It goes on without a carrier, while the interface is down, and when it is renamed; `rtnet tdma status`
+    /// shows which.
+    ///
+    /// Exit status: 0 it was told to end; 1 it cannot go on: its interface is gone, or another master is
+    /// active; 2 bad usage, no such interface, or no privileges.
     Station(Box<StationArgs>),
     /// Look at a running station, or change its part in the cycle
     Tdma(TdmaArgs),

@@ -175,7 +175,7 @@ impl Member {
                     self.sync_error.record(error.nanos());
                 }
             }
-            Some(Report::Times(_)) => {}
+            Some(Report::Times(_) | Report::Link { .. }) => {}
         }
     }
 

@@ -5,10 +5,12 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
+use nix::sched::{CloneFlags, setns};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 use socket2::Socket;
+use tools::lab::netlink::Netlink;
 
 use crate::as_root;
 use crate::cell::{Cell, STATIONS, status_of, wait_until};
@@ -201,9 +203,9 @@ fn killed_stations_are_seen_at_once_and_come_back_beside_the_others() {
     let mut seen = Vec::new();
     let rounds = stops().div_ceil(16);
     for _ in 0..rounds {
-        for place in 1..STATIONS.len() {
+        for (place, name) in STATIONS.iter().enumerate().skip(1) {
             seen.push(kill_slave(&cell, place));
-            cell.restart(STATIONS[place]);
+            cell.restart(name);
         }
         seen.push(kill_master(&cell));
         seen.push(restart_master(&cell));
@@ -228,4 +230,46 @@ fn killed_stations_are_seen_at_once_and_come_back_beside_the_others() {
         causes["station_down"].as_u64() > Some(0) && causes["sync_lost_or_late"].as_u64() > Some(0),
         "{causes}"
     );
+}
+
+/// What is done to the interface of a station from outside.
+fn to_interface(
+    cell: &Cell,
+    station: &str,
+    act: impl FnOnce(&mut Netlink, u32) -> anyhow::Result<()> + Send,
+) {
+    let namespace = std::fs::File::open(format!("/proc/{}/ns/net", pid(cell, station))).unwrap();
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            setns(&namespace, CloneFlags::CLONE_NEWNET).unwrap();
+            let mut netlink = Netlink::open().unwrap();
+            let interface = netlink.link_index("rt0").unwrap();
+            act(&mut netlink, interface).unwrap();
+        });
+    });
+}
+
+#[test]
+fn a_station_whose_interface_goes_down_or_away_comes_back_beside_the_others() {
+    let test = "a_station_whose_interface_goes_down_or_away_comes_back_beside_the_others";
+    let Some(_alone) = as_root(test) else { return };
+    let cell = Cell::up("wires");
+    wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
+    let state = |place: usize| cell.status()["stations"][place]["state"].as_str().unwrap().to_owned();
+    to_interface(&cell, "slave2", |netlink, interface| netlink.set_down(interface));
+    wait_until("it is seen", || state(2) == "lost, down");
+    assert_eq!(state(1), "locked", "the others go on");
+    to_interface(&cell, "slave2", |netlink, interface| netlink.set_up(interface));
+    wait_until("it is locked again", || state(2) == "locked");
+
+    to_interface(&cell, "slave3", |netlink, interface| netlink.delete_link(interface));
+    wait_until("it cannot go on", || state(3) == "ended");
+    let failed = cell.status()["stations"][3]["failed"].clone();
+    assert!(failed.as_str().unwrap().contains("the interface 'rt0' is gone"), "{failed}");
+    cell.restart("slave3");
+    std::thread::sleep(Duration::from_millis(200));
+    let status = cell.status();
+    assert_eq!(status["unexplained"], 0, "{status:#}");
+    assert!(status["causes"]["no_carrier"].as_u64() > Some(0), "{status:#}");
+    assert!(status["causes"]["station_down"].as_u64() > Some(0), "{status:#}");
 }

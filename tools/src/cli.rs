@@ -43,10 +43,11 @@ pub enum Verb {
     /// Run one station in the foreground, on any Ethernet interface
     ///
     /// It knows only its own slots, and refuses those that overlap each other, or as master its sync window or the
-    /// cycle's end; that they keep clear of other stations' slots is for you to see to.
+    /// cycle's end; that they keep clear of other stations' slots is for you to see to. It goes on without a carrier,
+    /// while the interface is down, and when it is renamed; `rtnet tdma status` shows which.
     ///
-    /// Exit status: 0 it was told to end (Ctrl-C, SIGTERM); 1 it ran, and something was not as it should be, as
-    /// another master on this medium; 2 bad usage, slots that do not go together, a name that is taken, no such
+    /// Exit status: 0 it was told to end (Ctrl-C, SIGTERM); 1 it cannot go on: its interface is gone, or another
+    /// master is active on this medium; 2 bad usage, slots that do not go together, a name that is taken, no such
     /// interface, or no privileges.
     Station(Box<StationArgs>),
     /// Look at a running station, or change its part in the cycle

@@ -65,7 +65,8 @@ pub struct Received {
     pub truncated: bool,
 }
 
-/// Receives a frame into `buf` without blocking; `None` when none waits.
+/// Receives a frame into `buf` without blocking; `None` when none waits. What the kernel has to say to the socket
+/// instead, such as once ENETDOWN, is gone with the call too, so that nobody who waits is woken by it again.
 #[inline]
 pub fn receive(socket: &Socket, buf: &mut Buf) -> Option<Received> {
     let mut room: StampRoom = [0; 8];

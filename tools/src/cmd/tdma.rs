@@ -99,7 +99,8 @@ fn describe(status: &StationStatus) -> String {
             Span::from_nanos(status.deviation_ns)
         );
     }
-    text += &format!("on {} ({}), process {}\n", status.interface, status.address, status.pid);
+    let StationStatus { interface, address, link, pid, .. } = status;
+    text += &format!("on {interface} ({address}, {link}), process {pid}\n");
     if let Some(other) = &standing.yielded_to {
         text += &format!("makes way for the master {other}\n");
     }

@@ -125,10 +125,12 @@ pub struct StationStatus {
     pub name: String,
     /// Its process.
     pub pid: u32,
-    /// The interface it runs on.
+    /// The interface it runs on, by the name that it has now.
     pub interface: String,
     /// That interface's address.
     pub address: String,
+    /// `up`, `no carrier` or `down`: whether frames can pass there.
+    pub link: String,
     /// `master`, `slave` or `detached`.
     pub role: String,
     /// State, cycle, delay, refused frames.
@@ -139,7 +141,7 @@ pub struct StationStatus {
     pub deviation_ns: i64,
     /// Its slots, by id.
     pub slots: Vec<SlotShown>,
-    /// Everything that its discipline counts.
+    /// Everything that its discipline counts, and what became of its interface.
     pub counters: BTreeMap<String, u64>,
     /// What the host refused it.
     pub host: Vec<String>,
@@ -267,7 +269,8 @@ pub struct MemberStatus {
     pub name: String,
     /// `master`, `slave`.
     pub role: String,
-    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`; of its process `stopped`, `restarting`, `ended`.
+    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`; of its process `stopped`, `restarting`, `ended`;
+    /// with `, no carrier` or `, down` behind it if its interface is that.
     pub state: String,
     /// Its process.
     pub pid: u32,

@@ -18,6 +18,7 @@ use crate::control::{
     Server, SlotRequest, check_name, read,
 };
 use crate::scenario::{Scenario, SlotPlan};
+use crate::station::link::Standing;
 
 /// How often what was found is judged: records are told twenty times a second.
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
@@ -280,6 +281,9 @@ impl Keeper {
             _ if self.restarting[station].is_some() => "restarting".into(),
             Member { ended: true, .. } => "ended".into(),
             _ if is_stopped() => "stopped".into(),
+            Member { standing: Some(Standing { link, state, .. }), .. } if link != "up" => {
+                format!("{state}, {link}")
+            }
             _ => member.state().into(),
         }
     }

@@ -195,7 +195,7 @@ impl Member {
                     self.sync_error.record(error.nanos());
                 }
             }
-            Some(Report::Times(_)) => {}
+            Some(Report::Times(_) | Report::Link { .. }) => {}
         }
     }
 

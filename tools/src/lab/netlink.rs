@@ -178,6 +178,37 @@ impl Netlink {
         self.change(&format!("set interface #{index} up"), link)
     }
 
+    /// Sets the interface with this index down; the other end of a veth loses its carrier.
+    ///
+    /// # Errors
+    /// There is no such interface.
+    pub fn set_down(&mut self, index: u32) -> Result<()> {
+        let mut link = link_message(index);
+        link.header.change_mask = LinkFlags::Up;
+        self.change(&format!("set interface #{index} down"), link)
+    }
+
+    /// Gives the interface with this index another name. Kernels before 6.2 want it down for that.
+    ///
+    /// # Errors
+    /// There is no such interface, the name is not one for an interface, or is taken.
+    pub fn rename(&mut self, index: u32, name: &str) -> Result<()> {
+        check_name(name)?;
+        let mut link = link_message(index);
+        link.attributes = vec![LinkAttribute::IfName(name.into())];
+        self.change(&format!("call interface #{index} `{name}`"), link)
+    }
+
+    /// Moves the interface with this index to another namespace, in which it is down.
+    ///
+    /// # Errors
+    /// There is no such interface, or its name is taken there.
+    pub fn move_to(&mut self, index: u32, namespace: BorrowedFd<'_>) -> Result<()> {
+        let mut link = link_message(index);
+        link.attributes = vec![LinkAttribute::NetNsFd(namespace.as_raw_fd())];
+        self.change(&format!("move interface #{index} to another namespace"), link)
+    }
+
     /// Makes the interface with this index a port of the bridge with index `bridge`.
     ///
     /// # Errors

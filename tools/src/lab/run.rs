@@ -25,6 +25,7 @@ use crate::report::figures::Figures;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
+use crate::station::link::Report;
 
 /// The name of a station's interface in its namespace.
 pub const INTERFACE: &str = "rt0";
@@ -320,21 +321,32 @@ impl Lab {
         });
         written?;
         while let Ok((station, report)) = self.told.try_recv() {
-            let has_ended = report.is_none();
+            self.note_absence(station, report.as_ref());
             self.members[station].take(station, report, &mut self.records, &self.master);
-            if has_ended {
-                self.note_end(station);
-            }
         }
         self.note_returns();
         Ok(())
     }
 
-    /// A station's process has ended: what it had to tell of later than this went with it.
-    fn note_end(&mut self, station: usize) {
-        let told_until = self.members[station].standing.as_ref().map_or(monotonic(), |standing| standing.at);
-        if let Some(from) = self.analysis.cycle_at(told_until) {
-            self.records.absences.begin(station, Absence::Down, from);
+    /// A station's wire was cut or mended, or its process has ended: what that had to tell of later than its last
+    /// words went with it.
+    fn note_absence(&mut self, station: usize, report: Option<&Report>) {
+        let (why, from) = match report {
+            Some(&Report::Link { carrier: true, .. }) => {
+                if let Some(now) = self.analysis.cycle_at(monotonic()) {
+                    self.records.absences.end(station, Absence::NoCarrier, now.wrapping_add(1));
+                }
+                return;
+            }
+            Some(&Report::Link { at, carrier: false }) => (Absence::NoCarrier, at),
+            Some(_) => return,
+            None => {
+                let standing = self.members[station].standing.as_ref();
+                (Absence::Down, standing.map_or(monotonic(), |standing| standing.at))
+            }
+        };
+        if let Some(from) = self.analysis.cycle_at(from) {
+            self.records.absences.begin(station, why, from);
         }
     }
 
@@ -367,6 +379,8 @@ impl Lab {
         }
         let process = Process::start(&member.namespace, station, &arguments, self.teller.clone())?;
         member.restart(process);
+        // Of the wire it tells anew.
+        self.note_absence(station, Some(&Report::Link { at: 0, carrier: true }));
         if let Some(now) = self.analysis.cycle_at(monotonic()) {
             self.analysis.await_again(station, now);
         }

@@ -15,10 +15,12 @@ use rtnet::discipline::Cause;
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::{Driver, Errand, Errands, Record, Snapshot};
 use rtnet::time::{GlobalTime, Offset, Span};
+use rtnet::wire::ethernet::Address;
 
 use super::link::Standing;
 use super::misses::Misses;
 use super::traffic::TrafficCounts;
+use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
     Envelope, Reply, Request, RoleRequest, SlotRequest, SlotShown, StationStatus, Traffic, read,
@@ -33,8 +35,8 @@ const LOOK_EVERY: Duration = Duration::from_micros(200);
 /// What the control thread knows of a station, and how it reaches the real-time thread.
 pub struct Desk {
     name: String,
-    interface: String,
     address: String,
+    wire: Wire,
     clock: EmulatedClock,
     /// How long after its begin a slot may still be used, unless a lab says otherwise.
     latest: Span,
@@ -62,15 +64,16 @@ impl Desk {
     pub fn new(
         options: &Options,
         driver: &Driver<Tdma>,
-        address: String,
+        address: Address,
+        wire: Wire,
         counts: Arc<TrafficCounts>,
     ) -> Self {
         let lab = options.lab.as_ref();
         let named = options.name.as_ref().or(lab.map(|lab| &lab.name));
         Self {
             name: named.unwrap_or(&options.interface).clone(),
-            interface: options.interface.clone(),
-            address,
+            address: address.to_string(),
+            wire,
             clock: options.clock(),
             latest: options.latest,
             step_limit: lab.map(|lab| Span::from_nanos(lab.step_limit_ns)),
@@ -92,6 +95,16 @@ impl Desk {
     /// What the host refused.
     pub fn note_host(&mut self, refused: &[String]) {
         self.host = refused.to_vec();
+    }
+
+    /// Looks at the interface: what has become of it since the last time.
+    pub fn look_at_wire(&mut self) -> Vec<Change> {
+        self.wire.look()
+    }
+
+    /// Whether frames could pass at the last look.
+    pub fn link(&self) -> LinkState {
+        self.wire.state()
     }
 
     /// What was recorded since the last time.
@@ -238,14 +251,15 @@ impl Desk {
         Reply::Status(Box::new(StationStatus {
             name: self.name.clone(),
             pid: std::process::id(),
-            interface: self.interface.clone(),
+            interface: self.wire.name().into(),
             address: self.address.clone(),
             role: status.role.name().into(),
-            standing: Standing::of(newest, &self.counts),
+            link: self.link().name().into(),
+            standing: Standing::of(newest, &self.counts, self.link()),
             period_ns: status.period.map(Span::nanos),
             deviation_ns: status.deviation.nanos(),
             slots: status.slots.iter().flatten().map(shown).collect(),
-            counters: counters(status),
+            counters: counters(status, &self.wire),
             host: self.host.clone(),
             misses: self.misses.clone(),
             control: traffic.named(),
@@ -289,9 +303,9 @@ fn shown(slot: &SlotStatus) -> SlotShown {
     }
 }
 
-fn counters(status: &TdmaStatus) -> BTreeMap<String, u64> {
-    let own = status.counters.named();
-    let all = own.into_iter().chain([("calibration_repeats", status.calibration_repeats)]);
+fn counters(status: &TdmaStatus, wire: &Wire) -> BTreeMap<String, u64> {
+    let own = status.counters.named().into_iter().chain(wire.counters());
+    let all = own.chain([("calibration_repeats", status.calibration_repeats)]);
     // A master sends syncs and replies, the others do not: what cannot be is not shown.
     let of_masters = ["syncs_sent", "syncs_skipped", "replies_sent", "replies_late", "replies_given_up"];
     let shown = |name: &str| status.role == RoleName::Master || !of_masters.contains(&name);

@@ -12,6 +12,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use serde::{Deserialize, Serialize};
 
 use super::traffic::TrafficCounts;
+use super::wire::LinkState;
 
 /// What a lab adds to a station's own options.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -76,6 +77,13 @@ pub enum Report {
     Times(Vec<(u64, u64)>),
     /// Where it stands.
     Standing(Box<Standing>),
+    /// Frames can pass at its interface again, or cannot any more.
+    Link {
+        /// When it was last seen to be still otherwise, CLOCK_MONOTONIC.
+        at: u64,
+        /// Whether they can.
+        carrier: bool,
+    },
     /// It cannot go on.
     Failed(String),
 }
@@ -91,6 +99,8 @@ pub struct Standing {
     pub at: u64,
     /// `waiting`, `calibrating`, `locked`, `holdover` or `lost`.
     pub state: String,
+    /// `up`, `no carrier` or `down`: whether frames can pass at its interface.
+    pub link: String,
     /// Whether it is a master.
     pub master: bool,
     /// The last cycle that was told of.
@@ -119,7 +129,7 @@ pub struct Standing {
 
 impl Standing {
     /// A snapshot in a form to be told.
-    pub fn of(snapshot: &Snapshot<TdmaStatus>, traffic: &TrafficCounts) -> Self {
+    pub fn of(snapshot: &Snapshot<TdmaStatus>, traffic: &TrafficCounts, link: LinkState) -> Self {
         let status = &snapshot.status;
         let port = [
             ("port_oversize", snapshot.port.oversize),
@@ -132,6 +142,7 @@ impl Standing {
         Self {
             at: snapshot.at,
             state: status.state.name().into(),
+            link: link.name().into(),
             master: status.role == RoleName::Master,
             cycle: status.cycle,
             delay_ns: status.delay.map(Span::nanos),

@@ -1,16 +1,19 @@
 //! One live station in the foreground: its options, its real-time thread, its control thread.
 
 mod desk;
+mod failures;
 mod halt;
 pub mod link;
 pub mod misses;
 mod own_slots;
 mod teller;
 pub mod traffic;
+mod wire;
 
 use std::io::Read;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -32,12 +35,13 @@ use link::LabOptions;
 pub use own_slots::OwnSlots;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
+use wire::Wire;
 
 /// Part of the sync window in which a Synchronisation may be begun; the rest is for its time on the air.
 const SYNC_LATEST_PARTS: (i64, i64) = (3, 4);
 /// Stack of the real-time thread: locked in memory, so no larger than needed.
 const STACK: usize = 256 * 1024;
-/// How often the control thread looks at what the real-time thread left.
+/// How often the control thread looks at what the real-time thread left, and at the interface.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// What a station is to be.
@@ -109,7 +113,9 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let is_master = matches!(options.tdma.role, RoleConfig::Master(_));
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
     let realtime = RealTime { priority: options.fifo.then_some(priority), cpu: options.cpu };
-    let desk = Desk::new(&options, &driver, interface.address.to_string(), counts.clone());
+    let unseen = || format!("the interface '{}' cannot be looked at", interface.name);
+    let wire = Wire::open(&interface).with_context(unseen)?;
+    let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone());
     let teller = Teller::new(&options, interface.address, guarded);
     Ok(Ready {
         driver,
@@ -130,17 +136,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
 impl Ready {
     /// Runs until told to stop, or until the station cannot go on.
     pub fn run(mut self) -> Result<()> {
-        let (mut driver, realtime) = (self.driver, self.realtime);
-        let (told, refusals) = std::sync::mpsc::channel();
-        let builder = std::thread::Builder::new().name("real-time".into()).stack_size(STACK);
-        let thread = builder.spawn(move || {
-            let mut refused = realtime.apply();
-            refused.extend(drop_capabilities());
-            // The other end waits for exactly this message.
-            let _ = told.send(refused);
-            driver.run();
-        })?;
-        let mut refused = refusals.recv().context("the real-time thread did not start")?;
+        let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
         // What this thread may still do is what those that it starts may do.
         drop_capabilities();
@@ -159,11 +155,12 @@ impl Ready {
                 continue;
             }
             told = Instant::now();
-            let newest = self.desk.news();
+            let changes = self.desk.look_at_wire();
+            let (newest, link) = (self.desk.news(), self.desk.link());
             // Who was made a master by command stays, and says whom it makes way for.
-            if let Some(why) =
-                self.teller.tell(self.desk.records(), newest, &self.counts)?.filter(|_| self.is_master)
-            {
+            let yielded =
+                self.teller.tell(self.desk.records(), newest, &self.counts, link)?.filter(|_| self.is_master);
+            if let Some(why) = self.teller.tell_of_wire(&changes)?.or(yielded) {
                 self.stop.store(true, Ordering::Relaxed);
                 bail!(why);
             }
@@ -172,6 +169,20 @@ impl Ready {
             }
         }
     }
+}
+
+/// Starts the real-time thread; with what the host refused it.
+fn start(mut driver: Driver<Tdma>, realtime: RealTime) -> Result<(JoinHandle<()>, Vec<String>)> {
+    let (told, refusals) = std::sync::mpsc::channel();
+    let builder = std::thread::Builder::new().name("real-time".into()).stack_size(STACK);
+    let thread = builder.spawn(move || {
+        let mut refused = realtime.apply();
+        refused.extend(drop_capabilities());
+        // The other end waits for exactly this message.
+        let _ = told.send(refused);
+        driver.run();
+    })?;
+    Ok((thread, refusals.recv().context("the real-time thread did not start")?))
 }
 
 /// A port that hears the test traffic, in a lab.

@@ -9,13 +9,23 @@ use rtnet::live::{Record, Snapshot};
 use rtnet::wire::ethernet::Address;
 
 use super::Options;
+use super::failures::Failures;
 use super::link::{self, Report, Standing};
 use super::traffic::TrafficCounts;
+use super::wire::{Change, LinkState};
 
 /// Tells the lab in JSON lines, or a person in sentences.
 pub enum Teller {
     Lab,
-    Person { name: String, state: SyncState, last: Option<Box<TdmaStatus>> },
+    Person(Box<Person>),
+}
+
+/// What a person was told last.
+pub struct Person {
+    name: String,
+    state: SyncState,
+    last: Option<TdmaStatus>,
+    failures: Failures,
 }
 
 impl Teller {
@@ -26,7 +36,8 @@ impl Teller {
                 let name = options.name.clone().unwrap_or_else(|| options.interface.clone());
                 let guard = if guarded { ", kernel guard" } else { "" };
                 print(&format!("{name}: on {} ({address}{guard}); Ctrl-C ends it", options.interface));
-                Teller::Person { name, state: SyncState::Waiting, last: None }
+                let (state, failures) = (SyncState::Waiting, Failures::default());
+                Teller::Person(Box::new(Person { name, state, last: None, failures }))
             }
         }
     }
@@ -34,8 +45,8 @@ impl Teller {
     pub fn started(&self, guarded: bool, refused: Vec<String>) -> Result<()> {
         match self {
             Teller::Lab => say(&Report::Started { guarded, refused }),
-            Teller::Person { name, .. } => {
-                refused.iter().for_each(|line| eprintln!("{name}: {line}"));
+            Teller::Person(person) => {
+                refused.iter().for_each(|line| eprintln!("{}: {line}", person.name));
                 Ok(())
             }
         }
@@ -47,6 +58,7 @@ impl Teller {
         records: Vec<Record>,
         snapshot: Option<Snapshot<TdmaStatus>>,
         counts: &TrafficCounts,
+        link: LinkState,
     ) -> Result<Option<String>> {
         let yielded = snapshot.and_then(|snapshot| snapshot.status.yielded_to).map(|other| {
             format!(
@@ -57,39 +69,79 @@ impl Teller {
             Teller::Lab => {
                 link::reports(records.into_iter()).iter().try_for_each(say)?;
                 if let Some(snapshot) = snapshot {
-                    say(&Report::Standing(Box::new(Standing::of(&snapshot, counts))))?;
+                    say(&Report::Standing(Box::new(Standing::of(&snapshot, counts, link))))?;
                 }
                 if let Some(why) = &yielded {
                     say(&Report::Failed(why.clone()))?;
                 }
             }
-            Teller::Person { name, state, last } => {
-                for record in records {
-                    if let Record::Event(event, _) = record
-                        && event.kind != EventKind::SlotSilent
-                    {
-                        print(&format!("{name}: cycle {}: {}", event.cycle, event_line(&event)));
-                    }
-                }
-                if let Some(Snapshot { status, .. }) = snapshot {
-                    if status.state != *state {
-                        *state = status.state;
-                        print(&format!("{name}: {}", standing_line(&status)));
-                    }
-                    *last = Some(Box::new(status));
-                }
-            }
+            Teller::Person(person) => person.tell(&records, snapshot.map(|snapshot| snapshot.status)),
         }
         Ok(yielded)
     }
+
+    /// Tells what has become of the interface; a reason to end, if there is none any more.
+    pub fn tell_of_wire(&self, changes: &[Change]) -> Result<Option<String>> {
+        let mut gone = None;
+        for change in changes {
+            match (self, change) {
+                (_, Change::Gone { .. }) => gone = Some(change.to_string()),
+                (Teller::Person(person), _) => person.say(&change.to_string()),
+                (Teller::Lab, &Change::State { from, to, before, .. }) => {
+                    let carrier = to == LinkState::Up;
+                    if carrier || from == LinkState::Up {
+                        say(&Report::Link { at: before, carrier })?;
+                    }
+                }
+                // A lab has given its interfaces their names, and its stations do not go by them.
+                (Teller::Lab, Change::Renamed { .. }) => {}
+            }
+        }
+        if let (Teller::Lab, Some(why)) = (self, &gone) {
+            say(&Report::Failed(why.clone()))?;
+        }
+        Ok(gone)
+    }
 }
 
-impl Drop for Teller {
+impl Person {
+    fn say(&self, line: &str) {
+        print(&format!("{}: {line}", self.name));
+    }
+
+    fn tell(&mut self, records: &[Record], status: Option<TdmaStatus>) {
+        let mut failed = false;
+        for record in records {
+            let Record::Event(event, _) = record else { continue };
+            match event.kind {
+                EventKind::SlotSilent => {}
+                EventKind::SendFailed => {
+                    failed = true;
+                    let first = self.failures.note(event.cycle, event.span.nanos() as i32);
+                    first.iter().for_each(|line| self.say(line));
+                }
+                _ => self.say(&format!("cycle {}: {}", event.cycle, event_line(event))),
+            }
+        }
+        let Some(status) = status else { return };
+        if !failed {
+            self.failures.sent(sent(&status)).iter().for_each(|line| self.say(line));
+        }
+        if status.state != self.state {
+            self.state = status.state;
+            self.say(&standing_line(&status));
+        }
+        self.last = Some(status);
+    }
+}
+
+impl Drop for Person {
     fn drop(&mut self) {
-        if let Teller::Person { name, last: Some(status), .. } = self {
+        self.failures.over().iter().for_each(|line| self.say(line));
+        if let Some(status) = &self.last {
             let counters = &status.counters;
-            print(&format!(
-                "{name}: ended in cycle {} ({}): {} syncs sent, {} skipped, {} received; {} frames sent, {} \
+            self.say(&format!(
+                "ended in cycle {} ({}): {} syncs sent, {} skipped, {} received; {} frames sent, {} \
                  overruns, {} stalled in send, {} dropped by the kernel guard",
                 status.cycle,
                 status.state.name(),
@@ -110,12 +162,15 @@ fn print(line: &str) {
     let _ = writeln!(std::io::stdout(), "{line}");
 }
 
+/// Frames of any kind that were sent.
+fn sent(status: &TdmaStatus) -> u64 {
+    let counters = &status.counters;
+    counters.syncs_sent + counters.replies_sent + counters.requests_sent + counters.frames_sent
+}
+
 fn event_line(event: &Event) -> String {
     let name = event.kind.name();
     match event.kind {
-        EventKind::SendFailed => {
-            format!("{name}: {}", std::io::Error::from_raw_os_error(event.span.nanos() as i32))
-        }
         EventKind::SlotBeyondCycle => {
             format!("{name}: a slot begins {} after the master's cycle ends; change its --slot", event.span)
         }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::live::clock::monotonic;
 use crate::live::packet;
-use crate::live::ring::tests::in_a_namespace;
+use crate::live::ring::tests::{in_a_namespace, loopback_up};
 use socket2::Socket;
 
 const SECOND: True = 1_000_000_000;
@@ -60,6 +60,20 @@ fn others_frames_pass_and_all_do_once_the_guard_is_gone() {
         assert_eq!(guard.counters(), GuardCounters { passed: 0, late: 1, early: 0 });
         drop(guard);
         assert_eq!(packet::send(socket, &[0; 60]), Ok(()));
+    });
+}
+
+#[test]
+fn an_interface_that_was_down_is_still_guarded_by_either_hook() {
+    with_each_hook(|attach, socket, _| {
+        let (guard, now) = (attach(), monotonic());
+        loopback_up(false);
+        assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENETDOWN));
+        loopback_up(true);
+        assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS), "no window yet");
+        guard.open(now - SECOND, now + SECOND);
+        assert_eq!(packet::send(socket, &[0; 60]), Ok(()));
+        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 1, early: 0 });
     });
 }
 

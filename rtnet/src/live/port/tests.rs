@@ -1,6 +1,6 @@
 use super::*;
 use crate::discipline::Stamp;
-use crate::live::ring::tests::in_a_namespace;
+use crate::live::ring::tests::{in_a_namespace, loopback_up};
 use crate::time::Span;
 use crate::wire::ethernet::{Address, Header};
 use zerocopy::IntoBytes;
@@ -126,5 +126,29 @@ fn a_frame_that_the_kernel_refuses_for_another_reason_was_not_dropped_by_the_gua
         short.stamp = None;
         let sent = port.transmit(short);
         assert!(matches!(sent, Sent::Failed(_, _)), "{sent:?}");
+    });
+}
+
+#[test]
+fn a_port_sleeps_while_its_interface_is_down_and_works_again_once_it_is_up() {
+    in_a_namespace(|| {
+        let (mut port, pool) = (port(), Pool::new(1));
+        let send = |port: &mut Port| {
+            let at = port.now();
+            port.transmit(transmission(&pool, at, at + ROOM_FOR_A_BUSY_HOST))
+        };
+        loopback_up(false);
+        assert_eq!(received(&mut port), [], "the kernel's word to each socket is taken with this");
+        let began = monotonic();
+        port.wait_for_frame(50);
+        assert!(monotonic() - began >= 50_000_000, "and with it the reason to wake");
+        let sent = send(&mut port);
+        assert!(matches!(sent, Sent::Failed(libc::ENETDOWN, _)), "{sent:?}");
+        drop(sent);
+
+        loopback_up(true);
+        let sent = send(&mut port);
+        assert!(matches!(sent, Sent::At(_)), "{sent:?}");
+        assert_eq!(received(&mut port).len(), 1);
     });
 }

@@ -89,7 +89,8 @@ fn realtime_ns() -> u64 {
     now.tv_sec() as u64 * 1_000_000_000 + now.tv_nsec() as u64
 }
 
-fn loopback_up(up: bool) {
+/// Sets the loopback of the calling thread's namespace up or down.
+pub fn loopback_up(up: bool) {
     let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
     // SAFETY: all zeros is a valid `ifreq`.
     let mut request: libc::ifreq = unsafe { std::mem::zeroed() };

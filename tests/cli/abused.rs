@@ -12,8 +12,8 @@ use serde_json::Value;
 use socket2::Socket;
 use tools::lab::netlink::Netlink;
 
-use crate::as_root;
 use crate::cell::{Cell, STATIONS, status_of, wait_until};
+use crate::host::network;
 
 const MILLIS: [u64; 4] = [1, 5, 50, 500];
 /// What a frame may be late on the wire with the kernel's guard, beyond its slot's end.
@@ -108,36 +108,36 @@ fn has_guard(account: &Value) -> bool {
 
 #[test]
 fn stations_that_are_stopped_at_random_leave_nothing_unexplained() {
-    let Some(_alone) = as_root("stations_that_are_stopped_at_random_leave_nothing_unexplained") else {
-        return;
-    };
-    for guard in ["auto", "user"] {
-        let account = stopped(guard, stop_at_random);
-        let late = latest(&account);
-        figure(&format!("at random, {guard}: {} stops, latest frame {late} ns after its slot", stops()));
-        assert!(!has_guard(&account) || late <= RESIDUAL_NS, "{account:#}");
-    }
+    network("stations_that_are_stopped_at_random_leave_nothing_unexplained", || {
+        for guard in ["auto", "user"] {
+            let account = stopped(guard, stop_at_random);
+            let late = latest(&account);
+            figure(&format!("at random, {guard}: {} stops, latest frame {late} ns after its slot", stops()));
+            assert!(!has_guard(&account) || late <= RESIDUAL_NS, "{account:#}");
+        }
+    });
 }
 
 #[test]
 fn stations_that_are_stopped_before_they_send_are_late_only_without_the_kernel_guard() {
     let test = "stations_that_are_stopped_before_they_send_are_late_only_without_the_kernel_guard";
-    let Some(_alone) = as_root(test) else { return };
-    for guard in ["auto", "user"] {
-        let account = stopped(guard, stop_before_send);
-        let (late, dropped, stalled) =
-            (latest(&account), told(&account, "guard_dropped"), told(&account, "stalled_in_send"));
-        figure(&format!(
-            "before send, {guard}: {} stops, latest frame {late} ns after its slot, {dropped} dropped, {stalled} stalled",
-            stops()
-        ));
-        assert!(dropped + stalled >= stops() as u64, "each was told of: {account:#}");
-        if has_guard(&account) {
-            assert!(late <= RESIDUAL_NS && dropped >= stops() as u64, "{account:#}");
-        } else {
-            assert!(late > RESIDUAL_NS, "what the guard is for");
+    network(test, || {
+        for guard in ["auto", "user"] {
+            let account = stopped(guard, stop_before_send);
+            let (late, dropped, stalled) =
+                (latest(&account), told(&account, "guard_dropped"), told(&account, "stalled_in_send"));
+            figure(&format!(
+                "before send, {guard}: {} stops, latest frame {late} ns after its slot, {dropped} dropped, {stalled} stalled",
+                stops()
+            ));
+            assert!(dropped + stalled >= stops() as u64, "each was told of: {account:#}");
+            if has_guard(&account) {
+                assert!(late <= RESIDUAL_NS && dropped >= stops() as u64, "{account:#}");
+            } else {
+                assert!(late > RESIDUAL_NS, "what the guard is for");
+            }
         }
-    }
+    });
 }
 
 /// Long enough for what is to be seen within three of them to be seen on a host that stands still for a while.
@@ -197,39 +197,44 @@ fn restart_master(cell: &Cell) -> Duration {
 #[test]
 fn killed_stations_are_seen_at_once_and_come_back_beside_the_others() {
     let test = "killed_stations_are_seen_at_once_and_come_back_beside_the_others";
-    let Some(_alone) = as_root(test) else { return };
-    let cell = Cell::with("killed", |text| text.replace("4ms", "40ms").replace("rounds = 20", "rounds = 3"));
-    wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
-    let mut seen = Vec::new();
-    let rounds = stops().div_ceil(16);
-    for _ in 0..rounds {
-        for (place, name) in STATIONS.iter().enumerate().skip(1) {
-            seen.push(kill_slave(&cell, place));
-            cell.restart(name);
+    network(test, || {
+        let cell =
+            Cell::with("killed", |text| text.replace("4ms", "40ms").replace("rounds = 20", "rounds = 3"));
+        wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
+        let mut seen = Vec::new();
+        let rounds = stops().div_ceil(16);
+        for _ in 0..rounds {
+            for (place, name) in STATIONS.iter().enumerate().skip(1) {
+                seen.push(kill_slave(&cell, place));
+                cell.restart(name);
+            }
+            seen.push(kill_master(&cell));
+            seen.push(restart_master(&cell));
         }
-        seen.push(kill_master(&cell));
-        seen.push(restart_master(&cell));
-    }
-    seen.sort();
-    let cycles = |took: Duration| took.as_secs_f64() / LONG_CYCLE.as_secs_f64();
-    let (median, longest) = (cycles(seen[seen.len() / 2]), cycles(*seen.last().unwrap()));
-    figure(&format!(
-        "killed: {} changes of state, seen after {median:.2} cycles, at most {longest:.2}",
-        seen.len()
-    ));
-    assert!(longest <= 3.0, "{seen:?}");
-    cell.wait_until_locked();
-    std::thread::sleep(LONG_CYCLE * 3);
-    let account = cell.down();
-    assert_eq!((&account["unexplained"], &account["frames_lost"]), (&0.into(), &0.into()), "{account:#}");
-    let restarts =
-        account["stations"].as_array().unwrap().iter().map(|station| station["restarts"].as_u64().unwrap());
-    assert!(restarts.into_iter().all(|n| n == rounds as u64), "{account:#}");
-    let causes = &account["causes"];
-    assert!(
-        causes["station_down"].as_u64() > Some(0) && causes["sync_lost_or_late"].as_u64() > Some(0),
-        "{causes}"
-    );
+        seen.sort();
+        let cycles = |took: Duration| took.as_secs_f64() / LONG_CYCLE.as_secs_f64();
+        let (median, longest) = (cycles(seen[seen.len() / 2]), cycles(*seen.last().unwrap()));
+        figure(&format!(
+            "killed: {} changes of state, seen after {median:.2} cycles, at most {longest:.2}",
+            seen.len()
+        ));
+        assert!(longest <= 3.0, "{seen:?}");
+        cell.wait_until_locked();
+        std::thread::sleep(LONG_CYCLE * 3);
+        let account = cell.down();
+        assert_eq!((&account["unexplained"], &account["frames_lost"]), (&0.into(), &0.into()), "{account:#}");
+        let restarts = account["stations"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|station| station["restarts"].as_u64().unwrap());
+        assert!(restarts.into_iter().all(|n| n == rounds as u64), "{account:#}");
+        let causes = &account["causes"];
+        assert!(
+            causes["station_down"].as_u64() > Some(0) && causes["sync_lost_or_late"].as_u64() > Some(0),
+            "{causes}"
+        );
+    });
 }
 
 /// What is done to the interface of a station from outside.
@@ -252,24 +257,24 @@ fn to_interface(
 #[test]
 fn a_station_whose_interface_goes_down_or_away_comes_back_beside_the_others() {
     let test = "a_station_whose_interface_goes_down_or_away_comes_back_beside_the_others";
-    let Some(_alone) = as_root(test) else { return };
-    let cell = Cell::up("wires");
-    wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
-    let state = |place: usize| cell.status()["stations"][place]["state"].as_str().unwrap().to_owned();
-    to_interface(&cell, "slave2", |netlink, interface| netlink.set_down(interface));
-    wait_until("it is seen", || state(2) == "lost, down");
-    assert_eq!(state(1), "locked", "the others go on");
-    to_interface(&cell, "slave2", |netlink, interface| netlink.set_up(interface));
-    wait_until("it is locked again", || state(2) == "locked");
+    network(test, || {
+        let cell = Cell::up("wires");
+        wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
+        let state = |place: usize| cell.status()["stations"][place]["state"].as_str().unwrap().to_owned();
+        to_interface(&cell, "slave2", |netlink, interface| netlink.set_down(interface));
+        wait_until("it is seen", || state(2) == "lost, down");
+        assert_eq!(state(1), "locked", "the others go on");
+        to_interface(&cell, "slave2", |netlink, interface| netlink.set_up(interface));
+        wait_until("it is locked again", || state(2) == "locked");
 
-    to_interface(&cell, "slave3", |netlink, interface| netlink.delete_link(interface));
-    wait_until("it cannot go on", || state(3) == "ended");
-    let failed = cell.status()["stations"][3]["failed"].clone();
-    assert!(failed.as_str().unwrap().contains("the interface 'rt0' is gone"), "{failed}");
-    cell.restart("slave3");
-    std::thread::sleep(Duration::from_millis(200));
-    let status = cell.status();
-    assert_eq!(status["unexplained"], 0, "{status:#}");
-    assert!(status["causes"]["no_carrier"].as_u64() > Some(0), "{status:#}");
-    assert!(status["causes"]["station_down"].as_u64() > Some(0), "{status:#}");
+        to_interface(&cell, "slave3", |netlink, interface| netlink.delete_link(interface));
+        wait_until("it cannot go on", || state(3) == "ended");
+        let failed = cell.status()["stations"][3]["failed"].clone();
+        assert!(failed.as_str().unwrap().contains("the interface 'rt0' is gone"), "{failed}");
+        cell.restart("slave3");
+        let causes = || cell.status()["causes"].clone();
+        wait_until("it is judged", || causes()["station_down"].as_u64() > Some(0));
+        assert!(causes()["no_carrier"].as_u64() > Some(0), "{}", causes());
+        assert_eq!(cell.status()["unexplained"], 0, "{:#}", cell.status());
+    });
 }

@@ -1,6 +1,7 @@
 //! `rtnet lab run` from the outside: its report, its exit status, and what it leaves when it is ended.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -9,7 +10,8 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::{as_root, rtnet};
+use crate::host::network;
+use crate::rtnet;
 
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -48,159 +50,172 @@ fn veths() -> usize {
     fs::read_dir("/sys/class/net").unwrap().count()
 }
 
-/// Waits until the lab's stations are all locked, which its progress tells, and returns them.
-fn running(lab: &Child, stations: usize) -> Vec<i32> {
-    eventually("all stations run", || stations_of(lab.id()).len() == stations);
-    std::thread::sleep(Duration::from_secs(3));
-    stations_of(lab.id())
+/// Waits until the lab measures, which its progress tells, and returns its stations.
+fn running(lab: &mut Child, stations: usize) -> Vec<i32> {
+    let mut progress = BufReader::new(lab.stderr.take().unwrap()).lines().map_while(Result::ok);
+    assert!(progress.any(|line| line.starts_with("rtnet: cycle")), "the network comes up");
+    // It goes on to tell, and is not to wait for us.
+    std::thread::spawn(move || progress.for_each(drop));
+    let there = stations_of(lab.id());
+    assert_eq!(there.len(), stations);
+    there
 }
 
 #[test]
 fn a_lab_reports_what_it_measured_and_leaves_nothing() {
-    let Some(_alone) = as_root("a_lab_reports_what_it_measured_and_leaves_nothing") else { return };
-    let before = veths();
-    let dir = tempfile::tempdir().unwrap();
-    let (json, pcap) = (dir.path().join("report.json"), dir.path().join("frames.pcapng"));
-    let output = lab("3", "2s").arg("--json").arg(&json).arg("--pcap").arg(&pcap).output().unwrap();
-    let screen = String::from_utf8(output.stdout).unwrap();
-    let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{screen}");
-    assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
-    assert_eq!(
-        (&report["stations"], &report["cycle_ns"], &report["cycles"]),
-        (&3.into(), &5_000_000.into(), &400.into())
-    );
-    assert_eq!(report["frames_expected"], 1_200);
-    assert_eq!((&report["unexplained"], &report["payload_errors"]), (&0.into(), &0.into()));
-    assert_eq!(report["frames_lost"], 0);
-    let count = |name: &str| report[name].as_u64().unwrap();
-    assert_eq!(count("frames_seen") + count("slots_missed"), 1_200);
-    assert_eq!(count("syncs_sent") + count("syncs_skipped"), 400);
-    assert_eq!(report["slot_error_abs_ns"]["n"], 1_200, "a missed slot is in the figures");
-    assert_eq!(report["per_station"].as_array().unwrap().len(), 3);
-    assert!(fs::metadata(&pcap).unwrap().len() > 100_000);
-    assert_eq!(veths(), before);
+    network("a_lab_reports_what_it_measured_and_leaves_nothing", || {
+        let before = veths();
+        let dir = tempfile::tempdir().unwrap();
+        let (json, pcap) = (dir.path().join("report.json"), dir.path().join("frames.pcapng"));
+        let output = lab("3", "2s").arg("--json").arg(&json).arg("--pcap").arg(&pcap).output().unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{screen}");
+        assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
+        assert_eq!(
+            (&report["stations"], &report["cycle_ns"], &report["cycles"]),
+            (&3.into(), &5_000_000.into(), &400.into())
+        );
+        assert_eq!(report["frames_expected"], 1_200);
+        assert_eq!((&report["unexplained"], &report["payload_errors"]), (&0.into(), &0.into()));
+        assert_eq!(report["frames_lost"], 0);
+        let count = |name: &str| report[name].as_u64().unwrap();
+        assert_eq!(count("frames_seen") + count("slots_missed"), 1_200);
+        assert_eq!(count("syncs_sent") + count("syncs_skipped"), 400);
+        assert_eq!(report["slot_error_abs_ns"]["n"], 1_200, "a missed slot is in the figures");
+        assert_eq!(report["per_station"].as_array().unwrap().len(), 3);
+        assert!(fs::metadata(&pcap).unwrap().len() > 100_000);
+        assert_eq!(veths(), before);
+    });
 }
 
 #[test]
 fn a_lab_says_what_enforced_its_slots() {
-    let Some(_alone) = as_root("a_lab_says_what_enforced_its_slots") else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let json = dir.path().join("report.json");
-    let report = |slot_guard: &str| {
-        let mut lab = lab("2", "500ms");
-        let output = lab.args(["--slot-guard", slot_guard, "--json"]).arg(&json).output().unwrap();
-        let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
-        let guards = report["per_station"].as_array().unwrap().iter().map(|station| station["guard"].clone());
-        (String::from_utf8(output.stdout).unwrap(), guards.collect::<Vec<_>>())
-    };
-    let (screen, guards) = report("user");
-    assert_eq!(guards, ["user", "user"]);
-    assert!(screen.contains("no kernel guard"), "{screen}");
-    // A host that has no guard says so, once.
-    let (screen, guards) = report("auto");
-    let refused = screen.matches("note: kernel guard: ").count();
-    assert!(
-        guards == ["kernel", "kernel"] && refused == 0 || guards == ["user", "user"] && refused == 1,
-        "{screen}"
-    );
+    network("a_lab_says_what_enforced_its_slots", || {
+        let dir = tempfile::tempdir().unwrap();
+        let json = dir.path().join("report.json");
+        let report = |slot_guard: &str| {
+            let mut lab = lab("2", "500ms");
+            let output = lab.args(["--slot-guard", slot_guard, "--json"]).arg(&json).output().unwrap();
+            let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+            let guards =
+                report["per_station"].as_array().unwrap().iter().map(|station| station["guard"].clone());
+            (String::from_utf8(output.stdout).unwrap(), guards.collect::<Vec<_>>())
+        };
+        let (screen, guards) = report("user");
+        assert_eq!(guards, ["user", "user"]);
+        assert!(screen.contains("no kernel guard"), "{screen}");
+        // A host that has no guard says so, once.
+        let (screen, guards) = report("auto");
+        let refused = screen.matches("note: kernel guard: ").count();
+        assert!(
+            guards == ["kernel", "kernel"] && refused == 0 || guards == ["user", "user"] && refused == 1,
+            "{screen}"
+        );
+    });
 }
 
 #[test]
 fn a_file_says_what_the_network_is() {
-    let Some(_alone) = as_root("a_file_says_what_the_network_is") else { return };
-    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/two_stations.toml");
-    let run = || rtnet().args(["lab", "run"]).arg(&example).output().unwrap();
-    // A host that stands still for a while at the end is not what this is about.
-    let output = Some(run()).filter(|output| output.status.success()).unwrap_or_else(run);
-    let screen = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{screen}");
-    // The arm sends in every second of 200 cycles, the master in each.
-    assert!(screen.contains("/200") && screen.contains("/100"), "{screen}");
+    network("a_file_says_what_the_network_is", || {
+        let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/two_stations.toml");
+        let run = || rtnet().args(["lab", "run"]).arg(&example).output().unwrap();
+        // A host that stands still for a while at the end is not what this is about.
+        let output = Some(run()).filter(|output| output.status.success()).unwrap_or_else(run);
+        let screen = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{screen}");
+        // The arm sends in every second of 200 cycles, the master in each.
+        assert!(screen.contains("/200") && screen.contains("/100"), "{screen}");
+    });
 }
 
 #[test]
 fn a_station_that_dies_fails_the_run_by_name() {
-    let Some(_alone) = as_root("a_station_that_dies_fails_the_run_by_name") else { return };
-    let lab = lab("3", "60s").spawn().unwrap();
-    let victim = running(&lab, 3)[1];
-    kill(Pid::from_raw(victim), Signal::SIGKILL).unwrap();
-    let output = lab.wait_with_output().unwrap();
-    let screen = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    assert!(screen.contains(&format!("(process {victim}) was lost")), "{screen}");
+    network("a_station_that_dies_fails_the_run_by_name", || {
+        let mut lab = lab("3", "60s").spawn().unwrap();
+        let victim = running(&mut lab, 3)[1];
+        kill(Pid::from_raw(victim), Signal::SIGKILL).unwrap();
+        let output = lab.wait_with_output().unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        assert!(screen.contains(&format!("(process {victim}) was lost")), "{screen}");
+    });
 }
 
 #[test]
 fn frames_that_do_not_reach_their_receiver_fail_the_run() {
-    let Some(_alone) = as_root("frames_that_do_not_reach_their_receiver_fail_the_run") else { return };
-    let lab = lab("3", "60s").spawn().unwrap();
-    let sleeper = Pid::from_raw(running(&lab, 3)[2]);
-    // More than its sockets hold.
-    kill(sleeper, Signal::SIGSTOP).unwrap();
-    std::thread::sleep(Duration::from_secs(4));
-    kill(sleeper, Signal::SIGCONT).unwrap();
-    std::thread::sleep(Duration::from_millis(500));
-    kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
-    let output = lab.wait_with_output().unwrap();
-    let screen = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    assert!(screen.contains("station 'slave2' did not receive"), "{screen}");
-    assert!(screen.contains("port_socket_full"), "{screen}");
+    network("frames_that_do_not_reach_their_receiver_fail_the_run", || {
+        let mut lab = lab("3", "60s").spawn().unwrap();
+        let sleeper = Pid::from_raw(running(&mut lab, 3)[2]);
+        // More than its sockets hold.
+        kill(sleeper, Signal::SIGSTOP).unwrap();
+        std::thread::sleep(Duration::from_secs(4));
+        kill(sleeper, Signal::SIGCONT).unwrap();
+        std::thread::sleep(Duration::from_millis(500));
+        kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
+        let output = lab.wait_with_output().unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        assert!(screen.contains("station 'slave2' did not receive"), "{screen}");
+        assert!(screen.contains("port_socket_full"), "{screen}");
+    });
 }
 
 #[test]
 fn ctrl_c_ends_the_run_with_the_report_so_far() {
-    let Some(_alone) = as_root("ctrl_c_ends_the_run_with_the_report_so_far") else { return };
-    let lab = lab("3", "60s").spawn().unwrap();
-    let stations = running(&lab, 3);
-    kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
-    let output = lab.wait_with_output().unwrap();
-    let screen = String::from_utf8(output.stdout).unwrap();
-    assert!(screen.contains("3 stations, cycle 5ms"), "{screen}");
-    assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
-    assert_eq!(output.status.code(), Some(0));
-    assert!(!stations.into_iter().any(is_there));
+    network("ctrl_c_ends_the_run_with_the_report_so_far", || {
+        let mut lab = lab("3", "60s").spawn().unwrap();
+        let stations = running(&mut lab, 3);
+        kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
+        let output = lab.wait_with_output().unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        assert!(screen.contains("3 stations, cycle 5ms"), "{screen}");
+        assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
+        assert_eq!(output.status.code(), Some(0));
+        assert!(!stations.into_iter().any(is_there));
+    });
 }
 
 #[test]
 fn a_killed_lab_takes_its_stations_and_interfaces_along() {
-    let Some(_alone) = as_root("a_killed_lab_takes_its_stations_and_interfaces_along") else { return };
-    let before = veths();
-    let mut lab = lab("3", "60s").spawn().unwrap();
-    let stations = running(&lab, 3);
-    lab.kill().unwrap();
-    lab.wait().unwrap();
-    eventually("the stations end with the lab", || !stations.iter().any(|&pid| is_there(pid)));
-    assert_eq!(veths(), before);
+    network("a_killed_lab_takes_its_stations_and_interfaces_along", || {
+        let before = veths();
+        let mut lab = lab("3", "60s").spawn().unwrap();
+        let stations = running(&mut lab, 3);
+        lab.kill().unwrap();
+        lab.wait().unwrap();
+        eventually("the stations end with the lab", || !stations.iter().any(|&pid| is_there(pid)));
+        assert_eq!(veths(), before);
+    });
 }
 
 #[test]
 fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
-    let Some(_alone) = as_root("an_ordinary_user_has_a_lab_in_a_user_namespace") else { return };
-    use std::os::unix::process::CommandExt;
-    // The binary's folder may be closed to others, so that it is run from a place that is not.
-    let dir = tempfile::tempdir().unwrap();
-    let copy = dir.path().join("rtnet");
-    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &copy).unwrap();
-    let open = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-    fs::set_permissions(dir.path(), open).unwrap();
-    let nobody = 65_534;
-    let mut lab = Command::new(&copy);
-    lab.args(["lab", "run", "--stations", "2", "--cycle", "20ms", "--duration", "1s"])
-        .uid(nobody)
-        .gid(nobody);
-    let output = lab.output().unwrap();
-    let message = String::from_utf8(output.stderr).unwrap();
-    if output.status.code() == Some(2) {
-        assert_eq!(message.lines().count(), 1, "{message}");
-        assert!(message.contains("takes root or a user namespace"), "{message}");
-        crate::skip("an_ordinary_user_has_a_lab_in_a_user_namespace", &message);
-        return;
-    }
-    let screen = String::from_utf8(output.stdout).unwrap();
-    // Beside labs that have SCHED_FIFO it may lose its master, and says so; it ran, and knows of each miss why.
-    assert!(matches!(output.status.code(), Some(0 | 1)), "{screen}{message}");
-    assert!(screen.contains("SCHED_FIFO 80: EPERM"), "what it lacks is told: {screen}");
-    assert!(screen.contains("unexplained 0,"), "{screen}");
+    network("an_ordinary_user_has_a_lab_in_a_user_namespace", || {
+        use std::os::unix::process::CommandExt;
+        // The binary's folder may be closed to others, so that it is run from a place that is not.
+        let dir = tempfile::tempdir().unwrap();
+        let copy = dir.path().join("rtnet");
+        fs::copy(env!("CARGO_BIN_EXE_rtnet"), &copy).unwrap();
+        let open = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        fs::set_permissions(dir.path(), open).unwrap();
+        let nobody = 65_534;
+        let mut lab = Command::new(&copy);
+        lab.args(["lab", "run", "--stations", "2", "--cycle", "20ms", "--duration", "1s"])
+            .uid(nobody)
+            .gid(nobody);
+        let output = lab.output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        if output.status.code() == Some(2) {
+            assert_eq!(message.lines().count(), 1, "{message}");
+            assert!(message.contains("takes root or a user namespace"), "{message}");
+            crate::host::skip("an_ordinary_user_has_a_lab_in_a_user_namespace", &message);
+            return;
+        }
+        let screen = String::from_utf8(output.stdout).unwrap();
+        // Beside labs that have SCHED_FIFO it may lose its master, and says so; it ran, and knows of each miss why.
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{screen}{message}");
+        assert!(screen.contains("SCHED_FIFO 80: EPERM"), "what it lacks is told: {screen}");
+        assert!(screen.contains("unexplained 0,"), "{screen}");
+    });
 }

@@ -14,7 +14,8 @@ use tools::observe::decode::What;
 use tools::observe::watch::{Watch, When};
 use tools::report::histogram::SignedHistogram;
 
-use crate::{as_root, rtnet, skip};
+use crate::host::{network, skip};
+use crate::rtnet;
 
 /// A lab that goes when the test is done with it.
 struct Lab {
@@ -79,37 +80,39 @@ fn json(output: &Output) -> Value {
 #[test]
 fn observers_tell_of_a_lab_what_it_does_and_send_nothing() {
     let test = "observers_tell_of_a_lab_what_it_does_and_send_nothing";
-    let Some(_alone) = as_root(test) else { return };
-    let lab = Lab::up("observed", "3");
-    let dir = tempfile::tempdir().unwrap();
-    let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("jitter.json"));
-    let sent = lab.sent_by_bridge();
+    network(test, || {
+        let lab = Lab::up("observed", "3");
+        let dir = tempfile::tempdir().unwrap();
+        let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("jitter.json"));
+        let sent = lab.sent_by_bridge();
 
-    let dump = run(&["dump", "--lab", &lab.name, "-w", pcap.to_str().unwrap(), "--duration", "1s"]);
-    assert_eq!(dump.status.code(), Some(0), "{}", text(&dump.stderr));
-    assert!(dump.stdout.is_empty());
-    let summary = text(&dump.stderr);
-    assert!(
-        summary.contains("data ") && summary.contains("sync ") && summary.contains("lost by the ring 0"),
-        "{summary}"
-    );
+        let dump = run(&["dump", "--lab", &lab.name, "-w", pcap.to_str().unwrap(), "--duration", "1s"]);
+        assert_eq!(dump.status.code(), Some(0), "{}", text(&dump.stderr));
+        assert!(dump.stdout.is_empty());
+        let summary = text(&dump.stderr);
+        assert!(
+            summary.contains("data ") && summary.contains("sync ") && summary.contains("lost by the ring 0"),
+            "{summary}"
+        );
 
-    let screen = run(&["dump", "--lab", &lab.name, "--count", "40"]);
-    assert_eq!(screen.status.code(), Some(0), "{}", text(&screen.stderr));
-    let screen = text(&screen.stdout);
-    assert_eq!(screen.lines().count(), 40);
-    assert!(screen.contains("sync cycle") && screen.contains("data station 2 slot 0 cycle"), "{screen}");
+        let screen = run(&["dump", "--lab", &lab.name, "--count", "40"]);
+        assert_eq!(screen.status.code(), Some(0), "{}", text(&screen.stderr));
+        let screen = text(&screen.stdout);
+        assert_eq!(screen.lines().count(), 40);
+        assert!(screen.contains("sync cycle") && screen.contains("data station 2 slot 0 cycle"), "{screen}");
 
-    let jitter = run(&["jitter", "--lab", &lab.name, "--duration", "1s", "--json", report.to_str().unwrap()]);
-    assert_eq!(jitter.status.code(), Some(0), "{}", text(&jitter.stderr));
-    assert!(text(&jitter.stdout).contains("slave2"), "{}", text(&jitter.stdout));
-    let figures: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
-    check_figures(&figures);
+        let jitter =
+            run(&["jitter", "--lab", &lab.name, "--duration", "1s", "--json", report.to_str().unwrap()]);
+        assert_eq!(jitter.status.code(), Some(0), "{}", text(&jitter.stderr));
+        assert!(text(&jitter.stdout).contains("slave2"), "{}", text(&jitter.stdout));
+        let figures: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
+        check_figures(&figures);
 
-    assert_eq!(lab.sent_by_bridge(), sent, "nothing but stations' frames on the medium");
-    let account = lab.down();
-    assert_eq!((&account["unexplained"], &account["frames_lost"]), (&0.into(), &0.into()), "{account}");
-    decoded_by_tshark(test, &pcap);
+        assert_eq!(lab.sent_by_bridge(), sent, "nothing but stations' frames on the medium");
+        let account = lab.down();
+        assert_eq!((&account["unexplained"], &account["frames_lost"]), (&0.into(), &0.into()), "{account}");
+        decoded_by_tshark(test, &pcap);
+    });
 }
 
 /// A master and two slaves at 2 ms, for a second, on a host that may be busy.
@@ -154,25 +157,26 @@ fn decoded_by_tshark(test: &str, pcap: &Path) {
 #[test]
 fn ctrl_c_ends_a_dump_with_a_complete_file() {
     let test = "ctrl_c_ends_a_dump_with_a_complete_file";
-    let Some(_alone) = as_root(test) else { return };
-    let lab = Lab::up("interrupted", "2");
-    let dir = tempfile::tempdir().unwrap();
-    let pcap = dir.path().join("frames.pcapng");
-    let mut command = rtnet();
-    command.args(["dump", "--lab", &lab.name, "--write"]).arg(&pcap).stderr(Stdio::piped());
-    let dump = command.spawn().unwrap();
-    std::thread::sleep(Duration::from_millis(1_500));
-    kill(Pid::from_raw(dump.id() as i32), Signal::SIGINT).unwrap();
-    let output = dump.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    // It says how many, and so many are in the file.
-    let summary = text(&output.stderr).replace(' ', "");
-    let (_, rest) = summary.rsplit_once("rtnet:").unwrap();
-    let frames: usize = rest.split_once("frames:").unwrap().0.parse().unwrap();
-    assert!(frames > 100, "{summary}");
-    let mut written = 0;
-    each_frame(&pcap, |_, _| written += 1);
-    assert_eq!(written, frames);
+    network(test, || {
+        let lab = Lab::up("interrupted", "2");
+        let dir = tempfile::tempdir().unwrap();
+        let pcap = dir.path().join("frames.pcapng");
+        let mut command = rtnet();
+        command.args(["dump", "--lab", &lab.name, "--write"]).arg(&pcap).stderr(Stdio::piped());
+        let dump = command.spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(1_500));
+        kill(Pid::from_raw(dump.id() as i32), Signal::SIGINT).unwrap();
+        let output = dump.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        // It says how many, and so many are in the file.
+        let summary = text(&output.stderr).replace(' ', "");
+        let (_, rest) = summary.rsplit_once("rtnet:").unwrap();
+        let frames: usize = rest.split_once("frames:").unwrap().0.parse().unwrap();
+        assert!(frames > 100, "{summary}");
+        let mut written = 0;
+        each_frame(&pcap, |_, _| written += 1);
+        assert_eq!(written, frames);
+    });
 }
 
 #[test]
@@ -194,55 +198,55 @@ fn what_cannot_be_listened_to_is_named_with_a_remedy() {
 #[test]
 fn an_interface_without_a_master_is_told_to_be_silent() {
     use tools::lab::namespace::{Namespace, Segment};
-    let Some(_alone) = as_root("an_interface_without_a_master_is_told_to_be_silent") else { return };
-    let (namespace, mut segment) = (Namespace::new().unwrap(), Segment::new().unwrap());
-    segment.attach(&namespace, "port0", "rt0", [2, 0, 0, 0, 0, 1]).unwrap();
-    let mut command = rtnet();
-    command.args(["jitter", "--interface", "rt0", "--duration", "100ms"]);
-    let output = namespace.run(move || command.output()).unwrap().unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    assert!(text(&output.stderr).contains("no sync was heard on rt0"), "{}", text(&output.stderr));
-    assert!(text(&output.stdout).contains("0 frames"), "{}", text(&output.stdout));
+    network("an_interface_without_a_master_is_told_to_be_silent", || {
+        let (namespace, mut segment) = (Namespace::new().unwrap(), Segment::new().unwrap());
+        segment.attach(&namespace, "port0", "rt0", [2, 0, 0, 0, 0, 1]).unwrap();
+        let mut command = rtnet();
+        command.args(["jitter", "--interface", "rt0", "--duration", "100ms"]);
+        let output = namespace.run(move || command.output()).unwrap().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        assert!(text(&output.stderr).contains("no sync was heard on rt0"), "{}", text(&output.stderr));
+        assert!(text(&output.stdout).contains("0 frames"), "{}", text(&output.stdout));
+    });
 }
 
 /// A lab knows its master's clock; an observer does not, and finds the same up to what the quickest of syncs
 /// is late by.
 #[test]
 fn an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does() {
-    let Some(_alone) = as_root("an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does")
-    else {
-        return;
-    };
-    let dir = tempfile::tempdir().unwrap();
-    let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("report.json"));
-    let mut lab = rtnet();
-    lab.args(["lab", "run", "--stations", "3", "--cycle", "5ms", "--duration", "3s", "--pcap"]).arg(&pcap);
-    let output = lab.arg("--json").arg(&report).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    let truth: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
+    network("an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does", || {
+        let dir = tempfile::tempdir().unwrap();
+        let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("report.json"));
+        let mut lab = rtnet();
+        lab.args(["lab", "run", "--stations", "3", "--cycle", "5ms", "--duration", "3s", "--pcap"])
+            .arg(&pcap);
+        let output = lab.arg("--json").arg(&report).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let truth: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
 
-    let mut observed = vec![SignedHistogram::new(); 3];
-    let mut watch = Watch::default();
-    each_frame(&pcap, |at, bytes| {
-        let sight = watch.frame(Some(at), bytes, bytes.len());
-        if let (What::Data(tag), When::SlotError(error), true) =
-            (sight.decoded.what, sight.when, watch.line.is_settled())
-        {
-            observed[tag.station()].record(error.nanos());
+        let mut observed = vec![SignedHistogram::new(); 3];
+        let mut watch = Watch::default();
+        each_frame(&pcap, |at, bytes| {
+            let sight = watch.frame(Some(at), bytes, bytes.len());
+            if let (What::Data(tag), When::SlotError(error), true) =
+                (sight.decoded.what, sight.when, watch.line.is_settled())
+            {
+                observed[tag.station()].record(error.nanos());
+            }
+        });
+        assert_eq!(watch.line.restarts(), 0);
+        for (station, observed) in observed.iter().enumerate() {
+            let known = &truth["per_station"][station];
+            let (known, seen) = (known["slot_error_ns"]["p50"].as_i64().unwrap(), observed.median());
+            assert!(
+                observed.len() > 300 && (seen - known).abs() < BIAS_NS,
+                "station {station}: {seen}, not {known}"
+            );
         }
+        let master = &truth["per_station"][0]["clock_drift_ppb"];
+        let drift = watch.line.drift_ppb().unwrap();
+        assert!((drift - master.as_i64().unwrap()).abs() < 15_000, "{drift}, not {master}");
     });
-    assert_eq!(watch.line.restarts(), 0);
-    for (station, observed) in observed.iter().enumerate() {
-        let known = &truth["per_station"][station];
-        let (known, seen) = (known["slot_error_ns"]["p50"].as_i64().unwrap(), observed.median());
-        assert!(
-            observed.len() > 300 && (seen - known).abs() < BIAS_NS,
-            "station {station}: {seen}, not {known}"
-        );
-    }
-    let master = &truth["per_station"][0]["clock_drift_ppb"];
-    let drift = watch.line.drift_ppb().unwrap();
-    assert!((drift - master.as_i64().unwrap()).abs() < 15_000, "{drift}, not {master}");
 }
 
 /// Half a master's sync window, as which late it may always be on a busy host.

@@ -8,7 +8,7 @@ use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 
 use super::absences::Absences;
-use super::analysis::{Author, Finding, FindingKind};
+use super::findings::{Author, Finding, FindingKind};
 
 /// A lab's first station is its master.
 const MASTER: usize = 0;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::MTU;
 
-use super::analysis::{Author, Finding};
+use super::findings::{Author, Finding};
 use super::members::Member;
 use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};

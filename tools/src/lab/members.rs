@@ -7,9 +7,10 @@ use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::EventKind;
 use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::analysis::{Author, TrueMaster};
+use super::analysis::TrueMaster;
 use super::delivery::Heard;
 use super::explain::Records;
+use super::findings::Author;
 use super::namespace::Namespace;
 use super::processes::Process;
 use super::run::INTERFACE;

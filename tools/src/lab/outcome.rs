@@ -3,8 +3,9 @@
 use rtnet::discipline::{Cause, EventKind};
 
 use super::Outcome;
-use super::analysis::{Analysis, Finding, FindingKind};
+use super::analysis::Analysis;
 use super::explain::Records;
+use super::findings::{Finding, FindingKind};
 use super::members::Member;
 use crate::report::figures::{Figures, Miss, MissKind, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;

@@ -12,7 +12,6 @@ use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
 use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::absences::Absence;
 use super::analysis::{Analysis, TrueMaster};
 use super::explain::Records;
 use super::members::{Launch, Member, Resume, arguments};
@@ -25,7 +24,6 @@ use crate::report::figures::Figures;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
-use crate::station::link::Report;
 
 /// The name of a station's interface in its namespace.
 pub const INTERFACE: &str = "rt0";
@@ -68,7 +66,7 @@ fn is_throttled() -> bool {
 }
 
 /// A station's port of the bridge.
-fn port_name(station: usize) -> String {
+pub(super) fn port_name(station: usize) -> String {
     format!("port{station}")
 }
 
@@ -101,9 +99,9 @@ pub struct Outcome {
 pub struct Lab {
     // Fields are dropped in this order: processes first, then what they live in.
     pub(super) members: Vec<Member>,
-    teller: Sender<Told>,
+    pub(super) teller: Sender<Told>,
     told: Receiver<Told>,
-    launch: Launch,
+    pub(super) launch: Launch,
     ring: CaptureRing,
     wall: WallClock,
     distrusted_until: Option<Instant>,
@@ -325,65 +323,6 @@ impl Lab {
             self.members[station].take(station, report, &mut self.records, &self.master);
         }
         self.note_returns();
-        Ok(())
-    }
-
-    /// A station's wire was cut or mended, or its process has ended: what that had to tell of later than its last
-    /// words went with it.
-    fn note_absence(&mut self, station: usize, report: Option<&Report>) {
-        let (why, from) = match report {
-            Some(&Report::Link { carrier: true, .. }) => {
-                if let Some(now) = self.analysis.cycle_at(monotonic()) {
-                    self.records.absences.end(station, Absence::NoCarrier, now.wrapping_add(1));
-                }
-                return;
-            }
-            Some(&Report::Link { at, carrier: false }) => (Absence::NoCarrier, at),
-            Some(_) => return,
-            None => {
-                let standing = self.members[station].standing.as_ref();
-                (Absence::Down, standing.map_or(monotonic(), |standing| standing.at))
-            }
-        };
-        if let Some(from) = self.analysis.cycle_at(from) {
-            self.records.absences.begin(station, why, from);
-        }
-    }
-
-    /// Who was restarted is there again from its first frame on.
-    fn note_returns(&mut self) {
-        for (station, member) in self.members.iter().enumerate() {
-            if !member.silent
-                && self.records.absences.is_open(station, Absence::Down)
-                && let Some(cycle) = self.analysis.heard_again(station)
-            {
-                self.records.absences.end(station, Absence::Down, cycle);
-            }
-        }
-    }
-
-    /// Starts a station anew whose process has ended. A master goes on with its predecessor's grid.
-    pub(super) fn restart(&mut self, scenario: &Scenario, station: usize) -> Result<()> {
-        let sender = &self.analysis.stations[station].passed;
-        let resume = Resume { grid: self.analysis.grid(), first: sender.beyond() };
-        let arguments = arguments(scenario, station, &self.launch, &resume)?;
-        let member = &mut self.members[station];
-        // Somebody may have taken its interface away.
-        if member.namespace.netlink()?.link_index(INTERFACE).is_err() {
-            self.segment.attach(
-                &member.namespace,
-                &port_name(station),
-                INTERFACE,
-                scenario.address(station).0,
-            )?;
-        }
-        let process = Process::start(&member.namespace, station, &arguments, self.teller.clone())?;
-        member.restart(process);
-        // Of the wire it tells anew.
-        self.note_absence(station, Some(&Report::Link { at: 0, carrier: true }));
-        if let Some(now) = self.analysis.cycle_at(monotonic()) {
-            self.analysis.await_again(station, now);
-        }
         Ok(())
     }
 

@@ -3,8 +3,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use super::analysis::{Analysis, Finding, FindingKind};
+use super::analysis::Analysis;
 use super::explain::Records;
+use super::findings::{Finding, FindingKind};
 
 /// Findings without a record that are kept to be shown; the rest is only counted.
 const SHOWN_AT_MOST: usize = 10;

@@ -85,7 +85,7 @@ impl Teller {
         let mut gone = None;
         for change in changes {
             match (self, change) {
-                (_, Change::Gone { .. }) => gone = Some(change.to_string()),
+                (_, &Change::Gone { before, .. }) => gone = Some((before, change.to_string())),
                 (Teller::Person(person), _) => person.say(&change.to_string()),
                 (Teller::Lab, &Change::State { from, to, before, .. }) => {
                     let carrier = to == LinkState::Up;
@@ -97,10 +97,11 @@ impl Teller {
                 (Teller::Lab, Change::Renamed { .. }) => {}
             }
         }
-        if let (Teller::Lab, Some(why)) = (self, &gone) {
+        if let (Teller::Lab, Some((before, why))) = (self, &gone) {
+            say(&Report::Link { at: *before, carrier: false })?;
             say(&Report::Failed(why.clone()))?;
         }
-        Ok(gone)
+        Ok(gone.map(|(_, why)| why))
     }
 }
 

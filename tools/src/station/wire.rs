@@ -61,7 +61,11 @@ pub enum Change {
         before: True,
     },
     /// It does not exist any more, here at least.
-    Gone { interface: String },
+    Gone {
+        interface: String,
+        /// When it was last seen to be there.
+        before: True,
+    },
 }
 
 /// An interface that is looked at from time to time.
@@ -136,7 +140,7 @@ impl Seen {
 /// What differs between two looks. Between them more may have happened, of which there is no sign any more.
 fn changes(before: &Look, now: Option<&Link>) -> Vec<Change> {
     let was = &before.link;
-    let Some(is) = now else { return vec![Change::Gone { interface: was.name.clone() }] };
+    let Some(is) = now else { return vec![Change::Gone { interface: was.name.clone(), before: before.at }] };
     let mut changes = Vec::new();
     if was.name != is.name {
         changes.push(Change::Renamed { from: was.name.clone(), to: is.name.clone() });
@@ -165,7 +169,7 @@ impl fmt::Display for Change {
                 "the interface '{interface}' is down: bring it up with `ip link set {interface} up`; the station \
                  goes on trying"
             ),
-            Change::Gone { interface } => write!(
+            Change::Gone { interface, .. } => write!(
                 f,
                 "the interface '{interface}' is gone: it was removed, or moved to another network namespace; \
                  start the station again once it is back"
@@ -225,7 +229,7 @@ mod tests {
     #[test]
     fn an_interface_that_is_gone_is_named_with_the_remedy() {
         let changes = seen(LinkState::NoCarrier).take(2_000, None);
-        assert_eq!(changes, [Change::Gone { interface: "rt0".into() }]);
+        assert!(matches!(changes[..], [Change::Gone { before: 1_000, .. }]), "{changes:?}");
         let line = changes[0].to_string();
         assert!(line.contains("'rt0' is gone") && line.contains("start the station again"), "{line}");
         assert!(!line.contains('\n'), "{line}");

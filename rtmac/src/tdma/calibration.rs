@@ -9,12 +9,13 @@
 //!
 //! RTnet takes the mean of all rounds and never repeats a lost one. Here the lower quartile counts: one stamp
 //! that the host held up by a millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever
-//! make a round longer.
+//! make a round longer. And where Synchronisations take longer than that, it is their delay that counts.
 
 use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
 
-use super::line;
+use super::line::TimeLine;
+use super::round::{self, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
 pub const DEFAULT_ROUNDS: u32 = 100;
@@ -27,7 +28,7 @@ const ATTEMPTS_EXTRA: u32 = 20;
 /// A calibration, running or done.
 pub struct Calibration {
     rounds: u32,
-    samples: Vec<Span>,
+    samples: Vec<Round>,
     /// The request's stamp on this station's clock, while its reply is awaited.
     outstanding: Option<Instant>,
     attempts: u32,
@@ -83,28 +84,27 @@ impl Calibration {
         self.outstanding = Some(xmit);
     }
 
-    /// A reply, received at `rx`; the delay once it was the last. A sample beyond `limit` is refused,
-    /// whichever its sign.
+    /// A reply, received at `rx` on this line; the delay once it was the last. A sample beyond the line's period is
+    /// refused, whichever its sign.
     pub fn reply(
         &mut self,
         request_xmit: u64,
         reception: u64,
         xmit: u64,
         rx: Instant,
-        limit: Span,
+        line: &TimeLine,
     ) -> Result<Option<Span>, Refusal> {
         if self.outstanding.is_none_or(|sent| sent.nanos() != request_xmit) {
             return Err(Refusal::UnexpectedReply);
         }
         self.outstanding = None;
-        let sample = line::delay(request_xmit, reception, xmit, rx.nanos());
-        if sample.abs() > limit {
+        let round = Round::new(request_xmit, reception, xmit, rx, line);
+        if round.delay.abs() > line.period {
             return Err(Refusal::ImplausibleReply);
         }
-        self.samples.push(sample);
+        self.samples.push(round);
         if self.samples.len() == self.rounds as usize {
-            self.samples.sort_unstable();
-            self.delay = Some(self.samples[self.samples.len() / 4]);
+            self.delay = Some(round::delay(&mut self.samples, line.period));
         }
         Ok(self.delay)
     }
@@ -113,14 +113,22 @@ impl Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rtnet::time::{GlobalTime, Offset};
 
-    const LIMIT: Span = Span::from_millis(1);
+    /// Its Synchronisations tell nothing of the clock of these rounds.
+    const LINE: TimeLine = TimeLine {
+        cycle: 0,
+        start: Instant::from_nanos(0),
+        sched: GlobalTime::from_nanos(0),
+        period: Span::from_millis(1),
+        offset: Offset::between(Instant::from_nanos(0), GlobalTime::from_nanos(1 << 50)),
+    };
 
     /// A round whose reply comes after `delay` twice and the master's own 100 ns.
     fn round(of: &mut Calibration, at: u64, delay: u64) -> Result<Option<Span>, Refusal> {
         assert!(of.begin_round());
         of.sent(Instant::from_nanos(at));
-        of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), LIMIT)
+        of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), &LINE)
     }
 
     #[test]
@@ -142,13 +150,13 @@ mod tests {
         calibration.sent(Instant::from_nanos(20));
         let rx = Instant::from_nanos(40);
         assert_eq!(
-            calibration.reply(10, 0, 0, rx, LIMIT),
+            calibration.reply(10, 0, 0, rx, &LINE),
             Err(Refusal::UnexpectedReply),
             "of the lost round"
         );
-        assert_eq!(calibration.reply(20, 0, 0, rx, LIMIT), Ok(Some(Span::from_nanos(10))));
+        assert_eq!(calibration.reply(20, 0, 0, rx, &LINE), Ok(Some(Span::from_nanos(10))));
         assert_eq!(calibration.repeats(), 1);
-        assert_eq!(calibration.reply(20, 0, 0, rx, LIMIT), Err(Refusal::UnexpectedReply), "twice");
+        assert_eq!(calibration.reply(20, 0, 0, rx, &LINE), Err(Refusal::UnexpectedReply), "twice");
     }
 
     #[test]
@@ -165,7 +173,7 @@ mod tests {
         assert_eq!(round(&mut calibration, 0, 2_000_000), Err(Refusal::ImplausibleReply));
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(7));
-        let lie = calibration.reply(7, u64::MAX / 2, 3, Instant::from_nanos(9), LIMIT);
+        let lie = calibration.reply(7, u64::MAX / 2, 3, Instant::from_nanos(9), &LINE);
         assert_eq!(lie, Err(Refusal::ImplausibleReply));
         assert_eq!(calibration.delay(), None);
     }

@@ -21,6 +21,7 @@ mod job;
 pub mod line;
 mod master;
 mod receive;
+mod round;
 pub mod schedule;
 mod slave;
 mod slot;
@@ -160,8 +161,10 @@ impl Tdma {
             }
             (Job::Reply { .. }, Role::Master(master)) => {
                 let asked = master.next_reply()?;
-                let (request_xmit, reception) = (asked.request_xmit, asked.reception.nanos());
-                Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, 0))
+                // By the clock of its Synchronisations, as a real master's are: slaves compare the two.
+                let epoch = master.config().epoch;
+                let (request_xmit, reception) = (asked.request_xmit, epoch.global(asked.reception).nanos());
+                Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, epoch.nanos()))
             }
             (Job::Request(turn), Role::Slave(slave)) => {
                 if !slave.calibration_mut().begin_round() {

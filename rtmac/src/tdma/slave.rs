@@ -187,7 +187,7 @@ impl Slave {
         if self.calibration.delay().is_some() {
             return Err(Refusal::UnexpectedReply);
         }
-        let Some(delay) = self.calibration.reply(request_xmit, reception, xmit, rx, line.period)? else {
+        let Some(delay) = self.calibration.reply(request_xmit, reception, xmit, rx, line)? else {
             return Ok(false);
         };
         // The offset grows by the delay, so everything is due that much earlier on this clock.

@@ -26,6 +26,7 @@ pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Rep
 
 /// Asks a station that is to answer soon.
 pub fn ask_within(directory: &Directory, place: &Place, request: Request, within: Duration) -> Result<Reply> {
+    directory.check()?;
     let path = directory.station(place);
     exchange(&path, request, within)
         .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
@@ -33,6 +34,7 @@ pub fn ask_within(directory: &Directory, place: &Place, request: Request, within
 
 /// Asks a lab.
 pub fn ask_lab(directory: &Directory, lab: &str, request: LabRequest) -> Result<LabReply> {
+    directory.check()?;
     let path = directory.lab(lab);
     let within = if request == LabRequest::Down { DOWN_WITHIN } else { PATIENCE };
     exchange(&path, request, within).map_err(|error| explain(error, "lab", lab, directory.labs()))

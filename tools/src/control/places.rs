@@ -133,6 +133,11 @@ impl Directory {
         &self.0
     }
 
+    /// Whether nobody else can have put sockets there; a directory that does not exist has none.
+    pub fn check(&self) -> Result<()> {
+        if self.0.exists() { check_private(&self.0) } else { Ok(()) }
+    }
+
     /// The socket of a station.
     pub fn station(&self, place: &Place) -> PathBuf {
         let file = format!("{}.sock", place.station);
@@ -216,6 +221,10 @@ fn file_name(path: &Path) -> String {
 fn make_private(path: &Path) -> Result<()> {
     let made = DirBuilder::new().recursive(true).mode(0o700).create(path);
     made.with_context(|| format!("{} cannot be made", path.display()))?;
+    check_private(path)
+}
+
+fn check_private(path: &Path) -> Result<()> {
     let found = fs::symlink_metadata(path)?;
     ensure!(
         found.is_dir() && found.uid() == nix::unistd::geteuid().as_raw() && found.mode() & 0o022 == 0,
@@ -226,6 +235,18 @@ fn make_private(path: &Path) -> Result<()> {
 }
 
 fn lock(path: &Path, name: &str) -> Result<Flock<File>> {
+    loop {
+        let lock = lock_once(path, name)?;
+        // Its last holder may have removed it between our opening and locking it: then others lock another.
+        let inode = lock.metadata()?.ino();
+        if fs::metadata(path).is_ok_and(|found| found.ino() == inode) {
+            return Ok(lock);
+        }
+        path.parent().map_or(Ok(()), make_private)?;
+    }
+}
+
+fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
     let file = File::options().read(true).write(true).create(true).truncate(false).open(path);
     let mut file = file.with_context(|| format!("{} cannot be opened", path.display()))?;
     let mut holder = String::new();
@@ -276,6 +297,17 @@ mod tests {
     }
 
     #[test]
+    fn a_lock_whose_file_was_removed_meanwhile_is_not_the_name_s() {
+        let scratch = tempfile::tempdir().unwrap();
+        let path = scratch.path().join("arm.lock");
+        let stale = lock_once(&path, "arm").unwrap();
+        fs::remove_file(&path).unwrap();
+        let held = lock(&path, "arm").unwrap();
+        assert_ne!(stale.metadata().unwrap().ino(), held.metadata().unwrap().ino());
+        assert!(lock(&path, "arm").is_err(), "and that is held");
+    }
+
+    #[test]
     fn what_a_dead_lab_left_is_taken_over() {
         let scratch = tempfile::tempdir().unwrap();
         let directory = Directory::at(scratch.path());
@@ -296,7 +328,9 @@ mod tests {
         let open = scratch.path().join("open");
         fs::create_dir(&open).unwrap();
         fs::set_permissions(&open, fs::Permissions::from_mode(0o777)).unwrap();
-        let error = Directory::at(&open).take_station("arm").unwrap_err().to_string();
-        assert!(error.contains("others can write"), "{error}");
+        let directory = Directory::at(&open);
+        for error in [directory.take_station("arm").unwrap_err(), directory.check().unwrap_err()] {
+            assert!(error.to_string().contains("others can write"), "{error}");
+        }
     }
 }

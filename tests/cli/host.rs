@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 /// One network at a time: several would miss slots for each other.
 static NETWORK: Mutex<()> = Mutex::new(());
 /// A network that fails while its host stood still for so long, several cycles, says nothing of the network.
-const STILL: Duration = Duration::from_millis(20);
+const STILL: Duration = Duration::from_millis(50);
 const ATTEMPTS: usize = 4;
 
 /// Says aloud, past the test harness, that a test did not run.

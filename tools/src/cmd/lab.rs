@@ -146,9 +146,14 @@ fn enter(place: &Place) -> Result<()> {
 
 /// Whether nothing happened that ought not to.
 pub fn is_well(status: &LabStatus) -> bool {
-    let of_station = |station: &MemberStatus| station.payload_errors > 0 || station.state == "ended";
-    let of_lab = [status.unexplained, status.frames_lost, status.not_judged];
-    of_lab == [0; 3] && !status.stations.iter().any(of_station)
+    let of_station = |station: &MemberStatus| {
+        // Who has lost the master for a moment is there, and its misses have their cause.
+        let is_there = matches!(station.state.as_str(), "locked" | "holdover" | "lost" | "detached");
+        // Whose wire was cut did not receive what passed meanwhile.
+        let lost = if station.cuts > 0 { 0 } else { station.frames_lost };
+        is_there && [station.payload_errors, station.lost_records, lost] == [0; 3]
+    };
+    status.unexplained == 0 && status.not_judged == 0 && status.stations.iter().all(of_station)
 }
 
 /// A lab in words.

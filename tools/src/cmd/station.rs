@@ -12,7 +12,7 @@ use super::Failure;
 use crate::cli::{Late, Scheduling, StationArgs};
 use crate::control::SlotRequest;
 use crate::scenario::{default_sync_window, parse_phase};
-use crate::station::link::{self, LabOptions};
+use crate::station::link::{self, LabOptions, Report};
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
 
@@ -60,7 +60,15 @@ pub fn parse_slot(text: &str) -> Result<SlotArg, String> {
 /// Runs a station until it is told to stop.
 pub fn station(args: &StationArgs) -> Result<u8, Failure> {
     let options = options(args).map_err(Failure::Usage)?;
-    let station = station::set_up(options).map_err(Failure::Usage)?;
+    let in_lab = options.lab.is_some();
+    let station = station::set_up(options)
+        .inspect_err(|error| {
+            if in_lab {
+                // Nobody may read our standard error any more.
+                let _ = Report::Failed(format!("{error:#}")).say();
+            }
+        })
+        .map_err(Failure::Usage)?;
     station.run().map(|()| 0).map_err(Failure::Run)
 }
 

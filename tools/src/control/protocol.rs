@@ -244,6 +244,10 @@ pub struct LabStatus {
     pub frames_seen: u64,
     /// Slots without their frame.
     pub slots_missed: u64,
+    /// Of Synchronisations: actual - scheduled transmit.
+    pub sync_slot_error_ns: Summary,
+    /// How long after a cycle's start its Synchronisation may be on the air.
+    pub sync_window_ns: i64,
     /// Two frames on the air at once.
     pub overlaps: u64,
     /// Frames outside their slot.
@@ -269,7 +273,7 @@ pub struct MemberStatus {
     pub name: String,
     /// `master`, `slave`.
     pub role: String,
-    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`; of its process `stopped`, `restarting`, `ended`;
+    /// `waiting`, `calibrating`, `locked`, `holdover`, `lost`, `detached`; of its process `stopped`, `restarting`, `ended`;
     /// with `, no carrier` or `, down` behind it if its interface is that.
     pub state: String,
     /// Its process.
@@ -294,6 +298,10 @@ pub struct MemberStatus {
     pub events: BTreeMap<String, u64>,
     /// Processes that it has had before this one.
     pub restarts: u32,
+    /// How often its wire was cut: frames for it were lost for that.
+    pub cuts: u32,
+    /// What it could not tell of, because its queues were full.
+    pub lost_records: u64,
     /// Why it cannot go on, if it has said so.
     pub failed: Option<String>,
     /// Frames refused, by reason.

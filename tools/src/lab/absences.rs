@@ -1,6 +1,8 @@
 //! When a station was not there: its process had ended, or its wire was cut. Of what it missed then it could tell
 //! nothing itself.
 
+use super::timetable::before;
+
 /// Why a station was not there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Absence {
@@ -8,6 +10,8 @@ pub enum Absence {
     Down,
     /// Its interface had no carrier.
     NoCarrier,
+    /// Its process was stopped, and what it missed is more than it could remember.
+    Stopped,
 }
 
 impl Absence {
@@ -16,7 +20,13 @@ impl Absence {
         match self {
             Absence::Down => "station_down",
             Absence::NoCarrier => "no_carrier",
+            Absence::Stopped => "station_stopped",
         }
+    }
+
+    /// Whether a cause is an absence.
+    pub fn is_name(cause: &str) -> bool {
+        [Absence::Down, Absence::NoCarrier, Absence::Stopped].iter().any(|of| of.name() == cause)
     }
 }
 
@@ -60,9 +70,15 @@ impl Absences {
         self.list.iter().find(|entry| entry.station == station && entry.covers(cycle)).map(|entry| entry.why)
     }
 
+    /// Those that are not there now, and since when.
+    pub fn open(&self) -> impl Iterator<Item = (usize, Absence, u32)> {
+        let open = self.list.iter().filter(|entry| entry.until.is_none());
+        open.map(|entry| (entry.station, entry.why, entry.from))
+    }
+
     /// Forgets what had ended before this cycle.
     pub fn forget_before(&mut self, cycle: u32) {
-        self.list.retain(|entry| entry.until.is_none_or(|until| !is_before(until, cycle)));
+        self.list.retain(|entry| entry.until.is_none_or(|until| !before(until, cycle)));
     }
 }
 
@@ -72,13 +88,8 @@ impl Entry {
     }
 
     fn covers(&self, cycle: u32) -> bool {
-        !is_before(cycle, self.from) && self.until.is_none_or(|until| is_before(cycle, until))
+        !before(cycle, self.from) && self.until.is_none_or(|until| before(cycle, until))
     }
-}
-
-/// In the order of cycle numbers, which go round.
-fn is_before(a: u32, b: u32) -> bool {
-    (a.wrapping_sub(b) as i32) < 0
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use rtnet::wire::ethernet::{EtherType, Header};
 
 use super::delivery::Passed;
 use super::findings::{Author, Finding, FindingKind};
-use super::timetable::{Timetable, turns};
+use super::timetable::{Timetable, before, turns};
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
 use crate::station::traffic::Tag;
@@ -67,13 +67,16 @@ pub struct Analysis {
     current: Option<u32>,
     /// The first cycle that was heard of, and its start: from it follow all others.
     grid: Option<(u32, GlobalTime)>,
-    last_sync: Option<(u32, True)>,
+    /// The last Synchronisation, and when it was; of one that was passed over that is not known.
+    last_sync: Option<(u32, Option<True>)>,
     busy: Option<(True, Option<Author>)>,
     /// Cycles of which not every frame could be judged, first and last.
     blind: Vec<(u32, u32)>,
     sees: bool,
     /// Synchronisations seen in the window.
     pub syncs: u64,
+    /// Actual - scheduled transmit of Synchronisations.
+    pub sync_slot_error: SignedHistogram,
     /// (t(n) - t(n-1)) - T of neighbouring cycles' Synchronisations.
     pub sync_period_jitter: SignedHistogram,
     /// What ought not to be, in the window.
@@ -110,6 +113,7 @@ impl Analysis {
             blind: Vec::new(),
             sees: true,
             syncs: 0,
+            sync_slot_error: SignedHistogram::new(),
             sync_period_jitter: SignedHistogram::new(),
             findings: Vec::new(),
             findings_dropped: 0,
@@ -198,6 +202,39 @@ impl Analysis {
             let author = Author { station: tag.station(), cycle: tag.cycle(), slot: Some(tag.slot) };
             self.occupy(at, air, Some(tag.cycle()), Some(author));
             self.data(at, tag, author, air);
+        }
+    }
+
+    /// What a station misses before cycle `end` is counted by somebody else, and is no finding: how many turns of its
+    /// slots that is, from the last that was seen on.
+    pub fn pass_over(&mut self, station: usize, end: u32) -> u64 {
+        let Some((from, _)) = self.window else { return 0 };
+        let mut passed = 0;
+        for id in self.timetable.ids(station) {
+            let next = self.stations[station].last.get(&id).map_or(from, |last| last.wrapping_add(1));
+            if before(next, end) {
+                passed += self.timetable.count_of(station, id, next, end);
+                self.stations[station].last.insert(id, end.wrapping_sub(1));
+            }
+        }
+        passed
+    }
+
+    /// The same of Synchronisations.
+    pub fn pass_over_syncs(&mut self, end: u32) -> u64 {
+        let Some((last, _)) = self.last_sync else { return 0 };
+        if self.window.is_none() || !before(last.wrapping_add(1), end) {
+            return 0;
+        }
+        let passed = end.wrapping_sub(1);
+        self.last_sync = Some((passed, None));
+        passed.wrapping_sub(last).into()
+    }
+
+    /// It is this cycle, though no Synchronisation says so.
+    pub fn advance_to(&mut self, cycle: u32) {
+        if self.current.is_some_and(|current| before(current, cycle)) {
+            self.current = Some(cycle);
         }
     }
 
@@ -298,21 +335,24 @@ impl Analysis {
         }
         if self.counts(cycle) {
             self.syncs += 1;
+            self.sync_slot_error.record(error.nanos());
         }
         if error < -clock_share(self.guard) || error > self.sync_window - air {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         if let Some((last, last_at)) = self.last_sync {
             match cycle.wrapping_sub(last) as i32 {
-                1 if self.counts(cycle) => {
-                    let period = self.master.clock.local(at) - self.master.clock.local(last_at);
-                    self.sync_period_jitter.record((period - self.cycle).nanos());
+                1 => {
+                    if let (true, Some(last_at)) = (self.counts(cycle), last_at) {
+                        let period = self.master.clock.local(at) - self.master.clock.local(last_at);
+                        self.sync_period_jitter.record((period - self.cycle).nanos());
+                    }
                 }
                 ..=0 => self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO)),
                 _ => self.sync_gaps(last.wrapping_add(1), cycle),
             }
         }
-        self.last_sync = Some((cycle, at));
+        self.last_sync = Some((cycle, Some(at)));
         self.current = Some(cycle);
     }
 
@@ -324,7 +364,7 @@ impl Analysis {
         if !counts {
             return;
         }
-        self.timetable.sent(station, cycle);
+        self.timetable.sent(station, tag.slot, cycle);
         let Some(&slot) = self.timetable.at(station, tag.slot, cycle) else {
             return self.find(Finding::of(author, FindingKind::OutOfSlot, Span::ZERO));
         };

@@ -46,7 +46,8 @@ impl Passed {
     /// How many frames the receiver did not get: of those that count, and of all within what it heard.
     pub fn lost(&self, heard: &Heard) -> u64 {
         let Some((from, to)) = self.counted else { return 0 };
-        let (first, last) = heard.range.unwrap_or((from, to));
+        // One that has come anew and heard nothing yet cannot say since when it listens.
+        let Some((first, last)) = heard.range.or((!heard.anew).then_some((from, to))) else { return 0 };
         // One that has come anew could not hear what passed before its first.
         let from = if heard.anew { first } else { first.min(from) };
         self.passed(from, last.max(to)).saturating_sub(heard.received)
@@ -106,6 +107,7 @@ mod tests {
         assert_eq!(lost(29, Some((50, 79))), 0);
         assert_eq!(lost(27, Some((50, 79))), 2, "30 numbers, one of which was never sent");
         assert_eq!(lost(19, Some((50, 69))), 10, "the last ten never came");
+        assert_eq!(lost(0, None), 0, "nobody knows since when it listens");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 
-use super::absences::Absences;
+use super::absences::{Absence, Absences};
 use super::findings::{Author, Finding, FindingKind};
 
 /// A lab's first station is its master.
@@ -73,7 +73,7 @@ impl Records {
             FindingKind::Overlap | FindingKind::OutOfSlot => authors.find_map(|author| {
                 self.told(author, EventKind::StalledInSend)
                     .or_else(|| self.told(master(author), EventKind::StalledInSend))
-                    .or_else(|| self.absence(author))
+                    .or_else(|| self.absence(author).filter(|&why| why == Absence::Down.name()))
             }),
             // One that the kernel guard dropped is skipped, too.
             FindingKind::SyncGap => authors.find_map(|author| {
@@ -131,7 +131,6 @@ fn master(author: Author) -> Author {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::absences::Absence;
 
     /// In the station's slot 0; the master's Synchronisation.
     fn author(cycle: u32, station: usize) -> Author {

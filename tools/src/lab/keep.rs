@@ -22,7 +22,9 @@ use crate::station::link::Standing;
 
 /// How often what was found is judged: records are told twenty times a second.
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
-/// How long records are kept: a station that was stopped for less has its misses explained.
+/// How often to look which stations are stopped.
+const LOOK_AT_PROCESSES_EVERY: Duration = Duration::from_millis(100);
+/// How long records are kept.
 const RECORDS_KEPT: Duration = Duration::from_secs(600);
 /// How long a station may take to answer its lab: the observer's ring holds a second.
 const STATION_WITHIN: Duration = Duration::from_millis(500);
@@ -58,11 +60,15 @@ pub fn keep(
         Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, restarting, over: None };
     ready(&keeper.status())?;
     let until = at_most.map(|span| since + Duration::from_nanos(span.nanos().max(0) as u64));
-    let mut judged = Instant::now();
+    let (mut judged, mut looked) = (Instant::now(), Instant::now());
     while keeper.over.is_none() {
         server.serve(LOOK_EVERY, |packet, _| keeper.answer(packet));
         keeper.lab.take_in()?;
         keeper.restart_ended();
+        if looked.elapsed() >= LOOK_AT_PROCESSES_EVERY {
+            looked = Instant::now();
+            keeper.lab.note_stopped();
+        }
         if judged.elapsed() >= JUDGE_EVERY {
             judged = Instant::now();
             keeper.judge();
@@ -111,6 +117,7 @@ impl Keeper {
     }
 
     fn judge(&mut self) {
+        self.lab.count_absences(&mut self.tally);
         let cycle = Duration::from_nanos(self.scenario.cycle.nanos() as u64);
         let keep = (RECORDS_KEPT.as_nanos() / cycle.as_nanos().max(1)).clamp(1, u128::from(u32::MAX / 2));
         self.tally.judge(&mut self.lab.analysis, &mut self.lab.records, keep as u32);
@@ -121,6 +128,7 @@ impl Keeper {
         if self.over.is_some() {
             return Ok(());
         }
+        self.lab.note_end_without_master();
         self.lab.analysis.end();
         self.lab.members.iter_mut().for_each(Member::stop_counting);
         // What a member is at its end is "ended"; what it was before is of interest.
@@ -154,6 +162,10 @@ impl Keeper {
                 "a size of {size} is not within {payload}, the payload of '{name}', and {MTU}"
             );
         }
+        ensure!(
+            !self.lab.analysis.timetable.is_away(station),
+            "station '{name}' is detached: let it join first"
+        );
         self.must_have_been_locked(station)?;
         let plan = slot.map(|slot| SlotPlan {
             id,
@@ -211,11 +223,8 @@ impl Keeper {
     fn try_restart(&mut self, name: &str) -> Result<u32> {
         let station = self.station(name)?;
         ensure!(self.restarting[station].is_none(), "station '{name}' is being restarted already");
-        ensure!(
-            !self.lab.analysis.timetable.is_away(station),
-            "station '{name}' is detached: let it join first (`rtnet tdma -S {}/{name} slave`)",
-            self.home.lab
-        );
+        // A new process begins as the lab's file has it, wherever the one before it was.
+        self.lab.analysis.timetable.may_return(station);
         let member = &mut self.lab.members[station];
         if !member.ended {
             member.tell_to_end();
@@ -281,6 +290,7 @@ impl Keeper {
             _ if self.restarting[station].is_some() => "restarting".into(),
             Member { ended: true, .. } => "ended".into(),
             _ if is_stopped() => "stopped".into(),
+            _ if self.lab.analysis.timetable.has_left(station) => "detached".into(),
             Member { standing: Some(Standing { link, state, .. }), .. } if link != "up" => {
                 format!("{state}, {link}")
             }
@@ -306,6 +316,8 @@ impl Keeper {
             frames_expected: stations.iter().map(|s| s.frames_seen + s.slots_missed).sum(),
             frames_seen: stations.iter().map(|s| s.frames_seen).sum(),
             slots_missed: stations.iter().map(|s| s.slots_missed).sum(),
+            sync_slot_error_ns: analysis.sync_slot_error.summary(),
+            sync_window_ns: self.scenario.sync_window.nanos(),
             overlaps: self.tally.overlaps,
             out_of_slot: self.tally.out_of_slot,
             unexplained: self.tally.unexplained,
@@ -344,6 +356,8 @@ impl Keeper {
             guard: member.guarded.into(),
             events: member.events.clone(),
             restarts: member.restarts,
+            cuts: member.cuts,
+            lost_records: member.standing.as_ref().map_or(0, |standing| standing.lost_records),
             failed: member.failed.clone(),
             refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         }

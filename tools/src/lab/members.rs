@@ -44,6 +44,10 @@ pub struct Member {
     pub events: BTreeMap<String, u64>,
     /// Processes that it has had before this one.
     pub restarts: u32,
+    /// How often its wire was cut.
+    pub cuts: u32,
+    /// In which cycle its process was last seen not to be stopped.
+    pub seen_running: Option<u32>,
     counting: bool,
     told_to_end: bool,
     /// Test traffic that was not what was sent, in those processes.
@@ -68,6 +72,8 @@ impl Member {
             cpu_seconds: 0.0,
             events: BTreeMap::new(),
             restarts: 0,
+            cuts: 0,
+            seen_running: None,
             counting: false,
             told_to_end: false,
             former_errors: 0,
@@ -138,10 +144,11 @@ impl Member {
 
     /// Test traffic that it has heard altogether.
     pub fn heard(&self) -> Heard {
-        let Some(standing) = &self.standing else { return Heard::default() };
+        let anew = self.restarts > 0;
+        let Some(standing) = &self.standing else { return Heard { anew, ..Heard::default() } };
         let Standing { received, missing, first, .. } = *standing;
         let range = (received > 0).then(|| (first, first + received + missing - 1));
-        Heard { received, range, anew: self.restarts > 0 }
+        Heard { received, range, anew }
     }
 
     /// Locked, or bridging one cycle, when the measurement ended.
@@ -196,7 +203,8 @@ impl Member {
                     self.sync_error.record(error.nanos());
                 }
             }
-            Some(Report::Times(_) | Report::Link { .. }) => {}
+            Some(Report::Link { carrier, .. }) => self.cuts += u32::from(!carrier),
+            Some(Report::Times(_)) => {}
         }
     }
 

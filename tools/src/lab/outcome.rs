@@ -3,6 +3,7 @@
 use rtnet::discipline::{Cause, EventKind};
 
 use super::Outcome;
+use super::absences::Absence;
 use super::analysis::Analysis;
 use super::explain::Records;
 use super::findings::{Finding, FindingKind};
@@ -176,7 +177,11 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
         FindingKind::OutOfSlot => figures.out_of_slot += 1,
         FindingKind::SyncGap | FindingKind::SlotMissed | FindingKind::Repeated => {}
     }
-    if records.explain(finding).is_some() {
+    if let Some(cause) = records.explain(finding) {
+        // What a station told of is counted with its records; of its absence there are none.
+        if Absence::is_name(cause) {
+            *figures.causes.entry(cause.into()).or_default() += 1;
+        }
         return;
     }
     figures.unexplained += 1;

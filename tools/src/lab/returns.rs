@@ -1,14 +1,21 @@
 //! Stations that leave a running lab, and come back.
 
 use anyhow::Result;
+use rtnet::clock::True;
+use rtnet::discipline::Cause;
 use rtnet::live::clock::monotonic;
 
 use super::absences::Absence;
 use super::members::{Resume, arguments};
 use super::processes::Process;
 use super::run::{INTERFACE, Lab, port_name};
+use super::tally::Tally;
+use super::timetable::before;
 use crate::scenario::Scenario;
 use crate::station::link::Report;
+
+/// For how long at most the observer and the stations hold back what they have to tell.
+const HELD_BACK: True = 2_000_000_000;
 
 impl Lab {
     /// A station's wire was cut or mended, or its process has ended: what that had to tell of later than its last
@@ -33,6 +40,50 @@ impl Lab {
         }
     }
 
+    /// Who is stopped notices nothing, and has soon missed more than it can tell of when it goes on.
+    pub(super) fn note_stopped(&mut self) {
+        let Some(now) = self.analysis.cycle_at(monotonic()) else { return };
+        for (station, member) in self.members.iter_mut().enumerate() {
+            let is_stopped = member.process.as_ref().is_some_and(Process::is_stopped);
+            match (is_stopped, member.seen_running.replace(now)) {
+                (true, Some(last)) => {
+                    self.records.absences.begin(station, Absence::Stopped, last);
+                    // It was seen to run then, and not since.
+                    member.seen_running = Some(last);
+                }
+                (true, None) => member.seen_running = None,
+                (false, _) => self.records.absences.end(station, Absence::Stopped, now.wrapping_add(1)),
+            }
+        }
+    }
+
+    /// Counts, by cause, what is missed while stations are not there, so that one which is away for days costs no
+    /// memory: what the observer may still have to tell of is left for later.
+    pub(super) fn count_absences(&mut self, tally: &mut Tally) {
+        let Some(until) = monotonic().checked_sub(HELD_BACK).and_then(|at| self.analysis.cycle_at(at)) else {
+            return;
+        };
+        let open: Vec<_> = self.records.absences.open().filter(|&(.., from)| before(from, until)).collect();
+        for (station, why, _) in open {
+            tally.add(why.name(), self.analysis.pass_over(station, until));
+            if station == 0 {
+                tally.add(why.name(), self.analysis.pass_over_syncs(until));
+                // Without a master nobody sends.
+                for other in 1..self.members.len() {
+                    tally.add(Cause::NoSync.name(), self.analysis.pass_over(other, until));
+                }
+            }
+        }
+    }
+
+    /// A lab that ends without its master ends now, not with the last Synchronisation.
+    pub(super) fn note_end_without_master(&mut self) {
+        let now = self.analysis.cycle_at(monotonic());
+        if let (Some(now), true) = (now, self.records.absences.open().any(|(station, ..)| station == 0)) {
+            self.analysis.advance_to(now);
+        }
+    }
+
     /// Who was restarted is there again from its first frame on.
     pub(super) fn note_returns(&mut self) {
         for (station, member) in self.members.iter().enumerate() {
@@ -51,8 +102,10 @@ impl Lab {
         let resume = Resume { grid: self.analysis.grid(), first: sender.beyond() };
         let arguments = arguments(scenario, station, &self.launch, &resume)?;
         let member = &mut self.members[station];
-        // Somebody may have taken its interface away.
+        // Somebody may have taken its interface away, or renamed it.
         if member.namespace.netlink()?.link_index(INTERFACE).is_err() {
+            // Mostly the port went with it.
+            let _ = self.segment.detach(&port_name(station));
             self.segment.attach(
                 &member.namespace,
                 &port_name(station),
@@ -65,7 +118,8 @@ impl Lab {
         // Of the wire it tells anew.
         self.note_absence(station, Some(&Report::Link { at: 0, carrier: true }));
         if let Some(now) = self.analysis.cycle_at(monotonic()) {
-            self.analysis.await_again(station, now);
+            // Of this cycle there may still be a frame of the process before it.
+            self.analysis.await_again(station, now.wrapping_add(1));
         }
         Ok(())
     }

@@ -47,6 +47,13 @@ impl Tally {
         self.judge(analysis, records, u32::MAX / 2);
     }
 
+    /// So much was missed for this cause.
+    pub fn add(&mut self, cause: &str, missed: u64) {
+        if missed > 0 {
+            *self.causes.entry(cause.into()).or_default() += missed;
+        }
+    }
+
     fn count(&mut self, finding: Finding, records: &Records) {
         match finding.kind {
             FindingKind::Overlap => self.overlaps += 1,
@@ -54,7 +61,7 @@ impl Tally {
             FindingKind::SyncGap | FindingKind::SlotMissed | FindingKind::Repeated => {}
         }
         if let Some(cause) = records.explain(&finding) {
-            *self.causes.entry(cause.into()).or_default() += 1;
+            self.add(cause, 1);
         } else {
             self.unexplained += 1;
             if self.shown.len() == SHOWN_AT_MOST {

@@ -59,6 +59,11 @@ impl Timetable {
         self.away[station].is_some()
     }
 
+    /// Whether a station has left, and is not about to return.
+    pub fn has_left(&self, station: usize) -> bool {
+        matches!(self.away[station], Some((_, false)))
+    }
+
     /// A station that has left may send again.
     pub fn may_return(&mut self, station: usize) {
         if let Some((_, may)) = &mut self.away[station] {
@@ -66,15 +71,18 @@ impl Timetable {
         }
     }
 
-    /// A station has sent in a cycle: if it had left, it is back.
-    pub fn sent(&mut self, station: usize, cycle: u32) {
+    /// A station has sent in a slot of a cycle: if it had left, it is back, with its slots from there on.
+    pub fn sent(&mut self, station: usize, slot: u8, cycle: u32) {
         if !matches!(self.away[station], Some((_, true)))
             || self.stations[station].iter().any(|e| e.holds(cycle))
         {
             return;
         }
-        for plan in self.away[station].take().map(|(plans, _)| plans).unwrap_or_default() {
-            self.change(station, plan.id, Some(plan), cycle);
+        let plans = self.away[station].take().map(|(plans, _)| plans).unwrap_or_default();
+        let begin = plans.iter().find(|plan| plan.id == slot).map(|plan| plan.offset);
+        for plan in plans {
+            let has_passed = begin.is_some_and(|begin| plan.offset < begin);
+            self.change(station, plan.id, Some(plan), cycle.wrapping_add(has_passed.into()));
         }
     }
 
@@ -139,7 +147,7 @@ impl Entry {
 }
 
 /// In the order of cycle numbers, which go round.
-fn before(a: u32, b: u32) -> bool {
+pub fn before(a: u32, b: u32) -> bool {
     (b.wrapping_sub(a) as i32) > 0
 }
 
@@ -207,12 +215,12 @@ mod tests {
     fn nothing_is_expected_of_who_has_left_until_it_sends_again() {
         let (mut timetable, _) = timetable();
         timetable.leave(1, 100);
-        timetable.sent(1, 110);
+        timetable.sent(1, 0, 110);
         assert_eq!(timetable.count(1, 90, 200), 10, "it may not send yet");
         timetable.may_return(1);
-        timetable.sent(1, 99);
-        timetable.sent(1, 120);
-        timetable.sent(1, 121);
+        timetable.sent(1, 0, 99);
+        timetable.sent(1, 0, 120);
+        timetable.sent(1, 0, 121);
         assert_eq!(timetable.turns(1, 0, 98, 123).collect::<Vec<_>>(), [98, 99, 120, 121, 122]);
     }
 

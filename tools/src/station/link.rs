@@ -1,6 +1,7 @@
 //! What a lab and its stations tell each other: options in one JSON argument, reports as JSON lines.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering::Relaxed;
 
@@ -91,6 +92,17 @@ pub enum Report {
 /// Cycle, slot, kind (its place in [`EventKind::ALL`]), span in nanoseconds, and if something was missed by it, why
 /// (its place in [`Cause::ALL`]).
 pub type EventTold = (u32, Option<u8>, u8, i64, Option<u8>);
+
+impl Report {
+    /// Tells the lab.
+    pub fn say(&self) -> anyhow::Result<()> {
+        let mut line = serde_json::to_string(self)?;
+        line.push('\n');
+        let mut out = std::io::stdout().lock();
+        out.write_all(line.as_bytes())?;
+        Ok(out.flush()?)
+    }
+}
 
 /// Where a station stands.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]

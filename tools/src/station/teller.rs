@@ -44,7 +44,7 @@ impl Teller {
 
     pub fn started(&self, guarded: bool, refused: Vec<String>) -> Result<()> {
         match self {
-            Teller::Lab => say(&Report::Started { guarded, refused }),
+            Teller::Lab => Report::Started { guarded, refused }.say(),
             Teller::Person(person) => {
                 refused.iter().for_each(|line| eprintln!("{}: {line}", person.name));
                 Ok(())
@@ -67,12 +67,12 @@ impl Teller {
         });
         match self {
             Teller::Lab => {
-                link::reports(records.into_iter()).iter().try_for_each(say)?;
+                link::reports(records.into_iter()).iter().try_for_each(Report::say)?;
                 if let Some(snapshot) = snapshot {
-                    say(&Report::Standing(Box::new(Standing::of(&snapshot, counts, link))))?;
+                    Report::Standing(Box::new(Standing::of(&snapshot, counts, link))).say()?;
                 }
                 if let Some(why) = &yielded {
-                    say(&Report::Failed(why.clone()))?;
+                    Report::Failed(why.clone()).say()?;
                 }
             }
             Teller::Person(person) => person.tell(&records, snapshot.map(|snapshot| snapshot.status)),
@@ -90,7 +90,7 @@ impl Teller {
                 (Teller::Lab, &Change::State { from, to, before, .. }) => {
                     let carrier = to == LinkState::Up;
                     if carrier || from == LinkState::Up {
-                        say(&Report::Link { at: before, carrier })?;
+                        Report::Link { at: before, carrier }.say()?;
                     }
                 }
                 // A lab has given its interfaces their names, and its stations do not go by them.
@@ -98,8 +98,8 @@ impl Teller {
             }
         }
         if let (Teller::Lab, Some((before, why))) = (self, &gone) {
-            say(&Report::Link { at: *before, carrier: false })?;
-            say(&Report::Failed(why.clone()))?;
+            Report::Link { at: *before, carrier: false }.say()?;
+            Report::Failed(why.clone()).say()?;
         }
         Ok(gone.map(|(_, why)| why))
     }
@@ -183,12 +183,4 @@ fn standing_line(status: &TdmaStatus) -> String {
     let period = status.period.map_or("unknown".into(), |period| period.to_string());
     let delay = status.delay.map_or("not measured".into(), |delay| delay.to_string());
     format!("{}, cycle {} of {period}, delay {delay}", status.state.name(), status.cycle)
-}
-
-fn say(report: &Report) -> Result<()> {
-    let mut line = serde_json::to_string(report)?;
-    line.push('\n');
-    let mut out = std::io::stdout().lock();
-    out.write_all(line.as_bytes())?;
-    Ok(out.flush()?)
 }

@@ -223,6 +223,25 @@ fn what_nobody_looked_at_is_missed_but_no_finding() {
 }
 
 #[test]
+fn what_is_passed_over_is_missed_but_counted_elsewhere() {
+    let mut bench = Bench::new();
+    bench.sync(FIRST, 0);
+    bench.data(0, FIRST, 0);
+    bench.data(1, FIRST, 0);
+    // Nobody is there in cycles 11 to 13.
+    assert_eq!(bench.analysis.pass_over(1, 14), 3);
+    assert_eq!((bench.analysis.pass_over(0, 14), bench.analysis.pass_over_syncs(14)), (3, 3));
+    assert_eq!((bench.analysis.pass_over(1, 14), bench.analysis.pass_over_syncs(14)), (0, 0), "once");
+    bench.sync(14, 0);
+    bench.data(1, 14, 0);
+    bench.analysis.advance_to(FIRST + CYCLES);
+    bench.analysis.finish();
+    assert_eq!(found(&bench.analysis), [(14, FindingKind::SlotMissed, Some(0))]);
+    assert_eq!((bench.analysis.expected(1), bench.analysis.stations[1].frames), (5, 2));
+    assert!(bench.analysis.sync_period_jitter.is_empty(), "the syncs that were seen are no neighbours");
+}
+
+#[test]
 fn who_looks_away_after_the_end_forgets_nothing() {
     let mut bench = Bench::new();
     for cycle in (FIRST..=FIRST + CYCLES).filter(|&cycle| cycle != 12) {

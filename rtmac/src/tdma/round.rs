@@ -16,9 +16,10 @@ use rtnet::time::{GlobalTime, Instant, Span};
 
 use super::line::{self, TimeLine};
 
-/// What a Synchronisation is later than a frame for one station by: less is noise, and more than this part of a
-/// cycle cannot be told from a wrong clock.
+/// What a Synchronisation is later than a frame for one station by: less is noise; more than so many times the delay,
+/// or than this part of a cycle, is a host that held syncs up all the while, or a wrong clock.
 const LATER_AT_LEAST: Span = Span::from_nanos(250);
+const LATER_AT_MOST: i64 = 4;
 const LATER_PARTS: i64 = 16;
 /// Clocks run apart by no more than this part.
 const DRIFT_PARTS: i64 = 5_000;
@@ -54,8 +55,8 @@ impl Round {
     }
 }
 
-/// The delay of Synchronisations that these rounds show. Of hold-ups, which only ever make a round longer, the lower
-/// quartile knows nothing, nor does the quicker half.
+/// The delay of Synchronisations that these rounds show. Hold-ups only ever make a round longer and a Synchronisation
+/// later: of both the lower quartile counts, the latter in the quicker half of the rounds.
 pub fn delay(rounds: &mut [Round], period: Span) -> Span {
     let apart = apart(rounds);
     rounds.sort_unstable_by_key(|round| round.delay);
@@ -67,9 +68,9 @@ pub fn delay(rounds: &mut [Round], period: Span) -> Span {
         round.sync - Span::from_nanos(drifted).clamp(-at_most, at_most)
     };
     quicker.sort_unstable_by_key(sync);
-    let later = sync(&quicker[quicker.len() / 2]) - delay;
-    let is_later = (LATER_AT_LEAST..=period / LATER_PARTS).contains(&later) && delay + later <= period;
-    if is_later { delay + later } else { delay }
+    let later = sync(&quicker[quicker.len() / 4]) - delay;
+    let at_most = (delay * LATER_AT_MOST).min(period / LATER_PARTS).min(period - delay);
+    if (LATER_AT_LEAST..=at_most).contains(&later) { delay + later } else { delay }
 }
 
 /// By how much the master's clock gains on this one, from the first round to the last.
@@ -114,6 +115,16 @@ mod tests {
         assert_eq!(measured(0, 0, |_| 0), 9_000);
         let held_up = |i: u64| if i.is_multiple_of(3) { 300_000 } else { 0 };
         assert_eq!(measured(0, 0, held_up), 9_000, "hold-ups do not matter");
+    }
+
+    #[test]
+    fn syncs_that_are_held_up_all_the_while_are_not_believed() {
+        let mut late = rounds(0, 0, |_| 0);
+        late.iter_mut().for_each(|round| round.sync = round.sync + Span::from_micros(56));
+        assert_eq!(delay(&mut late, PERIOD), Span::from_micros(5));
+        let mut some = rounds(0, 0, |_| 0);
+        some.iter_mut().step_by(2).for_each(|round| round.sync = round.sync + Span::from_micros(10));
+        assert_eq!(delay(&mut some, PERIOD), Span::from_micros(9));
     }
 
     #[test]

@@ -98,9 +98,9 @@ fn told(account: &Value, kind: &str) -> u64 {
 }
 
 /// For `scripts/accept`.
-fn figure(text: &str) {
+fn figure(test: &str, text: &str) {
     // Past the test harness; whoever does not listen misses nothing.
-    let _ = writeln!(std::io::stderr(), "FIGURE {text}");
+    let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
 }
 
 /// A virtual processor may be taken away behind the guard, before the wire: once, with luck, but not at every stop.
@@ -123,7 +123,10 @@ fn stations_that_are_stopped_at_random_leave_nothing_unexplained() {
         for guard in ["auto", "user"] {
             let account = stopped(guard, stop_at_random);
             let late = latest(&account);
-            figure(&format!("at random, {guard}: {} stops, latest frame {late} ns after its slot", stops()));
+            figure(
+                "stations_that_are_stopped_at_random",
+                &format!("at random, {guard}: {} stops, latest frame {late} ns after its slot", stops()),
+            );
             if guard_is_as_asked(guard, &account, "stations_that_are_stopped_at_random") {
                 assert!(late <= RESIDUAL_NS || is_by_the_host(&account), "{account:#}");
             }
@@ -139,10 +142,13 @@ fn stations_that_are_stopped_before_they_send_are_late_only_without_the_kernel_g
             let account = stopped(guard, stop_before_send);
             let (late, dropped, stalled) =
                 (latest(&account), told(&account, "guard_dropped"), told(&account, "stalled_in_send"));
-            figure(&format!(
-                "before send, {guard}: {} stops, latest frame {late} ns after its slot, {dropped} dropped, {stalled} stalled",
-                stops()
-            ));
+            figure(
+                "stations_that_are_stopped_before_they_send",
+                &format!(
+                    "before send, {guard}: {} stops, latest frame {late} ns after its slot, {dropped} dropped, {stalled} stalled",
+                    stops()
+                ),
+            );
             assert!(dropped + stalled >= stops() as u64, "each was told of: {account:#}");
             if guard_is_as_asked(guard, &account, "stations_that_are_stopped_before_they_send") {
                 assert!(late <= RESIDUAL_NS || is_by_the_host(&account), "{account:#}");
@@ -228,10 +234,13 @@ fn killed_stations_are_seen_at_once_and_come_back_beside_the_others() {
         seen.sort();
         let cycles = |took: Duration| took.as_secs_f64() / LONG_CYCLE.as_secs_f64();
         let (median, longest) = (cycles(seen[seen.len() / 2]), cycles(*seen.last().unwrap()));
-        figure(&format!(
-            "killed: {} changes of state, seen {median:.2} cycles after they could be known of, at most {longest:.2}",
-            seen.len()
-        ));
+        figure(
+            test,
+            &format!(
+                "killed: {} changes of state, seen {median:.2} cycles after they could be known of, at most {longest:.2}",
+                seen.len()
+            ),
+        );
         assert!(longest <= 3.0, "{seen:?}");
         cell.wait_until_locked();
         std::thread::sleep(LONG_CYCLE * 3);

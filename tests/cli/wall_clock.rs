@@ -13,7 +13,7 @@ use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime, clock_settime};
 use serde_json::Value;
 
-const STEP: Duration = Duration::from_millis(300);
+const STEP: Duration = Duration::from_secs(1);
 
 /// Sets the wall clock forth, and back again when dropped.
 struct Stepped;

@@ -103,8 +103,8 @@ pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
         let member = member.context("the lab has lost it").map_err(Failure::Run)?;
         match (member.state.as_str(), &member.failed) {
             ("locked", _) if member.restarts > 0 => {
-                let after = begun.elapsed().as_secs_f64();
-                println!("{lab}/{station} is restarted as process {}, locked after {after:.1} s", member.pid);
+                let after = Span::from_millis(begun.elapsed().as_millis() as i64);
+                println!("{lab}/{station} is restarted as process {}, locked after {after}", member.pid);
                 return Ok(0);
             }
             ("ended", why) => {
@@ -114,7 +114,7 @@ pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
             (state, _) if begun.elapsed() > LOCKED_WITHIN => {
                 let within = LOCKED_WITHIN.as_secs();
                 return Err(Failure::Run(anyhow!(
-                    "station '{lab}/{station}' is {state} after {within} s: `rtnet lab status {lab}` tells how it goes on"
+                    "station '{lab}/{station}' is {state} after {within}s: `rtnet lab status {lab}` tells how it goes on"
                 )));
             }
             _ => std::thread::sleep(Duration::from_millis(20)),

@@ -113,6 +113,7 @@ impl Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tdma::line::Drift;
     use rtnet::time::{GlobalTime, Offset};
 
     /// Its Synchronisations tell nothing of the clock of these rounds.
@@ -122,6 +123,7 @@ mod tests {
         sched: GlobalTime::from_nanos(0),
         period: Span::from_millis(1),
         offset: Offset::between(Instant::from_nanos(0), GlobalTime::from_nanos(1 << 50)),
+        drift: Drift::NONE,
     };
 
     /// A round whose reply comes after `delay` twice and the master's own 100 ns.

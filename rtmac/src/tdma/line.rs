@@ -35,6 +35,41 @@ pub struct TimeLine {
     pub period: Span,
     /// From this station's clock to the master's.
     pub offset: Offset,
+    /// How fast the two run apart, as far as that is known.
+    pub drift: Drift,
+}
+
+/// How fast this station's clock gains on the master's: so much in so many cycles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drift {
+    gained: Span,
+    cycles: i64,
+}
+
+/// Clocks run apart by no more than this part.
+pub const DRIFT_PARTS: i64 = 5_000;
+
+impl Drift {
+    /// Two clocks that run together, or of which nothing is known.
+    pub const NONE: Drift = Drift { gained: Span::ZERO, cycles: 1 };
+
+    /// `gained` in so many cycles of one `period`, at most what clocks do. `None` without cycles.
+    pub fn new(gained: Span, cycles: i64, period: Span) -> Option<Self> {
+        let at_most = period * cycles / DRIFT_PARTS;
+        (cycles > 0).then(|| Self { gained: gained.clamp(-at_most, at_most), cycles })
+    }
+
+    /// In so many cycles.
+    pub fn over(self, cycles: i32) -> Span {
+        let gained = i128::from(self.gained.nanos()) * i128::from(cycles) / i128::from(self.cycles);
+        Span::from_nanos(gained as i64)
+    }
+
+    /// In parts per 10^9 of a cycle.
+    pub fn parts_per_billion(self, period: Span) -> i64 {
+        let lasted = i128::from(self.cycles) * i128::from(period.nanos().max(1));
+        (i128::from(self.gained.nanos()) * 1_000_000_000 / lasted) as i64
+    }
 }
 
 impl TimeLine {
@@ -44,7 +79,8 @@ impl TimeLine {
     }
     /// A cycle's start on this station's clock.
     pub fn start_of(&self, cycle: u32) -> Instant {
-        self.start + self.period * i64::from(self.ahead(cycle))
+        let ahead = self.ahead(cycle);
+        self.start + self.period * i64::from(ahead) + self.drift.over(ahead)
     }
     /// A cycle's start on the master's clock.
     pub fn sched_of(&self, cycle: u32) -> GlobalTime {
@@ -99,6 +135,7 @@ mod tests {
             sched: GlobalTime::from_nanos(50_000),
             period: Span::from_nanos(1_000),
             offset: Offset::default(),
+            drift: Drift::NONE,
         };
         assert_eq!(line.start_of(1).nanos(), 12_000);
         assert_eq!(line.sched_of(u32::MAX - 1).nanos(), 49_000);

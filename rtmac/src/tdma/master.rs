@@ -16,7 +16,7 @@ use rtnet::counters::Refusal;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
-use super::line::TimeLine;
+use super::line::{Drift, TimeLine};
 
 /// Cycles of silence before a master speaks.
 const LISTEN_CYCLES: i64 = 3;
@@ -105,7 +105,7 @@ impl Master {
     fn grid(&self, now: Instant) -> TimeLine {
         let MasterConfig { cycle: period, epoch: offset, resume, .. } = self.config;
         let (cycle, sched) = resume.unwrap_or((0, offset.global(now)));
-        let known = TimeLine { cycle, start: offset.local(sched), sched, period, offset };
+        let known = TimeLine { cycle, start: offset.local(sched), sched, period, offset, drift: Drift::NONE };
         let gone = (now - known.start).nanos().div_euclid(period.nanos());
         let cycle = cycle.wrapping_add(gone as u32);
         TimeLine { cycle, start: known.start_of(cycle), sched: known.sched_of(cycle), ..known }

@@ -16,6 +16,7 @@
 mod calibration;
 mod config;
 mod due;
+mod envelope;
 mod events;
 mod job;
 pub mod line;

@@ -14,15 +14,13 @@
 
 use rtnet::time::{GlobalTime, Instant, Span};
 
-use super::line::{self, TimeLine};
+use super::line::{self, DRIFT_PARTS, TimeLine};
 
 /// What a Synchronisation is later than a frame for one station by: less is noise; more than so many times the delay,
 /// or than this part of a cycle, is a host that held syncs up all the while, or a wrong clock.
 const LATER_AT_LEAST: Span = Span::from_nanos(250);
 const LATER_AT_MOST: i64 = 4;
 const LATER_PARTS: i64 = 16;
-/// Clocks run apart by no more than this part.
-const DRIFT_PARTS: i64 = 5_000;
 
 /// A round.
 #[derive(Clone, Copy, Debug)]
@@ -84,6 +82,7 @@ fn apart(rounds: &[Round]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tdma::line::Drift;
     use rtnet::time::Offset;
 
     const PERIOD: Span = Span::from_millis(1);
@@ -98,7 +97,8 @@ mod tests {
             let offset =
                 Offset::between(Instant::from_nanos(sync + 9_000), GlobalTime::from_nanos(global(sync)));
             let (start, sched) = (Instant::from_nanos(sync + 9_000), GlobalTime::from_nanos(global(sync)));
-            let line = TimeLine { cycle: 2 * i as u32, start, sched, period: PERIOD, offset };
+            let line =
+                TimeLine { cycle: 2 * i as u32, start, sched, period: PERIOD, offset, drift: Drift::NONE };
             let rx = request + 100_000 + 10_000 + held_up(i);
             let stamps = [global(request + 5_000), global(request + 105_000)].map(|at| at.wrapping_add(own));
             Round::new(request, stamps[0], stamps[1], Instant::from_nanos(rx), &line)

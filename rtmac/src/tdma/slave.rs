@@ -13,8 +13,9 @@
 //!
 //! A Synchronisation that disagrees with the line is a *time step*: nothing is sent until the next one
 //! tells whether the master moved (it agrees with the step) or one frame was held up on its way (it
-//! agrees with the line). A smaller disagreement moves the line by a 300th of the cycle at most, and what is
-//! late by more than drift only by an eighth of it: frames are held up on their way, never early.
+//! agrees with the line). What agrees lies on the line below all ([`Envelope`]) once that is known. Until then it
+//! moves the line by a 300th of the cycle at most, and what is late by more than drift only by an eighth of it:
+//! frames are held up on their way, never early.
 
 use rtnet::counters::Refusal;
 use rtnet::discipline::{EventKind, SyncState};
@@ -22,8 +23,9 @@ use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::calibration::Calibration;
+use super::envelope::Envelope;
 use super::events::Events;
-use super::line::{self, TimeLine};
+use super::line::{self, DRIFT_PARTS, Drift, TimeLine};
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it.
 const GRACE_PARTS: i64 = 16;
@@ -41,9 +43,8 @@ const SLEW_PARTS: i64 = 300;
 /// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
 /// never early.
 const LATE_PARTS: i64 = 8;
-/// The line is good for so many cycles without a Synchronisation, at clocks 200 ppm apart.
+/// The line is good for so many cycles without a Synchronisation.
 const LINE_GOOD_FOR: i32 = 1_000;
-const DRIFT_PARTS: i64 = 5_000;
 /// A cycle starts at most this long before or after its Synchronisation is received; once the period is
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
@@ -64,6 +65,7 @@ pub struct SlaveConfig {
 pub struct Slave {
     step_limit: Option<Span>,
     track: Track,
+    envelope: Envelope,
     state: SyncState,
     calibration: Calibration,
     master: Address,
@@ -104,6 +106,7 @@ impl Slave {
         Self {
             step_limit: config.step_limit,
             track: Track::Nothing,
+            envelope: Envelope::new(),
             state: SyncState::Waiting,
             calibration: Calibration::new(config.rounds),
             master: Address::BROADCAST,
@@ -151,7 +154,11 @@ impl Slave {
                 }
                 self.deviation = mark.deviation_from(line);
                 if mark.agrees_with(line, self.step_limit) {
-                    *line = line.moved_to(&mark);
+                    self.envelope.note(cycle, mark.start(), line.start_of(cycle), line.period);
+                    *line = match self.envelope.start_of(cycle) {
+                        Some((start, drift)) => line.carried_on(&mark, start, drift),
+                        None => line.moved_to(&mark),
+                    };
                     *step = None;
                     Followed::Agrees
                 } else if let Some(line) =
@@ -192,6 +199,7 @@ impl Slave {
         };
         // The offset grows by the delay, so everything is due that much earlier on this clock.
         line.start = line.start - delay;
+        self.envelope.shift(-delay);
         line.offset = Offset::between(line.start, line.sched);
         let cycle = line.cycle;
         // Who has lost the master meanwhile is locked by the next Synchronisation, not by a reply.
@@ -265,8 +273,15 @@ impl Slave {
         self.deviation
     }
 
+    /// How fast this station's clock gains on the master's, in parts per 10^9, once known.
+    pub fn drift_ppb(&self) -> Option<i64> {
+        let line = self.line()?;
+        self.envelope.start_of(line.cycle).map(|(_, drift)| drift.parts_per_billion(line.period))
+    }
+
     fn adopt(&mut self, line: TimeLine) -> Followed {
         self.track = Track::On { line, step: None };
+        self.envelope.restart();
         Followed::NewLine
     }
 
@@ -292,8 +307,12 @@ impl TimeLine {
         let deviation = mark.deviation_from(self).clamp(-slew, slew);
         let late = (deviation - drift).max(Span::ZERO);
         let by = deviation - late + late / LATE_PARTS;
-        let (cycle, sched, start) = (mark.cycle, mark.sched, self.start_of(mark.cycle) + by);
-        TimeLine { cycle, start, sched, period: self.period, offset: Offset::between(start, sched) }
+        self.carried_on(mark, self.start_of(mark.cycle) + by, Drift::NONE)
+    }
+
+    fn carried_on(&self, mark: &Mark, start: Instant, drift: Drift) -> TimeLine {
+        let Mark { cycle, sched, .. } = *mark;
+        TimeLine { cycle, start, sched, period: self.period, offset: Offset::between(start, sched), drift }
     }
 }
 
@@ -320,10 +339,9 @@ impl Mark {
         }
         let period = (later.sched - self.sched) / i64::from(cycles);
         let Mark { cycle, sched, offset } = *self;
-        let line = TimeLine { cycle, start: self.start(), sched, period, offset };
+        let line = TimeLine { cycle, start: self.start(), sched, period, offset, drift: Drift::NONE };
         let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit);
-        let Mark { cycle, sched, offset } = *later;
-        fits.then(|| TimeLine { cycle, start: later.start(), sched, period, offset })
+        fits.then(|| line.carried_on(later, later.start(), Drift::NONE))
     }
 }
 

@@ -320,6 +320,7 @@ fn payload_of(frame: &[u8]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tdma::line::Drift;
     use rtnet::buf::Pool;
     use rtnet::time::{GlobalTime, Offset};
 
@@ -335,6 +336,7 @@ mod tests {
             sched: GlobalTime::default(),
             period: Span::from_millis(1),
             offset: Offset::default(),
+            drift: Drift::NONE,
         }
     }
 

@@ -113,6 +113,8 @@ pub struct TdmaStatus {
     pub delay: Option<Span>,
     /// By how much the last Synchronisation disagreed with the line.
     pub deviation: Span,
+    /// How fast this station's clock gains on the master's, in parts per 10^9, once known.
+    pub drift_ppb: Option<i64>,
     /// Calibration requests that had no answer and were repeated.
     pub calibration_repeats: u64,
     /// The other master that kept this one from speaking.
@@ -148,6 +150,7 @@ impl TdmaStatus {
             offset: line.map(|line| line.offset),
             delay: slave.and_then(|slave| slave.calibration().delay()),
             deviation: slave.map_or(Span::ZERO, |slave| slave.deviation()),
+            drift_ppb: slave.and_then(|slave| slave.drift_ppb()),
             calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
             yielded_to: master.and_then(|master| master.yielded_to()),
             events_lost: tdma.events.lost(),

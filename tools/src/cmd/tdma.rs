@@ -94,8 +94,9 @@ fn describe(status: &StationStatus) -> String {
     );
     if status.role == "slave" {
         text += &format!(
-            "delay {}, last sync {} beside the time line\n",
+            "delay {}, clock drift {}, last sync {} beside the time line\n",
             span(standing.delay_ns, "not measured"),
+            status.drift_ppb.map_or("not known yet".into(), |ppb| format!("{:+.3} ppm", ppb as f64 / 1e3)),
             Span::from_nanos(status.deviation_ns)
         );
     }

@@ -139,6 +139,8 @@ pub struct StationStatus {
     pub period_ns: Option<i64>,
     /// By how much the last Synchronisation disagreed with the time line.
     pub deviation_ns: i64,
+    /// How fast its clock gains on the master's, in parts per 10^9; `None`: the master's own, or not known yet.
+    pub drift_ppb: Option<i64>,
     /// Its slots, by id.
     pub slots: Vec<SlotShown>,
     /// Everything that its discipline counts, and what became of its interface.

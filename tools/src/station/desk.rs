@@ -259,6 +259,7 @@ impl Desk {
             standing: Standing::of(newest, &self.counts, self.link()),
             period_ns: status.period.map(Span::nanos),
             deviation_ns: status.deviation.nanos(),
+            drift_ppb: status.drift_ppb,
             slots: status.slots.iter().flatten().map(shown).collect(),
             counters: counters(status, &self.wire),
             host: self.host.clone(),

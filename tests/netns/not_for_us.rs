@@ -16,6 +16,7 @@ const SENDER: [u8; 6] = [2, 0, 0, 0, 0, 1];
 const STATION: [u8; 6] = [2, 0, 0, 0, 0, 2];
 /// The medium does not know it, and floods what is for it.
 const ANOTHER: [u8; 6] = [2, 0, 0, 0, 0, 9];
+const ALL: [u8; 6] = [0xff; 6];
 /// How long to wait for what must not come, and for what must.
 const SHORT: Duration = Duration::from_millis(50);
 const LONG: Duration = Duration::from_secs(5);
@@ -56,17 +57,23 @@ fn seen(observer: &mut CaptureRing) -> usize {
     frames
 }
 
-#[test]
-fn a_frame_to_another_station_neither_reaches_nor_wakes_a_port() {
-    if !as_root("a_frame_to_another_station_neither_reaches_nor_wakes_a_port") {
-        return;
-    }
+/// A sender, and a station's port with an observer, on one medium that lasts as long as the rest.
+fn network() -> (Bare, Port, CaptureRing, impl Sized) {
     let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
     let mut segment = Segment::new().unwrap();
     segment.attach(&here, "port0", "rt0", SENDER).unwrap();
     segment.attach(&there, "port1", "rt0", STATION).unwrap();
     let sender = here.run(|| Bare::open(&Interface::find("rt0").unwrap()).unwrap()).unwrap();
-    let (mut port, mut observer) = there.run(listening).unwrap();
+    let (port, observer) = there.run(listening).unwrap();
+    (sender, port, observer, (here, there, segment))
+}
+
+#[test]
+fn a_frame_to_another_station_neither_reaches_nor_wakes_a_port() {
+    if !as_root("a_frame_to_another_station_neither_reaches_nor_wakes_a_port") {
+        return;
+    }
+    let (sender, mut port, mut observer, _medium) = network();
     let mut received = 0;
     for ether_type in [EtherType::RTMAC, EtherType::EXPERIMENTAL] {
         assert!(sender.send(&frame(ANOTHER, ether_type)));
@@ -76,5 +83,32 @@ fn a_frame_to_another_station_neither_reaches_nor_wakes_a_port() {
         assert_eq!(seen(&mut observer), 1);
         received += 1;
         assert_eq!(woken(&mut port, LONG), (true, received), "its own frames do: {ether_type:?}");
+    }
+}
+
+#[test]
+fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
+    if !as_root("a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic") {
+        return;
+    }
+    let (sender, mut port, mut observer, _medium) = network();
+    let tunnelled = |to, flags| {
+        let mut frame = frame(to, EtherType::RTMAC);
+        frame[14..18].copy_from_slice(&[0x08, 0x06, 2, flags]);
+        frame
+    };
+    let too_short = frame(ALL, EtherType::RTMAC);
+    let mut received = 0;
+    for (what, frame, wakes) in [
+        ("ARP in a tunnel, to all", &tunnelled(ALL, 1)[..], false),
+        ("with a reserved flag", &tunnelled(ALL, 0x81), false),
+        ("to this station alone: counted, and refused", &tunnelled(STATION, 1), true),
+        ("no tunnel", &tunnelled(ALL, 0x80), true),
+        ("too short to tell", &too_short[..17], true),
+    ] {
+        assert!(sender.send(frame), "{what}");
+        assert_eq!(seen(&mut observer), 1, "it is there for all to see: {what}");
+        received += u64::from(wakes);
+        assert_eq!(woken(&mut port, if wakes { LONG } else { SHORT }), (wakes, received), "{what}");
     }
 }

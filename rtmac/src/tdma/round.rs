@@ -16,10 +16,11 @@ use rtnet::time::{GlobalTime, Instant, Span};
 
 use super::line::{self, DRIFT_PARTS, TimeLine};
 
-/// What a Synchronisation is later than a frame for one station by: less is noise; more than so many times the delay,
-/// or than this part of a cycle, is a host that held syncs up all the while, or a wrong clock.
+/// What a Synchronisation is later than a frame for one station by: less is noise; more than so many times the delay
+/// (a bridge of 32 ports takes eight), or than this part of a cycle, is a host that held syncs up all the while, or a
+/// wrong clock.
 const LATER_AT_LEAST: Span = Span::from_nanos(250);
-const LATER_AT_MOST: i64 = 4;
+const LATER_AT_MOST: i64 = 12;
 const LATER_PARTS: i64 = 16;
 
 /// A round.
@@ -54,7 +55,8 @@ impl Round {
 }
 
 /// The delay of Synchronisations that these rounds show. Hold-ups only ever make a round longer and a Synchronisation
-/// later: of both the lower quartile counts, the latter in the quicker half of the rounds.
+/// later: of the former the lower quartile counts, of the latter, in the quicker half of the rounds, the lower eighth,
+/// since that is what the line is laid through.
 pub fn delay(rounds: &mut [Round], period: Span) -> Span {
     let apart = apart(rounds);
     rounds.sort_unstable_by_key(|round| round.delay);
@@ -66,7 +68,7 @@ pub fn delay(rounds: &mut [Round], period: Span) -> Span {
         round.sync - Span::from_nanos(drifted).clamp(-at_most, at_most)
     };
     quicker.sort_unstable_by_key(sync);
-    let later = sync(&quicker[quicker.len() / 4]) - delay;
+    let later = sync(&quicker[quicker.len() / 8]) - delay;
     let at_most = (delay * LATER_AT_MOST).min(period / LATER_PARTS).min(period - delay);
     if (LATER_AT_LEAST..=at_most).contains(&later) { delay + later } else { delay }
 }
@@ -120,7 +122,7 @@ mod tests {
     #[test]
     fn syncs_that_are_held_up_all_the_while_are_not_believed() {
         let mut late = rounds(0, 0, |_| 0);
-        late.iter_mut().for_each(|round| round.sync = round.sync + Span::from_micros(56));
+        late.iter_mut().for_each(|round| round.sync = round.sync + Span::from_micros(65));
         assert_eq!(delay(&mut late, PERIOD), Span::from_micros(5));
         let mut some = rounds(0, 0, |_| 0);
         some.iter_mut().step_by(2).for_each(|round| round.sync = round.sync + Span::from_micros(10));

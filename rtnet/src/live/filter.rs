@@ -6,22 +6,45 @@ use socket2::{SockFilter, Socket};
 
 // Classic BPF, as linux/filter.h and linux/bpf_common.h number it.
 const LOAD_WORD_ABSOLUTE: u16 = 0x20;
+const LOAD_BYTE_ABSOLUTE: u16 = 0x30;
+const LOAD_LENGTH: u16 = 0x80;
+const JUMP_IF_EQUAL: u16 = 0x15;
 const JUMP_IF_GREATER: u16 = 0x25;
+const JUMP_IF_SET: u16 = 0x45;
 const RETURN: u16 = 0x06;
 /// The word at this offset is the packet's type: to this host 0, broadcast 1, multicast 2, to others 3,
 /// outgoing 4.
 const PACKET_TYPE: u32 = (-0x1000i32 + 4) as u32;
+const TO_THIS_HOST: u32 = 0;
 const MULTICAST: u32 = 2;
+/// RTmac's flags, behind the Ethernet header, its type and its version; this one is of a tunnelled frame.
+const FLAGS: u32 = 17;
+const TUNNEL: u32 = 1;
 const WHOLE: u32 = u32::MAX;
 const NOTHING: u32 = 0;
 
 /// Lets only frames to this host or to groups through, so that what a bridge floods or a promiscuous
-/// interface picks up wakes nobody and fills nobody's buffer. Broadcasts inside a tunnel pass: they are for the
-/// station's VNIC, whether or not it has one.
+/// interface picks up wakes nobody and fills nobody's buffer.
 pub fn accept_only_ours(socket: &Socket) -> io::Result<()> {
     socket.attach_filter(&[
         SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
         SockFilter::new(JUMP_IF_GREATER, 1, 0, MULTICAST),
+        SockFilter::new(RETURN, 0, 0, WHOLE),
+        SockFilter::new(RETURN, 0, 0, NOTHING),
+    ])
+}
+
+/// The same for RTmac's frames, where others' tunnels are foreign traffic, too: tunnelled frames for groups stay
+/// out. One for this host alone, or too short to tell, passes, and is counted as what it is.
+pub fn accept_only_our_control(socket: &Socket) -> io::Result<()> {
+    socket.attach_filter(&[
+        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
+        SockFilter::new(JUMP_IF_GREATER, 6, 0, MULTICAST),
+        SockFilter::new(JUMP_IF_EQUAL, 4, 0, TO_THIS_HOST),
+        SockFilter::new(LOAD_LENGTH, 0, 0, 0),
+        SockFilter::new(JUMP_IF_GREATER, 0, 2, FLAGS),
+        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
+        SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
         SockFilter::new(RETURN, 0, 0, WHOLE),
         SockFilter::new(RETURN, 0, 0, NOTHING),
     ])

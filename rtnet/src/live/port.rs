@@ -115,7 +115,10 @@ impl Port {
         packet::bind(&sender, interface.index, 0)?;
         let receiver = |ether_type: EtherType| -> io::Result<Socket> {
             let socket = packet::open()?;
-            filter::accept_only_ours(&socket)?;
+            match ether_type {
+                EtherType::RTMAC => filter::accept_only_our_control(&socket)?,
+                _ => filter::accept_only_ours(&socket)?,
+            }
             packet::stamp_received(&socket)?;
             packet::bind(&socket, interface.index, ether_type.0)?;
             Ok(socket)

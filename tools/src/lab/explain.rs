@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 
+use rtmac::tdma::HOLDOVER_CYCLES;
 use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 
@@ -12,9 +13,10 @@ use super::findings::{Author, Finding, FindingKind};
 
 /// A lab's first station is its master.
 const MASTER: usize = 0;
-/// How long after its cause a silence may be, in cycles: one missing sync is bridged, and one that comes after
-/// a time step must be confirmed by the next.
-const SILENCE_AFTER: u32 = 4;
+/// A sync that is missing is bridged for so many cycles.
+const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
+/// So many cycles after somebody is back a station may still be silent: a line that comes back must be confirmed.
+const LOCKED_AFTER: u32 = 4;
 
 /// What the stations told of themselves, and when they could not.
 #[derive(Debug, Default)]
@@ -89,27 +91,30 @@ impl Records {
         }
     }
 
-    /// A station that was silent did what it must, but that alone explains nothing: why were there no syncs
-    /// to follow? One that was lost on its way has no record. Without a master for long, a station has no line to
-    /// tell by which slots it is silent in.
+    /// A station that was silent did what it must, but that alone explains nothing: why was there no sync to follow,
+    /// of this cycle or of the one before, which bridges it? One that was lost on its way has no record. Without a
+    /// master for long, a station has no line to tell by which slots it is silent in.
     fn silence(&self, author: Author) -> Option<&'static str> {
-        let mut before =
-            (0..=SILENCE_AFTER).map(|i| Author { cycle: author.cycle.wrapping_sub(i), ..author });
-        let absent = before
-            .clone()
-            .any(|author| self.absence(master(author)).or_else(|| self.absence(author)).is_some());
+        let ago = |cycles| Author { cycle: author.cycle.wrapping_sub(cycles), ..author };
+        let absent = (0..=LOCKED_AFTER)
+            .any(|i| self.absence(master(ago(i))).or_else(|| self.absence(ago(i))).is_some());
         let silent = self.told(author, EventKind::SlotSilent).or(absent.then_some(Cause::NoSync.name()))?;
-        let why = absent
-            || before.any(|author| {
-                let of_cycle = Author { slot: None, ..author };
-                let told = |kind| self.told(of_cycle, kind).is_some();
-                self.told(master(author), EventKind::SyncSkipped).is_some()
-                    || self.told(master(author), EventKind::StalledInSend).is_some()
-                    || [EventKind::SyncLate, EventKind::TimeStep, EventKind::DuplicateCycle]
-                        .into_iter()
-                        .any(told)
-            });
+        let doubted = self.told_any(of_cycle(author), &[EventKind::TimeStep, EventKind::DuplicateCycle]);
+        let why = absent || doubted || [0, BRIDGED].into_iter().all(|i| self.without_sync(ago(i)));
         why.then_some(silent)
+    }
+
+    /// Whether somebody told why the author had no sync of this cycle, or could not follow it.
+    fn without_sync(&self, author: Author) -> bool {
+        self.told_any(master(author), &[EventKind::SyncSkipped, EventKind::StalledInSend])
+            || self.told_any(
+                of_cycle(author),
+                &[EventKind::SyncLate, EventKind::TimeStep, EventKind::DuplicateCycle],
+            )
+    }
+
+    fn told_any(&self, author: Author, kinds: &[EventKind]) -> bool {
+        kinds.iter().any(|&kind| self.told(author, kind).is_some())
     }
 
     fn absence(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
@@ -128,6 +133,11 @@ fn master(author: Author) -> Author {
     Author { station: MASTER, slot: None, ..author }
 }
 
+/// What the author's station tells of the cycle as a whole.
+fn of_cycle(author: Author) -> Author {
+    Author { slot: None, ..author }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -137,7 +147,7 @@ mod tests {
         Author { station, cycle, slot: (station != MASTER).then_some(0) }
     }
 
-    fn of_cycle(cycle: u32, station: usize) -> Author {
+    fn told_of(cycle: u32, station: usize) -> Author {
         Author { station, cycle, slot: None }
     }
 
@@ -178,23 +188,25 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_slot_is_explained_by_what_silenced_it() {
-        let mut records = Records::default();
-        records.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
-        let explained =
-            |records: &Records| records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some();
-        assert!(!explained(&records), "the sync was lost on its way");
-        records.note(author(19, 2), EventKind::Overrun, Span::ZERO, None);
-        records.note(of_cycle(19, 3), EventKind::TimeStep, Span::ZERO, None);
-        records.note(author(15, 0), EventKind::SyncSkipped, Span::ZERO, None);
-        records.note(author(21, 0), EventKind::SyncSkipped, Span::ZERO, None);
-        assert!(!explained(&records), "no cause, somebody else's, long ago, and too late");
-        let mut late = Records::default();
-        late.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
-        late.note(of_cycle(19, 2), EventKind::SyncLate, Span::ZERO, None);
-        assert!(explained(&late));
-        records.note(author(18, 0), EventKind::SyncSkipped, Span::ZERO, None);
-        assert!(explained(&records));
+    fn a_silent_slot_is_explained_by_the_records_of_both_syncs_it_could_have_followed() {
+        let silent = |told: &[(u32, usize, EventKind)]| {
+            let mut records = Records::default();
+            records.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
+            for &(cycle, station, kind) in told {
+                records.note(told_of(cycle, station), kind, Span::ZERO, None);
+            }
+            records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some()
+        };
+        use EventKind::*;
+        assert!(!silent(&[]), "the syncs were lost on their way");
+        assert!(!silent(&[(20, 0, SyncSkipped)]), "that of 19 bridges it");
+        assert!(!silent(&[(18, 0, SyncSkipped), (19, 0, SyncSkipped)]), "that of 20 was there");
+        assert!(!silent(&[(19, 3, SyncLate), (20, 3, SyncLate)]), "somebody else's");
+        assert!(silent(&[(19, 0, SyncSkipped), (20, 0, SyncSkipped)]));
+        assert!(silent(&[(19, 2, SyncLate), (20, 2, SyncLate)]));
+        assert!(silent(&[(19, 2, TimeStep), (20, 0, SyncSkipped)]), "no sync confirmed the step");
+        assert!(silent(&[(20, 2, TimeStep)]), "until it is confirmed");
+        assert!(silent(&[(20, 2, DuplicateCycle)]));
     }
 
     #[test]

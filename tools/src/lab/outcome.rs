@@ -187,9 +187,9 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
     figures.unexplained += 1;
     let author = finding.authors.iter().flatten().next_back();
     let station = author.map_or("foreign".into(), |author| scenario.stations[author.station].name.clone());
-    let kind = MissKind::Unexplained;
     let (cycle, span_ns) = (finding.cycle.into(), finding.span.nanos());
-    figures.note_miss(Miss { cycle, station, kind, span_ns, cause: String::new() });
+    let cause = format!("nobody told of this {}", finding.kind.name());
+    figures.note_miss(Miss { cycle, station, kind: MissKind::Unexplained, span_ns, cause });
 }
 
 fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {

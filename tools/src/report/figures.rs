@@ -209,7 +209,7 @@ pub struct Miss {
     /// By how much: how late, how long stalled, how far out of the slot. Negative is early; 0 if there
     /// is no such time.
     pub span_ns: i64,
-    /// Why, as its station's own stamps tell; empty if they do not.
+    /// Why, as its station's own stamps tell; of the unexplained, what was found; empty if there is nothing to say.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub cause: String,
 }

@@ -18,6 +18,8 @@ pub use file::{FileError, Source, load, parse_phase};
 
 /// Part of each cycle that belongs to the Synchronisation, unless the cycle is too short for it.
 const SYNC_WINDOW: Span = Span::from_micros(50);
+/// In a lab of many stations so much for each.
+const SYNC_PER_STATION: Span = Span::from_micros(4);
 /// And at most this part of the cycle.
 const SYNC_WINDOW_PARTS: i64 = 8;
 /// Default clocks are off by up to this much.
@@ -169,7 +171,7 @@ impl Uniform {
             return Err(ScenarioError::Payload(payload));
         }
         check_cycle(cycle)?;
-        let sync_window = default_sync_window(cycle);
+        let sync_window = lab_sync_window(cycle, n);
         let length =
             schedule::divide(cycle, sync_window, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
         let air = rate.air_time(payload + ethernet::HEADER_LEN);
@@ -266,6 +268,12 @@ impl Scenario {
 /// 50 us, or an eighth of a short cycle.
 pub fn default_sync_window(cycle: Span) -> Span {
     SYNC_WINDOW.min(cycle / SYNC_WINDOW_PARTS)
+}
+
+/// A lab's master delivers its Synchronisation to one port of the bridge after the other, while it sends it: with
+/// many stations that takes longer.
+fn lab_sync_window(cycle: Span, stations: usize) -> Span {
+    SYNC_WINDOW.max(SYNC_PER_STATION * stations as i64).min(cycle / SYNC_WINDOW_PARTS)
 }
 
 #[cfg(test)]

@@ -125,11 +125,11 @@ fn an_outage_over_two_syncs_silences_the_rest_of_the_cycle() {
 #[test]
 fn a_sync_to_many_stations_takes_the_master_its_own_slot() {
     let (wakeups, none) = ([histogram(&[(us(3), 100)])], SignedHistogram::new());
-    // 4 us a station: 124 us for 31 slaves, 60 us for 15. At 5 ms and 2 ms there are 126 and 110 us.
-    let took = histogram(&[(us(32), 90), (us(33), 10)]);
+    // 6.5 us a station: 201.5 us for 31 slaves, 97.5 us for 15. At 5 ms and 2 ms there are 203 and 124 us.
+    let took = histogram(&[(us(52), 90), (us(53), 10)]);
     let core = Core { broadcasts: Some((&took, 8)), ..core(&wakeups, &none) };
     let share = |stations, cycle| predict(&core, stations, cycle).unwrap().sync_share;
-    assert!(close(share(32, us(5_000)), 0.1 / 32.0), "33 us are 127.9 us: {}", share(32, us(5_000)));
+    assert!(close(share(32, us(5_000)), 0.1 / 32.0), "53 us are 205.4 us: {}", share(32, us(5_000)));
     assert_eq!(share(16, us(2_000)), 0.0);
 }
 

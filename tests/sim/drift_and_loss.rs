@@ -4,7 +4,7 @@
 
 use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::schedule::{Rate, Uncertainty, guard_band};
-use rtnet::sim::{Medium, StationId};
+use rtnet::sim::{Host, Medium, StationId};
 use rtnet::time::Span;
 use tests::networks::{Lab, Plan};
 use tools::scenario::Uniform;
@@ -81,5 +81,36 @@ fn it_is_wide_enough_whichever_stations_are_fast_and_which_are_slow() {
         lab.run_cycles(500);
         assert_eq!(lab.network.traffic().overlaps, 0, "{fast:08b}");
         assert!(lab.judge().data.iter().all(|&sent| sent > 300), "{fast:08b}: {:?}", lab.judge().data);
+    }
+}
+
+/// What a station's clock gains on the master's in truth, in parts per 10^9 of the master's.
+fn gains(drift: impl Fn(StationId) -> i64, id: StationId) -> i64 {
+    (drift(id) - drift(0)) * 1_000_000_000 / (1_000_000_000 + drift(0))
+}
+
+#[test]
+fn every_slave_finds_out_how_far_its_clock_drifts() {
+    let drift = |id: StationId| 12_345 * (id as i64 - 3);
+    let mut lab = lab(computed_guard(), PAYLOAD, 5, 10_000).with_drift(drift).build();
+    lab.run_until_locked();
+    lab.run_cycles(1_000);
+    for id in 1..STATIONS {
+        let found = lab.status(id).drift_ppb.expect("known by now");
+        assert!((found - gains(drift, id)).abs() <= 5, "station {id}: {found}, not {}", gains(drift, id));
+    }
+}
+
+#[test]
+fn on_a_busy_host_too() {
+    let mut lab =
+        Plan::of(&Plan::lab_options(STATIONS)).with_drift(alternating).on(Host::VIRTUAL_MACHINE).build();
+    lab.run_until_locked();
+    lab.run_cycles(4_000);
+    for id in 1..STATIONS {
+        let found = lab.status(id).drift_ppb.expect("known by now");
+        let error = found - gains(alternating, id);
+        println!("station {id}: {error} ppb beside");
+        assert!(error.abs() <= 500, "station {id}: {found}, not {}", gains(alternating, id));
     }
 }

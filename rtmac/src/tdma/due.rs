@@ -67,6 +67,16 @@ impl Tdma {
         }
     }
 
+    /// Another line is followed from `until` on: the slots of this one that were slept through are missed.
+    pub(super) fn leave(&mut self, line: &TimeLine, until: Instant) {
+        while let Some(turn) = self.slots.next_turn(line, None)
+            && until > turn.latest
+        {
+            self.missed(&Job::Data(turn), until - turn.latest);
+            self.slots.pass(&turn);
+        }
+    }
+
     /// A calibration reply that was not sent is due again later: real stations never repeat a request.
     pub(super) fn put_off(&mut self, job: &Job) {
         if let (Job::Reply { .. }, Role::Master(master)) = (job, &mut self.role)

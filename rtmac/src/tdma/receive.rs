@@ -32,6 +32,7 @@ impl Tdma {
             }
             (Message::Sync { cycle, xmit, sched }, Role::Slave(slave)) => {
                 self.counters.syncs_received += 1;
+                let left = slave.line().copied();
                 let followed = slave.on_sync(rx, header.source, cycle, xmit, sched, events)?;
                 if let Some((silent, at)) = self.silent
                     && cycle.wrapping_sub(silent) as i32 <= 0
@@ -39,11 +40,14 @@ impl Tdma {
                     self.counters.syncs_late += 1;
                     events.note(cycle, EventKind::SyncLate, at - rx);
                 }
-                if let (Followed::NewLine, Some(line)) = (followed, slave.line()) {
-                    self.slots.align(line, rx);
+                if let (Followed::NewLine, Some(&line)) = (followed, slave.line()) {
+                    if let (Some(left), Some(_)) = (left, slave.calibration().delay()) {
+                        self.leave(&left, rx);
+                    }
+                    self.slots.align(&line, rx);
                     if let Some(beyond) = self.slots.longest_offset().filter(|offset| *offset >= line.period)
                     {
-                        events.note(cycle, EventKind::SlotBeyondCycle, beyond - line.period);
+                        self.events.note(cycle, EventKind::SlotBeyondCycle, beyond - line.period);
                     }
                 }
                 Ok(())

@@ -190,6 +190,23 @@ fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
     assert_eq!(kinds, [(6, EventKind::TimeStep), overrun(3), overrun(4), overrun(5), overrun(6)]);
 }
 
+#[test]
+fn who_slept_while_the_line_moved_has_overrun_the_slots_of_the_old_one() {
+    let mut slave = locked_slave();
+    // Two syncs that were held up by as much, some cycles apart: a new line begins.
+    for cycle in [3, 7] {
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+        slave.on_frame(Some(at(u64::from(cycle) * 1_000 + 50)), frame);
+    }
+    slave.next_transmission(at(7_100));
+    let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
+    let overrun = |cycle| (cycle, EventKind::Overrun);
+    let expected = [(3, EventKind::TimeStep), overrun(3), overrun(4), overrun(5), overrun(6)];
+    assert_eq!(kinds, expected);
+}
+
 fn queue(tdma: &mut Tdma, pool: &Pool, length: usize) {
     let mut frame = pool.take().unwrap();
     frame.fill(&vec![0; length]);

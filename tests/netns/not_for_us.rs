@@ -97,6 +97,8 @@ fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
         frame[14..18].copy_from_slice(&[0x08, 0x06, 2, flags]);
         frame
     };
+    let mut other_version = tunnelled(ALL, 1);
+    other_version[16] = 1;
     let too_short = frame(ALL, EtherType::RTMAC);
     let mut received = 0;
     for (what, frame, wakes) in [
@@ -104,6 +106,7 @@ fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
         ("with a reserved flag", &tunnelled(ALL, 0x81), false),
         ("to this station alone: counted, and refused", &tunnelled(STATION, 1), true),
         ("no tunnel", &tunnelled(ALL, 0x80), true),
+        ("of another version: counted, and refused", &other_version, true),
         ("too short to tell", &too_short[..17], true),
     ] {
         assert!(sender.send(frame), "{what}");

@@ -12,7 +12,8 @@
 //!
 //! Frames are held up on their way, by a busy host for seconds on end, but never early. So the early ones show the
 //! clocks, and all others the host: of every window an early one is kept, and the edge of their lower convex hull
-//! that lies below their middle is the line. What is clearly earlier than it proves it wrong, and all begins anew.
+//! that lies below their middle is the line. It is wrong, and all begins anew, if frames are clearly earlier; and if the
+//! early ones come later and later by as much, since then a clock has changed its rate: a busy host has moods.
 
 use std::collections::VecDeque;
 
@@ -27,14 +28,19 @@ const WINDOW: usize = 64;
 const WINDOW_AT_MOST: Span = Span::from_millis(2_000);
 /// The early one of a window has this part of it before it: the very first may be a stamp's error.
 const EARLY_PARTS: usize = 8;
-/// So many windows are kept. Half of them may be of a busy host: two seconds at a cycle of 1 ms.
+/// So many windows are kept. Less than half of them may be of a busy host, two seconds at a cycle of 1 ms.
 const WINDOWS: usize = 64;
-/// Fewer do not show a line: half of them may be of a busy host, and what becomes quiet looks like drift.
+/// Fewer do not show a line: what becomes quiet looks like drift.
 const WINDOWS_AT_LEAST: usize = 8;
-/// What is earlier than the line by less is a stamp's noise; also as a part of the cycle. And what is earlier than
-/// expected by less while nothing is known: it may be what was expected that was late.
-const NOISE: (Span, i64) = (Span::from_micros(4), 10_000);
-const UNSURE: (Span, i64) = (Span::from_micros(20), 1_000);
+/// What is earlier than the line by less is a stamp's noise, and so are a few of a window.
+const NOISE: Span = Span::from_micros(4);
+const NOISE_AT_MOST: usize = 2;
+/// Without a line, what is earlier than expected by less, or by less than this part of a cycle, shows that what was
+/// expected had been late.
+const UNSURE: Span = Span::from_micros(20);
+const UNSURE_PARTS: i64 = 1_000;
+/// So many windows, each later than the one before by about as much, are another rate.
+const RISING: usize = 8;
 
 /// A cycle's start on this clock, as its Synchronisation told.
 #[derive(Clone, Copy, Debug, Default)]
@@ -46,6 +52,8 @@ struct Point {
 /// The early Synchronisations, and the line through them.
 pub struct Envelope {
     window: Vec<Point>,
+    /// Of this window, those that are clearly earlier than the line.
+    too_early: usize,
     early: VecDeque<Point>,
     edge: Option<Edge>,
 }
@@ -61,12 +69,13 @@ struct Edge {
 impl Envelope {
     pub fn new() -> Self {
         let (window, early) = (Vec::with_capacity(WINDOW), VecDeque::with_capacity(WINDOWS));
-        Self { window, early, edge: None }
+        Self { window, too_early: 0, early, edge: None }
     }
 
     /// All that is known is of another line.
     pub fn restart(&mut self) {
         self.window.clear();
+        self.too_early = 0;
         self.early.clear();
         self.edge = None;
     }
@@ -83,20 +92,47 @@ impl Envelope {
         if period * WINDOW as i64 > WINDOW_AT_MOST {
             return;
         }
-        let (usual, parts) = if self.edge.is_some() { NOISE } else { UNSURE };
-        if expected - start > usual.max(period / parts) {
+        if self.is_disproved(expected - start, period) {
             self.restart();
         }
         self.window.push(Point { cycle, start });
         if self.window.len() == WINDOW {
-            if self.early.len() == WINDOWS {
-                self.early.pop_front();
-            }
-            let early = self.early_one(period);
-            self.early.push_back(early);
-            self.window.clear();
-            self.edge = self.edge_below_the_middle(period);
+            self.end_window(period);
         }
+    }
+
+    fn is_disproved(&mut self, early: Span, period: Span) -> bool {
+        if self.edge.is_none() {
+            return early > UNSURE.max(period / UNSURE_PARTS);
+        }
+        self.too_early += usize::from(early > NOISE);
+        self.too_early > NOISE_AT_MOST
+    }
+
+    fn end_window(&mut self, period: Span) {
+        if self.early.len() == WINDOWS {
+            self.early.pop_front();
+        }
+        let early = self.early_one(period);
+        self.early.push_back(early);
+        self.window.clear();
+        self.too_early = 0;
+        if self.rises() {
+            self.early.drain(..self.early.len() - RISING);
+        }
+        self.edge = self.edge_below_the_middle(period);
+    }
+
+    /// Whether the last windows have left the line as evenly as clocks do.
+    fn rises(&self) -> bool {
+        let (Some(edge), Some(begin)) = (self.edge, self.early.len().checked_sub(RISING)) else {
+            return false;
+        };
+        let late = |of: usize| self.early[of].start - edge.start_of(self.early[of].cycle);
+        let risen = late(self.early.len() - 1) - late(begin);
+        let step_at_most = risen * 2 / (RISING as i64 - 1);
+        let mut steps = (begin + 1..self.early.len()).map(|of| late(of) - late(of - 1));
+        risen > NOISE && steps.all(|step| step > Span::ZERO && step < step_at_most)
     }
 
     /// When a cycle starts, and how fast the clocks run apart; `None` until that is known.
@@ -104,10 +140,15 @@ impl Envelope {
         self.edge.map(|edge| (edge.start_of(cycle), edge.drift))
     }
 
+    /// How fast the clocks run apart, once known.
+    pub fn drift(&self) -> Option<Drift> {
+        self.edge.map(|edge| edge.drift)
+    }
+
     /// Of this window's, by the drift that is known so far.
     fn early_one(&mut self, period: Span) -> Point {
         let through = self.window[0];
-        let flat = Edge { through, drift: self.edge.map_or(Drift::NONE, |edge| edge.drift), period };
+        let flat = Edge { through, drift: self.drift().unwrap_or(Drift::NONE), period };
         let late = |point: &Point| point.start - flat.start_of(point.cycle);
         *self.window.select_nth_unstable_by_key(WINDOW / EARLY_PARTS, late).1
     }
@@ -161,7 +202,7 @@ mod tests {
 
     const PERIOD: Span = Span::from_millis(1);
 
-    /// Feeds `cycles` Synchronisations of a master that is slower by `ppm`, each held up by `late` of its number.
+    /// Feeds Synchronisations of a master that is slower by `ppb`, each held up by `late` of its number.
     fn hear(envelope: &mut Envelope, cycles: core::ops::Range<u32>, ppb: i64, late: impl Fn(u32) -> i64) {
         for cycle in cycles {
             let start = truth(cycle, ppb) + Span::from_nanos(late(cycle));
@@ -218,9 +259,11 @@ mod tests {
         hear(&mut envelope, 0..1_000, 0, |_| 0);
         hear(&mut envelope, 1_000..1_001, 0, |_| -3_900);
         assert!(envelope.start_of(1_001).is_some(), "a stamp's noise");
-        hear(&mut envelope, 1_001..1_002, 0, |_| -20_000);
-        assert!(envelope.start_of(1_002).is_none());
-        hear(&mut envelope, 1_002..1_600, 0, |_| -20_000);
+        hear(&mut envelope, 1_001..1_003, 0, |_| -20_000);
+        assert!(envelope.start_of(1_003).is_some(), "so are two of a window");
+        hear(&mut envelope, 1_003..1_004, 0, |_| -20_000);
+        assert!(envelope.start_of(1_004).is_none());
+        hear(&mut envelope, 1_004..1_600, 0, |_| -20_000);
         assert_eq!(error(&envelope, 1_600, 0), -20_000);
     }
 
@@ -262,9 +305,41 @@ mod tests {
     #[test]
     fn a_step_before_there_is_a_line_begins_anew() {
         let mut envelope = Envelope::new();
-        hear(&mut envelope, 0..100, 0, |_| 0);
-        envelope.note(100, truth(100, 0) - Span::from_micros(25), truth(100, 0), PERIOD);
-        hear(&mut envelope, 101..700, 0, |_| -25_000);
-        assert_eq!(error(&envelope, 700, 0), -25_000);
+        hear(&mut envelope, 0..300, 0, |_| 0);
+        envelope.note(300, truth(300, 0) - Span::from_micros(25), truth(300, 0), PERIOD);
+        hear(&mut envelope, 301..811, 0, |_| -25_000);
+        assert!(envelope.start_of(811).is_none(), "what was before does not count");
+        hear(&mut envelope, 811..812, 0, |_| -25_000);
+        assert_eq!(error(&envelope, 812, 0), -25_000);
+    }
+
+    #[test]
+    fn a_clock_that_changes_its_rate_is_followed() {
+        for (before, after) in [(0, 30_000), (0, -30_000), (-60_000, 10_000)] {
+            let mut envelope = Envelope::new();
+            let jitter = |cycle: u32| i64::from(cycle * 7_919 % 1_001);
+            hear(&mut envelope, 0..4_096, before, jitter);
+            let kink = (truth(4_096, before) - truth(4_096, after)).nanos();
+            for cycle in 4_096..6_000 {
+                hear(&mut envelope, cycle..cycle + 1, after, |cycle| kink + jitter(cycle));
+                if let Some((start, _)) = envelope.start_of(cycle) {
+                    let error = (start - truth(cycle, after)).nanos() - kink;
+                    // Until it has been noticed: eight windows, and one that had begun.
+                    let at_first = if cycle < 4_700 { (after - before).max(0) * 576 / 1_000 } else { 1_000 };
+                    assert!(
+                        (-at_first..3_000).contains(&error),
+                        "from {before} to {after}, {cycle}: {error}"
+                    );
+                }
+            }
+            assert!(envelope.start_of(6_000).is_some());
+        }
+    }
+
+    #[test]
+    fn what_no_clock_does_is_no_line() {
+        let mut envelope = Envelope::new();
+        hear(&mut envelope, 0..2_000, 300_000, |_| 0);
+        assert!(envelope.start_of(2_000).is_none());
     }
 }

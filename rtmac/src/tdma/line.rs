@@ -53,10 +53,10 @@ impl Drift {
     /// Two clocks that run together, or of which nothing is known.
     pub const NONE: Drift = Drift { gained: Span::ZERO, cycles: 1 };
 
-    /// `gained` in so many cycles of one `period`, at most what clocks do. `None` without cycles.
+    /// `gained` in so many cycles of one `period`. `None` if that is more than clocks do.
     pub fn new(gained: Span, cycles: i64, period: Span) -> Option<Self> {
         let at_most = period * cycles / DRIFT_PARTS;
-        (cycles > 0).then(|| Self { gained: gained.clamp(-at_most, at_most), cycles })
+        (cycles > 0 && gained.abs() <= at_most).then_some(Self { gained, cycles })
     }
 
     /// In so many cycles.

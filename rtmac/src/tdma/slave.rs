@@ -38,7 +38,7 @@ const STEP_PARTS: i64 = 100;
 /// in a row are not of one length.
 const CONFIRMED_WITHIN: Span = Span::from_micros(2);
 const CONFIRMED_PARTS: i64 = 2_000;
-/// Largest part of a cycle by which one Synchronisation moves the line.
+/// Largest part of a cycle by which one Synchronisation moves the line, while it does.
 const SLEW_PARTS: i64 = 300;
 /// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
 /// never early.
@@ -154,6 +154,10 @@ impl Slave {
                 }
                 self.deviation = mark.deviation_from(line);
                 if mark.agrees_with(line, self.step_limit) {
+                    if from != self.master {
+                        // Another clock: it may drift otherwise.
+                        self.envelope.restart();
+                    }
                     self.envelope.note(cycle, mark.start(), line.start_of(cycle), line.period);
                     *line = match self.envelope.start_of(cycle) {
                         Some((start, drift)) => line.carried_on(&mark, start, drift),
@@ -276,7 +280,7 @@ impl Slave {
     /// How fast this station's clock gains on the master's, in parts per 10^9, once known.
     pub fn drift_ppb(&self) -> Option<i64> {
         let line = self.line()?;
-        self.envelope.start_of(line.cycle).map(|(_, drift)| drift.parts_per_billion(line.period))
+        self.envelope.drift().map(|drift| drift.parts_per_billion(line.period))
     }
 
     fn adopt(&mut self, line: TimeLine) -> Followed {

@@ -17,7 +17,9 @@ const RETURN: u16 = 0x06;
 const PACKET_TYPE: u32 = (-0x1000i32 + 4) as u32;
 const TO_THIS_HOST: u32 = 0;
 const MULTICAST: u32 = 2;
-/// RTmac's flags, behind the Ethernet header, its type and its version; this one is of a tunnelled frame.
+/// RTmac's version, behind the Ethernet header and its type, and its flags; this one is of a tunnelled frame.
+const VERSION: u32 = 16;
+const OURS: u32 = 2;
 const FLAGS: u32 = 17;
 const TUNNEL: u32 = 1;
 const WHOLE: u32 = u32::MAX;
@@ -35,14 +37,16 @@ pub fn accept_only_ours(socket: &Socket) -> io::Result<()> {
 }
 
 /// The same for RTmac's frames, where others' tunnels are foreign traffic, too: tunnelled frames for groups stay
-/// out. One for this host alone, or too short to tell, passes, and is counted as what it is.
+/// out. One for this host alone, too short to tell, or of another version passes, and is counted as what it is.
 pub fn accept_only_our_control(socket: &Socket) -> io::Result<()> {
     socket.attach_filter(&[
         SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
-        SockFilter::new(JUMP_IF_GREATER, 6, 0, MULTICAST),
-        SockFilter::new(JUMP_IF_EQUAL, 4, 0, TO_THIS_HOST),
+        SockFilter::new(JUMP_IF_GREATER, 8, 0, MULTICAST),
+        SockFilter::new(JUMP_IF_EQUAL, 6, 0, TO_THIS_HOST),
         SockFilter::new(LOAD_LENGTH, 0, 0, 0),
-        SockFilter::new(JUMP_IF_GREATER, 0, 2, FLAGS),
+        SockFilter::new(JUMP_IF_GREATER, 0, 4, FLAGS),
+        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, VERSION),
+        SockFilter::new(JUMP_IF_EQUAL, 0, 2, OURS),
         SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
         SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
         SockFilter::new(RETURN, 0, 0, WHOLE),

@@ -100,17 +100,14 @@ impl Records {
             .any(|i| self.absence(master(ago(i))).or_else(|| self.absence(ago(i))).is_some());
         let silent = self.told(author, EventKind::SlotSilent).or(absent.then_some(Cause::NoSync.name()))?;
         let doubted = self.told_any(of_cycle(author), &[EventKind::TimeStep, EventKind::DuplicateCycle]);
-        let why = absent || doubted || [0, BRIDGED].into_iter().all(|i| self.without_sync(ago(i)));
+        let why = absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
         why.then_some(silent)
     }
 
-    /// Whether somebody told why the author had no sync of this cycle, or could not follow it.
+    /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it.
     fn without_sync(&self, author: Author) -> bool {
-        self.told_any(master(author), &[EventKind::SyncSkipped, EventKind::StalledInSend])
-            || self.told_any(
-                of_cycle(author),
-                &[EventKind::SyncLate, EventKind::TimeStep, EventKind::DuplicateCycle],
-            )
+        self.told_any(master(author), &[EventKind::SyncSkipped])
+            || self.told_any(of_cycle(author), &[EventKind::SyncLate, EventKind::TimeStep])
     }
 
     fn told_any(&self, author: Author, kinds: &[EventKind]) -> bool {
@@ -202,6 +199,8 @@ mod tests {
         assert!(!silent(&[(20, 0, SyncSkipped)]), "that of 19 bridges it");
         assert!(!silent(&[(18, 0, SyncSkipped), (19, 0, SyncSkipped)]), "that of 20 was there");
         assert!(!silent(&[(19, 3, SyncLate), (20, 3, SyncLate)]), "somebody else's");
+        assert!(!silent(&[(19, 0, StalledInSend), (20, 0, StalledInSend)]), "late, but they came");
+        assert!(!silent(&[(19, 2, DuplicateCycle), (20, 0, SyncSkipped)]), "one of the two bridges it");
         assert!(silent(&[(19, 0, SyncSkipped), (20, 0, SyncSkipped)]));
         assert!(silent(&[(19, 2, SyncLate), (20, 2, SyncLate)]));
         assert!(silent(&[(19, 2, TimeStep), (20, 0, SyncSkipped)]), "no sync confirmed the step");

@@ -82,7 +82,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
             }
             let station = scenario.stations[record.station].name.clone();
             let (cycle, span_ns) = (record.cycle.into(), record.span.nanos());
-            figures.note_miss(Miss { cycle, station, kind, span_ns, cause });
+            figures.note_miss(Miss { cycle, station, kind, span_ns, cause, found: None });
         }
     }
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
@@ -188,8 +188,9 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
     let author = finding.authors.iter().flatten().next_back();
     let station = author.map_or("foreign".into(), |author| scenario.stations[author.station].name.clone());
     let (cycle, span_ns) = (finding.cycle.into(), finding.span.nanos());
-    let cause = format!("nobody told of this {}", finding.kind.name());
-    figures.note_miss(Miss { cycle, station, kind: MissKind::Unexplained, span_ns, cause });
+    let found = Some(finding.kind.name().into());
+    let (kind, cause) = (MissKind::Unexplained, String::new());
+    figures.note_miss(Miss { cycle, station, kind, span_ns, cause, found });
 }
 
 fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {

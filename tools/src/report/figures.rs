@@ -209,9 +209,12 @@ pub struct Miss {
     /// By how much: how late, how long stalled, how far out of the slot. Negative is early; 0 if there
     /// is no such time.
     pub span_ns: i64,
-    /// Why, as its station's own stamps tell; of the unexplained, what was found; empty if there is nothing to say.
+    /// Why, as its station's own stamps tell; empty if they do not.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub cause: String,
+    /// Of the unexplained: what was found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub found: Option<String>,
 }
 
 impl Miss {
@@ -263,7 +266,7 @@ mod tests {
     use super::*;
 
     fn miss(kind: MissKind, span_ns: i64) -> Miss {
-        Miss { cycle: 7, station: "b".into(), kind, span_ns, cause: String::new() }
+        Miss { cycle: 7, station: "b".into(), kind, span_ns, cause: String::new(), found: None }
     }
 
     #[test]

@@ -201,7 +201,7 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         left("station", |miss| cut(&miss.station, NAME_MAX)),
         right("cycle", |miss| grouped(miss.cycle)),
         right("by us", |miss| micros(miss.span_ns)),
-        left("cause", |miss| words(&miss.cause)),
+        left("cause", |miss| miss.found.clone().unwrap_or_else(|| words(&miss.cause))),
     ];
     lines.extend(table(&columns, width));
     lines

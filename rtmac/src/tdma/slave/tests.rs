@@ -218,3 +218,54 @@ fn times_that_cannot_be_meant_are_refused() {
     assert_eq!(result, Err(Refusal::ImplausibleSync));
     assert_eq!(bench.slave.line().unwrap().cycle, 2);
 }
+
+/// Feeds Synchronisations in time.
+fn hear_all(bench: &mut Bench, cycles: core::ops::Range<u32>) {
+    for cycle in cycles {
+        assert_eq!(bench.hear(cycle, 0), Ok(Followed::Agrees), "cycle {cycle}");
+    }
+}
+
+#[test]
+fn a_line_that_has_lasted_is_left_as_soon_as_a_new_one() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    hear_all(&mut bench, 3..1_000);
+    let moved = |cycle: u32| u64::from(cycle) * PERIOD + 400_000;
+    assert_eq!(bench.hear_from_line(1_000, moved(1_000), 0), Ok(Followed::Pending));
+    assert_eq!(bench.hear_from_line(1_001, moved(1_001), 0), Ok(Followed::NewLine));
+    for cycle in 1_002..1_010 {
+        assert_eq!(bench.hear_from_line(cycle, moved(cycle), 0), Ok(Followed::Agrees));
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), moved(cycle));
+    }
+    assert_eq!(bench.slave.drift_ppb(), None, "that was of the old one");
+}
+
+#[test]
+fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
+    let mut bench = Bench::new(1);
+    bench.hear(1, 0).unwrap();
+    bench.hear(2, 0).unwrap();
+    hear_all(&mut bench, 3..1_000);
+    bench.slave.calibration_mut().begin_round();
+    let sent = 999 * PERIOD + 1_000;
+    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+    // It takes 700 ns each way.
+    let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD - 700);
+    let done = bench.slave.on_reply(Instant::from_nanos(sent + 1_600), sent, there, back, &mut bench.events);
+    assert_eq!((done, bench.slave.calibration().delay()), (Ok(true), Some(Span::from_nanos(700))));
+    hear_all(&mut bench, 1_000..1_010);
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_009 * PERIOD - 700);
+}
+
+#[test]
+fn another_master_has_another_drift() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    hear_all(&mut bench, 3..1_000);
+    assert_eq!(bench.slave.drift_ppb(), Some(0));
+    let backup = Address([2, 0, 0, 0, 0, 7]);
+    bench.hear(1_000, 0).unwrap();
+    let sched = |cycle: u32| GlobalTime::from_nanos(u64::from(cycle) * PERIOD + AHEAD);
+    let rx = Instant::from_nanos(1_001 * PERIOD);
+    bench.slave.on_sync(rx, backup, 1_001, sched(1_001), sched(1_001), &mut bench.events).unwrap();
+    assert_eq!(bench.slave.drift_ppb(), None);
+}

@@ -69,8 +69,12 @@ fn fixed() -> (Figures, SignedHistogram) {
         ..Figures::default()
     };
     for (cycle, kind, span_ns) in [(17, MissKind::Overrun, 1_201_000), (20_500, MissKind::Unexplained, 0)] {
-        let (station, cause) = ("a-name-that-is-long".into(), "timer_late".into());
-        figures.note_miss(Miss { cycle, station, kind, span_ns, cause });
+        let station = "a-name-that-is-long".into();
+        let (cause, found) = match kind {
+            MissKind::Unexplained => (String::new(), Some("missing frame".into())),
+            _ => ("timer_late".into(), None),
+        };
+        figures.note_miss(Miss { cycle, station, kind, span_ns, cause, found });
     }
     (figures, deviations)
 }

@@ -15,7 +15,7 @@ use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
 
 use super::line::TimeLine;
-use super::round::{self, Round};
+use super::round::{self, Begun, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
 pub const DEFAULT_ROUNDS: u32 = 100;
@@ -32,7 +32,11 @@ pub struct Calibration {
     /// The request's stamp on this station's clock, while its reply is awaited.
     outstanding: Option<Instant>,
     attempts: u32,
+    /// Of a frame for one station, and of Synchronisations.
+    one: Span,
     delay: Option<Span>,
+    /// In which cycle.
+    done: Option<u32>,
     repeats: u64,
 }
 
@@ -45,7 +49,9 @@ impl Calibration {
             samples: Vec::with_capacity(rounds as usize),
             outstanding: None,
             attempts: 0,
+            one: Span::ZERO,
             delay: (rounds == 0).then_some(Span::ZERO),
+            done: None,
             repeats: 0,
         }
     }
@@ -104,9 +110,29 @@ impl Calibration {
         }
         self.samples.push(round);
         if self.samples.len() == self.rounds as usize {
-            self.delay = Some(round::delay(&mut self.samples, line.period));
+            let apart = round::apart(&self.samples);
+            self.one = round::keep_quicker(&mut self.samples);
+            let late = |round: &Round| round.ahead_of(round.begun(), apart);
+            self.delay = Some(round::delay(&mut self.samples, self.one, line.period, late));
+            self.done = Some(line.cycle);
         }
         Ok(self.delay)
+    }
+
+    /// The line of the time of calibration is known better now than it was then: by how much the delay is longer than
+    /// was believed. `begun` tells of a cycle by the number that it had, with that delay; the master's clock gains
+    /// `apart` on this one.
+    pub fn corrected(&mut self, period: Span, apart: f64, begun: impl Fn(u32) -> Begun) -> Span {
+        let (Some(before), Some(_)) = (self.delay, self.done) else { return Span::ZERO };
+        let late = |round: &Round| before + round.ahead_of(begun(round.begun().cycle), apart);
+        let delay = round::delay(&mut self.samples, self.one, period, late);
+        self.delay = Some(delay);
+        delay - before
+    }
+
+    /// The cycle of its last round, once done.
+    pub fn done(&self) -> Option<u32> {
+        self.done
     }
 }
 

@@ -33,7 +33,7 @@ const WINDOWS: usize = 64;
 /// Fewer do not show a line: what becomes quiet looks like drift.
 const WINDOWS_AT_LEAST: usize = 8;
 /// What is earlier than the line by less is a stamp's noise, and so are a few of a window.
-const NOISE: Span = Span::from_micros(4);
+const NOISE: Span = Span::from_micros(10);
 const NOISE_AT_MOST: usize = 2;
 /// Without a line, what is earlier than expected by less, or by less than this part of a cycle, shows that what was
 /// expected had been late.
@@ -87,18 +87,21 @@ impl Envelope {
         points.for_each(|point| point.start = point.start + by);
     }
 
-    /// One more Synchronisation, of a cycle that was `expected` to start by what is followed now.
-    pub fn note(&mut self, cycle: u32, start: Instant, expected: Instant, period: Span) {
+    /// One more Synchronisation, of a cycle that was `expected` to start by what is followed now. Whether the line is
+    /// another since.
+    pub fn note(&mut self, cycle: u32, start: Instant, expected: Instant, period: Span) -> bool {
         if period * WINDOW as i64 > WINDOW_AT_MOST {
-            return;
+            return false;
         }
         if self.is_disproved(expected - start, period) {
             self.restart();
         }
         self.window.push(Point { cycle, start });
-        if self.window.len() == WINDOW {
+        let full = self.window.len() == WINDOW;
+        if full {
             self.end_window(period);
         }
+        full
     }
 
     fn is_disproved(&mut self, early: Span, period: Span) -> bool {
@@ -138,6 +141,12 @@ impl Envelope {
     /// When a cycle starts, and how fast the clocks run apart; `None` until that is known.
     pub fn start_of(&self, cycle: u32) -> Option<(Instant, Drift)> {
         self.edge.map(|edge| (edge.start_of(cycle), edge.drift))
+    }
+
+    /// Whether the line is known, and was unbroken, since this cycle; its drift.
+    pub fn reaches_back_to(&self, cycle: u32) -> Option<Drift> {
+        let since = self.early.front()?.cycle;
+        self.drift().filter(|_| cycle.wrapping_sub(since) as i32 >= 0)
     }
 
     /// How fast the clocks run apart, once known.
@@ -257,7 +266,7 @@ mod tests {
     fn what_is_earlier_than_the_line_proves_it_wrong() {
         let mut envelope = Envelope::new();
         hear(&mut envelope, 0..1_000, 0, |_| 0);
-        hear(&mut envelope, 1_000..1_001, 0, |_| -3_900);
+        hear(&mut envelope, 1_000..1_001, 0, |_| -9_900);
         assert!(envelope.start_of(1_001).is_some(), "a stamp's noise");
         hear(&mut envelope, 1_001..1_003, 0, |_| -20_000);
         assert!(envelope.start_of(1_003).is_some(), "so are two of a window");
@@ -298,7 +307,7 @@ mod tests {
     fn cycles_too_long_for_windows_have_no_line() {
         let (mut envelope, period) = (Envelope::new(), Span::from_millis(32));
         let start = |cycle: u32| Instant::from_nanos(0) + period * i64::from(cycle);
-        (0..1_000).for_each(|cycle| envelope.note(cycle, start(cycle), start(cycle), period));
+        assert!((0..1_000).all(|cycle| !envelope.note(cycle, start(cycle), start(cycle), period)));
         assert_eq!(envelope.start_of(1_000), None);
     }
 

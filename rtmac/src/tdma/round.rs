@@ -12,7 +12,7 @@
 //! are late. Stations whose clock for these stamps is not that of their Synchronisations give no answer that can
 //! be; then the delay of the round is taken for both, as RTnet does.
 
-use rtnet::time::{GlobalTime, Instant, Span};
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
 
 use super::line::{self, DRIFT_PARTS, TimeLine};
 
@@ -23,61 +23,81 @@ const LATER_AT_LEAST: Span = Span::from_nanos(250);
 const LATER_AT_MOST: i64 = 12;
 const LATER_PARTS: i64 = 16;
 
+/// The quicker half of the rounds is kept, but no more than so many.
+const KEPT: usize = 128;
+
 /// A round.
 #[derive(Clone, Copy, Debug)]
 pub struct Round {
     /// How long a frame for one station takes.
     pub delay: Span,
-    /// By how much the master's clock was ahead of what the last Synchronisation says, and how old that was.
-    sync: Span,
-    age: Span,
-    /// When it was, on this clock.
+    /// When it was, on this clock and on the master's.
     middle: Instant,
-    /// From this clock to the master's, as the Synchronisations say.
-    offset: u64,
+    global: GlobalTime,
+    /// The cycle that had begun, as it was known then.
+    begun: Begun,
+}
+
+/// A cycle's number and start, and from this clock to the master's what its Synchronisation says.
+#[derive(Clone, Copy, Debug)]
+pub struct Begun {
+    /// Its number.
+    pub cycle: u32,
+    /// Its start on this clock.
+    pub start: Instant,
+    /// From this clock to the master's.
+    pub offset: Offset,
 }
 
 impl Round {
     /// From a round's four stamps, and the line of a slave that knows of no delay yet.
     pub fn new(request_xmit: u64, reception: u64, reply_xmit: u64, rx: Instant, line: &TimeLine) -> Self {
-        let behind = |stamp: u64, local: Instant| GlobalTime::from_nanos(stamp) - line.offset.global(local);
-        let there = behind(reception, Instant::from_nanos(request_xmit)).nanos();
-        let back = behind(reply_xmit, rx).nanos();
-        let middle = Instant::from_nanos(request_xmit) + (rx - Instant::from_nanos(request_xmit)) / 2;
+        let half = |from: u64, to: u64| Span::from_nanos(to.wrapping_sub(from) as i64 / 2);
+        let &TimeLine { cycle, start, offset, .. } = line;
         Self {
             delay: line::delay(request_xmit, reception, reply_xmit, rx.nanos()),
-            sync: Span::from_nanos(there.wrapping_add(back).wrapping_add(1) >> 1),
-            age: middle - line.start,
-            middle,
-            offset: line.offset.nanos(),
+            middle: Instant::from_nanos(request_xmit) + half(request_xmit, rx.nanos()),
+            global: GlobalTime::from_nanos(reception) + half(reception, reply_xmit),
+            begun: Begun { cycle, start, offset },
         }
+    }
+
+    /// The cycle that had begun, as it was known then.
+    pub fn begun(&self) -> Begun {
+        self.begun
+    }
+
+    /// By how much the master's clock, which gains `apart` on this one, was ahead of what a cycle's start says.
+    pub fn ahead_of(&self, begun: Begun, apart: f64) -> Span {
+        let age = self.middle - begun.start;
+        let (drifted, at_most) = ((apart * age.nanos() as f64) as i64, age.abs() / DRIFT_PARTS);
+        self.global - begun.offset.global(self.middle) - Span::from_nanos(drifted).clamp(-at_most, at_most)
     }
 }
 
-/// The delay of Synchronisations that these rounds show. Hold-ups only ever make a round longer and a Synchronisation
-/// later: of the former the lower quartile counts, of the latter, in the quicker half of the rounds, the lower eighth,
-/// since that is what the line is laid through.
-pub fn delay(rounds: &mut [Round], period: Span) -> Span {
-    let apart = apart(rounds);
+/// Keeps the quicker rounds. The delay of a frame for one station: hold-ups only ever make a round longer, so the
+/// lower quartile of all counts.
+pub fn keep_quicker(rounds: &mut Vec<Round>) -> Span {
     rounds.sort_unstable_by_key(|round| round.delay);
     let delay = rounds[rounds.len() / 4].delay;
-    let (quicker, _) = rounds.split_at_mut(rounds.len().div_ceil(2));
-    let sync = |round: &Round| {
-        let drifted = (apart * round.age.nanos() as f64) as i64;
-        let at_most = round.age.abs() / DRIFT_PARTS;
-        round.sync - Span::from_nanos(drifted).clamp(-at_most, at_most)
-    };
-    quicker.sort_unstable_by_key(sync);
-    let later = sync(&quicker[quicker.len() / 8]) - delay;
-    let at_most = (delay * LATER_AT_MOST).min(period / LATER_PARTS).min(period - delay);
-    if (LATER_AT_LEAST..=at_most).contains(&later) { delay + later } else { delay }
+    rounds.truncate(rounds.len().div_ceil(2).min(KEPT));
+    delay
+}
+
+/// The delay of Synchronisations, where that of a frame for `one` station is known, and by each of the quicker rounds
+/// how late syncs are. Hold-ups only ever make them later: the lower eighth counts, as for the line they are on.
+pub fn delay(rounds: &mut [Round], one: Span, period: Span, late: impl Fn(&Round) -> Span) -> Span {
+    rounds.sort_unstable_by_key(&late);
+    let later = late(&rounds[rounds.len() / 8]) - one;
+    let at_most = (one * LATER_AT_MOST).min(period / LATER_PARTS).min(period - one);
+    if (LATER_AT_LEAST..=at_most).contains(&later) { one + later } else { one }
 }
 
 /// By how much the master's clock gains on this one, from the first round to the last.
-fn apart(rounds: &[Round]) -> f64 {
+pub fn apart(rounds: &[Round]) -> f64 {
     let (Some(first), Some(last)) = (rounds.first(), rounds.last()) else { return 0.0 };
     let took = (last.middle - first.middle).nanos();
-    let gained = last.offset.wrapping_sub(first.offset) as i64;
+    let gained = last.begun.offset.nanos().wrapping_sub(first.begun.offset.nanos()) as i64;
     if took > 0 { gained as f64 / took as f64 } else { 0.0 }
 }
 
@@ -85,7 +105,6 @@ fn apart(rounds: &[Round]) -> f64 {
 mod tests {
     use super::*;
     use crate::tdma::line::Drift;
-    use rtnet::time::Offset;
 
     const PERIOD: Span = Span::from_millis(1);
     const AHEAD: u64 = 1 << 40;
@@ -108,8 +127,16 @@ mod tests {
         (1..=50).map(round).collect()
     }
 
+    /// What they say, if syncs were later than the rounds know by `more`.
+    fn told(mut rounds: Vec<Round>, more: impl Fn(&Round) -> i64) -> i64 {
+        let apart = apart(&rounds);
+        let one = keep_quicker(&mut rounds);
+        let late = |round: &Round| round.ahead_of(round.begun, apart) + Span::from_nanos(more(round));
+        delay(&mut rounds, one, PERIOD, late).nanos()
+    }
+
     fn measured(ppm: u64, own: u64, held_up: impl Fn(u64) -> u64) -> i64 {
-        delay(&mut rounds(ppm, own, held_up), PERIOD).nanos()
+        told(rounds(ppm, own, held_up), |_| 0)
     }
 
     #[test]
@@ -121,12 +148,9 @@ mod tests {
 
     #[test]
     fn syncs_that_are_held_up_all_the_while_are_not_believed() {
-        let mut late = rounds(0, 0, |_| 0);
-        late.iter_mut().for_each(|round| round.sync = round.sync + Span::from_micros(65));
-        assert_eq!(delay(&mut late, PERIOD), Span::from_micros(5));
-        let mut some = rounds(0, 0, |_| 0);
-        some.iter_mut().step_by(2).for_each(|round| round.sync = round.sync + Span::from_micros(10));
-        assert_eq!(delay(&mut some, PERIOD), Span::from_micros(9));
+        assert_eq!(told(rounds(0, 0, |_| 0), |_| 65_000), 5_000);
+        let some = |round: &Round| i64::from(round.begun.cycle / 2 % 2) * 10_000;
+        assert_eq!(told(rounds(0, 0, |_| 0), some), 9_000);
     }
 
     #[test]

@@ -26,6 +26,7 @@ use super::calibration::Calibration;
 use super::envelope::Envelope;
 use super::events::Events;
 use super::line::{self, DRIFT_PARTS, Drift, TimeLine};
+use super::round::Begun;
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it.
 const GRACE_PARTS: i64 = 16;
@@ -158,7 +159,9 @@ impl Slave {
                         // Another clock: it may drift otherwise.
                         self.envelope.restart();
                     }
-                    self.envelope.note(cycle, mark.start(), line.start_of(cycle), line.period);
+                    if self.envelope.note(cycle, mark.start(), line.start_of(cycle), line.period) {
+                        correct_delay(&mut self.calibration, &mut self.envelope, line);
+                    }
                     *line = match self.envelope.start_of(cycle) {
                         Some((start, drift)) => line.carried_on(&mark, start, drift),
                         None => line.moved_to(&mark),
@@ -347,6 +350,19 @@ impl Mark {
         let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit);
         fits.then(|| line.carried_on(later, later.start(), Drift::NONE))
     }
+}
+
+/// The envelope has become clearer. If it reaches back to the time of calibration, so has what rounds say of the delay of
+/// syncs: then the host may have been busy, and the line have been followed late.
+fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &TimeLine) {
+    let Some(drift) = calibration.done().and_then(|cycle| envelope.reaches_back_to(cycle)) else { return };
+    let begun = |cycle| {
+        let start = envelope.start_of(cycle).map_or(line.start, |(start, _)| start);
+        Begun { cycle, start, offset: Offset::between(start, line.sched_of(cycle)) }
+    };
+    let apart = -(drift.parts_per_billion(line.period) as f64) / 1e9;
+    let longer = calibration.corrected(line.period, apart, begun);
+    envelope.shift(-longer);
 }
 
 /// How far two clocks may have drifted apart since the line's last Synchronisation.

@@ -258,6 +258,31 @@ fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
 }
 
 #[test]
+fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
+    let mut bench = Bench::new(20);
+    bench.hear(1, 5_000).unwrap();
+    // A frame takes 700 ns, a sync too, but for now it is 5 us late.
+    for cycle in 2..200 {
+        bench.hear(cycle, 5_000).unwrap();
+        if bench.slave.calibration().delay().is_none() {
+            bench.slave.calibration_mut().begin_round();
+            let sent = u64::from(cycle) * PERIOD + 100_000;
+            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+            let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD);
+            let rx = Instant::from_nanos(sent + 1_600);
+            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
+        }
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(5)));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 199 * PERIOD);
+    for cycle in 200..1_500 {
+        bench.hear(cycle, 700).unwrap();
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_nanos(700)));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_499 * PERIOD);
+}
+
+#[test]
 fn another_master_has_another_drift() {
     let mut bench = Bench::in_state(SyncState::Locked);
     hear_all(&mut bench, 3..1_000);

@@ -84,7 +84,7 @@ impl Envelope {
     pub fn shift(&mut self, by: Span) {
         let edge = self.edge.iter_mut().map(|edge| &mut edge.through);
         let points = self.window.iter_mut().chain(&mut self.early).chain(edge);
-        points.for_each(|point| point.start = point.start + by);
+        points.for_each(|point| point.start += by);
     }
 
     /// One more Synchronisation, of a cycle that was `expected` to start by what is followed now. Whether the line is

@@ -7,6 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use rtnet::live::realtime::{self, RealTime};
+
 /// One network at a time: several would miss slots for each other.
 static NETWORK: Mutex<()> = Mutex::new(());
 /// A network that fails while its host stood still for so long, several cycles, says nothing of the network.
@@ -38,6 +40,35 @@ pub fn network(test: &str, body: impl Fn()) {
             Err(panic) => resume_unwind(panic),
         }
     }
+}
+
+/// Runs something while the cores are taken away, each by itself, for up to `longest` at a time, as by a hypervisor.
+pub fn held_up<T>(longest: Duration, body: impl FnOnce() -> T) -> T {
+    struct Stop<'a>(&'a AtomicBool);
+    impl Drop for Stop<'_> {
+        fn drop(&mut self) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let _stop = Stop(&over);
+        for cpu in realtime::allowed_cpus() {
+            let over = &over;
+            scope.spawn(move || {
+                RealTime { priority: Some(99), cpu: Some(cpu) }.apply();
+                let mut random = 7 + cpu as u32;
+                while !over.load(Ordering::Relaxed) {
+                    random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    let share = f64::from(random >> 8) / f64::from(1 << 24);
+                    let until = Instant::now() + longest.mul_f64(share);
+                    while Instant::now() < until {}
+                    std::thread::sleep(longest.mul_f64(2.0 + 2.0 * share));
+                }
+            });
+        }
+        body()
+    })
 }
 
 /// Watches for how long nothing ran.

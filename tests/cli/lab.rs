@@ -10,7 +10,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::network;
+use crate::host::{held_up, network};
 use crate::rtnet;
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -86,6 +86,26 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
         assert_eq!(report["per_station"].as_array().unwrap().len(), 3);
         assert!(fs::metadata(&pcap).unwrap().len() > 100_000);
         assert_eq!(veths(), before);
+    });
+}
+
+/// Stations are late by milliseconds, together or alone, and syncs with them; some lines are left, others come back.
+#[test]
+fn what_a_host_takes_away_is_missed_and_explained() {
+    network("what_a_host_takes_away_is_missed_and_explained", || {
+        let dir = tempfile::tempdir().unwrap();
+        let json = dir.path().join("report.json");
+        let mut lab = rtnet();
+        lab.args(["lab", "run", "--stations", "6", "--cycle", "1ms", "--duration", "6s", "--json"])
+            .arg(&json);
+        let output = held_up(Duration::from_millis(15), || lab.output().unwrap());
+        let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(report["unexplained"], 0, "{screen}");
+        assert!(report["slots_missed"].as_u64() > Some(1_000), "{screen}");
+        for cause in ["timer_late", "sync_lost_or_late"] {
+            assert!(report["causes"][cause].as_u64() > Some(0), "{cause}: {screen}");
+        }
     });
 }
 

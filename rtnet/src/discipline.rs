@@ -232,6 +232,8 @@ pub enum EventKind {
     Overrun,
     /// A frame was sent, but the clock read afterwards was beyond `latest` by so much.
     StalledInSend,
+    /// So it was with a calibration reply.
+    ReplyStalled,
     /// The kernel guard dropped a frame that was sent in time but came too late, by so much or less.
     GuardDropped,
     /// A slot was passed over because synchronisation did not allow it.
@@ -266,9 +268,10 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 17] = [
+    pub const ALL: [EventKind; 18] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
+        EventKind::ReplyStalled,
         EventKind::GuardDropped,
         EventKind::SlotSilent,
         EventKind::SlotEmpty,
@@ -291,14 +294,23 @@ impl EventKind {
         use EventKind::*;
         matches!(
             self,
-            Overrun | StalledInSend | GuardDropped | SlotSilent | SlotEmpty | SendFailed | SyncSkipped
+            Overrun
+                | StalledInSend
+                | ReplyStalled
+                | GuardDropped
+                | SlotSilent
+                | SlotEmpty
+                | SendFailed
+                | SyncSkipped
         )
     }
 
     /// Why that was, as far as the kind tells. What was too late for its instant only the loop's stamps explain.
     pub const fn cause(self) -> Option<Cause> {
         match self {
-            EventKind::StalledInSend | EventKind::GuardDropped => Some(Cause::StalledInSend),
+            EventKind::StalledInSend | EventKind::ReplyStalled | EventKind::GuardDropped => {
+                Some(Cause::StalledInSend)
+            }
             EventKind::SlotSilent => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::SendFailed => Some(Cause::Refused),
@@ -311,6 +323,7 @@ impl EventKind {
         match self {
             EventKind::Overrun => "overrun",
             EventKind::StalledInSend => "stalled_in_send",
+            EventKind::ReplyStalled => "reply_stalled",
             EventKind::GuardDropped => "guard_dropped",
             EventKind::SlotSilent => "slot_silent",
             EventKind::SlotEmpty => "slot_empty",

@@ -243,7 +243,11 @@ impl Discipline for Tdma {
             Sent::StalledUntil(until) => {
                 self.count_sent(&job, None);
                 self.counters.stalled_in_send += 1;
-                self.events.note_job(&job, EventKind::StalledInSend, until - job.latest());
+                let kind = match job {
+                    Job::Reply { .. } => EventKind::ReplyStalled,
+                    _ => EventKind::StalledInSend,
+                };
+                self.events.note_job(&job, kind, until - job.latest());
             }
             Sent::Late(now, frame) => {
                 self.missed(&job, now - job.latest());

@@ -239,8 +239,8 @@ pub struct Uncertainty {
 /// The guard band with which neighbours do not overlap: one may be late by its clock and its host
 /// while the next is early by its clock.
 ///
-/// A clock's error grows from the last Synchronisation on, over at most one cycle and the bridged
-/// ones, and the calibrated delay is wrong by the drift over half a cycle, since a calibration
+/// As long as a station does not know its drift, a clock's error grows from the last Synchronisation on, over at
+/// most one cycle and the bridged ones, and the calibrated delay is wrong by the drift over half a cycle, since a calibration
 /// measures over one. The master's own drift moves both neighbours alike.
 pub fn guard_band(of: Uncertainty) -> Span {
     let half_cycles = i128::from(2 * (1 + of.holdover) + 1);

@@ -19,6 +19,8 @@ use crate::report::text::{Column, grouped, micros, table};
 const GONE_WITHIN: Duration = Duration::from_secs(5);
 /// How long a station that was restarted is waited for: calibration takes some hundred cycles.
 const LOCKED_WITHIN: Duration = Duration::from_secs(30);
+/// And so many cycles: twice what 100 calibration rounds take.
+const CALIBRATED_WITHIN: u32 = 400;
 /// Columns of a table of stations.
 const WIDTH: usize = 110;
 
@@ -111,8 +113,8 @@ pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
                 let why = why.as_deref().unwrap_or("it has ended again");
                 return Err(Failure::Run(anyhow!("station '{lab}/{station}': {why}")));
             }
-            (state, _) if begun.elapsed() > LOCKED_WITHIN => {
-                let within = LOCKED_WITHIN.as_secs();
+            (state, _) if begun.elapsed() > locked_within(status.cycle_ns) => {
+                let within = begun.elapsed().as_secs();
                 return Err(Failure::Run(anyhow!(
                     "station '{lab}/{station}' is {state} after {within}s: `rtnet lab status {lab}` tells how it goes on"
                 )));
@@ -120,6 +122,11 @@ pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
             _ => std::thread::sleep(Duration::from_millis(20)),
         }
     }
+}
+
+/// Long cycles take longer.
+fn locked_within(cycle_ns: u64) -> Duration {
+    LOCKED_WITHIN.max(Duration::from_nanos(cycle_ns) * CALIBRATED_WITHIN)
 }
 
 /// Runs a command beside a station; returns only if it cannot.

@@ -69,12 +69,15 @@ impl Records {
     /// for it.
     pub fn explain(&self, finding: &Finding) -> Option<&'static str> {
         let mut authors = finding.authors.iter().flatten().copied();
+        // A calibration reply that is late meets others; it moves nobody.
+        let hit = finding.kind == FindingKind::Overlap;
         match finding.kind {
             // A Synchronisation that was held up moves every station of its cycle. What a station had to tell
             // of its last moments went with it.
             FindingKind::Overlap | FindingKind::OutOfSlot => authors.find_map(|author| {
                 self.told(author, EventKind::StalledInSend)
                     .or_else(|| self.told(master(author), EventKind::StalledInSend))
+                    .or_else(|| hit.then(|| self.told(master(author), EventKind::ReplyStalled)).flatten())
                     .or_else(|| self.absence(author).filter(|&why| why == Absence::Down.name()))
             }),
             // One that the kernel guard dropped is skipped, too.
@@ -182,6 +185,15 @@ mod tests {
         assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_some());
         assert!(records.explain(&finding(9, FindingKind::SlotMissed, 4)).is_none());
         assert!(records.explain(&finding(9, FindingKind::SyncGap, 0)).is_none(), "it was sent");
+    }
+
+    #[test]
+    fn a_held_up_calibration_reply_explains_what_it_hits_and_nothing_else() {
+        let mut records = Records::default();
+        records.note(told_of(9, MASTER), EventKind::ReplyStalled, Span::from_nanos(5), None);
+        assert!(records.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
+        assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_none());
+        assert!(records.explain(&finding(8, FindingKind::Overlap, 4)).is_none());
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         syncs_sent: analysis.syncs,
         syncs_skipped: own(EventKind::SyncSkipped).count() as u64,
         overruns: own(EventKind::Overrun).count() as u64,
-        stalled_in_send: own(EventKind::StalledInSend).count() as u64,
+        stalled_in_send: (own(EventKind::StalledInSend).chain(own(EventKind::ReplyStalled))).count() as u64,
         guard_drops: own(EventKind::GuardDropped).count() as u64,
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
@@ -72,6 +72,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
     for (kind, event) in [
         (MissKind::SyncSkipped, EventKind::SyncSkipped),
         (MissKind::StalledInSend, EventKind::StalledInSend),
+        (MissKind::StalledInSend, EventKind::ReplyStalled),
         (MissKind::GuardDropped, EventKind::GuardDropped),
         (MissKind::Overrun, EventKind::Overrun),
     ] {
@@ -143,7 +144,7 @@ fn station_figures(
         frames_seen: seen.frames,
         slots_missed: missed,
         overruns: own(EventKind::Overrun),
-        stalled_in_send: own(EventKind::StalledInSend),
+        stalled_in_send: own(EventKind::StalledInSend) + own(EventKind::ReplyStalled),
         guard: member.guarded.into(),
         guard_drops: own(EventKind::GuardDropped),
         payload_errors: member.payload_errors(),

@@ -293,6 +293,14 @@ mod tests {
     }
 
     #[test]
+    fn the_sync_of_many_stations_has_more_time() {
+        let window = |stations, cycle| uniform(stations, cycle).scenario().unwrap().sync_window;
+        assert_eq!(window(8, Span::from_millis(1)), Span::from_micros(50));
+        assert_eq!(window(32, Span::from_millis(5)), Span::from_micros(128));
+        assert_eq!(window(32, Span::from_micros(800)), Span::from_micros(100), "an eighth of a short cycle");
+    }
+
+    #[test]
     fn stations_divide_the_cycle_evenly_and_do_not_conflict() {
         let scenario = uniform(8, Span::from_millis(1)).scenario().unwrap();
         assert_eq!(scenario.schedule().conflicts(), []);

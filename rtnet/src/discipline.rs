@@ -13,11 +13,15 @@
 //!
 //! Both are pure: they are given the time with every call and never ask for it.
 
+mod event;
+
 use crate::buf::Buf;
 use crate::counters::Refusal;
 use crate::queue::Priority;
-use crate::time::{GlobalTime, Instant, Offset, Span};
+use crate::time::{GlobalTime, Instant, Offset};
 use crate::wire::ethernet::{EtherType, Header};
+
+pub use event::{Cause, Event, EventKind};
 
 /// The slot id that a frame is to leave in: 0 real-time, 1 non-real-time, 2.. the user's.
 pub type Channel = u8;
@@ -210,178 +214,6 @@ pub struct TimeView {
     pub start: Instant,
     /// From this station's clock to the master's.
     pub offset: Offset,
-}
-
-/// Something worth telling, latched with its cycle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Event {
-    /// The cycle it happened in.
-    pub cycle: u32,
-    /// What it was.
-    pub kind: EventKind,
-    /// In which of the station's slots, if it was in one.
-    pub slot: Option<Channel>,
-    /// How much: lateness, size of a step, measured delay.
-    pub span: Span,
-}
-
-/// Kinds of [`Event`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum EventKind {
-    /// A slot was skipped because its `latest` instant had passed by so much.
-    Overrun,
-    /// A frame was sent, but the clock read afterwards was beyond `latest` by so much.
-    StalledInSend,
-    /// So it was with a calibration reply.
-    ReplyStalled,
-    /// The kernel guard dropped a frame that was sent in time but came too late, by so much or less.
-    GuardDropped,
-    /// A slot was passed over because synchronisation did not allow it.
-    SlotSilent,
-    /// Nothing waited for a slot that was used the last time. Those after it are only counted.
-    SlotEmpty,
-    /// A slot begins after the master's cycle ends, by so much: it is never used.
-    SlotBeyondCycle,
-    /// The kernel refused a frame; the span is its error number.
-    SendFailed,
-    /// The master skipped a Synchronisation because its window had passed by so much.
-    SyncSkipped,
-    /// A Synchronisation disagrees with the time line by so much.
-    TimeStep,
-    /// A cycle number came twice; this station stays silent in that cycle.
-    DuplicateCycle,
-    /// A Synchronisation is missing; the cycle is bridged.
-    Holdover,
-    /// More Synchronisations are missing than are bridged.
-    SyncLost,
-    /// A Synchronisation was handed over only after a slot had been silent for want of it, by so much or more.
-    SyncLate,
-    /// Synchronised; the span is the delay from the master.
-    Locked,
-    /// Calibration was given up for now.
-    CalibrationTimeout,
-    /// Another master is active on the medium.
-    OtherMaster,
-    /// This station is the active master from this cycle on.
-    MasterActive,
-}
-
-impl EventKind {
-    /// Every kind.
-    pub const ALL: [EventKind; 18] = [
-        EventKind::Overrun,
-        EventKind::StalledInSend,
-        EventKind::ReplyStalled,
-        EventKind::GuardDropped,
-        EventKind::SlotSilent,
-        EventKind::SlotEmpty,
-        EventKind::SlotBeyondCycle,
-        EventKind::SendFailed,
-        EventKind::SyncSkipped,
-        EventKind::TimeStep,
-        EventKind::DuplicateCycle,
-        EventKind::Holdover,
-        EventKind::SyncLost,
-        EventKind::SyncLate,
-        EventKind::Locked,
-        EventKind::CalibrationTimeout,
-        EventKind::OtherMaster,
-        EventKind::MasterActive,
-    ];
-
-    /// Whether a slot or a Synchronisation was missed by it, or a frame was late.
-    pub const fn is_miss(self) -> bool {
-        use EventKind::*;
-        matches!(
-            self,
-            Overrun
-                | StalledInSend
-                | ReplyStalled
-                | GuardDropped
-                | SlotSilent
-                | SlotEmpty
-                | SendFailed
-                | SyncSkipped
-        )
-    }
-
-    /// Why that was, as far as the kind tells. What was too late for its instant only the loop's stamps explain.
-    pub const fn cause(self) -> Option<Cause> {
-        match self {
-            EventKind::StalledInSend | EventKind::ReplyStalled | EventKind::GuardDropped => {
-                Some(Cause::StalledInSend)
-            }
-            EventKind::SlotSilent => Some(Cause::NoSync),
-            EventKind::SlotEmpty => Some(Cause::QueueEmpty),
-            EventKind::SendFailed => Some(Cause::Refused),
-            _ => None,
-        }
-    }
-
-    /// The kind's name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            EventKind::Overrun => "overrun",
-            EventKind::StalledInSend => "stalled_in_send",
-            EventKind::ReplyStalled => "reply_stalled",
-            EventKind::GuardDropped => "guard_dropped",
-            EventKind::SlotSilent => "slot_silent",
-            EventKind::SlotEmpty => "slot_empty",
-            EventKind::SlotBeyondCycle => "slot_beyond_cycle",
-            EventKind::SendFailed => "send_failed",
-            EventKind::SyncSkipped => "sync_skipped",
-            EventKind::TimeStep => "time_step",
-            EventKind::DuplicateCycle => "duplicate_cycle",
-            EventKind::Holdover => "holdover",
-            EventKind::SyncLost => "sync_lost",
-            EventKind::SyncLate => "sync_late",
-            EventKind::Locked => "locked",
-            EventKind::CalibrationTimeout => "calibration_timeout",
-            EventKind::OtherMaster => "other_master",
-            EventKind::MasterActive => "master_active",
-        }
-    }
-}
-
-/// Why a slot or a Synchronisation was missed, or a frame was late.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Cause {
-    /// The thread was woken too late: by the timer, or because something more urgent ran.
-    TimerLate,
-    /// It was awake in time, and held up before it could send.
-    Preempted,
-    /// It was held up between its last look at the clock and the wire.
-    StalledInSend,
-    /// There was no Synchronisation to follow, or none yet.
-    NoSync,
-    /// Nothing was queued in time.
-    QueueEmpty,
-    /// The kernel did not take the frame.
-    Refused,
-}
-
-impl Cause {
-    /// Every cause.
-    pub const ALL: [Cause; 6] = [
-        Cause::TimerLate,
-        Cause::Preempted,
-        Cause::StalledInSend,
-        Cause::NoSync,
-        Cause::QueueEmpty,
-        Cause::Refused,
-    ];
-
-    /// The cause's name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Cause::TimerLate => "timer_late",
-            Cause::Preempted => "preempted",
-            Cause::StalledInSend => "stalled_in_send",
-            Cause::NoSync => "sync_lost_or_late",
-            Cause::QueueEmpty => "queue_empty",
-            Cause::Refused => "refused",
-        }
-    }
 }
 
 /// Why a frame could not be queued.

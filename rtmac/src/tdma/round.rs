@@ -87,8 +87,8 @@ pub fn keep_quicker(rounds: &mut Vec<Round>) -> Span {
 /// The delay of Synchronisations, where that of a frame for `one` station is known, and by each of the quicker rounds
 /// how late syncs are. Hold-ups only ever make them later: the lower eighth counts, as for the line they are on.
 pub fn delay(rounds: &mut [Round], one: Span, period: Span, late: impl Fn(&Round) -> Span) -> Span {
-    rounds.sort_unstable_by_key(&late);
-    let later = late(&rounds[rounds.len() / 8]) - one;
+    let (_, early, _) = rounds.select_nth_unstable_by_key(rounds.len() / 8, &late);
+    let later = late(early) - one;
     let at_most = (one * LATER_AT_MOST).min(period / LATER_PARTS).min(period - one);
     if (LATER_AT_LEAST..=at_most).contains(&later) { one + later } else { one }
 }

@@ -35,7 +35,7 @@ pub struct Calibration {
     /// Of a frame for one station, and of Synchronisations.
     one: Span,
     delay: Option<Span>,
-    /// In which cycle.
+    /// In which cycle the last round was, while they say something of the line that is followed.
     done: Option<u32>,
     repeats: u64,
 }
@@ -113,7 +113,8 @@ impl Calibration {
             let apart = round::apart(&self.samples);
             self.one = round::keep_quicker(&mut self.samples);
             let late = |round: &Round| round.ahead_of(round.begun(), apart);
-            self.delay = Some(round::delay(&mut self.samples, self.one, line.period, late));
+            let later = round::later(&mut self.samples, self.one, line.period, late);
+            self.delay = Some(self.one + later.unwrap_or(Span::ZERO));
             self.done = Some(line.cycle);
         }
         Ok(self.delay)
@@ -125,14 +126,24 @@ impl Calibration {
     pub fn corrected(&mut self, period: Span, apart: f64, begun: impl Fn(u32) -> Begun) -> Span {
         let (Some(before), Some(_)) = (self.delay, self.done) else { return Span::ZERO };
         let late = |round: &Round| before + round.ahead_of(begun(round.begun().cycle), apart);
-        let delay = round::delay(&mut self.samples, self.one, period, late);
+        let later = round::later(&mut self.samples, self.one, period, late);
+        let delay = later.map_or(before, |later| self.one + later);
         self.delay = Some(delay);
         delay - before
     }
 
-    /// The cycle of its last round, once done.
+    /// The cycle of its last round, once done, as long as its rounds are of the line that is followed.
     pub fn done(&self) -> Option<u32> {
         self.done
+    }
+
+    /// Another line, or another master: the rounds so far say nothing of it. A delay that is known stays.
+    pub fn leave_line(&mut self) {
+        self.done = None;
+        if self.delay.is_none() {
+            self.samples.clear();
+            self.attempts = 0;
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use rtnet::time::{Instant, Span};
 
 use super::job::Job;
 use super::line::TimeLine;
+use super::slave::LINE_GOOD_FOR;
 use super::slot::Turn;
 use super::{LatePolicy, Role, Tdma};
 
@@ -67,12 +68,17 @@ impl Tdma {
         }
     }
 
-    /// Another line is followed from `until` on: the slots of this one that were slept through are missed.
-    pub(super) fn leave(&mut self, line: &TimeLine, until: Instant) {
-        while let Some(turn) = self.slots.next_turn(line, None)
-            && until > turn.latest
-        {
-            self.missed(&Job::Data(turn), until - turn.latest);
+    /// Another line is followed from `until` on: the turns that it does not have any more are missed. Where its cycles
+    /// are numbered on, those are the ones that begin before; else those of the old line that were slept through.
+    pub(super) fn leave(&mut self, left: &TimeLine, line: &TimeLine, until: Instant) {
+        while let Some(turn) = self.slots.next_turn(left, None) {
+            let offset = turn.at - left.start_of(turn.cycle);
+            let numbered_on = line.ahead(turn.cycle).abs() <= LINE_GOOD_FOR;
+            let over = if numbered_on { line.start_of(turn.cycle) + offset } else { turn.latest };
+            if until <= over {
+                break;
+            }
+            self.missed(&Job::Data(turn), (until - turn.latest).max(Span::ZERO));
             self.slots.pass(&turn);
         }
     }

@@ -13,7 +13,8 @@
 //! Frames are held up on their way, by a busy host for seconds on end, but never early. So the early ones show the
 //! clocks, and all others the host: of every window an early one is kept, and the edge of their lower convex hull
 //! that lies below their middle is the line. It is wrong, and all begins anew, if frames are clearly earlier; and if the
-//! early ones come later and later by as much, since then a clock has changed its rate: a busy host has moods.
+//! early ones come later from window to window by about as much, since then a clock has changed its rate: a host is
+//! busy less evenly.
 
 use std::collections::VecDeque;
 
@@ -55,12 +56,16 @@ pub struct Envelope {
     /// Of this window, those that are clearly earlier than the line.
     too_early: usize,
     early: VecDeque<Point>,
+    /// The first cycle that is remembered.
+    since: Option<u32>,
     edge: Option<Edge>,
 }
 
 /// A line of cycles' starts.
 #[derive(Clone, Copy)]
 struct Edge {
+    /// Its ends: the cycle of the first, and the last.
+    from: u32,
     through: Point,
     drift: Drift,
     period: Span,
@@ -69,7 +74,7 @@ struct Edge {
 impl Envelope {
     pub fn new() -> Self {
         let (window, early) = (Vec::with_capacity(WINDOW), VecDeque::with_capacity(WINDOWS));
-        Self { window, too_early: 0, early, edge: None }
+        Self { window, too_early: 0, early, since: None, edge: None }
     }
 
     /// All that is known is of another line.
@@ -77,6 +82,7 @@ impl Envelope {
         self.window.clear();
         self.too_early = 0;
         self.early.clear();
+        self.since = None;
         self.edge = None;
     }
 
@@ -96,6 +102,7 @@ impl Envelope {
         if self.is_disproved(expected - start, period) {
             self.restart();
         }
+        self.since.get_or_insert(cycle);
         self.window.push(Point { cycle, start });
         let full = self.window.len() == WINDOW;
         if full {
@@ -115,6 +122,7 @@ impl Envelope {
     fn end_window(&mut self, period: Span) {
         if self.early.len() == WINDOWS {
             self.early.pop_front();
+            self.since = self.early.front().map(|point| point.cycle);
         }
         let early = self.early_one(period);
         self.early.push_back(early);
@@ -122,6 +130,7 @@ impl Envelope {
         self.too_early = 0;
         if self.rises() {
             self.early.drain(..self.early.len() - RISING);
+            self.since = self.early.front().map(|point| point.cycle);
         }
         self.edge = self.edge_below_the_middle(period);
     }
@@ -143,10 +152,16 @@ impl Envelope {
         self.edge.map(|edge| (edge.start_of(cycle), edge.drift))
     }
 
-    /// Whether the line is known, and was unbroken, since this cycle; its drift.
-    pub fn reaches_back_to(&self, cycle: u32) -> Option<Drift> {
-        let since = self.early.front()?.cycle;
-        self.drift().filter(|_| cycle.wrapping_sub(since) as i32 >= 0)
+    /// Whether this cycle is remembered, of the line that is followed now.
+    pub fn is_unbroken_since(&self, cycle: u32) -> bool {
+        self.since.is_some_and(|since| cycle.wrapping_sub(since) as i32 >= 0)
+    }
+
+    /// Whether the line is known well enough for a cycle so long ago: not farther from it than it is long.
+    pub fn reaches_back_to(&self, cycle: u32) -> bool {
+        self.edge.is_some_and(|Edge { from, through, .. }| {
+            from.wrapping_sub(cycle) as i32 <= through.cycle.wrapping_sub(from) as i32
+        })
     }
 
     /// How fast the clocks run apart, once known.
@@ -157,7 +172,7 @@ impl Envelope {
     /// Of this window's, by the drift that is known so far.
     fn early_one(&mut self, period: Span) -> Point {
         let through = self.window[0];
-        let flat = Edge { through, drift: self.drift().unwrap_or(Drift::NONE), period };
+        let flat = Edge { from: through.cycle, through, drift: self.drift().unwrap_or(Drift::NONE), period };
         let late = |point: &Point| point.start - flat.start_of(point.cycle);
         *self.window.select_nth_unstable_by_key(WINDOW / EARLY_PARTS, late).1
     }
@@ -184,7 +199,7 @@ impl Envelope {
         let edge = hull[..corners].windows(2).find(|edge| cycles(first, edge[1]) > middle)?;
         let [(x0, y0), (x1, y1)] = [place(edge[0]), place(edge[1])];
         let drift = Drift::new(Span::from_nanos(y1 - y0), x1 - x0, period)?;
-        Some(Edge { through: edge[1], drift, period })
+        Some(Edge { from: edge[0].cycle, through: edge[1], drift, period })
     }
 }
 

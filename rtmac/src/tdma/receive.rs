@@ -42,8 +42,9 @@ impl Tdma {
                 }
                 if let (Followed::NewLine, Some(&line)) = (followed, slave.line()) {
                     if let (Some(left), Some(_)) = (left, slave.calibration().delay()) {
-                        self.leave(&left, rx);
+                        self.leave(&left, &line, rx);
                     }
+                    self.silent = None;
                     self.slots.align(&line, rx);
                     if let Some(beyond) = self.slots.longest_offset().filter(|offset| *offset >= line.period)
                     {

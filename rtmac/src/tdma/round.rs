@@ -84,13 +84,16 @@ pub fn keep_quicker(rounds: &mut Vec<Round>) -> Span {
     delay
 }
 
-/// The delay of Synchronisations, where that of a frame for `one` station is known, and by each of the quicker rounds
-/// how late syncs are. Hold-ups only ever make them later: the lower eighth counts, as for the line they are on.
-pub fn delay(rounds: &mut [Round], one: Span, period: Span, late: impl Fn(&Round) -> Span) -> Span {
+/// How much later than a frame for `one` station Synchronisations are, by how `late` each of the quicker rounds shows
+/// them to be; `None` if they say nothing that can be. Hold-ups only ever make them later: the lower eighth counts, as
+/// for the line they are on.
+pub fn later(rounds: &mut [Round], one: Span, period: Span, late: impl Fn(&Round) -> Span) -> Option<Span> {
     let (_, early, _) = rounds.select_nth_unstable_by_key(rounds.len() / 8, &late);
     let later = late(early) - one;
     let at_most = (one * LATER_AT_MOST).min(period / LATER_PARTS).min(period - one);
-    if (LATER_AT_LEAST..=at_most).contains(&later) { one + later } else { one }
+    (-LATER_AT_LEAST..=at_most)
+        .contains(&later)
+        .then(|| if later < LATER_AT_LEAST { Span::ZERO } else { later })
 }
 
 /// By how much the master's clock gains on this one, from the first round to the last.
@@ -132,7 +135,7 @@ mod tests {
         let apart = apart(&rounds);
         let one = keep_quicker(&mut rounds);
         let late = |round: &Round| round.ahead_of(round.begun, apart) + Span::from_nanos(more(round));
-        delay(&mut rounds, one, PERIOD, late).nanos()
+        (one + later(&mut rounds, one, PERIOD, late).unwrap_or(Span::ZERO)).nanos()
     }
 
     fn measured(ppm: u64, own: u64, held_up: impl Fn(u64) -> u64) -> i64 {

@@ -45,7 +45,7 @@ const SLEW_PARTS: i64 = 300;
 /// never early.
 const LATE_PARTS: i64 = 8;
 /// The line is good for so many cycles without a Synchronisation.
-const LINE_GOOD_FOR: i32 = 1_000;
+pub const LINE_GOOD_FOR: i32 = 1_000;
 /// A cycle starts at most this long before or after its Synchronisation is received; once the period is
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
@@ -69,7 +69,9 @@ pub struct Slave {
     envelope: Envelope,
     state: SyncState,
     calibration: Calibration,
+    /// Who sent the last Synchronisation, and the last that was followed.
     master: Address,
+    line_of: Address,
     /// A cycle whose number came twice.
     doubted: Option<u32>,
     deviation: Span,
@@ -111,6 +113,7 @@ impl Slave {
             state: SyncState::Waiting,
             calibration: Calibration::new(config.rounds),
             master: Address::BROADCAST,
+            line_of: Address::BROADCAST,
             doubted: None,
             deviation: Span::ZERO,
             missing: 0,
@@ -155,9 +158,10 @@ impl Slave {
                 }
                 self.deviation = mark.deviation_from(line);
                 if mark.agrees_with(line, self.step_limit) {
-                    if from != self.master {
+                    if from != self.line_of {
                         // Another clock: it may drift otherwise.
                         self.envelope.restart();
+                        self.calibration.leave_line();
                     }
                     if self.envelope.note(cycle, mark.start(), line.start_of(cycle), line.period) {
                         correct_delay(&mut self.calibration, &mut self.envelope, line);
@@ -184,6 +188,7 @@ impl Slave {
         if followed == Followed::Pending {
             return Ok(followed);
         }
+        self.line_of = from;
         self.settle(cycle, events);
         Ok(followed)
     }
@@ -289,6 +294,7 @@ impl Slave {
     fn adopt(&mut self, line: TimeLine) -> Followed {
         self.track = Track::On { line, step: None };
         self.envelope.restart();
+        self.calibration.leave_line();
         Followed::NewLine
     }
 
@@ -355,7 +361,13 @@ impl Mark {
 /// The envelope has become clearer. If it reaches back to the time of calibration, so has what rounds say of the delay of
 /// syncs: then the host may have been busy, and the line have been followed late.
 fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &TimeLine) {
-    let Some(drift) = calibration.done().and_then(|cycle| envelope.reaches_back_to(cycle)) else { return };
+    let (Some(done), Some(drift)) = (calibration.done(), envelope.drift()) else { return };
+    if !envelope.is_unbroken_since(done) {
+        return calibration.leave_line();
+    }
+    if !envelope.reaches_back_to(done) {
+        return;
+    }
     let begun = |cycle| {
         let start = envelope.start_of(cycle).map_or(line.start, |(start, _)| start);
         Begun { cycle, start, offset: Offset::between(start, line.sched_of(cycle)) }

@@ -69,8 +69,8 @@ impl Records {
     /// for it.
     pub fn explain(&self, finding: &Finding) -> Option<&'static str> {
         let mut authors = finding.authors.iter().flatten().copied();
-        // A calibration reply that is late meets others; it moves nobody.
-        let hit = finding.kind == FindingKind::Overlap;
+        // A calibration reply, whose author nobody knows, meets others when it is late; it moves nobody.
+        let hit = finding.kind == FindingKind::Overlap && finding.authors.contains(&None);
         match finding.kind {
             // A Synchronisation that was held up moves every station of its cycle. What a station had to tell
             // of its last moments went with it.
@@ -194,6 +194,9 @@ mod tests {
         assert!(records.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
         assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_none());
         assert!(records.explain(&finding(8, FindingKind::Overlap, 4)).is_none());
+        let authors = [4, 5].map(|station| Some(author(9, station)));
+        let others = Finding { authors, ..finding(9, FindingKind::Overlap, 4) };
+        assert!(records.explain(&others).is_none(), "two others have met");
     }
 
     #[test]

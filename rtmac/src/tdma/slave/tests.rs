@@ -294,3 +294,39 @@ fn another_master_has_another_drift() {
     bench.slave.on_sync(rx, backup, 1_001, sched(1_001), sched(1_001), &mut bench.events).unwrap();
     assert_eq!(bench.slave.drift_ppb(), None);
 }
+
+#[test]
+fn rounds_of_a_master_that_is_gone_say_nothing_of_the_next() {
+    let mut bench = Bench::new(1);
+    let first = 100_000;
+    bench.hear(first - 1, 700).unwrap();
+    bench.hear(first, 700).unwrap();
+    bench.slave.calibration_mut().begin_round();
+    let sent = u64::from(first) * PERIOD + 100_000;
+    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+    let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD);
+    bench.slave.on_reply(Instant::from_nanos(sent + 1_600), sent, there, back, &mut bench.events).unwrap();
+    let delay = bench.slave.calibration().delay();
+    assert_eq!(delay, Some(Span::from_nanos(700)));
+    // It counts from 1, its clock is 3 us beside: as much as syncs might be late.
+    let at = |cycle: u32| u64::from(first + 50 + cycle) * PERIOD;
+    for cycle in 1..1_000 {
+        let (rx, sched) =
+            (Instant::from_nanos(at(cycle) + 700), GlobalTime::from_nanos(at(cycle) + AHEAD - 3_000));
+        bench.slave.on_sync(rx, MASTER, cycle, sched, sched, &mut bench.events).unwrap();
+    }
+    assert_eq!((bench.slave.calibration().delay(), bench.slave.drift_ppb()), (delay, Some(0)));
+}
+
+#[test]
+fn another_master_is_noticed_even_if_its_first_synchronisation_is_late() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    hear_all(&mut bench, 3..1_000);
+    let backup = Address([2, 0, 0, 0, 0, 7]);
+    for (cycle, late) in [(1_000, 90_000), (1_001, 0)] {
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * PERIOD + AHEAD);
+        let rx = Instant::from_nanos(u64::from(cycle) * PERIOD + late);
+        bench.slave.on_sync(rx, backup, cycle, sched, sched, &mut bench.events).unwrap();
+    }
+    assert_eq!(bench.slave.drift_ppb(), None);
+}

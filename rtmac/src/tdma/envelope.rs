@@ -12,9 +12,11 @@
 //!
 //! Frames are held up on their way, by a busy host for seconds on end, but never early. So the early ones show the
 //! clocks, and all others the host: of every window an early one is kept, and the edge of their lower convex hull
-//! that lies below their middle is the line. It is wrong, and all begins anew, if frames are clearly earlier; and if the
-//! early ones come later from window to window by about as much, since then a clock has changed its rate: a host is
-//! busy less evenly.
+//! that lies below their middle is the line. A host that does everything more slowly for seconds, as a core does whose
+//! sibling is busy, delivers all frames later by some microseconds: what it did before and after shows the clocks.
+//!
+//! The line is wrong, and all begins anew, if frames are clearly earlier; if the early ones come later and later by about
+//! as much, since then a clock has changed its rate: a host is busy less evenly; and if they have long been clearly late.
 
 use std::collections::VecDeque;
 
@@ -29,8 +31,11 @@ const WINDOW: usize = 64;
 const WINDOW_AT_MOST: Span = Span::from_millis(2_000);
 /// The early one of a window has this part of it before it: the very first may be a stamp's error.
 const EARLY_PARTS: usize = 8;
-/// So many windows are kept. Less than half of them may be of a busy host, two seconds at a cycle of 1 ms.
-const WINDOWS: usize = 64;
+/// So many windows are kept: less than half of them may be of a busy host, eight seconds at a cycle of 1 ms.
+const WINDOWS: usize = 256;
+/// Of longer cycles fewer, down to this many, for what is older: crystals change their rate.
+const WINDOWS_KEPT: usize = 64;
+const OLDEST: Span = Span::from_micros(16_384_000);
 /// Fewer do not show a line: what becomes quiet looks like drift.
 const WINDOWS_AT_LEAST: usize = 8;
 /// What is earlier than the line by less is a stamp's noise, and so are a few of a window.
@@ -40,8 +45,12 @@ const NOISE_AT_MOST: usize = 2;
 /// expected had been late.
 const UNSURE: Span = Span::from_micros(20);
 const UNSURE_PARTS: i64 = 1_000;
-/// So many windows, each later than the one before by about as much, are another rate.
+/// So many windows, each later than the one before by about as much, are another rate. They follow each other, or, for
+/// what comes slowly, one of so many does.
 const RISING: usize = 8;
+const STRIDES: [usize; 4] = [1, 2, 4, 8];
+/// So many windows that are all clearly later than the line are not a busy host.
+const LEFT: usize = 32;
 
 /// A cycle's start on this clock, as its Synchronisation told.
 #[derive(Clone, Copy, Debug, Default)]
@@ -77,6 +86,11 @@ impl Envelope {
         Self { window, too_early: 0, early, since: None, edge: None }
     }
 
+    /// Whether there is ever a line at cycles of this length.
+    pub fn serves(period: Span) -> bool {
+        period * WINDOW as i64 <= WINDOW_AT_MOST
+    }
+
     /// All that is known is of another line.
     pub fn restart(&mut self) {
         self.window.clear();
@@ -96,7 +110,7 @@ impl Envelope {
     /// One more Synchronisation, of a cycle that was `expected` to start by what is followed now. Whether the line is
     /// another since.
     pub fn note(&mut self, cycle: u32, start: Instant, expected: Instant, period: Span) -> bool {
-        if period * WINDOW as i64 > WINDOW_AT_MOST {
+        if !Self::serves(period) {
             return false;
         }
         if self.is_disproved(expected - start, period) {
@@ -120,31 +134,49 @@ impl Envelope {
     }
 
     fn end_window(&mut self, period: Span) {
-        if self.early.len() == WINDOWS {
-            self.early.pop_front();
-            self.since = self.early.front().map(|point| point.cycle);
+        if self.early.len() >= kept(period) {
+            self.keep_last(kept(period) - 1);
         }
         let early = self.early_one(period);
         self.early.push_back(early);
         self.window.clear();
         self.too_early = 0;
-        if self.rises() {
-            self.early.drain(..self.early.len() - RISING);
-            self.since = self.early.front().map(|point| point.cycle);
+        if let Some(stride) = STRIDES.into_iter().find(|&stride| self.rises(stride)) {
+            self.keep_last(stride * (RISING - 1) + 1);
+        } else if self.is_left() {
+            self.keep_last(LEFT);
         }
         self.edge = self.edge_below_the_middle(period);
     }
 
+    fn keep_last(&mut self, windows: usize) {
+        self.early.drain(..self.early.len() - windows);
+        self.since = self.early.front().map(|point| point.cycle);
+    }
+
+    /// How much later than the line the windows were, the last first.
+    fn late(&self) -> impl Iterator<Item = Span> + Clone {
+        let late = |edge: Edge, point: &Point| point.start - edge.start_of(point.cycle);
+        self.edge
+            .into_iter()
+            .flat_map(move |edge| self.early.iter().rev().map(move |point| late(edge, point)))
+    }
+
     /// Whether the last windows have left the line as evenly as clocks do.
-    fn rises(&self) -> bool {
-        let (Some(edge), Some(begin)) = (self.edge, self.early.len().checked_sub(RISING)) else {
+    fn rises(&self, stride: usize) -> bool {
+        let late = self.late().step_by(stride).take(RISING);
+        let (Some(last), Some(first)) = (late.clone().next(), late.clone().nth(RISING - 1)) else {
             return false;
         };
-        let late = |of: usize| self.early[of].start - edge.start_of(self.early[of].cycle);
-        let risen = late(self.early.len() - 1) - late(begin);
+        let risen = last - first;
         let step_at_most = risen * 2 / (RISING as i64 - 1);
-        let mut steps = (begin + 1..self.early.len()).map(|of| late(of) - late(of - 1));
+        let mut steps = late.clone().zip(late.skip(1)).map(|(later, before)| later - before);
         risen > NOISE && steps.all(|step| step > Span::ZERO && step < step_at_most)
+    }
+
+    /// Whether the line is the past's.
+    fn is_left(&self) -> bool {
+        self.early.len() > LEFT && self.late().take(LEFT).all(|late| late > NOISE)
     }
 
     /// When a cycle starts, and how fast the clocks run apart; `None` until that is known.
@@ -210,6 +242,12 @@ impl Edge {
     }
 }
 
+/// How many windows are remembered at cycles of this length.
+fn kept(period: Span) -> usize {
+    let young = OLDEST.nanos() / (period.nanos() * WINDOW as i64).max(1);
+    (young as usize).clamp(WINDOWS_KEPT, WINDOWS)
+}
+
 /// Cycles from one to another, shortest way round 2^32.
 fn cycles(from: Point, to: Point) -> i32 {
     to.cycle.wrapping_sub(from.cycle) as i32
@@ -221,149 +259,4 @@ fn is_below([(x0, y0), (x1, y1), (x2, y2)]: [(i64, i64); 3]) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const PERIOD: Span = Span::from_millis(1);
-
-    /// Feeds Synchronisations of a master that is slower by `ppb`, each held up by `late` of its number.
-    fn hear(envelope: &mut Envelope, cycles: core::ops::Range<u32>, ppb: i64, late: impl Fn(u32) -> i64) {
-        for cycle in cycles {
-            let start = truth(cycle, ppb) + Span::from_nanos(late(cycle));
-            let expected = envelope.start_of(cycle).map_or(start, |(expected, _)| expected);
-            envelope.note(cycle, start, expected, PERIOD);
-        }
-    }
-
-    fn truth(cycle: u32, ppb: i64) -> Instant {
-        let ideal = Instant::from_nanos(1 << 40) + PERIOD * i64::from(cycle as i32);
-        ideal + Span::from_nanos(i64::from(cycle as i32) * ppb / 1_000)
-    }
-
-    fn error(envelope: &Envelope, cycle: u32, ppb: i64) -> i64 {
-        let (start, _) = envelope.start_of(cycle).expect("known by now");
-        (start - truth(cycle, ppb)).nanos()
-    }
-
-    #[test]
-    fn eight_windows_show_the_drift() {
-        for ppb in [-100_000, -50_000, 0, 3_000, 100_000] {
-            let mut envelope = Envelope::new();
-            hear(&mut envelope, 0..511, ppb, |_| 0);
-            assert!(envelope.start_of(511).is_none());
-            hear(&mut envelope, 511..512, ppb, |_| 0);
-            assert!(error(&envelope, 512, ppb).abs() <= 2, "{ppb}");
-            hear(&mut envelope, 512..1_000, ppb, |_| 0);
-            assert!(error(&envelope, 1_000, ppb).abs() <= 2, "{ppb}");
-            assert!(error(&envelope, 2_000, ppb).abs() <= 3, "{ppb}");
-        }
-    }
-
-    #[test]
-    fn a_host_that_is_busy_for_seconds_moves_nothing() {
-        let mut envelope = Envelope::new();
-        let late = |cycle: u32| match cycle {
-            // Busy: all are late by about as much.
-            2_500..4_300 => 5_000 + i64::from(cycle * 7_919 % 4_001),
-            // As ever: one in ten in time, for this is no steady host.
-            _ if cycle % 10 == 3 => i64::from(cycle % 3) * 20,
-            _ => i64::from(cycle * 7_919 % 9_001),
-        };
-        hear(&mut envelope, 0..1_000, 37_000, late);
-        for cycle in 1_000..9_000 {
-            hear(&mut envelope, cycle..cycle + 1, 37_000, late);
-            let error = error(&envelope, cycle, 37_000);
-            assert!((-400..400).contains(&error), "cycle {cycle}: {error}");
-        }
-    }
-
-    #[test]
-    fn what_is_earlier_than_the_line_proves_it_wrong() {
-        let mut envelope = Envelope::new();
-        hear(&mut envelope, 0..1_000, 0, |_| 0);
-        hear(&mut envelope, 1_000..1_001, 0, |_| -9_900);
-        assert!(envelope.start_of(1_001).is_some(), "a stamp's noise");
-        hear(&mut envelope, 1_001..1_003, 0, |_| -20_000);
-        assert!(envelope.start_of(1_003).is_some(), "so are two of a window");
-        hear(&mut envelope, 1_003..1_004, 0, |_| -20_000);
-        assert!(envelope.start_of(1_004).is_none());
-        hear(&mut envelope, 1_004..1_600, 0, |_| -20_000);
-        assert_eq!(error(&envelope, 1_600, 0), -20_000);
-    }
-
-    #[test]
-    fn a_line_that_was_left_is_forgotten_in_time() {
-        let mut envelope = Envelope::new();
-        hear(&mut envelope, 0..1_000, 0, |_| 0);
-        hear(&mut envelope, 1_000..6_000, 0, |_| 8_000);
-        assert_eq!(error(&envelope, 6_000, 0), 8_000);
-    }
-
-    #[test]
-    fn a_delay_that_becomes_known_shifts_all_of_it() {
-        let mut envelope = Envelope::new();
-        hear(&mut envelope, 0..600, 20_000, |_| 0);
-        envelope.shift(Span::from_nanos(-700));
-        assert!((error(&envelope, 600, 20_000) + 700).abs() <= 2);
-        hear(&mut envelope, 600..1_000, 20_000, |_| -700);
-        assert!((error(&envelope, 1_000, 20_000) + 700).abs() <= 2);
-    }
-
-    #[test]
-    fn lost_ones_and_the_number_that_starts_over_do_not_matter() {
-        let mut envelope = Envelope::new();
-        for cycle in (u32::MAX - 500..=u32::MAX).chain(0..500).filter(|cycle| cycle % 7 != 0) {
-            envelope.note(cycle, truth(cycle, -40_000), truth(cycle, -40_000), PERIOD);
-        }
-        assert!(error(&envelope, 500, -40_000).abs() <= 2);
-    }
-
-    #[test]
-    fn cycles_too_long_for_windows_have_no_line() {
-        let (mut envelope, period) = (Envelope::new(), Span::from_millis(32));
-        let start = |cycle: u32| Instant::from_nanos(0) + period * i64::from(cycle);
-        assert!((0..1_000).all(|cycle| !envelope.note(cycle, start(cycle), start(cycle), period)));
-        assert_eq!(envelope.start_of(1_000), None);
-    }
-
-    #[test]
-    fn a_step_before_there_is_a_line_begins_anew() {
-        let mut envelope = Envelope::new();
-        hear(&mut envelope, 0..300, 0, |_| 0);
-        envelope.note(300, truth(300, 0) - Span::from_micros(25), truth(300, 0), PERIOD);
-        hear(&mut envelope, 301..811, 0, |_| -25_000);
-        assert!(envelope.start_of(811).is_none(), "what was before does not count");
-        hear(&mut envelope, 811..812, 0, |_| -25_000);
-        assert_eq!(error(&envelope, 812, 0), -25_000);
-    }
-
-    #[test]
-    fn a_clock_that_changes_its_rate_is_followed() {
-        for (before, after) in [(0, 30_000), (0, -30_000), (-60_000, 10_000)] {
-            let mut envelope = Envelope::new();
-            let jitter = |cycle: u32| i64::from(cycle * 7_919 % 1_001);
-            hear(&mut envelope, 0..4_096, before, jitter);
-            let kink = (truth(4_096, before) - truth(4_096, after)).nanos();
-            for cycle in 4_096..6_000 {
-                hear(&mut envelope, cycle..cycle + 1, after, |cycle| kink + jitter(cycle));
-                if let Some((start, _)) = envelope.start_of(cycle) {
-                    let error = (start - truth(cycle, after)).nanos() - kink;
-                    // Until it has been noticed: eight windows, and one that had begun.
-                    let at_first = if cycle < 4_700 { (after - before).max(0) * 576 / 1_000 } else { 1_000 };
-                    assert!(
-                        (-at_first..3_000).contains(&error),
-                        "from {before} to {after}, {cycle}: {error}"
-                    );
-                }
-            }
-            assert!(envelope.start_of(6_000).is_some());
-        }
-    }
-
-    #[test]
-    fn what_no_clock_does_is_no_line() {
-        let mut envelope = Envelope::new();
-        hear(&mut envelope, 0..2_000, 300_000, |_| 0);
-        assert!(envelope.start_of(2_000).is_none());
-    }
-}
+mod tests;

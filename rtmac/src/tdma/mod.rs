@@ -20,6 +20,7 @@ mod envelope;
 mod events;
 mod job;
 pub mod line;
+mod mark;
 mod master;
 mod receive;
 mod round;
@@ -47,6 +48,7 @@ pub use config::{
 use events::Events;
 use job::{Job, Pending};
 pub use line::TimeLine;
+pub use mark::held_up_at_most;
 use master::Master;
 pub use master::{MAX_PENDING_REPLIES, MAX_REPLY_AHEAD, MasterConfig};
 use slave::Slave;

@@ -11,11 +11,12 @@
 //!                                                              Lost ─────────────┘
 //! ```
 //!
-//! A Synchronisation that disagrees with the line is a *time step*: nothing is sent until the next one
-//! tells whether the master moved (it agrees with the step) or one frame was held up on its way (it
-//! agrees with the line). What agrees lies on the line below all ([`Envelope`]) once that is known. Until then it
-//! moves the line by a 300th of the cycle at most, and what is late by more than drift only by an eighth of it:
-//! frames are held up on their way, never early.
+//! A Synchronisation that disagrees with the line is a *time step*: the next one tells whether the master moved (it
+//! agrees with the step) or one frame was held up on its way (it agrees with the line). Until then one that is a little
+//! late is as good as missing, and bridged; nothing is sent after one that is early or very late. On a very busy host
+//! two in a row are held up by as much now and then: a line that is a little later takes a third. What agrees lies on
+//! the line below all ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at most, and
+//! what is late by more than drift only by an eighth of it: frames are held up on their way, never early.
 
 use rtnet::counters::Refusal;
 use rtnet::discipline::{EventKind, SyncState};
@@ -25,25 +26,17 @@ use rtnet::wire::ethernet::Address;
 use super::calibration::Calibration;
 use super::envelope::Envelope;
 use super::events::Events;
-use super::line::{self, DRIFT_PARTS, Drift, TimeLine};
+use super::line::{self, TimeLine};
+use super::mark::{Mark, Step};
 use super::round::Begun;
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it.
 const GRACE_PARTS: i64 = 16;
 /// Cycles without a Synchronisation that are bridged.
 pub const HOLDOVER_CYCLES: i32 = 1;
-/// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`].
-const STEP_AT_LEAST: Span = Span::from_micros(20);
-const STEP_PARTS: i64 = 100;
-/// Two Synchronisations beside the line are a new one only if they agree much better than that: two hold-ups
-/// in a row are not of one length.
-const CONFIRMED_WITHIN: Span = Span::from_micros(2);
-const CONFIRMED_PARTS: i64 = 2_000;
-/// Largest part of a cycle by which one Synchronisation moves the line, while it does.
-const SLEW_PARTS: i64 = 300;
-/// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
-/// never early.
-const LATE_PARTS: i64 = 8;
+/// So many Synchronisations that agree with each other are a new line; so many, if they may have been held up.
+const MOVED: u32 = 2;
+const MOVED_LATE: u32 = 3;
 /// The line is good for so many cycles without a Synchronisation.
 pub const LINE_GOOD_FOR: i32 = 1_000;
 /// A cycle starts at most this long before or after its Synchronisation is received; once the period is
@@ -82,15 +75,7 @@ pub struct Slave {
 enum Track {
     Nothing,
     First(Mark),
-    On { line: TimeLine, step: Option<Mark> },
-}
-
-/// One Synchronisation.
-#[derive(Clone, Copy)]
-struct Mark {
-    cycle: u32,
-    sched: GlobalTime,
-    offset: Offset,
+    On { line: TimeLine, step: Option<Step> },
 }
 
 /// What became of a Synchronisation.
@@ -151,7 +136,7 @@ impl Slave {
                 }
             },
             Track::On { line, step } => {
-                if cycle == line.cycle || step.is_some_and(|step| step.cycle == cycle) {
+                if cycle == line.cycle || step.is_some_and(|step| step.mark.cycle == cycle) {
                     self.doubted = Some(cycle);
                     events.note(cycle, EventKind::DuplicateCycle, mark.deviation_from(line));
                     return Err(Refusal::DuplicateCycle);
@@ -172,13 +157,18 @@ impl Slave {
                     };
                     *step = None;
                     Followed::Agrees
-                } else if let Some(line) =
-                    step.and_then(|step| step.line_to(&mark, Some(confirmed(line.period))))
-                    && age <= line.period
+                } else if let Some((seen, moved)) =
+                    step.and_then(|step| step.confirmed_by(&mark, line.period))
+                    && age <= moved.period
                 {
-                    self.adopt(line)
+                    if seen < if mark.may_be_held_up(line) { MOVED_LATE } else { MOVED } {
+                        *step = Some(Step { mark, seen });
+                        Followed::Pending
+                    } else {
+                        self.adopt(moved)
+                    }
                 } else {
-                    *step = Some(mark);
+                    *step = Some(Step { mark, seen: 1 });
                     events.note(cycle, EventKind::TimeStep, self.deviation);
                     Followed::Pending
                 }
@@ -246,10 +236,11 @@ impl Slave {
     }
 
     /// Whether anything may be sent in `cycle`: not without (or long after) its Synchronisation or the one before,
-    /// not while a time step is unconfirmed, not in a cycle whose number came twice.
+    /// not while a time step is unconfirmed that no hold-up explains, not in a cycle whose number came twice.
     pub fn may_send(&self, cycle: u32) -> bool {
         let Track::On { line, step } = &self.track else { return false };
-        line.ahead(cycle).abs() <= HOLDOVER_CYCLES && step.is_none() && self.doubted != Some(cycle)
+        let moved = step.is_some_and(|step| !step.mark.may_be_held_up(line));
+        line.ahead(cycle).abs() <= HOLDOVER_CYCLES && !moved && self.doubted != Some(cycle)
     }
 
     /// The line that is followed. Without Synchronisations it is kept for a while, so that slots that
@@ -291,6 +282,17 @@ impl Slave {
         self.envelope.drift().map(|drift| drift.parts_per_billion(line.period))
     }
 
+    /// Whether the drift is known, and the delay by the line as it is since; where cycles are too long for that, whether
+    /// it is locked. Until then time may be off by some microseconds on a busy host.
+    pub fn is_settled(&self) -> bool {
+        let Some(line) = self.line() else { return false };
+        let locked = matches!(self.state, SyncState::Locked | SyncState::Holdover);
+        let envelope = &self.envelope;
+        let corrected = |done| !envelope.is_unbroken_since(done) || envelope.reaches_back_to(done);
+        let clear = envelope.drift().is_some() && self.calibration.done().is_none_or(corrected);
+        locked && (clear || !Envelope::serves(line.period))
+    }
+
     fn adopt(&mut self, line: TimeLine) -> Followed {
         self.track = Track::On { line, step: None };
         self.envelope.restart();
@@ -312,52 +314,6 @@ impl Slave {
     }
 }
 
-impl TimeLine {
-    /// The line after a Synchronisation that agrees with it.
-    fn moved_to(&self, mark: &Mark) -> TimeLine {
-        let drift = drifted(self, mark.cycle);
-        let slew = self.period / SLEW_PARTS + drift;
-        let deviation = mark.deviation_from(self).clamp(-slew, slew);
-        let late = (deviation - drift).max(Span::ZERO);
-        let by = deviation - late + late / LATE_PARTS;
-        self.carried_on(mark, self.start_of(mark.cycle) + by, Drift::NONE)
-    }
-
-    fn carried_on(&self, mark: &Mark, start: Instant, drift: Drift) -> TimeLine {
-        let Mark { cycle, sched, .. } = *mark;
-        TimeLine { cycle, start, sched, period: self.period, offset: Offset::between(start, sched), drift }
-    }
-}
-
-impl Mark {
-    fn start(&self) -> Instant {
-        line::cycle_start(self.sched, self.offset)
-    }
-
-    /// This cycle's start less what the line says of it; of a cycle that came twice: of the same.
-    fn deviation_from(&self, line: &TimeLine) -> Span {
-        self.start() - line.start_of(self.cycle)
-    }
-
-    fn agrees_with(&self, line: &TimeLine, limit: Option<Span>) -> bool {
-        let limit = step_limit(limit, line.period) + drifted(line, self.cycle);
-        (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle)) && self.deviation_from(line).abs() <= limit
-    }
-
-    /// The line through this Synchronisation and a later one, if they can be of one line.
-    fn line_to(&self, later: &Mark, limit: Option<Span>) -> Option<TimeLine> {
-        let cycles = later.cycle.wrapping_sub(self.cycle) as i32;
-        if !(1..=LINE_GOOD_FOR).contains(&cycles) {
-            return None;
-        }
-        let period = (later.sched - self.sched) / i64::from(cycles);
-        let Mark { cycle, sched, offset } = *self;
-        let line = TimeLine { cycle, start: self.start(), sched, period, offset, drift: Drift::NONE };
-        let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit);
-        fits.then(|| line.carried_on(later, later.start(), Drift::NONE))
-    }
-}
-
 /// The envelope has become clearer. If it reaches back to the time of calibration, so has what rounds say of the delay of
 /// syncs: then the host may have been busy, and the line have been followed late.
 fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &TimeLine) {
@@ -375,19 +331,6 @@ fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &
     let apart = -(drift.parts_per_billion(line.period) as f64) / 1e9;
     let longer = calibration.corrected(line.period, apart, begun);
     envelope.shift(-longer);
-}
-
-/// How far two clocks may have drifted apart since the line's last Synchronisation.
-fn drifted(line: &TimeLine, cycle: u32) -> Span {
-    line.period * i64::from(line.ahead(cycle)) / DRIFT_PARTS
-}
-
-fn confirmed(period: Span) -> Span {
-    (period / CONFIRMED_PARTS).max(CONFIRMED_WITHIN)
-}
-
-fn step_limit(configured: Option<Span>, period: Span) -> Span {
-    configured.unwrap_or((period / STEP_PARTS).max(STEP_AT_LEAST))
 }
 
 #[cfg(test)]

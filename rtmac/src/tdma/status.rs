@@ -115,6 +115,8 @@ pub struct TdmaStatus {
     pub deviation: Span,
     /// How fast this station's clock gains on the master's, in parts per 10^9, once known.
     pub drift_ppb: Option<i64>,
+    /// Whether its time will not become clearer: the drift is known, and the delay by it.
+    pub settled: bool,
     /// Calibration requests that had no answer and were repeated.
     pub calibration_repeats: u64,
     /// The other master that kept this one from speaking.
@@ -151,6 +153,7 @@ impl TdmaStatus {
             delay: slave.and_then(|slave| slave.calibration().delay()),
             deviation: slave.map_or(Span::ZERO, |slave| slave.deviation()),
             drift_ppb: slave.and_then(|slave| slave.drift_ppb()),
+            settled: slave.map_or(time.state == SyncState::Locked, |slave| slave.is_settled()),
             calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
             yielded_to: master.and_then(|master| master.yielded_to()),
             events_lost: tdma.events.lost(),

@@ -179,7 +179,7 @@ fn a_slot_that_was_silent_because_syncs_came_late_says_so() {
 fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
     let mut slave = locked_slave();
     hear_syncs(&mut slave, 3..=5);
-    // The newest was held up on its way: nothing may be sent until the next.
+    // The newest was held up on its way.
     let sched = GlobalTime::from_nanos(6_000_000);
     let mut frame = Pool::new(1).take().unwrap();
     Message::Sync { cycle: 6, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
@@ -193,8 +193,8 @@ fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
 #[test]
 fn who_slept_while_the_line_moved_has_overrun_the_slots_of_the_old_one() {
     let mut slave = locked_slave();
-    // Two syncs that were held up by as much, some cycles apart: a new line begins.
-    for cycle in [3, 7] {
+    // Three syncs that were held up by as much, some cycles apart: a new line begins.
+    for cycle in [3, 5, 7] {
         let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
         let mut frame = Pool::new(1).take().unwrap();
         Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use rtmac::tdma::HOLDOVER_CYCLES;
+use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most};
 use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 
@@ -22,6 +22,8 @@ const LOCKED_AFTER: u32 = 4;
 #[derive(Debug, Default)]
 pub struct Records {
     by_cycle: BTreeMap<Key, (Span, Option<Cause>)>,
+    /// From one cycle's start to the next.
+    cycle: Span,
     /// When stations were not there.
     pub absences: Absences,
 }
@@ -43,6 +45,11 @@ pub struct Record {
 }
 
 impl Records {
+    /// None yet, of a network with such a cycle.
+    pub fn new(cycle: Span) -> Self {
+        Self { cycle, ..Self::default() }
+    }
+
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
     pub fn note(&mut self, author: Author, kind: EventKind, span: Span, cause: Option<Cause>) {
         let key = (author.cycle, author.station, author.slot, kind);
@@ -102,7 +109,7 @@ impl Records {
         let absent = (0..=LOCKED_AFTER)
             .any(|i| self.absence(master(ago(i))).or_else(|| self.absence(ago(i))).is_some());
         let silent = self.told(author, EventKind::SlotSilent).or(absent.then_some(Cause::NoSync.name()))?;
-        let doubted = self.told_any(of_cycle(author), &[EventKind::TimeStep, EventKind::DuplicateCycle]);
+        let doubted = self.told_any(of_cycle(author), &[EventKind::DuplicateCycle]) || self.stepped(author);
         let why = absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
         why.then_some(silent)
     }
@@ -111,6 +118,13 @@ impl Records {
     fn without_sync(&self, author: Author) -> bool {
         self.told_any(master(author), &[EventKind::SyncSkipped])
             || self.told_any(of_cycle(author), &[EventKind::SyncLate, EventKind::TimeStep])
+    }
+
+    /// Whether the author told of a time step in this cycle that is not bridged, as one is that was held up.
+    fn stepped(&self, Author { cycle, station, .. }: Author) -> bool {
+        let step = self.by_cycle.get(&(cycle, station, None, EventKind::TimeStep));
+        let held_up = Span::ZERO..held_up_at_most(self.cycle);
+        step.is_some_and(|(deviation, _)| !held_up.contains(deviation))
     }
 
     fn told_any(&self, author: Author, kinds: &[EventKind]) -> bool {
@@ -201,14 +215,15 @@ mod tests {
 
     #[test]
     fn a_silent_slot_is_explained_by_the_records_of_both_syncs_it_could_have_followed() {
-        let silent = |told: &[(u32, usize, EventKind)]| {
-            let mut records = Records::default();
+        let silent_by = |span: i64, told: &[(u32, usize, EventKind)]| {
+            let mut records = Records::new(Span::from_millis(1));
             records.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
             for &(cycle, station, kind) in told {
-                records.note(told_of(cycle, station), kind, Span::ZERO, None);
+                records.note(told_of(cycle, station), kind, Span::from_nanos(span), None);
             }
             records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some()
         };
+        let silent = |told: &[_]| silent_by(0, told);
         use EventKind::*;
         assert!(!silent(&[]), "the syncs were lost on their way");
         assert!(!silent(&[(20, 0, SyncSkipped)]), "that of 19 bridges it");
@@ -219,7 +234,9 @@ mod tests {
         assert!(silent(&[(19, 0, SyncSkipped), (20, 0, SyncSkipped)]));
         assert!(silent(&[(19, 2, SyncLate), (20, 2, SyncLate)]));
         assert!(silent(&[(19, 2, TimeStep), (20, 0, SyncSkipped)]), "no sync confirmed the step");
-        assert!(silent(&[(20, 2, TimeStep)]), "until it is confirmed");
+        assert!(!silent_by(50_000, &[(20, 2, TimeStep)]), "held up: that of 19 bridges it");
+        assert!(silent_by(-50_000, &[(20, 2, TimeStep)]), "until it is confirmed");
+        assert!(silent_by(400_000, &[(20, 2, TimeStep)]), "this one, too");
         assert!(silent(&[(20, 2, DuplicateCycle)]));
     }
 

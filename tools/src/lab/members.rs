@@ -97,6 +97,10 @@ impl Member {
         self.standing.as_ref().is_some_and(Standing::is_locked)
     }
 
+    pub fn is_settled(&self) -> bool {
+        self.standing.as_ref().is_some_and(|standing| standing.settled)
+    }
+
     pub fn state(&self) -> &str {
         self.standing.as_ref().map_or("not started", |standing| &standing.state)
     }

@@ -1,4 +1,4 @@
-//! A lab from its begin to its end: set up, wait for all to be locked, measure, report.
+//! A lab from its begin to its end: set up, wait for all to be locked and settled, measure, report.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,8 +29,10 @@ use crate::scenario::Scenario;
 pub const INTERFACE: &str = "rt0";
 /// How often frames and reports are looked at.
 pub(super) const LOOK_EVERY: Duration = Duration::from_millis(10);
-/// Cycles between all stations being locked and the begin of the measurement.
+/// Cycles between the last look at the stations and the begin of the measurement.
 const SETTLE_CYCLES: u32 = 50;
+/// So long a lab waits for clocks to settle once all are locked: at a cycle of 1 ms they take less than one second.
+const SETTLE_WITHIN: Duration = Duration::from_secs(3);
 /// How long stations may take to be locked, besides what calibration takes.
 const JOIN_WITHIN: Duration = Duration::from_secs(5);
 /// However slow its slots, nobody waits longer for a network to come up.
@@ -122,9 +124,10 @@ pub struct Lab {
 }
 
 impl Lab {
-    /// Waits until all stations are locked, measures, and takes the network down again.
+    /// Waits until all stations are locked and their clocks settled, measures, and takes the network down again.
     pub fn run(mut self, scenario: &Scenario) -> Result<Outcome> {
         self.join(scenario)?;
+        self.settle()?;
         let host = HostFacts::begin();
         self.measure(scenario)?;
         self.end()?;
@@ -196,7 +199,7 @@ impl Lab {
             distrusted: 0,
             capture,
             analysis: Analysis::new(scenario, master),
-            records: Records::default(),
+            records: Records::new(scenario.cycle),
             master,
             _warm: warm,
             segment,
@@ -235,6 +238,22 @@ impl Lab {
                 );
             }
             self.show_progress(|| format!("{locked} of {} stations locked", scenario.stations.len()));
+        }
+        Ok(())
+    }
+
+    /// Waits until the clocks of all stations are as near the master's as they come, but not for ever: a host may be too
+    /// busy, and that belongs to what is measured.
+    fn settle(&mut self) -> Result<()> {
+        let deadline = Instant::now() + SETTLE_WITHIN;
+        while !self.members.iter().all(Member::is_settled) && Instant::now() < deadline {
+            self.look()?;
+            if self.interrupted.load(Ordering::Relaxed) || self.members.iter().any(|member| member.ended) {
+                break;
+            }
+            let (settled, all) =
+                (self.members.iter().filter(|member| member.is_settled()).count(), self.members.len());
+            self.show_progress(|| format!("clocks of {settled} of {all} stations settled"));
         }
         Ok(())
     }

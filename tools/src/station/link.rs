@@ -111,6 +111,8 @@ pub struct Standing {
     pub at: u64,
     /// `waiting`, `calibrating`, `locked`, `holdover` or `lost`.
     pub state: String,
+    /// Whether its time will not become clearer.
+    pub settled: bool,
     /// `up`, `no carrier` or `down`: whether frames can pass at its interface.
     pub link: String,
     /// Whether it is a master.
@@ -154,6 +156,7 @@ impl Standing {
         Self {
             at: snapshot.at,
             state: status.state.name().into(),
+            settled: status.settled,
             link: link.name().into(),
             master: status.role == RoleName::Master,
             cycle: status.cycle,

@@ -129,14 +129,27 @@ fn a_line_without_synchronisations_is_given_up() {
 }
 
 #[test]
-fn a_held_up_synchronisation_silences_its_cycle_and_moves_nothing() {
+fn a_held_up_synchronisation_is_bridged_as_a_missing_one_and_moves_nothing() {
     let mut bench = Bench::in_state(SyncState::Locked);
-    assert_eq!(bench.hear(3, 500_000), Ok(Followed::Pending));
+    assert_eq!(bench.hear(3, 249_000), Ok(Followed::Pending));
     assert_eq!(bench.told(), [(3, EventKind::TimeStep)]);
-    assert!(!bench.slave.may_send(3));
+    assert!(bench.slave.may_send(3) && !bench.slave.may_send(4), "one is bridged");
     assert_eq!(bench.hear(4, 0), Ok(Followed::Agrees));
     assert!(bench.slave.may_send(4));
     assert_eq!(bench.slave.line().unwrap().start.nanos(), 4 * PERIOD);
+}
+
+#[test]
+fn what_is_beside_the_line_early_or_very_late_silences_its_cycle_and_moves_nothing() {
+    for by in [-500_000, -50_000, 251_000, 999_000] {
+        let mut bench = Bench::in_state(SyncState::Locked);
+        assert_eq!(bench.hear(3, by), Ok(Followed::Pending));
+        assert_eq!(bench.told(), [(3, EventKind::TimeStep)]);
+        assert!(!bench.slave.may_send(3), "no hold-up explains {by}");
+        assert_eq!(bench.hear(4, 0), Ok(Followed::Agrees));
+        assert!(bench.slave.may_send(4));
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), 4 * PERIOD);
+    }
 }
 
 #[test]
@@ -172,20 +185,29 @@ fn a_way_that_has_become_longer_is_believed_in_time() {
 fn two_hold_ups_in_a_row_are_not_a_new_line() {
     let mut bench = Bench::in_state(SyncState::Locked);
     assert_eq!(bench.hear(3, 91_000), Ok(Followed::Pending));
-    assert_eq!(bench.hear(4, 95_000), Ok(Followed::Pending));
+    assert_eq!(bench.hear(4, 91_500), Ok(Followed::Pending), "not even if by as much");
     assert!(!bench.slave.may_send(4));
     assert_eq!(bench.hear(5, 0), Ok(Followed::Agrees));
     assert_eq!(bench.slave.line().unwrap().start.nanos(), 5 * PERIOD);
 }
 
 #[test]
-fn a_master_that_moves_is_followed_from_the_second_synchronisation_on() {
-    let mut bench = Bench::in_state(SyncState::Locked);
-    let moved = |cycle: u32| u64::from(cycle) * PERIOD + 400_000;
-    assert_eq!(bench.hear_from_line(3, moved(3), 0), Ok(Followed::Pending));
-    assert_eq!(bench.hear_from_line(4, moved(4), 0), Ok(Followed::NewLine));
-    assert_eq!(bench.slave.line().unwrap().start.nanos(), moved(4));
-    assert_eq!(bench.told(), [(3, EventKind::TimeStep)], "one step, told once");
+fn a_master_that_moves_is_followed_from_the_second_synchronisation_on_or_the_third_if_a_little_late() {
+    for (by, last) in [(-400_000, 4), (400_000, 4), (200_000, 5)] {
+        let mut bench = Bench::in_state(SyncState::Locked);
+        let moved = |cycle: u32| (u64::from(cycle) * PERIOD).wrapping_add_signed(by);
+        for cycle in 3..last {
+            assert_eq!(bench.hear_from_line(cycle, moved(cycle), 0), Ok(Followed::Pending), "{by}");
+            assert_eq!(
+                bench.slave.may_send(cycle),
+                by == 200_000 && cycle == 3,
+                "{by}: one that is a little late is bridged"
+            );
+        }
+        assert_eq!(bench.hear_from_line(last, moved(last), 0), Ok(Followed::NewLine), "{by}");
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), moved(last));
+        assert_eq!(bench.told(), [(3, EventKind::TimeStep)], "one step, told once");
+    }
 }
 
 #[test]
@@ -205,6 +227,7 @@ fn a_restarted_master_with_small_numbers_is_followed() {
     }
     let restarted = |cycle: u32| (6_000 + u64::from(cycle)) * PERIOD + 123_456;
     assert_eq!(bench.hear_from_line(1, restarted(1), 0), Ok(Followed::Pending));
+    assert!((1..5_004).all(|cycle| !bench.slave.may_send(cycle)), "that was not held up");
     assert_eq!(bench.hear_from_line(2, restarted(2), 0), Ok(Followed::NewLine));
     assert!(bench.slave.may_send(2));
 }

@@ -1,0 +1,180 @@
+use super::*;
+
+const PERIOD: Span = Span::from_millis(1);
+
+/// Feeds Synchronisations of a master that is slower by `ppb`, each held up by `late` of its number.
+fn hear(envelope: &mut Envelope, cycles: core::ops::Range<u32>, ppb: i64, late: impl Fn(u32) -> i64) {
+    for cycle in cycles {
+        let start = truth(cycle, ppb) + Span::from_nanos(late(cycle));
+        let expected = envelope.start_of(cycle).map_or(start, |(expected, _)| expected);
+        envelope.note(cycle, start, expected, PERIOD);
+    }
+}
+
+fn truth(cycle: u32, ppb: i64) -> Instant {
+    let ideal = Instant::from_nanos(1 << 40) + PERIOD * i64::from(cycle as i32);
+    ideal + Span::from_nanos(i64::from(cycle as i32) * ppb / 1_000)
+}
+
+fn error(envelope: &Envelope, cycle: u32, ppb: i64) -> i64 {
+    let (start, _) = envelope.start_of(cycle).expect("known by now");
+    (start - truth(cycle, ppb)).nanos()
+}
+
+#[test]
+fn eight_windows_show_the_drift() {
+    for ppb in [-100_000, -50_000, 0, 3_000, 100_000] {
+        let mut envelope = Envelope::new();
+        hear(&mut envelope, 0..511, ppb, |_| 0);
+        assert!(envelope.start_of(511).is_none());
+        hear(&mut envelope, 511..512, ppb, |_| 0);
+        assert!(error(&envelope, 512, ppb).abs() <= 2, "{ppb}");
+        hear(&mut envelope, 512..1_000, ppb, |_| 0);
+        assert!(error(&envelope, 1_000, ppb).abs() <= 2, "{ppb}");
+        assert!(error(&envelope, 2_000, ppb).abs() <= 3, "{ppb}");
+    }
+}
+
+#[test]
+fn a_host_that_is_busy_for_seconds_moves_nothing() {
+    let mut envelope = Envelope::new();
+    let late = |cycle: u32| match cycle {
+        // Busy: all are late by about as much.
+        2_500..4_300 => 5_000 + i64::from(cycle * 7_919 % 4_001),
+        // As ever: one in ten in time, for this is no steady host.
+        _ if cycle % 10 == 3 => i64::from(cycle % 3) * 20,
+        _ => i64::from(cycle * 7_919 % 9_001),
+    };
+    hear(&mut envelope, 0..1_000, 37_000, late);
+    for cycle in 1_000..9_000 {
+        hear(&mut envelope, cycle..cycle + 1, 37_000, late);
+        let error = error(&envelope, cycle, 37_000);
+        assert!((-400..400).contains(&error), "cycle {cycle}: {error}");
+    }
+}
+
+#[test]
+fn what_is_earlier_than_the_line_proves_it_wrong() {
+    let mut envelope = Envelope::new();
+    hear(&mut envelope, 0..1_000, 0, |_| 0);
+    hear(&mut envelope, 1_000..1_001, 0, |_| -9_900);
+    assert!(envelope.start_of(1_001).is_some(), "a stamp's noise");
+    hear(&mut envelope, 1_001..1_003, 0, |_| -20_000);
+    assert!(envelope.start_of(1_003).is_some(), "so are two of a window");
+    hear(&mut envelope, 1_003..1_004, 0, |_| -20_000);
+    assert!(envelope.start_of(1_004).is_none());
+    hear(&mut envelope, 1_004..1_600, 0, |_| -20_000);
+    assert_eq!(error(&envelope, 1_600, 0), -20_000);
+}
+
+#[test]
+fn a_line_that_was_left_is_forgotten_in_time() {
+    let mut envelope = Envelope::new();
+    hear(&mut envelope, 0..1_000, 0, |_| 0);
+    hear(&mut envelope, 1_000..18_000, 0, |_| 8_000);
+    assert_eq!(error(&envelope, 18_000, 0), 8_000);
+}
+
+#[test]
+fn a_host_that_is_slower_for_seconds_moves_nothing() {
+    let mut envelope = Envelope::new();
+    let slower = |cycle| [8_000..15_000, 19_000..26_000].iter().any(|seconds| seconds.contains(&cycle));
+    let late = |cycle: u32| if slower(cycle) { 5_000 } else { 0 } + i64::from(cycle * 7_919 % 301);
+    hear(&mut envelope, 0..1_000, -20_000, late);
+    for cycle in 1_000..30_000 {
+        hear(&mut envelope, cycle..cycle + 1, -20_000, late);
+        let error = error(&envelope, cycle, -20_000);
+        assert!((-300..400).contains(&error), "cycle {cycle}: {error}");
+    }
+}
+
+#[test]
+fn what_has_been_clearly_late_for_two_seconds_is_another_line() {
+    let mut envelope = Envelope::new();
+    hear(&mut envelope, 0..10_000, 0, |_| 0);
+    hear(&mut envelope, 10_000..12_000, 0, |_| 11_000);
+    assert_eq!(error(&envelope, 12_000, 0), 0);
+    hear(&mut envelope, 12_000..12_200, 0, |_| 11_000);
+    assert_eq!(error(&envelope, 12_200, 0), 11_000);
+}
+
+#[test]
+fn cycles_that_take_longer_are_not_remembered_for_longer() {
+    let kept_for = |micros| kept(Span::from_micros(micros)) as i64 * WINDOW as i64 * micros / 1_000;
+    assert_eq!([100, 1_000, 2_000, 4_000].map(kept_for), [1_638, 16_384, 16_384, 16_384]);
+    assert_eq!(kept_for(5_000), 20_480, "64 at the least");
+}
+
+#[test]
+fn a_delay_that_becomes_known_shifts_all_of_it() {
+    let mut envelope = Envelope::new();
+    hear(&mut envelope, 0..600, 20_000, |_| 0);
+    envelope.shift(Span::from_nanos(-700));
+    assert!((error(&envelope, 600, 20_000) + 700).abs() <= 2);
+    hear(&mut envelope, 600..1_000, 20_000, |_| -700);
+    assert!((error(&envelope, 1_000, 20_000) + 700).abs() <= 2);
+}
+
+#[test]
+fn lost_ones_and_the_number_that_starts_over_do_not_matter() {
+    let mut envelope = Envelope::new();
+    for cycle in (u32::MAX - 500..=u32::MAX).chain(0..500).filter(|cycle| cycle % 7 != 0) {
+        envelope.note(cycle, truth(cycle, -40_000), truth(cycle, -40_000), PERIOD);
+    }
+    assert!(error(&envelope, 500, -40_000).abs() <= 2);
+}
+
+#[test]
+fn cycles_too_long_for_windows_have_no_line() {
+    let (mut envelope, period) = (Envelope::new(), Span::from_millis(32));
+    let start = |cycle: u32| Instant::from_nanos(0) + period * i64::from(cycle);
+    assert!((0..1_000).all(|cycle| !envelope.note(cycle, start(cycle), start(cycle), period)));
+    assert_eq!(envelope.start_of(1_000), None);
+}
+
+#[test]
+fn a_step_before_there_is_a_line_begins_anew() {
+    let mut envelope = Envelope::new();
+    hear(&mut envelope, 0..300, 0, |_| 0);
+    envelope.note(300, truth(300, 0) - Span::from_micros(25), truth(300, 0), PERIOD);
+    hear(&mut envelope, 301..811, 0, |_| -25_000);
+    assert!(envelope.start_of(811).is_none(), "what was before does not count");
+    hear(&mut envelope, 811..812, 0, |_| -25_000);
+    assert_eq!(error(&envelope, 812, 0), -25_000);
+}
+
+#[test]
+fn a_clock_that_changes_its_rate_is_followed() {
+    // Cycles until it has been noticed: eight windows, or eight strides, and one that had begun.
+    let changes = [
+        (0, 30_000, 576),
+        (0, -30_000, 0),
+        (-60_000, 10_000, 576),
+        (0, 12_000, 1_088),
+        (4_000, 8_000, 3_648),
+    ];
+    for (before, after, noticed) in changes {
+        let mut envelope = Envelope::new();
+        let jitter = |cycle: u32| i64::from(cycle * 7_919 % 1_001);
+        hear(&mut envelope, 0..20_480, before, jitter);
+        let kink = (truth(20_480, before) - truth(20_480, after)).nanos();
+        for cycle in 20_480..28_000 {
+            hear(&mut envelope, cycle..cycle + 1, after, |cycle| kink + jitter(cycle));
+            if let Some((start, _)) = envelope.start_of(cycle) {
+                let error = (start - truth(cycle, after)).nanos() - kink;
+                let at_first =
+                    if cycle < 20_480 + noticed { (after - before) * i64::from(noticed) / 1_000 } else { 0 };
+                let range = -at_first - 1_000..3_000;
+                assert!(range.contains(&error), "from {before} to {after}, {cycle}: {error}");
+            }
+        }
+        assert!(envelope.start_of(28_000).is_some());
+    }
+}
+
+#[test]
+fn what_no_clock_does_is_no_line() {
+    let mut envelope = Envelope::new();
+    hear(&mut envelope, 0..2_000, 300_000, |_| 0);
+    assert!(envelope.start_of(2_000).is_none());
+}

@@ -1,0 +1,114 @@
+//! One Synchronisation beside the line that is followed: whether it agrees, was held up, or is of another.
+
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
+
+use super::line::{self, DRIFT_PARTS, Drift, TimeLine};
+use super::slave::{LINE_GOOD_FOR, PERIODS};
+
+/// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`](super::SlaveConfig).
+const STEP_AT_LEAST: Span = Span::from_micros(20);
+const STEP_PARTS: i64 = 100;
+/// Two Synchronisations beside the line are a new one only if they agree much better than that: two hold-ups
+/// in a row are not of one length.
+const CONFIRMED_WITHIN: Span = Span::from_micros(2);
+const CONFIRMED_PARTS: i64 = 2_000;
+/// What is late by less than this part of the cycle, and than hosts are held up, may have been held up; what is later is
+/// of a master that has moved.
+const HELD_UP_PARTS: i64 = 4;
+const HELD_UP_AT_MOST: Span = Span::from_millis(4);
+/// Largest part of a cycle by which one Synchronisation moves the line, while it does.
+const SLEW_PARTS: i64 = 300;
+/// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
+/// never early.
+const LATE_PARTS: i64 = 8;
+
+/// One Synchronisation.
+#[derive(Clone, Copy)]
+pub struct Mark {
+    pub cycle: u32,
+    pub sched: GlobalTime,
+    pub offset: Offset,
+}
+
+/// What disagrees with the line: the last of so many Synchronisations in a row that agree with each other.
+#[derive(Clone, Copy)]
+pub struct Step {
+    pub mark: Mark,
+    pub seen: u32,
+}
+
+impl TimeLine {
+    /// The line after a Synchronisation that agrees with it.
+    pub fn moved_to(&self, mark: &Mark) -> TimeLine {
+        let drift = drifted(self, mark.cycle);
+        let slew = self.period / SLEW_PARTS + drift;
+        let deviation = mark.deviation_from(self).clamp(-slew, slew);
+        let late = (deviation - drift).max(Span::ZERO);
+        let by = deviation - late + late / LATE_PARTS;
+        self.carried_on(mark, self.start_of(mark.cycle) + by, Drift::NONE)
+    }
+
+    /// The line on from a Synchronisation whose cycle starts then, on this clock.
+    pub fn carried_on(&self, mark: &Mark, start: Instant, drift: Drift) -> TimeLine {
+        let Mark { cycle, sched, .. } = *mark;
+        TimeLine { cycle, start, sched, period: self.period, offset: Offset::between(start, sched), drift }
+    }
+}
+
+impl Step {
+    /// How many there are with this one, and their line, if it agrees.
+    pub fn confirmed_by(&self, mark: &Mark, period: Span) -> Option<(u32, TimeLine)> {
+        let within = (period / CONFIRMED_PARTS).max(CONFIRMED_WITHIN);
+        self.mark.line_to(mark, Some(within)).map(|line| (self.seen + 1, line))
+    }
+}
+
+impl Mark {
+    pub fn start(&self) -> Instant {
+        line::cycle_start(self.sched, self.offset)
+    }
+
+    /// This cycle's start less what the line says of it; of a cycle that came twice: of the same.
+    pub fn deviation_from(&self, line: &TimeLine) -> Span {
+        self.start() - line.start_of(self.cycle)
+    }
+
+    pub fn agrees_with(&self, line: &TimeLine, limit: Option<Span>) -> bool {
+        let limit = step_limit(limit, line.period) + drifted(line, self.cycle);
+        (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle)) && self.deviation_from(line).abs() <= limit
+    }
+
+    /// Whether it is likely one of the line's that was long on its way.
+    pub fn may_be_held_up(&self, line: &TimeLine) -> bool {
+        let late = self.deviation_from(line);
+        let on_the_line = (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle));
+        on_the_line && Span::ZERO < late && late < held_up_at_most(line.period)
+    }
+
+    /// The line through this Synchronisation and a later one, if they can be of one line.
+    pub fn line_to(&self, later: &Mark, limit: Option<Span>) -> Option<TimeLine> {
+        let cycles = later.cycle.wrapping_sub(self.cycle) as i32;
+        if !(1..=LINE_GOOD_FOR).contains(&cycles) {
+            return None;
+        }
+        let period = (later.sched - self.sched) / i64::from(cycles);
+        let Mark { cycle, sched, offset } = *self;
+        let line = TimeLine { cycle, start: self.start(), sched, period, offset, drift: Drift::NONE };
+        let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit);
+        fits.then(|| line.carried_on(later, later.start(), Drift::NONE))
+    }
+}
+
+/// What is later than its line by so much or more is not believed to have been held up.
+pub fn held_up_at_most(period: Span) -> Span {
+    (period / HELD_UP_PARTS).min(HELD_UP_AT_MOST)
+}
+
+/// How far two clocks may have drifted apart since the line's last Synchronisation.
+fn drifted(line: &TimeLine, cycle: u32) -> Span {
+    line.period * i64::from(line.ahead(cycle)) / DRIFT_PARTS
+}
+
+fn step_limit(configured: Option<Span>, period: Span) -> Span {
+    configured.unwrap_or((period / STEP_PARTS).max(STEP_AT_LEAST))
+}

@@ -12,10 +12,11 @@ use nix::libc;
 use nix::sys::signal::{Signal, kill, raise};
 use nix::sys::wait::{WaitPidFlag, WaitStatus, waitpid};
 use nix::unistd::{ForkResult, fork};
+use rtmac::tdma::schedule;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Sent, SyncState, Transmission};
 use rtnet::live::clock::monotonic;
-use rtnet::live::guard::{Guard, GuardCounters, MARK};
+use rtnet::live::guard::{Guard, GuardCounters, MARK, tolerance};
 use rtnet::live::interface::Interface;
 use rtnet::live::{GuardMode, OpenError, Port};
 use rtnet::time::Span;
@@ -37,6 +38,15 @@ const ATTEMPTS: usize = 10;
 const LEFT_LATE: i32 = 1;
 const DROPPED: i32 = 2;
 const OTHERWISE: i32 = 3;
+
+#[test]
+fn what_the_guard_tolerates_leaves_the_clocks_their_share() {
+    for guard in (0..1_000_000).step_by(997).map(Span::from_nanos) {
+        let time = schedule::latest(guard);
+        let late = time + Span::from_nanos(tolerance(time.nanos() as u64) as i64);
+        assert!(late <= guard - schedule::clock_share(guard), "{guard}: {late}");
+    }
+}
 
 /// One end of a medium sends, the other listens.
 struct Wire {

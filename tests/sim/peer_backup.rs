@@ -10,13 +10,23 @@ use tests::networks::{Lab, Plan};
 
 const BACKUP: usize = 1;
 const AFTER: Span = Span::from_micros(45);
+const SYNC_WINDOW: Span = Span::from_micros(50);
+/// How far real stations may be off the grid for a moment, when its master changes.
+const OFF: Span = Span::from_micros(50);
 /// Ours, from begin to end.
 const SLAVES: [usize; 2] = [2, 3];
 
 /// Four stations of which the second is the backup; with `peers` these are peers, too.
 fn plan(peers: &[usize]) -> Plan {
     let peers = [peers, &[BACKUP]].concat();
-    Plan { peers, backup: Some((BACKUP, AFTER)), ..Plan::lab(4).on(Host::IDEAL) }
+    let mut plan = Plan { peers, backup: Some((BACKUP, AFTER)), ..Plan::lab(4).on(Host::IDEAL) };
+    let begin_earlier = plan.scenario.sync_window - SYNC_WINDOW;
+    plan.scenario.sync_window = SYNC_WINDOW;
+    for slot in plan.scenario.stations.iter_mut().flat_map(|station| &mut station.slots) {
+        slot.offset = slot.offset - begin_earlier;
+    }
+    plan.tolerance = OFF;
+    plan
 }
 
 fn running(plan: &Plan) -> Lab {

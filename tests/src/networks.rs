@@ -265,7 +265,7 @@ impl Plan {
         let scenario = &self.scenario;
         let slots = scenario.stations[id].slots.iter().map(|slot| scenario.slot_config(slot));
         let rounds = scenario.stations[id].rounds;
-        let step_limit = Some(schedule::clock_share(scenario.guard));
+        let step_limit = Some(schedule::step_limit(scenario.guard));
         let role = match master {
             Some(cycle) => RoleConfig::Master(MasterConfig {
                 cycle,

@@ -5,12 +5,21 @@
 //! cycle start                                                            next cycle start
 //! |< sync window >|<------ slot ------>|<------ slot ------>| ... |
 //!                 |air|<- guard band ->|
-//!                     a quarter of the guard band at either end is for the clocks,
-//!                     what lies between is for the host: |air + guard/2| is the latest begin
+//!                     the clocks' share at either end, 10 us say; what lies between is for the host:
+//!                     the latest begin is |guard band - both shares| after the slot's
 //! ```
 
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
+
+/// What clocks may be wrong by, slave to master: within 5 us while a line is young, 1 us later, measured over veth.
+const CLOCKS: Span = Span::from_micros(10);
+/// Long slots belong to long cycles, over which clocks drift farther: this part of the guard band at the least. Of short
+/// ones clocks take this part at the most.
+const CLOCK_PARTS: i64 = 12;
+const CLOCK_PARTS_AT_MOST: i64 = 4;
+/// A time step is this part of the guard band.
+const STEP_PARTS: i64 = 4;
 
 /// How fast the medium is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -250,15 +259,21 @@ pub fn guard_band(of: Uncertainty) -> Span {
     clock * 2 + of.lateness
 }
 
-/// How long after its begin a slot may still be used when `guard` lies behind its frame: a quarter of
-/// the guard band at either end is kept for the clocks.
+/// How long after its begin a slot may still be used when `guard` lies behind its frame: the clocks' share is kept at
+/// either end.
 pub fn latest(guard: Span) -> Span {
-    guard / 2
+    guard - clock_share(guard) * 2
 }
 
 /// How far a frame may leave its slot's bounds before it intrudes on a neighbour's share.
 pub fn clock_share(guard: Span) -> Span {
-    guard / 4
+    (guard / CLOCK_PARTS).max(CLOCKS).min(guard / CLOCK_PARTS_AT_MOST)
+}
+
+/// How much a Synchronisation may disagree with the line of who has such slots before it is a time step. More than the
+/// clocks' share, for what is held up on its way hardly moves a line.
+pub fn step_limit(guard: Span) -> Span {
+    guard / STEP_PARTS
 }
 
 /// Whether two slots are ever used in the same cycle.
@@ -348,6 +363,17 @@ mod tests {
     fn utilisation_is_the_share_of_time_on_the_air() {
         let with_one = schedule(vec![slot("a", 100, 0, 2)]).utilisation();
         assert!((with_one - (6_720.0 + 9_920.0 / 2.0) / 1e6).abs() < 1e-9);
+    }
+
+    #[test]
+    fn clocks_have_ten_microseconds_at_either_end_or_a_part_of_what_is_shorter_or_longer() {
+        let shares = [(20, 5), (40, 10), (118, 10), (120, 10), (240, 20)];
+        for (guard, share) in
+            shares.map(|(guard, share)| (Span::from_micros(guard), Span::from_micros(share)))
+        {
+            assert_eq!((clock_share(guard), latest(guard)), (share, guard - share * 2));
+        }
+        assert_eq!((clock_share(Span::ZERO), latest(Span::ZERO)), (Span::ZERO, Span::ZERO));
     }
 
     #[test]

@@ -28,6 +28,18 @@ use crate::clock::True;
 
 pub use program::MARK;
 
+/// What stalls after its check by no more than this may leave: 10 us, or a tenth of a long time...
+const STALL: True = 10_000;
+const STALL_PARTS: True = 10;
+/// ... but no more than this part of a short one.
+const STALL_PARTS_AT_MOST: True = 3;
+
+/// How long after its latest begin a frame may still leave that could begin for `time` nanoseconds. It is late, which is
+/// told of, but not yet where its neighbour's clock may be wrong by, and a Synchronisation not beyond its window.
+pub fn tolerance(time: True) -> True {
+    (time / STALL_PARTS).max(STALL).min(time / STALL_PARTS_AT_MOST)
+}
+
 /// Whether a port is to have a guard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum GuardMode {

@@ -11,7 +11,7 @@ use crate::time::Instant;
 use crate::wire::ethernet::EtherType;
 
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
-use super::guard::{Guard, GuardMode, GuardRefused, MARK};
+use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
 use super::{filter, packet};
 
@@ -19,9 +19,6 @@ use super::{filter, packet};
 const RECEIVE_POOL: usize = 32;
 /// Frames taken from one socket in one turn at the most, so that a flood cannot hold up a slot.
 const DRAIN_AT_MOST: usize = 32;
-/// What stalls after the check may still leave within this part of the time that it had: then it has left its slot's
-/// middle, but not yet the share of its neighbour's clock, and a sync not yet its window. Beyond it the guard drops.
-const GUARD_PARTS: True = 3;
 /// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
 const COST_AT_MOST: True = 5_000;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
@@ -229,7 +226,8 @@ impl Port {
         }
         if let Some(guard) = &self.guard {
             // Nothing is sent while it spins: what is early by more than that is not of this slot.
-            guard.open(target.saturating_sub(self.spin), latest + latest.saturating_sub(at) / GUARD_PARTS);
+            guard
+                .open(target.saturating_sub(self.spin), latest + guard::tolerance(latest.saturating_sub(at)));
         }
         let sent = self.send_at(target, latest, stamp, frame);
         if let Some(guard) = &self.guard {

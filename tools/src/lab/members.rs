@@ -19,7 +19,7 @@ use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
 use crate::station::link::{self, LabOptions, Report, Standing};
-use rtmac::tdma::schedule::clock_share;
+use rtmac::tdma::schedule;
 
 /// A station of a lab.
 pub struct Member {
@@ -300,7 +300,7 @@ pub fn arguments(
         from: scenario.sender(station) as u16,
         payload: plan.payload,
         from_payload: scenario.stations[scenario.sender(station)].payload,
-        step_limit_ns: clock_share(scenario.guard).nanos(),
+        step_limit_ns: schedule::step_limit(scenario.guard).nanos(),
         resume: resume.grid.map(|(cycle, sched)| (cycle, sched.nanos())),
         first: resume.first,
     };

@@ -3,7 +3,7 @@
 //! ```toml
 //! cycle = "1ms"             # required; everything else has a default or is per station
 //! rate = "1G"
-//! sync_window = "50us"
+//! sync_window = "50us"      # default: this; as long as a slot where no station says where its slots are
 //! guard = "20us"            # default: what the closest slots leave
 //! duration = "10s"
 //! seed = 1
@@ -27,7 +27,9 @@ use rtnet::wire::ethernet;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window};
+use super::{
+    MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window, divide,
+};
 use crate::report::figures::Role;
 use crate::units::{AnySpan, FileRate, NonNegativeSpan, PositiveSpan};
 
@@ -139,8 +141,11 @@ impl Source<'_> {
         let cycle = network.cycle.get_ref().0;
         check_cycle(cycle).map_err(|refused| self.impossible(network.cycle.span().start, refused))?;
         let rate = network.rate.map_or(DEFAULT_RATE, |rate| rate.0);
-        let sync_window = network.sync_window.map_or(default_sync_window(cycle), |window| window.0);
         self.check_stations(&network.station)?;
+        let without =
+            |entry: &&Spanned<StationFile>| entry.get_ref().slots.as_ref().is_none_or(Vec::is_empty);
+        let divided = network.station.iter().all(|entry| without(&entry));
+        let sync_window = network.sync_window.map(|window| window.0);
         let mut stations = Vec::new();
         for entry in &network.station {
             stations.push(self.station(entry)?);
@@ -148,7 +153,7 @@ impl Source<'_> {
         let asked = network.guard.map(|guard| guard.0);
         let mut scenario = Scenario {
             cycle,
-            sync_window,
+            sync_window: sync_window.unwrap_or(default_sync_window(cycle)),
             rate,
             guard: asked.unwrap_or(Span::ZERO),
             duration: network.duration.map_or(DEFAULT_DURATION, |duration| duration.0),
@@ -157,16 +162,11 @@ impl Source<'_> {
             slot_guard: network.slot_guard.unwrap_or_default(),
             stations,
         };
-        let without =
-            |entry: &&Spanned<StationFile>| entry.get_ref().slots.as_ref().is_none_or(Vec::is_empty);
-        match network.station.iter().filter(without).count() {
-            0 => {}
-            all if all == network.station.len() => self.divide(&mut scenario, asked)?,
-            _ => {
-                let first = network.station.iter().find(without).map_or(0, |entry| entry.span().start);
-                let what = "this station has no slots, while others have: give all of them slots, or none";
-                return Err(self.impossible(first, what));
-            }
+        if divided {
+            self.divide(&mut scenario, sync_window, asked)?;
+        } else if let Some(first) = network.station.iter().find(without) {
+            let what = "this station has no slots, while others have: give all of them slots, or none";
+            return Err(self.impossible(first.span().start, what));
         }
         if let Some(conflict) = scenario.schedule().conflicts().first() {
             return Err(self.impossible(place_of(&network, conflict), conflict));
@@ -267,11 +267,17 @@ impl Source<'_> {
     }
 
     /// No station says where its slots are: the cycle is divided evenly, in the order of the file.
-    fn divide(&self, scenario: &mut Scenario, guard: Option<Span>) -> Result<(), FileError> {
+    fn divide(
+        &self,
+        scenario: &mut Scenario,
+        window: Option<Span>,
+        guard: Option<Span>,
+    ) -> Result<(), FileError> {
         let size = scenario.stations.iter().map(|station| station.payload).max().unwrap_or(DEFAULT_PAYLOAD);
-        let Scenario { cycle, sync_window: start, rate, .. } = *scenario;
-        let length = schedule::divide(cycle, start, rate, scenario.stations.len(), size, guard)
+        let Scenario { cycle, rate, .. } = *scenario;
+        let (start, length) = divide(cycle, window, rate, scenario.stations.len(), size, guard)
             .map_err(|conflict| self.impossible(0, conflict))?;
+        scenario.sync_window = start;
         for (k, station) in scenario.stations.iter_mut().enumerate() {
             let offset = start + length * k as i64;
             station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size: station.payload }];

@@ -18,7 +18,8 @@ pub use file::{FileError, Source, load, parse_phase};
 
 /// Part of each cycle that belongs to the Synchronisation, unless the cycle is too short for it.
 const SYNC_WINDOW: Span = Span::from_micros(50);
-/// In a lab of many stations so much for each.
+/// Where a cycle is divided among many stations so much for each: a lab's master delivers its Synchronisation to one port
+/// of the bridge after the other, while it sends it.
 const SYNC_PER_STATION: Span = Span::from_micros(4);
 /// And at most this part of the cycle.
 const SYNC_WINDOW_PARTS: i64 = 8;
@@ -160,8 +161,8 @@ pub enum ScenarioError {
 }
 
 impl Uniform {
-    /// The network: slots of equal length after the sync window, the master's first. They begin where they do
-    /// whatever the guard band is: one that is less than the rest of the slot makes less of it usable.
+    /// The network: slots of equal length after the sync window, the master's first. A guard band that is less than
+    /// the rest of the slot moves no slot, but makes less of it usable.
     pub fn scenario(&self) -> Result<Scenario, ScenarioError> {
         let &Uniform { stations: n, cycle, duration, payload, rate, guard, seed } = self;
         if !(2..=MAX_STATIONS).contains(&n) {
@@ -171,9 +172,8 @@ impl Uniform {
             return Err(ScenarioError::Payload(payload));
         }
         check_cycle(cycle)?;
-        let sync_window = lab_sync_window(cycle, n);
-        let length =
-            schedule::divide(cycle, sync_window, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
+        let (sync_window, length) =
+            divide(cycle, None, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
         let air = rate.air_time(payload + ethernet::HEADER_LEN);
         let stations = (0..n)
             .map(|k| StationPlan {
@@ -265,15 +265,28 @@ impl Scenario {
     }
 }
 
-/// 50 us, or an eighth of a short cycle.
+/// Where slots are given: 50 us, or an eighth of a short cycle.
 pub fn default_sync_window(cycle: Span) -> Span {
     SYNC_WINDOW.min(cycle / SYNC_WINDOW_PARTS)
 }
 
-/// A lab's master delivers its Synchronisation to one port of the bridge after the other, while it sends it: with
-/// many stations that takes longer.
-fn lab_sync_window(cycle: Span, stations: usize) -> Span {
-    SYNC_WINDOW.max(SYNC_PER_STATION * stations as i64).min(cycle / SYNC_WINDOW_PARTS)
+/// A cycle that is divided evenly among stations, whose frames hold `size` bytes: its sync window, and how long each slot
+/// is. A sync is as often late as any frame, and two that are missing silence all: unless a window is asked for, it is as
+/// long as a slot where there is room for that.
+fn divide(
+    cycle: Span,
+    asked: Option<Span>,
+    rate: Rate,
+    stations: usize,
+    size: usize,
+    guard: Option<Span>,
+) -> Result<(Span, Span), Conflict> {
+    let n = stations as i64;
+    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).min(cycle / SYNC_WINDOW_PARTS);
+    let share = least.max(cycle / (n + 1)).min(cycle / SYNC_WINDOW_PARTS);
+    let with =
+        |window| schedule::divide(cycle, window, rate, stations, size, guard).map(|length| (window, length));
+    asked.map_or_else(|| with(share).or_else(|_| with(least)), with)
 }
 
 #[cfg(test)]
@@ -293,10 +306,11 @@ mod tests {
     }
 
     #[test]
-    fn the_sync_of_many_stations_has_more_time() {
+    fn a_sync_has_as_much_time_as_a_slot_and_more_with_many_stations() {
         let window = |stations, cycle| uniform(stations, cycle).scenario().unwrap().sync_window;
-        assert_eq!(window(8, Span::from_millis(1)), Span::from_micros(50));
-        assert_eq!(window(32, Span::from_millis(5)), Span::from_micros(128));
+        assert_eq!(window(8, Span::from_millis(1)).nanos(), 111_111);
+        assert_eq!(window(20, Span::from_millis(1)), Span::from_micros(80), "4 us for each");
+        assert_eq!(window(2, Span::from_millis(1)), Span::from_micros(125), "an eighth at the most");
         assert_eq!(window(32, Span::from_micros(800)), Span::from_micros(100), "an eighth of a short cycle");
     }
 
@@ -305,8 +319,8 @@ mod tests {
         let scenario = uniform(8, Span::from_millis(1)).scenario().unwrap();
         assert_eq!(scenario.schedule().conflicts(), []);
         let offsets: Vec<_> = scenario.stations.iter().map(|s| s.slots[0].offset.nanos()).collect();
-        assert_eq!(offsets[..3], [50_000, 168_750, 287_500]);
-        assert_eq!(scenario.guard.nanos(), 118_750 - 816);
+        assert_eq!(offsets[..3], [111_111, 222_222, 333_333]);
+        assert_eq!(scenario.guard.nanos(), 111_111 - 816);
     }
 
     #[test]
@@ -320,20 +334,22 @@ mod tests {
             let by_file = Source { file: "net.toml", text: &text }.parse().unwrap();
             let by_options = Uniform { guard, ..uniform(3, Span::from_millis(1)) }.scenario().unwrap();
             assert_eq!(by_options, by_file);
-            assert_eq!(by_options.latest(), by_options.guard / 2);
+            assert_eq!(by_options.latest(), schedule::latest(by_options.guard));
         }
     }
 
     #[test]
     fn a_guard_band_less_than_the_rest_moves_no_slot_and_one_too_large_is_refused() {
         let with = |guard| Uniform { guard, ..uniform(8, Span::from_millis(1)) }.scenario();
-        let rest = Span::from_nanos(118_750 - 816);
+        let rest = Span::from_nanos(111_111 - 816);
         let (whole, small) = (with(None).unwrap(), with(Some(Span::from_micros(20))).unwrap());
         assert_eq!(small.stations, whole.stations);
         assert_eq!((small.guard, small.latest()), (Span::from_micros(20), Span::from_micros(10)));
         assert_eq!(small.schedule().conflicts(), []);
         assert_eq!(with(Some(rest)), Ok(whole));
-        let error = with(Some(rest + Span::from_nanos(1))).unwrap_err().to_string();
+        let most = Span::from_nanos(118_750 - 816);
+        assert_eq!(with(Some(most)).unwrap().sync_window, SYNC_WINDOW, "no room for more");
+        let error = with(Some(most + Span::from_nanos(1))).unwrap_err().to_string();
         assert!(error.contains("frame 816ns + guard band 117.935us) = 1.000008ms"), "{error}");
     }
 

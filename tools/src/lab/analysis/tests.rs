@@ -140,7 +140,7 @@ fn a_slot_missed_to_the_end_is_found_too() {
 
 #[test]
 fn frames_that_leave_their_slot_or_overlap_are_found() {
-    // Two stations: slots of 475 us, so a guard band of 466.84 us and 116.71 us of it for the clocks.
+    // Two stations: slots of 437.5 us, so a guard band of 429.34 us and 35.78 us of it for the clocks.
     let shifted = |first: i64, second: i64| {
         Bench::new().run(move |bench| {
             bench.sync(12, 0);
@@ -149,12 +149,12 @@ fn frames_that_leave_their_slot_or_overlap_are_found() {
         })
     };
     let late = |by| shifted(by, 0);
-    assert_eq!(found(&shifted(0, -116_710)), []);
-    assert_eq!(found(&shifted(0, -117_000)), [(12, FindingKind::OutOfSlot, Some(1))]);
-    assert_eq!(found(&late(350_000)), []);
-    assert_eq!(found(&late(351_000)), [(12, FindingKind::OutOfSlot, Some(0))]);
+    assert_eq!(found(&shifted(0, -35_770)), []);
+    assert_eq!(found(&shifted(0, -35_790)), [(12, FindingKind::OutOfSlot, Some(1))]);
+    assert_eq!(found(&late(393_500)), []);
+    assert_eq!(found(&late(393_600)), [(12, FindingKind::OutOfSlot, Some(0))]);
     let both = [(12, FindingKind::OutOfSlot, Some(0)), (12, FindingKind::Overlap, Some(1))];
-    assert_eq!(found(&late(470_000)), both);
+    assert_eq!(found(&late(432_000)), both);
 }
 
 #[test]
@@ -162,10 +162,10 @@ fn a_station_in_time_by_its_own_wrong_line_is_not_in_its_slot() {
     let analysis = Bench::new().run(|bench| {
         bench.sync(12, 0);
         bench.data(0, 12, 0);
-        bench.data_by_a_line_off(1, 12, 355_000, 0);
+        bench.data_by_a_line_off(1, 12, 395_000, 0);
     });
     assert_eq!(found(&analysis), [(12, FindingKind::OutOfSlot, Some(1))]);
-    assert_eq!(analysis.stations[1].slot_error.max(), 355_000);
+    assert_eq!(analysis.stations[1].slot_error.max(), 395_000);
 }
 
 #[test]
@@ -194,10 +194,10 @@ fn a_late_sync_or_a_second_one_is_found() {
             bench.data(1, 12, 0);
         })
     };
-    assert_eq!(found(&with(43_000, false)), []);
+    assert_eq!(found(&with(118_000, false)), []);
     // It is still on the air when the master's slot begins.
     let both = [(12, FindingKind::OutOfSlot, Some(0)), (12, FindingKind::Overlap, Some(0))];
-    assert_eq!(found(&with(43_500, false)), both);
+    assert_eq!(found(&with(118_500, false)), both);
     assert_eq!(found(&with(0, true)), [(12, FindingKind::Repeated, Some(0))]);
 }
 

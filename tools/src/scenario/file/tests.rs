@@ -46,7 +46,7 @@ fn without_slots_the_cycle_is_divided_evenly() {
     let text = GOOD.lines().filter(|line| !line.starts_with("slots")).collect::<Vec<_>>().join("\n");
     let network = parse(&text).unwrap();
     let offsets: Vec<_> = network.stations.iter().map(|station| station.slots[0].offset.nanos()).collect();
-    assert_eq!(offsets, [525_000, 50_000], "in the order of the file; the master is listed first");
+    assert_eq!(offsets, [562_500, 125_000], "in the order of the file; the master is listed first");
 }
 
 #[test]

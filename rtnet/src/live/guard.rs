@@ -28,9 +28,9 @@ use crate::clock::True;
 
 pub use program::MARK;
 
-/// What stalls after its check by no more than this may leave: 10 us, or a tenth of a long time...
+/// What stalls after its check by no more than this may leave: 10 us, or a twelfth of a long time...
 const STALL: True = 10_000;
-const STALL_PARTS: True = 10;
+const STALL_PARTS: True = 12;
 /// ... but no more than this part of a short one.
 const STALL_PARTS_AT_MOST: True = 3;
 

@@ -202,36 +202,45 @@ impl Envelope {
     }
 
     /// Of this window's, by the drift that is known so far.
-    fn early_one(&mut self, period: Span) -> Point {
+    fn early_one(&self, period: Span) -> Point {
         let through = self.window[0];
         let flat = Edge { from: through.cycle, through, drift: self.drift().unwrap_or(Drift::NONE), period };
-        let late = |point: &Point| point.start - flat.start_of(point.cycle);
-        *self.window.select_nth_unstable_by_key(WINDOW / EARLY_PARTS, late).1
+        let mut late = [(Span::ZERO, through); WINDOW];
+        for (late, &point) in late.iter_mut().zip(&self.window) {
+            *late = (point.start - flat.start_of(point.cycle), point);
+        }
+        late.select_nth_unstable_by_key(WINDOW / EARLY_PARTS, |&(late, _)| late).1.1
     }
 
+    /// From the earlier half to the later one so that nothing lies below: from whichever points they are drawn, the
+    /// lowest of either half, seen along the edge, are better ends, until they are the ends.
     fn edge_below_the_middle(&self, period: Span) -> Option<Edge> {
         if self.early.len() < WINDOWS_AT_LEAST {
             return None;
         }
-        let (&first, &last) = (self.early.front()?, self.early.back()?);
-        let place = |point: Point| {
+        let first = *self.early.front()?;
+        let mut places = [(0, 0); WINDOWS];
+        for (place, &point) in places.iter_mut().zip(&self.early) {
             let x = i64::from(cycles(first, point));
-            (x, (point.start - first.start - period * x).nanos())
-        };
-        let mut hull = [Point::default(); WINDOWS];
-        let mut corners = 0;
-        for &point in &self.early {
-            while corners >= 2 && !is_below([hull[corners - 2], hull[corners - 1], point].map(place)) {
-                corners -= 1;
-            }
-            hull[corners] = point;
-            corners += 1;
+            *place = (x, (point.start - first.start - period * x).nanos());
         }
-        let middle = cycles(first, last) / 2;
-        let edge = hull[..corners].windows(2).find(|edge| cycles(first, edge[1]) > middle)?;
-        let [(x0, y0), (x1, y1)] = [place(edge[0]), place(edge[1])];
-        let drift = Drift::new(Span::from_nanos(y1 - y0), x1 - x0, period)?;
-        Some(Edge { from: edge[0].cycle, through: edge[1], drift, period })
+        let places = &places[..self.early.len()];
+        let half = places.partition_point(|&(x, _)| x <= places[places.len() - 1].0 / 2);
+        let (mut from, mut to) = (0, places.len() - 1);
+        loop {
+            let (dx, dy) = (places[to].0 - places[from].0, places[to].1 - places[from].1);
+            let height = |&of: &usize| {
+                let (x, y) = places[of];
+                y.saturating_mul(dx).saturating_sub(x.saturating_mul(dy))
+            };
+            let lowest = |of, half| core::iter::once(of).chain(half).min_by_key(height);
+            let ends = (lowest(from, 0..half)?, lowest(to, half..places.len())?);
+            if ends == (from, to) {
+                let drift = Drift::new(Span::from_nanos(dy), dx, period)?;
+                return Some(Edge { from: self.early[from].cycle, through: self.early[to], drift, period });
+            }
+            (from, to) = ends;
+        }
     }
 }
 
@@ -251,11 +260,6 @@ fn kept(period: Span) -> usize {
 /// Cycles from one to another, shortest way round 2^32.
 fn cycles(from: Point, to: Point) -> i32 {
     to.cycle.wrapping_sub(from.cycle) as i32
-}
-
-/// Whether the middle one lies below the line from the first to the last.
-fn is_below([(x0, y0), (x1, y1), (x2, y2)]: [(i64, i64); 3]) -> bool {
-    i128::from(x2 - x0) * i128::from(y1 - y0) < i128::from(x1 - x0) * i128::from(y2 - y0)
 }
 
 #[cfg(test)]

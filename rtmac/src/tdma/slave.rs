@@ -282,14 +282,14 @@ impl Slave {
         self.envelope.drift().map(|drift| drift.parts_per_billion(line.period))
     }
 
-    /// Whether the drift is known, and the delay by the line as it is since; where cycles are too long for that, whether
+    /// Whether the drift is known well, and the delay by the line as it is since; where cycles are too long for that, whether
     /// it is locked. Until then time may be off by some microseconds on a busy host.
     pub fn is_settled(&self) -> bool {
         let Some(line) = self.line() else { return false };
         let locked = matches!(self.state, SyncState::Locked | SyncState::Holdover);
         let envelope = &self.envelope;
         let corrected = |done| !envelope.is_unbroken_since(done) || envelope.reaches_back_to(done);
-        let clear = envelope.drift().is_some() && self.calibration.done().is_none_or(corrected);
+        let clear = envelope.is_clear() && self.calibration.done().is_none_or(corrected);
         locked && (clear || !Envelope::serves(line.period))
     }
 

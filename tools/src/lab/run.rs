@@ -31,7 +31,7 @@ pub const INTERFACE: &str = "rt0";
 pub(super) const LOOK_EVERY: Duration = Duration::from_millis(10);
 /// Cycles between the last look at the stations and the begin of the measurement.
 const SETTLE_CYCLES: u32 = 50;
-/// So long a lab waits for clocks to settle once all are locked: at a cycle of 1 ms they take less than one second.
+/// So long a lab waits for clocks to settle once all are locked: at a cycle of 1 ms they take some 1.5.
 const SETTLE_WITHIN: Duration = Duration::from_secs(3);
 /// How long stations may take to be locked, besides what calibration takes.
 const JOIN_WITHIN: Duration = Duration::from_secs(5);

@@ -264,6 +264,24 @@ fn a_line_that_has_lasted_is_left_as_soon_as_a_new_one() {
 }
 
 #[test]
+fn a_slave_has_settled_once_its_line_is_of_twenty_windows() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    hear_all(&mut bench, 3..3 + 19 * 64);
+    assert!(bench.slave.drift_ppb().is_some() && !bench.slave.is_settled());
+    hear_all(&mut bench, 3 + 19 * 64..3 + 20 * 64);
+    assert!(bench.slave.is_settled());
+
+    let (mut long, cycle) = (Bench::new(0), 32 * PERIOD);
+    for number in 1..=2 {
+        assert!(!long.slave.is_settled());
+        long.hear_from_line(number, u64::from(number) * cycle, 0).unwrap();
+    }
+    assert!(long.slave.is_settled(), "a cycle that has no line below: it will not become clearer");
+    assert_eq!(long.wait_until(5 * cycle), SyncState::Lost);
+    assert!(!long.slave.is_settled());
+}
+
+#[test]
 fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
     let mut bench = Bench::new(1);
     bench.hear(1, 0).unwrap();

@@ -157,20 +157,17 @@ impl Slave {
                     };
                     *step = None;
                     Followed::Agrees
-                } else if let Some((seen, moved)) =
-                    step.and_then(|step| step.confirmed_by(&mark, line.period))
-                    && age <= moved.period
-                {
-                    if seen < if mark.may_be_held_up(line) { MOVED_LATE } else { MOVED } {
-                        *step = Some(Step { mark, seen });
-                        Followed::Pending
-                    } else {
-                        self.adopt(moved)
-                    }
                 } else {
-                    *step = Some(Step { mark, seen: 1 });
-                    events.note(cycle, EventKind::TimeStep, self.deviation);
-                    Followed::Pending
+                    let agreed = step.and_then(|step| step.confirmed_by(&mark, line.period));
+                    let needed = if mark.may_be_held_up(line) { MOVED_LATE } else { MOVED };
+                    match agreed {
+                        Some((seen, moved)) if seen >= needed && age <= moved.period => self.adopt(moved),
+                        _ => {
+                            *step = Some(Step { mark, seen: agreed.map_or(1, |(seen, _)| seen) });
+                            events.note(cycle, EventKind::TimeStep, self.deviation);
+                            Followed::Pending
+                        }
+                    }
                 }
             }
         };

@@ -162,8 +162,8 @@ fn stations_that_are_stopped_before_they_send_are_late_only_without_the_kernel_g
 
 /// Long enough for what is to be seen within three of them to be seen on a host that stands still for a while.
 const LONG_CYCLE: Duration = Duration::from_millis(40);
-/// From a cycle's start on, a slave knows that it has no sync after a sixteenth of it.
-const GRACE: Duration = Duration::from_micros(2_500);
+/// From a cycle's start on, a slave knows that it has no sync after an eighth of it.
+const GRACE: Duration = Duration::from_micros(5_000);
 
 /// How long it takes until somebody who looks all the time sees a state.
 fn until_seen(socket: &mut Socket, since: Instant, is_seen: impl Fn(&Value) -> bool) -> Duration {
@@ -326,7 +326,7 @@ fn a_master_that_is_away_for_long_is_missed_by_cause_to_the_end() {
         // And 8 s of three slaves' frames; a busy host may have kept slaves from noticing in time that there is no sync.
         let causes =
             ["sync_lost_or_late", "timer_late", "preempted"].map(|why| account["causes"][why].as_u64());
-        assert!(causes[0] > Some(3 * 400), "{account:#}");
+        assert!(causes[0] > Some(3 * 900), "{account:#}");
         assert!(causes.iter().flatten().sum::<u64>() > 3 * 1_800, "{account:#}");
         let count = |name: &str| account[name].as_u64().unwrap();
         assert_eq!(count("frames_seen") + count("slots_missed"), count("frames_expected"));

@@ -89,6 +89,20 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
     });
 }
 
+#[test]
+fn a_lab_whose_clocks_take_long_does_not_wait_for_ever() {
+    network("a_lab_whose_clocks_take_long_does_not_wait_for_ever", || {
+        let json = tempfile::NamedTempFile::new().unwrap();
+        let network = ["--stations", "2", "--cycle", "30ms", "--duration", "300ms", "--json"];
+        let output = rtnet().args(["lab", "run"]).args(network).arg(json.path()).output().unwrap();
+        let report: Value = serde_json::from_slice(&fs::read(json.path()).unwrap()).unwrap();
+        assert_eq!(report["frames_expected"], 20, "{}", String::from_utf8_lossy(&output.stderr));
+        // 512 syncs take 15 s, of which calibration has seen 6.
+        let note = "clocks had not settled when the measurement began: slave1";
+        assert!(report["per_station"][0]["notes"].as_array().unwrap().contains(&note.into()), "{report:#}");
+    });
+}
+
 /// Stations are late by milliseconds, together or alone, and syncs with them; some lines are left, others come back.
 #[test]
 fn what_a_host_takes_away_is_missed_and_explained() {

@@ -249,7 +249,7 @@ fn an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does() 
     });
 }
 
-/// Half a master's sync window, as which late it may always be on a busy host.
+/// So late a master may be, and often is, on a busy host.
 const BIAS_NS: i64 = 25_000;
 
 fn each_frame(pcap: &Path, mut f: impl FnMut(u64, &[u8])) {

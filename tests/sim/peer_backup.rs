@@ -1,7 +1,7 @@
 //! A backup master with the habits of real ones (section 2.9 of the protocol reference), in a lab whose clocks drift.
 //!
-//! B is 45 us: behind the last moment at which the lab's master may still send (37.5 us), and within the sync
-//! window of 50 us, which all slots lie behind.
+//! B is 45 us: behind the last moment at which the master may still send (37.5 us), and within the sync window, of 50 us
+//! as in a network whose slots are given, which all slots lie behind.
 
 use rtnet::discipline::{EventKind, SyncState};
 use rtnet::sim::Host;

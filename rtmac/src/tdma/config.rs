@@ -4,8 +4,8 @@ use rtnet::discipline::Channel;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
+use super::line::PERIODS;
 use super::master::MAX_REPLY_AHEAD;
-use super::slave::PERIODS;
 use super::slot::MIN_SIZE;
 use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig, Tdma};
 

@@ -4,8 +4,7 @@ use rtnet::discipline::EventKind;
 use rtnet::time::{Instant, Span};
 
 use super::job::Job;
-use super::line::TimeLine;
-use super::slave::LINE_GOOD_FOR;
+use super::line::{LINE_GOOD_FOR, TimeLine};
 use super::slot::Turn;
 use super::{LatePolicy, Role, Tdma};
 
@@ -73,7 +72,7 @@ impl Tdma {
     pub(super) fn leave(&mut self, left: &TimeLine, line: &TimeLine, until: Instant) {
         while let Some(turn) = self.slots.next_turn(left, None) {
             let offset = turn.at - left.start_of(turn.cycle);
-            let numbered_on = line.ahead(turn.cycle).abs() <= LINE_GOOD_FOR;
+            let numbered_on = line.ahead(turn.cycle).unsigned_abs() <= LINE_GOOD_FOR.unsigned_abs();
             let over = if numbered_on { line.start_of(turn.cycle) + offset } else { turn.latest };
             if until <= over {
                 break;

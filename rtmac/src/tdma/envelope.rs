@@ -33,13 +33,14 @@ const WINDOW_AT_MOST: Span = Span::from_millis(2_000);
 const EARLY_PARTS: usize = 8;
 /// So many windows are kept: less than half of them may be of a busy host, eight seconds at a cycle of 1 ms.
 const WINDOWS: usize = 256;
-/// Of longer cycles fewer, down to this many, for what is older: crystals change their rate.
-const WINDOWS_KEPT: usize = 64;
+/// Of longer cycles fewer, down to this many: crystals change their rate...
+const WINDOWS_KEPT_AT_LEAST: usize = 64;
+/// ... and what is older shows another.
 const OLDEST: Span = Span::from_micros(16_384_000);
 /// Fewer do not show a line: what becomes quiet looks like drift.
 const WINDOWS_AT_LEAST: usize = 8;
-/// With so many that has passed: in records of 28 slaves lines were within 0.5 us from then on, and off by 2 us before.
-const WINDOWS_CLEAR: usize = 20;
+/// After so long that has passed: in records of 28 slaves lines were within 0.5 us from then on, and off by 2 us before.
+const CLEAR_AFTER: Span = Span::from_millis(1_280);
 /// What is earlier than the line by less is a stamp's noise, and so are a few of a window.
 const NOISE: Span = Span::from_micros(10);
 const NOISE_AT_MOST: usize = 2;
@@ -198,9 +199,10 @@ impl Envelope {
         })
     }
 
-    /// Whether the line is of windows enough.
+    /// Whether the line is of time enough.
     pub fn is_clear(&self) -> bool {
-        self.edge.is_some() && self.early.len() >= WINDOWS_CLEAR
+        let windows = (self.early.len() * WINDOW) as i64;
+        self.edge.is_some_and(|edge| edge.period * windows >= CLEAR_AFTER)
     }
 
     /// How fast the clocks run apart, once known.
@@ -234,7 +236,7 @@ impl Envelope {
         let places = &places[..self.early.len()];
         let half = places.partition_point(|&(x, _)| x <= places[places.len() - 1].0 / 2);
         let (mut from, mut to) = (0, places.len() - 1);
-        loop {
+        for _ in 0..places.len() {
             let (dx, dy) = (places[to].0 - places[from].0, places[to].1 - places[from].1);
             let height = |&of: &usize| {
                 let (x, y) = places[of];
@@ -248,6 +250,7 @@ impl Envelope {
             }
             (from, to) = ends;
         }
+        None
     }
 }
 
@@ -261,7 +264,7 @@ impl Edge {
 /// How many windows are remembered at cycles of this length.
 fn kept(period: Span) -> usize {
     let young = OLDEST.nanos() / (period.nanos() * WINDOW as i64).max(1);
-    (young as usize).clamp(WINDOWS_KEPT, WINDOWS)
+    (young as usize).clamp(WINDOWS_KEPT_AT_LEAST, WINDOWS)
 }
 
 /// Cycles from one to another, shortest way round 2^32.

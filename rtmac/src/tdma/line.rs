@@ -2,6 +2,11 @@
 
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 
+/// A line is good for so many cycles without a Synchronisation.
+pub const LINE_GOOD_FOR: i32 = 1_000;
+/// Periods outside this are nobody's.
+pub const PERIODS: core::ops::RangeInclusive<Span> = Span::from_micros(1)..=Span::from_millis(100_000);
+
 /// From this station's clock to the master's, by one Synchronisation: what the master's clock showed
 /// when it sent, plus the delay to here, less what this clock showed on reception.
 pub fn offset(xmit: GlobalTime, delay: Span, rx: Instant) -> Offset {

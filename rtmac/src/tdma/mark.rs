@@ -2,14 +2,13 @@
 
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 
-use super::line::{self, DRIFT_PARTS, Drift, TimeLine};
-use super::slave::{LINE_GOOD_FOR, PERIODS};
+use super::line::{self, DRIFT_PARTS, Drift, LINE_GOOD_FOR, PERIODS, TimeLine};
 
 /// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`](super::SlaveConfig).
 const STEP_AT_LEAST: Span = Span::from_micros(20);
 const STEP_PARTS: i64 = 100;
-/// Two Synchronisations beside the line are a new one only if they agree much better than that: two hold-ups
-/// in a row are not of one length.
+/// Synchronisations beside the line are a new one only if they agree much better than that: hold-ups in a row are seldom
+/// of one length.
 const CONFIRMED_WITHIN: Span = Span::from_micros(2);
 const CONFIRMED_PARTS: i64 = 2_000;
 /// What is late by less than this part of the cycle, and than hosts are held up, may have been held up; what is later is

@@ -12,7 +12,8 @@
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 
-/// What clocks may be wrong by, slave to master: within 5 us while a line is young, 1 us later, measured over veth.
+/// What clocks may be wrong by, slave to master: 5 us while a line is young, 2 us later, measured over veth. One that
+/// changes its rate by 4 to 20 ppm at once may be off by twice as much until that is noticed.
 const CLOCKS: Span = Span::from_micros(10);
 /// Long slots belong to long cycles, over which clocks drift farther: this part of the guard band at the least. Of short
 /// ones clocks take this part at the most.

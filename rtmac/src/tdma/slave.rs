@@ -26,24 +26,20 @@ use rtnet::wire::ethernet::Address;
 use super::calibration::Calibration;
 use super::envelope::Envelope;
 use super::events::Events;
-use super::line::{self, TimeLine};
+use super::line::{self, Drift, LINE_GOOD_FOR, TimeLine};
 use super::mark::{Mark, Step};
 use super::round::Begun;
 
-/// A cycle's Synchronisation is missing when this part of the cycle has gone by without it.
-const GRACE_PARTS: i64 = 16;
+/// A cycle's Synchronisation is missing when this part of the cycle has gone by without it: no sync window is longer.
+const GRACE_PARTS: i64 = 8;
 /// Cycles without a Synchronisation that are bridged.
 pub const HOLDOVER_CYCLES: i32 = 1;
 /// So many Synchronisations that agree with each other are a new line; so many, if they may have been held up.
 const MOVED: u32 = 2;
 const MOVED_LATE: u32 = 3;
-/// The line is good for so many cycles without a Synchronisation.
-pub const LINE_GOOD_FOR: i32 = 1_000;
 /// A cycle starts at most this long before or after its Synchronisation is received; once the period is
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
-/// Periods outside this are nobody's.
-pub const PERIODS: core::ops::RangeInclusive<Span> = Span::from_micros(1)..=Span::from_millis(100_000);
 
 /// What is configured of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,7 +125,11 @@ impl Slave {
                 Followed::Pending
             }
             Track::First(first) => match first.line_to(&mark, self.step_limit) {
-                Some(line) if age <= line.period => self.adopt(line),
+                Some(line) if age <= line.period => {
+                    // Whichever was held up less.
+                    let start = line.start.min(first.start() + (mark.sched - first.sched));
+                    self.adopt(line.carried_on(&mark, start, Drift::NONE))
+                }
                 _ => {
                     self.track = Track::First(mark);
                     Followed::Pending
@@ -237,7 +237,9 @@ impl Slave {
     pub fn may_send(&self, cycle: u32) -> bool {
         let Track::On { line, step } = &self.track else { return false };
         let moved = step.is_some_and(|step| !step.mark.may_be_held_up(line));
-        line.ahead(cycle).abs() <= HOLDOVER_CYCLES && !moved && self.doubted != Some(cycle)
+        line.ahead(cycle).unsigned_abs() <= HOLDOVER_CYCLES.unsigned_abs()
+            && !moved
+            && self.doubted != Some(cycle)
     }
 
     /// The line that is followed. Without Synchronisations it is kept for a while, so that slots that

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!            lead               latest
-//!   |<----- 50 us ----->|<- guard band / 2 ->|
+//!   |<----- 50 us ----->|<-- guard band, -->|  less the clocks' share at either end
 //!   wake-up due         slot's instant       too late
 //!   |-- late wake-up (1) -------------------->   missed if it is later than lead + latest
 //!        |-- outage (2) --------------------->   missed if it begins in the lead and ends after latest

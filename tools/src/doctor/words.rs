@@ -112,7 +112,7 @@ pub fn verdict(findings: &Findings) -> Vec<String> {
     lines
 }
 
-/// `with this core warm, 8 stations at a cycle of 1ms (guard band 117us) would miss about 0.3 % of their slots, ...`
+/// `with this core warm, 8 stations at a cycle of 1ms (guard band 110us) would miss about 0.3 % of their slots, ...`
 fn sentence(of: &Recommended, and: &str) -> String {
     let Recommended { network, warm_core, holds, .. } = of;
     let state = if *warm_core { "warm" } else { "cold" };

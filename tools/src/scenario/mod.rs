@@ -271,8 +271,8 @@ pub fn default_sync_window(cycle: Span) -> Span {
 }
 
 /// A cycle that is divided evenly among stations, whose frames hold `size` bytes: its sync window, and how long each slot
-/// is. A sync is as often late as any frame, and two that are missing silence all: unless a window is asked for, it is as
-/// long as a slot where there is room for that.
+/// is. A sync is as often late as any frame, and two that are missing silence all: unless a window is asked for, a sync
+/// may be as late as a frame.
 fn divide(
     cycle: Span,
     asked: Option<Span>,
@@ -282,11 +282,14 @@ fn divide(
     guard: Option<Span>,
 ) -> Result<(Span, Span), Conflict> {
     let n = stations as i64;
+    let [sync, frame] =
+        [ethernet::MIN_FRAME, size + ethernet::HEADER_LEN].map(|length| rate.air_time(length));
     let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).min(cycle / SYNC_WINDOW_PARTS);
-    let share = least.max(cycle / (n + 1)).min(cycle / SYNC_WINDOW_PARTS);
+    let share = sync + (cycle - sync - frame * n) / (n + 1);
     let with =
         |window| schedule::divide(cycle, window, rate, stations, size, guard).map(|length| (window, length));
-    asked.map_or_else(|| with(share).or_else(|_| with(least)), with)
+    let usual = share.max(least).min(cycle / SYNC_WINDOW_PARTS);
+    asked.map_or_else(|| with(usual).or_else(|_| with(least)), with)
 }
 
 #[cfg(test)]
@@ -308,10 +311,24 @@ mod tests {
     #[test]
     fn a_sync_has_as_much_time_as_a_slot_and_more_with_many_stations() {
         let window = |stations, cycle| uniform(stations, cycle).scenario().unwrap().sync_window;
-        assert_eq!(window(8, Span::from_millis(1)).nanos(), 111_111);
+        assert_eq!(window(8, Span::from_millis(1)).nanos(), 110_983, "a sync is shorter than a frame");
         assert_eq!(window(20, Span::from_millis(1)), Span::from_micros(80), "4 us for each");
         assert_eq!(window(2, Span::from_millis(1)), Span::from_micros(125), "an eighth at the most");
         assert_eq!(window(32, Span::from_micros(800)), Span::from_micros(100), "an eighth of a short cycle");
+    }
+
+    #[test]
+    fn a_sync_takes_no_room_from_long_frames() {
+        let rate = Rate::from_bits_per_second(100_000_000);
+        for n in [2, 5, 6, 7] {
+            let long =
+                Uniform { payload: 1_500, rate, ..uniform(n, Span::from_millis(1)) }.scenario().unwrap();
+            let for_the_sync = long.sync_window - rate.air_time(60);
+            let capped = long.sync_window == Span::from_micros(125) && for_the_sync < long.guard;
+            let as_ever = long.sync_window == SYNC_WINDOW;
+            let even = (for_the_sync - long.guard).abs() < Span::from_nanos(n as i64);
+            assert!(capped || as_ever || even, "{n}: {for_the_sync}, {}", long.guard);
+        }
     }
 
     #[test]
@@ -319,8 +336,8 @@ mod tests {
         let scenario = uniform(8, Span::from_millis(1)).scenario().unwrap();
         assert_eq!(scenario.schedule().conflicts(), []);
         let offsets: Vec<_> = scenario.stations.iter().map(|s| s.slots[0].offset.nanos()).collect();
-        assert_eq!(offsets[..3], [111_111, 222_222, 333_333]);
-        assert_eq!(scenario.guard.nanos(), 111_111 - 816);
+        assert_eq!(offsets[..3], [110_983, 222_110, 333_237]);
+        assert_eq!(scenario.guard.nanos(), 111_127 - 816);
     }
 
     #[test]
@@ -341,7 +358,7 @@ mod tests {
     #[test]
     fn a_guard_band_less_than_the_rest_moves_no_slot_and_one_too_large_is_refused() {
         let with = |guard| Uniform { guard, ..uniform(8, Span::from_millis(1)) }.scenario();
-        let rest = Span::from_nanos(111_111 - 816);
+        let rest = Span::from_nanos(111_127 - 816);
         let (whole, small) = (with(None).unwrap(), with(Some(Span::from_micros(20))).unwrap());
         assert_eq!(small.stations, whole.stations);
         assert_eq!((small.guard, small.latest()), (Span::from_micros(20), Span::from_micros(10)));

@@ -265,12 +265,30 @@ fn a_line_that_has_lasted_is_left_as_soon_as_a_new_one() {
 }
 
 #[test]
-fn a_slave_has_settled_once_its_line_is_of_twenty_windows() {
+fn a_sync_that_comes_at_the_end_of_its_window_after_a_missing_one_is_no_loss() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.wait_until(4 * PERIOD + PERIOD / 8 - 1), SyncState::Holdover);
+    assert_eq!(bench.hear(4, 0), Ok(Followed::Agrees));
+    assert_eq!(bench.told(), [(3, EventKind::Holdover)]);
+}
+
+#[test]
+fn of_the_first_two_synchronisations_the_one_that_was_held_up_less_counts() {
+    for (first, second) in [(0, 19_000), (19_000, 0)] {
+        let mut bench = Bench::new(0);
+        assert_eq!(bench.hear(1, first), Ok(Followed::Pending));
+        assert_eq!(bench.hear(2, second), Ok(Followed::NewLine));
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), 2 * PERIOD, "{first} {second}");
+    }
+}
+
+#[test]
+fn a_slave_has_settled_once_its_line_is_long_enough() {
     let mut bench = Bench::in_state(SyncState::Locked);
     hear_all(&mut bench, 3..3 + 19 * 64);
     assert!(bench.slave.drift_ppb().is_some() && !bench.slave.is_settled());
     hear_all(&mut bench, 3 + 19 * 64..3 + 20 * 64);
-    assert!(bench.slave.is_settled());
+    assert!(bench.slave.is_settled(), "1.28 s");
 
     let (mut long, cycle) = (Bench::new(0), 32 * PERIOD);
     for number in 1..=2 {

@@ -101,7 +101,7 @@ impl Plan {
 
     /// The same on hosts like this one; the judge allows what the clocks may be wrong by.
     pub fn on(self, host: Host) -> Plan {
-        Plan { host, tolerance: schedule::clock_share(self.scenario.guard), ..self }
+        Plan { host, tolerance: self.scenario.clock_share(), ..self }
     }
 
     /// Address of a station.

@@ -129,8 +129,8 @@ pub struct LabRunArgs {
     /// Line rate at which slots and overlaps are computed
     #[arg(long, default_value = "1G", value_parser = parse_rate, conflicts_with = "file")]
     pub rate: Rate,
-    /// Guard band behind each frame, in which, but for 10us at either end, a late frame may start [default: the rest
-    /// of the slot]
+    /// Guard band behind each frame, in which, but for the clocks' share at either end, a late frame may start
+    /// [default: the rest of the slot]
     #[arg(long, value_parser = parse_nonnegative_span, conflicts_with = "file")]
     pub guard: Option<Span>,
     /// What keeps stations from sending later than their slots allow [default: auto, or what the file says]

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use rtmac::tdma::schedule::{Rate, clock_share};
+use rtmac::tdma::schedule::Rate;
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::time::{GlobalTime, Offset, Span};
@@ -60,6 +60,7 @@ pub struct Analysis {
     cycle: Span,
     sync_window: Span,
     guard: Span,
+    clock_share: Span,
     rate: Rate,
     /// Which slots there are in which cycles.
     pub timetable: Timetable,
@@ -103,6 +104,7 @@ impl Analysis {
             cycle: scenario.cycle,
             sync_window: scenario.sync_window,
             guard: scenario.guard,
+            clock_share: scenario.clock_share(),
             rate: scenario.rate,
             timetable: Timetable::of(scenario),
             window: None,
@@ -337,7 +339,7 @@ impl Analysis {
             self.syncs += 1;
             self.sync_slot_error.record(error.nanos());
         }
-        if error < -clock_share(self.guard) || error > self.sync_window - air {
+        if error < -self.clock_share || error > self.sync_window - air {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         if let Some((last, last_at)) = self.last_sync {
@@ -373,9 +375,9 @@ impl Analysis {
         let error = self.error(at, start + slot.offset);
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
         // the same share of its own.
-        let share = clock_share(self.guard);
-        let end = self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard - share;
-        if error < -share || error + air > end {
+        let end =
+            self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard - self.clock_share;
+        if error < -self.clock_share || error + air > end {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         let next = match self.stations[station].last.insert(slot.id, cycle) {

@@ -255,7 +255,12 @@ impl Scenario {
 
     /// How long after its begin a slot may still be used.
     pub fn latest(&self) -> Span {
-        schedule::latest(self.guard)
+        schedule::latest(self.guard, self.stations.len())
+    }
+
+    /// How much of the guard band is for clocks, at either end.
+    pub fn clock_share(&self) -> Span {
+        schedule::clock_share(self.guard, self.stations.len())
     }
 
     /// The slot as the discipline takes it.
@@ -351,7 +356,7 @@ mod tests {
             let by_file = Source { file: "net.toml", text: &text }.parse().unwrap();
             let by_options = Uniform { guard, ..uniform(3, Span::from_millis(1)) }.scenario().unwrap();
             assert_eq!(by_options, by_file);
-            assert_eq!(by_options.latest(), schedule::latest(by_options.guard));
+            assert_eq!(by_options.latest(), schedule::latest(by_options.guard, 3));
         }
     }
 

@@ -125,11 +125,11 @@ fn an_outage_over_two_syncs_silences_the_rest_of_the_cycle() {
 #[test]
 fn a_sync_to_many_stations_takes_the_master_its_own_slot() {
     let (wakeups, none) = ([histogram(&[(us(3), 100)])], SignedHistogram::new());
-    // 9 us a station: 279 us for 31 slaves, 135 us for 15. At 5 ms and 2 ms there are 277 and 214 us.
-    let took = histogram(&[(us(71), 90), (us(72), 10)]);
+    // 7.4 us a station: 229 us for 31 slaves, 111 us for 15. At 5 ms and 2 ms there are 227 and 194 us.
+    let took = histogram(&[(us(58), 90), (us(59), 10)]);
     let core = Core { broadcasts: Some((&took, 8)), ..core(&wakeups, &none) };
     let share = |stations, cycle| predict(&core, stations, cycle).unwrap().sync_share;
-    assert!(close(share(32, us(5_000)), 0.1 / 32.0), "72 us are 279 us: {}", share(32, us(5_000)));
+    assert!(close(share(32, us(5_000)), 0.1 / 32.0), "59 us are 229 us: {}", share(32, us(5_000)));
     assert_eq!(share(16, us(2_000)), 0.0);
 }
 

@@ -68,7 +68,7 @@ pub struct Envelope {
     /// Of this window, those that are clearly earlier than the line.
     too_early: usize,
     early: VecDeque<Point>,
-    /// The first cycle that is remembered.
+    /// Since this cycle the clocks have been the same.
     since: Option<u32>,
     edge: Option<Edge>,
 }
@@ -96,10 +96,15 @@ impl Envelope {
 
     /// All that is known is of another line.
     pub fn restart(&mut self) {
+        self.forget_edge();
+        self.since = None;
+    }
+
+    /// The line was late, or the way has become quicker: the clocks are the same.
+    fn forget_edge(&mut self) {
         self.window.clear();
         self.too_early = 0;
         self.early.clear();
-        self.since = None;
         self.edge = None;
     }
 
@@ -117,7 +122,7 @@ impl Envelope {
             return false;
         }
         if self.is_disproved(expected - start, period) {
-            self.restart();
+            self.forget_edge();
         }
         self.since.get_or_insert(cycle);
         self.window.push(Point { cycle, start });
@@ -187,7 +192,7 @@ impl Envelope {
         self.edge.map(|edge| (edge.start_of(cycle), edge.drift))
     }
 
-    /// Whether this cycle is remembered, of the line that is followed now.
+    /// Whether the clocks have been the same since this cycle, as far as is remembered.
     pub fn is_unbroken_since(&self, cycle: u32) -> bool {
         self.since.is_some_and(|since| cycle.wrapping_sub(since) as i32 >= 0)
     }

@@ -343,6 +343,35 @@ fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
 }
 
 #[test]
+fn who_calibrates_while_a_sync_takes_much_longer_is_right_in_the_end() {
+    let mut bench = Bench::new(20);
+    bench.hear(1, 20_000).unwrap();
+    // A frame takes 4 us, a sync too, but for now 20 us.
+    for cycle in 2..700 {
+        bench.hear(cycle, 20_000).unwrap();
+        if bench.slave.calibration().delay().is_none() {
+            bench.slave.calibration_mut().begin_round();
+            let sent = u64::from(cycle) * PERIOD + 100_000;
+            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+            let [there, back] = [sent + 4_000, sent + 4_200].map(|at| at + AHEAD);
+            let rx = Instant::from_nanos(sent + 8_200);
+            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
+        }
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(20)));
+    assert!(bench.slave.drift_ppb().is_some());
+    bench.hear(700, 4_000).unwrap();
+    bench.hear(701, 4_000).unwrap();
+    bench.hear(702, 4_000).unwrap();
+    assert_eq!(bench.slave.drift_ppb(), None, "the line begins anew");
+    for cycle in 703..3_000 {
+        bench.hear(cycle, 4_000).unwrap();
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(4)));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 2_999 * PERIOD);
+}
+
+#[test]
 fn another_master_has_another_drift() {
     let mut bench = Bench::in_state(SyncState::Locked);
     hear_all(&mut bench, 3..1_000);

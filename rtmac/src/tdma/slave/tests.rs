@@ -317,22 +317,27 @@ fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
     assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_009 * PERIOD - 700);
 }
 
+/// Feeds Synchronisations that are `late`, and replies until the delay is known; other frames take `way` nanoseconds.
+fn hear_and_calibrate(bench: &mut Bench, cycles: core::ops::Range<u32>, late: i64, way: u64) {
+    for cycle in cycles {
+        bench.hear(cycle, late).unwrap();
+        if bench.slave.calibration().delay().is_none() {
+            bench.slave.calibration_mut().begin_round();
+            let sent = u64::from(cycle) * PERIOD + 100_000;
+            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+            let [there, back] = [way, way + 200].map(|after| sent + after + AHEAD);
+            let rx = Instant::from_nanos(sent + 2 * way + 200);
+            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
+        }
+    }
+}
+
 #[test]
 fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
     let mut bench = Bench::new(20);
     bench.hear(1, 5_000).unwrap();
     // A frame takes 700 ns, a sync too, but for now it is 5 us late.
-    for cycle in 2..200 {
-        bench.hear(cycle, 5_000).unwrap();
-        if bench.slave.calibration().delay().is_none() {
-            bench.slave.calibration_mut().begin_round();
-            let sent = u64::from(cycle) * PERIOD + 100_000;
-            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
-            let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD);
-            let rx = Instant::from_nanos(sent + 1_600);
-            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
-        }
-    }
+    hear_and_calibrate(&mut bench, 2..200, 5_000, 700);
     assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(5)));
     assert_eq!(bench.slave.line().unwrap().start.nanos(), 199 * PERIOD);
     for cycle in 200..1_500 {
@@ -347,17 +352,7 @@ fn who_calibrates_while_a_sync_takes_much_longer_is_right_in_the_end() {
     let mut bench = Bench::new(20);
     bench.hear(1, 20_000).unwrap();
     // A frame takes 4 us, a sync too, but for now 20 us.
-    for cycle in 2..700 {
-        bench.hear(cycle, 20_000).unwrap();
-        if bench.slave.calibration().delay().is_none() {
-            bench.slave.calibration_mut().begin_round();
-            let sent = u64::from(cycle) * PERIOD + 100_000;
-            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
-            let [there, back] = [sent + 4_000, sent + 4_200].map(|at| at + AHEAD);
-            let rx = Instant::from_nanos(sent + 8_200);
-            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
-        }
-    }
+    hear_and_calibrate(&mut bench, 2..700, 20_000, 4_000);
     assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(20)));
     assert!(bench.slave.drift_ppb().is_some());
     bench.hear(700, 4_000).unwrap();

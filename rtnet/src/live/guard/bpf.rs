@@ -104,6 +104,7 @@ pub fn attach(program: &OwnedFd, interface: u32) -> io::Result<OwnedFd> {
 ///
 /// # Safety
 /// What in `attributes` is a pointer refers to as much as the command reads or writes there.
+// SAFETY: left to the caller, as above.
 unsafe fn bpf<T>(command: libc::c_long, attributes: &T) -> io::Result<OwnedFd> {
     let (attributes, size) = (ptr::from_ref(attributes), size_of::<T>());
     // SAFETY: the kernel reads `size` bytes of `attributes`, which has them; the rest is the caller's word.

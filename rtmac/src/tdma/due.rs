@@ -77,7 +77,14 @@ impl Tdma {
             if until <= over {
                 break;
             }
-            self.missed(&Job::Data(turn), (until - turn.latest).max(Span::ZERO));
+            let job = Job::Data(turn);
+            // What it slept through it was late for, whatever the line.
+            if until > turn.latest {
+                self.missed(&job, until - turn.latest);
+            } else {
+                self.counters.slots_silent += 1;
+                self.events.note_job(&job, EventKind::TurnLeft, Span::ZERO);
+            }
             self.slots.pass(&turn);
         }
     }
@@ -114,13 +121,11 @@ impl Tdma {
     }
 
     /// The kernel dropped the job's frame. A cycle whose Synchronisation was dropped is one without, as if the
-    /// master had skipped it.
+    /// master had skipped it, and is counted with those.
     pub(super) fn guard_dropped(&mut self, job: &Job, late: Span) {
         self.counters.guard_drops += 1;
+        self.counters.syncs_skipped += u64::from(matches!(job, Job::Sync { .. }));
         self.events.note_job(job, EventKind::GuardDropped, late);
-        if let Job::Sync { .. } = job {
-            self.missed(job, late);
-        }
     }
 
     pub(super) fn missed(&mut self, job: &Job, late: Span) {

@@ -390,7 +390,6 @@ fn what_the_guard_drops_comes_back_and_a_cycle_without_its_sync_is_a_skipped_one
     let expected = [
         event(EventKind::MasterActive, None, 0),
         event(EventKind::GuardDropped, None, 7),
-        event(EventKind::SyncSkipped, None, 7),
         event(EventKind::GuardDropped, Some(0), 2),
     ];
     assert_eq!(told, expected);

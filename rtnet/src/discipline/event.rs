@@ -29,6 +29,8 @@ pub enum EventKind {
     GuardDropped,
     /// A slot was passed over because synchronisation did not allow it.
     SlotSilent,
+    /// A slot's turn was of a line that was left before the turn came.
+    TurnLeft,
     /// Nothing waited for a slot that was used the last time. Those after it are only counted.
     SlotEmpty,
     /// A slot begins after the master's cycle ends, by so much: it is never used.
@@ -59,12 +61,13 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 18] = [
+    pub const ALL: [EventKind; 19] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
         EventKind::GuardDropped,
         EventKind::SlotSilent,
+        EventKind::TurnLeft,
         EventKind::SlotEmpty,
         EventKind::SlotBeyondCycle,
         EventKind::SendFailed,
@@ -90,6 +93,7 @@ impl EventKind {
                 | ReplyStalled
                 | GuardDropped
                 | SlotSilent
+                | TurnLeft
                 | SlotEmpty
                 | SendFailed
                 | SyncSkipped
@@ -102,7 +106,7 @@ impl EventKind {
             EventKind::StalledInSend | EventKind::ReplyStalled | EventKind::GuardDropped => {
                 Some(Cause::StalledInSend)
             }
-            EventKind::SlotSilent => Some(Cause::NoSync),
+            EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::SendFailed => Some(Cause::Refused),
             _ => None,
@@ -117,6 +121,7 @@ impl EventKind {
             EventKind::ReplyStalled => "reply_stalled",
             EventKind::GuardDropped => "guard_dropped",
             EventKind::SlotSilent => "slot_silent",
+            EventKind::TurnLeft => "turn_left",
             EventKind::SlotEmpty => "slot_empty",
             EventKind::SlotBeyondCycle => "slot_beyond_cycle",
             EventKind::SendFailed => "send_failed",

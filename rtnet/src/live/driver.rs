@@ -208,9 +208,14 @@ impl<D: Discipline> Driver<D> {
             self.record(Record::Time(now, time.offset.global(self.port.clock().local(now))));
         }
         let commanded = self.obey();
-        if now >= self.next_snapshot || time.state != self.shown || commanded {
+        let due = now >= self.next_snapshot || time.state != self.shown || commanded;
+        // A full queue means that nobody looks: it is tried again. Pushing never waits for a reader that was preempted,
+        // which replacing the oldest would.
+        if due && !self.snapshots.is_full() {
             self.shown = time.state;
-            self.publish(now);
+            self.next_snapshot = now + SNAPSHOT_EVERY;
+            let snapshot = self.snapshot(now);
+            let _ = self.snapshots.push(snapshot);
         }
     }
 
@@ -234,14 +239,6 @@ impl<D: Discipline> Driver<D> {
         if self.records.push(record).is_err() {
             self.records_lost += 1;
         }
-    }
-
-    fn publish(&mut self, now: True) {
-        self.next_snapshot = now + SNAPSHOT_EVERY;
-        // A full queue means that nobody looks: the next snapshot says as much. Pushing never waits for
-        // a reader that was preempted, which replacing the oldest would.
-        let snapshot = self.snapshot(now);
-        let _ = self.snapshots.push(snapshot);
     }
 
     fn snapshot(&mut self, now: True) -> Snapshot<D::Status> {

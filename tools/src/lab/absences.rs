@@ -1,7 +1,15 @@
 //! When a station was not there: its process had ended, or its wire was cut. Of what it missed then it could tell
 //! nothing itself.
 
+use rtmac::tdma::line::LINE_GOOD_FOR;
+
 use super::timetable::before;
+
+/// So many cycles after somebody is back a station may still be silent: a line that comes back must be confirmed.
+const LOCKED_AFTER: u32 = 4;
+/// Who was away for no longer has all to tell when it is back: slaves keep their line for so long, and their log holds
+/// more.
+const TOLD_OF: u32 = LINE_GOOD_FOR as u32;
 
 /// Why a station was not there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -10,7 +18,7 @@ pub enum Absence {
     Down,
     /// Its interface had no carrier.
     NoCarrier,
-    /// Its process was stopped, and what it missed is more than it could remember.
+    /// Its process was stopped.
     Stopped,
 }
 
@@ -67,7 +75,30 @@ impl Absences {
 
     /// Why a station was not there in a cycle, if it was not.
     pub fn of(&self, station: usize, cycle: u32) -> Option<Absence> {
-        self.list.iter().find(|entry| entry.station == station && entry.covers(cycle)).map(|entry| entry.why)
+        self.entries(station).find(|entry| entry.covers(cycle)).map(|entry| entry.why)
+    }
+
+    /// The same, if it cannot tell of it either: its words went with its process, or it was away for too long.
+    pub fn untold(&self, station: usize, cycle: u32) -> Option<Absence> {
+        self.entries(station).find(|entry| entry.covers(cycle) && entry.is_untold()).map(|entry| entry.why)
+    }
+
+    /// Whether a station was not there in a cycle, or shortly before.
+    pub fn just_now(&self, station: usize, cycle: u32) -> bool {
+        (0..=LOCKED_AFTER).any(|ago| self.of(station, cycle.wrapping_sub(ago)).is_some())
+    }
+
+    /// Whether a station had not been there, in a cycle or shortly before, for longer than lines are kept: nobody who
+    /// follows it can tell which slots it is silent in.
+    pub fn leaves_no_line(&self, station: usize, cycle: u32) -> bool {
+        let lineless =
+            |entry: &Entry, cycle| entry.covers(cycle) && before(entry.from.wrapping_add(TOLD_OF), cycle);
+        let just_now = |entry| (0..=LOCKED_AFTER).any(|ago| lineless(entry, cycle.wrapping_sub(ago)));
+        self.entries(station).any(just_now)
+    }
+
+    fn entries(&self, station: usize) -> impl Iterator<Item = &Entry> {
+        self.list.iter().filter(move |entry| entry.station == station)
     }
 
     /// Those that are not there now, and since when.
@@ -85,6 +116,11 @@ impl Absences {
 impl Entry {
     fn is_open(&self, station: usize, why: Absence) -> bool {
         self.station == station && self.why == why && self.until.is_none()
+    }
+
+    fn is_untold(&self) -> bool {
+        let is_long = |until: u32| until.wrapping_sub(self.from) > TOLD_OF;
+        self.why == Absence::Down || self.until.is_none_or(is_long)
     }
 
     fn covers(&self, cycle: u32) -> bool {
@@ -112,5 +148,22 @@ mod tests {
         assert_eq!(absences.of(1, 3), None, "somebody else was there");
         absences.forget_before(6);
         assert_eq!(absences.of(2, 4), None);
+    }
+
+    #[test]
+    fn who_was_stopped_tells_of_it_when_it_goes_on_unless_it_was_too_long() {
+        let mut absences = Absences::default();
+        absences.begin(2, Absence::Stopped, 100);
+        assert_eq!(absences.untold(2, 150), Some(Absence::Stopped), "it cannot yet");
+        absences.end(2, Absence::Stopped, 100 + TOLD_OF);
+        assert_eq!((absences.of(2, 150), absences.untold(2, 150)), (Some(Absence::Stopped), None));
+        assert!(!absences.leaves_no_line(2, 100 + TOLD_OF), "who follows it has told of all");
+
+        absences.begin(2, Absence::Stopped, 5_000);
+        absences.end(2, Absence::Stopped, 5_000 + TOLD_OF + 10);
+        assert_eq!(absences.untold(2, 5_001), Some(Absence::Stopped));
+        let lineless = [TOLD_OF, TOLD_OF + 1, TOLD_OF + 13, TOLD_OF + 14];
+        let lineless = lineless.map(|after| absences.leaves_no_line(2, 5_000 + after));
+        assert_eq!(lineless, [false, true, true, false]);
     }
 }

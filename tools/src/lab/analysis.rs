@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::schedule::Rate;
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::clock::{EmulatedClock, True};
@@ -11,7 +12,8 @@ use rtnet::wire::ethernet::{EtherType, Header};
 
 use super::delivery::Passed;
 use super::findings::{Author, Finding, FindingKind};
-use super::timetable::{Timetable, before, turns};
+use super::sight::Sight;
+use super::timetable::{Timetable, before};
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
 use crate::station::traffic::Tag;
@@ -71,9 +73,11 @@ pub struct Analysis {
     /// The last Synchronisation, and when it was; of one that was passed over that is not known.
     last_sync: Option<(u32, Option<True>)>,
     busy: Option<(True, Option<Author>)>,
-    /// Cycles of which not every frame could be judged, first and last.
-    blind: Vec<(u32, u32)>,
-    sees: bool,
+    /// The cycle of the newest Synchronisation that slaves can have heard, unless nobody looked since.
+    heard: Option<u32>,
+    sight: Sight,
+    /// The frame in the window that ended latest, by how much after its slot's end, or before it.
+    pub latest: Option<Span>,
     /// Synchronisations seen in the window.
     pub syncs: u64,
     /// Actual - scheduled transmit of Synchronisations.
@@ -112,8 +116,9 @@ impl Analysis {
             grid: None,
             last_sync: None,
             busy: None,
-            blind: Vec::new(),
-            sees: true,
+            heard: None,
+            sight: Sight::default(),
+            latest: None,
             syncs: 0,
             sync_slot_error: SignedHistogram::new(),
             sync_period_jitter: SignedHistogram::new(),
@@ -204,33 +209,10 @@ impl Analysis {
             let author = Author { station: tag.station(), cycle: tag.cycle(), slot: Some(tag.slot) };
             self.occupy(at, air, Some(tag.cycle()), Some(author));
             self.data(at, tag, author, air);
+        } else {
+            // Somebody else's: whom it hits, it hits.
+            self.occupy(at, air, self.current, None);
         }
-    }
-
-    /// What a station misses before cycle `end` is counted by somebody else, and is no finding: how many turns of its
-    /// slots that is, from the last that was seen on.
-    pub fn pass_over(&mut self, station: usize, end: u32) -> u64 {
-        let Some((from, _)) = self.window else { return 0 };
-        let mut passed = 0;
-        for id in self.timetable.ids(station) {
-            let next = self.stations[station].last.get(&id).map_or(from, |last| last.wrapping_add(1));
-            if before(next, end) {
-                passed += self.timetable.count_of(station, id, next, end);
-                self.stations[station].last.insert(id, end.wrapping_sub(1));
-            }
-        }
-        passed
-    }
-
-    /// The same of Synchronisations.
-    pub fn pass_over_syncs(&mut self, end: u32) -> u64 {
-        let Some((last, _)) = self.last_sync else { return 0 };
-        if self.window.is_none() || !before(last.wrapping_add(1), end) {
-            return 0;
-        }
-        let passed = end.wrapping_sub(1);
-        self.last_sync = Some((passed, None));
-        passed.wrapping_sub(last).into()
     }
 
     /// It is this cycle, though no Synchronisation says so.
@@ -244,15 +226,9 @@ impl Analysis {
     /// missing up to the cycle whose Synchronisation is seen next counts as missed, but is no finding: nobody
     /// looked.
     pub fn lose_sight(&mut self) {
-        self.busy = None;
-        self.last_sync = None;
-        if let (true, Some(current)) = (self.sees, self.current)
-            && self.blind.len() < FINDINGS_MAX
-        {
-            // Further than any window, until the next Synchronisation tells how far.
-            let until = current.wrapping_add(i32::MAX as u32);
-            self.blind.push((current, until));
-            self.sees = false;
+        (self.busy, self.last_sync, self.heard) = (None, None, None);
+        if let Some(current) = self.current {
+            self.sight.lose(current);
         }
     }
 
@@ -264,29 +240,16 @@ impl Analysis {
             self.sync_gaps(last.wrapping_add(1), end);
         }
         for station in 0..self.stations.len() {
-            for id in self.timetable.ids(station) {
-                let next = self.stations[station].last.get(&id).map_or(from, |last| last.wrapping_add(1));
-                self.slot_gaps(station, id, next, end);
-            }
+            self.look_back(station, end);
         }
-        let mut findings = std::mem::take(&mut self.findings);
-        findings.retain(|finding| self.was_in_sight(finding));
-        self.findings = findings;
+        self.findings = self.take_findings();
     }
 
     /// What was found since the last time, as far as somebody looked.
     pub fn take_findings(&mut self) -> Vec<Finding> {
         let mut taken = std::mem::take(&mut self.findings);
-        taken.retain(|finding| self.was_in_sight(finding));
+        taken.retain(|finding| self.sight.shows(finding));
         taken
-    }
-
-    /// What is missing from cycles that nobody saw is no finding.
-    fn was_in_sight(&self, finding: &Finding) -> bool {
-        let missing = matches!(finding.kind, FindingKind::SlotMissed | FindingKind::SyncGap);
-        let in_sight =
-            |&(first, last): &(u32, u32)| finding.cycle.wrapping_sub(first) > last.wrapping_sub(first);
-        !missing || self.blind.iter().all(in_sight)
     }
 
     /// Frames that a station should have sent in the cycles that were counted. Of the cycle in which a run was
@@ -331,13 +294,12 @@ impl Analysis {
         if sched != due {
             self.find(Finding::of(author, FindingKind::OutOfSlot, sched - due));
         }
-        if let (false, Some((_, last))) = (self.sees, self.blind.last_mut()) {
-            *last = cycle;
-            self.sees = true;
-        }
+        self.sight.regain(cycle);
+        self.heard = Some(cycle);
         if self.counts(cycle) {
             self.syncs += 1;
             self.sync_slot_error.record(error.nanos());
+            self.ends(error + air - self.sync_window);
         }
         if error < -self.clock_share || error > self.sync_window - air {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
@@ -373,11 +335,15 @@ impl Analysis {
         // What the frame says of its instant is what its station believes.
         let Some(start) = self.start_of(cycle) else { return };
         let error = self.error(at, start + slot.offset);
+        if station != 0 && self.heard.is_some_and(|heard| cycle.wrapping_sub(heard) as i32 > HOLDOVER_CYCLES)
+        {
+            self.find(Finding::of(author, FindingKind::WithoutSync, Span::ZERO));
+        }
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
         // the same share of its own.
-        let end =
-            self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard - self.clock_share;
-        if error < -self.clock_share || error + air > end {
+        let end = self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard;
+        self.ends(error + air - end);
+        if error < -self.clock_share || error + air > end - self.clock_share {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         let next = match self.stations[station].last.insert(slot.id, cycle) {
@@ -403,36 +369,13 @@ impl Analysis {
         }
     }
 
+    /// A frame has left the air so long after its slot's end.
+    fn ends(&mut self, late: Span) {
+        self.latest = self.latest.max(Some(late));
+    }
+
     fn error(&self, at: True, scheduled: GlobalTime) -> Span {
         Span::from_nanos(at.wrapping_sub(self.master.truth(scheduled)) as i64)
-    }
-
-    /// Every turn of a slot from `next` up to `end` was missed.
-    fn slot_gaps(&mut self, station: usize, id: u8, next: u32, end: u32) {
-        if self.window.is_some() {
-            let room = FINDINGS_MAX.saturating_sub(self.findings.len());
-            let turns: Vec<u32> = self.timetable.turns(station, id, next, end).take(room).collect();
-            let all = self.timetable.count_of(station, id, next, end);
-            self.findings_dropped += all.saturating_sub(turns.len() as u64);
-            let author = |cycle| Author { station, cycle, slot: Some(id) };
-            self.gaps(turns.into_iter().map(author), FindingKind::SlotMissed);
-        }
-    }
-
-    fn sync_gaps(&mut self, next: u32, end: u32) {
-        if self.window.is_some() {
-            self.gaps(turns(next, end, 0, 1).map(Author::sync), FindingKind::SyncGap);
-        }
-    }
-
-    fn gaps(&mut self, missing: impl Iterator<Item = Author>, kind: FindingKind) {
-        for author in missing {
-            if self.findings.len() >= FINDINGS_MAX {
-                self.findings_dropped += 1;
-                return;
-            }
-            self.find(Finding::of(author, kind, Span::ZERO));
-        }
     }
 
     fn find(&mut self, finding: Finding) {
@@ -447,5 +390,6 @@ impl Analysis {
     }
 }
 
+mod gaps;
 #[cfg(test)]
 mod tests;

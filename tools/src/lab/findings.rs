@@ -52,6 +52,8 @@ pub enum FindingKind {
     SyncGap,
     /// A slot without its frame.
     SlotMissed,
+    /// A slave's frame in a cycle that has no Synchronisation, as the one before has none that would bridge it.
+    WithoutSync,
     /// A second frame in a slot, or a second Synchronisation in a cycle.
     Repeated,
 }
@@ -64,6 +66,7 @@ impl FindingKind {
             FindingKind::OutOfSlot => "frame out of slot",
             FindingKind::SyncGap => "missing sync",
             FindingKind::SlotMissed => "missing frame",
+            FindingKind::WithoutSync => "frame without sync",
             FindingKind::Repeated => "repeated frame",
         }
     }

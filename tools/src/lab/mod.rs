@@ -27,6 +27,7 @@ mod outcome;
 mod processes;
 mod returns;
 mod run;
+mod sight;
 mod tally;
 mod timetable;
 pub mod userns;

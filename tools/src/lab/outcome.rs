@@ -176,7 +176,7 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
     match finding.kind {
         FindingKind::Overlap => figures.overlaps += 1,
         FindingKind::OutOfSlot => figures.out_of_slot += 1,
-        FindingKind::SyncGap | FindingKind::SlotMissed | FindingKind::Repeated => {}
+        _ => {}
     }
     if let Some(cause) = records.explain(finding) {
         // What a station told of is counted with its records; of its absence there are none.

@@ -1,6 +1,7 @@
 //! Stations that leave a running lab, and come back.
 
 use anyhow::Result;
+use rtmac::tdma::line::LINE_GOOD_FOR;
 use rtnet::clock::True;
 use rtnet::discipline::Cause;
 use rtnet::live::clock::monotonic;
@@ -64,15 +65,21 @@ impl Lab {
             return;
         };
         let open: Vec<_> = self.records.absences.open().filter(|&(.., from)| before(from, until)).collect();
-        for (station, why, _) in open {
-            tally.add(why.name(), self.analysis.pass_over(station, until));
+        for &(station, why, from) in &open {
+            tally.add(why.name(), self.analysis.pass_over(station, from, until));
             if station == 0 {
-                tally.add(why.name(), self.analysis.pass_over_syncs(until));
-                // Without a master nobody sends.
+                tally.add(why.name(), self.analysis.pass_over_syncs(from, until));
+                // Without a master nobody sends, and after a while nobody tells of it.
+                let lineless = from.wrapping_add(LINE_GOOD_FOR as u32 + 1);
                 for other in 1..self.members.len() {
-                    tally.add(Cause::NoSync.name(), self.analysis.pass_over(other, until));
+                    tally.add(Cause::NoSync.name(), self.analysis.pass_over(other, lineless, until));
                 }
             }
+        }
+        // Who is there has told of what it missed by now. The observer may be behind.
+        let seen = self.analysis.current().filter(|&current| before(current, until)).unwrap_or(until);
+        for station in (0..self.members.len()).filter(|of| !open.iter().any(|(who, ..)| who == of)) {
+            self.analysis.look_back(station, seen);
         }
     }
 

@@ -201,7 +201,7 @@ impl Lab {
             distrusted: 0,
             capture,
             analysis: Analysis::new(scenario, master),
-            records: Records::new(scenario.cycle),
+            records: Records::new(scenario),
             master,
             _warm: warm,
             segment,

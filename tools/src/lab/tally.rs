@@ -58,7 +58,7 @@ impl Tally {
         match finding.kind {
             FindingKind::Overlap => self.overlaps += 1,
             FindingKind::OutOfSlot => self.out_of_slot += 1,
-            FindingKind::SyncGap | FindingKind::SlotMissed | FindingKind::Repeated => {}
+            _ => {}
         }
         if let Some(cause) = records.explain(&finding) {
             self.add(cause, 1);

@@ -158,6 +158,66 @@ fn frames_that_leave_their_slot_or_overlap_are_found() {
 }
 
 #[test]
+fn the_frame_that_ends_latest_is_known() {
+    let analysis = Bench::new().run(|bench| {
+        bench.sync(12, 0);
+        bench.data(0, 12, 437_400);
+        bench.data(1, 12, 0);
+    });
+    // It leaves the air a hundred nanoseconds before the end of its slot of 437.5 us, and its own 8.16 us later.
+    assert_eq!(analysis.latest, Some(Span::from_nanos(8_060)));
+    let latest_sync = Bench::new().run(|bench| bench.sync(12, 120_000)).latest.unwrap();
+    assert!(latest_sync > Span::ZERO, "{latest_sync}");
+}
+
+#[test]
+fn a_frame_of_somebody_else_overlaps_too() {
+    let analysis = Bench::new().run(|bench| {
+        bench.sync(12, 0);
+        bench.data(0, 12, 0);
+        let on_air = 12 * CYCLE + bench.scenario.stations[0].slots[0].offset.nanos() as u64 + 1_000;
+        bench.analysis.frame(on_air, &[0x02; 60]);
+        bench.data(1, 12, 0);
+    });
+    assert_eq!(found(&analysis), [(12, FindingKind::Overlap, Some(0))]);
+}
+
+#[test]
+fn a_slave_that_sends_though_two_syncs_are_missing_is_found() {
+    let mut bench = Bench::new();
+    for cycle in FIRST..=FIRST + CYCLES {
+        if ![12, 13].contains(&cycle) {
+            bench.sync(cycle, 0);
+        }
+        bench.data(0, cycle, 0);
+        bench.data(1, cycle, 0);
+    }
+    bench.analysis.finish();
+    let gaps = [12, 13].map(|cycle| (cycle, FindingKind::SyncGap, Some(0)));
+    let mut all = vec![(13, FindingKind::WithoutSync, Some(1))];
+    all.extend(gaps);
+    assert_eq!(found(&bench.analysis), all, "12 is bridged, and the master needs none");
+}
+
+#[test]
+fn a_station_that_fell_silent_is_found_while_it_is_so() {
+    let mut bench = Bench::new();
+    for cycle in FIRST..FIRST + CYCLES {
+        bench.sync(cycle, 0);
+        bench.data(0, cycle, 0);
+        if cycle < 12 {
+            bench.data(1, cycle, 0);
+        }
+    }
+    bench.analysis.look_back(1, 13);
+    assert_eq!(found(&bench.analysis), [(12, FindingKind::SlotMissed, Some(1))]);
+    // That it was taken away in 14 does not excuse what was before.
+    assert_eq!(bench.analysis.pass_over(1, 14, 15), 1);
+    let missed = [12, 13].map(|cycle| (cycle, FindingKind::SlotMissed, Some(1)));
+    assert_eq!(found(&bench.analysis), missed);
+}
+
+#[test]
 fn a_station_in_time_by_its_own_wrong_line_is_not_in_its_slot() {
     let analysis = Bench::new().run(|bench| {
         bench.sync(12, 0);
@@ -229,9 +289,9 @@ fn what_is_passed_over_is_missed_but_counted_elsewhere() {
     bench.data(0, FIRST, 0);
     bench.data(1, FIRST, 0);
     // Nobody is there in cycles 11 to 13.
-    assert_eq!(bench.analysis.pass_over(1, 14), 3);
-    assert_eq!((bench.analysis.pass_over(0, 14), bench.analysis.pass_over_syncs(14)), (3, 3));
-    assert_eq!((bench.analysis.pass_over(1, 14), bench.analysis.pass_over_syncs(14)), (0, 0), "once");
+    assert_eq!(bench.analysis.pass_over(1, 11, 14), 3);
+    assert_eq!((bench.analysis.pass_over(0, 11, 14), bench.analysis.pass_over_syncs(11, 14)), (3, 3));
+    assert_eq!((bench.analysis.pass_over(1, 11, 14), bench.analysis.pass_over_syncs(11, 14)), (0, 0), "once");
     bench.sync(14, 0);
     bench.data(1, 14, 0);
     bench.analysis.advance_to(FIRST + CYCLES);

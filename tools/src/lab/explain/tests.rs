@@ -1,0 +1,173 @@
+use super::*;
+
+/// In the station's slot 0; the master's Synchronisation.
+fn author(cycle: u32, station: usize) -> Author {
+    Author { station, cycle, slot: (station != MASTER).then_some(0) }
+}
+
+fn told_of(cycle: u32, station: usize) -> Author {
+    Author { station, cycle, slot: None }
+}
+
+fn finding(cycle: u32, kind: FindingKind, station: usize) -> Finding {
+    Finding::of(author(cycle, station), kind, Span::ZERO)
+}
+
+#[test]
+fn only_a_record_of_the_same_cycle_and_station_explains() {
+    let mut records = Records::default();
+    records.note(author(7, 2), EventKind::Overrun, Span::from_nanos(5), None);
+    let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
+    assert!(explained(7, FindingKind::SlotMissed, 2));
+    assert!(!explained(8, FindingKind::SlotMissed, 2));
+    assert!(!explained(7, FindingKind::SlotMissed, 3));
+    assert!(!explained(7, FindingKind::Overlap, 2), "who skips a slot overlaps nobody");
+}
+
+#[test]
+fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
+    let mut records = Records::default();
+    records.note(author(7, 2), EventKind::GuardDropped, Span::from_nanos(5), None);
+    let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
+    assert!(explained(7, FindingKind::SlotMissed, 2));
+    assert!(!explained(8, FindingKind::SlotMissed, 2));
+    assert!(!explained(7, FindingKind::SlotMissed, 3));
+    assert!(!explained(7, FindingKind::Overlap, 2), "it never left");
+    assert!(!explained(7, FindingKind::OutOfSlot, 2), "nor that");
+}
+
+#[test]
+fn a_held_up_synchronisation_explains_what_follows_in_its_cycle() {
+    let mut records = Records::default();
+    records.note(author(9, 0), EventKind::StalledInSend, Span::from_nanos(5), None);
+    let out_of_slot = |by| Finding { span: Span::from_nanos(by), ..finding(9, FindingKind::OutOfSlot, 4) };
+    assert!(records.explain(&out_of_slot(5)).is_some());
+    assert!(records.explain(&out_of_slot(6)).is_none(), "by more than it was held up");
+    assert!(records.explain(&out_of_slot(-1)).is_none(), "nor is anything early for it");
+    assert!(records.explain(&finding(9, FindingKind::SlotMissed, 4)).is_none());
+    assert!(records.explain(&finding(9, FindingKind::SyncGap, 0)).is_none(), "it was sent");
+}
+
+#[test]
+fn a_held_up_calibration_reply_explains_what_it_hits_and_nothing_else() {
+    let mut records = Records::default();
+    records.note(told_of(9, MASTER), EventKind::ReplyStalled, Span::from_nanos(5), None);
+    assert!(records.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
+    assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_none());
+    assert!(records.explain(&finding(8, FindingKind::Overlap, 4)).is_none());
+    let authors = [4, 5].map(|station| Some(author(9, station)));
+    let others = Finding { authors, ..finding(9, FindingKind::Overlap, 4) };
+    assert!(records.explain(&others).is_none(), "two others have met");
+}
+
+#[test]
+fn a_silent_slot_is_explained_by_the_records_of_both_syncs_it_could_have_followed() {
+    let silent_by = |span: i64, told: &[(u32, usize, EventKind)]| {
+        let mut records = Records { cycle: Span::from_millis(1), ..Records::default() };
+        records.note(author(20, 2), EventKind::SlotSilent, Span::ZERO, None);
+        for &(cycle, station, kind) in told {
+            records.note(told_of(cycle, station), kind, Span::from_nanos(span), None);
+        }
+        records.explain(&finding(20, FindingKind::SlotMissed, 2)).is_some()
+    };
+    let silent = |told: &[_]| silent_by(0, told);
+    use EventKind::*;
+    assert!(!silent(&[]), "the syncs were lost on their way");
+    assert!(!silent(&[(20, 0, SyncSkipped)]), "that of 19 bridges it");
+    assert!(!silent(&[(18, 0, SyncSkipped), (19, 0, SyncSkipped)]), "that of 20 was there");
+    assert!(!silent(&[(19, 3, SyncLate), (20, 3, SyncLate)]), "somebody else's");
+    assert!(!silent(&[(19, 0, StalledInSend), (20, 0, StalledInSend)]), "late, but they came");
+    assert!(!silent(&[(19, 2, DuplicateCycle), (20, 0, SyncSkipped)]), "one of the two bridges it");
+    assert!(silent(&[(19, 0, SyncSkipped), (20, 0, SyncSkipped)]));
+    assert!(silent(&[(19, 2, SyncLate), (20, 2, SyncLate)]));
+    assert!(silent(&[(19, 2, TimeStep), (20, 0, SyncSkipped)]), "no sync confirmed the step");
+    assert!(!silent_by(50_000, &[(20, 2, TimeStep)]), "held up: that of 19 bridges it");
+    assert!(silent_by(-50_000, &[(20, 2, TimeStep)]), "until it is confirmed");
+    assert!(silent_by(400_000, &[(20, 2, TimeStep)]), "this one, too");
+    assert!(silent(&[(20, 2, DuplicateCycle)]));
+}
+
+#[test]
+fn a_frame_that_hits_the_next_cycles_sync_is_explained_by_its_own_cycle() {
+    let mut records = Records::default();
+    let [late, sync] = [author(9, 5), author(10, MASTER)];
+    let authors = [Some(late), Some(sync)];
+    let overlap = Finding { cycle: 10, kind: FindingKind::Overlap, authors, span: Span::ZERO };
+    records.note(author(10, 5), EventKind::StalledInSend, Span::ZERO, None);
+    assert!(records.explain(&overlap).is_none());
+    records.note(author(9, 5), EventKind::StalledInSend, Span::ZERO, None);
+    assert!(records.explain(&overlap).is_some());
+}
+
+#[test]
+fn two_slots_of_one_cycle_are_told_of_one_by_one() {
+    let mut records = Records::default();
+    records.note(author(7, 2), EventKind::Overrun, Span::ZERO, Some(Cause::TimerLate));
+    let missed =
+        |slot| Finding::of(Author { slot: Some(slot), ..author(7, 2) }, FindingKind::SlotMissed, Span::ZERO);
+    assert_eq!(records.explain(&missed(0)), Some("timer_late"));
+    assert_eq!(records.explain(&missed(3)), None, "nobody told of that one");
+    records.note(Author { slot: Some(3), ..author(7, 2) }, EventKind::Overrun, Span::ZERO, None);
+    assert!(records.explain(&missed(3)).is_some());
+    assert_eq!(records.of_kind(EventKind::Overrun, 7, 1).count(), 2);
+}
+
+#[test]
+fn who_was_not_there_missed_its_slots_for_that_and_nobody_else_did() {
+    let mut records = Records::default();
+    records.absences.begin(2, Absence::Down, 10);
+    let why = |records: &Records, cycle, kind, station| records.explain(&finding(cycle, kind, station));
+    assert_eq!(why(&records, 9, FindingKind::SlotMissed, 2), None);
+    assert_eq!(why(&records, 10, FindingKind::SlotMissed, 2), Some("station_down"));
+    assert_eq!(
+        why(&records, 10, FindingKind::OutOfSlot, 2),
+        Some("station_down"),
+        "its last word is not known"
+    );
+    assert_eq!(why(&records, 10, FindingKind::SlotMissed, 3), None);
+    records.absences.end(2, Absence::Down, 20);
+    assert_eq!(why(&records, 20, FindingKind::SlotMissed, 2), None, "it was heard");
+}
+
+#[test]
+fn who_is_stopped_tells_of_it_when_it_goes_on_and_only_what_it_tells_is_explained() {
+    let mut records = Records::default();
+    let why = |records: &Records, cycle, station| {
+        records.explain(&finding(cycle, FindingKind::SlotMissed, station))
+    };
+    records.absences.begin(2, Absence::Stopped, 10);
+    assert_eq!(why(&records, 12, 2), Some("station_stopped"), "it cannot tell yet");
+    records.absences.end(2, Absence::Stopped, 140);
+    assert_eq!(why(&records, 12, 2), None, "it could have told");
+    records.note(author(12, 2), EventKind::Overrun, Span::ZERO, Some(Cause::Preempted));
+    assert_eq!(why(&records, 12, 2), Some("preempted"));
+}
+
+#[test]
+fn what_the_kernel_refused_and_what_was_not_there_is_told_of() {
+    let mut records = Records::default();
+    records.note(author(7, 2), EventKind::SendFailed, Span::ZERO, Some(Cause::Refused));
+    records.note(author(8, 2), EventKind::SlotEmpty, Span::ZERO, Some(Cause::QueueEmpty));
+    records.note(author(9, 2), EventKind::TurnLeft, Span::ZERO, Some(Cause::NoSync));
+    let missed = |cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
+    assert_eq!([7, 8, 9].map(missed), ["refused", "queue_empty", "sync_lost_or_late"].map(Some));
+    assert!(records.explain(&finding(7, FindingKind::OutOfSlot, 2)).is_none(), "it was not sent");
+
+    records.absences.begin(2, Absence::NoCarrier, 7);
+    records.absences.end(2, Absence::NoCarrier, 9);
+    let missed = |cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
+    assert_eq!([7, 8].map(missed), [Some("no_carrier"); 2], "that is why");
+    assert_eq!(records.explain(&finding(8, FindingKind::SlotMissed, 3)), None);
+}
+
+#[test]
+fn without_a_master_there_are_no_syncs_and_all_are_silent() {
+    let mut records = Records::default();
+    records.absences.begin(MASTER, Absence::Down, 10);
+    let why = |cycle, kind, station| records.explain(&finding(cycle, kind, station));
+    assert_eq!(why(12, FindingKind::SyncGap, MASTER), Some("station_down"));
+    assert_eq!(why(12, FindingKind::SlotMissed, 3), None, "it still knows its slots, and tells of them");
+    assert_eq!(why(5_000, FindingKind::SlotMissed, 3), Some("sync_lost_or_late"));
+    assert_eq!(why(12, FindingKind::WithoutSync, 3), None, "who sends without is wrong");
+    assert_eq!(why(12, FindingKind::OutOfSlot, 3), None, "who sends must know when");
+}

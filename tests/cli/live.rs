@@ -71,16 +71,26 @@ fn pid(station: &Value) -> u64 {
 fn a_slot_moves_a_hundred_times_and_no_frame_is_lost() {
     network("a_slot_moves_a_hundred_times_and_no_frame_is_lost", || {
         let cell = Cell::up("moved");
+        wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
+        let begun = cell.status()["cycles"].as_u64().unwrap();
         for turn in 0..100 {
             let offset = if turn % 2 == 0 { "0=2300us" } else { "0=1600us" };
             let set = cell.slot("slave2", &["set", offset]);
             assert_eq!(set.status.code(), Some(0), "{}", text(&set.stderr));
         }
         std::thread::sleep(Duration::from_millis(100));
+        let counters = cell.station("slave2")["counters"].clone();
+        assert_eq!(counters["returned_dropped"].as_u64().unwrap_or(0), 0, "its queue kept all: {counters}");
         let account = cell.down();
         assert_eq!(account["unexplained"], 0, "{account:#}");
         assert_eq!(account["frames_lost"], 0, "{account:#}");
-        assert!(account["frames_seen"].as_u64().unwrap() > 200, "{account:#}");
+        let cycles = account["cycles"].as_u64().unwrap() - begun;
+        assert!(cycles >= 100, "each change had a cycle of its own: {cycles}");
+        let slave = &account["stations"][2];
+        let count = |name: &str| slave[name].as_u64().unwrap();
+        // One turn a cycle, wherever its slot was, and none twice.
+        let turns = count("frames_seen") + count("slots_missed");
+        assert!(turns.abs_diff(account["cycles"].as_u64().unwrap()) <= 1, "{account:#}");
     });
 }
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
 use crate::station::link::Standing;
-use crate::station::misses::Misses;
+use crate::station::misses::{Miss, Misses};
 
 /// Changes whenever a request or reply changes its meaning.
 pub const VERSION: u16 = 1;
@@ -254,12 +254,16 @@ pub struct LabStatus {
     pub overlaps: u64,
     /// Frames outside their slot.
     pub out_of_slot: u64,
+    /// Of the frame that left the air latest: how long after its slot's end, or, below zero, before it.
+    pub latest_frame_ns: Option<i64>,
     /// Of all that ought not to be, what has no record of its cause.
     pub unexplained: u64,
     /// The newest of that, in words.
     pub unexplained_last: Vec<String>,
     /// The rest, by cause.
     pub causes: BTreeMap<String, u64>,
+    /// The longest of that, with whose it is, longest first.
+    pub worst: Vec<(String, Miss)>,
     /// Frames that the observer lost, or whose stamps a step of the wall clock made worthless.
     pub not_judged: u64,
     /// Frames on the medium that did not reach their receiver; known at the end only.

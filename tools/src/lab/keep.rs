@@ -1,5 +1,7 @@
 //! A lab that stays until it is told to go, and can be asked and changed meanwhile.
 
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -19,6 +21,7 @@ use crate::control::{
 };
 use crate::scenario::{Scenario, SlotPlan};
 use crate::station::link::Standing;
+use crate::station::misses::{Miss, WORST};
 
 /// How often what was found is judged: records are told twenty times a second.
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
@@ -48,8 +51,7 @@ pub fn keep(
     let _held = home.directory.take_lab(&home.lab)?;
     let mut lab = Lab::set_up(&scenario, options)?;
     for note in &lab.notes {
-        // Whoever has closed our standard error finds it in `lab status`.
-        let _ = writeln!(std::io::stderr(), "rtnet: {note}");
+        tell(note);
     }
     lab.join(&scenario)?;
     lab.begin(CYCLES_AT_MOST)?;
@@ -58,6 +60,9 @@ pub fn keep(
     let restarting = scenario.stations.iter().map(|_| None).collect();
     let mut keeper =
         Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, restarting, over: None };
+    for note in keeper.refused() {
+        tell(&note);
+    }
     ready(&keeper.status())?;
     let until = at_most.map(|span| since + Duration::from_nanos(span.nanos().max(0) as u64));
     let (mut judged, mut looked) = (Instant::now(), Instant::now());
@@ -79,6 +84,11 @@ pub fn keep(
         }
     }
     keeper.over.context("a lab ends with its figures")
+}
+
+/// Whoever has closed our standard error finds it in `lab status`.
+fn tell(note: &str) {
+    let _ = writeln!(std::io::stderr(), "rtnet: {note}");
 }
 
 fn reply(applied: Result<u32>) -> LabReply {
@@ -136,7 +146,9 @@ impl Keeper {
         self.lab.end()?;
         self.tally.close(&mut self.lab.analysis, &mut self.lab.records);
         let mut status = self.status();
-        for (member, state) in status.stations.iter_mut().zip(states) {
+        for (member, state) in
+            status.stations.iter_mut().zip(states).filter(|(member, _)| member.failed.is_none())
+        {
             member.state = state;
         }
         self.over = Some(status);
@@ -309,7 +321,7 @@ impl Keeper {
             bridge_namespace: self.lab.segment.namespace().path(),
             cpu: self.lab.cpu,
             load: self.lab.load,
-            notes: self.lab.notes.clone(),
+            notes: [&self.lab.notes[..], &self.refused()[..]].concat(),
             up_seconds: self.since.elapsed().as_secs(),
             cycle_ns: self.scenario.cycle.nanos() as u64,
             cycles: u64::from(analysis.cycles()),
@@ -320,13 +332,41 @@ impl Keeper {
             sync_window_ns: self.scenario.sync_window.nanos(),
             overlaps: self.tally.overlaps,
             out_of_slot: self.tally.out_of_slot,
+            latest_frame_ns: analysis.latest.map(Span::nanos),
             unexplained: self.tally.unexplained,
             unexplained_last: self.tally.shown.iter().map(|finding| self.words(finding)).collect(),
             causes: self.tally.causes.clone(),
+            worst: self.worst(),
             not_judged,
             frames_lost: stations.iter().map(|s| s.frames_lost).sum(),
             stations,
         }
+    }
+
+    /// What the host refused the stations, once each.
+    fn refused(&self) -> Vec<String> {
+        let mut refused: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        for (member, plan) in self.lab.members.iter().zip(&self.scenario.stations) {
+            member.refused.iter().for_each(|line| refused.entry(line).or_default().push(&plan.name));
+        }
+        let all = self.lab.members.len();
+        let lines = refused.into_iter().map(|(line, names)| match names.len() {
+            n if n == all => format!("{line} (all stations)"),
+            _ => format!("{line} ({})", names.join(", ")),
+        });
+        lines.collect()
+    }
+
+    /// The longest of what all stations have missed.
+    fn worst(&self) -> Vec<(String, Miss)> {
+        let stations = self.lab.members.iter().zip(&self.scenario.stations);
+        let all = stations.flat_map(|(member, plan)| {
+            member.misses.worst.iter().map(|miss| (plan.name.clone(), miss.clone()))
+        });
+        let mut all: Vec<_> = all.collect();
+        all.sort_by_key(|(_, miss)| Reverse(miss.late_ns));
+        all.truncate(WORST);
+        all
     }
 
     fn words(&self, finding: &Finding) -> String {

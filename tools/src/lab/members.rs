@@ -1,10 +1,12 @@
 //! One station of a lab, seen from the lab: how it is started, what it has told.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use rtmac::tdma::LatePolicy;
 use rtnet::clock::{EmulatedClock, True};
-use rtnet::discipline::EventKind;
+use rtnet::discipline::{Cause, Event, EventKind};
+use rtnet::live::Record;
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::analysis::TrueMaster;
@@ -12,13 +14,14 @@ use super::delivery::Heard;
 use super::explain::Records;
 use super::findings::Author;
 use super::namespace::Namespace;
-use super::processes::Process;
+use super::processes::{END_WITHIN, Process};
 use super::run::INTERFACE;
 use crate::control::Home;
 use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
 use crate::station::link::{self, LabOptions, Report, Standing};
+use crate::station::misses::Misses;
 use rtmac::tdma::schedule;
 
 /// A station of a lab.
@@ -28,6 +31,9 @@ pub struct Member {
     pub namespace: Namespace,
     /// Whether the kernel enforces its slots.
     pub guarded: bool,
+    /// What the host refused it.
+    pub refused: Vec<String>,
+    /// What a reader of the report should know.
     pub notes: Vec<String>,
     pub standing: Option<Standing>,
     pub standing_at_begin: Option<Standing>,
@@ -42,6 +48,8 @@ pub struct Member {
     pub cpu_seconds: f64,
     /// Of the whole cycle, what it told of since the begin, by name.
     pub events: BTreeMap<String, u64>,
+    /// What it has missed since then.
+    pub misses: Misses,
     /// Processes that it has had before this one.
     pub restarts: u32,
     /// How often its wire was cut.
@@ -50,6 +58,8 @@ pub struct Member {
     pub seen_running: Option<u32>,
     counting: bool,
     told_to_end: bool,
+    /// It was stopped by somebody, so that there was no other way.
+    was_killed: bool,
     /// Test traffic that was not what was sent, in those processes.
     former_errors: u64,
 }
@@ -60,6 +70,7 @@ impl Member {
             process: None,
             namespace,
             guarded: false,
+            refused: Vec::new(),
             notes: Vec::new(),
             standing: None,
             standing_at_begin: None,
@@ -71,11 +82,13 @@ impl Member {
             resident: 0,
             cpu_seconds: 0.0,
             events: BTreeMap::new(),
+            misses: Misses::default(),
             restarts: 0,
             cuts: 0,
             seen_running: None,
             counting: false,
             told_to_end: false,
+            was_killed: false,
             former_errors: 0,
         }
     }
@@ -130,6 +143,23 @@ impl Member {
         if let Some(process) = &mut self.process {
             process.tell_to_end();
         }
+    }
+
+    /// Who is stopped cannot do as it is told.
+    pub fn end_if_stopped(&mut self) {
+        if let Some(process) = &mut self.process
+            && process.is_stopped()
+        {
+            self.was_killed = true;
+            process.kill();
+        }
+    }
+
+    /// It was told to end: whether it did, and well.
+    pub fn see_it_end(&mut self) {
+        let Some(process) = self.process.as_mut().filter(|_| !self.ended && !self.was_killed) else { return };
+        self.failed = process.outcome(if self.silent { END_WITHIN } else { Duration::ZERO }).err();
+        self.ended = self.failed.is_some();
     }
 
     /// Test traffic that was not what was sent, since the begin.
@@ -188,7 +218,7 @@ impl Member {
                 self.ended = !self.told_to_end;
                 self.silent = true;
             }
-            Some(Report::Started { guarded, refused }) => (self.guarded, self.notes) = (guarded, refused),
+            Some(Report::Started { guarded, refused }) => (self.guarded, self.refused) = (guarded, refused),
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => self.standing = Some(*standing),
             Some(Report::Events(events)) => {
@@ -196,8 +226,9 @@ impl Member {
                     if let Some(kind) = link::kind(kind) {
                         let author = Author { station, cycle, slot };
                         let cause = cause.and_then(link::cause);
-                        records.note(author, kind, Span::from_nanos(span), cause);
-                        self.remember(kind, cycle);
+                        let span = Span::from_nanos(span);
+                        records.note(author, kind, span, cause);
+                        self.remember(Event { cycle, kind, slot, span }, cause);
                     }
                 }
             }
@@ -213,9 +244,11 @@ impl Member {
     }
 
     /// What a reader of the report should know.
-    fn remember(&mut self, kind: EventKind, cycle: u32) {
+    fn remember(&mut self, event: Event, cause: Option<Cause>) {
+        let Event { cycle, kind, .. } = event;
         if self.counting {
             *self.events.entry(kind.name().into()).or_default() += 1;
+            self.misses.note(&[Record::Event(event, cause)]);
         }
         let worth_knowing = [
             EventKind::SyncLost,

@@ -1,6 +1,7 @@
 //! From what a lab has seen and been told to the figures of its report.
 
-use rtnet::discipline::{Cause, EventKind};
+use rtnet::discipline::EventKind;
+use rtnet::time::Span;
 
 use super::Outcome;
 use super::absences::Absence;
@@ -40,6 +41,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         overruns: own(EventKind::Overrun).count() as u64,
         stalled_in_send: (own(EventKind::StalledInSend).chain(own(EventKind::ReplyStalled))).count() as u64,
         guard_drops: own(EventKind::GuardDropped).count() as u64,
+        latest_frame_ns: analysis.latest.map(Span::nanos),
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
         rt_cpu_percent: members.iter().map(Member::rt_cpu_share).sum::<f64>() * 100.0,
@@ -62,9 +64,11 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
     figures.sync_error_ns = all.sync_error.summary();
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     figures.unexplained = analysis.findings_dropped;
-    let silent = own(EventKind::SlotSilent).count() as u64;
-    if silent > 0 {
-        figures.causes.insert(Cause::NoSync.name().into(), silent);
+    for kind in [EventKind::SlotSilent, EventKind::TurnLeft, EventKind::SlotEmpty, EventKind::SendFailed] {
+        let told = own(kind).count() as u64;
+        if let (Some(cause), true) = (kind.cause(), told > 0) {
+            *figures.causes.entry(cause.name().into()).or_default() += told;
+        }
     }
     for finding in &analysis.findings {
         enter(&mut figures, finding, records, scenario);
@@ -124,7 +128,7 @@ fn station_figures(
     let own = |kind| {
         parts.records.of_kind(kind, from, cycles).filter(|record| record.station == station).count() as u64
     };
-    let mut notes = member.notes.clone();
+    let mut notes = [&member.refused[..], &member.notes[..]].concat();
     if station == 0 {
         notes.extend(parts.notes.clone());
     }

@@ -11,7 +11,7 @@ use super::namespace::Namespace;
 use crate::station::link::Report;
 
 /// How long a station may take to end when it is told to.
-const END_WITHIN: Duration = Duration::from_secs(2);
+pub const END_WITHIN: Duration = Duration::from_secs(2);
 
 /// A running station; dropping it ends it.
 pub struct Process {
@@ -80,6 +80,25 @@ impl Process {
     /// Ends it at once. Fails only if it has ended.
     pub fn kill(&mut self) {
         let _ = self.child.kill();
+    }
+
+    /// What became of it within so long; an error if that is not what ought to.
+    pub fn outcome(&mut self, within: Duration) -> Result<(), String> {
+        let deadline = Instant::now() + within;
+        loop {
+            match self.child.try_wait() {
+                Ok(Some(status)) if status.success() => return Ok(()),
+                Ok(Some(status)) => {
+                    return Err(format!("it ended badly ({status}): its own message is above"));
+                }
+                Err(error) => return Err(format!("nobody knows how it ended: {error}")),
+                Ok(None) if Instant::now() < deadline => std::thread::sleep(Duration::from_millis(5)),
+                Ok(None) => break,
+            }
+        }
+        // It was told and did not: it is ours to end.
+        self.kill();
+        Err("it did not end when it was told to, and was killed".into())
     }
 
     /// Tells it to end, without waiting.

@@ -17,6 +17,8 @@ use crate::station::link::Report;
 
 /// For how long at most the observer and the stations hold back what they have to tell.
 const HELD_BACK: True = 2_000_000_000;
+/// Who is locked sends within so many cycles, or misses them.
+const SENDS_WITHIN: u32 = 8;
 
 impl Lab {
     /// A station's wire was cut or mended, or its process has ended: what that had to tell of later than its last
@@ -91,13 +93,15 @@ impl Lab {
         }
     }
 
-    /// Who was restarted is there again from its first frame on.
+    /// Who was restarted is there again from its first frame on; one that is locked and sends none is there, too.
     pub(super) fn note_returns(&mut self) {
         for (station, member) in self.members.iter().enumerate() {
-            if !member.silent
-                && self.records.absences.is_open(station, Absence::Down)
-                && let Some(cycle) = self.analysis.heard_again(station)
-            {
+            if member.silent || !self.records.absences.is_open(station, Absence::Down) {
+                continue;
+            }
+            let locked = member.standing.as_ref().filter(|standing| standing.is_locked());
+            let sends_by = locked.map(|standing| standing.cycle.wrapping_add(SENDS_WITHIN));
+            if let Some(cycle) = self.analysis.heard_again(station).or(sends_by) {
                 self.records.absences.end(station, Absence::Down, cycle);
             }
         }

@@ -312,8 +312,10 @@ impl Lab {
         }
         let deadline = Instant::now() + JOIN_WITHIN;
         while !self.members.iter().all(|member| member.silent) && Instant::now() < deadline {
+            self.members.iter_mut().for_each(Member::end_if_stopped);
             self.look()?;
         }
+        self.members.iter_mut().for_each(Member::see_it_end);
         self.analysis.finish();
         if let Some(capture) = self.capture.take() {
             capture.finish()?;

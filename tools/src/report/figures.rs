@@ -40,6 +40,8 @@ pub struct Figures {
     pub overlaps: u64,
     /// Frames seen outside their slots.
     pub out_of_slot: u64,
+    /// Of the frame that left the air latest: how long after its slot's end, or, below zero, before it.
+    pub latest_frame_ns: Option<i64>,
     /// Misses of any kind without a known cause.
     pub unexplained: u64,
     /// Frames whose payload was not what the station had sent.

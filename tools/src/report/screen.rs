@@ -189,6 +189,7 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         let causes = figures.causes.iter().map(|(name, n)| format!("{} {}", words(name), grouped(*n)));
         lines.extend(list("causes: ", &causes.collect::<Vec<_>>(), width));
     }
+    lines.extend(figures.latest_frame_ns.map(|late| format!("latest: {}", latest(late))));
     if figures.misses.is_empty() {
         return lines;
     }
@@ -205,6 +206,15 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
     ];
     lines.extend(table(&columns, width));
     lines
+}
+
+/// When the frame that left the air latest did so.
+pub(crate) fn latest(late_ns: i64) -> String {
+    let by = duration(late_ns.unsigned_abs());
+    match late_ns {
+        ..=0 => format!("every frame had left the air {by} before its slot's end, or earlier"),
+        _ => format!("a frame left the air only {by} after its slot's end"),
+    }
 }
 
 fn words(name: &str) -> String {

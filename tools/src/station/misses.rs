@@ -7,7 +7,7 @@ use rtnet::live::Record;
 use serde::{Deserialize, Serialize};
 
 /// The longest are kept, so that one bad minute does not hide the worst of a week.
-const WORST: usize = 10;
+pub const WORST: usize = 10;
 /// And the latest, since "what was that just now?" is what people ask.
 const LATEST: usize = 50;
 

@@ -5,14 +5,21 @@
 // A test of real processes waits for them.
 #![allow(clippy::disallowed_methods)]
 
+use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime, clock_settime};
+use pcap_file::pcapng::{Block, PcapNgReader};
 use serde_json::Value;
+use tools::station::traffic::Tag;
 
+const CYCLE_NS: i64 = 5_000_000;
+/// Of three stations: whose frame is so far from where it was is not in its slot.
+const SLOT_NS: i64 = 1_250_000;
 const STEP: Duration = Duration::from_secs(1);
 
 /// Sets the wall clock forth, and back again when dropped.
@@ -53,9 +60,10 @@ fn a_step_of_the_wall_clock_moves_no_frame() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
-    let json = dir.path().join("report.json");
+    let (json, pcap) = (dir.path().join("report.json"), dir.path().join("all.pcapng"));
     let mut lab = Command::new(env!("CARGO_BIN_EXE_rtnet"));
     lab.args(["lab", "run", "--stations", "3", "--cycle", "5ms", "--duration", "5s", "--json"]).arg(&json);
+    lab.arg("--pcap").arg(&pcap);
     let mut lab = lab.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut progress = BufReader::new(lab.stderr.take().unwrap()).lines();
     assert!(progress.any(|line| line.unwrap().starts_with("rtnet: cycle")), "the network comes up");
@@ -70,4 +78,44 @@ fn a_step_of_the_wall_clock_moves_no_frame() {
     // Once forth and once back, seen by each station and by the observer.
     assert!(report["clock_steps"].as_u64().unwrap() >= 2 * (3 + 1), "{screen}");
     assert_eq!((&report["unexplained"], &report["frames_lost"]), (&0.into(), &0.into()), "{screen}");
+    // The report does not judge what was stamped while the clock was set: the capture has it nonetheless.
+    let told: u64 = report["causes"].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum();
+    let sent = sent(&pcap);
+    for station in 0..3 {
+        let own: Vec<&Sent> = sent.iter().filter(|sent| sent.station == station).collect();
+        let (mut steps, mut missed) = (0, 0);
+        for (before, after) in own.iter().zip(&own[1..]) {
+            let cycles = i64::from(after.cycle.wrapping_sub(before.cycle) as i32);
+            missed += cycles as u64 - 1;
+            let moved = after.stamp - before.stamp - cycles * CYCLE_NS;
+            let step = moved.abs() > SLOT_NS;
+            steps += u32::from(step);
+            let moved = if step { moved.abs() - STEP.as_nanos() as i64 } else { moved };
+            assert!(moved.abs() < SLOT_NS, "station {station} moved by {moved} ns in cycle {}", after.cycle);
+        }
+        assert!(own.len() > 900 && missed <= told, "station {station}: {missed} of {} missed", own.len());
+        assert_eq!(steps, 2, "forth and back, of the stamps only");
+    }
+}
+
+/// A frame of test traffic.
+struct Sent {
+    station: usize,
+    cycle: u32,
+    /// By the wall clock.
+    stamp: i64,
+}
+
+/// All of it, as it was captured.
+fn sent(pcap: &Path) -> Vec<Sent> {
+    let mut reader = PcapNgReader::new(File::open(pcap).unwrap()).unwrap();
+    let mut sent = Vec::new();
+    while let Some(block) = reader.next_block() {
+        let (Block::EnhancedPacket(packet), _) = block.unwrap() else { continue };
+        if let Some((tag, _)) = Tag::read(&packet.data) {
+            let stamp = packet.timestamp.as_nanos() as i64;
+            sent.push(Sent { station: tag.station(), cycle: tag.cycle(), stamp });
+        }
+    }
+    sent
 }

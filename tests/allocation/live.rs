@@ -151,5 +151,5 @@ fn driver(
     };
     let port = namespace.run(open).unwrap();
     let station = Station::new(discipline.unwrap(), vec![Box::new(traffic)]);
-    Driver::new(station, port, DriverConfig { stop, sample_time: true })
+    Driver::new(station, port, DriverConfig { stop, sample_time: true, changed: None })
 }

@@ -93,7 +93,7 @@ impl Medium {
         let tally = traffic.tally.clone();
         let services: Vec<Box<dyn Service>> = vec![Box::new(traffic)];
         let stop = Arc::new(AtomicBool::new(false));
-        let config = DriverConfig { stop: stop.clone(), sample_time: false };
+        let config = DriverConfig { stop: stop.clone(), sample_time: false, changed: None };
         let mut driver = Driver::new(Station::new(discipline(address), services), port, config);
         let snapshots = driver.snapshots();
         let thread = Some(std::thread::spawn(move || driver.run()));

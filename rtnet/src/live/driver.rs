@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crossbeam::atomic::AtomicCell;
 use crossbeam::queue::ArrayQueue;
+use nix::sys::eventfd::EventFd;
 
 use crate::clock::True;
 use crate::counters::Refusals;
@@ -31,6 +32,8 @@ pub struct DriverConfig {
     pub stop: Arc<AtomicBool>,
     /// Whether to record the estimate of global time at each transmission.
     pub sample_time: bool,
+    /// Becomes readable at every change of state, so that the control thread need not look all the time.
+    pub changed: Option<Arc<EventFd>>,
 }
 
 /// What the loop tells the control thread.
@@ -208,7 +211,8 @@ impl<D: Discipline> Driver<D> {
             self.record(Record::Time(now, time.offset.global(self.port.clock().local(now))));
         }
         let commanded = self.obey();
-        let due = now >= self.next_snapshot || time.state != self.shown || commanded;
+        let changed = time.state != self.shown;
+        let due = now >= self.next_snapshot || changed || commanded;
         // A full queue means that nobody looks: it is tried again. Pushing never waits for a reader that was preempted,
         // which replacing the oldest would.
         if due && !self.snapshots.is_full() {
@@ -216,6 +220,10 @@ impl<D: Discipline> Driver<D> {
             self.next_snapshot = now + SNAPSHOT_EVERY;
             let snapshot = self.snapshot(now);
             let _ = self.snapshots.push(snapshot);
+            if let (true, Some(waker)) = (changed, &self.config.changed) {
+                // It does not block: one that was not read is readable already.
+                let _ = waker.write(1);
+            }
         }
     }
 

@@ -338,6 +338,11 @@ fn a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines
         let failed = |status: &Value| status["counters"]["send_failed"].as_u64().unwrap_or(0);
         let down =
             wait_until("syncs fail", "down-master", |master| master["link"] == "down" && failed(master) > 50);
+        let words = rtnet().args(["tdma", "-S", "down-master", "status", "--misses"]).output().unwrap();
+        let words = String::from_utf8(words.stdout).unwrap();
+        assert!(words.contains("send failed: ENETDOWN: Network is down: "), "by its name: {words}");
+        let late = down["misses"]["worst"].as_array().unwrap();
+        assert!(late.iter().all(|miss| miss["what"] != "send_failed"), "an errno is no lateness: {late:?}");
         set(&medium.a, "rt0", true);
         wait_until("its slave follows again", "down-slave", is("up", "locked"));
         let up = wait_until("it sends again", "down-master", |master| {

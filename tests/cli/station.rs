@@ -18,21 +18,26 @@ use crate::rtnet;
 const A: [u8; 6] = [2, 0, 0, 0, 0, 0xa];
 const B: [u8; 6] = [2, 0, 0, 0, 0, 0xb];
 /// Long enough for a loaded machine, and never waited for in full when all is well.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Two namespaces on one segment, with the interface `rt0` each.
-struct Medium {
-    a: Namespace,
-    b: Namespace,
+pub struct Medium {
+    pub a: Namespace,
+    pub b: Namespace,
     segment: Segment,
 }
 
 impl Medium {
-    fn new() -> Self {
+    pub fn new() -> Self {
+        Self::of("rt0")
+    }
+
+    /// With interfaces of this name.
+    pub fn of(interface: &str) -> Self {
         let (a, b) = (Namespace::new().unwrap(), Namespace::new().unwrap());
         let mut segment = Segment::new().unwrap();
-        segment.attach(&a, "port0", "rt0", A).unwrap();
-        segment.attach(&b, "port1", "rt0", B).unwrap();
+        segment.attach(&a, "port0", interface, A).unwrap();
+        segment.attach(&b, "port1", interface, B).unwrap();
         Self { a, b, segment }
     }
 
@@ -50,18 +55,27 @@ fn set(namespace: &Namespace, interface: &str, up: bool) {
 }
 
 /// A station in the foreground; told to end, or killed, when the test is done with it.
-struct Station {
-    child: Child,
+pub struct Station {
+    pub child: Child,
     /// What it says, on whichever output.
     lines: Receiver<String>,
 }
 
 impl Station {
-    fn start(namespace: &Namespace, arguments: &[&str]) -> Self {
+    pub fn start(namespace: &Namespace, arguments: &[&str]) -> Self {
         let mut command = rtnet();
         command.arg("station").args(arguments);
+        Self::run_after(namespace, command, || ())
+    }
+
+    /// As this command starts it, from a thread that does `first` before.
+    pub fn run_after(namespace: &Namespace, mut command: Command, first: impl FnOnce() + Send) -> Self {
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = namespace.run(move || command.spawn()).unwrap().unwrap();
+        let spawn = move || {
+            first();
+            command.spawn()
+        };
+        let mut child = namespace.run(spawn).unwrap().unwrap();
         let (told, lines) = channel();
         pass_on(child.stdout.take().unwrap(), told.clone());
         pass_on(child.stderr.take().unwrap(), told);
@@ -69,7 +83,7 @@ impl Station {
     }
 
     /// A master of a cycle of 5 ms in `a`.
-    fn master(medium: &Medium, name: &str) -> Self {
+    pub fn master(medium: &Medium, name: &str) -> Self {
         let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--name", name];
         let master = Self::start(&medium.a, &cycle);
         master.wait_for("master_active");
@@ -103,19 +117,24 @@ impl Station {
     }
 
     /// Reads until a line that holds `text`.
-    fn wait_for(&self, text: &str) -> String {
+    pub fn wait_for(&self, text: &str) -> String {
+        self.lines_until(text).pop().unwrap()
+    }
+
+    /// Reads until a line that holds `text`, which is the last.
+    pub fn lines_until(&self, text: &str) -> Vec<String> {
         let deadline = Instant::now() + PATIENCE;
-        loop {
+        let mut lines = Vec::new();
+        while !lines.last().is_some_and(|line: &String| line.contains(text)) {
             let patience = deadline.saturating_duration_since(Instant::now());
-            let line = self.lines.recv_timeout(patience).unwrap_or_else(|_| panic!("no line with '{text}'"));
-            if line.contains(text) {
-                return line;
-            }
+            let line = self.lines.recv_timeout(patience);
+            lines.push(line.unwrap_or_else(|_| panic!("no line with '{text}': {lines:?}")));
         }
+        lines
     }
 
     /// Tells it to end, as Ctrl-C does; its exit status.
-    fn end(mut self) -> Option<i32> {
+    pub fn end(mut self) -> Option<i32> {
         kill(Pid::from_raw(self.child.id() as i32), Signal::SIGINT).unwrap();
         self.child.wait().unwrap().code()
     }
@@ -138,7 +157,7 @@ fn pass_on(output: impl Read + Send + 'static, to: Sender<String>) {
     std::thread::spawn(move || lines.try_for_each(|line| to.send(line)));
 }
 
-fn status(name: &str) -> Value {
+pub fn status(name: &str) -> Value {
     let output = rtnet().args(["tdma", "-S", name, "status", "--json"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
@@ -298,6 +317,25 @@ fn a_name_is_taken_once() {
         first.kill();
         let third = Station::start(&medium.b, &options);
         third.wait_for("Ctrl-C ends it");
+    });
+}
+
+#[test]
+fn a_station_without_a_name_has_its_interfaces_unless_that_is_taken() {
+    network("a_station_without_a_name_has_its_interfaces_unless_that_is_taken", || {
+        let interface = format!("n{}", std::process::id());
+        let medium = Medium::of(&interface);
+        let options = ["--interface", &interface, "--slave", "--rounds", "0"];
+        let first = Station::start(&medium.a, &options);
+        first.wait_for("Ctrl-C ends it");
+        let pid = first.child.id();
+        let it = wait_until("it has looked around", &interface, |status| status["link"] == "up");
+        assert_eq!((&it["name"], &it["pid"]), (&interface.as_str().into(), &pid.into()));
+        let second = Station::start(&medium.b, &options);
+        let line = second.wait_for("nothing can be asked of this station, nor changed: ");
+        assert!(line.contains(&format!("the name '{interface}' is taken by process {pid}: ")), "{line}");
+        assert!(line.contains("choose another --name"), "the remedy: {line}");
+        assert_eq!(second.end(), Some(0), "it ran all the same");
     });
 }
 

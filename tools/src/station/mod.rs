@@ -49,7 +49,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 pub struct Options {
     /// The interface to run on.
     pub interface: String,
-    /// A name that no other station on this machine has: under it the station is looked at and changed.
+    /// A name that no other station on this machine has: under it the station is looked at and changed. If it is not
+    /// given, the interface's, as long as nobody else has that.
     pub name: Option<String>,
     /// Everything of the discipline but the address, which is the interface's.
     pub tdma: TdmaConfig,
@@ -94,14 +95,22 @@ pub struct Ready {
     is_master: bool,
     teller: Teller,
     desk: Desk,
+    reach: Reach,
+}
+
+/// Where a station can be looked at and changed.
+#[derive(Default)]
+struct Reach {
     // Gone before the name is free again.
-    control: Option<Server>,
+    server: Option<Server>,
     _name: Option<Held>,
+    /// Why there is no such place.
+    refused: Option<String>,
 }
 
 /// Makes a station ready to run; fails if it cannot be what it is to be.
 pub fn set_up(options: Options) -> Result<Ready> {
-    let (name, control) = control(&options)?;
+    let reach = reach(&options)?;
     let interface = Interface::find(&options.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
@@ -128,8 +137,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         is_master,
         teller,
         desk,
-        control,
-        _name: name,
+        reach,
     })
 }
 
@@ -138,15 +146,16 @@ impl Ready {
     pub fn run(mut self) -> Result<()> {
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
-        // What this thread may still do is what those that it starts may do.
-        drop_capabilities();
+        refused.extend(self.reach.refused);
+        // What this thread may still do is what those that it starts may do. The other one may have said the same.
+        refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
         stop_when_told(&self.stop, self.in_lab)?;
         self.desk.note_host(&refused);
         self.teller.started(self.guarded, refused)?;
         let mut told = Instant::now();
         loop {
             let ended = thread.is_finished();
-            match &mut self.control {
+            match &mut self.reach.server {
                 Some(server) => server.serve(LOOK_EVERY, |packet, traffic| self.desk.answer(packet, traffic)),
                 None => std::thread::sleep(LOOK_EVERY),
             }
@@ -218,15 +227,26 @@ fn driver(
 }
 
 /// The station's name and its control socket. A lab has seen to the name of its own stations.
-fn control(options: &Options) -> Result<(Option<Held>, Option<Server>)> {
+fn reach(options: &Options) -> Result<Reach> {
     if let Some(lab) = &options.lab {
-        return Ok((None, lab.control.as_deref().map(Server::bind).transpose()?));
+        let server = lab.control.as_deref().map(Server::bind).transpose()?;
+        return Ok(Reach { server, ..Reach::default() });
     }
-    let Some(name) = &options.name else { return Ok((None, None)) };
+    match &options.name {
+        Some(name) => reach_by(name),
+        // It was not asked for: other stations may be on an interface of that name, in their namespaces.
+        None => Ok(reach_by(&options.interface).unwrap_or_else(|why| Reach {
+            refused: Some(format!("nothing can be asked of this station, nor changed: {why:#}")),
+            ..Reach::default()
+        })),
+    }
+}
+
+fn reach_by(name: &str) -> Result<Reach> {
     let directory = Directory::of_user();
     let held = directory.take_station(name)?;
-    let server = Server::bind(&directory.station(&Place { lab: None, station: name.clone() }))?;
-    Ok((Some(held), Some(server)))
+    let server = Server::bind(&directory.station(&Place { lab: None, station: name.into() }))?;
+    Ok(Reach { server: Some(server), _name: Some(held), refused: None })
 }
 
 /// Once its sockets are open and its thread is set up, a station needs no capability any more. A line if the kernel

@@ -8,6 +8,7 @@ mod cell;
 mod host;
 mod lab;
 mod live;
+mod manual;
 mod observe;
 mod station;
 

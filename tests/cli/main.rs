@@ -10,6 +10,7 @@ mod lab;
 mod live;
 mod manual;
 mod observe;
+mod rights;
 mod station;
 
 use std::path::Path;

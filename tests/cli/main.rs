@@ -6,6 +6,7 @@
 mod abused;
 mod cell;
 mod host;
+mod interface;
 mod lab;
 mod live;
 mod manual;

@@ -89,7 +89,8 @@ fn every_command_has_a_manual_page_that_names_its_verbs() {
     }
     let written = fs::read_dir(&pages).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
     let mut written: Vec<_> = written.collect();
-    (written.sort(), expected.sort());
+    written.sort();
+    expected.sort();
     assert_eq!(written, expected, "and there are no others");
     println!("FIGURE manual pages: {}", written.len());
 }

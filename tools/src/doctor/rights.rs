@@ -132,9 +132,11 @@ fn right<E: ToString>(name: &'static str, tried: Result<(), E>) -> Right {
 fn kernel_part(name: &'static str, tried: Option<Result<(), String>>) -> Right {
     match tried {
         Some(tried) => right(name, tried),
-        None => {
-            Right { name, allowed: None, note: Some("needs a network namespace to try, see there".into()) }
-        }
+        None => Right {
+            name,
+            allowed: None,
+            note: Some("needs a network namespace to try, which is not to be had here".into()),
+        },
     }
 }
 

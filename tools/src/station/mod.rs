@@ -110,12 +110,14 @@ struct Reach {
 
 /// Makes a station ready to run; fails if it cannot be what it is to be.
 pub fn set_up(options: Options) -> Result<Ready> {
-    let reach = reach(&options)?;
+    let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
     halt::arm(&mut port)?;
+    // Who may not run a station leaves no directory of names behind.
+    let reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));
     let (guarded, guard_refused) = (port.is_guarded(), port.guard_refused().map(str::to_owned));
     let driver = driver(&options, &interface, port, stop.clone(), counts.clone())?;
     let in_lab = options.lab.is_some();
@@ -226,20 +228,23 @@ fn driver(
     Ok(Driver::new(Station::new(discipline, services), port, config))
 }
 
-/// The station's name and its control socket. A lab has seen to the name of its own stations.
-fn reach(options: &Options) -> Result<Reach> {
-    if let Some(lab) = &options.lab {
-        let server = lab.control.as_deref().map(Server::bind).transpose()?;
-        return Ok(Reach { server, ..Reach::default() });
+/// The station's name and its control socket, if any were asked for. A lab has seen to the names of its own stations.
+fn reach_as_asked(options: &Options) -> Result<Option<Reach>> {
+    match (&options.lab, &options.name) {
+        (Some(lab), _) => {
+            let server = lab.control.as_deref().map(Server::bind).transpose()?;
+            Ok(Some(Reach { server, ..Reach::default() }))
+        }
+        (None, name) => name.as_deref().map(reach_by).transpose(),
     }
-    match &options.name {
-        Some(name) => reach_by(name),
-        // It was not asked for: other stations may be on an interface of that name, in their namespaces.
-        None => Ok(reach_by(&options.interface).unwrap_or_else(|why| Reach {
-            refused: Some(format!("nothing can be asked of this station, nor changed: {why:#}")),
-            ..Reach::default()
-        })),
-    }
+}
+
+/// The same by a name that nobody asked for: another station may have it, on an interface of another namespace.
+fn reach_by_interface(interface: &str) -> Reach {
+    reach_by(interface).unwrap_or_else(|why| Reach {
+        refused: Some(format!("nothing can be asked of this station, nor changed: {why:#}")),
+        ..Reach::default()
+    })
 }
 
 fn reach_by(name: &str) -> Result<Reach> {

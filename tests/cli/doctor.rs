@@ -2,21 +2,31 @@
 //! priority, which labs beside it would suffer from: hence this file of its own, whose tests share one run.
 
 use std::fs;
+use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::Command;
-use std::sync::LazyLock;
+use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde_json::Value;
 
 /// This host, examined for a second: the screen and the JSON.
 static EXAMINED: LazyLock<(String, Value)> = LazyLock::new(|| {
     let dir = tempfile::tempdir().unwrap();
-    let json = dir.path().join("doctor.json");
-    let mut doctor = Command::new(env!("CARGO_BIN_EXE_rtnet"));
-    let output = doctor.args(["doctor", "--duration", "1s", "--json"]).arg(&json).output().unwrap();
+    examined(Command::new(env!("CARGO_BIN_EXE_rtnet")), &dir.path().join("doctor.json"))
+});
+
+/// One at a time: they spin.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn examined(mut doctor: Command, json: &Path) -> (String, Value) {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let output = doctor.args(["doctor", "--duration", "1s", "--json"]).arg(json).output().unwrap();
     let screen = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{screen}{}", String::from_utf8_lossy(&output.stderr));
     (screen, serde_json::from_slice(&fs::read(json).unwrap()).unwrap())
-});
+}
 
 fn share(value: &Value) -> f64 {
     let share = value.as_f64().unwrap();
@@ -66,5 +76,45 @@ fn what_is_not_measured_is_a_line_with_the_remedy() {
     assert_eq!(lines.is_empty(), !screen.contains("not measured: "), "{screen}");
     if !nix::unistd::geteuid().is_root() {
         assert!(screen.contains("run as root"), "{screen}");
+    }
+}
+
+#[test]
+fn an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not() {
+    let name = "an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not";
+    let skip = |why: &str| {
+        let _ = writeln!(std::io::stderr(), "SKIP {name}: {why}");
+    };
+    if !nix::unistd::geteuid().is_root() {
+        return skip("needs root, to be somebody else");
+    }
+    if let Some(why) = tools::lab::userns::forbidden() {
+        return skip(why);
+    }
+    // Neither the binary's folder nor the test's need be open to others.
+    let dir = tempfile::tempdir().unwrap();
+    let (binary, json) = (dir.path().join("rtnet"), dir.path().join("doctor.json"));
+    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+    fs::write(&json, "").unwrap();
+    for path in [dir.path(), &json] {
+        fs::set_permissions(path, fs::Permissions::from_mode(0o777)).unwrap();
+    }
+    let mut nobody = Command::new(&binary);
+    nobody.uid(65_534).gid(65_534).current_dir("/");
+    let (screen, findings) = examined(nobody, &json);
+    assert!(!screen.contains("labs need"), "{screen}");
+    for wire in ["send_ns", "broadcast_ns", "stamp_ns"] {
+        assert!(findings["wire"][wire]["n"].as_u64() > Some(0), "{wire}: {screen}");
+    }
+    let [process, kernel] = ["process", "kernel"].map(|of| findings["rights"][of].as_array().unwrap());
+    for needed in ["packet sockets", "network namespaces", "user namespaces", "bridge", "veth"] {
+        let right = process.iter().chain(kernel).find(|right| right["name"] == needed).unwrap();
+        assert_eq!(right["allowed"], true, "{right}");
+    }
+    assert!(screen.contains("- packet sockets: in labs only"), "{screen}");
+    let not_measured = findings["not_measured"].as_array().unwrap();
+    let known = ["wake-ups and outages at real-time priority: ", "waking a thread on another core: "];
+    for line in not_measured.iter().map(|line| line.as_str().unwrap()) {
+        assert!(known.iter().any(|known| line.starts_with(known)), "{line}");
     }
 }

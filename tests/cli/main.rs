@@ -6,9 +6,12 @@
 mod abused;
 mod cell;
 mod host;
+mod interface;
 mod lab;
 mod live;
+mod manual;
 mod observe;
+mod rights;
 mod station;
 
 use std::path::Path;

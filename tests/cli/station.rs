@@ -7,61 +7,73 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use rtnet::live::clock::monotonic;
 use serde_json::Value;
 use tools::lab::namespace::{Namespace, Segment};
-use tools::station::link::{LabOptions, Report};
 
 use crate::host::network;
 use crate::rtnet;
 
 const A: [u8; 6] = [2, 0, 0, 0, 0, 0xa];
-const B: [u8; 6] = [2, 0, 0, 0, 0, 0xb];
+pub const B: [u8; 6] = [2, 0, 0, 0, 0, 0xb];
 /// Long enough for a loaded machine, and never waited for in full when all is well.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Two namespaces on one segment, with the interface `rt0` each.
-struct Medium {
-    a: Namespace,
-    b: Namespace,
-    segment: Segment,
+pub struct Medium {
+    pub a: Namespace,
+    pub b: Namespace,
+    pub segment: Segment,
 }
 
 impl Medium {
-    fn new() -> Self {
+    pub fn new() -> Self {
+        Self::of("rt0")
+    }
+
+    /// With interfaces of this name.
+    pub fn of(interface: &str) -> Self {
         let (a, b) = (Namespace::new().unwrap(), Namespace::new().unwrap());
         let mut segment = Segment::new().unwrap();
-        segment.attach(&a, "port0", "rt0", A).unwrap();
-        segment.attach(&b, "port1", "rt0", B).unwrap();
+        segment.attach(&a, "port0", interface, A).unwrap();
+        segment.attach(&b, "port1", interface, B).unwrap();
         Self { a, b, segment }
     }
 
     /// Cuts the wire at a port, or joins it again.
-    fn set_port(&self, port: &str, up: bool) {
+    pub fn set_port(&self, port: &str, up: bool) {
         set(self.segment.namespace(), port, up);
     }
 }
 
 /// Sets an interface up or down.
-fn set(namespace: &Namespace, interface: &str, up: bool) {
+pub fn set(namespace: &Namespace, interface: &str, up: bool) {
     let mut netlink = namespace.netlink().unwrap();
     let index = netlink.link_index(interface).unwrap();
     if up { netlink.set_up(index).unwrap() } else { netlink.set_down(index).unwrap() }
 }
 
 /// A station in the foreground; told to end, or killed, when the test is done with it.
-struct Station {
-    child: Child,
+pub struct Station {
+    pub child: Child,
     /// What it says, on whichever output.
     lines: Receiver<String>,
 }
 
 impl Station {
-    fn start(namespace: &Namespace, arguments: &[&str]) -> Self {
+    pub fn start(namespace: &Namespace, arguments: &[&str]) -> Self {
         let mut command = rtnet();
         command.arg("station").args(arguments);
+        Self::run_after(namespace, command, || ())
+    }
+
+    /// As this command starts it, from a thread that does `first` before.
+    pub fn run_after(namespace: &Namespace, mut command: Command, first: impl FnOnce() + Send) -> Self {
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = namespace.run(move || command.spawn()).unwrap().unwrap();
+        let spawn = move || {
+            first();
+            command.spawn()
+        };
+        let mut child = namespace.run(spawn).unwrap().unwrap();
         let (told, lines) = channel();
         pass_on(child.stdout.take().unwrap(), told.clone());
         pass_on(child.stderr.take().unwrap(), told);
@@ -69,7 +81,7 @@ impl Station {
     }
 
     /// A master of a cycle of 5 ms in `a`.
-    fn master(medium: &Medium, name: &str) -> Self {
+    pub fn master(medium: &Medium, name: &str) -> Self {
         let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--name", name];
         let master = Self::start(&medium.a, &cycle);
         master.wait_for("master_active");
@@ -77,7 +89,7 @@ impl Station {
     }
 
     /// A slave of it in `b`, locked.
-    fn slave(medium: &Medium, name: &str) -> Self {
+    pub fn slave(medium: &Medium, name: &str) -> Self {
         let role = ["--interface", "rt0", "--slave", "--rounds", "10", "--slot", "0=1ms", "--name", name];
         let slave = Self::start(&medium.b, &role);
         slave.wait_for("locked, cycle");
@@ -85,7 +97,7 @@ impl Station {
     }
 
     /// Waits for its end: its exit status.
-    fn ended(&mut self) -> Option<ExitStatus> {
+    pub fn ended(&mut self) -> Option<ExitStatus> {
         let deadline = Instant::now() + PATIENCE;
         while Instant::now() < deadline {
             if let Some(status) = self.child.try_wait().unwrap() {
@@ -103,19 +115,24 @@ impl Station {
     }
 
     /// Reads until a line that holds `text`.
-    fn wait_for(&self, text: &str) -> String {
+    pub fn wait_for(&self, text: &str) -> String {
+        self.lines_until(text).pop().unwrap()
+    }
+
+    /// Reads until a line that holds `text`, which is the last.
+    pub fn lines_until(&self, text: &str) -> Vec<String> {
         let deadline = Instant::now() + PATIENCE;
-        loop {
+        let mut lines = Vec::new();
+        while !lines.last().is_some_and(|line: &String| line.contains(text)) {
             let patience = deadline.saturating_duration_since(Instant::now());
-            let line = self.lines.recv_timeout(patience).unwrap_or_else(|_| panic!("no line with '{text}'"));
-            if line.contains(text) {
-                return line;
-            }
+            let line = self.lines.recv_timeout(patience);
+            lines.push(line.unwrap_or_else(|_| panic!("no line with '{text}': {lines:?}")));
         }
+        lines
     }
 
     /// Tells it to end, as Ctrl-C does; its exit status.
-    fn end(mut self) -> Option<i32> {
+    pub fn end(mut self) -> Option<i32> {
         kill(Pid::from_raw(self.child.id() as i32), Signal::SIGINT).unwrap();
         self.child.wait().unwrap().code()
     }
@@ -138,14 +155,14 @@ fn pass_on(output: impl Read + Send + 'static, to: Sender<String>) {
     std::thread::spawn(move || lines.try_for_each(|line| to.send(line)));
 }
 
-fn status(name: &str) -> Value {
+pub fn status(name: &str) -> Value {
     let output = rtnet().args(["tdma", "-S", name, "status", "--json"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// The first status of a station of which this holds.
-fn wait_until(what: &str, name: &str, holds: impl Fn(&Value) -> bool) -> Value {
+pub fn wait_until(what: &str, name: &str, holds: impl Fn(&Value) -> bool) -> Value {
     let deadline = Instant::now() + PATIENCE;
     loop {
         let status = status(name);
@@ -157,7 +174,7 @@ fn wait_until(what: &str, name: &str, holds: impl Fn(&Value) -> bool) -> Value {
     }
 }
 
-fn is(link: &'static str, state: &'static str) -> impl Fn(&Value) -> bool {
+pub fn is(link: &'static str, state: &'static str) -> impl Fn(&Value) -> bool {
     move |status| status["link"] == link && status["standing"]["state"] == state
 }
 
@@ -302,159 +319,20 @@ fn a_name_is_taken_once() {
 }
 
 #[test]
-fn a_slave_whose_carrier_is_lost_and_back_follows_again() {
-    network("a_slave_whose_carrier_is_lost_and_back_follows_again", || {
-        let medium = Medium::new();
-        let (_master, slave) =
-            (Station::master(&medium, "carrier-master"), Station::slave(&medium, "carrier-slave"));
-        medium.set_port("port1", false);
-        let cut = wait_until("it is cut off", "carrier-slave", is("no carrier", "lost"));
-        assert_eq!(
-            (&cut["counters"]["carrier_lost"], &cut["standing"]["link"]),
-            (&1.into(), &"no carrier".into())
-        );
-        slave.wait_for("carrier-slave: the interface 'rt0' has no carrier: look at the cable");
-        let words = rtnet().args(["tdma", "-S", "carrier-slave", "status"]).output().unwrap();
-        let words = String::from_utf8(words.stdout).unwrap();
-        assert!(words.contains(", no carrier), process") && words.contains("carrier_lost 1"), "{words}");
-
-        medium.set_port("port1", true);
-        let back = wait_until("it follows again", "carrier-slave", is("up", "locked"));
-        assert_eq!((&back["pid"], &back["counters"]["carrier_lost"]), (&cut["pid"], &1.into()));
-        slave.wait_for("the interface 'rt0' has its carrier again");
-        let master = status("carrier-master");
-        assert_eq!((&master["link"], &master["counters"]["carrier_lost"]), (&"up".into(), &0.into()));
-    });
-}
-
-#[test]
-fn a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines() {
-    network("a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines", || {
-        let medium = Medium::new();
-        let (master, _slave) =
-            (Station::master(&medium, "down-master"), Station::slave(&medium, "down-slave"));
-        set(&medium.a, "rt0", false);
-        wait_until("its slave has lost it", "down-slave", is("up", "lost"));
-        let failed = |status: &Value| status["counters"]["send_failed"].as_u64().unwrap_or(0);
-        let down =
-            wait_until("syncs fail", "down-master", |master| master["link"] == "down" && failed(master) > 50);
-        set(&medium.a, "rt0", true);
-        wait_until("its slave follows again", "down-slave", is("up", "locked"));
-        let up = wait_until("it sends again", "down-master", |master| {
-            master["counters"]["syncs_sent"].as_u64() > down["counters"]["syncs_sent"].as_u64()
-        });
-        assert_eq!(
-            (&up["link"], &up["pid"], &up["counters"]["carrier_lost"]),
-            (&"up".into(), &down["pid"], &1.into())
-        );
-        master.wait_for("send_failed: Network is down");
-        let mut lines = Vec::new();
-        while !lines.last().is_some_and(|line: &String| line.contains("send_failed: the last of")) {
-            lines.push(master.wait_for(""));
-        }
-        assert!(
-            lines.iter().any(|line| line.contains("'rt0' is down: bring it up with `ip link set rt0 up`"))
-        );
-        assert!(lines.iter().any(|line| line.contains("has its carrier again")), "{lines:?}");
-        let failures = lines.iter().filter(|line| line.contains("send_failed")).count();
-        assert_eq!(failures, 1, "{lines:?}");
-    });
-}
-
-#[test]
-fn a_slave_whose_interface_is_renamed_goes_on_under_the_new_name() {
-    network("a_slave_whose_interface_is_renamed_goes_on_under_the_new_name", || {
-        let medium = Medium::new();
-        let (_master, slave) =
-            (Station::master(&medium, "renamed-master"), Station::slave(&medium, "renamed-slave"));
-        let mut netlink = medium.b.netlink().unwrap();
-        let index = netlink.link_index("rt0").unwrap();
-        netlink.set_down(index).unwrap();
-        netlink.rename(index, "rt9").unwrap();
-        netlink.set_up(index).unwrap();
-        slave.wait_for("renamed-slave: the interface 'rt0' is called 'rt9' now");
-        let renamed = wait_until("it follows again", "renamed-slave", is("up", "locked"));
-        assert_eq!((&renamed["interface"], &renamed["counters"]["renamed"]), (&"rt9".into(), &1.into()));
-    });
-}
-
-#[test]
-fn a_station_whose_interface_is_gone_ends_with_a_clear_line_and_the_others_go_on() {
-    network("a_station_whose_interface_is_gone_ends_with_a_clear_line_and_the_others_go_on", || {
-        let elsewhere = Namespace::new().unwrap();
-        let removed = |medium: &mut Medium| medium.segment.detach("port1").unwrap();
-        let move_rt0 = |from: &Namespace, to: &Namespace| {
-            let mut netlink = from.netlink().unwrap();
-            let index = netlink.link_index("rt0").unwrap();
-            netlink.move_to(index, to.fd()).unwrap();
-        };
-        let moved = |medium: &mut Medium| move_rt0(&medium.b, &elsewhere);
-        // It is there, by the same name and index, and yet not what the station's sockets were bound to.
-        let back = |medium: &mut Medium| {
-            let elsewhere = Namespace::new().unwrap();
-            move_rt0(&medium.b, &elsewhere);
-            move_rt0(&elsewhere, &medium.b);
-        };
-        let ways: [&dyn Fn(&mut Medium); 3] = [&removed, &moved, &back];
-        for away in ways {
-            let mut medium = Medium::new();
-            let (_master, mut slave) =
-                (Station::master(&medium, "gone-master"), Station::slave(&medium, "gone-slave"));
-            away(&mut medium);
-            assert_eq!(slave.ended().and_then(|status| status.code()), Some(1));
-            let line = slave.wait_for("rtnet: ");
-            assert!(
-                line.contains("the interface 'rt0' is gone: it was removed, or moved to another"),
-                "{line}"
-            );
-            assert!(line.contains("start the station again"), "the remedy: {line}");
-            let syncs = |master: &Value| master["counters"]["syncs_sent"].as_u64();
-            let before = status("gone-master");
-            assert_eq!((&before["link"], &before["standing"]["state"]), (&"up".into(), &"locked".into()));
-            wait_until("the master goes on", "gone-master", |master| syncs(master) > syncs(&before));
-        }
-    });
-}
-
-#[test]
-fn a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_go_on() {
-    network("a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_go_on", || {
-        let mut medium = Medium::new();
-        let lab = LabOptions {
-            station: 0,
-            name: "told".into(),
-            control: None,
-            anchor: 0,
-            offset_ns: 0,
-            drift_ppb: 0,
-            epoch: 0,
-            destination: B,
-            from: 1,
-            payload: 46,
-            from_payload: 46,
-            step_limit_ns: 100_000,
-            resume: None,
-            first: 0,
-        };
-        let lab = serde_json::to_string(&lab).unwrap();
-        let mut station =
-            Station::start(&medium.a, &["--interface", "rt0", "--master", "--cycle", "5ms", "--lab", &lab]);
-        let report = |station: &Station, of: &str| -> Report {
-            serde_json::from_str(&station.wait_for(&format!("{{\"{of}\":"))).unwrap()
-        };
-        let Report::Standing(standing) = report(&station, "standing") else { panic!("asked for by name") };
-        assert_eq!(standing.link, "up");
-        let mut last = 0;
-        for up in [false, true] {
-            medium.set_port("port0", up);
-            let Report::Link { at, carrier } = report(&station, "link") else { panic!("asked for by name") };
-            assert_eq!(carrier, up);
-            assert!(last < at && at < monotonic(), "seen to be otherwise at {last} and {at}");
-            last = at;
-        }
-        medium.segment.detach("port0").unwrap();
-        let Report::Failed(why) = report(&station, "failed") else { panic!("asked for by name") };
-        assert!(why.contains("'rt0' is gone"), "{why}");
-        assert_eq!(station.ended().and_then(|status| status.code()), Some(1));
+fn a_station_without_a_name_has_its_interfaces_unless_that_is_taken() {
+    network("a_station_without_a_name_has_its_interfaces_unless_that_is_taken", || {
+        let interface = format!("n{}", std::process::id());
+        let medium = Medium::of(&interface);
+        let options = ["--interface", &interface, "--slave", "--rounds", "0"];
+        let first = Station::start(&medium.a, &options);
+        first.wait_for("Ctrl-C ends it");
+        let pid = first.child.id();
+        let it = wait_until("it has looked around", &interface, |status| status["link"] == "up");
+        assert_eq!((&it["name"], &it["pid"]), (&interface.as_str().into(), &pid.into()));
+        let second = Station::start(&medium.b, &options);
+        let line = second.wait_for("nothing can be asked of this station, nor changed: ");
+        assert!(line.contains(&format!("the name '{interface}' is taken by process {pid}: ")), "{line}");
+        assert!(line.contains("choose another --name"), "the remedy: {line}");
+        assert_eq!(second.end(), Some(0), "it ran all the same");
     });
 }

@@ -280,6 +280,7 @@ pub struct StationArgs {
     #[arg(long, default_value = "1G", value_parser = parse_rate)]
     pub rate: Rate,
     /// A name that no other station on this machine has; under it `rtnet tdma` and `rtnet slot` find it
+    /// [default: the interface's, if no other station has that]
     #[arg(long)]
     pub name: Option<String>,
     /// Highest slot id

@@ -59,7 +59,9 @@ pub fn spin_until(at: True) -> True {
 /// What REALTIME is ahead of MONOTONIC, and how often that stepped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WallClock {
+    /// By the last sample, which may be wrong by half its width.
     ahead: u64,
+    width: u64,
     sampled: bool,
     steps: u64,
 }
@@ -81,9 +83,14 @@ impl WallClock {
                 break;
             }
         }
+        self.take(ahead, width)
+    }
+
+    /// Takes in a sample. An interrupted one, be it this or the last, is no step.
+    fn take(&mut self, ahead: u64, width: u64) -> bool {
         let moved = (ahead.wrapping_sub(self.ahead) as i64).unsigned_abs();
-        let stepped = self.sampled && moved > STEP + width / 2;
-        *self = Self { ahead, sampled: true, steps: self.steps + u64::from(stepped) };
+        let stepped = self.sampled && moved > STEP + self.width / 2 + width / 2;
+        *self = Self { ahead, width, sampled: true, steps: self.steps + u64::from(stepped) };
         !stepped
     }
 
@@ -134,6 +141,19 @@ mod tests {
         assert_eq!(wall.steps(), 1);
         let (stamp, now) = (realtime(), monotonic());
         assert!(wall.truth(stamp).abs_diff(now) < 1_000_000);
+    }
+
+    #[test]
+    fn a_sample_that_was_interrupted_makes_no_step_of_itself_or_of_the_next() {
+        let (narrow, wide) = (100, 40_000);
+        let mut wall = WallClock::default();
+        for (ahead, width) in [(500_000, narrow), (519_000, wide), (500_000, narrow), (500_900, narrow)] {
+            assert!(wall.take(ahead, width), "{ahead} by a sample of {width} ns");
+        }
+        assert!(!wall.take(502_100, narrow), "more than two narrow samples can be wrong by");
+        assert!(wall.take(521_000, wide));
+        assert!(!wall.take(500_000 - STEP, narrow), "nor can wide ones hide what is beyond their width");
+        assert_eq!(wall.steps(), 2);
     }
 
     #[test]

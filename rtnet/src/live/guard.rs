@@ -54,23 +54,53 @@ pub enum GuardMode {
 
 /// Why there is no guard: what was asked of the kernel, and its answer.
 #[derive(Debug, thiserror::Error)]
-#[error("{step}: {error}")]
+#[error("{}: {error}", .step.name())]
 pub struct GuardRefused {
-    step: &'static str,
+    step: Step,
     error: io::Error,
 }
 
+/// What is asked of the kernel, in this order, for a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    Clock,
+    Map,
+    Mapping,
+    Program,
+    Hook,
+    Mark,
+}
+
+impl Step {
+    fn name(self) -> &'static str {
+        match self {
+            Step::Clock => "CLOCK_MONOTONIC",
+            Step::Map => "bpf map",
+            Step::Mapping => "bpf map in memory",
+            Step::Program => "bpf program",
+            Step::Hook => "tcx, clsact",
+            Step::Mark => "SO_MARK",
+        }
+    }
+}
+
 impl GuardRefused {
-    pub(super) fn new(step: &'static str, error: io::Error) -> Self {
+    pub(super) fn new(step: Step, error: io::Error) -> Self {
         Self { step, error }
     }
 
-    /// What to do about it.
+    /// What to do about it: the same answer means another thing at another step.
     pub fn remedy(&self) -> &'static str {
-        match self.error.kind() {
-            io::ErrorKind::PermissionDenied => "run as root, or give CAP_BPF and CAP_NET_ADMIN",
-            io::ErrorKind::Unsupported => "run it in the host's time namespace",
-            _ => "the interface needs tcx, Linux 6.6, or clsact",
+        match (self.step, self.error.raw_os_error()) {
+            (Step::Clock, _) => "run it in the host's time namespace",
+            (Step::Mark, _) => "run as root, or give CAP_NET_ADMIN",
+            (_, Some(libc::EPERM | libc::EACCES)) => "run as root, or give CAP_BPF and CAP_NET_ADMIN",
+            (_, Some(libc::ENOMEM | libc::EAGAIN)) => "free memory, or raise RLIMIT_MEMLOCK (`ulimit -l`)",
+            (Step::Hook, Some(libc::ENODEV)) => "the interface is gone: look with `ip link`",
+            (Step::Hook, _) => "the interface needs tcx, Linux 6.6, or clsact",
+            (_, Some(libc::ENOSYS)) => "the kernel must be built with CONFIG_BPF_SYSCALL",
+            // A map that can be shared with a process came last of what the program needs.
+            (Step::Map | Step::Mapping | Step::Program, _) => "the kernel must be Linux 5.5 or later",
         }
     }
 }
@@ -122,12 +152,12 @@ impl Guard {
 
     fn attach_by(hook: Attach, interface: u32) -> Result<Self, GuardRefused> {
         let refused = |step| move |error| GuardRefused::new(step, error);
-        the_kernels_clock().map_err(refused("CLOCK_MONOTONIC"))?;
-        let map = bpf::create_map().map_err(refused("bpf map"))?;
-        let mapping = bpf::Mapping::new(&map).map_err(refused("bpf map in memory"))?;
+        the_kernels_clock().map_err(refused(Step::Clock))?;
+        let map = bpf::create_map().map_err(refused(Step::Map))?;
+        let mapping = bpf::Mapping::new(&map).map_err(refused(Step::Mapping))?;
         let program = program::assemble(map.as_raw_fd());
-        let program = bpf::load(&program).map_err(refused("bpf program"))?;
-        let hook = hook(&program, interface).map_err(refused("tcx, clsact"))?;
+        let program = bpf::load(&program).map_err(refused(Step::Program))?;
+        let hook = hook(&program, interface).map_err(refused(Step::Hook))?;
         Ok(Self { mapping, _hook: hook })
     }
 

@@ -142,7 +142,7 @@ impl Port {
     fn attach_guard(&self, interface: &Interface) -> Result<Guard, GuardRefused> {
         let guard = Guard::attach(interface.index)?;
         // Not before: without a guard a mark would only meet what a killed station left.
-        self.sender.set_mark(MARK).map_err(|error| GuardRefused::new("SO_MARK", error))?;
+        self.sender.set_mark(MARK).map_err(|error| GuardRefused::new(guard::Step::Mark, error))?;
         Ok(guard)
     }
 

@@ -37,9 +37,10 @@ impl RealTime {
         if let Some(priority) = self.priority
             && let Err(error) = set_scheduler(libc::SCHED_FIFO, priority)
         {
+            // In a user namespace no capability helps.
             refused.push(format!(
                 "SCHED_FIFO {priority}: {error}: ordinary scheduling, slots are missed under load (run as root, or \
-                 give CAP_SYS_NICE)"
+                 raise RLIMIT_RTPRIO, `ulimit -r`)"
             ));
         }
         if let Err(error) = mlockall(MlockAllFlags::MCL_CURRENT) {

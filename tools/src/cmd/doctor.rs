@@ -6,7 +6,8 @@ use rtnet::time::Span;
 
 use super::{Failure, screen_width, writable, write_json};
 use crate::cli::DoctorArgs;
-use crate::doctor::{self, Options, rights, screen};
+use crate::doctor::rights::{self, Way};
+use crate::doctor::{self, Options, screen};
 
 /// Measurements up to this long show no progress.
 const SHORT: Span = Span::from_millis(2_000);
@@ -20,7 +21,7 @@ pub fn doctor(args: &DoctorArgs) -> Result<u8, Failure> {
         writable(path).map_err(Failure::Usage)?;
     }
     let options = Options { cpu: args.cpu, duration: args.duration, progress: args.duration > SHORT };
-    let findings = doctor::examine(&options).map_err(Failure::Usage)?;
+    let findings = doctor::examine(&options, &Way::find()).map_err(Failure::Usage)?;
     if let Some(path) = &args.json {
         write_json(path, &findings).map_err(Failure::Run)?;
     }

@@ -9,7 +9,7 @@ use crate::control::{
     self, Directory, LabReply, LabRequest, Place, Reply, Request, RoleRequest, SlotShown, StationStatus,
 };
 use crate::report::text::{Column, grouped, micros, table};
-use crate::station::misses::{Miss, Misses};
+use crate::station::misses::{Miss, Misses, Refusal};
 
 /// Columns of a table of slots.
 const WIDTH: usize = 100;
@@ -123,12 +123,25 @@ fn describe(status: &StationStatus) -> String {
 
 /// What was missed, in words.
 fn misses(status: &StationStatus) -> String {
-    let Misses { causes, worst, .. } = &status.misses;
-    if worst.is_empty() {
+    let Misses { causes, worst, refused, .. } = &status.misses;
+    if causes.is_empty() {
         return format!("{}: nothing missed\n", status.name);
     }
     let counts: Vec<String> =
         causes.iter().map(|(cause, n)| format!("{} {}", cause.replace('_', " "), grouped(*n))).collect();
+    let mut text = format!("{}: missed by cause: {}\n", status.name, counts.join(", "));
+    for Refusal { error, frames, last_cycle, .. } in refused {
+        let (frames, last) = (grouped(*frames), grouped((*last_cycle).into()));
+        text += &format!("\nsend failed: {error}: {frames}, the last in cycle {last}\n");
+    }
+    if !worst.is_empty() {
+        text += &format!("\n{}\n", longest(worst));
+    }
+    text
+}
+
+/// Those that were late, as a table.
+fn longest(worst: &[Miss]) -> String {
     let left = |head, cell: fn(&Miss) -> String| Column::left(["", head], worst.iter().map(cell));
     let columns = [
         left("the longest", |miss| miss.what.replace('_', " ")),
@@ -140,12 +153,7 @@ fn misses(status: &StationStatus) -> String {
         Column::right(["", "by us"], worst.iter().map(|miss| micros(miss.late_ns))),
         left("cause", |miss| miss.cause.replace('_', " ")),
     ];
-    format!(
-        "{}: missed by cause: {}\n\n{}\n",
-        status.name,
-        counts.join(", "),
-        table(&columns, WIDTH).join("\n")
-    )
+    table(&columns, WIDTH).join("\n")
 }
 
 /// The slots as a table.

@@ -30,7 +30,7 @@ pub use self::findings::{
 };
 use self::outages::Outages;
 use self::progress::Progress;
-use self::rights::Rights;
+use self::rights::{Rights, Way};
 use self::verdict::Core;
 use self::wakeups::Wakeups;
 use self::wire::Wire;
@@ -70,18 +70,18 @@ struct Measured {
     real_time_share: f64,
 }
 
-/// Examines this host.
+/// Examines this host, in namespaces that the process may make this way.
 ///
 /// # Errors
 /// There is no such core.
-pub fn examine(options: &Options) -> Result<Findings> {
+pub fn examine(options: &Options, way: &Way) -> Result<Findings> {
     let cpus = allowed_cpus();
     let cpu = options.cpu.or(cpus.last().copied()).unwrap_or(0);
     if !cpus.contains(&cpu) {
         bail!("there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
     }
     let timer_slack_ns = nix::sys::prctl::get_timerslack().ok().map(i64::from);
-    let rights = Rights::probe(cpu);
+    let rights = Rights::probe(cpu, way);
     // All that is not measured stays off the core; on a machine with no other it cannot.
     let _ = avoid(cpu);
     let other_cpus: Vec<_> = cpus.into_iter().filter(|&other| other != cpu).collect();

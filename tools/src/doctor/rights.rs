@@ -7,6 +7,7 @@ use std::process::Command;
 use nix::errno::Errno;
 use nix::sched::{CloneFlags, unshare};
 use nix::sys::socket::{AddressFamily, SockFlag, SockType, socket};
+use nix::unistd::geteuid;
 use rtnet::live::Guard;
 use serde::Serialize;
 
@@ -16,6 +17,8 @@ use crate::lab::userns;
 
 /// The hidden option of `rtnet doctor` with which it asks itself, as a process with one thread.
 pub const PROBE_OPTION: &str = "--probe-user-namespace";
+/// What labs are made of.
+pub const NETWORK_NAMESPACES: &str = "network namespaces";
 /// `lo`, in every network namespace.
 const LOOPBACK: u32 = 1;
 
@@ -26,7 +29,7 @@ pub struct Right {
     pub name: &'static str,
     /// Whether it is there; none if that cannot be told.
     pub allowed: Option<bool>,
-    /// Why not, or what limits it; and what can be done.
+    /// Why not, or where not; and what can be done.
     pub note: Option<String>,
 }
 
@@ -39,9 +42,33 @@ pub struct Rights {
     pub kernel: Vec<Right>,
 }
 
+/// How this process came to make network namespaces, or why it did not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// It is root.
+    Root,
+    /// It was an ordinary user's, and is in a user namespace of its own.
+    UserNamespace,
+    /// It can do neither.
+    Refused(String),
+}
+
+impl Way {
+    /// Goes the way that `lab run` goes: what it finds there is what a lab finds. To be called before there is a second
+    /// thread.
+    pub fn find() -> Self {
+        let root = geteuid().is_root();
+        match userns::gain_namespaces() {
+            Ok(()) if root => Way::Root,
+            Ok(()) => Way::UserNamespace,
+            Err(error) => Way::Refused(format!("{error:#}")),
+        }
+    }
+}
+
 impl Rights {
     /// Tries everything, on this core.
-    pub fn probe(cpu: usize) -> Self {
+    pub fn probe(cpu: usize, way: &Way) -> Self {
         let refused = on_core(cpu, || ()).1;
         let set_up = |name, prefix: &str| {
             let line = refused.iter().find(|line| line.starts_with(prefix));
@@ -49,8 +76,12 @@ impl Rights {
             let why = line.map(|line| line.split_once(": ").map_or(&line[..], |(_, why)| why));
             Right { name, allowed: Some(line.is_none()), note: why.map(str::to_owned) }
         };
-        let packet = socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_CLOEXEC, None);
-        let namespace = Namespace::new().map(drop);
+        let namespace = Namespace::new();
+        let packet = packet_sockets(namespace.as_ref().ok());
+        let namespace = namespace.map(drop).map_err(|error| match way {
+            Way::Refused(why) => why.clone(),
+            Way::Root | Way::UserNamespace => format!("{error:#}"),
+        });
         // Without a namespace a refusal tells nothing of bridges and veth pairs.
         let bridge = namespace.is_ok().then(try_bridge);
         let veth = bridge.as_ref().is_some_and(Result::is_ok).then(try_veth);
@@ -59,12 +90,9 @@ impl Rights {
             set_up("SCHED_FIFO", "SCHED_FIFO"),
             set_up("locked memory", "mlockall"),
             set_up("timer slack 1ns", "timer slack"),
-            right(
-                "packet sockets",
-                packet.map(drop).map_err(|e| format!("{e}: give CAP_NET_RAW, or run as root")),
-            ),
-            right("network namespaces", namespace.map_err(|error| format!("{error:#}"))),
-            user_namespaces(),
+            packet,
+            right(NETWORK_NAMESPACES, namespace),
+            user_namespaces(way),
         ];
         let kernel = vec![
             kernel_part("bridge", bridge),
@@ -77,7 +105,16 @@ impl Rights {
 
     /// Whether real-time threads can be had.
     pub fn fifo(&self) -> bool {
-        self.process.iter().any(|right| right.name == "SCHED_FIFO" && right.allowed == Some(true))
+        self.has("SCHED_FIFO")
+    }
+
+    /// Whether labs can be had.
+    pub fn labs(&self) -> bool {
+        self.has(NETWORK_NAMESPACES)
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.process.iter().any(|right| right.name == name && right.allowed == Some(true))
     }
 }
 
@@ -95,9 +132,26 @@ fn right<E: ToString>(name: &'static str, tried: Result<(), E>) -> Right {
 fn kernel_part(name: &'static str, tried: Option<Result<(), String>>) -> Right {
     match tried {
         Some(tried) => right(name, tried),
-        None => {
-            Right { name, allowed: None, note: Some("needs a network namespace to try: run as root".into()) }
+        None => Right {
+            name,
+            allowed: None,
+            note: Some("needs a network namespace to try, which is not to be had here".into()),
+        },
+    }
+}
+
+/// Here, where a station of its own would run, and in a namespace of one's own, where a lab's do.
+fn packet_sockets(namespace: Option<&Namespace>) -> Right {
+    let name = "packet sockets";
+    let open = || socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_CLOEXEC, None).map(drop);
+    let Err(refused) = open() else { return Right { name, allowed: Some(true), note: None } };
+    let remedy = format!("{refused}: give CAP_NET_RAW, or run as root");
+    match namespace.map(|namespace| namespace.run(open)) {
+        Some(Ok(Ok(()))) => {
+            let note = format!("in labs only; for a station on an interface of this host: {remedy}");
+            Right { name, allowed: Some(true), note: Some(note) }
         }
+        _ => Right { name, allowed: Some(false), note: Some(remedy) },
     }
 }
 
@@ -129,22 +183,24 @@ fn tun() -> Result<(), String> {
 }
 
 /// Whether an ordinary user could make namespaces, and what forbids it.
-fn user_namespaces() -> Right {
+fn user_namespaces(way: &Way) -> Right {
     let name = "user namespaces";
-    match (try_user_namespace(), userns::forbidden()) {
-        (_, Some(why)) => {
-            Right { name, allowed: Some(false), note: Some(format!("for ordinary users: {why}")) }
+    let tried = match way {
+        // Who is in one sees its settings, which are not those that let it in.
+        Way::UserNamespace => return Right { name, allowed: Some(true), note: None },
+        Way::Refused(_) => Ok(false),
+        Way::Root => try_user_namespace(),
+    };
+    let (allowed, note) = match (tried, userns::forbidden()) {
+        (_, Some(why)) => (Some(false), Some(format!("for ordinary users: {why}"))),
+        (Ok(true), None) => (Some(true), None),
+        (Ok(false), None) => {
+            let why = "refused, though no sysctl forbids it: a seccomp filter, a chroot or CONFIG_USER_NS";
+            (Some(false), Some(why.into()))
         }
-        (Ok(true), None) => Right { name, allowed: Some(true), note: None },
-        (Ok(false), None) => Right {
-            name,
-            allowed: Some(false),
-            note: Some(
-                "refused, though no sysctl forbids it: a seccomp filter, a chroot or CONFIG_USER_NS".into(),
-            ),
-        },
-        (Err(error), None) => Right { name, allowed: None, note: Some(format!("not tried: {error}")) },
-    }
+        (Err(error), None) => (None, Some(format!("not tried: {error}"))),
+    };
+    Right { name, allowed, note }
 }
 
 fn try_user_namespace() -> io::Result<bool> {
@@ -164,6 +220,14 @@ mod tests {
     fn a_refusal_says_what_to_do() {
         let unknown = kernel_part("veth", None);
         assert_eq!(unknown.allowed, None, "a kernel that was not asked may have it");
-        assert!(unknown.note.is_some_and(|note| note.contains("run as root")));
+        assert!(unknown.note.is_some_and(|note| note.contains("needs a network namespace")));
+    }
+
+    #[test]
+    fn who_is_in_a_user_namespace_has_them_and_who_was_refused_is_told_why() {
+        let has = user_namespaces(&Way::UserNamespace);
+        assert_eq!((has.allowed, has.note), (Some(true), None));
+        let refused = user_namespaces(&Way::Refused("EPERM".into()));
+        assert_eq!((refused.allowed, refused.note.is_some()), (Some(false), true));
     }
 }

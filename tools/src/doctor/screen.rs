@@ -109,8 +109,9 @@ fn rights(findings: &Findings, width: usize) -> Vec<String> {
     let mut lines = list("allowed: ", &findings.rights.process.iter().map(item).collect::<Vec<_>>(), width);
     lines.extend(list("kernel: ", &findings.rights.kernel.iter().map(item).collect::<Vec<_>>(), width));
     let all = findings.rights.process.iter().chain(&findings.rights.kernel);
-    let refused = all.filter(|right| right.allowed == Some(false));
-    let why = refused.filter_map(|right| Some(format!("{}: {}", right.name, right.note.as_deref()?)));
+    // What could not be told is among what was not measured.
+    let told = all.filter(|right| right.allowed.is_some());
+    let why = told.filter_map(|right| Some(format!("{}: {}", right.name, right.note.as_deref()?)));
     lines.extend(why.flat_map(|line| paragraph("- ", &line, width)));
     lines
 }

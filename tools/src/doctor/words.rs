@@ -37,10 +37,12 @@ pub fn advice(findings: &Findings) -> Vec<String> {
     let mut lines = Vec::new();
     if findings.scheduling == "ordinary" {
         lines.push(
-            "run as root (or with CAP_SYS_NICE and CAP_NET_RAW): these are figures of ordinary threads, \
-                    and labs need root"
-                .into(),
+            "run as root, or raise RLIMIT_RTPRIO (`ulimit -r`): these are figures of ordinary threads".into(),
         );
+    }
+    // Why not stands with what this process may do.
+    if !findings.rights.labs() {
+        lines.push("labs need network namespaces, which are not to be had here".into());
     }
     lines.extend(warmth(findings));
     if findings.other_cpus.is_empty() {
@@ -179,6 +181,7 @@ pub fn rounded(ns: i64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rights::{self, Rights};
     use super::*;
 
     fn network(cycle_us: i64, share: f64, load: f64) -> Prediction {
@@ -220,7 +223,9 @@ mod tests {
     fn findings(scheduling: &'static str, share: f64, holds: bool) -> Findings {
         let network = network(1_000, share, 0.527);
         let recommended = Recommended { network, warm_core: false, holds, quarter: None };
+        let labs = Right { name: rights::NETWORK_NAMESPACES, allowed: Some(true), note: None };
         Findings {
+            rights: Rights { process: vec![labs], kernel: Vec::new() },
             scheduling,
             other_cpus: vec![0],
             recommended: Some(recommended),
@@ -232,17 +237,21 @@ mod tests {
     #[test]
     fn without_privileges_there_is_a_verdict_and_a_remedy() {
         let mut ordinary = findings("ordinary", 0.1, false);
-        let note = "EPERM: run as root, or give CAP_SYS_NICE".to_owned();
-        ordinary.rights.process = vec![Right { name: "SCHED_FIFO", allowed: Some(false), note: Some(note) }];
+        let note = "EPERM: run as root, or raise RLIMIT_RTPRIO".to_owned();
+        ordinary.rights.process.push(Right { name: "SCHED_FIFO", allowed: Some(false), note: Some(note) });
         let lines = not_measured(&ordinary, &["sending and stamps: run as root".into()]);
         assert_eq!(
             lines,
             [
-                "wake-ups and outages at real-time priority: EPERM: run as root, or give CAP_SYS_NICE",
+                "wake-ups and outages at real-time priority: EPERM: run as root, or raise RLIMIT_RTPRIO",
                 "sending and stamps: run as root"
             ]
         );
-        assert!(advice(&ordinary)[0].starts_with("run as root"));
+        let told = advice(&ordinary);
+        assert!(told[0].starts_with("run as root"));
+        assert!(!told.iter().any(|line| line.contains("labs")), "they can be had: {told:?}");
+        let no_labs = Findings { rights: Rights::default(), ..ordinary.clone() };
+        assert!(advice(&no_labs)[1].starts_with("labs need network namespaces"));
         let last = verdict(&ordinary).pop().unwrap();
         assert!(
             last.starts_with("DOES NOT HOLD: ") && last.ends_with("(told from ordinary threads)"),

@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use rtnet::discipline::{Cause, Event};
+use nix::errno::Errno;
+use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::Record;
 use serde::{Deserialize, Serialize};
 
@@ -16,10 +17,26 @@ const LATEST: usize = 50;
 pub struct Misses {
     /// How many, by cause.
     pub causes: BTreeMap<String, u64>,
-    /// The longest, longest first.
+    /// The longest, longest first. Frames that the kernel refused are not among them: those are late by nothing.
     pub worst: Vec<Miss>,
     /// The latest, oldest first.
     pub latest: VecDeque<Miss>,
+    /// Frames that the kernel refused, by its reason.
+    #[serde(default)]
+    pub refused: Vec<Refusal>,
+}
+
+/// How often the kernel refused a frame for this reason.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct Refusal {
+    /// Its error number.
+    pub errno: i32,
+    /// The same in words, as in `ENETDOWN: Network is down`.
+    pub error: String,
+    /// How often.
+    pub frames: u64,
+    /// The last time, in which cycle.
+    pub last_cycle: u32,
 }
 
 /// One of them.
@@ -31,8 +48,11 @@ pub struct Miss {
     pub slot: Option<u8>,
     /// `overrun`, `stalled_in_send`, `guard_dropped`, `slot_silent`, `slot_empty`, `send_failed` or `sync_skipped`.
     pub what: String,
-    /// By how much, nanoseconds; of a failed send, its error number.
+    /// By how much, nanoseconds; 0 of a failed send.
     pub late_ns: i64,
+    /// Of a failed send, its error number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub errno: Option<i32>,
     /// Why.
     pub cause: String,
 }
@@ -48,22 +68,44 @@ impl Misses {
 
     fn enter(&mut self, event: Event, cause: Cause) {
         *self.causes.entry(cause.name().into()).or_default() += 1;
+        // The span of a failed send is no time.
+        let errno = (event.kind == EventKind::SendFailed).then_some(event.span.nanos() as i32);
         let miss = Miss {
             cycle: event.cycle,
             slot: event.slot,
             what: event.kind.name().into(),
-            late_ns: event.span.nanos(),
+            late_ns: if errno.is_some() { 0 } else { event.span.nanos() },
+            errno,
             cause: cause.name().into(),
         };
-        let place = self.worst.partition_point(|other| other.late_ns >= miss.late_ns);
-        if place < WORST {
-            self.worst.insert(place, miss.clone());
-            self.worst.truncate(WORST);
+        match errno {
+            Some(errno) => self.refuse(errno, event.cycle),
+            None => self.rank(&miss),
         }
         if self.latest.len() == LATEST {
             self.latest.pop_front();
         }
         self.latest.push_back(miss);
+    }
+
+    fn rank(&mut self, miss: &Miss) {
+        let place = self.worst.partition_point(|other| other.late_ns >= miss.late_ns);
+        if place < WORST {
+            self.worst.insert(place, miss.clone());
+            self.worst.truncate(WORST);
+        }
+    }
+
+    /// There are no more reasons than the kernel has error numbers.
+    fn refuse(&mut self, errno: i32, cycle: u32) {
+        let known = self.refused.iter_mut().find(|refusal| refusal.errno == errno);
+        match known {
+            Some(refusal) => (refusal.frames, refusal.last_cycle) = (refusal.frames + 1, cycle),
+            None => {
+                let error = Errno::from_raw(errno).to_string();
+                self.refused.push(Refusal { errno, error, frames: 1, last_cycle: cycle });
+            }
+        }
     }
 }
 
@@ -89,5 +131,26 @@ mod tests {
         assert!(misses.worst.iter().all(|miss| miss.late_ns == 99_000));
         assert_eq!((misses.worst.len(), misses.latest.len()), (WORST, LATEST));
         assert_eq!(misses.latest.back().unwrap().cycle, 999, "what was no miss is not listed");
+    }
+
+    #[test]
+    fn what_the_kernel_refused_is_no_lateness() {
+        let mut misses = Misses::default();
+        // 100 is ENETDOWN, and no hundred nanoseconds.
+        let (kind, span) = (EventKind::SendFailed, Span::from_nanos(Errno::ENETDOWN as i64));
+        let failed = |cycle| Record::Event(Event { cycle, kind, slot: None, span }, Some(Cause::Refused));
+        misses.note(&[failed(1), failed(2), record(3, 0, Some(Cause::TimerLate))]);
+        assert_eq!(misses.worst.iter().map(|miss| miss.cycle).collect::<Vec<_>>(), [3]);
+        let first = &misses.latest[0];
+        assert_eq!(
+            (first.late_ns, first.errno, misses.latest[2].errno),
+            (0, Some(Errno::ENETDOWN as i32), None)
+        );
+        let error = "ENETDOWN: Network is down".to_owned();
+        assert_eq!(
+            misses.refused,
+            [Refusal { errno: Errno::ENETDOWN as i32, error, frames: 2, last_cycle: 2 }]
+        );
+        assert_eq!(misses.causes["refused"], 2);
     }
 }

@@ -49,7 +49,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 pub struct Options {
     /// The interface to run on.
     pub interface: String,
-    /// A name that no other station on this machine has: under it the station is looked at and changed.
+    /// A name that no other station on this machine has: under it the station is looked at and changed. If it is not
+    /// given, the interface's, as long as nobody else has that.
     pub name: Option<String>,
     /// Everything of the discipline but the address, which is the interface's.
     pub tdma: TdmaConfig,
@@ -94,19 +95,29 @@ pub struct Ready {
     is_master: bool,
     teller: Teller,
     desk: Desk,
+    reach: Reach,
+}
+
+/// Where a station can be looked at and changed.
+#[derive(Default)]
+struct Reach {
     // Gone before the name is free again.
-    control: Option<Server>,
+    server: Option<Server>,
     _name: Option<Held>,
+    /// Why there is no such place.
+    refused: Option<String>,
 }
 
 /// Makes a station ready to run; fails if it cannot be what it is to be.
 pub fn set_up(options: Options) -> Result<Ready> {
-    let (name, control) = control(&options)?;
+    let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
     halt::arm(&mut port)?;
+    // Who may not run a station leaves no directory of names behind.
+    let reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));
     let (guarded, guard_refused) = (port.is_guarded(), port.guard_refused().map(str::to_owned));
     let driver = driver(&options, &interface, port, stop.clone(), counts.clone())?;
     let in_lab = options.lab.is_some();
@@ -128,8 +139,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         is_master,
         teller,
         desk,
-        control,
-        _name: name,
+        reach,
     })
 }
 
@@ -138,15 +148,16 @@ impl Ready {
     pub fn run(mut self) -> Result<()> {
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
-        // What this thread may still do is what those that it starts may do.
-        drop_capabilities();
+        refused.extend(self.reach.refused);
+        // What this thread may still do is what those that it starts may do. The other one may have said the same.
+        refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
         stop_when_told(&self.stop, self.in_lab)?;
         self.desk.note_host(&refused);
         self.teller.started(self.guarded, refused)?;
         let mut told = Instant::now();
         loop {
             let ended = thread.is_finished();
-            match &mut self.control {
+            match &mut self.reach.server {
                 Some(server) => server.serve(LOOK_EVERY, |packet, traffic| self.desk.answer(packet, traffic)),
                 None => std::thread::sleep(LOOK_EVERY),
             }
@@ -217,16 +228,30 @@ fn driver(
     Ok(Driver::new(Station::new(discipline, services), port, config))
 }
 
-/// The station's name and its control socket. A lab has seen to the name of its own stations.
-fn control(options: &Options) -> Result<(Option<Held>, Option<Server>)> {
-    if let Some(lab) = &options.lab {
-        return Ok((None, lab.control.as_deref().map(Server::bind).transpose()?));
+/// The station's name and its control socket, if any were asked for. A lab has seen to the names of its own stations.
+fn reach_as_asked(options: &Options) -> Result<Option<Reach>> {
+    match (&options.lab, &options.name) {
+        (Some(lab), _) => {
+            let server = lab.control.as_deref().map(Server::bind).transpose()?;
+            Ok(Some(Reach { server, ..Reach::default() }))
+        }
+        (None, name) => name.as_deref().map(reach_by).transpose(),
     }
-    let Some(name) = &options.name else { return Ok((None, None)) };
+}
+
+/// The same by a name that nobody asked for: another station may have it, on an interface of another namespace.
+fn reach_by_interface(interface: &str) -> Reach {
+    reach_by(interface).unwrap_or_else(|why| Reach {
+        refused: Some(format!("nothing can be asked of this station, nor changed: {why:#}")),
+        ..Reach::default()
+    })
+}
+
+fn reach_by(name: &str) -> Result<Reach> {
     let directory = Directory::of_user();
     let held = directory.take_station(name)?;
-    let server = Server::bind(&directory.station(&Place { lab: None, station: name.clone() }))?;
-    Ok((Some(held), Some(server)))
+    let server = Server::bind(&directory.station(&Place { lab: None, station: name.into() }))?;
+    Ok(Reach { server: Some(server), _name: Some(held), refused: None })
 }
 
 /// Once its sockets are open and its thread is set up, a station needs no capability any more. A line if the kernel

@@ -123,3 +123,23 @@ fn a_time_namespace_is_noticed() {
     assert!(is_set_off("monotonic          86400         0\nboottime       0         0\n"));
     assert!(is_set_off("monotonic           0         -7\n"));
 }
+
+#[test]
+fn the_remedy_is_chosen_by_the_step_that_failed() {
+    let remedy = |step, errno| GuardRefused::new(step, io::Error::from_raw_os_error(errno)).remedy();
+    for (step, errno, expected) in [
+        (Step::Map, libc::EPERM, "run as root, or give CAP_BPF"),
+        (Step::Map, libc::ENOSYS, "CONFIG_BPF_SYSCALL"),
+        (Step::Map, libc::EINVAL, "Linux 5.5"),
+        (Step::Mapping, libc::EAGAIN, "RLIMIT_MEMLOCK"),
+        (Step::Program, libc::EINVAL, "Linux 5.5"),
+        (Step::Hook, libc::EINVAL, "tcx, Linux 6.6, or clsact"),
+        (Step::Hook, libc::EOPNOTSUPP, "tcx, Linux 6.6, or clsact"),
+        (Step::Hook, libc::ENODEV, "gone"),
+        (Step::Mark, libc::EPERM, "CAP_NET_ADMIN"),
+    ] {
+        assert!(remedy(step, errno).contains(expected), "{step:?}, {errno}: {}", remedy(step, errno));
+    }
+    let namespace = GuardRefused::new(Step::Clock, io::ErrorKind::Unsupported.into());
+    assert_eq!(namespace.remedy(), "run it in the host's time namespace");
+}

@@ -213,7 +213,7 @@ pub enum SlotVerb {
         /// Its id and offset; if it is not used in every cycle or takes less than 1500 bytes, phase P of N
         /// cycles and size in bytes
         #[arg(value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
-        slot: crate::cmd::station::SlotArg,
+        slot: crate::control::SlotChange,
     },
     /// Remove a slot; what is queued in it is dropped and counted
     Remove {
@@ -275,7 +275,7 @@ pub struct StationArgs {
     /// A slot: its id and offset, and if it is not used in every cycle or takes less than 1500 bytes,
     /// phase P of N cycles and size in bytes. Can be given several times
     #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
-    pub slots: Vec<crate::cmd::station::SlotArg>,
+    pub slots: Vec<crate::control::SlotChange>,
     /// Line rate at which its slots are checked against each other, and a master's against its cycle
     #[arg(long, default_value = "1G", value_parser = parse_rate)]
     pub rate: Rate,

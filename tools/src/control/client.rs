@@ -40,7 +40,16 @@ pub fn ask_lab(directory: &Directory, lab: &str, request: LabRequest) -> Result<
     directory.check()?;
     let path = directory.lab(lab);
     let within = if request == LabRequest::Down { DOWN_WITHIN } else { PATIENCE };
-    exchange(&path, request, within).map_err(|error| explain(error, "lab", lab, directory.labs()))
+    exchange(&path, request, within).map_err(|error| {
+        let explained = explain(error, "lab", lab, directory.labs());
+        // It has its name before its network, and its socket only when that is up.
+        match directory.keeper(lab).filter(|_| !path.exists()) {
+            Some(pid) => anyhow!(
+                "lab '{lab}' is coming up: ask again once it is, or end process {pid}, which is at it"
+            ),
+            None => explained,
+        }
+    })
 }
 
 /// How a station stands.

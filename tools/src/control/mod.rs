@@ -15,7 +15,7 @@ mod protocol;
 mod server;
 
 pub use client::{Question, ask, ask_lab, lab_status, put, station_status};
-pub use places::{Directory, Held, Home, Place, check_name};
+pub use places::{Directory, Held, Home, Place, check_name, parse_name};
 pub use protocol::{
     Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotChange,
     SlotRequest, SlotShown, StationStatus, VERSION, read,

@@ -1,11 +1,13 @@
 //! Labs that stay: asked, changed, abused and taken down.
 
+use std::fs::File;
 use std::io::Read;
 use std::os::fd::AsFd;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use nix::fcntl::{Flock, FlockArg};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use serde_json::Value;
 use socket2::Socket;
@@ -319,16 +321,80 @@ fn an_ordinary_user_keeps_a_lab_up() {
         assert_eq!(up.status.code(), Some(0), "{}", text(&up.stderr));
         let exec = nobody(&["lab", "exec", "slave1", "--", "cat", "/proc/self/net/dev"]);
         let slot = nobody(&["slot", "-S", "lab/slave1", "list"]);
-        let status = nobody(&["tdma", "-S", "lab/slave1", "status"]);
+        // It is the only lab of this user.
+        let status = nobody(&["tdma", "-S", "slave1", "status"]);
         // Root is another user, and has other labs.
         let of_root = rtnet().args(["lab", "status", "lab"]).output().unwrap();
-        let down = nobody(&["lab", "down"]);
+        // One that is still coming up keeps no other from going down.
+        let place = runtime.join("rtnet").join("coming-up");
+        let coming_up = hold(&place, 65_534);
+        let status_of_it = nobody(&["lab", "status", "coming-up"]);
+        let all_but_it = nobody(&["lab", "down", "--all"]);
+        drop(coming_up);
+        let rest = nobody(&["lab", "down", "--all"]);
         assert!(text(&exec.stdout).contains("rt0:"), "{}", text(&exec.stderr));
         assert!(text(&slot.stdout).contains("offset"), "{}", text(&slot.stderr));
         assert!(text(&status.stdout).contains("SCHED_FIFO 80: EPERM"), "what it lacks is told");
         assert_eq!(of_root.status.code(), Some(2));
-        assert_eq!(down.status.code(), Some(0), "{}{}", text(&down.stdout), text(&down.stderr));
+        for refused in [refusal(&status_of_it), refusal(&all_but_it)] {
+            assert!(refused.contains("lab 'coming-up' is coming up: ask again"), "{refused}");
+        }
+        assert!(text(&all_but_it.stdout).contains("OK: "), "lab 'lab' is down: {}", text(&all_but_it.stdout));
+        assert!(text(&rest.stderr).contains("was dead already"), "{}", text(&rest.stderr));
+        assert_eq!(rest.status.code(), Some(0), "{}{}", text(&rest.stdout), text(&rest.stderr));
         assert_eq!(std::fs::read_dir(runtime.join("rtnet")).unwrap().count(), 0, "nothing is left");
+    });
+}
+
+/// Holds a lab's name, as somebody's lab does before its socket is there.
+fn hold(place: &Path, uid: u32) -> Flock<File> {
+    std::fs::create_dir(place).unwrap();
+    let lock = File::create(place.join(".lock")).unwrap();
+    for path in [place, &place.join(".lock")] {
+        std::os::unix::fs::chown(path, Some(uid), Some(uid)).unwrap();
+    }
+    Flock::lock(lock, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error).unwrap()
+}
+
+#[test]
+fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
+    network("a_lab_whose_program_was_replaced_starts_its_stations_anew", || {
+        let cell = Cell { name: format!("replaced-{}", std::process::id()) };
+        let dir = tempfile::tempdir().unwrap();
+        let binary = dir.path().join("rtnet");
+        std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/cell.toml");
+        let mut up = Command::new(&binary);
+        let up = up.args(["lab", "up", "--name", &cell.name, "--"]).arg(file).output().unwrap();
+        assert_eq!(up.status.code(), Some(0), "{}", text(&up.stderr));
+        std::fs::remove_file(&binary).unwrap();
+        std::fs::write(&binary, "another one").unwrap();
+        cell.restart("slave1");
+        let new = pid(&cell.station("slave1"));
+        assert_eq!(std::fs::read_to_string(format!("/proc/{new}/comm")).unwrap(), "rtnet\n");
+        assert_eq!(cell.down()["unexplained"], 0);
+    });
+}
+
+#[test]
+fn a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind() {
+    network("a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind", || {
+        use nix::sys::signal::{Signal, kill};
+        let cell = Cell { name: format!("given-up-{}", std::process::id()) };
+        let place = Path::new("/run/rtnet").join(&cell.name);
+        // Calibration takes 200 cycles; progress is told of after a second, and readiness after four.
+        for (cycle, after) in [("20ms", 500), ("5ms", 900)] {
+            let mut up = rtnet();
+            up.args(["lab", "up", "--stations", "2", "--cycle", cycle, "--name", &cell.name]);
+            let mut up = up.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+            wait_until("it has begun", || place.join("slave1.sock").exists());
+            let status = rtnet().args(["lab", "status", &cell.name]).output().unwrap();
+            assert!(refusal(&status).contains("is coming up: ask again"), "{}", text(&status.stderr));
+            std::thread::sleep(Duration::from_millis(after));
+            kill(nix::unistd::Pid::from_raw(up.id() as i32), Signal::SIGINT).unwrap();
+            up.wait().unwrap();
+            wait_until("nothing is left", || !place.exists());
+        }
     });
 }
 

@@ -1,10 +1,14 @@
 //! Labs that stay: asked, changed, abused and taken down.
 
+use std::fs::File;
 use std::io::Read;
+use std::os::fd::AsFd;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use nix::fcntl::{Flock, FlockArg};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use serde_json::Value;
 use socket2::Socket;
 
@@ -152,37 +156,10 @@ fn a_station_that_was_stopped_says_that_it_was_preempted() {
 fn hostile_clients_are_refused_and_disturb_nobody() {
     network("hostile_clients_are_refused_and_disturb_nobody", || {
         let cell = Cell::up("hostile");
-        let whole =
-            br#"{"version":1,"body":{"set_slot":{"id":0,"offset_ns":1,"phase":0,"period":0,"size":9}}}"#;
-        let mut packets: Vec<Vec<u8>> = (1..whole.len()).map(|end| whole[..end].to_vec()).collect();
-        packets.extend([
-            br#"{"version":7,"body":"status"}"#.to_vec(),
-            br#"{"version":1,"body":"reboot"}"#.to_vec(),
-            whole.to_vec(),
-            vec![0xff; 1024],
-        ]);
-        let mut client = cell.connect("slave1");
-        for packet in packets {
-            client.send(&packet).unwrap();
-            let mut reply = [0; 4096];
-            let length = client.read(&mut reply).unwrap();
-            let reply: Value = serde_json::from_slice(&reply[..length]).unwrap();
-            assert!(reply["body"]["refused"].is_string(), "{}: {reply}", text(&packet));
-        }
-        // Too long: hung up.
-        client.send(&[b' '; 5_000]).unwrap();
-        assert!(matches!(client.read(&mut [0; 16]), Ok(0) | Err(_)));
-
-        // One that asks and never reads, and a thousand that say nothing.
-        let deaf = cell.connect("slave1");
-        deaf.set_nonblocking(true).unwrap();
-        let deadline = Instant::now() + Duration::from_secs(20);
-        while deaf.send_with_flags(br#"{"version":1,"body":"status"}"#, nix::libc::MSG_NOSIGNAL).is_ok()
-            || Instant::now() < deadline && cell.station("slave1")["control"]["not_taken"] == 0
-        {
-            assert!(Instant::now() < deadline, "it is never hung up on");
-        }
-        let _silent: Vec<Socket> = (0..1_000).map(|_| cell.connect("slave1")).collect();
+        abuse(&cell, "slave1", br#"{"set_slot":{"id":0,"offset_ns":1,"phase":0,"period":0,"size":9}}"#);
+        let of_slave = br#"{"set_slot":{"station":"slave1","slot":{"id":0,"offset_ns":1,"size":9}}}"#;
+        // The lab's own socket is served by the thread that watches the medium.
+        abuse(&cell, "", of_slave);
 
         let station = cell.station("slave1");
         let state = station["standing"]["state"].as_str().unwrap();
@@ -190,6 +167,116 @@ fn hostile_clients_are_refused_and_disturb_nobody() {
         let control = &station["control"];
         assert_eq!((&control["too_long"], &control["not_taken"]), (&1.into(), &1.into()), "{control}");
         assert!(control["evicted"].as_u64().unwrap() > 900, "{control}");
+        let account = cell.down();
+        assert_eq!((&account["unexplained"], &account["not_judged"]), (&0.into(), &0.into()), "{account:#}");
+    });
+}
+
+/// What no client would send, and more of it than anybody would. `whole` is a request that is refused.
+fn abuse(cell: &Cell, socket: &str, whole: &[u8]) {
+    let whole = [br#"{"version":1,"body":"#, whole, b"}"].concat();
+    let mut packets: Vec<Vec<u8>> = (1..whole.len()).map(|end| whole[..end].to_vec()).collect();
+    packets.extend([
+        br#"{"version":7,"body":"status"}"#.to_vec(),
+        br#"{"version":1,"body":"reboot"}"#.to_vec(),
+        whole,
+        vec![0xff; 1024],
+    ]);
+    let mut client = cell.connect(socket);
+    let answered = |client: &mut Socket| -> Value {
+        let mut reply = [0; 4096];
+        let length = client.read(&mut reply).unwrap();
+        serde_json::from_slice(&reply[..length]).unwrap()
+    };
+    for packet in packets {
+        client.send(&packet).unwrap();
+        let reply = answered(&mut client);
+        assert!(reply["body"]["refused"].is_string(), "{}: {reply}", text(&packet));
+    }
+    // Too long: told so, and hung up on.
+    client.send(&[b' '; 5_000]).unwrap();
+    let reply = answered(&mut client);
+    assert!(reply["body"]["refused"].as_str().unwrap().contains("1024 bytes at most"), "{reply}");
+    assert!(matches!(client.read(&mut [0; 16]), Ok(0) | Err(_)));
+
+    // One that asks and never reads, and a thousand that say nothing.
+    let deaf = cell.connect(socket);
+    deaf.set_nonblocking(true).unwrap();
+    let is_hung_up = || {
+        let mut fds = [PollFd::new(deaf.as_fd(), PollFlags::empty())];
+        poll(&mut fds, PollTimeout::ZERO).unwrap() > 0
+    };
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while !is_hung_up() {
+        // Its queue may be full until the next is looked at.
+        let _ = deaf.send_with_flags(br#"{"version":1,"body":"status"}"#, nix::libc::MSG_NOSIGNAL);
+        assert!(Instant::now() < deadline, "it is never hung up on");
+    }
+    let _silent: Vec<Socket> = (0..1_000).map(|_| cell.connect(socket)).collect();
+}
+
+/// A station that is stopped is waited for by whoever changes it; meanwhile nobody looks at the medium.
+#[test]
+fn changes_that_nobody_answers_neither_blind_the_lab_nor_come_later() {
+    network("changes_that_nobody_answers_neither_blind_the_lab_nor_come_later", || {
+        use nix::sys::signal::{Signal, kill};
+        let cell = Cell::up("unanswered");
+        let slave = nix::unistd::Pid::from_raw(pid(&cell.station("slave2")) as i32);
+        let offset = || cell.station("slave2")["slots"][0]["offset_ns"].as_i64().unwrap();
+        let (mut before, mut unanswered) = (offset(), 0);
+        for turn in 0.. {
+            let (text_of, nanos) =
+                if turn % 2 == 0 { ("0=2300us", 2_300_000) } else { ("0=1600us", 1_600_000) };
+            // Several at once, so that some still wait when the first is given up.
+            let ask = || {
+                let mut command = rtnet();
+                command.args(["slot", "-S", &cell.place("slave2"), "set", text_of]);
+                command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+            };
+            let asking = [ask(), ask(), ask()];
+            std::thread::sleep(Duration::from_micros(500 * (turn % 12 + 2)));
+            kill(slave, Signal::SIGSTOP).unwrap();
+            let answers = asking.map(|child| child.wait_with_output().unwrap());
+            kill(slave, Signal::SIGCONT).unwrap();
+            wait_until("it is locked again", || cell.station("slave2")["standing"]["state"] == "locked");
+            let is_made = answers.iter().any(|answer| answer.status.code() == Some(0));
+            let said: String = answers.iter().map(|answer| text(&answer.stderr)).collect();
+            let late = said.matches("is told to leave all as it is").count();
+            unanswered += late;
+            assert!(late <= 1, "while one is not answered there is no other: {said}");
+            let is = offset();
+            assert!(is == nanos || is == before && !is_made, "{is}, not {nanos}: {said}");
+            before = is;
+            // It is stopped sooner or later after they are asked for, and mostly before it has answered one.
+            if unanswered >= 4 {
+                break;
+            }
+            assert!(turn < 40, "it was stopped in time only {unanswered} times");
+        }
+        std::thread::sleep(Duration::from_millis(200));
+        let account = cell.down();
+        let found = ["unexplained", "out_of_slot", "not_judged"].map(|what| account[what].clone());
+        assert_eq!(found, [0, 0, 0].map(Value::from), "{account:#}");
+    });
+}
+
+/// The second is asked for before the first has its turn.
+#[test]
+fn of_two_changes_in_a_row_the_second_keeps_what_the_first_said() {
+    network("of_two_changes_in_a_row_the_second_keeps_what_the_first_said", || {
+        let cell = Cell::up("in-a-row");
+        for turn in 0..10 {
+            let phase = format!("3=2650us,phase={}/4,size=100", turn % 4 + 1);
+            for set in [&phase[..], "3=2650us"] {
+                let set = cell.slot("slave2", &["set", set]);
+                assert_eq!(set.status.code(), Some(0), "{}", text(&set.stderr));
+            }
+            wait_until("both hold", || {
+                let slot = &cell.station("slave2")["slots"][1];
+                (&slot["phase"], &slot["period"], &slot["size"])
+                    == (&(turn % 4).into(), &4.into(), &100.into())
+            });
+        }
         assert_eq!(cell.down()["unexplained"], 0);
     });
 }
@@ -244,16 +331,80 @@ fn an_ordinary_user_keeps_a_lab_up() {
         assert_eq!(up.status.code(), Some(0), "{}", text(&up.stderr));
         let exec = nobody(&["lab", "exec", "slave1", "--", "cat", "/proc/self/net/dev"]);
         let slot = nobody(&["slot", "-S", "lab/slave1", "list"]);
-        let status = nobody(&["tdma", "-S", "lab/slave1", "status"]);
+        // It is the only lab of this user.
+        let status = nobody(&["tdma", "-S", "slave1", "status"]);
         // Root is another user, and has other labs.
         let of_root = rtnet().args(["lab", "status", "lab"]).output().unwrap();
-        let down = nobody(&["lab", "down"]);
+        // One that is still coming up keeps no other from going down.
+        let place = runtime.join("rtnet").join("coming-up");
+        let coming_up = hold(&place, 65_534);
+        let status_of_it = nobody(&["lab", "status", "coming-up"]);
+        let all_but_it = nobody(&["lab", "down", "--all"]);
+        drop(coming_up);
+        let rest = nobody(&["lab", "down", "--all"]);
         assert!(text(&exec.stdout).contains("rt0:"), "{}", text(&exec.stderr));
         assert!(text(&slot.stdout).contains("offset"), "{}", text(&slot.stderr));
         assert!(text(&status.stdout).contains("SCHED_FIFO 80: EPERM"), "what it lacks is told");
         assert_eq!(of_root.status.code(), Some(2));
-        assert_eq!(down.status.code(), Some(0), "{}{}", text(&down.stdout), text(&down.stderr));
+        for refused in [refusal(&status_of_it), refusal(&all_but_it)] {
+            assert!(refused.contains("lab 'coming-up' is coming up: ask again"), "{refused}");
+        }
+        assert!(text(&all_but_it.stdout).contains("OK: "), "lab 'lab' is down: {}", text(&all_but_it.stdout));
+        assert!(text(&rest.stderr).contains("was dead already"), "{}", text(&rest.stderr));
+        assert_eq!(rest.status.code(), Some(0), "{}{}", text(&rest.stdout), text(&rest.stderr));
         assert_eq!(std::fs::read_dir(runtime.join("rtnet")).unwrap().count(), 0, "nothing is left");
+    });
+}
+
+/// Holds a lab's name, as somebody's lab does before its socket is there.
+fn hold(place: &Path, uid: u32) -> Flock<File> {
+    std::fs::create_dir(place).unwrap();
+    let lock = File::create(place.join(".lock")).unwrap();
+    for path in [place, &place.join(".lock")] {
+        std::os::unix::fs::chown(path, Some(uid), Some(uid)).unwrap();
+    }
+    Flock::lock(lock, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error).unwrap()
+}
+
+#[test]
+fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
+    network("a_lab_whose_program_was_replaced_starts_its_stations_anew", || {
+        let cell = Cell { name: format!("replaced-{}", std::process::id()) };
+        let dir = tempfile::tempdir().unwrap();
+        let binary = dir.path().join("rtnet");
+        std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/cell.toml");
+        let mut up = Command::new(&binary);
+        let up = up.args(["lab", "up", "--name", &cell.name, "--"]).arg(file).output().unwrap();
+        assert_eq!(up.status.code(), Some(0), "{}", text(&up.stderr));
+        std::fs::remove_file(&binary).unwrap();
+        std::fs::write(&binary, "another one").unwrap();
+        cell.restart("slave1");
+        let new = pid(&cell.station("slave1"));
+        assert_eq!(std::fs::read_to_string(format!("/proc/{new}/comm")).unwrap(), "rtnet\n");
+        assert_eq!(cell.down()["unexplained"], 0);
+    });
+}
+
+#[test]
+fn a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind() {
+    network("a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind", || {
+        use nix::sys::signal::{Signal, kill};
+        let cell = Cell { name: format!("given-up-{}", std::process::id()) };
+        let place = Path::new("/run/rtnet").join(&cell.name);
+        // Calibration takes 200 cycles; progress is told of after a second, and readiness after four.
+        for (cycle, after) in [("20ms", 500), ("5ms", 900)] {
+            let mut up = rtnet();
+            up.args(["lab", "up", "--stations", "2", "--cycle", cycle, "--name", &cell.name]);
+            let mut up = up.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+            wait_until("it has begun", || place.join("slave1.sock").exists());
+            let status = rtnet().args(["lab", "status", &cell.name]).output().unwrap();
+            assert!(refusal(&status).contains("is coming up: ask again"), "{}", text(&status.stderr));
+            std::thread::sleep(Duration::from_millis(after));
+            kill(nix::unistd::Pid::from_raw(up.id() as i32), Signal::SIGINT).unwrap();
+            up.wait().unwrap();
+            wait_until("nothing is left", || !place.exists());
+        }
     });
 }
 

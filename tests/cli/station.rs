@@ -296,6 +296,33 @@ fn a_running_station_refuses_slots_of_its_own_that_clash() {
             message.contains("ends after the cycle") && message.contains("the cycle is 2ms"),
             "{message}"
         );
+        let done = rtnet().args(["slot", "-S", &name, "set", "4=3ms"]).output().unwrap();
+        let done = String::from_utf8(done.stdout).unwrap();
+        assert!(done.contains("other stations' slots it does not know"), "{done}");
+        assert_eq!(status(&name)["slots"].as_array().unwrap().last().unwrap()["period"], 4, "as it was");
+    });
+}
+
+#[test]
+fn who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone() {
+    network("who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone", || {
+        let medium = Medium::new();
+        let (first, second) =
+            (Station::master(&medium, "first-master"), Station::slave(&medium, "second-master"));
+        let ask = ["tdma", "-S", "second-master", "master", "--cycle", "5ms"];
+        let output = rtnet().args(ask).output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        let message = refused(&output);
+        assert!(message.contains("makes way for another master (02:00:00:00:00:0a)"), "{message}");
+        assert!(message.contains("`rtnet tdma -S second-master slave`"), "the remedy: {message}");
+        first.end();
+        let output = rtnet().args(ask).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let done = String::from_utf8(output.stdout).unwrap();
+        assert!(done.contains("second-master: master of a cycle of 5ms, from cycle "), "{done}");
+        let master = status("second-master");
+        assert_eq!((&master["role"], &master["standing"]["state"]), (&"master".into(), &"locked".into()));
+        drop(second);
     });
 }
 

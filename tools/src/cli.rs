@@ -8,7 +8,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
-use crate::control::Place;
+use crate::control::{Place, parse_name};
 use crate::observe::ear::Spot;
 use crate::scenario::SlotGuard;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
@@ -97,7 +97,7 @@ pub struct ListenArgs {
     #[arg(long, value_name = "IF", conflicts_with = "lab")]
     pub interface: Option<String>,
     /// On the bridge of this lab [default: the lab named 'lab']
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = parse_name)]
     pub lab: Option<String>,
 }
 
@@ -148,7 +148,7 @@ pub struct DumpArgs {
 /// Which running station.
 #[derive(Debug, Args)]
 pub struct Which {
-    /// The station: its --name, or, in a lab, LAB/STATION
+    /// The station: its --name, or, in a lab, LAB/STATION; where there is only one lab, LAB/ can be left out
     #[arg(short = 'S', long = "station", value_name = "[LAB/]STATION")]
     pub place: Place,
     /// Print JSON
@@ -176,7 +176,8 @@ pub enum TdmaVerb {
         #[arg(long)]
         misses: bool,
     },
-    /// Listen for three cycles, then give the time; fails where another master is heard
+    /// Listen for three cycles, then give the time, and wait for that; where another master is heard the station
+    /// makes way for it, silent from then on, and the exit status is 1
     Master {
         /// From one cycle's start to the next
         #[arg(long, value_parser = parse_positive_span)]
@@ -213,7 +214,7 @@ pub enum SlotVerb {
         /// Its id and offset; if it is not used in every cycle or takes less than 1500 bytes, phase P of N
         /// cycles and size in bytes
         #[arg(value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
-        slot: crate::cmd::station::SlotArg,
+        slot: crate::control::SlotChange,
     },
     /// Remove a slot; what is queued in it is dropped and counted
     Remove {
@@ -275,13 +276,13 @@ pub struct StationArgs {
     /// A slot: its id and offset, and if it is not used in every cycle or takes less than 1500 bytes,
     /// phase P of N cycles and size in bytes. Can be given several times
     #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
-    pub slots: Vec<crate::cmd::station::SlotArg>,
+    pub slots: Vec<crate::control::SlotChange>,
     /// Line rate at which its slots are checked against each other, and a master's against its cycle
     #[arg(long, default_value = "1G", value_parser = parse_rate)]
     pub rate: Rate,
     /// A name that no other station on this machine has; under it `rtnet tdma` and `rtnet slot` find it
     /// [default: the interface's, if no other station has that]
-    #[arg(long)]
+    #[arg(long, value_parser = parse_name)]
     pub name: Option<String>,
     /// Highest slot id
     #[arg(long, default_value_t = rtmac::tdma::DEFAULT_MAX_SLOT_ID, value_name = "ID")]

@@ -8,6 +8,8 @@ use tools::cli::{Cli, LabVerb, Verb};
 use tools::cmd;
 
 fn main() -> ExitCode {
+    // A lab starts this program as /proc/self/exe, by which `ps` and `top` would call it. It runs under any name.
+    let _ = std::fs::write("/proc/self/comm", "rtnet");
     let done = match &Cli::parse().verb {
         Verb::Lab(LabVerb::Run(args)) => cmd::lab_run::lab_run(args),
         Verb::Lab(LabVerb::Up(args)) => cmd::lab_up::lab_up(args),

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crossbeam::atomic::AtomicCell;
 use crossbeam::queue::ArrayQueue;
 use nix::sys::eventfd::EventFd;
 
@@ -14,6 +13,7 @@ use crate::station::Station;
 use crate::time::{GlobalTime, Span};
 
 use super::clock::{monotonic, thread_cpu_time};
+use super::errands::Errands;
 use super::port::{Port, PortCounters};
 
 /// Longest sleep: how soon the loop notices that it is to stop.
@@ -64,49 +64,6 @@ pub struct Snapshot<S> {
     pub records_lost: u64,
 }
 
-/// A command on its way to the loop and back.
-pub struct Errand<D: Discipline> {
-    /// What is asked for; on the way back with what it replaced.
-    pub command: D::Command,
-    /// From which cycle on it holds, or why not; `None` on the way there.
-    pub result: Option<Result<u32, D::Refused>>,
-}
-
-/// The two ends of the way of commands: one errand at a time, handed over by swapping a pointer, so that the loop
-/// never waits for somebody who was preempted while handing it over.
-pub struct Errands<D: Discipline> {
-    asked: AtomicCell<Option<Box<Errand<D>>>>,
-    answered: AtomicCell<Option<Box<Errand<D>>>>,
-    /// Whether one is under way.
-    under_way: AtomicBool,
-}
-
-impl<D: Discipline> Errands<D> {
-    fn new() -> Self {
-        Self {
-            asked: AtomicCell::new(None),
-            answered: AtomicCell::new(None),
-            under_way: AtomicBool::new(false),
-        }
-    }
-
-    /// Sends a command; gives it back while another is under way. For one thread.
-    pub fn send(&self, command: D::Command) -> Result<(), D::Command> {
-        if self.under_way.swap(true, Ordering::Relaxed) {
-            return Err(command);
-        }
-        self.asked.store(Some(Box::new(Errand { command, result: None })));
-        Ok(())
-    }
-
-    /// The command that has come back, if it has.
-    pub fn take(&self) -> Option<Errand<D>> {
-        let errand = self.answered.take()?;
-        self.under_way.store(false, Ordering::Relaxed);
-        Some(*errand)
-    }
-}
-
 /// Drives a station on a port. [`Driver::run`] is the real-time thread.
 pub struct Driver<D: Discipline> {
     station: Station<D>,
@@ -114,7 +71,7 @@ pub struct Driver<D: Discipline> {
     config: DriverConfig,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
-    errands: Arc<Errands<D>>,
+    errands: Arc<Errands<D::Command, D::Refused>>,
     records_lost: u64,
     next_snapshot: True,
     /// The state in the last snapshot.
@@ -153,7 +110,7 @@ impl<D: Discipline> Driver<D> {
     }
 
     /// The way of commands: one is carried out in a turn, after the slot's send.
-    pub fn errands(&self) -> Arc<Errands<D>> {
+    pub fn errands(&self) -> Arc<Errands<D::Command, D::Refused>> {
         self.errands.clone()
     }
 
@@ -229,10 +186,9 @@ impl<D: Discipline> Driver<D> {
 
     /// Carries out a command, if there is one. It goes back with what it replaced: nothing is freed here.
     fn obey(&mut self) -> bool {
-        let Some(mut errand) = self.errands.asked.take() else { return false };
+        let Some(mut errand) = self.errands.next() else { return false };
         errand.result = Some(self.station.discipline_mut().command(self.port.now(), &mut errand.command));
-        // There is only this one, so that the place is free.
-        self.errands.answered.store(Some(errand));
+        self.errands.answer(errand);
         true
     }
 

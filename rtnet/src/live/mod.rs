@@ -13,6 +13,7 @@
 
 pub mod clock;
 mod driver;
+mod errands;
 mod filter;
 pub mod guard;
 pub mod interface;
@@ -21,6 +22,7 @@ mod port;
 pub mod realtime;
 pub mod ring;
 
-pub use driver::{Driver, DriverConfig, Errand, Errands, Record, Snapshot};
+pub use driver::{Driver, DriverConfig, Record, Snapshot};
+pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};
 pub use port::{OpenError, Port, PortCounters};

@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
-use crate::control::Place;
+use crate::control::{Place, parse_name};
 use crate::scenario::SlotGuard;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
@@ -53,7 +53,7 @@ pub struct LabUpArgs {
     #[command(flatten)]
     pub run: LabRunArgs,
     /// A name that no other lab on this machine has
-    #[arg(long, default_value = DEFAULT_LAB)]
+    #[arg(long, default_value = DEFAULT_LAB, value_parser = parse_name)]
     pub name: String,
     /// Stay in the foreground; Ctrl-C takes the network down
     #[arg(long)]
@@ -67,7 +67,7 @@ pub struct LabUpArgs {
 #[derive(Debug, Args)]
 pub struct LabDownArgs {
     /// Which
-    #[arg(default_value = DEFAULT_LAB, conflicts_with = "all")]
+    #[arg(default_value = DEFAULT_LAB, conflicts_with = "all", value_parser = parse_name)]
     pub name: String,
     /// Every one of this user's
     #[arg(long)]
@@ -81,6 +81,7 @@ pub struct LabDownArgs {
 #[derive(Debug, Args)]
 pub struct LabStatusArgs {
     /// Which [default: every one of this user's]
+    #[arg(value_parser = parse_name)]
     pub name: Option<String>,
     /// Print JSON
     #[arg(long)]

@@ -1,6 +1,6 @@
 //! `rtnet lab down`, `lab status`, `lab exec`.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Command;
@@ -27,14 +27,27 @@ const WIDTH: usize = 110;
 /// Takes labs down.
 pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
     let directory = Directory::of_user();
-    let labs = if args.all { directory.labs() } else { vec![args.name.clone()] };
-    let mut ended = Vec::new();
+    let labs = if args.all { directory.labs_dead_or_alive() } else { vec![args.name.clone()] };
+    let (mut ended, mut errors) = (Vec::new(), Vec::new());
+    // One that does not go keeps none of the others.
     for lab in labs {
-        ended.extend(down_one(&directory, &lab).map_err(Failure::Usage)?);
+        match down_one(&directory, &lab) {
+            Ok(one) => ended.extend(one),
+            Err(error) => errors.push(error),
+        }
     }
-    let words = |ended: &Vec<LabStatus>| ended.iter().map(account).collect::<Vec<_>>().join("\n");
-    super::print(args.json, &ended, words).map_err(Failure::Run)?;
-    Ok(if ended.iter().all(is_well) { 0 } else { 1 })
+    let last = errors.pop();
+    if last.is_none() || !ended.is_empty() {
+        let words = |ended: &Vec<LabStatus>| ended.iter().map(account).collect::<Vec<_>>().join("\n");
+        super::print(args.json, &ended, words).map_err(Failure::Run)?;
+    }
+    errors.iter().for_each(|error| {
+        let _ = writeln!(std::io::stderr(), "rtnet: {error:#}");
+    });
+    match last {
+        Some(error) => Err(Failure::Usage(error)),
+        None => Ok(if ended.iter().all(is_well) { 0 } else { 1 }),
+    }
 }
 
 /// The figures of its end; none if it was dead already, and only its traces were left to remove.
@@ -54,7 +67,8 @@ fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
         Ok(_) => bail!("lab '{lab}' answers what it was not asked"),
         // Who holds no lock any more is dead: its directory is ours to take, and goes with that.
         Err(_) if directory.has(lab) && directory.take_lab(lab).is_ok() => {
-            eprintln!("rtnet: lab '{lab}' was dead already: what it left is removed");
+            let _ =
+                writeln!(std::io::stderr(), "rtnet: lab '{lab}' was dead already: what it left is removed");
             Ok(None)
         }
         Err(error) => Err(error),

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use anyhow::{Context, Result, bail};
 use nix::fcntl::{OFlag, open};
@@ -15,12 +15,11 @@ use super::lab::{account, is_well};
 use super::lab_run::prepared;
 use super::write_json;
 use crate::cli::LabUpArgs;
-use crate::control::{Directory, Home, LabStatus, check_name};
+use crate::control::{Directory, Home, LabStatus};
 use crate::lab;
 
 /// Stands a lab up.
 pub fn lab_up(args: &LabUpArgs) -> Result<u8, Failure> {
-    check_name(&args.name).map_err(Failure::Usage)?;
     if args.foreground { keep(args) } else { leave_behind().map_err(Failure::Usage) }
 }
 
@@ -52,13 +51,14 @@ fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
 fn tell(args: &LabUpArgs, status: &LabStatus) -> Result<()> {
     let (name, stations) = (&status.name, status.stations.len());
     let cycle = Span::from_nanos(status.cycle_ns as i64);
-    // Whoever does not listen misses nothing that `lab status` would not tell.
-    let _ = writeln!(
+    let told = writeln!(
         std::io::stdout(),
         "lab '{name}' is up: {stations} stations, cycle {cycle}; `rtnet lab status {name}` tells how it goes, \
          `rtnet lab down {name}` ends it"
     );
+    // In the foreground, whoever does not listen misses nothing that `lab status` would not tell.
     if args.detached {
+        told.context("whoever asked for the lab has gone before it was up, so it is taken down")?;
         let null = open("/dev/null", OFlag::O_WRONLY, Mode::empty())?;
         dup2_stdout(&null)?;
         dup2_stderr(&null)?;
@@ -68,9 +68,9 @@ fn tell(args: &LabUpArgs, status: &LabStatus) -> Result<()> {
 
 /// Starts the process that keeps the lab, and waits until the lab is up or cannot be.
 fn leave_behind() -> Result<u8> {
-    let program = std::env::current_exe().context("this program's own file cannot be found")?;
-    let mut command = Command::new(program);
-    command.args(std::env::args_os().skip(1)).args(["--foreground", "--detached"]);
+    let mut command = lab::this_program();
+    // Before what the user has given, which may say that no options come any more.
+    command.args(["lab", "up", "--foreground", "--detached"]).args(std::env::args_os().skip(3));
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     // Ctrl-C here is not meant for it once it is up, and until then it ends with our pipes.
     let mut keeper =

@@ -3,14 +3,13 @@
 use anyhow::Result;
 
 use super::Failure;
-use super::station::SlotArg;
-use super::tdma::{applied, by_lab, slots, status, told};
+use super::tdma::{applied, by_lab, found, slots, status, told};
 use crate::cli::{SlotArgs, SlotVerb, Which};
-use crate::control::{LabRequest, Request, StationStatus};
+use crate::control::{LabRequest, Request, SlotChange};
 
 /// Looks at a station's slots, or changes them.
 pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
-    let which = &args.which;
+    let which = &found(&args.which)?;
     let (from, what) = match &args.verb {
         SlotVerb::List => {
             let status = status(which).map_err(Failure::Usage)?;
@@ -18,16 +17,15 @@ pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
             super::print(which.json, &status.slots.clone(), table).map_err(Failure::Run)?;
             return Ok(0);
         }
-        SlotVerb::Set { slot } => (set(which, slot), format!("{}: slot {} is set", which.place, slot.id)),
+        SlotVerb::Set { slot } => (set(which, *slot), format!("{}: slot {} is set", which.place, slot.id)),
         SlotVerb::Remove { id } => (remove(which, *id), format!("{}: slot {id} is removed", which.place)),
     };
-    told(which, from.map_err(Failure::Usage)?, &what)
+    let only_its_own = matches!(args.verb, SlotVerb::Set { .. }) && which.place.lab.is_none();
+    let so_far = if only_its_own { "; other stations' slots it does not know" } else { "" };
+    told(which, from.map_err(Failure::Usage)?, &what, so_far)
 }
 
-fn set(which: &Which, slot: &SlotArg) -> Result<u32> {
-    let StationStatus { slots, .. } = status(which)?;
-    let before = slots.iter().map(|shown| &shown.slot).find(|before| before.id == slot.id);
-    let slot = slot.over(before);
+fn set(which: &Which, slot: SlotChange) -> Result<u32> {
     match &which.place.lab {
         None => applied(which, Request::SetSlot(slot)),
         Some(lab) => by_lab(lab, LabRequest::SetSlot { station: which.place.station.clone(), slot }),

@@ -6,48 +6,30 @@ use anyhow::{Context, anyhow};
 use rtmac::tdma::{LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig};
 use rtnet::clock::EmulatedClock;
 use rtnet::time::Span;
-use rtnet::wire::ethernet::{Address, MTU};
+use rtnet::wire::ethernet::Address;
 
 use super::Failure;
 use crate::cli::{Late, Scheduling, StationArgs};
-use crate::control::SlotRequest;
+use crate::control::SlotChange;
 use crate::scenario::{default_sync_window, parse_phase};
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
 
-/// `ID=OFFSET[,phase=P/N][,size=B]`
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlotArg {
-    /// Its id.
-    pub id: u8,
-    offset: Span,
-    /// Phase, counted from 0, and period.
-    turn: Option<(u32, u32)>,
-    size: Option<usize>,
-}
-
-impl SlotArg {
-    /// The whole slot: what is not given is as it was, or the largest in every cycle.
-    pub fn over(&self, before: Option<&SlotRequest>) -> SlotRequest {
-        let before = before.map(|slot| ((slot.phase, slot.period), slot.size));
-        let (turn, size) = before.unwrap_or(((0, 1), MTU));
-        let ((phase, period), size) = (self.turn.unwrap_or(turn), self.size.unwrap_or(size));
-        SlotRequest { id: self.id, offset_ns: self.offset.nanos(), phase, period, size }
-    }
-}
-
-/// Reads a slot from the command line.
-pub fn parse_slot(text: &str) -> Result<SlotArg, String> {
+/// Reads a slot from the command line: `ID=OFFSET[,phase=P/N][,size=B]`.
+pub fn parse_slot(text: &str) -> Result<SlotChange, String> {
     let mut parts = text.split(',');
     let first = parts.next().unwrap_or_default();
     let (id, offset) = first.split_once('=').ok_or("write ID=OFFSET, as in 0=100us")?;
     let id = u8::from_str(id).map_err(|_| format!("'{id}' is no slot id: write a number from 0 on"))?;
     let offset = parse_nonnegative_span(offset).map_err(|error| error.to_string())?;
-    let mut slot = SlotArg { id, offset, turn: None, size: None };
+    let mut slot = SlotChange { id, offset_ns: offset.nanos(), phase: None, period: None, size: None };
     for part in parts {
         match part.split_once('=') {
-            Some(("phase", phase)) => slot.turn = Some(parse_phase(phase)?),
+            Some(("phase", phase)) => {
+                let (phase, period) = parse_phase(phase)?;
+                (slot.phase, slot.period) = (Some(phase), Some(period));
+            }
             Some(("size", size)) => {
                 slot.size = Some(size.parse().map_err(|_| format!("'{size}' is no size in bytes"))?);
             }
@@ -136,11 +118,11 @@ mod tests {
     #[test]
     fn slots_are_read_as_the_help_says() {
         let slot = parse_slot("2=250us,phase=2/4,size=128").unwrap();
-        let whole = SlotRequest { id: 2, offset_ns: 250_000, phase: 1, period: 4, size: 128 };
-        assert_eq!(slot.over(None), whole);
-        let moved = parse_slot("2=0us").unwrap();
-        assert_eq!(moved.over(Some(&whole)), SlotRequest { offset_ns: 0, ..whole });
-        assert_eq!(moved.over(None), SlotRequest { offset_ns: 0, phase: 0, period: 1, size: 1500, ..whole });
+        let whole =
+            SlotChange { id: 2, offset_ns: 250_000, phase: Some(1), period: Some(4), size: Some(128) };
+        assert_eq!(slot, whole);
+        let moved = SlotChange { offset_ns: 0, phase: None, period: None, size: None, ..whole };
+        assert_eq!(parse_slot("2=0us").unwrap(), moved);
     }
 
     #[test]

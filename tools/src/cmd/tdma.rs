@@ -1,5 +1,7 @@
 //! `rtnet tdma`.
 
+use std::time::{Duration, Instant};
+
 use anyhow::{Result, anyhow, bail};
 use rtnet::time::Span;
 
@@ -13,27 +15,69 @@ use crate::station::misses::{Miss, Misses, Refusal};
 
 /// Columns of a table of slots.
 const WIDTH: usize = 100;
+/// A master-to-be listens for three cycles, and is looked at ten times a second.
+const LISTENED_AT_MOST: u32 = 6;
+const SPOKEN_WITHIN: Duration = Duration::from_secs(2);
 
 /// Looks at a station, or changes its role.
 pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
+    let which = &found(&args.which)?;
     let role = match args.verb {
         TdmaVerb::Status { misses: only } => {
-            let status = status(&args.which).map_err(Failure::Usage)?;
-            super::print(args.which.json, &status, if only { misses } else { describe })
-                .map_err(Failure::Run)?;
+            let status = status(which).map_err(Failure::Usage)?;
+            super::print(which.json, &status, if only { misses } else { describe }).map_err(Failure::Run)?;
             return Ok(0);
         }
         TdmaVerb::Master { cycle } => RoleRequest::Master { cycle_ns: cycle.nanos() },
         TdmaVerb::Slave { rounds } => RoleRequest::Slave { rounds },
         TdmaVerb::Detach => RoleRequest::Detached,
     };
-    let Place { lab, station } = args.which.place.clone();
+    let Place { lab, station } = which.place.clone();
     let from = match lab {
-        None => applied(&args.which, Request::Become(role)),
+        None => applied(which, Request::Become(role)),
         Some(lab) => by_lab(&lab, LabRequest::Become { station, role }),
     };
     let from = from.map_err(Failure::Usage)?;
-    told(&args.which, from, &format!("{}: {}", args.which.place, became(role)))
+    if let RoleRequest::Master { cycle_ns } = role {
+        let from = until_it_speaks(which, Duration::from_nanos(cycle_ns.unsigned_abs()))?;
+        return told(which, from, &format!("{}: {}", which.place, became(role)), "");
+    }
+    told(which, from, &format!("{}: {}", which.place, became(role)), "")
+}
+
+/// With the lab in which it is, if it is one of the only lab.
+pub fn found(which: &Which) -> Result<Which, Failure> {
+    let place = Directory::of_user().find(&which.place).map_err(Failure::Usage)?;
+    Ok(Which { place, json: which.json })
+}
+
+/// Waits until a station that listens before it gives the time does so; its cycle then.
+fn until_it_speaks(which: &Which, cycle: Duration) -> Result<u32, Failure> {
+    let deadline = Instant::now() + SPOKEN_WITHIN + cycle * LISTENED_AT_MOST;
+    let mut asked = None;
+    loop {
+        let StationStatus { role, standing, .. } = status(which).map_err(Failure::Run)?;
+        // What is told first may be of before.
+        let is_new = *asked.get_or_insert(standing.at) != standing.at;
+        let place = &which.place;
+        match &standing.yielded_to {
+            Some(other) if is_new => {
+                return Err(Failure::Run(anyhow!(
+                    "station '{place}' makes way for another master ({other}), and is silent: stop that one and ask \
+                     again, or let this one follow it (`rtnet tdma -S {place} slave`)"
+                )));
+            }
+            _ if is_new && role == "master" && standing.state == "locked" => return Ok(standing.cycle),
+            _ if Instant::now() > deadline => {
+                let state = &standing.state;
+                return Err(Failure::Run(anyhow!(
+                    "station '{place}' is {role}, {state}, and gives no time yet: `rtnet tdma -S {place} status` tells \
+                     how it goes on"
+                )));
+            }
+            _ => std::thread::sleep(Duration::from_millis(20)),
+        }
+    }
 }
 
 /// Asks a station where it stands.
@@ -60,12 +104,12 @@ pub fn by_lab(lab: &str, request: LabRequest) -> Result<u32> {
 }
 
 /// Tells of a change that was made.
-pub fn told(which: &Which, from: u32, what: &str) -> Result<u8, Failure> {
+pub fn told(which: &Which, from: u32, what: &str, so_far: &str) -> Result<u8, Failure> {
     #[derive(serde::Serialize)]
     struct Applied {
         from_cycle: u32,
     }
-    let line = |_: &Applied| format!("{what}, from cycle {from} on\n");
+    let line = |_: &Applied| format!("{what}, from cycle {from} on{so_far}\n");
     super::print(which.json, &Applied { from_cycle: from }, line).map_err(Failure::Run)?;
     Ok(0)
 }
@@ -73,7 +117,7 @@ pub fn told(which: &Which, from: u32, what: &str) -> Result<u8, Failure> {
 fn became(role: RoleRequest) -> String {
     match role {
         RoleRequest::Master { cycle_ns } => {
-            format!("about to be master of a cycle of {}", Span::from_nanos(cycle_ns))
+            format!("master of a cycle of {}", Span::from_nanos(cycle_ns))
         }
         RoleRequest::Slave { rounds: 0 } => "slave, without calibration".into(),
         RoleRequest::Slave { rounds } => format!("slave, after {rounds} calibration rounds"),

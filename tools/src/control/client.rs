@@ -1,6 +1,7 @@
 //! The other end: one request, one reply.
 
 use std::io::{ErrorKind, Read};
+use std::net::Shutdown;
 use std::path::Path;
 use std::time::Duration;
 
@@ -21,14 +22,16 @@ const REPLY_AT_MOST: usize = 192 * 1024;
 
 /// Asks a station.
 pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Reply> {
-    ask_within(directory, place, request, PATIENCE)
-}
-
-/// Asks a station that is to answer soon.
-pub fn ask_within(directory: &Directory, place: &Place, request: Request, within: Duration) -> Result<Reply> {
     directory.check()?;
     let path = directory.station(place);
-    exchange(&path, request, within)
+    exchange(&path, request, PATIENCE)
+        .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
+}
+
+/// Puts a question to a station, whose answer may be waited for later; it is to be let in soon.
+pub fn put(directory: &Directory, place: &Place, request: Request, within: Duration) -> Result<Question> {
+    directory.check()?;
+    Question::put(&directory.station(place), request, within)
         .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
 }
 
@@ -37,7 +40,16 @@ pub fn ask_lab(directory: &Directory, lab: &str, request: LabRequest) -> Result<
     directory.check()?;
     let path = directory.lab(lab);
     let within = if request == LabRequest::Down { DOWN_WITHIN } else { PATIENCE };
-    exchange(&path, request, within).map_err(|error| explain(error, "lab", lab, directory.labs()))
+    exchange(&path, request, within).map_err(|error| {
+        let explained = explain(error, "lab", lab, directory.labs());
+        // It has its name before its network, and its socket only when that is up.
+        match directory.keeper(lab).filter(|_| !path.exists()) {
+            Some(pid) => anyhow!(
+                "lab '{lab}' is coming up: ask again once it is, or end process {pid}, which is at it"
+            ),
+            None => explained,
+        }
+    })
 }
 
 /// How a station stands.
@@ -85,16 +97,47 @@ fn explain(error: anyhow::Error, what: &str, name: &str, mut instead: Vec<String
 }
 
 fn exchange<A: Serialize, B: DeserializeOwned>(path: &Path, request: A, within: Duration) -> Result<B> {
-    let mut connection = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
-    connection.set_read_timeout(Some(within))?;
-    connection.set_write_timeout(Some(within))?;
-    connection.connect(&SockAddr::unix(path)?)?;
-    connection.send_with_flags(&Envelope::pack(request), nix::libc::MSG_NOSIGNAL)?;
-    let mut reply = vec![0; REPLY_AT_MOST + 1];
-    let length = connection.read(&mut reply)?;
-    match &reply[..length] {
-        [] => bail!(std::io::Error::from(ErrorKind::ConnectionReset)),
-        long if long.len() > REPLY_AT_MOST => bail!("its reply is longer than {REPLY_AT_MOST} bytes"),
-        reply => read(reply).map_err(|error| anyhow!(error)).context("its reply"),
+    let reply = Question::put(path, request, within)?.answer(within)?;
+    reply.ok_or_else(|| std::io::Error::from(ErrorKind::TimedOut).into())
+}
+
+/// What a read says that would have to wait, or was disturbed by a signal.
+const NOT_YET: [ErrorKind; 3] = [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::Interrupted];
+
+/// A request that was sent. Once it is dropped, or taken back, nobody begins with it any more.
+pub struct Question {
+    connection: Socket,
+}
+
+impl Question {
+    /// Sends a request, as soon as there is room for it.
+    pub fn put(path: &Path, request: impl Serialize, within: Duration) -> Result<Self> {
+        let connection = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
+        connection.set_write_timeout(Some(within))?;
+        connection.connect(&SockAddr::unix(path)?)?;
+        connection.send_with_flags(&Envelope::pack(request), nix::libc::MSG_NOSIGNAL)?;
+        Ok(Self { connection })
+    }
+
+    /// The answer, if it comes in time.
+    pub fn answer<B: DeserializeOwned>(&mut self, within: Duration) -> Result<Option<B>> {
+        // A timeout of 0 would be for ever.
+        self.connection.set_read_timeout(Some(within.max(Duration::from_micros(1))))?;
+        let mut reply = vec![0; REPLY_AT_MOST + 1];
+        let length = match self.connection.read(&mut reply) {
+            Err(error) if NOT_YET.contains(&error.kind()) => return Ok(None),
+            length => length?,
+        };
+        match &reply[..length] {
+            [] => bail!(std::io::Error::from(ErrorKind::ConnectionReset)),
+            long if long.len() > REPLY_AT_MOST => bail!("its reply is longer than {REPLY_AT_MOST} bytes"),
+            reply => read(reply).map_err(|error| anyhow!(error)).context("its reply").map(Some),
+        }
+    }
+
+    /// Takes the request back, if nobody has begun with it. The answer, which is still to come, tells.
+    pub fn take_back(&self) {
+        // Fails only where the other end has hung up, which the answer tells, too.
+        let _ = self.connection.shutdown(Shutdown::Write);
     }
 }

@@ -14,10 +14,10 @@ mod places;
 mod protocol;
 mod server;
 
-pub use client::{ask, ask_lab, ask_within, lab_status, station_status};
-pub use places::{Directory, Held, Home, Place, check_name};
+pub use client::{Question, ask, ask_lab, lab_status, put, station_status};
+pub use places::{Directory, Held, Home, Place, check_name, parse_name};
 pub use protocol::{
-    Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotRequest,
-    SlotShown, StationStatus, VERSION, read,
+    Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotChange,
+    SlotRequest, SlotShown, StationStatus, VERSION, read,
 };
 pub use server::{REQUEST_AT_MOST, Server, Traffic};

@@ -11,21 +11,26 @@
 //! is readable to its owner only.
 
 use std::fs::{self, DirBuilder, File};
-use std::io::{Read, Seek, Write};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
+use socket2::{Domain, SockAddr, Socket, Type};
 
 /// For root.
 const SYSTEM: &str = "/run/rtnet";
 /// A socket's path must fit `sun_path`, 108 bytes; two of these and the directory do.
 const NAME_AT_MOST: usize = 32;
-/// A lab's own files in its directory.
+/// A lab's own files in its directory; behind a station's name its own.
 const LOCK: &str = ".lock";
 const SOCKET: &str = ".sock";
+/// How long a lock is waited for that somebody may only have looked at.
+const LOCKED_WITHIN: Duration = Duration::from_millis(50);
 
 /// `[LAB/]STATION`, as it stands behind `-S`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,13 +66,19 @@ impl std::fmt::Display for Place {
 /// Whether something can be called that.
 pub fn check_name(name: &str) -> Result<()> {
     let known = |b: u8| b.is_ascii_alphanumeric() || b"-_.".contains(&b);
-    if name.is_empty() || name.len() > NAME_AT_MOST || name.starts_with('.') || !name.bytes().all(known) {
+    let is_file = [LOCK, SOCKET].iter().any(|end| name.ends_with(end)) || name.starts_with('.');
+    if name.is_empty() || name.len() > NAME_AT_MOST || is_file || !name.bytes().all(known) {
         bail!(
-            "'{name}' is no name: use letters, digits, '-', '_' and '.', not '.' at its begin, at most \
-             {NAME_AT_MOST}"
+            "'{name}' is no name: use letters, digits, '-', '_' and '.', not '.' at its begin nor '{LOCK}' or \
+             '{SOCKET}' at its end, at most {NAME_AT_MOST}"
         );
     }
     Ok(())
+}
+
+/// A name on the command line.
+pub fn parse_name(text: &str) -> Result<String, String> {
+    check_name(text).map(|()| text.to_owned()).map_err(|error| error.to_string())
 }
 
 /// A name that is ours as long as this lives.
@@ -140,7 +151,7 @@ impl Directory {
 
     /// The socket of a station.
     pub fn station(&self, place: &Place) -> PathBuf {
-        let file = format!("{}.sock", place.station);
+        let file = format!("{}{SOCKET}", place.station);
         match &place.lab {
             Some(lab) => self.0.join(lab).join(file),
             None => self.0.join(file),
@@ -156,7 +167,7 @@ impl Directory {
     pub fn take_station(&self, name: &str) -> Result<Held> {
         check_name(name)?;
         self.make()?;
-        let lock = lock(&self.0.join(format!("{name}.lock")), name)?;
+        let lock = lock(&self.0.join(format!("{name}{LOCK}")), name)?;
         Ok(Held { _lock: lock, remove: None })
     }
 
@@ -180,19 +191,49 @@ impl Directory {
         self.0.join(lab).exists()
     }
 
-    /// The labs that have a socket here, running or dead.
+    /// The labs that run, or are coming up: those whose name is held.
     pub fn labs(&self) -> Vec<String> {
-        let mut labs = names(&self.0, |path| path.join(SOCKET).exists().then(|| file_name(path)));
-        labs.sort();
-        labs
+        names(&self.0, |path| is_held(&path.join(LOCK)).then(|| file_name(path)))
     }
 
-    /// The stations that have a socket here, as they stand behind `-S`.
+    /// The same, and those that are dead and have left something.
+    pub fn labs_dead_or_alive(&self) -> Vec<String> {
+        names(&self.0, |path| path.join(LOCK).exists().then(|| file_name(path)))
+    }
+
+    /// The process that has a lab's name, whether the lab can be asked or is still coming up.
+    pub fn keeper(&self, lab: &str) -> Option<String> {
+        let path = self.0.join(lab).join(LOCK);
+        is_held(&path).then(|| fs::read_to_string(path).unwrap_or_default().trim().to_owned())
+    }
+
+    /// The station that is meant: without its lab one of its own, or else one of the only lab.
+    pub fn find(&self, place: &Place) -> Result<Place> {
+        let station = &place.station;
+        if place.lab.is_some() || is_served(&self.station(place)) {
+            return Ok(place.clone());
+        }
+        let in_lab = |lab: &String| Place { lab: Some(lab.clone()), station: station.clone() };
+        match self.labs().as_slice() {
+            [] => Ok(place.clone()),
+            [only] => Ok(in_lab(only)),
+            labs => {
+                let there = labs.iter().map(in_lab).filter(|place| is_served(&self.station(place)));
+                match there.map(|place| place.to_string()).collect::<Vec<_>>().as_slice() {
+                    [] => Ok(place.clone()),
+                    some => bail!("which station '{station}' is meant: {}?", some.join(" or ")),
+                }
+            }
+        }
+    }
+
+    /// The stations that run, as they stand behind `-S`.
     pub fn stations(&self) -> Vec<String> {
         let sockets = |directory: &Path| {
             names(directory, |path| {
                 let name = file_name(path);
-                name.strip_suffix(".sock").filter(|name| !name.is_empty()).map(str::to_owned)
+                let name = name.strip_suffix(SOCKET).filter(|name| !name.is_empty())?;
+                is_served(path).then(|| name.to_owned())
             })
         };
         let mut all = sockets(&self.0);
@@ -210,7 +251,25 @@ impl Directory {
 
 fn names(directory: &Path, of: impl Fn(&Path) -> Option<String>) -> Vec<String> {
     let entries = fs::read_dir(directory).into_iter().flatten().flatten();
-    entries.filter_map(|entry| of(&entry.path())).collect()
+    let mut names: Vec<String> = entries.filter_map(|entry| of(&entry.path())).collect();
+    names.sort();
+    names
+}
+
+/// Whether somebody holds this lock. For a moment it is ours, shared with others who look.
+fn is_held(path: &Path) -> bool {
+    let Ok(file) = File::open(path) else { return false };
+    matches!(Flock::lock(file, FlockArg::LockSharedNonblock), Err((_, Errno::EWOULDBLOCK)))
+}
+
+/// Whether somebody listens at this socket: its file outlives a process that was killed.
+fn is_served(path: &Path) -> bool {
+    let connected = Socket::new(Domain::UNIX, Type::SEQPACKET, None).and_then(|socket| {
+        socket.set_nonblocking(true)?;
+        socket.connect(&SockAddr::unix(path)?)
+    });
+    // There may be too many who wait to be let in.
+    connected.map_or_else(|error| error.kind() == ErrorKind::WouldBlock, |()| true)
 }
 
 fn file_name(path: &Path) -> String {
@@ -252,7 +311,7 @@ fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
     let mut holder = String::new();
     // Only for the message below.
     let _ = file.read_to_string(&mut holder);
-    let mut lock = Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|_| {
+    let mut lock = lock_within(file, LOCKED_WITHIN).map_err(|_| {
         let holder = holder.trim();
         anyhow!("the name '{name}' is taken by process {holder}: choose another --name, or stop that one")
     })?;
@@ -262,75 +321,17 @@ fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
     Ok(lock)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_place_is_a_station_with_or_without_its_lab() {
-        let place: Place = "cell/slave1".parse().unwrap();
-        assert_eq!((place.lab.as_deref(), place.station.as_str()), (Some("cell"), "slave1"));
-        assert_eq!(place.to_string(), "cell/slave1");
-        assert_eq!("slave1".parse::<Place>().unwrap().lab, None);
-        for bad in ["", "/", "a/", "/b", "a/b/c", "..", "../x", "a b", ".hidden", &"x".repeat(33)] {
-            assert!(bad.parse::<Place>().is_err(), "{bad}");
+/// Who looks whether a lock is held holds it for a moment.
+fn lock_within(mut file: File, within: Duration) -> Result<Flock<File>, Errno> {
+    let deadline = Instant::now() + within;
+    loop {
+        match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
+            Err((same, Errno::EWOULDBLOCK)) if Instant::now() < deadline => file = same,
+            locked => return locked.map_err(|(_, error)| error),
         }
-    }
-
-    #[test]
-    fn a_name_is_taken_once_and_free_again_afterwards() {
-        let scratch = tempfile::tempdir().unwrap();
-        let directory = Directory::at(scratch.path().join("rtnet"));
-        let held = directory.take_lab("cell").unwrap();
-        let error = directory.take_lab("cell").unwrap_err().to_string();
-        assert!(
-            error.contains("taken by process") && error.contains(&std::process::id().to_string()),
-            "{error}"
-        );
-        drop(held);
-        assert!(!directory.path().join("cell").exists(), "nothing is left");
-        directory.take_lab("cell").unwrap();
-        let station = directory.take_station("arm").unwrap();
-        assert!(directory.take_station("arm").is_err());
-        drop(station);
-        directory.take_station("arm").unwrap();
-    }
-
-    #[test]
-    fn a_lock_whose_file_was_removed_meanwhile_is_not_the_name_s() {
-        let scratch = tempfile::tempdir().unwrap();
-        let path = scratch.path().join("arm.lock");
-        let stale = lock_once(&path, "arm").unwrap();
-        fs::remove_file(&path).unwrap();
-        let held = lock(&path, "arm").unwrap();
-        assert_ne!(stale.metadata().unwrap().ino(), held.metadata().unwrap().ino());
-        assert!(lock(&path, "arm").is_err(), "and that is held");
-    }
-
-    #[test]
-    fn what_a_dead_lab_left_is_taken_over() {
-        let scratch = tempfile::tempdir().unwrap();
-        let directory = Directory::at(scratch.path());
-        let own = directory.lab("cell");
-        fs::create_dir(own.parent().unwrap()).unwrap();
-        fs::write(&own, "").unwrap();
-        fs::write(own.with_file_name("slave1.sock"), "").unwrap();
-        assert_eq!(directory.labs(), ["cell"]);
-        assert_eq!(directory.stations(), ["cell/slave1"]);
-        let _held = directory.take_lab("cell").unwrap();
-        assert!(directory.labs().is_empty() && directory.stations().is_empty());
-    }
-
-    #[test]
-    fn a_directory_that_others_can_write_to_is_not_used() {
-        use std::os::unix::fs::PermissionsExt;
-        let scratch = tempfile::tempdir().unwrap();
-        let open = scratch.path().join("open");
-        fs::create_dir(&open).unwrap();
-        fs::set_permissions(&open, fs::Permissions::from_mode(0o777)).unwrap();
-        let directory = Directory::at(&open);
-        for error in [directory.take_station("arm").unwrap_err(), directory.check().unwrap_err()] {
-            assert!(error.to_string().contains("others can write"), "{error}");
-        }
+        std::thread::sleep(Duration::from_millis(1));
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use rtmac::tdma::SlotConfig;
 use rtnet::time::Span;
+use rtnet::wire::ethernet::MTU;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +58,7 @@ pub enum Request {
     /// Where it stands.
     Status,
     /// Define or change a slot.
-    SetSlot(SlotRequest),
+    SetSlot(SlotChange),
     /// Remove a slot.
     RemoveSlot(u8),
     /// Be something else in the cycle.
@@ -97,6 +98,46 @@ impl SlotRequest {
     pub fn config(&self, latest: Span) -> SlotConfig {
         let &Self { id, offset_ns, phase, period, size } = self;
         SlotConfig { id, offset: Span::from_nanos(offset_ns), phase, period, size, latest }
+    }
+}
+
+/// What is to become of a slot: what is not given stays as it is, or is the largest in every cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SlotChange {
+    /// Its id.
+    pub id: u8,
+    /// See [`SlotRequest`].
+    pub offset_ns: i64,
+    /// See [`SlotRequest`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub phase: Option<u32>,
+    /// See [`SlotRequest`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub period: Option<u32>,
+    /// See [`SlotRequest`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<usize>,
+}
+
+impl SlotChange {
+    /// The whole slot. Who knows all changes says what it was before: a status shows it as it is, not as it is to be.
+    pub fn over(&self, before: Option<&SlotRequest>) -> SlotRequest {
+        let &Self { id, offset_ns, phase, period, size } = self;
+        let none = SlotRequest { id, offset_ns, phase: 0, period: 1, size: MTU };
+        let before = before.unwrap_or(&none);
+        SlotRequest {
+            phase: phase.unwrap_or(before.phase),
+            period: period.unwrap_or(before.period),
+            size: size.unwrap_or(before.size),
+            ..none
+        }
+    }
+}
+
+impl From<SlotRequest> for SlotChange {
+    fn from(SlotRequest { id, offset_ns, phase, period, size }: SlotRequest) -> Self {
+        Self { id, offset_ns, phase: Some(phase), period: Some(period), size: Some(size) }
     }
 }
 
@@ -180,7 +221,7 @@ pub enum LabRequest {
         /// Whose.
         station: String,
         /// What it is to be.
-        slot: SlotRequest,
+        slot: SlotChange,
     },
     /// Remove a slot of one of its stations.
     RemoveSlot {
@@ -318,12 +359,24 @@ pub struct MemberStatus {
 mod tests {
     use super::*;
 
+    const SLOT: SlotRequest = SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128 };
+
     #[test]
     fn a_request_reads_back() {
-        let slot = SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128 };
-        for request in [Request::Status, Request::SetSlot(slot), Request::Become(RoleRequest::Detached)] {
+        let moved = SlotChange { id: 2, offset_ns: 1, phase: None, period: None, size: None };
+        let set = [Request::SetSlot(SLOT.into()), Request::SetSlot(moved)];
+        for request in set.into_iter().chain([Request::Status, Request::Become(RoleRequest::Detached)]) {
             assert_eq!(read::<Request>(&Envelope::pack(request.clone())), Ok(request));
         }
+    }
+
+    #[test]
+    fn what_is_not_given_of_a_slot_stays_as_it_was() {
+        let whole = SlotRequest { phase: 1, period: 4, ..SLOT };
+        let moved = SlotChange { id: 2, offset_ns: 7, phase: None, period: None, size: None };
+        assert_eq!(moved.over(Some(&whole)), SlotRequest { offset_ns: 7, ..whole });
+        assert_eq!(moved.over(None), SlotRequest { id: 2, offset_ns: 7, phase: 0, period: 1, size: 1500 });
+        assert_eq!(SlotChange::from(SLOT).over(Some(&whole)), SLOT);
     }
 
     #[test]
@@ -344,8 +397,7 @@ mod tests {
 
     #[test]
     fn every_shortened_request_is_refused() {
-        let slot = SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128 };
-        let packet = Envelope::pack(Request::SetSlot(slot));
+        let packet = Envelope::pack(Request::SetSlot(SLOT.into()));
         for end in 0..packet.len() {
             assert!(read::<Request>(&packet[..end]).is_err(), "{end}");
         }

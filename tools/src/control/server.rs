@@ -6,11 +6,15 @@ use std::io::{self, ErrorKind, Read};
 use std::os::fd::AsFd;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::eventfd::EventFd;
 use socket2::{Domain, SockAddr, Socket, Type};
+
+use super::protocol::{Envelope, Reply};
 
 /// Longest request. The longest there is takes a third of it.
 pub const REQUEST_AT_MOST: usize = 1024;
@@ -18,6 +22,9 @@ pub const REQUEST_AT_MOST: usize = 1024;
 const CLIENTS_AT_MOST: usize = 64;
 /// Clients that wait to be accepted.
 const BACKLOG: i32 = 128;
+/// How long the clients of one call may take together before others get their turn: those that wait, and whatever else
+/// its thread has to do.
+const TURN: Duration = Duration::from_millis(20);
 /// New clients that are let in before those that are there get their turn.
 const ACCEPT_AT_ONCE: usize = 16;
 
@@ -28,6 +35,8 @@ pub struct Traffic {
     pub answered: u64,
     /// Requests longer than [`REQUEST_AT_MOST`].
     pub too_long: u64,
+    /// Requests that were taken back before they were looked at, by who hung up or sends no more.
+    pub taken_back: u64,
     /// Clients that did not take their reply.
     pub not_taken: u64,
     /// Clients that had to go for others.
@@ -40,6 +49,7 @@ impl Traffic {
         let all = [
             ("answered", self.answered),
             ("too_long", self.too_long),
+            ("taken_back", self.taken_back),
             ("not_taken", self.not_taken),
             ("evicted", self.evicted),
         ];
@@ -55,6 +65,8 @@ pub struct Server {
     /// The file's number: another of this name is somebody else's.
     inode: u64,
     traffic: Traffic,
+    /// Ends a wait before its time.
+    waker: Option<Arc<EventFd>>,
 }
 
 struct Client {
@@ -81,7 +93,19 @@ impl Server {
         fs::set_permissions(path, fs::Permissions::from_mode(0o600))?;
         listener.listen(BACKLOG)?;
         let inode = fs::metadata(path)?.ino();
-        Ok(Self { listener, clients: Vec::new(), path: path.to_owned(), inode, traffic: Traffic::default() })
+        Ok(Self {
+            listener,
+            clients: Vec::new(),
+            path: path.to_owned(),
+            inode,
+            traffic: Traffic::default(),
+            waker: None,
+        })
+    }
+
+    /// From now on a wait is over, too, when this becomes readable.
+    pub fn wake_by(&mut self, waker: Arc<EventFd>) {
+        self.waker = Some(waker);
     }
 
     /// What was counted so far.
@@ -89,25 +113,37 @@ impl Server {
         self.traffic
     }
 
-    /// Waits for requests, at most so long, and answers those that are there: one of each client.
+    /// Waits for requests, at most so long, and answers those that are there: one of each client, as far as they do not
+    /// take long. Who had no turn is first in the next call.
     pub fn serve(&mut self, at_most: Duration, mut answer: impl FnMut(&[u8], Traffic) -> Vec<u8>) {
         let ready = self.wait(at_most);
-        let mut clients = std::mem::take(&mut self.clients);
-        let mut turn = ready.iter();
-        clients.retain_mut(|client| {
-            !turn.next().copied().unwrap_or(false) || self.serve_one(client, &mut answer)
-        });
-        self.clients = clients;
+        let begun = Instant::now();
+        let mut waiting = std::mem::take(&mut self.clients).into_iter().zip(ready);
+        let mut had_turn = Vec::new();
+        for (mut client, ready) in waiting.by_ref() {
+            if !ready || self.serve_one(&mut client, &mut answer) {
+                had_turn.push(client);
+            }
+            if begun.elapsed() >= TURN {
+                break;
+            }
+        }
+        self.clients = waiting.map(|(client, _)| client).chain(had_turn).collect();
         self.admit();
     }
 
     /// Which clients have something to say.
     fn wait(&self, at_most: Duration) -> Vec<bool> {
         let sockets = self.clients.iter().map(|client| &client.socket).chain([&self.listener]);
-        let mut fds: Vec<PollFd> = sockets.map(|fd| PollFd::new(fd.as_fd(), PollFlags::POLLIN)).collect();
+        let fds = sockets.map(|socket| socket.as_fd()).chain(self.waker.iter().map(|waker| waker.as_fd()));
+        let mut fds: Vec<PollFd> = fds.map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
         let timeout = PollTimeout::try_from(at_most).unwrap_or(PollTimeout::MAX);
         // Interrupted, or nothing came: nobody is ready.
         let _ = poll(&mut fds, timeout);
+        if let Some(waker) = &self.waker {
+            // Whether it was or not: it is not readable any more.
+            let _ = waker.read();
+        }
         let ready = |fd: &PollFd| fd.revents().is_some_and(|events| !events.is_empty());
         fds[..self.clients.len()].iter().map(ready).collect()
     }
@@ -123,12 +159,21 @@ impl Server {
         client.heard = Instant::now();
         if length > REQUEST_AT_MOST {
             self.traffic.too_long += 1;
+            let why = format!("a request is {REQUEST_AT_MOST} bytes at most: send less at a time");
+            let _ = client.send(&refusal(why));
+            return false;
+        }
+        if client.has_taken_back() {
+            self.traffic.taken_back += 1;
+            // Who has hung up does not hear it.
+            let _ =
+                client.send(&refusal("nothing is done: it was taken back before it was looked at".into()));
             return false;
         }
         self.traffic.answered += 1;
         let reply = answer(&packet[..length], self.traffic);
         // The socket does not block: who has not taken earlier replies does not get this one.
-        let taken = client.socket.send_with_flags(&reply, nix::libc::MSG_NOSIGNAL).is_ok();
+        let taken = client.send(&reply).is_ok();
         self.traffic.not_taken += u64::from(!taken);
         taken
     }
@@ -149,11 +194,136 @@ impl Server {
     }
 }
 
+impl Client {
+    fn send(&self, packet: &[u8]) -> io::Result<usize> {
+        self.socket.send_with_flags(packet, nix::libc::MSG_NOSIGNAL)
+    }
+
+    /// Whoever hangs up, or sends no more, does not want what it has asked for any more: it was told that it failed.
+    fn has_taken_back(&self) -> bool {
+        // Being hung up on is always told of.
+        let sends_no_more = PollFlags::from_bits_retain(nix::libc::POLLRDHUP);
+        let mut fds = [PollFd::new(self.socket.as_fd(), sends_no_more)];
+        poll(&mut fds, PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
+    }
+}
+
+/// What stations and labs say alike.
+fn refusal(why: String) -> Vec<u8> {
+    Envelope::pack(Reply::Refused(why))
+}
+
 impl Drop for Server {
     fn drop(&mut self) {
         if fs::metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
             // Who comes too late finds nothing, or nobody: both are told alike.
             let _ = fs::remove_file(&self.path);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::client::Question;
+    use crate::control::protocol::Request;
+    use std::net::Shutdown;
+
+    const SOON: Duration = Duration::from_millis(5);
+
+    fn server() -> (tempfile::TempDir, Server) {
+        let scratch = tempfile::tempdir().unwrap();
+        let server = Server::bind(&scratch.path().join("arm.sock")).unwrap();
+        (scratch, server)
+    }
+
+    /// A client that the server knows.
+    fn client(server: &mut Server) -> Socket {
+        let client = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
+        client.connect(&SockAddr::unix(&server.path).unwrap()).unwrap();
+        client.set_read_timeout(Some(SOON)).unwrap();
+        server.serve(Duration::ZERO, |_, _| Vec::new());
+        client
+    }
+
+    fn heard(mut client: &Socket) -> Option<String> {
+        let mut reply = [0; 256];
+        let length = client.read(&mut reply).ok()?;
+        Some(String::from_utf8_lossy(&reply[..length]).into_owned())
+    }
+
+    #[test]
+    fn requests_that_take_long_are_answered_one_a_call_and_nobody_starves() {
+        let (_scratch, mut server) = server();
+        let clients: Vec<Socket> = (0..5).map(|_| client(&mut server)).collect();
+        let mut answered = Vec::new();
+        for _ in 0..clients.len() {
+            // Whoever had its turn asks at once again.
+            for (number, client) in clients.iter().enumerate() {
+                client.send(&[number as u8]).unwrap();
+            }
+            let before = answered.len();
+            server.serve(SOON, |packet, _| {
+                answered.push(packet[0]);
+                std::thread::sleep(TURN);
+                b"done".to_vec()
+            });
+            assert_eq!(answered.len(), before + 1, "whoever serves has other things to do, too");
+        }
+        answered.sort_unstable();
+        assert_eq!(answered, [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn requests_that_take_no_time_are_answered_in_one_call() {
+        let (_scratch, mut server) = server();
+        let clients: Vec<Socket> = (0..5).map(|_| client(&mut server)).collect();
+        clients.iter().for_each(|client| assert_eq!(client.send(b"?").unwrap(), 1));
+        server.serve(SOON, |_, _| b"done".to_vec());
+        assert!(clients.iter().all(|client| heard(client).as_deref() == Some("done")));
+    }
+
+    #[test]
+    fn what_was_taken_back_is_not_done() {
+        let (_scratch, mut server) = server();
+        let (gone, silent, stays) = (client(&mut server), client(&mut server), client(&mut server));
+        for client in [&gone, &silent, &stays] {
+            client.send(b"?").unwrap();
+        }
+        drop(gone);
+        silent.shutdown(Shutdown::Write).unwrap();
+        let mut asked = 0;
+        server.serve(SOON, |_, _| {
+            asked += 1;
+            b"done".to_vec()
+        });
+        assert_eq!((asked, server.traffic().taken_back), (1, 2));
+        assert_eq!(heard(&stays).as_deref(), Some("done"));
+        assert!(heard(&silent).unwrap().contains("nothing is done: it was taken back"));
+    }
+
+    #[test]
+    fn a_request_that_is_too_long_is_refused_with_the_limit() {
+        let (_scratch, mut server) = server();
+        let client = client(&mut server);
+        client.send(&[b' '; REQUEST_AT_MOST + 1]).unwrap();
+        server.serve(SOON, |_, _| panic!("it is not looked at"));
+        assert!(heard(&client).unwrap().contains(&format!("{REQUEST_AT_MOST} bytes at most")));
+        assert_eq!(heard(&client).as_deref(), Some(""), "and hung up");
+    }
+
+    #[test]
+    fn a_question_that_was_taken_back_in_time_is_refused_and_one_that_was_not_is_answered() {
+        let (_scratch, mut server) = server();
+        let path = server.path.clone();
+        let ask = || Question::put(&path, Request::Status, SOON).unwrap();
+        let (mut kept, mut taken_back) = (ask(), ask());
+        assert!(matches!(kept.answer::<Reply>(Duration::ZERO), Ok(None)), "not yet");
+        taken_back.take_back();
+        server.serve(SOON, |_, _| Vec::new());
+        server.serve(SOON, |_, _| Envelope::pack(Reply::Applied(7)));
+        kept.take_back();
+        assert_eq!(kept.answer(SOON).unwrap(), Some(Reply::Applied(7)));
+        assert!(matches!(taken_back.answer(SOON).unwrap(), Some(Reply::Refused(_))));
     }
 }

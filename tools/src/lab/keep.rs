@@ -1,14 +1,15 @@
 //! A lab that stays until it is told to go, and can be asked and changed meanwhile.
 
+mod changes;
+
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use rtnet::time::Span;
-use rtnet::wire::ethernet::MTU;
 
 use super::findings::{Author, Finding};
 use super::members::Member;
@@ -16,12 +17,12 @@ use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
 use crate::control::{
-    self, Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Place, Reply, Request, RoleRequest,
-    Server, SlotRequest, check_name, read,
+    Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_name, read,
 };
-use crate::scenario::{Scenario, SlotPlan};
+use crate::scenario::Scenario;
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, WORST};
+use changes::Pending;
 
 /// How often what was found is judged: records are told twenty times a second.
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
@@ -29,15 +30,11 @@ const JUDGE_EVERY: Duration = Duration::from_secs(1);
 const LOOK_AT_PROCESSES_EVERY: Duration = Duration::from_millis(100);
 /// How long records are kept.
 const RECORDS_KEPT: Duration = Duration::from_secs(600);
-/// How long a station may take to answer its lab: the observer's ring holds a second.
-const STATION_WITHIN: Duration = Duration::from_millis(500);
 /// How long a station that is restarted may take to end before it is killed: its slowest thread looks ten times a
 /// second.
 const END_WITHIN: Duration = Duration::from_secs(1);
 /// A lab is judged for so many cycles, 12 days at 1 ms: half of what cycle numbers tell apart.
 const CYCLES_AT_MOST: u32 = 1 << 30;
-/// Changes of slots in a lab's life, each of which is remembered.
-const CHANGES_AT_MOST: u32 = 100_000;
 
 /// Keeps a lab up. `ready` is called once all its stations are locked; the end's figures are returned.
 pub fn keep(
@@ -58,8 +55,17 @@ pub fn keep(
     let mut server = Server::bind(&home.socket())?;
     let since = Instant::now();
     let restarting = scenario.stations.iter().map(|_| None).collect();
-    let mut keeper =
-        Keeper { lab, scenario, home, tally: Tally::default(), since, changes: 0, restarting, over: None };
+    let mut keeper = Keeper {
+        lab,
+        scenario,
+        home,
+        tally: Tally::default(),
+        since,
+        changes: 0,
+        pending: None,
+        restarting,
+        over: None,
+    };
     for note in keeper.refused() {
         tell(&note);
     }
@@ -68,8 +74,9 @@ pub fn keep(
     let (mut judged, mut looked) = (Instant::now(), Instant::now());
     while keeper.over.is_none() {
         server.serve(LOOK_EVERY, |packet, _| keeper.answer(packet));
+        keeper.take_late_answer();
         keeper.lab.take_in()?;
-        keeper.restart_ended();
+        keeper.restart_one_that_ended();
         if looked.elapsed() >= LOOK_AT_PROCESSES_EVERY {
             looked = Instant::now();
             keeper.lab.note_stopped();
@@ -103,6 +110,8 @@ struct Keeper {
     tally: Tally,
     since: Instant,
     changes: u32,
+    /// A change that its station has not answered in time.
+    pending: Option<Pending>,
     /// By station, whether it is to be started anew, and since when.
     restarting: Vec<Option<Instant>>,
     /// The figures of the end.
@@ -113,13 +122,17 @@ impl Keeper {
     fn answer(&mut self, packet: &[u8]) -> Vec<u8> {
         let reply = match read(packet) {
             Err(why) => LabReply::Refused(why),
-            Ok(LabRequest::Status) => LabReply::Status(Box::new(self.status())),
+            // What the stations have just told of belongs to it. Where that fails, the next look does.
+            Ok(LabRequest::Status) => {
+                let _ = self.lab.take_in();
+                LabReply::Status(Box::new(self.status()))
+            }
             Ok(LabRequest::Down) => match self.end() {
                 Ok(()) => LabReply::Down(Box::new(self.over.clone().unwrap_or_else(|| self.status()))),
                 Err(error) => LabReply::Refused(format!("{error:#}")),
             },
-            Ok(LabRequest::SetSlot { station, slot }) => self.change(&station, slot.id, Some(slot)),
-            Ok(LabRequest::RemoveSlot { station, id }) => self.change(&station, id, None),
+            Ok(LabRequest::SetSlot { station, slot }) => reply(self.try_set(&station, &slot)),
+            Ok(LabRequest::RemoveSlot { station, id }) => reply(self.try_remove(&station, id)),
             Ok(LabRequest::Become { station, role }) => reply(self.try_become(&station, role)),
             Ok(LabRequest::Restart { station }) => reply(self.try_restart(&station)),
         };
@@ -155,82 +168,6 @@ impl Keeper {
         Ok(())
     }
 
-    fn change(&mut self, station: &str, id: u8, slot: Option<SlotRequest>) -> LabReply {
-        reply(self.try_change(station, id, slot))
-    }
-
-    /// Changes a slot where it hits no neighbour, and expects it so from the cycle that the station tells.
-    fn try_change(&mut self, name: &str, id: u8, slot: Option<SlotRequest>) -> Result<u32> {
-        let station = self.station(name)?;
-        ensure!(
-            self.changes < CHANGES_AT_MOST,
-            "{CHANGES_AT_MOST} changes were made: take the lab down first"
-        );
-        if let Some(SlotRequest { size, phase, period, .. }) = slot {
-            let payload = self.scenario.stations[station].payload;
-            ensure!(phase < period, "phase {} of {period} does not exist", u64::from(phase) + 1);
-            ensure!(
-                (payload..=MTU).contains(&size),
-                "a size of {size} is not within {payload}, the payload of '{name}', and {MTU}"
-            );
-        }
-        ensure!(
-            !self.lab.analysis.timetable.is_away(station),
-            "station '{name}' is detached: let it join first"
-        );
-        self.must_have_been_locked(station)?;
-        let plan = slot.map(|slot| SlotPlan {
-            id,
-            offset: Span::from_nanos(slot.offset_ns),
-            phase: slot.phase,
-            period: slot.period,
-            size: slot.size,
-        });
-        let mut changed = self.scenario.clone();
-        let slots = &mut changed.stations[station].slots;
-        slots.retain(|slot| slot.id != id);
-        slots.extend(plan);
-        if let Some(conflict) = changed.schedule().conflicts().first() {
-            bail!("{conflict}");
-        }
-        let place = Place { lab: Some(self.home.lab.clone()), station: name.to_owned() };
-        let request = slot.map_or(Request::RemoveSlot(id), Request::SetSlot);
-        let from = self.ask(&place, request)?;
-        self.lab.analysis.timetable.change(station, id, plan, from);
-        self.scenario = changed;
-        self.changes += 1;
-        Ok(from)
-    }
-
-    /// Lets a slave leave the cycle, or join it again: from when on its frames are expected no more, or, from its
-    /// first on, again.
-    fn try_become(&mut self, name: &str, role: RoleRequest) -> Result<u32> {
-        let station = self.station(name)?;
-        ensure!(
-            station != 0,
-            "'{name}' is the lab's master, by whose time all is judged: it stays what it is"
-        );
-        let place = Place { lab: Some(self.home.lab.clone()), station: name.to_owned() };
-        match role {
-            RoleRequest::Master { .. } => bail!("a lab has one master, '{}'", self.scenario.stations[0].name),
-            RoleRequest::Detached => {
-                self.must_have_been_locked(station)?;
-                let from = self.ask(&place, Request::Become(role))?;
-                self.lab.analysis.timetable.leave(station, from);
-                Ok(from)
-            }
-            RoleRequest::Slave { .. } => {
-                if !self.lab.analysis.timetable.is_away(station) {
-                    self.must_have_been_locked(station)?;
-                }
-                let from = self.ask(&place, Request::Become(role))?;
-                self.lab.analysis.timetable.leave(station, from);
-                self.lab.analysis.timetable.may_return(station);
-                Ok(from)
-            }
-        }
-    }
-
     /// Has a station's process end, if it runs, and another take its place.
     fn try_restart(&mut self, name: &str) -> Result<u32> {
         let station = self.station(name)?;
@@ -245,8 +182,9 @@ impl Keeper {
         Ok(self.lab.analysis.current().unwrap_or_default())
     }
 
-    /// Starts those anew that were to end and have. Who does not end is killed: it is to be gone anyway.
-    fn restart_ended(&mut self) {
+    /// Starts one anew that was to end and has: each takes a while, and the medium has to be looked at. Who does not end
+    /// is killed: it is to be gone anyway.
+    fn restart_one_that_ended(&mut self) {
         for station in 0..self.restarting.len() {
             let Some(since) = self.restarting[station] else { continue };
             let member = &mut self.lab.members[station];
@@ -263,6 +201,7 @@ impl Keeper {
                 self.lab.members[station].failed = Some(format!("it cannot be started anew: {error:#}"));
                 self.lab.members[station].ended = true;
             }
+            return;
         }
     }
 
@@ -279,20 +218,6 @@ impl Keeper {
         let knows = matches!(state.as_str(), "locked" | "holdover" | "lost");
         ensure!(knows, "station '{name}' is {state}: ask again when it is locked");
         Ok(())
-    }
-
-    /// Asks a station. Meanwhile nobody looks at the medium, so it is not waited for long.
-    fn ask(&self, place: &Place, request: Request) -> Result<u32> {
-        match control::ask_within(&self.home.directory, place, request, STATION_WITHIN)? {
-            // One that was lost for long has no idea of the cycle any more, and changed at once.
-            Reply::Applied(from) => {
-                let current = self.lab.analysis.current().unwrap_or(from);
-                let known = current.wrapping_sub(from) as i32 <= 0;
-                Ok(if known { from } else { current.wrapping_add(1) })
-            }
-            Reply::Refused(why) => bail!("station '{}': {why}", place.station),
-            Reply::Status(_) => bail!("station '{}' answers what it was not asked", place.station),
-        }
     }
 
     fn state(&self, station: usize) -> String {

@@ -33,4 +33,5 @@ mod timetable;
 pub mod userns;
 
 pub use keep::keep;
+pub use processes::this_program;
 pub use run::{Lab, Outcome, RunOptions};

@@ -1,6 +1,7 @@
 //! The stations' processes.
 
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
@@ -12,6 +13,13 @@ use crate::station::link::Report;
 
 /// How long a station may take to end when it is told to.
 pub const END_WITHIN: Duration = Duration::from_secs(2);
+
+/// This very program, even where another one was put in the place of its file meanwhile.
+pub fn this_program() -> Command {
+    let mut command = Command::new("/proc/self/exe");
+    command.arg0("rtnet");
+    command
+}
 
 /// A running station; dropping it ends it.
 pub struct Process {
@@ -30,8 +38,7 @@ impl Process {
         arguments: &[String],
         told: Sender<Told>,
     ) -> Result<Self> {
-        let program = std::env::current_exe().context("this program's own file cannot be found")?;
-        let mut command = Command::new(program);
+        let mut command = this_program();
         command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = namespace.run(move || command.spawn())?.context("a station cannot be started")?;
         let output = child.stdout.take().context("a station without output")?;

@@ -1,5 +1,6 @@
 //! A lab from its begin to its end: set up, wait for all to be locked and settled, measure, report.
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -381,7 +382,10 @@ impl Lab {
             && Instant::now() >= *next
         {
             *next += PROGRESS_EVERY;
-            eprintln!("rtnet: {}", what());
+            // Whoever started it and hears nothing any more has gone, and cannot end it later.
+            if writeln!(std::io::stderr(), "rtnet: {}", what()).is_err() {
+                self.interrupted.store(true, Ordering::Relaxed);
+            }
         }
     }
 

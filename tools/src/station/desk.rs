@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotStatus, Tdma, TdmaCommand,
-    TdmaStatus,
+    MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotConfig, SlotStatus, Tdma,
+    TdmaCommand, TdmaStatus,
 };
 use rtnet::clock::EmulatedClock;
-use rtnet::discipline::Cause;
+use rtnet::discipline::{Cause, SyncState};
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::{Driver, Errand, Errands, Record, Snapshot};
 use rtnet::time::{GlobalTime, Offset, Span};
@@ -23,7 +23,7 @@ use super::traffic::TrafficCounts;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
-    Envelope, Reply, Request, RoleRequest, SlotRequest, SlotShown, StationStatus, Traffic, read,
+    Envelope, Reply, Request, RoleRequest, SlotChange, SlotRequest, SlotShown, StationStatus, Traffic, read,
 };
 use crate::scenario::default_sync_window;
 
@@ -44,15 +44,15 @@ pub struct Desk {
     step_limit: Option<Span>,
     /// A single station's slots with every change that was carried out; a lab sees to its stations' itself.
     own_slots: Option<OwnSlots>,
-    /// The same as they will be when the command under way is carried out.
-    to_be: Option<OwnSlots>,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<TdmaStatus>>>,
-    errands: Arc<Errands<Tdma>>,
+    errands: Arc<Errands<TdmaCommand, Refused>>,
     counts: Arc<TrafficCounts>,
     newest: Option<Snapshot<TdmaStatus>>,
     /// Whether there is a newer one than was last asked for.
     news: bool,
+    /// The state in the one that was last asked for.
+    told: Option<SyncState>,
     host: Vec<String>,
     misses: Misses,
     /// Whether the process was continued after it had been stopped.
@@ -79,13 +79,13 @@ impl Desk {
             latest: options.latest,
             step_limit: lab.map(|lab| Span::from_nanos(lab.step_limit_ns)),
             own_slots: options.own_slots.clone(),
-            to_be: None,
             records: driver.records(),
             snapshots: driver.snapshots(),
             errands: driver.errands(),
             counts,
             newest: None,
             news: false,
+            told: None,
             host: Vec::new(),
             misses: Misses::default(),
             continued: continued(),
@@ -124,7 +124,15 @@ impl Desk {
     /// The newest snapshot, if there is one since the last time.
     pub fn news(&mut self) -> Option<Snapshot<TdmaStatus>> {
         self.look();
-        self.newest.filter(|_| std::mem::take(&mut self.news))
+        let news = self.newest.filter(|_| std::mem::take(&mut self.news));
+        self.told = news.map(|news| news.status.state).or(self.told);
+        news
+    }
+
+    /// Whether the station's state is another than the last news told.
+    pub fn has_another_state(&mut self) -> bool {
+        self.look();
+        self.newest.is_some_and(|newest| Some(newest.status.state) != self.told)
     }
 
     fn look(&mut self) {
@@ -139,7 +147,7 @@ impl Desk {
         let reply = match read(packet) {
             Err(why) => Reply::Refused(why),
             Ok(Request::Status) => self.status(traffic),
-            Ok(Request::SetSlot(slot)) => self.set_slot(&slot),
+            Ok(Request::SetSlot(change)) => self.set_slot(&change),
             Ok(Request::RemoveSlot(id)) => {
                 self.change(TdmaCommand::RemoveSlot(id), |own, _| Ok(own.without(id)))
             }
@@ -151,8 +159,10 @@ impl Desk {
         Envelope::pack(reply)
     }
 
-    fn set_slot(&mut self, slot: &SlotRequest) -> Reply {
-        let slot = slot.config(self.latest);
+    /// What is not given of a slot stays as it is to be after every change that was asked for; a lab gives all.
+    fn set_slot(&mut self, change: &SlotChange) -> Reply {
+        let before = self.own_slots.as_ref().and_then(|own| own.get(change.id)).map(request);
+        let slot = change.over(before.as_ref()).config(self.latest);
         self.change(TdmaCommand::SetSlot(slot), |own, heard| {
             let own = own.with(slot);
             own.check_slot(slot.id, heard).map(|()| own)
@@ -178,8 +188,6 @@ impl Desk {
         command: TdmaCommand,
         to_be: impl FnOnce(&OwnSlots, Option<Span>) -> Result<OwnSlots, String>,
     ) -> Reply {
-        // Of one that was given up waiting for.
-        self.answered();
         self.look();
         let slave = self.newest.filter(|newest| newest.status.role == RoleName::Slave);
         let heard = slave.and_then(|slave| slave.status.period);
@@ -189,31 +197,39 @@ impl Desk {
         }
     }
 
-    /// Hands a command to the real-time thread, and waits for what becomes of it.
+    /// Hands a command to the real-time thread, and waits for what becomes of it: what is refused will not happen later.
     fn command(&mut self, command: TdmaCommand, to_be: Option<OwnSlots>) -> Reply {
         if self.errands.send(command).is_err() {
             return Reply::Refused("the command before this one is not carried out yet: ask again".into());
         }
-        self.to_be = to_be;
-        let deadline = Instant::now() + ANSWER_WITHIN;
-        while Instant::now() < deadline {
-            std::thread::sleep(LOOK_EVERY);
-            if let Some(result) = self.answered() {
-                return result.map_or_else(|refused| Reply::Refused(refused.to_string()), Reply::Applied);
+        match self.answered() {
+            Ok(from) => {
+                self.own_slots = to_be;
+                Reply::Applied(from)
             }
+            Err(why) => Reply::Refused(why),
         }
-        let within = ANSWER_WITHIN.as_millis();
-        Reply::Refused(format!("the real-time thread has not answered within {within}ms: it may do so later"))
     }
 
-    /// What became of the command under way, once that is known.
-    fn answered(&mut self) -> Option<Result<u32, Refused>> {
-        let Errand { result, .. } = self.errands.take()?;
-        let to_be = self.to_be.take();
-        if let Some(Ok(_)) = result {
-            self.own_slots = to_be;
+    /// From which cycle on the command under way holds, or why it never will.
+    fn answered(&self) -> Result<u32, String> {
+        let deadline = Instant::now() + ANSWER_WITHIN;
+        loop {
+            std::thread::sleep(LOOK_EVERY);
+            if let Some(Errand { result, .. }) = self.errands.take() {
+                return result.unwrap_or(Ok(0)).map_err(|refused| refused.to_string());
+            }
+            // What cannot be taken back was begun with, and is answered as soon as that thread runs.
+            if Instant::now() >= deadline && self.errands.take_back().is_some() {
+                let within = ANSWER_WITHIN.as_millis();
+                return Err(format!(
+                    "nothing is changed: the real-time thread has not looked at it within {within}ms; ask again"
+                ));
+            }
+            if Arc::strong_count(&self.errands) == 1 {
+                return Err("its real-time thread has ended".into());
+            }
         }
-        result
     }
 
     fn role(&mut self, role: RoleRequest) -> Result<NewRole, Refused> {
@@ -289,16 +305,15 @@ pub fn epoch(clock: &EmulatedClock) -> Offset {
     Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()))
 }
 
+fn request(config: &SlotConfig) -> SlotRequest {
+    let &SlotConfig { id, offset, phase, period, size, .. } = config;
+    SlotRequest { id, offset_ns: offset.nanos(), phase, period, size }
+}
+
 fn shown(slot: &SlotStatus) -> SlotShown {
     let config = slot.config;
     SlotShown {
-        slot: SlotRequest {
-            id: config.id,
-            offset_ns: config.offset.nanos(),
-            phase: config.phase,
-            period: config.period,
-            size: config.size,
-        },
+        slot: request(&config),
         latest_ns: config.latest.nanos(),
         queued: slot.queued,
         sent: slot.sent,

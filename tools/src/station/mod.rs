@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
+use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtmac::tdma::{RoleConfig, Tdma, TdmaConfig};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
@@ -117,9 +118,15 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let mut port = port(&options, &interface)?;
     halt::arm(&mut port)?;
     // Who may not run a station leaves no directory of names behind.
-    let reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));
+    let mut reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));
     let (guarded, guard_refused) = (port.is_guarded(), port.guard_refused().map(str::to_owned));
-    let driver = driver(&options, &interface, port, stop.clone(), counts.clone())?;
+    let changed = Arc::new(EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?);
+    if let Some(server) = &mut reach.server {
+        server.wake_by(changed.clone());
+    }
+    let config =
+        DriverConfig { stop: stop.clone(), sample_time: options.lab.is_some(), changed: Some(changed) };
+    let driver = driver(&options, &interface, port, config, counts.clone())?;
     let in_lab = options.lab.is_some();
     let is_master = matches!(options.tdma.role, RoleConfig::Master(_));
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
@@ -161,8 +168,8 @@ impl Ready {
                 Some(server) => server.serve(LOOK_EVERY, |packet, traffic| self.desk.answer(packet, traffic)),
                 None => std::thread::sleep(LOOK_EVERY),
             }
-            // However many ask, a lab is told at its own pace.
-            if told.elapsed() < LOOK_EVERY && !ended {
+            // However many ask, a lab is told at its own pace, but of another state at once.
+            if told.elapsed() < LOOK_EVERY && !ended && !self.desk.has_another_state() {
                 continue;
             }
             told = Instant::now();
@@ -206,7 +213,7 @@ fn driver(
     options: &Options,
     interface: &Interface,
     port: Port,
-    stop: Arc<AtomicBool>,
+    config: DriverConfig,
     counts: Arc<TrafficCounts>,
 ) -> Result<Driver<Tdma>> {
     let tdma = TdmaConfig { address: interface.address, ..options.tdma.clone() };
@@ -224,7 +231,6 @@ fn driver(
         };
         services.push(Box::new(Traffic::new(plan, counts)));
     }
-    let config = DriverConfig { stop, sample_time: options.lab.is_some() };
     Ok(Driver::new(Station::new(discipline, services), port, config))
 }
 

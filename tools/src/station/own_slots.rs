@@ -34,6 +34,11 @@ impl OwnSlots {
         Self { slots, ..self.clone() }
     }
 
+    /// This slot, if it is defined.
+    pub fn get(&self, id: Channel) -> Option<&SlotConfig> {
+        self.slots.iter().find(|slot| slot.id == id)
+    }
+
     /// In another role.
     pub fn giving(&self, given: Option<(Span, Span)>) -> Self {
         Self { given, ..self.clone() }
@@ -47,7 +52,7 @@ impl OwnSlots {
     /// Whether this slot can be, and goes with the others; `heard` is the cycle of a slave's master. What is wrong
     /// with the others is no reason: they could never be set right one by one.
     pub fn check_slot(&self, id: Channel, heard: Option<Span>) -> Result<(), String> {
-        if let Some(slot) = self.slots.iter().find(|slot| slot.id == id) {
+        if let Some(slot) = self.get(id) {
             slot.check(self.max_id).map_err(|refused| refused.to_string())?;
         }
         let conflicts = self.conflicts(heard);

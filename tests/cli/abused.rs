@@ -111,6 +111,11 @@ fn told(account: &Value, kind: &str) -> u64 {
     stations.iter().map(|station| station["events"][kind].as_u64().unwrap_or(0)).sum()
 }
 
+/// What the kernel's guard did not let pass.
+fn dropped(account: &Value) -> u64 {
+    told(account, "guard_dropped") + told(account, "sync_dropped")
+}
+
 /// For `scripts/accept`.
 fn figure(test: &str, text: &str) {
     // Past the test harness; whoever does not listen misses nothing.
@@ -161,7 +166,7 @@ fn stations_that_are_stopped_before_they_send_are_late_only_without_the_kernel_g
             let stopped = stopped(guard, stop_before_send);
             let (account, still) = (&stopped.account, stopped.still);
             let (late, dropped, stalled) =
-                (latest(account), told(account, "guard_dropped"), told(account, "stalled_in_send"));
+                (latest(account), dropped(account), told(account, "stalled_in_send"));
             figure(
                 "stations_that_are_stopped_before_they_send",
                 &format!(

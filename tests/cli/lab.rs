@@ -90,6 +90,21 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
 }
 
 #[test]
+fn a_lab_whose_capture_cannot_be_written_goes_on_and_says_so() {
+    network("a_lab_whose_capture_cannot_be_written_goes_on_and_says_so", || {
+        let json = tempfile::NamedTempFile::new().unwrap();
+        let mut lab = lab("2", "1s");
+        let output = lab.args(["--pcap", "/dev/full", "--json"]).arg(json.path()).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+        let report: Value = serde_json::from_slice(&fs::read(json.path()).unwrap()).unwrap();
+        assert_eq!(report["cycles"], 200, "it measured to the end");
+        assert_eq!(report["verdict"]["reasons"][0], "the capture is not whole: a note above says why");
+        let note = report["per_station"][0]["notes"][0].as_str().unwrap();
+        assert!(note.contains("/dev/full") && note.contains("No space left"), "{note}");
+    });
+}
+
+#[test]
 fn a_lab_whose_clocks_take_long_does_not_wait_for_ever() {
     network("a_lab_whose_clocks_take_long_does_not_wait_for_ever", || {
         let json = tempfile::NamedTempFile::new().unwrap();

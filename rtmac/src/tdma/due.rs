@@ -124,8 +124,10 @@ impl Tdma {
     /// master had skipped it, and is counted with those.
     pub(super) fn guard_dropped(&mut self, job: &Job, late: Span) {
         self.counters.guard_drops += 1;
-        self.counters.syncs_skipped += u64::from(matches!(job, Job::Sync { .. }));
-        self.events.note_job(job, EventKind::GuardDropped, late);
+        let is_sync = matches!(job, Job::Sync { .. });
+        self.counters.syncs_skipped += u64::from(is_sync);
+        let kind = if is_sync { EventKind::SyncDropped } else { EventKind::GuardDropped };
+        self.events.note_job(job, kind, late);
     }
 
     pub(super) fn missed(&mut self, job: &Job, late: Span) {

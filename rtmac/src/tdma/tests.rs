@@ -389,7 +389,7 @@ fn what_the_guard_drops_comes_back_and_a_cycle_without_its_sync_is_a_skipped_one
     let event = |kind, slot, micros| Event { cycle: 1, kind, slot, span: Span::from_micros(micros) };
     let expected = [
         event(EventKind::MasterActive, None, 0),
-        event(EventKind::GuardDropped, None, 7),
+        event(EventKind::SyncDropped, None, 7),
         event(EventKind::GuardDropped, Some(0), 2),
     ];
     assert_eq!(told, expected);

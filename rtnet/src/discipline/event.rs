@@ -39,6 +39,8 @@ pub enum EventKind {
     SendFailed,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
+    /// The kernel guard dropped a Synchronisation that came too late, by so much or less: its cycle has none.
+    SyncDropped,
     /// A Synchronisation disagrees with the time line by so much.
     TimeStep,
     /// A cycle number came twice; this station stays silent in that cycle.
@@ -61,7 +63,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 19] = [
+    pub const ALL: [EventKind; 20] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -72,6 +74,7 @@ impl EventKind {
         EventKind::SlotBeyondCycle,
         EventKind::SendFailed,
         EventKind::SyncSkipped,
+        EventKind::SyncDropped,
         EventKind::TimeStep,
         EventKind::DuplicateCycle,
         EventKind::Holdover,
@@ -97,15 +100,17 @@ impl EventKind {
                 | SlotEmpty
                 | SendFailed
                 | SyncSkipped
+                | SyncDropped
         )
     }
 
     /// Why that was, as far as the kind tells. What was too late for its instant only the loop's stamps explain.
     pub const fn cause(self) -> Option<Cause> {
         match self {
-            EventKind::StalledInSend | EventKind::ReplyStalled | EventKind::GuardDropped => {
-                Some(Cause::StalledInSend)
-            }
+            EventKind::StalledInSend
+            | EventKind::ReplyStalled
+            | EventKind::GuardDropped
+            | EventKind::SyncDropped => Some(Cause::StalledInSend),
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::SendFailed => Some(Cause::Refused),
@@ -126,6 +131,7 @@ impl EventKind {
             EventKind::SlotBeyondCycle => "slot_beyond_cycle",
             EventKind::SendFailed => "send_failed",
             EventKind::SyncSkipped => "sync_skipped",
+            EventKind::SyncDropped => "sync_dropped",
             EventKind::TimeStep => "time_step",
             EventKind::DuplicateCycle => "duplicate_cycle",
             EventKind::Holdover => "holdover",

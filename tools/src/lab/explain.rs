@@ -26,7 +26,7 @@ const MISSED_BY: [EventKind; 5] = [
     EventKind::SlotEmpty,
 ];
 /// By what a cycle has no Synchronisation.
-const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::GuardDropped, EventKind::SendFailed];
+const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::SyncDropped, EventKind::SendFailed];
 
 /// What the stations told of themselves, and when they could not.
 #[derive(Debug, Default)]

@@ -75,7 +75,7 @@ pub fn keep(
     while keeper.over.is_none() {
         server.serve(LOOK_EVERY, |packet, _| keeper.answer(packet));
         keeper.take_late_answer();
-        keeper.lab.take_in()?;
+        keeper.lab.take_in();
         keeper.restart_one_that_ended();
         if looked.elapsed() >= LOOK_AT_PROCESSES_EVERY {
             looked = Instant::now();
@@ -87,7 +87,7 @@ pub fn keep(
         }
         let interrupted = keeper.lab.interrupted.load(Ordering::Relaxed) || keeper.lab.analysis.is_complete();
         if keeper.over.is_none() && (interrupted || until.is_some_and(|until| Instant::now() >= until)) {
-            keeper.end()?;
+            keeper.end();
         }
     }
     keeper.over.context("a lab ends with its figures")
@@ -122,15 +122,15 @@ impl Keeper {
     fn answer(&mut self, packet: &[u8]) -> Vec<u8> {
         let reply = match read(packet) {
             Err(why) => LabReply::Refused(why),
-            // What the stations have just told of belongs to it. Where that fails, the next look does.
+            // What the stations have just told of belongs to it.
             Ok(LabRequest::Status) => {
-                let _ = self.lab.take_in();
+                self.lab.take_in();
                 LabReply::Status(Box::new(self.status()))
             }
-            Ok(LabRequest::Down) => match self.end() {
-                Ok(()) => LabReply::Down(Box::new(self.over.clone().unwrap_or_else(|| self.status()))),
-                Err(error) => LabReply::Refused(format!("{error:#}")),
-            },
+            Ok(LabRequest::Down) => {
+                self.end();
+                LabReply::Down(Box::new(self.over.clone().unwrap_or_else(|| self.status())))
+            }
             Ok(LabRequest::SetSlot { station, slot }) => reply(self.try_set(&station, &slot)),
             Ok(LabRequest::RemoveSlot { station, id }) => reply(self.try_remove(&station, id)),
             Ok(LabRequest::Become { station, role }) => reply(self.try_become(&station, role)),
@@ -147,16 +147,16 @@ impl Keeper {
     }
 
     /// Ends the stations and draws the account up.
-    fn end(&mut self) -> Result<()> {
+    fn end(&mut self) {
         if self.over.is_some() {
-            return Ok(());
+            return;
         }
         self.lab.note_end_without_master();
         self.lab.analysis.end();
         self.lab.members.iter_mut().for_each(Member::stop_counting);
         // What a member is at its end is "ended"; what it was before is of interest.
         let states: Vec<String> = (0..self.lab.members.len()).map(|station| self.state(station)).collect();
-        self.lab.end()?;
+        self.lab.end();
         self.tally.close(&mut self.lab.analysis, &mut self.lab.records);
         let mut status = self.status();
         for (member, state) in
@@ -165,7 +165,6 @@ impl Keeper {
             member.state = state;
         }
         self.over = Some(status);
-        Ok(())
     }
 
     /// Has a station's process end, if it runs, and another take its place.

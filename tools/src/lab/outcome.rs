@@ -24,6 +24,8 @@ pub struct Parts {
     pub wall_steps: u64,
     /// Frames whose stamps a step of the wall clock made worthless.
     pub distrusted: u64,
+    /// What was to be captured is not whole.
+    pub capture_failed: bool,
     pub interrupted: bool,
 }
 
@@ -37,10 +39,10 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         cycle_ns: scenario.cycle.nanos() as u64,
         cycles: u64::from(cycles),
         syncs_sent: analysis.syncs,
-        syncs_skipped: own(EventKind::SyncSkipped).count() as u64,
+        syncs_skipped: own(EventKind::SyncSkipped).chain(own(EventKind::SyncDropped)).count() as u64,
         overruns: own(EventKind::Overrun).count() as u64,
         stalled_in_send: (own(EventKind::StalledInSend).chain(own(EventKind::ReplyStalled))).count() as u64,
-        guard_drops: own(EventKind::GuardDropped).count() as u64,
+        guard_drops: own(EventKind::GuardDropped).chain(own(EventKind::SyncDropped)).count() as u64,
         latest_frame_ns: analysis.latest.map(Span::nanos),
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
@@ -78,6 +80,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         (MissKind::StalledInSend, EventKind::StalledInSend),
         (MissKind::StalledInSend, EventKind::ReplyStalled),
         (MissKind::GuardDropped, EventKind::GuardDropped),
+        (MissKind::GuardDropped, EventKind::SyncDropped),
         (MissKind::Overrun, EventKind::Overrun),
     ] {
         for record in own(event) {
@@ -150,7 +153,7 @@ fn station_figures(
         overruns: own(EventKind::Overrun),
         stalled_in_send: own(EventKind::StalledInSend) + own(EventKind::ReplyStalled),
         guard: member.guarded.into(),
-        guard_drops: own(EventKind::GuardDropped),
+        guard_drops: own(EventKind::GuardDropped) + own(EventKind::SyncDropped),
         payload_errors: member.payload_errors(),
         slot_error_ns: seen.slot_error.summary(),
         slot_error_abs_ns: slot_error_abs.summary(),
@@ -236,6 +239,9 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
     }
     if figures.capture_dropped > 0 {
         reasons.push(format!("the observer lost {} frames", figures.capture_dropped));
+    }
+    if parts.capture_failed {
+        reasons.push("the capture is not whole: a note above says why".into());
     }
     if parts.distrusted > 0 {
         let n = parts.distrusted;

@@ -112,6 +112,7 @@ pub struct Lab {
     distrusted_until: Option<Instant>,
     distrusted: u64,
     capture: Option<CaptureFile>,
+    capture_failed: bool,
     pub(super) analysis: Analysis,
     pub(super) records: Records,
     master: TrueMaster,
@@ -130,10 +131,10 @@ impl Lab {
     /// Waits until all stations are locked and their clocks settled, measures, and takes the network down again.
     pub fn run(mut self, scenario: &Scenario) -> Result<Outcome> {
         self.join(scenario)?;
-        self.settle(scenario)?;
+        self.settle(scenario);
         let host = HostFacts::begin();
         self.measure(scenario)?;
-        self.end()?;
+        self.end();
         outcome::of(scenario, self.parts(), host.finish())
     }
 
@@ -201,6 +202,7 @@ impl Lab {
             distrusted_until: None,
             distrusted: 0,
             capture,
+            capture_failed: false,
             analysis: Analysis::new(scenario, master),
             records: Records::new(scenario),
             master,
@@ -225,7 +227,7 @@ impl Lab {
         let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES)).min(JOIN_AT_MOST);
         let deadline = Instant::now() + JOIN_WITHIN + calibration;
         while !self.members.iter().all(Member::is_locked) {
-            self.look()?;
+            self.look();
             self.fail_early(scenario)?;
             let locked = self.members.iter().filter(|member| member.is_locked()).count();
             if self.interrupted.load(Ordering::Relaxed) {
@@ -247,11 +249,11 @@ impl Lab {
 
     /// Waits until the clocks of all stations are as near the master's as they come, but not for ever: a host may be too
     /// busy, and that belongs to what is measured.
-    fn settle(&mut self, scenario: &Scenario) -> Result<()> {
+    fn settle(&mut self, scenario: &Scenario) {
         let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
         let deadline = Instant::now() + cycle.saturating_mul(SETTLE_WITHIN).min(SETTLE_AT_MOST);
         while !self.members.iter().all(Member::is_settled) && Instant::now() < deadline {
-            self.look()?;
+            self.look();
             if self.interrupted.load(Ordering::Relaxed) || self.members.iter().any(|member| member.ended) {
                 break;
             }
@@ -266,7 +268,6 @@ impl Lab {
             self.notes
                 .push(format!("clocks had not settled when the measurement began: {}", names.join(", ")));
         }
-        Ok(())
     }
 
     /// Measures for the scenario's duration, or until interrupted or a station is lost.
@@ -277,7 +278,7 @@ impl Lab {
         let allowed = Duration::from_nanos(scenario.duration.nanos() as u64) * 2 + JOIN_WITHIN;
         let deadline = Instant::now() + allowed;
         while !self.analysis.is_complete() {
-            self.look()?;
+            self.look();
             let ended = self.members.iter().any(|member| member.ended);
             if ended || self.interrupted.load(Ordering::Relaxed) || Instant::now() > deadline {
                 break;
@@ -302,10 +303,10 @@ impl Lab {
     }
 
     /// Ends every station, and takes what it still has to tell.
-    pub(super) fn end(&mut self) -> Result<()> {
+    pub(super) fn end(&mut self) {
         let linger = Instant::now() + LINGER;
         while Instant::now() < linger {
-            self.look()?;
+            self.look();
         }
         for member in &mut self.members {
             member.note_memory();
@@ -314,24 +315,24 @@ impl Lab {
         let deadline = Instant::now() + JOIN_WITHIN;
         while !self.members.iter().all(|member| member.silent) && Instant::now() < deadline {
             self.members.iter_mut().for_each(Member::end_if_stopped);
-            self.look()?;
+            self.look();
         }
         self.members.iter_mut().for_each(Member::see_it_end);
         self.analysis.finish();
         if let Some(capture) = self.capture.take() {
-            capture.finish()?;
+            let finished = capture.finish();
+            self.end_capture_that(finished);
         }
-        Ok(())
     }
 
     /// Waits a little, and takes what frames and reports there are.
-    fn look(&mut self) -> Result<()> {
+    fn look(&mut self) {
         std::thread::sleep(LOOK_EVERY);
-        self.take_in()
+        self.take_in();
     }
 
     /// Takes what frames and reports there are.
-    pub(super) fn take_in(&mut self) -> Result<()> {
+    pub(super) fn take_in(&mut self) {
         if !self.wall.sample() {
             self.distrusted_until = Some(Instant::now() + DISTRUST);
             self.analysis.lose_sight();
@@ -349,13 +350,21 @@ impl Lab {
                 *distrusted += 1;
             }
         });
-        written?;
+        self.end_capture_that(written);
         while let Ok((station, report)) = self.told.try_recv() {
             self.note_absence(station, report.as_ref());
             self.members[station].take(station, report, &mut self.records, &self.master);
         }
         self.note_returns();
-        Ok(())
+    }
+
+    /// A capture that cannot be written ends there: the lab does not. Nobody takes it for whole.
+    fn end_capture_that(&mut self, written: Result<()>) {
+        if let Err(error) = written {
+            self.capture = None;
+            self.capture_failed = true;
+            self.notes.push(format!("the capture is not whole: {error:#}"));
+        }
     }
 
     /// Frames of which nothing is known: lost by the observer, or stamped while the wall clock was set.
@@ -395,6 +404,7 @@ impl Lab {
             interrupted: self.interrupted.load(Ordering::Relaxed),
             wall_steps: self.wall.steps(),
             distrusted: self.distrusted,
+            capture_failed: self.capture_failed,
             members: self.members,
             analysis: self.analysis,
             records: self.records,

@@ -238,6 +238,8 @@ fn changes_that_nobody_answers_neither_blind_the_lab_nor_come_later() {
             kill(slave, Signal::SIGSTOP).unwrap();
             let answers = asking.map(|child| child.wait_with_output().unwrap());
             kill(slave, Signal::SIGCONT).unwrap();
+            // Long enough for what it finds to be asked of it, and for frames to show where they are sent.
+            std::thread::sleep(Duration::from_millis(300));
             wait_until("it is locked again", || cell.station("slave2")["standing"]["state"] == "locked");
             let is_made = answers.iter().any(|answer| answer.status.code() == Some(0));
             let said: String = answers.iter().map(|answer| text(&answer.stderr)).collect();
@@ -248,15 +250,15 @@ fn changes_that_nobody_answers_neither_blind_the_lab_nor_come_later() {
             assert!(is == nanos || is == before && !is_made, "{is}, not {nanos}: {said}");
             before = is;
             // It is stopped sooner or later after they are asked for, and mostly before it has answered one.
-            if unanswered >= 4 {
+            if unanswered >= 6 {
                 break;
             }
             assert!(turn < 40, "it was stopped in time only {unanswered} times");
         }
         std::thread::sleep(Duration::from_millis(200));
         let account = cell.down();
-        let found = ["unexplained", "out_of_slot", "not_judged"].map(|what| account[what].clone());
-        assert_eq!(found, [0, 0, 0].map(Value::from), "{account:#}");
+        // Where lab and station disagreed, none of its frames would have an explanation.
+        assert_eq!((&account["unexplained"], &account["not_judged"]), (&0.into(), &0.into()), "{account:#}");
     });
 }
 

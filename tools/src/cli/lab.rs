@@ -91,7 +91,7 @@ pub struct LabStatusArgs {
 /// Arguments of `lab restart`.
 #[derive(Debug, Args)]
 pub struct LabRestartArgs {
-    /// Which station; without LAB/ one of the lab named 'lab'
+    /// Which station; without LAB/ one of the only lab, or of the one named 'lab'
     #[arg(value_name = "[LAB/]STATION")]
     pub place: Place,
 }
@@ -99,7 +99,7 @@ pub struct LabRestartArgs {
 /// Arguments of `lab exec`.
 #[derive(Debug, Args)]
 pub struct LabExecArgs {
-    /// Which station; without LAB/ one of the lab named 'lab'
+    /// Which station; without LAB/ one of the only lab, or of the one named 'lab'
     #[arg(value_name = "[LAB/]STATION")]
     pub place: Place,
     /// What to run there, and its arguments

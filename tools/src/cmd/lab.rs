@@ -108,8 +108,8 @@ pub fn taken(directory: &Directory, cpu: Option<usize>) -> f64 {
 /// Puts a new process in the place of a station's, and waits until it is locked again.
 pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
     let station = &args.place.station;
-    let lab = args.place.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into());
     let directory = Directory::of_user();
+    let lab = lab_of(&directory, &args.place);
     let request = LabRequest::Restart { station: station.clone() };
     super::tdma::by_lab(&lab, request).map_err(Failure::Usage)?;
     let begun = Instant::now();
@@ -138,6 +138,11 @@ pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
     }
 }
 
+/// The lab that is meant: the one named, the only one, or the one that is called as labs are by default.
+fn lab_of(directory: &Directory, place: &Place) -> String {
+    place.lab.clone().or_else(|| directory.only_lab()).unwrap_or_else(|| DEFAULT_LAB.into())
+}
+
 /// Long cycles take longer.
 fn locked_within(cycle_ns: u64) -> Duration {
     LOCKED_WITHIN.max(Duration::from_nanos(cycle_ns) * CALIBRATED_WITHIN)
@@ -158,9 +163,9 @@ pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
 
 /// Moves this process into a station's namespaces.
 fn enter(place: &Place) -> Result<()> {
-    let lab = place.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into());
-    let place = Place { lab: Some(lab), station: place.station.clone() };
-    let pid = control::station_status(&Directory::of_user(), &place)?.pid;
+    let directory = Directory::of_user();
+    let place = Place { lab: Some(lab_of(&directory, place)), station: place.station.clone() };
+    let pid = control::station_status(&directory, &place)?.pid;
     lab::enter::enter(pid, Path::new(&format!("/proc/{pid}/ns/net")))
         .with_context(|| format!("station '{place}'"))
 }

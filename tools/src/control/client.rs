@@ -87,7 +87,9 @@ fn explain(error: anyhow::Error, what: &str, name: &str, mut instead: Vec<String
             anyhow!("{what} '{name}' belongs to another user: ask as the one who started it")
         }
         ErrorKind::WouldBlock | ErrorKind::TimedOut => {
-            anyhow!("{what} '{name}' has not answered in time: its process, or one it waits for, is stopped")
+            anyhow!(
+                "{what} '{name}' has not answered in time: its process, or one it waits for, is stopped; what was asked is taken back"
+            )
         }
         ErrorKind::ConnectionReset => {
             anyhow!("{what} '{name}' hung up: it has ended, or has too many clients; ask again")

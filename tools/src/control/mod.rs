@@ -7,7 +7,8 @@
 //! ```
 //!
 //! A packet is one JSON object of a known version. The control thread serves every client without waiting
-//! for any of them; the real-time thread knows of none of this.
+//! for any of them; the real-time thread knows of none of this. Whoever hangs up, or shuts down its sending side, takes
+//! back what it has asked for and nobody has begun with.
 
 mod client;
 mod places;

@@ -227,6 +227,12 @@ impl Directory {
         }
     }
 
+    /// The only lab that runs, if it is only one.
+    pub fn only_lab(&self) -> Option<String> {
+        let mut labs = self.labs();
+        labs.pop().filter(|_| labs.is_empty())
+    }
+
     /// The stations that run, as they stand behind `-S`.
     pub fn stations(&self) -> Vec<String> {
         let sockets = |directory: &Path| {

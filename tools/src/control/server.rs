@@ -226,7 +226,7 @@ impl Drop for Server {
 mod tests {
     use super::*;
     use crate::control::client::Question;
-    use crate::control::protocol::Request;
+    use crate::control::protocol::{LabReply, Request, read};
     use std::net::Shutdown;
 
     const SOON: Duration = Duration::from_millis(5);
@@ -299,7 +299,9 @@ mod tests {
         });
         assert_eq!((asked, server.traffic().taken_back), (1, 2));
         assert_eq!(heard(&stays).as_deref(), Some("done"));
-        assert!(heard(&silent).unwrap().contains("nothing is done: it was taken back"));
+        let said = heard(&silent).unwrap();
+        assert!(said.contains("nothing is done: it was taken back"), "{said}");
+        assert!(matches!(read(said.as_bytes()), Ok(LabReply::Refused(_))), "labs say it, too");
     }
 
     #[test]

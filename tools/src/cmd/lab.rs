@@ -10,10 +10,10 @@ use anyhow::{Context, Result, anyhow, bail};
 use rtnet::time::Span;
 
 use super::Failure;
+use super::account::{account, is_well};
 use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatusArgs};
-use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, MemberStatus, Place};
+use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, Place};
 use crate::lab;
-use crate::report::text::{Column, grouped, micros, table};
 
 /// How long a lab that has answered may take to be gone.
 const GONE_WITHIN: Duration = Duration::from_secs(5);
@@ -21,8 +21,6 @@ const GONE_WITHIN: Duration = Duration::from_secs(5);
 const LOCKED_WITHIN: Duration = Duration::from_secs(30);
 /// And so many cycles: twice what 100 calibration rounds take.
 const CALIBRATED_WITHIN: u32 = 400;
-/// Columns of a table of stations.
-const WIDTH: usize = 110;
 
 /// Takes labs down.
 pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
@@ -98,13 +96,6 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
     Ok(0)
 }
 
-/// What running labs take of a core already, as a share.
-pub fn taken(directory: &Directory, cpu: Option<usize>) -> f64 {
-    let cpu = cpu.or(rtnet::live::realtime::allowed_cpus().last().copied());
-    let running = directory.labs().into_iter().filter_map(|lab| control::lab_status(directory, &lab).ok());
-    running.filter(|status| Some(status.cpu) == cpu).map(|status| status.load).sum()
-}
-
 /// Puts a new process in the place of a station's, and waits until it is locked again.
 pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
     let station = &args.place.station;
@@ -168,77 +159,4 @@ fn enter(place: &Place) -> Result<()> {
     let pid = control::station_status(&directory, &place)?.pid;
     lab::enter::enter(pid, Path::new(&format!("/proc/{pid}/ns/net")))
         .with_context(|| format!("station '{place}'"))
-}
-
-/// Whether nothing happened that ought not to.
-pub fn is_well(status: &LabStatus) -> bool {
-    let of_station = |station: &MemberStatus| {
-        // Who has lost the master for a moment is there, and its misses have their cause.
-        let is_there = matches!(station.state.as_str(), "locked" | "holdover" | "lost" | "detached");
-        // Whose wire was cut did not receive what passed meanwhile.
-        let lost = if station.cuts > 0 { 0 } else { station.frames_lost };
-        is_there && [station.payload_errors, station.lost_records, lost] == [0; 3]
-    };
-    status.unexplained == 0 && status.not_judged == 0 && status.stations.iter().all(of_station)
-}
-
-/// A lab in words.
-pub fn account(status: &LabStatus) -> String {
-    let stations = &status.stations;
-    let mut text = format!(
-        "lab '{}': {} stations, cycle {}, {} cycles in {}s, process {}\n\n",
-        status.name,
-        stations.len(),
-        Span::from_nanos(status.cycle_ns as i64),
-        grouped(status.cycles),
-        status.up_seconds,
-        status.pid
-    );
-    let left = |head, cell: fn(&MemberStatus) -> String| Column::left(["", head], stations.iter().map(cell));
-    let right =
-        |head, cell: fn(&MemberStatus) -> String| Column::right(["", head], stations.iter().map(cell));
-    let columns = [
-        left("station", |s| s.name.clone()),
-        left("role", |s| s.role.clone()),
-        left("state", |s| s.state.clone()),
-        left("address", |s| s.address.clone()),
-        right("process", |s| s.pid.to_string()),
-        right("frames", |s| grouped(s.frames_seen)),
-        right("missed", |s| grouped(s.slots_missed)),
-        right("p99 us", |s| s.slot_error_ns.p99.map_or("-".into(), micros)),
-        right("max us", |s| s.slot_error_ns.max.map_or("-".into(), micros)),
-        right("bad", |s| grouped(s.payload_errors)),
-        right("lost", |s| grouped(s.frames_lost)),
-    ];
-    text += &(table(&columns, WIDTH).join("\n") + "\n");
-    let refused = |s: &MemberStatus| {
-        let counts: Vec<String> = s.refusals.iter().map(|(reason, n)| format!("{reason} {n}")).collect();
-        (!counts.is_empty()).then(|| format!("refused by {}: {}\n", s.name, counts.join(", ")))
-    };
-    let refused: String = stations.iter().filter_map(refused).collect();
-    text += &format!("{}{refused}", if refused.is_empty() { "" } else { "\n" });
-    let failed = |s: &MemberStatus| s.failed.as_ref().map(|why| format!("\nstation {}: {why}\n", s.name));
-    text.extend(stations.iter().filter_map(failed));
-    status.notes.iter().for_each(|note| text += &format!("\nnote: {note}\n"));
-    if !status.causes.is_empty() {
-        let counts =
-            status.causes.iter().map(|(cause, n)| format!("{} {}", cause.replace('_', " "), grouped(*n)));
-        text += &format!("\nmissed or late, by cause: {}\n", counts.collect::<Vec<_>>().join(", "));
-    }
-    status.unexplained_last.iter().for_each(|line| text += &format!("unexplained: {line}\n"));
-    if status.not_judged > 0 {
-        text +=
-            &format!("not judged: {} frames, lost by the observer or wrongly stamped\n", status.not_judged);
-    }
-    text += &format!(
-        "\n{}: {} of {} frames in their slots, {} missed, {} overlaps, {} out of slot, unexplained {}\n",
-        if is_well(status) { "OK" } else { "NOT OK" },
-        grouped(status.frames_seen),
-        grouped(status.frames_expected),
-        grouped(status.slots_missed),
-        status.overlaps,
-        status.out_of_slot,
-        status.unexplained
-    );
-    text
 }

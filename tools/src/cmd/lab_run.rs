@@ -40,7 +40,8 @@ pub fn prepared(args: &LabRunArgs) -> anyhow::Result<(Scenario, RunOptions)> {
         cpu: args.cpu,
         pcap: args.pcap.clone(),
         home: None,
-        taken: super::lab::taken(&Directory::of_user(), args.cpu),
+        // In a user namespace one is root, and would look elsewhere.
+        directory: Some(Directory::of_user()),
         // Stations may take a while to be locked, too.
         progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
     };

@@ -11,7 +11,7 @@ use nix::unistd::{dup2_stderr, dup2_stdout};
 use rtnet::time::Span;
 
 use super::Failure;
-use super::lab::{account, is_well};
+use super::account::{account, is_well};
 use super::lab_run::prepared;
 use super::write_json;
 use crate::cli::LabUpArgs;

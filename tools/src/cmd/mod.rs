@@ -1,5 +1,6 @@
 //! One module per verb: from arguments to the thing done.
 
+pub mod account;
 pub mod doctor;
 pub mod dump;
 pub mod jitter;

@@ -179,15 +179,15 @@ fn misses(status: &StationStatus) -> String {
         text += &format!("\nsend failed: {error}: {frames}, the last in cycle {last}\n");
     }
     if !worst.is_empty() {
-        text += &format!("\n{}\n", longest(worst));
+        text += &format!("\n{}\n", longest(worst, None));
     }
     text
 }
 
-/// Those that were late, as a table.
-fn longest(worst: &[Miss]) -> String {
+/// Those that were late, as a table; with whose they are, if they are several stations'.
+pub fn longest(worst: &[Miss], whose: Option<Vec<String>>) -> String {
     let left = |head, cell: fn(&Miss) -> String| Column::left(["", head], worst.iter().map(cell));
-    let columns = [
+    let mut columns = vec![
         left("the longest", |miss| miss.what.replace('_', " ")),
         Column::right(["", "cycle"], worst.iter().map(|miss| grouped(miss.cycle.into()))),
         Column::right(
@@ -197,6 +197,9 @@ fn longest(worst: &[Miss]) -> String {
         Column::right(["", "by us"], worst.iter().map(|miss| micros(miss.late_ns))),
         left("cause", |miss| miss.cause.replace('_', " ")),
     ];
+    if let Some(names) = whose {
+        columns.insert(1, Column::left(["", "station"], names.into_iter()));
+    }
     table(&columns, WIDTH).join("\n")
 }
 

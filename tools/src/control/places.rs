@@ -5,6 +5,7 @@
 //!   NAME.lock  NAME.sock          a station of its own
 //!   LAB/.lock  LAB/.sock          a lab; no station's name begins with a dot
 //!   LAB/STATION.sock              a station of it
+//!   .load-PID                     what a lab takes of a core, see `loads.rs`
 //! ```
 //!
 //! A name belongs to whoever holds the lock on its file; the kernel gives it up with the process. Everything
@@ -250,12 +251,12 @@ impl Directory {
         all
     }
 
-    fn make(&self) -> Result<()> {
+    pub(super) fn make(&self) -> Result<()> {
         make_private(&self.0)
     }
 }
 
-fn names(directory: &Path, of: impl Fn(&Path) -> Option<String>) -> Vec<String> {
+pub(super) fn names(directory: &Path, of: impl Fn(&Path) -> Option<String>) -> Vec<String> {
     let entries = fs::read_dir(directory).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries.filter_map(|entry| of(&entry.path())).collect();
     names.sort();
@@ -263,7 +264,7 @@ fn names(directory: &Path, of: impl Fn(&Path) -> Option<String>) -> Vec<String> 
 }
 
 /// Whether somebody holds this lock. For a moment it is ours, shared with others who look.
-fn is_held(path: &Path) -> bool {
+pub(super) fn is_held(path: &Path) -> bool {
     let Ok(file) = File::open(path) else { return false };
     matches!(Flock::lock(file, FlockArg::LockSharedNonblock), Err((_, Errno::EWOULDBLOCK)))
 }

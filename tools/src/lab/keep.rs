@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
+use rtnet::live::clock::monotonic;
 use rtnet::time::Span;
 
 use super::findings::{Author, Finding};
@@ -322,6 +323,7 @@ impl Keeper {
             restarts: member.restarts,
             cuts: member.cuts,
             lost_records: member.standing.as_ref().map_or(0, |standing| standing.lost_records),
+            unsynchronised_ns: member.synchronised_at.map(|at| monotonic().saturating_sub(at)),
             failed: member.failed.clone(),
             refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         }

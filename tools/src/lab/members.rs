@@ -56,6 +56,8 @@ pub struct Member {
     pub cuts: u32,
     /// In which cycle its process was last seen not to be stopped.
     pub seen_running: Option<u32>,
+    /// When it has last told to be synchronised.
+    pub synchronised_at: Option<True>,
     counting: bool,
     told_to_end: bool,
     /// It was stopped by somebody, so that there was no other way.
@@ -86,6 +88,7 @@ impl Member {
             restarts: 0,
             cuts: 0,
             seen_running: None,
+            synchronised_at: None,
             counting: false,
             told_to_end: false,
             was_killed: false,
@@ -220,7 +223,12 @@ impl Member {
             }
             Some(Report::Started { guarded, refused }) => (self.guarded, self.refused) = (guarded, refused),
             Some(Report::Failed(why)) => self.failed = Some(why),
-            Some(Report::Standing(standing)) => self.standing = Some(*standing),
+            Some(Report::Standing(standing)) => {
+                if matches!(standing.state.as_str(), "locked" | "holdover") {
+                    self.synchronised_at = Some(standing.at);
+                }
+                self.standing = Some(*standing);
+            }
             Some(Report::Events(events)) => {
                 for (cycle, slot, kind, span, cause) in events {
                     if let Some(kind) = link::kind(kind) {

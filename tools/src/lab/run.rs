@@ -19,7 +19,7 @@ use super::members::{Launch, Member, Resume, arguments};
 use super::namespace::{Namespace, Segment};
 use super::outcome;
 use super::processes::{Process, Told};
-use crate::control::Home;
+use crate::control::{Directory, Home, Load};
 use crate::report::capture::CaptureFile;
 use crate::report::figures::Figures;
 use crate::report::histogram::SignedHistogram;
@@ -64,6 +64,19 @@ pub fn load(scenario: &Scenario) -> f64 {
     slots.map(|slot| share(slot.period)).sum()
 }
 
+/// Why the real-time threads of labs, one of which takes such a share of a core, would be stopped now and then.
+pub(super) fn too_much(cpu: usize, load: f64, declared: Option<&Load>) -> Option<String> {
+    let together = load + declared.map_or(0.0, Load::of_others);
+    (together > LOAD_AT_MOST && is_throttled()).then(|| {
+        format!(
+            "all real-time threads would take {:.0} % of cpu {cpu}: above {:.0} % the kernel takes 50 ms of every \
+             second from SCHED_FIFO",
+            together * 100.0,
+            LOAD_AT_MOST * 100.0
+        )
+    })
+}
+
 /// Whether the kernel throttles real-time threads.
 fn is_throttled() -> bool {
     let runtime = std::fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us");
@@ -86,8 +99,8 @@ pub struct RunOptions {
     pub pcap: Option<PathBuf>,
     /// Where its stations are to be asked, if they are to be.
     pub home: Option<Home>,
-    /// What other labs take of that core already, as a share.
-    pub taken: f64,
+    /// Where labs say what they take of a core.
+    pub directory: Option<Directory>,
     /// Show how it goes on standard error.
     pub progress: bool,
 }
@@ -123,6 +136,8 @@ pub struct Lab {
     pub(super) cpu: usize,
     /// What they take of it, as a share.
     pub(super) load: f64,
+    /// The same, as other labs see it, if they run with SCHED_FIFO.
+    pub(super) declared: Option<Load>,
     pub(super) interrupted: Arc<AtomicBool>,
     next_progress: Option<Instant>,
 }
@@ -150,16 +165,19 @@ impl Lab {
             notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
         }
         let load = load(scenario);
-        let together = options.taken + load;
-        let fifo = together <= LOAD_AT_MOST || !is_throttled();
-        if !fifo {
-            notes.push(format!(
-                "all real-time threads would take {:.0} % of cpu {cpu}: above {:.0} % the kernel takes 50 ms of every \
-                 second from SCHED_FIFO, so they run without it (fewer stations or a longer --cycle gives it back)",
-                together * 100.0,
-                LOAD_AT_MOST * 100.0
-            ));
-        }
+        let declared =
+            options.directory.as_ref().map(|directory| Load::declare(directory, cpu, load)).transpose();
+        let declared = declared.unwrap_or_else(|error| {
+            notes.push(format!("other labs do not see what this one takes of cpu {cpu}: {error:#}"));
+            None
+        });
+        let too_much = too_much(cpu, load, declared.as_ref());
+        let fifo = too_much.is_none();
+        // Who runs without takes nothing that the kernel would count.
+        let declared = declared.filter(|_| fifo);
+        notes.extend(too_much.map(|why| {
+            format!("{why}, so they run without it (fewer stations or a longer --cycle gives it back)")
+        }));
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone())?;
@@ -211,6 +229,7 @@ impl Lab {
             notes,
             cpu,
             load,
+            declared,
             interrupted,
             next_progress: options.progress.then(|| Instant::now() + PROGRESS_EVERY),
         })

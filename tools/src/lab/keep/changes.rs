@@ -8,6 +8,7 @@ use rtnet::wire::ethernet::MTU;
 
 use super::Keeper;
 use crate::control::{self, Place, Question, Reply, Request, RoleRequest, SlotChange, SlotRequest};
+use crate::lab::run::{load, too_much};
 use crate::scenario::{Scenario, SlotPlan};
 
 /// How long a station may take to let its lab in, and to answer it: meanwhile nobody looks at the medium, and the
@@ -81,6 +82,11 @@ impl Keeper {
         set_slot(&mut changed, station, id, plan);
         if let Some(conflict) = changed.schedule().conflicts().first() {
             bail!("{conflict}");
+        }
+        let load = load(&changed);
+        let too_much = too_much(self.lab.cpu, load, self.lab.declared.as_ref());
+        if let (Some(why), true) = (too_much, self.lab.declared.is_some() && load > self.lab.load) {
+            bail!("{why}: give the slot a longer period, or take another lab down");
         }
         self.ask(station, request, Change::Slot(id, plan))
     }
@@ -167,6 +173,11 @@ impl Keeper {
                 timetable.change(station, id, plan, from);
                 set_slot(&mut self.scenario, station, id, plan);
                 self.changes += 1;
+                self.lab.load = load(&self.scenario);
+                if let Some(declared) = &mut self.lab.declared {
+                    // Where it cannot be written, others see what it took before.
+                    let _ = declared.change(self.lab.load);
+                }
             }
             Change::Leave => timetable.leave(station, from),
             Change::Return => {

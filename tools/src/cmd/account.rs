@@ -11,19 +11,15 @@ use crate::report::text::{Column, grouped, micros, paragraph, table};
 /// Columns of the table.
 const WIDTH: usize = 110;
 
-/// Who is lost for longer is lost for good, as far as can be told.
-const LOST_AT_MOST_NS: u64 = 1_000_000_000;
-const LOST_AT_MOST_CYCLES: u64 = 25;
-
 /// Whether nothing happened that ought not to.
 pub fn is_well(status: &LabStatus) -> bool {
     let of_station = |station: &MemberStatus| {
-        // Who has lost the master for a moment is there, and its misses have their cause; who has lost it for good, is not.
-        let at_most = LOST_AT_MOST_NS.max(status.cycle_ns * LOST_AT_MOST_CYCLES);
-        let is_lost =
-            station.state == "lost" && station.unsynchronised_ns.is_none_or(|since| since > at_most);
-        let is_there =
-            matches!(station.state.as_str(), "locked" | "holdover" | "lost" | "detached") && !is_lost;
+        // Who has lost the master for a moment is there, and its misses have their cause.
+        let is_there = match station.state.as_str() {
+            "locked" | "holdover" | "detached" => true,
+            "lost" => !station.lost,
+            _ => false,
+        };
         // Whose wire was cut did not receive what passed meanwhile.
         let lost = if station.cuts > 0 { 0 } else { station.frames_lost };
         is_there && station.failed.is_none() && [station.payload_errors, station.lost_records, lost] == [0; 3]

@@ -349,8 +349,8 @@ pub struct MemberStatus {
     pub cuts: u32,
     /// What it could not tell of, because its queues were full.
     pub lost_records: u64,
-    /// Since it was last synchronised, nanoseconds.
-    pub unsynchronised_ns: Option<u64>,
+    /// Whether it has not been synchronised for longer than a moment.
+    pub lost: bool,
     /// Why it cannot go on, if it has said so.
     pub failed: Option<String>,
     /// Frames refused, by reason.

@@ -9,7 +9,6 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
-use rtnet::live::clock::monotonic;
 use rtnet::time::Span;
 
 use super::findings::{Author, Finding};
@@ -154,7 +153,8 @@ impl Keeper {
         }
         self.lab.note_end_without_master();
         self.lab.analysis.end();
-        self.lab.members.iter_mut().for_each(Member::stop_counting);
+        let cycle = self.scenario.cycle;
+        self.lab.members.iter_mut().for_each(|member| member.stop_counting(cycle));
         // What a member is at its end is "ended"; what it was before is of interest.
         let states: Vec<String> = (0..self.lab.members.len()).map(|station| self.state(station)).collect();
         self.lab.end();
@@ -323,7 +323,7 @@ impl Keeper {
             restarts: member.restarts,
             cuts: member.cuts,
             lost_records: member.standing.as_ref().map_or(0, |standing| standing.lost_records),
-            unsynchronised_ns: member.synchronised_at.map(|at| monotonic().saturating_sub(at)),
+            lost: member.is_lost(self.scenario.cycle),
             failed: member.failed.clone(),
             refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         }

@@ -7,6 +7,7 @@ use rtmac::tdma::LatePolicy;
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::Record;
+use rtnet::live::clock::monotonic;
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::analysis::TrueMaster;
@@ -24,6 +25,10 @@ use crate::station::link::{self, LabOptions, Report, Standing};
 use crate::station::misses::Misses;
 use rtmac::tdma::schedule;
 
+/// Who is lost for longer is lost, as far as can be told: so long, and so many cycles.
+const LOST_AT_MOST: Span = Span::from_millis(1_000);
+const LOST_AT_MOST_CYCLES: i64 = 25;
+
 /// A station of a lab.
 pub struct Member {
     // Dropped before the namespace it lives in.
@@ -38,6 +43,7 @@ pub struct Member {
     pub standing: Option<Standing>,
     pub standing_at_begin: Option<Standing>,
     pub standing_at_end: Option<Standing>,
+    pub lost_at_end: bool,
     pub sync_error: SignedHistogram,
     pub failed: Option<String>,
     /// Its process ended before it was told to.
@@ -57,7 +63,7 @@ pub struct Member {
     /// In which cycle its process was last seen not to be stopped.
     pub seen_running: Option<u32>,
     /// When it has last told to be synchronised.
-    pub synchronised_at: Option<True>,
+    synchronised_at: Option<True>,
     counting: bool,
     told_to_end: bool,
     /// It was stopped by somebody, so that there was no other way.
@@ -77,6 +83,7 @@ impl Member {
             standing: None,
             standing_at_begin: None,
             standing_at_end: None,
+            lost_at_end: false,
             sync_error: SignedHistogram::new(),
             failed: None,
             ended: false,
@@ -131,8 +138,9 @@ impl Member {
     }
 
     /// Up to here.
-    pub fn stop_counting(&mut self) {
+    pub fn stop_counting(&mut self, cycle: Span) {
         self.counting = false;
+        self.lost_at_end = self.is_lost(cycle);
         self.standing_at_end = self.standing.clone();
         self.cpu_seconds = self.process.as_ref().and_then(Process::cpu_used).unwrap_or(0.0);
     }
@@ -188,12 +196,12 @@ impl Member {
         Heard { received, range, anew }
     }
 
-    /// Locked, or bridging one cycle, when the measurement ended.
-    pub fn was_synchronised_at_end(&self) -> bool {
-        let end = self.standing_at_end.as_ref();
-        end.is_some_and(|standing| {
-            standing.master || matches!(standing.state.as_str(), "locked" | "holdover")
-        })
+    /// Whether it has not been synchronised for longer than a busy host takes to let it be so again.
+    pub fn is_lost(&self, cycle: Span) -> bool {
+        let Some(standing) = &self.standing else { return true };
+        let at_most = LOST_AT_MOST.max(cycle * LOST_AT_MOST_CYCLES).nanos() as u64;
+        let since = self.synchronised_at.map(|at| monotonic().saturating_sub(at));
+        !standing.master && !is_synchronised(standing) && since.is_none_or(|since| since > at_most)
     }
 
     /// Steps of the wall clock that it has seen.
@@ -224,7 +232,7 @@ impl Member {
             Some(Report::Started { guarded, refused }) => (self.guarded, self.refused) = (guarded, refused),
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => {
-                if matches!(standing.state.as_str(), "locked" | "holdover") {
+                if is_synchronised(&standing) {
                     self.synchronised_at = Some(standing.at);
                 }
                 self.standing = Some(*standing);
@@ -271,6 +279,11 @@ impl Member {
             }
         }
     }
+}
+
+/// Locked, or bridging one cycle.
+fn is_synchronised(standing: &Standing) -> bool {
+    matches!(standing.state.as_str(), "locked" | "holdover")
 }
 
 /// The clock of a station.

@@ -210,7 +210,7 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
             let (name, pid) = (&plan.name, member.pid());
             let remedy = "its last words, if any, are above; run the lab again";
             reasons.push(format!("station '{name}' (process {pid}) was lost: {remedy}"));
-        } else if !parts.interrupted && figures.cycles > 0 && !member.was_synchronised_at_end() {
+        } else if !parts.interrupted && figures.cycles > 0 && member.lost_at_end {
             reasons.push(format!("station '{}' was not synchronised at the end", plan.name));
         }
         let lost = member.standing.as_ref().map_or(0, |standing| standing.lost_records);

@@ -308,7 +308,7 @@ impl Lab {
         }
         self.analysis.end();
         for member in &mut self.members {
-            member.stop_counting();
+            member.stop_counting(scenario.cycle);
         }
         Ok(())
     }

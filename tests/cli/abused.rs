@@ -206,8 +206,9 @@ fn pid(cell: &Cell, station: &str) -> Pid {
     Pid::from_raw(cell.station(station)["pid"].as_i64().unwrap() as i32)
 }
 
-fn is_in(state: &str) -> impl Fn(&Value) -> bool {
-    move |status| status["standing"]["state"] == state
+/// Whether a lab says of all its slaves that they are in a state.
+fn slaves_are(state: &str) -> impl Fn(&Value) -> bool {
+    move |lab| (1..STATIONS.len()).all(|place| lab["stations"][place]["state"] == state)
 }
 
 /// Kills a slave: how long until the lab says so.
@@ -217,12 +218,12 @@ fn kill_slave(cell: &Cell, place: usize) -> Duration {
     until_seen(&mut lab, Instant::now(), |status| status["stations"][place]["state"] == "ended")
 }
 
-/// Kills the master: how much longer than it must take until all slaves say that they have lost it.
+/// Kills the master: how much longer than it must take until the lab says that all slaves have lost it.
 fn kill_master(cell: &Cell) -> Duration {
     let mut slaves = STATIONS[1..].iter().map(|name| cell.connect(name)).collect::<Vec<_>>();
+    let mut lab = cell.connect("");
     signal(pid(cell, "master"), Signal::SIGKILL);
-    let since = Instant::now();
-    let seen = slaves.iter_mut().map(|slave| until_seen(slave, since, is_in("lost"))).max().unwrap();
+    let seen = until_seen(&mut lab, Instant::now(), slaves_are("lost"));
     let sent = |slave: &mut Socket| status_of(slave)["counters"]["frames_sent"].clone();
     let before: Vec<Value> = slaves.iter_mut().map(sent).collect();
     std::thread::sleep(LONG_CYCLE * 5);
@@ -232,12 +233,11 @@ fn kill_master(cell: &Cell) -> Duration {
     seen.saturating_sub(LONG_CYCLE * 2 + GRACE)
 }
 
-/// Starts the master anew: how long after it has begun until all slaves are locked.
+/// Starts the master anew: how long after it has begun until the lab says that all slaves are locked.
 fn restart_master(cell: &Cell) -> Duration {
-    let mut slaves = STATIONS[1..].iter().map(|name| cell.connect(name)).collect::<Vec<_>>();
+    let mut lab = cell.connect("");
     cell.restart("master");
-    let since = Instant::now();
-    slaves.iter_mut().map(|slave| until_seen(slave, since, is_in("locked"))).max().unwrap()
+    until_seen(&mut lab, Instant::now(), slaves_are("locked"))
 }
 
 #[test]

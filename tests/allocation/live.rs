@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRole, RoleConfig, SlaveConfig,
     SlotConfig, Tdma, TdmaCommand, TdmaConfig,
@@ -151,5 +152,7 @@ fn driver(
     };
     let port = namespace.run(open).unwrap();
     let station = Station::new(discipline.unwrap(), vec![Box::new(traffic)]);
-    Driver::new(station, port, DriverConfig { stop, sample_time: true, changed: None })
+    // Every change of state wakes the control thread.
+    let changed = Arc::new(EventFd::from_flags(EfdFlags::EFD_NONBLOCK).unwrap());
+    Driver::new(station, port, DriverConfig { stop, sample_time: true, changed: Some(changed) })
 }

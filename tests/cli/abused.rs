@@ -292,13 +292,23 @@ fn to_interface(
     station: &str,
     act: impl FnOnce(&mut Netlink, u32) -> anyhow::Result<()> + Send,
 ) {
-    let namespace = std::fs::File::open(format!("/proc/{}/ns/net", pid(cell, station))).unwrap();
+    to_link(&format!("/proc/{}/ns/net", pid(cell, station)), "rt0", act);
+}
+
+/// The same to its port of the bridge: the other end of its wire.
+fn to_port(cell: &Cell, place: usize, act: impl FnOnce(&mut Netlink, u32) -> anyhow::Result<()> + Send) {
+    let status = cell.status();
+    to_link(status["bridge_namespace"].as_str().unwrap(), &format!("port{place}"), act);
+}
+
+fn to_link(namespace: &str, link: &str, act: impl FnOnce(&mut Netlink, u32) -> anyhow::Result<()> + Send) {
+    let namespace = std::fs::File::open(namespace).unwrap();
     std::thread::scope(|scope| {
         scope.spawn(|| {
             setns(&namespace, CloneFlags::CLONE_NEWNET).unwrap();
             let mut netlink = Netlink::open().unwrap();
-            let interface = netlink.link_index("rt0").unwrap();
-            act(&mut netlink, interface).unwrap();
+            let link = netlink.link_index(link).unwrap();
+            act(&mut netlink, link).unwrap();
         });
     });
 }
@@ -315,6 +325,17 @@ fn a_station_whose_interface_goes_down_or_away_comes_back_beside_the_others() {
         assert_eq!(state(1), "locked", "the others go on");
         to_interface(&cell, "slave2", |netlink, interface| netlink.set_up(interface));
         wait_until("it is locked again", || state(2) == "locked");
+
+        // Where the other end is cut, sending does not fail.
+        for place in [1, 0] {
+            let cuts = || cell.status()["stations"][place]["cuts"].as_u64();
+            let before = cuts();
+            to_port(&cell, place, |netlink, port| netlink.set_down(port));
+            wait_until("it is seen", || cuts() > before);
+            std::thread::sleep(Duration::from_millis(300));
+            to_port(&cell, place, |netlink, port| netlink.set_up(port));
+            wait_until("all are locked again", || (0..3).all(|place| state(place) == "locked"));
+        }
 
         to_interface(&cell, "slave3", |netlink, interface| netlink.delete_link(interface));
         wait_until("it cannot go on", || state(3) == "ended");

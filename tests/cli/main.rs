@@ -5,6 +5,7 @@
 
 mod abused;
 mod cell;
+mod changes;
 mod host;
 mod interface;
 mod lab;

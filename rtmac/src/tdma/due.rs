@@ -89,6 +89,21 @@ impl Tdma {
         }
     }
 
+    /// Nothing is sent any more in the role that there is: the turns that are still to come up to `cycle` are none of the
+    /// next one's.
+    pub(super) fn leave_until(&mut self, cycle: u32) {
+        let Some(line) = self.line().copied() else { return };
+        while let Some(turn) = self.slots.next_turn(&line, None) {
+            if cycle.wrapping_sub(turn.cycle) as i32 >= 0 {
+                self.counters.slots_silent += 1;
+                self.events.note_job(&Job::Data(turn), EventKind::TurnLeft, Span::ZERO);
+                self.slots.pass(&turn);
+            } else {
+                break;
+            }
+        }
+    }
+
     /// A calibration reply that was not sent is due again later: real stations never repeat a request.
     pub(super) fn put_off(&mut self, job: &Job) {
         if let (Job::Reply { .. }, Role::Master(master)) = (job, &mut self.role)

@@ -7,9 +7,9 @@ use rtnet::time::Span;
 
 use super::job::Job;
 
-/// Events that are kept: two seconds of what a master that was stopped has missed at 1 ms, since it notices all of
-/// it at once. Otherwise the shell takes them every turn.
-const CAPACITY: usize = 4096;
+/// Events that are kept: what a master with all eight slots has missed in the thousand cycles for which slaves keep its line,
+/// since one that was stopped notices all of it at once. Otherwise the shell takes them every turn.
+const CAPACITY: usize = 10_240;
 
 /// A bounded log; what does not fit is counted.
 pub struct Events {

@@ -263,7 +263,11 @@ impl Discipline for Tdma {
             }
             Sent::Failed(errno, frame) => {
                 self.counters.send_failed += 1;
-                self.events.note_job(&job, EventKind::SendFailed, Span::from_nanos(i64::from(errno)));
+                let kind = match job {
+                    Job::Reply { .. } => EventKind::ReplyFailed,
+                    _ => EventKind::SendFailed,
+                };
+                self.events.note_job(&job, kind, Span::from_nanos(i64::from(errno)));
                 self.put_off(&job);
                 return job.returned(frame, priority);
             }
@@ -352,6 +356,7 @@ impl Discipline for Tdma {
                     let slots = self.slots.planned().map(|slot| (slot.id, slot.period));
                     check_rounds(slave.calibration().rounds(), slots)?;
                 }
+                self.leave_until(cycle);
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;
             }

@@ -37,6 +37,8 @@ pub enum EventKind {
     SlotBeyondCycle,
     /// The kernel refused a frame; the span is its error number.
     SendFailed,
+    /// So it did with a calibration reply.
+    ReplyFailed,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
     /// The kernel guard dropped a Synchronisation that came too late, by so much or less: its cycle has none.
@@ -63,7 +65,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 20] = [
+    pub const ALL: [EventKind; 21] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -73,6 +75,7 @@ impl EventKind {
         EventKind::SlotEmpty,
         EventKind::SlotBeyondCycle,
         EventKind::SendFailed,
+        EventKind::ReplyFailed,
         EventKind::SyncSkipped,
         EventKind::SyncDropped,
         EventKind::TimeStep,
@@ -99,6 +102,7 @@ impl EventKind {
                 | TurnLeft
                 | SlotEmpty
                 | SendFailed
+                | ReplyFailed
                 | SyncSkipped
                 | SyncDropped
         )
@@ -113,7 +117,7 @@ impl EventKind {
             | EventKind::SyncDropped => Some(Cause::StalledInSend),
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
-            EventKind::SendFailed => Some(Cause::Refused),
+            EventKind::SendFailed | EventKind::ReplyFailed => Some(Cause::Refused),
             _ => None,
         }
     }
@@ -130,6 +134,7 @@ impl EventKind {
             EventKind::SlotEmpty => "slot_empty",
             EventKind::SlotBeyondCycle => "slot_beyond_cycle",
             EventKind::SendFailed => "send_failed",
+            EventKind::ReplyFailed => "reply_failed",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::SyncDropped => "sync_dropped",
             EventKind::TimeStep => "time_step",

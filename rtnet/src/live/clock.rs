@@ -59,7 +59,7 @@ pub fn spin_until(at: True) -> True {
 /// What REALTIME is ahead of MONOTONIC, and how often that stepped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WallClock {
-    /// By the last sample, which may be wrong by half its width.
+    /// By the best sample since the last step, which may be wrong by half its width: the two clocks run alike.
     ahead: u64,
     width: u64,
     sampled: bool,
@@ -89,12 +89,16 @@ impl WallClock {
     /// Takes in a sample. An interrupted one, be it this or the last, is no step.
     fn take(&mut self, ahead: u64, width: u64) -> bool {
         let moved = (ahead.wrapping_sub(self.ahead) as i64).unsigned_abs();
-        let stepped = self.sampled && moved > STEP + self.width / 2 + width / 2;
-        *self = Self { ahead, width, sampled: true, steps: self.steps + u64::from(stepped) };
+        let doubt = self.width / 2 + width / 2;
+        let stepped = self.sampled && moved > STEP + doubt;
+        // One that was interrupted says nothing that is not known better, as long as it says the same.
+        if !self.sampled || moved > doubt || width <= self.width {
+            *self = Self { ahead, width, sampled: true, steps: self.steps + u64::from(stepped) };
+        }
         !stepped
     }
 
-    /// The true moment of a kernel stamp, by the last sample.
+    /// The true moment of a kernel stamp, by what is known best.
     #[inline]
     pub fn truth(&self, stamp: u64) -> True {
         stamp.wrapping_sub(self.ahead)

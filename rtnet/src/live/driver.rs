@@ -170,8 +170,8 @@ impl<D: Discipline> Driver<D> {
         let commanded = self.obey();
         let changed = time.state != self.shown;
         let due = now >= self.next_snapshot || changed || commanded;
-        // A full queue means that nobody looks: it is tried again. Pushing never waits for a reader that was preempted,
-        // which replacing the oldest would.
+        // A full queue means that nobody looks: it is tried again. Replacing the oldest would wait for a reader that was
+        // preempted in the middle.
         if due && !self.snapshots.is_full() {
             self.shown = time.state;
             self.next_snapshot = now + SNAPSHOT_EVERY;

@@ -85,7 +85,9 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
     for lab in directory.labs() {
         match control::lab_status(&directory, &lab) {
             Ok(status) => all.push(status),
-            Err(error) => eprintln!("rtnet: {error:#}"),
+            Err(error) => {
+                let _ = writeln!(std::io::stderr(), "rtnet: {error:#}");
+            }
         }
     }
     let words = |all: &Vec<LabStatus>| match all.as_slice() {

@@ -3,7 +3,8 @@
 
 use std::fs::{self, File};
 use std::io::{Seek, Write};
-use std::path::PathBuf;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use nix::fcntl::{Flock, FlockArg};
@@ -26,10 +27,17 @@ impl Load {
     pub fn declare(directory: &Directory, cpu: usize, share: f64) -> Result<Self> {
         directory.make()?;
         let path = directory.path().join(format!("{PREFIX}{}", std::process::id()));
-        let file = File::options().read(true).write(true).create(true).truncate(false).open(&path);
-        let file = file.with_context(|| format!("{} cannot be opened", path.display()))?;
-        let file = Flock::lock(file, FlockArg::LockExclusive)
-            .map_err(|(_, errno)| anyhow!("{} cannot be locked: {errno}", path.display()))?;
+        let file = loop {
+            let file = File::options().read(true).write(true).create(true).truncate(false).open(&path);
+            let file = file.with_context(|| format!("{} cannot be opened", path.display()))?;
+            let file = Flock::lock(file, FlockArg::LockExclusive)
+                .map_err(|(_, errno)| anyhow!("{} cannot be locked: {errno}", path.display()))?;
+            // Somebody may have taken it for a dead lab's before it was locked.
+            let inode = file.metadata()?.ino();
+            if fs::metadata(&path).is_ok_and(|found| found.ino() == inode) {
+                break file;
+            }
+        };
         let mut load = Self { directory: directory.clone(), path, file, cpu };
         load.change(share)?;
         Ok(load)
@@ -44,7 +52,7 @@ impl Load {
 
     /// What all others take of the same core. Those that are dead are forgotten.
     pub fn of_others(&self) -> f64 {
-        let share = |path: &std::path::Path| {
+        let share = |path: &Path| {
             let is_load = path.file_name()?.to_str()?.starts_with(PREFIX);
             if !is_load || path == self.path {
                 return None;

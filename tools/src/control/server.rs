@@ -186,7 +186,7 @@ impl Server {
             }
             if self.clients.len() == CLIENTS_AT_MOST {
                 let silent = (0..CLIENTS_AT_MOST).min_by_key(|&i| self.clients[i].heard).unwrap_or(0);
-                self.clients.swap_remove(silent);
+                self.clients.remove(silent);
                 self.traffic.evicted += 1;
             }
             self.clients.push(Client { socket, heard: Instant::now() });

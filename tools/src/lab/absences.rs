@@ -7,8 +7,10 @@ use super::timetable::before;
 
 /// So many cycles after somebody is back a station may still be silent: a line that comes back must be confirmed.
 const LOCKED_AFTER: u32 = 4;
-/// Who was away for no longer has all to tell when it is back: slaves keep their line for so long, and their log holds
-/// more.
+/// And one that has no line any more, and cannot tell of it: the first syncs may be held up, too.
+const FOLLOWS_AFTER: u32 = 32;
+/// Who was stopped for no longer has all to tell when it goes on: slaves keep their line for so long, and the log of a
+/// station with all slots there are holds as much.
 const TOLD_OF: u32 = LINE_GOOD_FOR as u32;
 
 /// Why a station was not there.
@@ -93,7 +95,7 @@ impl Absences {
     pub fn leaves_no_line(&self, station: usize, cycle: u32) -> bool {
         let lineless =
             |entry: &Entry, cycle| entry.covers(cycle) && before(entry.from.wrapping_add(TOLD_OF), cycle);
-        let just_now = |entry| (0..=LOCKED_AFTER).any(|ago| lineless(entry, cycle.wrapping_sub(ago)));
+        let just_now = |entry| (0..=FOLLOWS_AFTER).any(|ago| lineless(entry, cycle.wrapping_sub(ago)));
         self.entries(station).any(just_now)
     }
 
@@ -120,7 +122,8 @@ impl Entry {
 
     fn is_untold(&self) -> bool {
         let is_long = |until: u32| until.wrapping_sub(self.from) > TOLD_OF;
-        self.why == Absence::Down || self.until.is_none_or(is_long)
+        // Where the wire is cut at its far end, the kernel takes every frame and tells nobody.
+        self.why != Absence::Stopped || self.until.is_none_or(is_long)
     }
 
     fn covers(&self, cycle: u32) -> bool {
@@ -162,7 +165,8 @@ mod tests {
         absences.begin(2, Absence::Stopped, 5_000);
         absences.end(2, Absence::Stopped, 5_000 + TOLD_OF + 10);
         assert_eq!(absences.untold(2, 5_001), Some(Absence::Stopped));
-        let lineless = [TOLD_OF, TOLD_OF + 1, TOLD_OF + 13, TOLD_OF + 14];
+        let end = TOLD_OF + 10 + FOLLOWS_AFTER;
+        let lineless = [TOLD_OF, TOLD_OF + 1, end - 1, end];
         let lineless = lineless.map(|after| absences.leaves_no_line(2, 5_000 + after));
         assert_eq!(lineless, [false, true, true, false]);
     }

@@ -346,13 +346,11 @@ impl Analysis {
         if error < -self.clock_share || error + air > end - self.clock_share {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
-        let next = match self.stations[station].last.insert(slot.id, cycle) {
-            Some(last) if (cycle.wrapping_sub(last) as i32) <= 0 => {
-                return self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO));
-            }
-            Some(last) => last.wrapping_add(1),
-            None => self.window.map_or(cycle, |(from, _)| from),
-        };
+        let next = self.window.map_or(cycle, |(from, _)| self.next_turn(station, slot.id, from));
+        if before(cycle, next) {
+            return self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO));
+        }
+        self.stations[station].last.insert(slot.id, cycle);
         self.slot_gaps(station, slot.id, next, cycle);
         let seen = &mut self.stations[station];
         seen.frames += 1;

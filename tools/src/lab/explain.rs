@@ -87,20 +87,19 @@ impl Records {
     /// has told of it, or could not.
     pub fn explain(&self, finding: &Finding) -> Option<&'static str> {
         let mut authors = finding.authors.iter().flatten().copied();
-        // A calibration reply, whose author nobody knows, meets others when it is late; it moves nobody.
-        let hit = finding.kind == FindingKind::Overlap && finding.authors.contains(&None);
         match finding.kind {
             FindingKind::OutOfSlot => authors.find_map(|author| {
                 self.held_up(author, finding.span)
                     .or_else(|| self.held_up(master(author), finding.span))
                     .or_else(|| self.last_words(author))
             }),
-            FindingKind::Overlap => authors.find_map(|author| {
-                self.told(author, EventKind::StalledInSend)
-                    .or_else(|| self.told(master(author), EventKind::StalledInSend))
-                    .or_else(|| hit.then(|| self.told(master(author), EventKind::ReplyStalled)).flatten())
-                    .or_else(|| self.last_words(author))
-            }),
+            FindingKind::Overlap => authors
+                .find_map(|author| {
+                    self.told(author, EventKind::StalledInSend)
+                        .or_else(|| self.told(master(author), EventKind::StalledInSend))
+                        .or_else(|| self.last_words(author))
+                })
+                .or_else(|| self.late_reply(finding)),
             FindingKind::SyncGap => authors.find_map(|author| {
                 let told = self.told_of(author, &NO_SYNC_BY);
                 told.map(|told| self.cut(author).unwrap_or(told)).or_else(|| self.untold(author))
@@ -109,8 +108,19 @@ impl Records {
                 let told = self.told_of(author, &MISSED_BY).or_else(|| self.silence(author));
                 told.map(|told| self.cut(author).unwrap_or(told)).or_else(|| self.untold(author))
             }),
-            FindingKind::WithoutSync | FindingKind::Repeated => None,
+            // One that was held up for so long that its slot was taken for missed.
+            FindingKind::Repeated => authors.find_map(|author| self.told(author, EventKind::StalledInSend)),
+            FindingKind::WithoutSync => None,
         }
+    }
+
+    /// Whether the explanation is a record, not that there can be none.
+    pub fn has_told_of(&self, finding: &Finding) -> bool {
+        let told = |&author: &Author| {
+            let kinds = [&MISSED_BY[..], &NO_SYNC_BY[..], &[EventKind::SlotSilent]].concat();
+            self.told_of(author, &kinds).is_some()
+        };
+        finding.authors.iter().flatten().any(told)
     }
 
     /// Whether a frame was held up, and by enough. A Synchronisation that was moves every station of its cycle.
@@ -118,6 +128,15 @@ impl Records {
         let (by, _) = self.by_cycle.get(&key(author, EventKind::StalledInSend))?;
         let explains = Span::ZERO < late && late <= *by + self.in_time;
         explains.then(|| self.told(author, EventKind::StalledInSend)).flatten()
+    }
+
+    /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves
+    /// nobody.
+    fn late_reply(&self, finding: &Finding) -> Option<&'static str> {
+        let of = |cycle| Author { station: MASTER, cycle, slot: None };
+        let told = |cycle| self.told(of(cycle), EventKind::ReplyStalled);
+        let is_hit = finding.authors.contains(&None);
+        is_hit.then(|| told(finding.cycle).or_else(|| told(finding.cycle.wrapping_sub(1)))).flatten()
     }
 
     /// What a station had to tell of its last moments went with it.
@@ -131,7 +150,9 @@ impl Records {
     fn silence(&self, author: Author) -> Option<&'static str> {
         let Author { station, cycle, .. } = author;
         let absences = &self.absences;
-        let has_no_line = absences.leaves_no_line(MASTER, cycle) || absences.leaves_no_line(station, cycle);
+        let follows_nobody =
+            absences.leaves_no_line(MASTER, cycle) || absences.leaves_no_line(station, cycle);
+        let has_no_line = station != MASTER && follows_nobody;
         let silent =
             self.told(author, EventKind::SlotSilent).or(has_no_line.then_some(Cause::NoSync.name()))?;
         let absent = absences.just_now(MASTER, cycle) || absences.just_now(station, cycle);

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, anyhow, ensure};
 use rtnet::time::Span;
 
 use super::findings::{Author, Finding};
-use super::members::Member;
+use super::members::{Member, lost_at_most};
 use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
@@ -153,8 +153,8 @@ impl Keeper {
         }
         self.lab.note_end_without_master();
         self.lab.analysis.end();
-        let cycle = self.scenario.cycle;
-        self.lab.members.iter_mut().for_each(|member| member.stop_counting(cycle));
+        let at_most = lost_at_most(self.scenario.cycle);
+        self.lab.members.iter_mut().for_each(|member| member.stop_counting(at_most));
         // What a member is at its end is "ended"; what it was before is of interest.
         let states: Vec<String> = (0..self.lab.members.len()).map(|station| self.state(station)).collect();
         self.lab.end();
@@ -323,7 +323,7 @@ impl Keeper {
             restarts: member.restarts,
             cuts: member.cuts,
             lost_records: member.standing.as_ref().map_or(0, |standing| standing.lost_records),
-            lost: member.is_lost(self.scenario.cycle),
+            lost: member.is_lost(lost_at_most(self.scenario.cycle)),
             failed: member.failed.clone(),
             refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
         }

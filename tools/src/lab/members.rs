@@ -25,9 +25,10 @@ use crate::station::link::{self, LabOptions, Report, Standing};
 use crate::station::misses::Misses;
 use rtmac::tdma::schedule;
 
-/// Who is lost for longer is lost, as far as can be told: so long, and so many cycles.
-const LOST_AT_MOST: Span = Span::from_millis(1_000);
-const LOST_AT_MOST_CYCLES: i64 = 25;
+/// For how long a busy host may keep a station from being synchronised: who is lost for longer is lost.
+pub fn lost_at_most(cycle: Span) -> Span {
+    Span::from_millis(1_000).max(cycle * 25)
+}
 
 /// A station of a lab.
 pub struct Member {
@@ -138,9 +139,9 @@ impl Member {
     }
 
     /// Up to here.
-    pub fn stop_counting(&mut self, cycle: Span) {
+    pub fn stop_counting(&mut self, lost_at_most: Span) {
+        self.lost_at_end = self.is_lost(lost_at_most);
         self.counting = false;
-        self.lost_at_end = self.is_lost(cycle);
         self.standing_at_end = self.standing.clone();
         self.cpu_seconds = self.process.as_ref().and_then(Process::cpu_used).unwrap_or(0.0);
     }
@@ -196,10 +197,13 @@ impl Member {
         Heard { received, range, anew }
     }
 
-    /// Whether it has not been synchronised for longer than a busy host takes to let it be so again.
-    pub fn is_lost(&self, cycle: Span) -> bool {
+    /// Whether it has not been synchronised for longer than that, or was not when it counted last.
+    pub fn is_lost(&self, at_most: Span) -> bool {
+        if !self.counting {
+            return self.lost_at_end;
+        }
         let Some(standing) = &self.standing else { return true };
-        let at_most = LOST_AT_MOST.max(cycle * LOST_AT_MOST_CYCLES).nanos() as u64;
+        let at_most = at_most.nanos() as u64;
         let since = self.synchronised_at.map(|at| monotonic().saturating_sub(at));
         !standing.master && !is_synchronised(standing) && since.is_none_or(|since| since > at_most)
     }
@@ -269,6 +273,7 @@ impl Member {
         let worth_knowing = [
             EventKind::SyncLost,
             EventKind::SendFailed,
+            EventKind::ReplyFailed,
             EventKind::CalibrationTimeout,
             EventKind::OtherMaster,
         ];

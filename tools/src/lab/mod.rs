@@ -20,6 +20,7 @@ pub mod enter;
 pub mod explain;
 pub mod findings;
 mod keep;
+mod load;
 mod members;
 pub mod namespace;
 pub mod netlink;

@@ -66,7 +66,8 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
     figures.sync_error_ns = all.sync_error.summary();
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     figures.unexplained = analysis.findings_dropped;
-    for kind in [EventKind::SlotSilent, EventKind::TurnLeft, EventKind::SlotEmpty, EventKind::SendFailed] {
+    use EventKind::{ReplyFailed, SendFailed, SlotEmpty, SlotSilent, TurnLeft};
+    for kind in [SlotSilent, TurnLeft, SlotEmpty, SendFailed, ReplyFailed] {
         let told = own(kind).count() as u64;
         if let (Some(cause), true) = (kind.cause(), told > 0) {
             *figures.causes.entry(cause.name().into()).or_default() += told;
@@ -187,7 +188,7 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
     }
     if let Some(cause) = records.explain(finding) {
         // What a station told of is counted with its records; of its absence there are none.
-        if Absence::is_name(cause) {
+        if Absence::is_name(cause) && !records.has_told_of(finding) {
             *figures.causes.entry(cause.into()).or_default() += 1;
         }
         return;

@@ -54,7 +54,8 @@ impl Lab {
                     // It was seen to run then, and not since.
                     member.seen_running = Some(last);
                 }
-                (true, None) => member.seen_running = None,
+                // It never was.
+                (true, None) => self.records.absences.begin(station, Absence::Stopped, now),
                 (false, _) => self.records.absences.end(station, Absence::Stopped, now.wrapping_add(1)),
             }
         }
@@ -101,7 +102,9 @@ impl Lab {
             }
             let locked = member.standing.as_ref().filter(|standing| standing.is_locked());
             let sends_by = locked.map(|standing| standing.cycle.wrapping_add(SENDS_WITHIN));
-            if let Some(cycle) = self.analysis.heard_again(station).or(sends_by) {
+            // The observer may still hold its first frame back.
+            let seen = |&by: &u32| self.analysis.current().is_some_and(|current| before(by, current));
+            if let Some(cycle) = self.analysis.heard_again(station).or(sends_by.filter(seen)) {
                 self.records.absences.end(station, Absence::Down, cycle);
             }
         }

@@ -46,7 +46,7 @@ pub struct Miss {
     pub cycle: u32,
     /// In which slot; none: a Synchronisation, or a calibration reply.
     pub slot: Option<u8>,
-    /// `overrun`, `stalled_in_send`, `guard_dropped`, `slot_silent`, `slot_empty`, `send_failed` or `sync_skipped`.
+    /// The name of its kind of event: `overrun`, `stalled_in_send`, ...
     pub what: String,
     /// By how much, nanoseconds; 0 of a failed send.
     pub late_ns: i64,
@@ -69,7 +69,8 @@ impl Misses {
     fn enter(&mut self, event: Event, cause: Cause) {
         *self.causes.entry(cause.name().into()).or_default() += 1;
         // The span of a failed send is no time.
-        let errno = (event.kind == EventKind::SendFailed).then_some(event.span.nanos() as i32);
+        let errno = matches!(event.kind, EventKind::SendFailed | EventKind::ReplyFailed)
+            .then_some(event.span.nanos() as i32);
         let miss = Miss {
             cycle: event.cycle,
             slot: event.slot,

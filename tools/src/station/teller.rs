@@ -46,7 +46,10 @@ impl Teller {
         match self {
             Teller::Lab => Report::Started { guarded, refused }.say(),
             Teller::Person(person) => {
-                refused.iter().for_each(|line| eprintln!("{}: {line}", person.name));
+                for line in &refused {
+                    // Whoever has closed our standard error can ask for it.
+                    let _ = writeln!(std::io::stderr(), "{}: {line}", person.name);
+                }
                 Ok(())
             }
         }
@@ -115,8 +118,8 @@ impl Person {
         for record in records {
             let Record::Event(event, _) = record else { continue };
             match event.kind {
-                EventKind::SlotSilent => {}
-                EventKind::SendFailed => {
+                EventKind::SlotSilent | EventKind::TurnLeft => {}
+                EventKind::SendFailed | EventKind::ReplyFailed => {
                     failed = true;
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);
                     first.iter().for_each(|line| self.say(line));

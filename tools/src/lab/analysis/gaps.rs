@@ -49,7 +49,7 @@ impl Analysis {
     }
 
     /// The first cycle in which a slot may have a turn that was neither seen nor missed.
-    fn next_turn(&self, station: usize, id: u8, from: u32) -> u32 {
+    pub(super) fn next_turn(&self, station: usize, id: u8, from: u32) -> u32 {
         self.stations[station].last.get(&id).map_or(from, |last| last.wrapping_add(1))
     }
 

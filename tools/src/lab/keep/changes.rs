@@ -8,7 +8,7 @@ use rtnet::wire::ethernet::MTU;
 
 use super::Keeper;
 use crate::control::{self, Place, Question, Reply, Request, RoleRequest, SlotChange, SlotRequest};
-use crate::lab::run::{load, too_much};
+use crate::lab::load::{load, too_much};
 use crate::scenario::{Scenario, SlotPlan};
 
 /// How long a station may take to let its lab in, and to answer it: meanwhile nobody looks at the medium, and the

@@ -7,8 +7,6 @@ use super::timetable::before;
 
 /// So many cycles after somebody is back a station may still be silent: a line that comes back must be confirmed.
 const LOCKED_AFTER: u32 = 4;
-/// And one that has no line any more, and cannot tell of it: the first syncs may be held up, too.
-const FOLLOWS_AFTER: u32 = 32;
 /// Who was stopped for no longer has all to tell when it goes on: slaves keep their line for so long, and the log of a
 /// station with all slots there are holds as much.
 const TOLD_OF: u32 = LINE_GOOD_FOR as u32;
@@ -90,13 +88,12 @@ impl Absences {
         (0..=LOCKED_AFTER).any(|ago| self.of(station, cycle.wrapping_sub(ago)).is_some())
     }
 
-    /// Whether a station had not been there, in a cycle or shortly before, for longer than lines are kept: nobody who
-    /// follows it can tell which slots it is silent in.
-    pub fn leaves_no_line(&self, station: usize, cycle: u32) -> bool {
-        let lineless =
-            |entry: &Entry, cycle| entry.covers(cycle) && before(entry.from.wrapping_add(TOLD_OF), cycle);
-        let just_now = |entry| (0..=FOLLOWS_AFTER).any(|ago| lineless(entry, cycle.wrapping_sub(ago)));
-        self.entries(station).any(just_now)
+    /// Since when, before a cycle, nobody who follows a station had a line any more: it had not been there for longer than
+    /// lines are kept. For each time that it was so.
+    pub fn without_line(&self, station: usize, cycle: u32) -> impl Iterator<Item = u32> {
+        let since = |entry: &Entry| entry.from.wrapping_add(TOLD_OF);
+        let all = self.entries(station).filter(move |entry| entry.covers(since(entry)));
+        all.map(since).filter(move |&since| before(since, cycle))
     }
 
     fn entries(&self, station: usize) -> impl Iterator<Item = &Entry> {
@@ -160,14 +157,13 @@ mod tests {
         assert_eq!(absences.untold(2, 150), Some(Absence::Stopped), "it cannot yet");
         absences.end(2, Absence::Stopped, 100 + TOLD_OF);
         assert_eq!((absences.of(2, 150), absences.untold(2, 150)), (Some(Absence::Stopped), None));
-        assert!(!absences.leaves_no_line(2, 100 + TOLD_OF), "who follows it has told of all");
+        assert_eq!(absences.without_line(2, 9_999).count(), 0, "who follows it has told of all");
 
         absences.begin(2, Absence::Stopped, 5_000);
         absences.end(2, Absence::Stopped, 5_000 + TOLD_OF + 10);
         assert_eq!(absences.untold(2, 5_001), Some(Absence::Stopped));
-        let end = TOLD_OF + 10 + FOLLOWS_AFTER;
-        let lineless = [TOLD_OF, TOLD_OF + 1, end - 1, end];
-        let lineless = lineless.map(|after| absences.leaves_no_line(2, 5_000 + after));
-        assert_eq!(lineless, [false, true, true, false]);
+        let since = 5_000 + TOLD_OF;
+        assert_eq!(absences.without_line(2, since).count(), 0, "not yet");
+        assert_eq!(absences.without_line(2, since + 5_000).collect::<Vec<_>>(), [since]);
     }
 }

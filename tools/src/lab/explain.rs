@@ -10,6 +10,7 @@ use rtnet::time::Span;
 
 use super::absences::{Absence, Absences};
 use super::findings::{Author, Finding, FindingKind};
+use super::timetable::before;
 use crate::scenario::Scenario;
 
 /// A lab's first station is its master.
@@ -32,6 +33,8 @@ const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::SyncDropp
 #[derive(Debug, Default)]
 pub struct Records {
     by_cycle: BTreeMap<Key, (Span, Option<Cause>)>,
+    /// When stations told that they follow their master.
+    locked: Vec<(usize, u32)>,
     /// From one cycle's start to the next.
     cycle: Span,
     /// How long after its instant a frame that is not held up is sent, and another behind it.
@@ -65,6 +68,9 @@ impl Records {
 
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
     pub fn note(&mut self, author: Author, kind: EventKind, span: Span, cause: Option<Cause>) {
+        if kind == EventKind::Locked {
+            self.locked.push((author.station, author.cycle));
+        }
         let longest = self.by_cycle.entry(key(author, kind)).or_insert((span, cause));
         *longest = (*longest).max((span, cause));
     }
@@ -73,6 +79,7 @@ impl Records {
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
         self.absences.forget_before(cycle);
+        self.locked.retain(|&(_, of)| !before(of, cycle));
     }
 
     /// The records of one kind in `cycles` cycles from `from` on, with their station.
@@ -150,17 +157,25 @@ impl Records {
     fn silence(&self, author: Author) -> Option<&'static str> {
         let Author { station, cycle, .. } = author;
         let absences = &self.absences;
-        let follows_nobody =
-            absences.leaves_no_line(MASTER, cycle) || absences.leaves_no_line(station, cycle);
-        let has_no_line = station != MASTER && follows_nobody;
+        let has_no_line = self.follows_nobody(station, cycle);
         let silent =
             self.told(author, EventKind::SlotSilent).or(has_no_line.then_some(Cause::NoSync.name()))?;
         let absent = absences.just_now(MASTER, cycle) || absences.just_now(station, cycle);
         let doubted =
             self.told_of(of_cycle(author), &[EventKind::DuplicateCycle]).is_some() || self.stepped(author);
         let ago = |cycles| Author { cycle: cycle.wrapping_sub(cycles), ..author };
-        let why = absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
+        let why = has_no_line || absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
         why.then_some(silent)
+    }
+
+    /// Whether a slave that had no line any more has told of none since.
+    fn follows_nobody(&self, station: usize, cycle: u32) -> bool {
+        let followed = |since: u32| {
+            let mut told = self.locked.iter().filter(|&&(of, _)| of == station);
+            told.any(|&(_, at)| before(since, at) && before(at, cycle))
+        };
+        let since = [MASTER, station].map(|of| self.absences.without_line(of, cycle));
+        station != MASTER && since.into_iter().flatten().any(|since| !followed(since))
     }
 
     /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it.

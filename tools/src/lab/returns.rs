@@ -17,6 +17,8 @@ use crate::station::link::Report;
 
 /// For how long at most the observer and the stations hold back what they have to tell.
 const HELD_BACK: True = 2_000_000_000;
+/// A thread may be stopped so much sooner than the one that tells of it, which waits for a core.
+const STOPPING: True = 100_000_000;
 /// Who is locked sends within so many cycles, or misses them.
 const SENDS_WITHIN: u32 = 8;
 
@@ -45,12 +47,15 @@ impl Lab {
 
     /// Who is stopped notices nothing, and has soon missed more than it can tell of when it goes on.
     pub(super) fn note_stopped(&mut self) {
-        let Some(now) = self.analysis.cycle_at(monotonic()) else { return };
+        let at = monotonic();
+        let cycles = [at, at.saturating_sub(STOPPING)].map(|at| self.analysis.cycle_at(at));
+        let [Some(now), Some(before)] = cycles else { return };
+        let stopping = now.wrapping_sub(before);
         for (station, member) in self.members.iter_mut().enumerate() {
             let is_stopped = member.process.as_ref().is_some_and(Process::is_stopped);
             match (is_stopped, member.seen_running.replace(now)) {
                 (true, Some(last)) => {
-                    self.records.absences.begin(station, Absence::Stopped, last);
+                    self.records.absences.begin(station, Absence::Stopped, last.wrapping_sub(stopping));
                     // It was seen to run then, and not since.
                     member.seen_running = Some(last);
                 }

@@ -168,6 +168,11 @@ fn without_a_master_there_are_no_syncs_and_all_are_silent() {
     assert_eq!(why(12, FindingKind::SyncGap, MASTER), Some("station_down"));
     assert_eq!(why(12, FindingKind::SlotMissed, 3), None, "it still knows its slots, and tells of them");
     assert_eq!(why(5_000, FindingKind::SlotMissed, 3), Some("sync_lost_or_late"));
+    records.absences.end(MASTER, Absence::Down, 6_000);
+    records.note(told_of(6_050, 3), EventKind::Locked, Span::ZERO, None);
+    let why = |cycle, kind, station| records.explain(&finding(cycle, kind, station));
+    assert_eq!(why(6_050, FindingKind::SlotMissed, 3), Some("sync_lost_or_late"), "until it follows again");
+    assert_eq!(why(6_051, FindingKind::SlotMissed, 3), None);
     assert_eq!(why(12, FindingKind::WithoutSync, 3), None, "who sends without is wrong");
     assert_eq!(why(12, FindingKind::OutOfSlot, 3), None, "who sends must know when");
 }

@@ -123,9 +123,10 @@ fn figure(test: &str, text: &str) {
 }
 
 /// A virtual processor may be taken away behind the guard, before the wire: once, with luck, but not at every stop; and
-/// it was seen to stand still for so long.
+/// it was seen to stand still for so long. If that was with a sync, all frames of its cycle are late.
 fn is_by_the_host(Stopped { account, still }: &Stopped) -> bool {
-    account["out_of_slot"].as_u64().unwrap() <= 1 && latest(account) < still.as_nanos() as i64
+    account["out_of_slot"].as_u64().unwrap() <= STATIONS.len() as u64
+        && latest(account) < still.as_nanos() as i64
 }
 
 /// Whether the kernel guarded all stations; says so if it was to and did not.

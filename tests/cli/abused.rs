@@ -2,7 +2,6 @@
 //!
 //! `RTNET_STOPS` says how often each kind of stop happens; `scripts/accept live` asks for more than the default.
 
-use std::io::Write;
 use std::time::{Duration, Instant};
 
 use nix::sched::{CloneFlags, setns};
@@ -13,7 +12,7 @@ use socket2::Socket;
 use tools::lab::netlink::Netlink;
 
 use crate::cell::{Cell, STATIONS, status_of, text, wait_until};
-use crate::host::{Standstill, network, skip};
+use crate::host::{Standstill, figure, network, skip};
 use crate::rtnet;
 
 const MILLIS: [u64; 4] = [1, 5, 50, 500];
@@ -114,12 +113,6 @@ fn told(account: &Value, kind: &str) -> u64 {
 /// What the kernel's guard did not let pass.
 fn dropped(account: &Value) -> u64 {
     told(account, "guard_dropped") + told(account, "sync_dropped")
-}
-
-/// For `scripts/accept`.
-fn figure(test: &str, text: &str) {
-    // Past the test harness; whoever does not listen misses nothing.
-    let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
 }
 
 /// A virtual processor may be taken away behind the guard, before the wire: once, with luck, but not at every stop; and

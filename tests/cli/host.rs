@@ -22,6 +22,12 @@ pub fn skip(test: &str, why: &str) {
     let _ = writeln!(std::io::stderr(), "SKIP {test}: {why}");
 }
 
+/// Says aloud what a test has measured, for `scripts/accept`.
+pub fn figure(test: &str, text: &str) {
+    // Whoever does not listen misses nothing.
+    let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
+}
+
 /// Runs a test of a network, and again, aloud, where it failed on a host that stood still meanwhile.
 pub fn network(test: &str, body: impl Fn()) {
     if !nix::unistd::geteuid().is_root() {

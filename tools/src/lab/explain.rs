@@ -1,6 +1,6 @@
 //! Which findings have a record of the same cycle and slot: what a station noticed itself is explained, what it
 //! did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
-//! station missed that was not there is explained by its absence.
+//! station missed that was not there is explained by its absence only if it could not tell of it later.
 
 use std::collections::BTreeMap;
 
@@ -107,13 +107,12 @@ impl Records {
                         .or_else(|| self.last_words(author))
                 })
                 .or_else(|| self.late_reply(finding)),
-            FindingKind::SyncGap => authors.find_map(|author| {
-                let told = self.told_of(author, &NO_SYNC_BY);
-                told.map(|told| self.cut(author).unwrap_or(told)).or_else(|| self.untold(author))
-            }),
+            FindingKind::SyncGap => {
+                authors.find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
+            }
             FindingKind::SlotMissed => authors.find_map(|author| {
                 let told = self.told_of(author, &MISSED_BY).or_else(|| self.silence(author));
-                told.map(|told| self.cut(author).unwrap_or(told)).or_else(|| self.untold(author))
+                self.missing(author, told)
             }),
             // One that was held up for so long that its slot was taken for missed.
             FindingKind::Repeated => authors.find_map(|author| self.told(author, EventKind::StalledInSend)),
@@ -191,10 +190,12 @@ impl Records {
         step.is_some_and(|(deviation, _)| !held_up.contains(deviation))
     }
 
-    /// Whatever a station tells of while its wire is cut is for that.
-    fn cut(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
-        let cut = self.absences.of(station, cycle).filter(|&why| why == Absence::NoCarrier);
-        cut.map(Absence::name)
+    /// Why something is missing, by what its author told or could not: whatever is told of while a wire is cut is for
+    /// that.
+    fn missing(&self, author: Author, told: Option<&'static str>) -> Option<&'static str> {
+        let absence = self.absences.of(author.station, author.cycle);
+        let cut = absence.filter(|&why| why == Absence::NoCarrier).map(Absence::name);
+        told.map(|told| cut.unwrap_or(told)).or_else(|| self.untold(author))
     }
 
     fn untold(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {

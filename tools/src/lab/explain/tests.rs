@@ -13,11 +13,16 @@ fn finding(cycle: u32, kind: FindingKind, station: usize) -> Finding {
     Finding::of(author(cycle, station), kind, Span::ZERO)
 }
 
+/// Whether something is explained where station 2 has told of one thing, in cycle 7.
+fn explained_by(kind: EventKind) -> impl Fn(u32, FindingKind, usize) -> bool {
+    let mut records = Records::default();
+    records.note(author(7, 2), kind, Span::from_nanos(5), None);
+    move |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some()
+}
+
 #[test]
 fn only_a_record_of_the_same_cycle_and_station_explains() {
-    let mut records = Records::default();
-    records.note(author(7, 2), EventKind::Overrun, Span::from_nanos(5), None);
-    let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
+    let explained = explained_by(EventKind::Overrun);
     assert!(explained(7, FindingKind::SlotMissed, 2));
     assert!(!explained(8, FindingKind::SlotMissed, 2));
     assert!(!explained(7, FindingKind::SlotMissed, 3));
@@ -26,9 +31,7 @@ fn only_a_record_of_the_same_cycle_and_station_explains() {
 
 #[test]
 fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
-    let mut records = Records::default();
-    records.note(author(7, 2), EventKind::GuardDropped, Span::from_nanos(5), None);
-    let explained = |cycle, kind, station| records.explain(&finding(cycle, kind, station)).is_some();
+    let explained = explained_by(EventKind::GuardDropped);
     assert!(explained(7, FindingKind::SlotMissed, 2));
     assert!(!explained(8, FindingKind::SlotMissed, 2));
     assert!(!explained(7, FindingKind::SlotMissed, 3));

@@ -15,6 +15,7 @@ use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
 
 use super::line::TimeLine;
+use super::rate::Rate;
 use super::round::{self, Begun, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
@@ -35,6 +36,7 @@ pub struct Calibration {
     /// Of a frame for one station, and of Synchronisations.
     one: Span,
     delay: Option<Span>,
+    rate: Option<Rate>,
     /// In which cycle the last round was, while they say something of the line that is followed.
     done: Option<u32>,
     repeats: u64,
@@ -51,6 +53,7 @@ impl Calibration {
             attempts: 0,
             one: Span::ZERO,
             delay: (rounds == 0).then_some(Span::ZERO),
+            rate: None,
             done: None,
             repeats: 0,
         }
@@ -64,6 +67,11 @@ impl Calibration {
     /// The delay from the master, once measured.
     pub fn delay(&self) -> Option<Span> {
         self.delay
+    }
+
+    /// How fast this clock gains on the master's, if the rounds were enough to show it.
+    pub fn rate(&self) -> Option<Rate> {
+        self.rate
     }
 
     /// Requests that went unanswered and were repeated.
@@ -110,8 +118,9 @@ impl Calibration {
         }
         self.samples.push(round);
         if self.samples.len() == self.rounds as usize {
-            let apart = round::apart(&self.samples);
             self.one = round::keep_quicker(&mut self.samples);
+            self.rate = round::rate(&self.samples);
+            let apart = self.rate.map_or(0.0, |rate| -rate.gains);
             let late = |round: &Round| round.ahead_of(round.begun(), apart);
             let later = round::later(&mut self.samples, self.one, line.period, late);
             self.delay = Some(self.one + later.unwrap_or(Span::ZERO));
@@ -121,13 +130,22 @@ impl Calibration {
     }
 
     /// The line of the time of calibration is known better now than it was then: by how much the delay is longer than
-    /// was believed. `begun` tells of a cycle by the number that it had, with that delay; the master's clock gains
-    /// `apart` on this one.
-    pub fn corrected(&mut self, period: Span, apart: f64, begun: impl Fn(u32) -> Begun) -> Span {
+    /// was believed, if that is more than half of what the line is `unsure` by. `begun` tells of a cycle by the number that it had, with that
+    /// delay; the master's clock gains `apart` on this one.
+    pub fn corrected(
+        &mut self,
+        period: Span,
+        unsure: Span,
+        apart: f64,
+        begun: impl Fn(u32) -> Begun,
+    ) -> Span {
         let (Some(before), Some(_)) = (self.delay, self.done) else { return Span::ZERO };
         let late = |round: &Round| before + round.ahead_of(begun(round.begun().cycle), apart);
         let later = round::later(&mut self.samples, self.one, period, late);
         let delay = later.map_or(before, |later| self.one + later);
+        if (delay - before).abs() <= unsure / 2 {
+            return Span::ZERO;
+        }
         self.delay = Some(delay);
         delay - before
     }

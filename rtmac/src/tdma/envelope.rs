@@ -13,16 +13,24 @@
 //! Frames are held up on their way, by a busy host for seconds on end, but never early. So the early ones show the
 //! clocks, and all others the host: of every window an early one is kept, and the edge of their lower convex hull
 //! that lies below their middle is the line. A host that does everything more slowly for seconds, as a core does whose
-//! sibling is busy, delivers all frames later by some microseconds: what it did before and after shows the clocks.
+//! sibling is busy, delivers all frames later, behind a bridge of many ports by tens of microseconds: what it did before
+//! and after shows the clocks.
 //!
-//! The line is wrong, and all begins anew, if frames are clearly earlier; if the early ones come later and later by about
-//! as much, since then a clock has changed its rate: a host is busy less evenly; and if they have long been clearly late.
+//! Calibration shows them, too, since its rounds go both ways: it knows the rate of the clocks to some 10^-6 if it took a
+//! second. Where the rate is **known** well, lateness cannot be mistaken for it: the line has the known rate, made surer by an
+//! edge that agrees with it, and lies below all. What is clearly earlier shows then that all before was late.
+//!
+//! Where it is not, the line is wrong, and all begins anew, if frames are clearly earlier; or if they have long been clearly
+//! late. And known or not: if the early ones come later and later, or earlier and earlier, by about as much, since then a
+//! clock has changed its rate: a host is busy less evenly.
 
 use std::collections::VecDeque;
 
 use rtnet::time::{Instant, Span};
 
+use super::edge::{Edge, Point};
 use super::line::Drift;
+use super::rate::Rate;
 
 /// Synchronisations of a window.
 const WINDOW: usize = 64;
@@ -39,8 +47,12 @@ const WINDOWS_KEPT_AT_LEAST: usize = 64;
 const OLDEST: Span = Span::from_micros(16_384_000);
 /// Fewer do not show a line: what becomes quiet looks like drift.
 const WINDOWS_AT_LEAST: usize = 8;
-/// After so long that has passed: in records of 28 slaves lines were within 0.5 us from then on, and off by 2 us before.
-const CLEAR_AFTER: Span = Span::from_millis(1_280);
+/// A drift that is surer than this is clear: over two cycles of 5 ms it is off by 20 ns, over a second by 2 us.
+const CLEAR: f64 = 2e-6;
+/// A rate that is surer than this is known well...
+const KNOWN_WELL: f64 = 5e-6;
+/// ... and an edge that is surer by this is what is known from then on.
+const CLEARLY_SURER: f64 = 0.5;
 /// What is earlier than the line by less is a stamp's noise, and so are a few of a window.
 const NOISE: Span = Span::from_micros(10);
 const NOISE_AT_MOST: usize = 2;
@@ -48,19 +60,14 @@ const NOISE_AT_MOST: usize = 2;
 /// expected had been late.
 const UNSURE: Span = Span::from_micros(20);
 const UNSURE_PARTS: i64 = 1_000;
-/// So many windows, each later than the one before by about as much, are another rate. They follow each other, or, for
+/// So many windows, each later (or earlier) than the one before by about as much, are another rate. They follow each other, or, for
 /// what comes slowly, one of so many does.
-const RISING: usize = 8;
+const RUNNING: usize = 8;
 const STRIDES: [usize; 4] = [1, 2, 4, 8];
+/// A busy host delivers later by so many times what a frame needs: measured behind 32 ports.
+const SLOWER: i64 = 4;
 /// So many windows that are all clearly later than the line are not a busy host.
 const LEFT: usize = 32;
-
-/// A cycle's start on this clock, as its Synchronisation told.
-#[derive(Clone, Copy, Debug, Default)]
-struct Point {
-    cycle: u32,
-    start: Instant,
-}
 
 /// The early Synchronisations, and the line through them.
 pub struct Envelope {
@@ -71,22 +78,23 @@ pub struct Envelope {
     /// Since this cycle the clocks have been the same.
     since: Option<u32>,
     edge: Option<Edge>,
+    known: Option<Known>,
 }
 
-/// A line of cycles' starts.
+/// What is known of the clocks.
 #[derive(Clone, Copy)]
-struct Edge {
-    /// Its ends: the cycle of the first, and the last.
-    from: u32,
-    through: Point,
-    drift: Drift,
-    period: Span,
+struct Known {
+    /// When.
+    cycle: u32,
+    rate: Rate,
+    /// By so much more than ever before a busy host may hold frames up.
+    slower: Span,
 }
 
 impl Envelope {
     pub fn new() -> Self {
         let (window, early) = (Vec::with_capacity(WINDOW), VecDeque::with_capacity(WINDOWS));
-        Self { window, too_early: 0, early, since: None, edge: None }
+        Self { window, too_early: 0, early, since: None, edge: None, known: None }
     }
 
     /// Whether there is ever a line at cycles of this length.
@@ -94,8 +102,14 @@ impl Envelope {
         period * WINDOW as i64 <= WINDOW_AT_MOST
     }
 
-    /// All that is known is of another line.
+    /// All that is known is of other clocks.
     pub fn restart(&mut self) {
+        self.begin_line();
+        self.known = None;
+    }
+
+    /// Another line of the same clocks.
+    pub fn begin_line(&mut self) {
         self.forget_edge();
         self.since = None;
     }
@@ -110,9 +124,24 @@ impl Envelope {
 
     /// All starts were wrong by as much.
     pub fn shift(&mut self, by: Span) {
-        let edge = self.edge.iter_mut().map(|edge| &mut edge.through);
-        let points = self.window.iter_mut().chain(&mut self.early).chain(edge);
+        let points = self.window.iter_mut().chain(&mut self.early);
         points.for_each(|point| point.start += by);
+        if let Some(edge) = &mut self.edge {
+            edge.shift(by);
+        }
+    }
+
+    /// What calibration has shown: the clocks' rate, and that a frame is on its way for `delay`.
+    pub fn know(&mut self, cycle: u32, rate: Rate, delay: Span, period: Span) {
+        self.known = Some(Known { cycle, rate, slower: delay * SLOWER });
+        self.draw(period);
+    }
+
+    /// The clocks' rate in a cycle, if it is known well.
+    fn known_in(&self, cycle: u32, period: Span) -> Option<Rate> {
+        let known = self.known.as_ref()?;
+        let rate = known.rate.after(period * i64::from(cycle.wrapping_sub(known.cycle) as i32));
+        (rate.unsure <= KNOWN_WELL).then_some(rate)
     }
 
     /// One more Synchronisation, of a cycle that was `expected` to start by what is followed now. Whether the line is
@@ -121,16 +150,24 @@ impl Envelope {
         if !Self::serves(period) {
             return false;
         }
+        let point = Point { cycle, start };
+        let mut ends = false;
         if self.is_disproved(expected - start, period) {
-            self.forget_edge();
+            match self.edge.filter(|_| self.known_in(cycle, period).is_some()) {
+                Some(edge) => {
+                    self.window.retain(|point| edge.late(point) < -NOISE);
+                    ends = true;
+                }
+                None => self.forget_edge(),
+            }
         }
         self.since.get_or_insert(cycle);
-        self.window.push(Point { cycle, start });
-        let full = self.window.len() == WINDOW;
-        if full {
+        self.window.push(point);
+        ends |= self.window.len() == WINDOW;
+        if ends {
             self.end_window(period);
         }
-        full
+        ends
     }
 
     fn is_disproved(&mut self, early: Span, period: Span) -> bool {
@@ -149,12 +186,39 @@ impl Envelope {
         self.early.push_back(early);
         self.window.clear();
         self.too_early = 0;
-        if let Some(stride) = STRIDES.into_iter().find(|&stride| self.rises(stride)) {
-            self.keep_last(stride * (RISING - 1) + 1);
-        } else if self.is_left() {
+        if let Some(stride) = STRIDES.into_iter().find(|&stride| self.runs_off(stride)) {
+            self.keep_last(stride * (RUNNING - 1) + 1);
+            self.known = None;
+        } else if self.known_in(early.cycle, period).is_none() && self.is_left() {
             self.keep_last(LEFT);
         }
-        self.edge = self.edge_below_the_middle(period);
+        self.draw(period);
+    }
+
+    /// The line: of the rate that is known, or the edge alone.
+    fn draw(&mut self, period: Span) {
+        let edge = (self.early.len() >= WINDOWS_AT_LEAST)
+            .then(|| Edge::below_the_middle::<WINDOWS>(&self.early, period))
+            .flatten();
+        let last = self.early.back().map(|point| point.cycle);
+        self.edge = match last.and_then(|last| Some((last, self.known_in(last, period)?))) {
+            Some((last, known)) => {
+                let rate = self.learn(last, known, edge);
+                Edge::of_rate(&self.early, rate, period)
+            }
+            None => edge,
+        };
+    }
+
+    /// The rate that is known, with what an edge shows of it. One that does not agree is of a busy host.
+    fn learn(&mut self, cycle: u32, rate: Rate, edge: Option<Edge>) -> Rate {
+        let Some(shown) = edge.map(|edge| edge.rate()).filter(|shown| shown.agrees_with(rate)) else {
+            return rate;
+        };
+        if let Some(known) = self.known.as_mut().filter(|_| shown.unsure < rate.unsure * CLEARLY_SURER) {
+            *known = Known { cycle, rate: shown, ..*known };
+        }
+        rate.and(shown)
     }
 
     fn keep_last(&mut self, windows: usize) {
@@ -164,22 +228,25 @@ impl Envelope {
 
     /// How much later than the line the windows were, the last first.
     fn late(&self) -> impl Iterator<Item = Span> + Clone {
-        let late = |edge: Edge, point: &Point| point.start - edge.start_of(point.cycle);
-        self.edge
-            .into_iter()
-            .flat_map(move |edge| self.early.iter().rev().map(move |point| late(edge, point)))
+        self.edge.into_iter().flat_map(move |edge| self.early.iter().rev().map(move |point| edge.late(point)))
     }
 
     /// Whether the last windows have left the line as evenly as clocks do.
-    fn rises(&self, stride: usize) -> bool {
-        let late = self.late().step_by(stride).take(RISING);
-        let (Some(last), Some(first)) = (late.clone().next(), late.clone().nth(RISING - 1)) else {
+    fn runs_off(&self, stride: usize) -> bool {
+        let late = self.late().step_by(stride).take(RUNNING);
+        let (Some(last), Some(first)) = (late.clone().next(), late.clone().nth(RUNNING - 1)) else {
             return false;
         };
-        let risen = last - first;
-        let step_at_most = risen * 2 / (RISING as i64 - 1);
+        let off = last - first;
+        let step_at_most = off.abs() * 2 / (RUNNING as i64 - 1);
         let mut steps = late.clone().zip(late.skip(1)).map(|(later, before)| later - before);
-        risen > NOISE && steps.all(|step| step > Span::ZERO && step < step_at_most)
+        let is_even = |step: Span| step.nanos().signum() == off.nanos().signum() && step.abs() < step_at_most;
+        off.abs() > self.slower().max(NOISE) && steps.all(is_even)
+    }
+
+    /// By how much later than the line frames may come of a busy host.
+    pub fn slower(&self) -> Span {
+        self.known.filter(|_| self.edge.is_some()).map_or(Span::ZERO, |known| known.slower)
     }
 
     /// Whether the line is the past's.
@@ -197,17 +264,14 @@ impl Envelope {
         self.since.is_some_and(|since| cycle.wrapping_sub(since) as i32 >= 0)
     }
 
-    /// Whether the line is known well enough for a cycle so long ago: not farther from it than it is long.
-    pub fn reaches_back_to(&self, cycle: u32) -> bool {
-        self.edge.is_some_and(|Edge { from, through, .. }| {
-            from.wrapping_sub(cycle) as i32 <= through.cycle.wrapping_sub(from) as i32
-        })
+    /// By how much the line may be wrong in a cycle, if that is little.
+    pub fn unsure_in(&self, cycle: u32) -> Option<Span> {
+        self.edge.map(|edge| edge.unsure_in(cycle)).filter(|&unsure| unsure <= NOISE)
     }
 
-    /// Whether the line is of time enough.
+    /// Whether the drift is known well.
     pub fn is_clear(&self) -> bool {
-        let windows = (self.early.len() * WINDOW) as i64;
-        self.edge.is_some_and(|edge| edge.period * windows >= CLEAR_AFTER)
+        self.edge.is_some_and(|edge| edge.unsure <= CLEAR)
     }
 
     /// How fast the clocks run apart, once known.
@@ -217,52 +281,13 @@ impl Envelope {
 
     /// Of this window's, by the drift that is known so far.
     fn early_one(&self, period: Span) -> Point {
-        let through = self.window[0];
-        let flat = Edge { from: through.cycle, through, drift: self.drift().unwrap_or(Drift::NONE), period };
-        let mut late = [(Span::ZERO, through); WINDOW];
+        let flat = Edge::through(self.window[0], self.drift().unwrap_or(Drift::NONE), period);
+        let mut late = [(Span::ZERO, self.window[0]); WINDOW];
         for (late, &point) in late.iter_mut().zip(&self.window) {
-            *late = (point.start - flat.start_of(point.cycle), point);
+            *late = (flat.late(&point), point);
         }
-        late.select_nth_unstable_by_key(WINDOW / EARLY_PARTS, |&(late, _)| late).1.1
-    }
-
-    /// From the earlier half to the later one so that nothing lies below: from whichever points they are drawn, the
-    /// lowest of either half, seen along the edge, are better ends, until they are the ends.
-    fn edge_below_the_middle(&self, period: Span) -> Option<Edge> {
-        if self.early.len() < WINDOWS_AT_LEAST {
-            return None;
-        }
-        let first = *self.early.front()?;
-        let mut places = [(0, 0); WINDOWS];
-        for (place, &point) in places.iter_mut().zip(&self.early) {
-            let x = i64::from(cycles(first, point));
-            *place = (x, (point.start - first.start - period * x).nanos());
-        }
-        let places = &places[..self.early.len()];
-        let half = places.partition_point(|&(x, _)| x <= places[places.len() - 1].0 / 2);
-        let (mut from, mut to) = (0, places.len() - 1);
-        for _ in 0..places.len() {
-            let (dx, dy) = (places[to].0 - places[from].0, places[to].1 - places[from].1);
-            let height = |&of: &usize| {
-                let (x, y) = places[of];
-                y.saturating_mul(dx).saturating_sub(x.saturating_mul(dy))
-            };
-            let lowest = |of, half| core::iter::once(of).chain(half).min_by_key(height);
-            let ends = (lowest(from, 0..half)?, lowest(to, half..places.len())?);
-            if ends == (from, to) {
-                let drift = Drift::new(Span::from_nanos(dy), dx, period)?;
-                return Some(Edge { from: self.early[from].cycle, through: self.early[to], drift, period });
-            }
-            (from, to) = ends;
-        }
-        None
-    }
-}
-
-impl Edge {
-    fn start_of(&self, cycle: u32) -> Instant {
-        let ahead = cycle.wrapping_sub(self.through.cycle) as i32;
-        self.through.start + self.period * i64::from(ahead) + self.drift.over(ahead)
+        let noted = &mut late[..self.window.len()];
+        noted.select_nth_unstable_by_key(self.window.len() / EARLY_PARTS, |&(late, _)| late).1.1
     }
 }
 
@@ -270,11 +295,6 @@ impl Edge {
 fn kept(period: Span) -> usize {
     let young = OLDEST.nanos() / (period.nanos() * WINDOW as i64).max(1);
     (young as usize).clamp(WINDOWS_KEPT_AT_LEAST, WINDOWS)
-}
-
-/// Cycles from one to another, shortest way round 2^32.
-fn cycles(from: Point, to: Point) -> i32 {
-    to.cycle.wrapping_sub(from.cycle) as i32
 }
 
 #[cfg(test)]

@@ -64,6 +64,18 @@ impl Drift {
         (cycles > 0 && gained.abs() <= at_most).then_some(Self { gained, cycles })
     }
 
+    /// A part of time, in cycles of one `period`.
+    pub fn of_rate(gains: f64, period: Span) -> Self {
+        const CYCLES: i64 = 1 << 20;
+        let gained = gains * (period * CYCLES).nanos() as f64;
+        Self { gained: Span::from_nanos(gained as i64), cycles: CYCLES }
+    }
+
+    /// As a part of time, in cycles of one `period`.
+    pub fn rate(self, period: Span) -> f64 {
+        self.gained.nanos() as f64 / (self.cycles as f64 * period.nanos().max(1) as f64)
+    }
+
     /// In so many cycles.
     pub fn over(self, cycles: i32) -> Span {
         let gained = i128::from(self.gained.nanos()) * i128::from(cycles) / i128::from(self.cycles);

@@ -72,9 +72,11 @@ impl Mark {
         self.start() - line.start_of(self.cycle)
     }
 
-    pub fn agrees_with(&self, line: &TimeLine, limit: Option<Span>) -> bool {
+    /// Whether it is of the line, if what is on a line that is known may be late by `slower`.
+    pub fn agrees_with(&self, line: &TimeLine, limit: Option<Span>, slower: Span) -> bool {
         let limit = step_limit(limit, line.period) + drifted(line, self.cycle);
-        (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle)) && self.deviation_from(line).abs() <= limit
+        let around = -limit..=limit.max(slower);
+        (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle)) && around.contains(&self.deviation_from(line))
     }
 
     /// Whether it is likely one of the line's that was long on its way.
@@ -93,7 +95,7 @@ impl Mark {
         let period = (later.sched - self.sched) / i64::from(cycles);
         let Mark { cycle, sched, offset } = *self;
         let line = TimeLine { cycle, start: self.start(), sched, period, offset, drift: Drift::NONE };
-        let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit);
+        let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit, Span::ZERO);
         fits.then(|| line.carried_on(later, later.start(), Drift::NONE))
     }
 }

@@ -16,12 +16,14 @@
 mod calibration;
 mod config;
 mod due;
+mod edge;
 mod envelope;
 mod events;
 mod job;
 pub mod line;
 mod mark;
 mod master;
+mod rate;
 mod receive;
 mod round;
 pub mod schedule;

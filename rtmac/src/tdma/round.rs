@@ -15,6 +15,7 @@
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 
 use super::line::{self, DRIFT_PARTS, TimeLine};
+use super::rate::Rate;
 
 /// What a Synchronisation is later than a frame for one station by: less is noise; more than so many times the delay
 /// (a bridge of 32 ports takes eight), or than this part of a cycle, is a host that held syncs up all the while, or a
@@ -25,6 +26,8 @@ const LATER_PARTS: i64 = 16;
 
 /// The quicker half of the rounds is kept, but no more than so many.
 const KEPT: usize = 128;
+/// From the first round to the last a busy host may make one way longer than the other by twice this much: measured.
+const ASKEW: Span = Span::from_micros(1);
 
 /// A round.
 #[derive(Clone, Copy, Debug)]
@@ -96,12 +99,14 @@ pub fn later(rounds: &mut [Round], one: Span, period: Span, late: impl Fn(&Round
         .then(|| if later < LATER_AT_LEAST { Span::ZERO } else { later })
 }
 
-/// By how much the master's clock gains on this one, from the first round to the last.
-pub fn apart(rounds: &[Round]) -> f64 {
-    let (Some(first), Some(last)) = (rounds.first(), rounds.last()) else { return 0.0 };
-    let took = (last.middle - first.middle).nanos();
-    let gained = last.begun.offset.nanos().wrapping_sub(first.begun.offset.nanos()) as i64;
-    if took > 0 { gained as f64 / took as f64 } else { 0.0 }
+/// How fast this clock gains on the master's, by the middles of the quicker rounds.
+pub fn rate(rounds: &[Round]) -> Option<Rate> {
+    let first = *rounds.first()?;
+    let points = rounds.iter().map(move |round| {
+        let (here, there) = (round.middle - first.middle, round.global - first.global);
+        (here.nanos() as f64, (here - there).nanos() as f64)
+    });
+    Rate::of_points(points, ASKEW)
 }
 
 #[cfg(test)]
@@ -132,8 +137,8 @@ mod tests {
 
     /// What they say, if syncs were later than the rounds know by `more`.
     fn told(mut rounds: Vec<Round>, more: impl Fn(&Round) -> i64) -> i64 {
-        let apart = apart(&rounds);
         let one = keep_quicker(&mut rounds);
+        let apart = rate(&rounds).map_or(0.0, |rate| -rate.gains);
         let late = |round: &Round| round.ahead_of(round.begun, apart) + Span::from_nanos(more(round));
         (one + later(&mut rounds, one, PERIOD, late).unwrap_or(Span::ZERO)).nanos()
     }

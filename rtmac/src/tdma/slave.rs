@@ -128,7 +128,7 @@ impl Slave {
                 Some(line) if age <= line.period => {
                     // Whichever was held up less.
                     let start = line.start.min(first.start() + (mark.sched - first.sched));
-                    self.adopt(line.carried_on(&mark, start, Drift::NONE))
+                    self.adopt(from, line.carried_on(&mark, start, Drift::NONE))
                 }
                 _ => {
                     self.track = Track::First(mark);
@@ -142,7 +142,7 @@ impl Slave {
                     return Err(Refusal::DuplicateCycle);
                 }
                 self.deviation = mark.deviation_from(line);
-                if mark.agrees_with(line, self.step_limit) {
+                if mark.agrees_with(line, self.step_limit, self.envelope.slower()) {
                     if from != self.line_of {
                         // Another clock: it may drift otherwise.
                         self.envelope.restart();
@@ -161,7 +161,9 @@ impl Slave {
                     let agreed = step.and_then(|step| step.confirmed_by(&mark, line.period));
                     let needed = if mark.may_be_held_up(line) { MOVED_LATE } else { MOVED };
                     match agreed {
-                        Some((seen, moved)) if seen >= needed && age <= moved.period => self.adopt(moved),
+                        Some((seen, moved)) if seen >= needed && age <= moved.period => {
+                            self.adopt(from, moved)
+                        }
                         _ => {
                             *step = Some(Step { mark, seen: agreed.map_or(1, |(seen, _)| seen) });
                             events.note(cycle, EventKind::TimeStep, self.deviation);
@@ -199,8 +201,15 @@ impl Slave {
         // The offset grows by the delay, so everything is due that much earlier on this clock.
         line.start = line.start - delay;
         self.envelope.shift(-delay);
-        line.offset = Offset::between(line.start, line.sched);
         let cycle = line.cycle;
+        if let Some(rate) = self.calibration.rate() {
+            self.envelope.know(cycle, rate, delay, line.period);
+            correct_delay(&mut self.calibration, &mut self.envelope, line);
+        }
+        if let Some((start, drift)) = self.envelope.start_of(cycle) {
+            (line.start, line.drift) = (start, drift);
+        }
+        line.offset = Offset::between(line.start, line.sched);
         // Who has lost the master meanwhile is locked by the next Synchronisation, not by a reply.
         if self.state == SyncState::Calibrating {
             self.settle(cycle, events);
@@ -287,14 +296,18 @@ impl Slave {
         let Some(line) = self.line() else { return false };
         let locked = matches!(self.state, SyncState::Locked | SyncState::Holdover);
         let envelope = &self.envelope;
-        let corrected = |done| !envelope.is_unbroken_since(done) || envelope.reaches_back_to(done);
+        let corrected = |done| !envelope.is_unbroken_since(done) || envelope.unsure_in(done).is_some();
         let clear = envelope.is_clear() && self.calibration.done().is_none_or(corrected);
         locked && (clear || !Envelope::serves(line.period))
     }
 
-    fn adopt(&mut self, line: TimeLine) -> Followed {
+    fn adopt(&mut self, from: Address, line: TimeLine) -> Followed {
         self.track = Track::On { line, step: None };
-        self.envelope.restart();
+        if from == self.line_of {
+            self.envelope.begin_line();
+        } else {
+            self.envelope.restart();
+        }
         self.calibration.leave_line();
         Followed::NewLine
     }
@@ -320,15 +333,13 @@ fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &
     if !envelope.is_unbroken_since(done) {
         return calibration.leave_line();
     }
-    if !envelope.reaches_back_to(done) {
-        return;
-    }
+    let Some(unsure) = envelope.unsure_in(done) else { return };
     let begun = |cycle| {
         let start = envelope.start_of(cycle).map_or(line.start, |(start, _)| start);
         Begun { cycle, start, offset: Offset::between(start, line.sched_of(cycle)) }
     };
     let apart = -(drift.parts_per_billion(line.period) as f64) / 1e9;
-    let longer = calibration.corrected(line.period, apart, begun);
+    let longer = calibration.corrected(line.period, unsure, apart, begun);
     envelope.shift(-longer);
 }
 

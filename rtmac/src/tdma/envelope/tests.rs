@@ -178,3 +178,72 @@ fn what_no_clock_does_is_no_line() {
     hear(&mut envelope, 0..2_000, 300_000, |_| 0);
     assert!(envelope.start_of(2_000).is_none());
 }
+
+/// A slave's that calibrated in a second: a frame takes 5 us.
+fn calibrated(ppb: i64) -> Envelope {
+    let mut envelope = Envelope::new();
+    let rate = Rate { gains: ppb as f64 / 1e9 + 0.4e-6, unsure: 1e-6 };
+    envelope.know(0, rate, Span::from_micros(5), PERIOD);
+    envelope
+}
+
+#[test]
+fn with_a_rate_that_is_known_one_window_makes_a_line() {
+    let mut envelope = calibrated(40_000);
+    hear(&mut envelope, 0..64, 40_000, |_| 0);
+    assert!(error(&envelope, 64, 40_000).abs() <= 50);
+    assert!(envelope.is_clear());
+}
+
+#[test]
+fn with_a_rate_that_is_known_a_host_that_is_busy_at_first_or_for_long_moves_little() {
+    // Slow at first, quick now and then, in the end slow for good, as long as is remembered.
+    let quick =
+        |cycle| [2_000..2_500, 5_000..7_000, 9_000..9_300].iter().any(|seconds| seconds.contains(&cycle));
+    let late = |cycle: u32| if quick(cycle) { 0 } else { 15_000 } + i64::from(cycle * 7_919 % 901);
+    let mut envelope = calibrated(-20_000);
+    hear(&mut envelope, 0..2_003, -20_000, late);
+    for cycle in 2_003..18_000 {
+        hear(&mut envelope, cycle..cycle + 1, -20_000, late);
+        let error = error(&envelope, cycle, -20_000);
+        assert!((-3_000..5_500).contains(&error), "cycle {cycle}: {error}");
+    }
+    let drift = envelope.drift().unwrap().parts_per_billion(PERIOD);
+    assert!((drift + 20_000).abs() < 600, "surer than it was: {drift}");
+}
+
+#[test]
+fn with_a_rate_that_is_known_what_is_earlier_moves_the_line_at_once() {
+    let mut envelope = calibrated(0);
+    hear(&mut envelope, 0..1_000, 0, |_| 15_000);
+    hear(&mut envelope, 1_000..1_002, 0, |_| 0);
+    assert!(error(&envelope, 1_002, 0) > 14_000, "two of a window are a stamp's noise");
+    hear(&mut envelope, 1_002..1_003, 0, |_| 0);
+    assert!(error(&envelope, 1_003, 0).abs() < 10);
+    assert!(envelope.is_unbroken_since(0));
+}
+
+#[test]
+fn a_clock_whose_rate_was_known_and_that_changes_it_is_followed() {
+    for (before, after) in [(0, 30_000), (0, -30_000), (-40_000, 10_000), (20_000, -10_000)] {
+        let mut envelope = calibrated(before);
+        let jitter = |cycle: u32| i64::from(cycle * 7_919 % 1_001);
+        hear(&mut envelope, 0..10_240, before, jitter);
+        let kink = (truth(10_240, before) - truth(10_240, after)).nanos();
+        hear(&mut envelope, 10_240..14_000, after, |cycle| kink + jitter(cycle));
+        let error = (envelope.start_of(14_000).unwrap().0 - truth(14_000, after)).nanos() - kink;
+        assert!((-1_000..3_000).contains(&error), "from {before} to {after}: {error}");
+    }
+}
+
+#[test]
+fn a_line_begun_anew_has_the_rate_that_is_known_and_one_of_other_clocks_has_not() {
+    let mut envelope = calibrated(30_000);
+    hear(&mut envelope, 0..1_000, 30_000, |_| 0);
+    envelope.begin_line();
+    hear(&mut envelope, 1_000..1_064, 30_000, |_| 400_000);
+    assert!((error(&envelope, 1_064, 30_000) - 400_000).abs() < 50);
+    envelope.restart();
+    hear(&mut envelope, 1_064..1_128, 30_000, |_| 0);
+    assert!(envelope.start_of(1_128).is_none());
+}

@@ -1,0 +1,119 @@
+//! A line below points, each of which is on it or late.
+
+use std::collections::VecDeque;
+
+use rtnet::time::{Instant, Span};
+
+use super::line::Drift;
+use super::rate::Rate;
+
+/// Points no later than this are on the line.
+const ON_IT: Span = Span::from_micros(2);
+/// So many of either half are on a line that is the clocks'; where fewer are, one half may be of a busy host.
+const ON_IT_AT_LEAST: usize = 6;
+
+/// A cycle's start on this clock, as its Synchronisation told.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Point {
+    pub cycle: u32,
+    pub start: Instant,
+}
+
+/// A line of cycles' starts.
+#[derive(Clone, Copy)]
+pub struct Edge {
+    through: Point,
+    period: Span,
+    pub drift: Drift,
+    /// By how much the drift may be wrong, in parts of one.
+    pub unsure: f64,
+}
+
+impl Edge {
+    /// The line of one drift through a point.
+    pub fn through(through: Point, drift: Drift, period: Span) -> Self {
+        Self { through, period, drift, unsure: 0.0 }
+    }
+
+    /// The line of a rate that is known: below all points.
+    pub fn of_rate(points: &VecDeque<Point>, rate: Rate, period: Span) -> Option<Self> {
+        let flat = Self::through(*points.front()?, Drift::of_rate(rate.gains, period), period);
+        let through = *points.iter().min_by_key(|&point| flat.late(point))?;
+        Some(Self { through, unsure: rate.unsure, ..flat })
+    }
+
+    /// The edge of the points' lower convex hull below their middle. From the earlier half to the later one so that
+    /// nothing lies below: from whichever points it is drawn, the lowest of either half, seen along the edge, are better
+    /// ends, until they are the ends. No more than `N` points.
+    pub fn below_the_middle<const N: usize>(points: &VecDeque<Point>, period: Span) -> Option<Self> {
+        let first = *points.front()?;
+        let mut places = [(0, 0); N];
+        for (place, &point) in places.iter_mut().zip(points) {
+            let x = i64::from(cycles(first, point));
+            *place = (x, (point.start - first.start - period * x).nanos());
+        }
+        let places = &places[..points.len()];
+        let half = places.partition_point(|&(x, _)| x <= places[places.len() - 1].0 / 2);
+        let (mut from, mut to) = (0, places.len() - 1);
+        for _ in 0..places.len() {
+            let (dx, dy) = (places[to].0 - places[from].0, places[to].1 - places[from].1);
+            let height = |&of: &usize| {
+                let (x, y) = places[of];
+                y.saturating_mul(dx).saturating_sub(x.saturating_mul(dy))
+            };
+            let lowest = |of, half| core::iter::once(of).chain(half).min_by_key(height);
+            let ends = (lowest(from, 0..half)?, lowest(to, half..places.len())?);
+            if ends == (from, to) {
+                let drift = Drift::new(Span::from_nanos(dy), dx, period)?;
+                let edge = Self::through(points[to], drift, period);
+                return Some(Self { unsure: edge.unsure(points, half, period * dx), ..edge });
+            }
+            (from, to) = ends;
+        }
+        None
+    }
+
+    /// By how much its drift may be wrong if it is so long. If one half was a busy host's: by all of its lateness.
+    fn unsure(&self, points: &VecDeque<Point>, half: usize, long: Span) -> f64 {
+        let is_on_it = |point: &&Point| self.late(point) <= ON_IT;
+        let halves =
+            [points.range(..half).filter(is_on_it).count(), points.range(half..).filter(is_on_it).count()];
+        let off = if halves.iter().all(|&count| count >= ON_IT_AT_LEAST) {
+            ON_IT
+        } else {
+            points.iter().map(|point| self.late(point)).fold(ON_IT, Span::max)
+        };
+        off.nanos() as f64 / long.nanos().max(1) as f64
+    }
+
+    /// A cycle's start.
+    pub fn start_of(&self, cycle: u32) -> Instant {
+        let ahead = cycle.wrapping_sub(self.through.cycle) as i32;
+        self.through.start + self.period * i64::from(ahead) + self.drift.over(ahead)
+    }
+
+    /// How much later than the line a point is.
+    pub fn late(&self, point: &Point) -> Span {
+        point.start - self.start_of(point.cycle)
+    }
+
+    pub fn rate(&self) -> Rate {
+        Rate { gains: self.drift.rate(self.period), unsure: self.unsure }
+    }
+
+    /// By how much it may be wrong in a cycle.
+    pub fn unsure_in(&self, cycle: u32) -> Span {
+        let ago = self.period * i64::from(cycle.wrapping_sub(self.through.cycle) as i32);
+        Span::from_nanos((self.unsure * ago.nanos().abs() as f64) as i64)
+    }
+
+    /// All starts were wrong by as much.
+    pub fn shift(&mut self, by: Span) {
+        self.through.start += by;
+    }
+}
+
+/// Cycles from one to another, shortest way round 2^32.
+fn cycles(from: Point, to: Point) -> i32 {
+    to.cycle.wrapping_sub(from.cycle) as i32
+}

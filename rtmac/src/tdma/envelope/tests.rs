@@ -188,11 +188,13 @@ fn calibrated(ppb: i64) -> Envelope {
 }
 
 #[test]
-fn with_a_rate_that_is_known_one_window_makes_a_line() {
+fn with_a_rate_that_is_known_one_synchronisation_makes_a_line() {
     let mut envelope = calibrated(40_000);
-    hear(&mut envelope, 0..64, 40_000, |_| 0);
-    assert!(error(&envelope, 64, 40_000).abs() <= 50);
+    hear(&mut envelope, 0..1, 40_000, |_| 12_000);
+    assert!((error(&envelope, 64, 40_000) - 12_000).abs() <= 50);
     assert!(envelope.is_clear());
+    hear(&mut envelope, 1..4, 40_000, |_| 0);
+    assert!(error(&envelope, 64, 40_000).abs() <= 50, "it was late");
 }
 
 #[test]
@@ -241,9 +243,9 @@ fn a_line_begun_anew_has_the_rate_that_is_known_and_one_of_other_clocks_has_not(
     let mut envelope = calibrated(30_000);
     hear(&mut envelope, 0..1_000, 30_000, |_| 0);
     envelope.begin_line();
-    hear(&mut envelope, 1_000..1_064, 30_000, |_| 400_000);
+    hear(&mut envelope, 1_000..1_001, 30_000, |_| 400_000);
     assert!((error(&envelope, 1_064, 30_000) - 400_000).abs() < 50);
     envelope.restart();
-    hear(&mut envelope, 1_064..1_128, 30_000, |_| 0);
-    assert!(envelope.start_of(1_128).is_none());
+    hear(&mut envelope, 1_001..1_065, 30_000, |_| 0);
+    assert!(envelope.start_of(1_065).is_none());
 }

@@ -220,7 +220,13 @@ impl Discipline for Tdma {
                     self.events.note(cycle, EventKind::MasterActive, Span::ZERO);
                 }
             }
-            Role::Slave(slave) => slave.on_timeout(now, &mut self.events),
+            Role::Slave(slave) => {
+                let left = slave.line().copied();
+                slave.on_timeout(now, &mut self.events);
+                if let (Some(left), None) = (left, slave.line()) {
+                    self.leave(&left, &left, now);
+                }
+            }
             Role::Detached => {}
         }
     }

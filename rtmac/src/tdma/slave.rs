@@ -232,7 +232,10 @@ impl Slave {
             }
             // One missing Synchronisation does not interrupt a calibration.
             (_, 1) => {}
-            (SyncState::Lost, _) if missing > i64::from(LINE_GOOD_FOR) => self.track = Track::Nothing,
+            (SyncState::Lost, _) if missing > i64::from(LINE_GOOD_FOR) => {
+                self.track = Track::Nothing;
+                events.note(cycle, EventKind::LineGivenUp, since);
+            }
             (SyncState::Lost, _) => {}
             _ => {
                 self.state = SyncState::Lost;

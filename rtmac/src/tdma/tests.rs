@@ -208,6 +208,21 @@ fn who_slept_while_the_line_moved_has_overrun_the_slots_of_the_old_one() {
     assert_eq!(kinds, expected);
 }
 
+#[test]
+fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none() {
+    let mut slave = locked_slave();
+    slave.on_timeout(at(4_500));
+    assert_eq!(slave.time().state, SyncState::Lost);
+    told(&mut slave);
+    slave.on_timeout(at(1_500_100));
+    assert_eq!(slave.next_deadline(), None);
+    let told = told(&mut slave);
+    assert_eq!(told[0].1, EventKind::LineGivenUp);
+    let overrun =
+        told[1..].iter().filter(|&&(_, kind, _)| kind == EventKind::Overrun).map(|&(cycle, ..)| cycle);
+    assert!(overrun.eq(3..=1_499), "{told:?}");
+}
+
 fn queue(tdma: &mut Tdma, pool: &Pool, length: usize) {
     let mut frame = pool.take().unwrap();
     frame.fill(&vec![0; length]);

@@ -51,6 +51,8 @@ pub enum EventKind {
     Holdover,
     /// More Synchronisations are missing than are bridged.
     SyncLost,
+    /// They have been missing for so long that there is no line any more, and no slot, until it is locked again.
+    LineGivenUp,
     /// A Synchronisation was handed over only after a slot had been silent for want of it, by so much or more.
     SyncLate,
     /// Synchronised; the span is the delay from the master.
@@ -65,7 +67,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 21] = [
+    pub const ALL: [EventKind; 22] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -82,6 +84,7 @@ impl EventKind {
         EventKind::DuplicateCycle,
         EventKind::Holdover,
         EventKind::SyncLost,
+        EventKind::LineGivenUp,
         EventKind::SyncLate,
         EventKind::Locked,
         EventKind::CalibrationTimeout,
@@ -141,6 +144,7 @@ impl EventKind {
             EventKind::DuplicateCycle => "duplicate_cycle",
             EventKind::Holdover => "holdover",
             EventKind::SyncLost => "sync_lost",
+            EventKind::LineGivenUp => "line_given_up",
             EventKind::SyncLate => "sync_late",
             EventKind::Locked => "locked",
             EventKind::CalibrationTimeout => "calibration_timeout",

@@ -33,8 +33,8 @@ const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::SyncDropp
 #[derive(Debug, Default)]
 pub struct Records {
     by_cycle: BTreeMap<Key, (Span, Option<Cause>)>,
-    /// When stations told that they follow their master.
-    locked: Vec<(usize, u32)>,
+    /// When stations told that they have a line, or none any more.
+    lines: Vec<(usize, u32, bool)>,
     /// From one cycle's start to the next.
     cycle: Span,
     /// How long after its instant a frame that is not held up is sent, and another behind it.
@@ -68,8 +68,8 @@ impl Records {
 
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
     pub fn note(&mut self, author: Author, kind: EventKind, span: Span, cause: Option<Cause>) {
-        if kind == EventKind::Locked {
-            self.locked.push((author.station, author.cycle));
+        if matches!(kind, EventKind::Locked | EventKind::LineGivenUp) {
+            self.lines.push((author.station, author.cycle, kind == EventKind::Locked));
         }
         let longest = self.by_cycle.entry(key(author, kind)).or_insert((span, cause));
         *longest = (*longest).max((span, cause));
@@ -79,7 +79,14 @@ impl Records {
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
         self.absences.forget_before(cycle);
-        self.locked.retain(|&(_, of)| !before(of, cycle));
+        // What a station told last of its line still holds.
+        let mut index = 0;
+        let newest: BTreeMap<usize, usize> =
+            self.lines.iter().enumerate().map(|(index, &(station, ..))| (station, index)).collect();
+        self.lines.retain(|&(station, of, _)| {
+            index += 1;
+            !before(of, cycle) || newest[&station] == index - 1
+        });
     }
 
     /// The records of one kind in `cycles` cycles from `from` on, with their station.
@@ -167,14 +174,13 @@ impl Records {
         why.then_some(silent)
     }
 
-    /// Whether a slave that had no line any more has told of none since.
+    /// Whether a slave has told that it has no line, or had none any more, and has told of none since.
     fn follows_nobody(&self, station: usize, cycle: u32) -> bool {
-        let followed = |since: u32| {
-            let mut told = self.locked.iter().filter(|&&(of, _)| of == station);
-            told.any(|&(_, at)| before(since, at) && before(at, cycle))
-        };
-        let since = [MASTER, station].map(|of| self.absences.without_line(of, cycle));
-        station != MASTER && since.into_iter().flatten().any(|since| !followed(since))
+        let told = || self.lines.iter().filter(move |&&(of, ..)| of == station);
+        let followed = |since: u32| told().any(|&(_, at, has)| has && before(since, at) && before(at, cycle));
+        let given_up = told().filter(|&&(_, at, has)| !has && !before(cycle, at)).map(|&(_, at, _)| at);
+        let absent = [MASTER, station].map(|of| self.absences.without_line(of, cycle));
+        station != MASTER && given_up.chain(absent.into_iter().flatten()).any(|since| !followed(since))
     }
 
     /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it.

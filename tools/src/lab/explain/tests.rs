@@ -179,3 +179,19 @@ fn without_a_master_there_are_no_syncs_and_all_are_silent() {
     assert_eq!(why(12, FindingKind::WithoutSync, 3), None, "who sends without is wrong");
     assert_eq!(why(12, FindingKind::OutOfSlot, 3), None, "who sends must know when");
 }
+
+#[test]
+fn who_has_given_its_line_up_is_silent_until_it_follows_again() {
+    let mut records = Records::default();
+    records.note(told_of(100, 3), EventKind::LineGivenUp, Span::ZERO, None);
+    let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 3));
+    assert_eq!(why(&records, 99), None, "it told of those before");
+    assert_eq!([100, 103].map(|cycle| why(&records, cycle)), [Some("sync_lost_or_late"); 2]);
+    records.forget_before(5_000);
+    assert_eq!(why(&records, 5_003), Some("sync_lost_or_late"), "that still holds");
+    records.note(told_of(5_004, 3), EventKind::Locked, Span::ZERO, None);
+    assert_eq!([5_004, 5_005].map(|cycle| why(&records, cycle)), [Some("sync_lost_or_late"), None]);
+    records.forget_before(6_000);
+    assert_eq!(why(&records, 6_001), None);
+    assert_eq!(records.explain(&finding(103, FindingKind::SlotMissed, 2)), None, "another");
+}

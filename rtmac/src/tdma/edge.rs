@@ -101,10 +101,11 @@ impl Edge {
         Rate { gains: self.drift.rate(self.period), unsure: self.unsure }
     }
 
-    /// By how much it may be wrong in a cycle.
+    /// By how much it may be wrong in a cycle, in which the rate may have been another.
     pub fn unsure_in(&self, cycle: u32) -> Span {
-        let ago = self.period * i64::from(cycle.wrapping_sub(self.through.cycle) as i32);
-        Span::from_nanos((self.unsure * ago.nanos().abs() as f64) as i64)
+        let ago = (self.period * i64::from(cycle.wrapping_sub(self.through.cycle) as i32)).abs();
+        let unsure = (self.unsure + self.rate().after(ago).unsure) / 2.0;
+        Span::from_nanos((unsure * ago.nanos() as f64) as i64)
     }
 
     /// All starts were wrong by as much.

@@ -180,8 +180,8 @@ impl Envelope {
     }
 
     fn end_window(&mut self, period: Span) {
-        if self.early.len() >= kept(period) {
-            self.keep_last(kept(period) - 1);
+        while self.early.len() >= kept(period) {
+            self.early.pop_front();
         }
         let early = self.early_one(period);
         self.early.push_back(early);
@@ -260,7 +260,7 @@ impl Envelope {
         self.edge.map(|edge| (edge.start_of(cycle), edge.drift))
     }
 
-    /// Whether the clocks have been the same since this cycle, as far as is remembered.
+    /// Whether the clocks have been the same since this cycle, as far as is known.
     pub fn is_unbroken_since(&self, cycle: u32) -> bool {
         self.since.is_some_and(|since| cycle.wrapping_sub(since) as i32 >= 0)
     }

@@ -69,7 +69,8 @@ impl Calibration {
         self.delay
     }
 
-    /// How fast this clock gains on the master's, if the rounds were enough to show it.
+    /// How fast this clock gains on the master's, if the rounds were enough to show it, and stamped by the clock of its
+    /// Synchronisations.
     pub fn rate(&self) -> Option<Rate> {
         self.rate
     }
@@ -119,7 +120,8 @@ impl Calibration {
         self.samples.push(round);
         if self.samples.len() == self.rounds as usize {
             self.one = round::keep_quicker(&mut self.samples);
-            self.rate = round::rate(&self.samples);
+            let of_syncs = |round: &Round| round.ahead_of(round.begun(), 0.0).abs() < line.period;
+            self.rate = round::rate(&self.samples).filter(|_| of_syncs(&self.samples[0]));
             let apart = self.rate.map_or(0.0, |rate| -rate.gains);
             let late = |round: &Round| round.ahead_of(round.begun(), apart);
             let later = round::later(&mut self.samples, self.one, line.period, late);

@@ -29,7 +29,7 @@ use std::collections::VecDeque;
 use rtnet::time::{Instant, Span};
 
 use super::edge::{Edge, Point};
-use super::line::Drift;
+use super::line::{DRIFT_PARTS, Drift};
 use super::rate::Rate;
 
 /// Synchronisations of a window.
@@ -66,6 +66,12 @@ const RUNNING: usize = 8;
 const STRIDES: [usize; 4] = [1, 2, 4, 8];
 /// A busy host delivers later by so many times what a frame needs: measured behind 32 ports.
 const SLOWER: i64 = 4;
+/// And by no more than this part of a cycle: what is later is a time step.
+const SLOWER_PARTS: i64 = 16;
+/// What clocks do at most.
+const GAINS_AT_MOST: f64 = 1.0 / DRIFT_PARTS as f64;
+/// So many windows that are sure of another rate are right.
+const AGAINST_AT_MOST: usize = 64;
 /// So many windows that are all clearly later than the line are not a busy host.
 const LEFT: usize = 32;
 
@@ -87,8 +93,10 @@ struct Known {
     /// When.
     cycle: u32,
     rate: Rate,
-    /// By so much more than ever before a busy host may hold frames up.
+    /// By so much more than in calibration a busy host may hold frames up.
     slower: Span,
+    /// So many edges in a row were sure of another rate.
+    against: usize,
 }
 
 impl Envelope {
@@ -133,7 +141,9 @@ impl Envelope {
 
     /// What calibration has shown: the clocks' rate, and that a frame is on its way for `delay`.
     pub fn know(&mut self, cycle: u32, rate: Rate, delay: Span, period: Span) {
-        self.known = Some(Known { cycle, rate, slower: delay * SLOWER });
+        let slower = (delay * SLOWER).min(period / SLOWER_PARTS);
+        let known = Known { cycle, rate, slower, against: 0 };
+        self.known = Some(known).filter(|_| rate.unsure <= KNOWN_WELL && rate.gains.abs() <= GAINS_AT_MOST);
         self.draw(period);
     }
 
@@ -150,12 +160,14 @@ impl Envelope {
         if !Self::serves(period) {
             return false;
         }
-        let point = Point { cycle, start };
+        let mut point = Point { cycle, start };
         let mut ends = false;
         if self.is_disproved(expected - start, period) {
             match self.edge.filter(|_| self.known_in(cycle, period).is_some()) {
+                // What they all say: the least early of them.
                 Some(edge) => {
-                    self.window.retain(|point| edge.late(point) < -NOISE);
+                    let too_early = self.window.drain(..).filter(|before| edge.late(before) < -NOISE);
+                    point = too_early.fold(point, |a, b| if edge.late(&a) < edge.late(&b) { b } else { a });
                     ends = true;
                 }
                 None => self.forget_edge(),
@@ -190,6 +202,8 @@ impl Envelope {
         if let Some(stride) = STRIDES.into_iter().find(|&stride| self.runs_off(stride)) {
             self.keep_last(stride * (RUNNING - 1) + 1);
             self.known = None;
+        } else if self.known.is_some_and(|known| known.against > AGAINST_AT_MOST) {
+            self.known = None;
         } else if self.known_in(early.cycle, period).is_none() && self.is_left() {
             self.keep_last(LEFT);
         }
@@ -211,12 +225,16 @@ impl Envelope {
         };
     }
 
-    /// The rate that is known, with what an edge shows of it. One that does not agree is of a busy host.
+    /// The rate that is known, with what an edge shows of it. One that does not agree is of a busy host, if not all of
+    /// them are that come.
     fn learn(&mut self, cycle: u32, rate: Rate, edge: Option<Edge>) -> Rate {
-        let Some(shown) = edge.map(|edge| edge.rate()).filter(|shown| shown.agrees_with(rate)) else {
+        let (Some(shown), Some(known)) = (edge.map(|edge| edge.rate()), &mut self.known) else { return rate };
+        if !shown.agrees_with(rate) {
+            known.against += usize::from(shown.unsure <= CLEAR);
             return rate;
-        };
-        if let Some(known) = self.known.as_mut().filter(|_| shown.unsure < rate.unsure * CLEARLY_SURER) {
+        }
+        known.against = 0;
+        if shown.unsure < rate.unsure * CLEARLY_SURER {
             *known = Known { cycle, rate: shown, ..*known };
         }
         rate.and(shown)

@@ -187,6 +187,9 @@ impl Tdma {
     }
 }
 
+/// Who slept for longer tells of so many cycles.
+const TOLD_AT_MOST: i64 = 10_000;
+
 impl Discipline for Tdma {
     type Command = TdmaCommand;
     type Refused = Refused;
@@ -223,8 +226,10 @@ impl Discipline for Tdma {
             Role::Slave(slave) => {
                 let left = slave.line().copied();
                 slave.on_timeout(now, &mut self.events);
-                if let (Some(left), None) = (left, slave.line()) {
-                    self.leave(&left, &left, now);
+                // Who calibrates has no slots yet.
+                let is_calibrated = slave.calibration().delay().is_some();
+                if let (Some(left), None, true) = (left, slave.line(), is_calibrated) {
+                    self.leave(&left, &left, now.min(left.start + left.period * TOLD_AT_MOST));
                 }
             }
             Role::Detached => {}

@@ -223,6 +223,17 @@ fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none
     assert!(overrun.eq(3..=1_499), "{told:?}");
 }
 
+#[test]
+fn who_loses_its_master_while_it_calibrates_has_missed_no_slots() {
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: None });
+    let mut slave = Tdma::new(&config(role)).unwrap();
+    hear_syncs(&mut slave, 1..=2);
+    slave.on_timeout(at(4_500));
+    slave.on_timeout(at(1_500_100));
+    let kinds: Vec<_> = told(&mut slave).into_iter().map(|(_, kind, _)| kind).collect();
+    assert_eq!(kinds, [EventKind::SyncLost, EventKind::LineGivenUp]);
+}
+
 fn queue(tdma: &mut Tdma, pool: &Pool, length: usize) {
     let mut frame = pool.take().unwrap();
     frame.fill(&vec![0; length]);

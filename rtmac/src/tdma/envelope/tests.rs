@@ -249,3 +249,25 @@ fn a_line_begun_anew_has_the_rate_that_is_known_and_one_of_other_clocks_has_not(
     hear(&mut envelope, 1_001..1_065, 30_000, |_| 0);
     assert!(envelope.start_of(1_065).is_none());
 }
+
+#[test]
+fn a_rate_that_no_clock_has_or_that_is_not_sure_is_not_known() {
+    for (gains, unsure) in [(0.5, 1e-6), (-0.3e-3, 1e-6), (10e-6, 30e-6)] {
+        let mut envelope = Envelope::new();
+        envelope.know(0, Rate { gains, unsure }, Span::from_micros(5), PERIOD);
+        hear(&mut envelope, 0..64, 0, |_| 0);
+        assert!(envelope.start_of(64).is_none() && envelope.slower() == Span::ZERO, "{gains} {unsure}");
+    }
+}
+
+#[test]
+fn a_rate_that_changes_a_little_behind_many_ports_is_found_out_in_time() {
+    let mut envelope = Envelope::new();
+    envelope.know(0, Rate { gains: 0.0, unsure: 1e-6 }, Span::from_micros(33), PERIOD);
+    let jitter = |cycle: u32| i64::from(cycle * 7_919 % 1_001);
+    hear(&mut envelope, 0..1_280, 0, jitter);
+    let kink = (truth(1_280, 0) - truth(1_280, 8_000)).nanos();
+    hear(&mut envelope, 1_280..20_000, 8_000, |cycle| kink + jitter(cycle));
+    let error = (envelope.start_of(20_000).unwrap().0 - truth(20_000, 8_000)).nanos() - kink;
+    assert!((-1_000..3_000).contains(&error), "{error}");
+}

@@ -50,7 +50,7 @@ const WINDOWS_AT_LEAST: usize = 8;
 /// A drift that is surer than this is clear: over two cycles of 5 ms it is off by 20 ns, over a second by 2 us.
 const CLEAR: f64 = 2e-6;
 /// A rate that is surer than this is known well...
-const KNOWN_WELL: f64 = 20e-6;
+const KNOWN_WELL: f64 = 5e-6;
 /// ... and an edge that is surer by this is what is known from then on.
 const CLEARLY_SURER: f64 = 0.5;
 /// What is earlier than the line by less is a stamp's noise, and so are a few of a window.

@@ -60,8 +60,8 @@ const NOISE_AT_MOST: usize = 2;
 /// expected had been late.
 const UNSURE: Span = Span::from_micros(20);
 const UNSURE_PARTS: i64 = 1_000;
-/// So many windows, each later (or earlier) than the one before by about as much, are another rate. They follow each other, or, for
-/// what comes slowly, one of so many does.
+/// So many windows, each later (or earlier) than the one before by about as much, are another rate. They follow each
+/// other, or, for what comes slowly, one of so many does.
 const RUNNING: usize = 8;
 const STRIDES: [usize; 4] = [1, 2, 4, 8];
 /// A busy host delivers later by so many times what a frame needs: measured behind 32 ports.
@@ -95,7 +95,7 @@ struct Known {
     rate: Rate,
     /// By so much more than in calibration a busy host may hold frames up.
     slower: Span,
-    /// So many edges in a row were sure of another rate.
+    /// So many edges were sure of another rate since the last that agreed.
     against: usize,
 }
 
@@ -288,7 +288,7 @@ impl Envelope {
         self.edge.map(|edge| edge.unsure_in(cycle)).filter(|&unsure| unsure <= NOISE)
     }
 
-    /// Whether the drift is known well.
+    /// Whether the drift of the line is clear.
     pub fn is_clear(&self) -> bool {
         self.edge.is_some_and(|edge| edge.unsure <= CLEAR)
     }

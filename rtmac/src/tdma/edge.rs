@@ -23,7 +23,7 @@ pub struct Point {
 #[derive(Clone, Copy)]
 pub struct Edge {
     through: Point,
-    period: Span,
+    pub period: Span,
     pub drift: Drift,
     /// By how much the drift may be wrong, in parts of one.
     pub unsure: f64,
@@ -35,10 +35,16 @@ impl Edge {
         Self { through, period, drift, unsure: 0.0 }
     }
 
-    /// The line of a rate that is known: below all points.
+    /// The line of a rate that is known, through the lowest point. The older one is, the less sure it is how low it lies
+    /// now: by that it counts as later, and twice, for a calibration of a busy host may be wrong by more than it says.
     pub fn of_rate(points: &VecDeque<Point>, rate: Rate, period: Span) -> Option<Self> {
-        let flat = Self::through(*points.front()?, Drift::of_rate(rate.gains, period), period);
-        let through = *points.iter().min_by_key(|&point| flat.late(point))?;
+        let last = *points.back()?;
+        let flat = Self::through(last, Drift::of_rate(rate.gains, period), period);
+        let now = |&point: &&Point| {
+            let ago = period * i64::from(cycles(*point, last));
+            flat.late(point) + Span::from_nanos((2.0 * rate.unsure * ago.nanos() as f64) as i64)
+        };
+        let through = *points.iter().min_by_key(now)?;
         Some(Self { through, unsure: rate.unsure, ..flat })
     }
 

@@ -18,7 +18,8 @@
 //!
 //! Calibration shows them, too, since its rounds go both ways: it knows the rate of the clocks to some 10^-6 if it took a
 //! second. Where the rate is **known** well, lateness cannot be mistaken for it: the line has the known rate, made surer by an
-//! edge that agrees with it, and lies below all. What is clearly earlier shows then that all before was late.
+//! edge that agrees with it, and lies below all, of which what is old counts for less the less sure the rate is. What is
+//! clearly earlier shows then that all before was late.
 //!
 //! Where it is not, the line is wrong, and all begins anew, if frames are clearly earlier; or if they have long been clearly
 //! late. And known or not: if the early ones come later and later, or earlier and earlier, by about as much, since then a
@@ -50,7 +51,7 @@ const WINDOWS_AT_LEAST: usize = 8;
 /// A drift that is surer than this is clear: over two cycles of 5 ms it is off by 20 ns, over a second by 2 us.
 const CLEAR: f64 = 2e-6;
 /// A rate that is surer than this is known well...
-const KNOWN_WELL: f64 = 5e-6;
+const KNOWN_WELL: f64 = 20e-6;
 /// ... and an edge that is surer by this is what is known from then on.
 const CLEARLY_SURER: f64 = 0.5;
 /// What is earlier than the line by less is a stamp's noise, and so are a few of a window.
@@ -90,11 +91,11 @@ pub struct Envelope {
 /// What is known of the clocks.
 #[derive(Clone, Copy)]
 struct Known {
-    /// When.
-    cycle: u32,
+    /// When: a master that starts over may count its cycles anew.
+    at: Instant,
     rate: Rate,
-    /// By so much more than in calibration a busy host may hold frames up.
-    slower: Span,
+    /// So long a Synchronisation is on its way.
+    delay: Span,
     /// So many edges were sure of another rate since the last that agreed.
     against: usize,
 }
@@ -130,27 +131,29 @@ impl Envelope {
         self.edge = None;
     }
 
-    /// All starts were wrong by as much.
-    pub fn shift(&mut self, by: Span) {
+    /// A Synchronisation is on its way for longer by so much than was believed: all cycles start that much earlier.
+    pub fn lengthen(&mut self, by: Span) {
         let points = self.window.iter_mut().chain(&mut self.early);
-        points.for_each(|point| point.start += by);
+        points.for_each(|point| point.start = point.start - by);
         if let Some(edge) = &mut self.edge {
-            edge.shift(by);
+            edge.shift(-by);
+        }
+        if let Some(known) = &mut self.known {
+            known.delay = known.delay + by;
         }
     }
 
-    /// What calibration has shown: the clocks' rate, and that a frame is on its way for `delay`.
-    pub fn know(&mut self, cycle: u32, rate: Rate, delay: Span, period: Span) {
-        let slower = (delay * SLOWER).min(period / SLOWER_PARTS);
-        let known = Known { cycle, rate, slower, against: 0 };
+    /// What calibration has shown by now: the clocks' rate, and that a Synchronisation is on its way for `delay`.
+    pub fn know(&mut self, at: Instant, rate: Rate, delay: Span, period: Span) {
+        let known = Known { at, rate, delay, against: 0 };
         self.known = Some(known).filter(|_| rate.unsure <= KNOWN_WELL && rate.gains.abs() <= GAINS_AT_MOST);
         self.draw(period);
     }
 
-    /// The clocks' rate in a cycle, if it is known well.
-    fn known_in(&self, cycle: u32, period: Span) -> Option<Rate> {
+    /// The clocks' rate by now, if it is known well.
+    fn known_at(&self, now: Instant) -> Option<Rate> {
         let known = self.known.as_ref()?;
-        let rate = known.rate.after(period * i64::from(cycle.wrapping_sub(known.cycle) as i32));
+        let rate = known.rate.after(now - known.at);
         (rate.unsure <= KNOWN_WELL).then_some(rate)
     }
 
@@ -163,7 +166,7 @@ impl Envelope {
         let mut point = Point { cycle, start };
         let mut ends = false;
         if self.is_disproved(expected - start, period) {
-            match self.edge.filter(|_| self.known_in(cycle, period).is_some()) {
+            match self.edge.filter(|_| self.known_at(start).is_some()) {
                 // What they all say: the least early of them.
                 Some(edge) => {
                     let too_early = self.window.drain(..).filter(|before| edge.late(before) < -NOISE);
@@ -176,7 +179,7 @@ impl Envelope {
         self.since.get_or_insert(cycle);
         self.window.push(point);
         // With a rate that is known any point makes a line.
-        ends |= self.window.len() == WINDOW || self.edge.is_none() && self.known_in(cycle, period).is_some();
+        ends |= self.window.len() == WINDOW || self.edge.is_none() && self.known_at(start).is_some();
         if ends {
             self.end_window(period);
         }
@@ -204,7 +207,7 @@ impl Envelope {
             self.known = None;
         } else if self.known.is_some_and(|known| known.against > AGAINST_AT_MOST) {
             self.known = None;
-        } else if self.known_in(early.cycle, period).is_none() && self.is_left() {
+        } else if self.known_at(early.start).is_none() && self.is_left() {
             self.keep_last(LEFT);
         }
         self.draw(period);
@@ -215,8 +218,8 @@ impl Envelope {
         let edge = (self.early.len() >= WINDOWS_AT_LEAST)
             .then(|| Edge::below_the_middle::<WINDOWS>(&self.early, period))
             .flatten();
-        let last = self.early.back().map(|point| point.cycle);
-        self.edge = match last.and_then(|last| Some((last, self.known_in(last, period)?))) {
+        let last = self.early.back().map(|point| point.start);
+        self.edge = match last.and_then(|last| Some((last, self.known_at(last)?))) {
             Some((last, known)) => {
                 let rate = self.learn(last, known, edge);
                 Edge::of_rate(&self.early, rate, period)
@@ -227,7 +230,7 @@ impl Envelope {
 
     /// The rate that is known, with what an edge shows of it. One that does not agree is of a busy host, if not all of
     /// them are that come.
-    fn learn(&mut self, cycle: u32, rate: Rate, edge: Option<Edge>) -> Rate {
+    fn learn(&mut self, at: Instant, rate: Rate, edge: Option<Edge>) -> Rate {
         let (Some(shown), Some(known)) = (edge.map(|edge| edge.rate()), &mut self.known) else { return rate };
         if !shown.agrees_with(rate) {
             known.against += usize::from(shown.unsure <= CLEAR);
@@ -235,7 +238,7 @@ impl Envelope {
         }
         known.against = 0;
         if shown.unsure < rate.unsure * CLEARLY_SURER {
-            *known = Known { cycle, rate: shown, ..*known };
+            *known = Known { at, rate: shown, ..*known };
         }
         rate.and(shown)
     }
@@ -265,7 +268,8 @@ impl Envelope {
 
     /// By how much later than the line frames may come of a busy host.
     pub fn slower(&self) -> Span {
-        self.known.filter(|_| self.edge.is_some()).map_or(Span::ZERO, |known| known.slower)
+        let known = self.edge.as_ref().zip(self.known.as_ref());
+        known.map_or(Span::ZERO, |(edge, known)| (known.delay * SLOWER).min(edge.period / SLOWER_PARTS))
     }
 
     /// Whether the line is the past's.
@@ -281,6 +285,12 @@ impl Envelope {
     /// Whether the clocks have been the same since this cycle, as far as is known.
     pub fn is_unbroken_since(&self, cycle: u32) -> bool {
         self.since.is_some_and(|since| cycle.wrapping_sub(since) as i32 >= 0)
+    }
+
+    /// Whether all that is remembered is of later cycles, and what is sure of this one will not become surer.
+    pub fn has_forgotten(&self, cycle: u32, period: Span) -> bool {
+        let is_before = |oldest: &Point| (oldest.cycle.wrapping_sub(cycle) as i32) > 0;
+        self.early.len() >= kept(period) && self.early.front().is_some_and(is_before)
     }
 
     /// By how much the line may be wrong in a cycle, if that is little.

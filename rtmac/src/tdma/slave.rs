@@ -200,10 +200,10 @@ impl Slave {
         };
         // The offset grows by the delay, so everything is due that much earlier on this clock.
         line.start = line.start - delay;
-        self.envelope.shift(-delay);
+        self.envelope.lengthen(delay);
         let cycle = line.cycle;
         if let Some(rate) = self.calibration.rate() {
-            self.envelope.know(cycle, rate, delay, line.period);
+            self.envelope.know(rx, rate, delay, line.period);
             correct_delay(&mut self.calibration, &mut self.envelope, line);
         }
         if let Some((start, drift)) = self.envelope.start_of(cycle) {
@@ -336,14 +336,19 @@ fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &
     if !envelope.is_unbroken_since(done) {
         return calibration.leave_line();
     }
-    let Some(unsure) = envelope.unsure_in(done) else { return };
+    let Some(unsure) = envelope.unsure_in(done) else {
+        if envelope.has_forgotten(done, line.period) {
+            calibration.leave_line();
+        }
+        return;
+    };
     let begun = |cycle| {
         let start = envelope.start_of(cycle).map_or(line.start, |(start, _)| start);
         Begun { cycle, start, offset: Offset::between(start, line.sched_of(cycle)) }
     };
     let apart = -(drift.parts_per_billion(line.period) as f64) / 1e9;
     let longer = calibration.corrected(line.period, unsure, apart, begun);
-    envelope.shift(-longer);
+    envelope.lengthen(longer);
 }
 
 #[cfg(test)]

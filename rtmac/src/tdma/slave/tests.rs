@@ -388,6 +388,19 @@ fn who_calibrates_for_long_enough_corrects_a_slow_way_as_soon_as_it_is_quicker_a
 }
 
 #[test]
+fn a_slave_stays_settled_when_its_rounds_have_become_old() {
+    let mut bench = Bench::new(1);
+    for cycle in 1..100 {
+        bench.hear(cycle, 0).unwrap();
+    }
+    hear_and_calibrate(&mut bench, 100..20 * 64, 0, 700);
+    for windows in 20..700 {
+        hear_all(&mut bench, windows * 64..(windows + 1) * 64);
+        assert!(bench.slave.is_settled(), "after {windows} windows");
+    }
+}
+
+#[test]
 fn another_master_has_another_drift() {
     let mut bench = Bench::in_state(SyncState::Locked);
     hear_all(&mut bench, 3..1_000);

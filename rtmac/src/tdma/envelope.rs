@@ -45,12 +45,12 @@ const WINDOWS: usize = 256;
 /// Of longer cycles fewer, down to this many: crystals change their rate...
 const WINDOWS_KEPT_AT_LEAST: usize = 64;
 /// ... and what is older shows another.
-const OLDEST: Span = Span::from_micros(16_384_000);
+pub const OLDEST: Span = Span::from_micros(16_384_000);
 /// Fewer do not show a line: what becomes quiet looks like drift.
 const WINDOWS_AT_LEAST: usize = 8;
 /// A drift that is surer than this is clear: over two cycles of 5 ms it is off by 20 ns, over a second by 2 us.
 const CLEAR: f64 = 2e-6;
-/// A rate that is surer than this is known well...
+/// A rate that is surer than this is known well, if over two windows it is off by no more than noise...
 const KNOWN_WELL: f64 = 20e-6;
 /// ... and an edge that is surer by this is what is known from then on.
 const CLEARLY_SURER: f64 = 0.5;
@@ -146,7 +146,11 @@ impl Envelope {
     /// What calibration has shown by now: the clocks' rate, and that a Synchronisation is on its way for `delay`.
     pub fn know(&mut self, at: Instant, rate: Rate, delay: Span, period: Span) {
         let known = Known { at, rate, delay, against: 0 };
-        self.known = Some(known).filter(|_| rate.unsure <= KNOWN_WELL && rate.gains.abs() <= GAINS_AT_MOST);
+        let windows = (period * WINDOW as i64 * 2).nanos() as f64;
+        let is_known = rate.unsure <= KNOWN_WELL
+            && rate.unsure * windows <= NOISE.nanos() as f64
+            && rate.gains.abs() <= GAINS_AT_MOST;
+        self.known = Some(known).filter(|_| is_known);
         self.draw(period);
     }
 
@@ -263,7 +267,16 @@ impl Envelope {
         let step_at_most = off.abs() * 2 / (RUNNING as i64 - 1);
         let mut steps = late.clone().zip(late.skip(1)).map(|(later, before)| later - before);
         let is_even = |step: Span| step.nanos().signum() == off.nanos().signum() && step.abs() < step_at_most;
-        off.abs() > self.slower().max(NOISE) && steps.all(is_even)
+        let unsure = self.unsure_over(stride * (RUNNING - 1));
+        off.abs() > self.slower().max(NOISE).max(unsure) && steps.all(is_even)
+    }
+
+    /// What a rate that is known may be off by over so many windows.
+    fn unsure_over(&self, windows: usize) -> Span {
+        let known = self.edge.as_ref().filter(|_| self.known.is_some());
+        known.map_or(Span::ZERO, |edge| {
+            Span::from_nanos((edge.unsure * (edge.period * (windows * WINDOW) as i64).nanos() as f64) as i64)
+        })
     }
 
     /// By how much later than the line frames may come of a busy host.
@@ -287,15 +300,10 @@ impl Envelope {
         self.since.is_some_and(|since| cycle.wrapping_sub(since) as i32 >= 0)
     }
 
-    /// Whether all that is remembered is of later cycles, and what is sure of this one will not become surer.
-    pub fn has_forgotten(&self, cycle: u32, period: Span) -> bool {
-        let is_before = |oldest: &Point| (oldest.cycle.wrapping_sub(cycle) as i32) > 0;
-        self.early.len() >= kept(period) && self.early.front().is_some_and(is_before)
-    }
-
-    /// By how much the line may be wrong in a cycle, if that is little.
+    /// By how much the line may be wrong in a cycle, if that is little. It is late where it is above what has come.
     pub fn unsure_in(&self, cycle: u32) -> Option<Span> {
-        self.edge.map(|edge| edge.unsure_in(cycle)).filter(|&unsure| unsure <= NOISE)
+        let above = -self.late().fold(Span::ZERO, Span::min);
+        self.edge.map(|edge| edge.unsure_in(cycle) + above).filter(|&unsure| unsure <= NOISE)
     }
 
     /// Whether the drift of the line is clear.

@@ -24,7 +24,7 @@ use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::calibration::Calibration;
-use super::envelope::Envelope;
+use super::envelope::{Envelope, OLDEST};
 use super::events::Events;
 use super::line::{self, Drift, LINE_GOOD_FOR, TimeLine};
 use super::mark::{Mark, Step};
@@ -293,13 +293,15 @@ impl Slave {
         self.envelope.drift().map(|drift| drift.parts_per_billion(line.period))
     }
 
-    /// Whether the drift is known well, and the delay by the line as it is since; where cycles are too long for that, whether
+    /// Whether the drift is known well, and the delay by the line as it is since, or its rounds are old; where cycles are too long for that, whether
     /// it is locked. Until then time may be off by some microseconds on a busy host.
     pub fn is_settled(&self) -> bool {
         let Some(line) = self.line() else { return false };
         let locked = matches!(self.state, SyncState::Locked | SyncState::Holdover);
         let envelope = &self.envelope;
-        let corrected = |done| !envelope.is_unbroken_since(done) || envelope.unsure_in(done).is_some();
+        let is_old = |done| line.period * i64::from(-line.ahead(done)) > OLDEST;
+        let corrected =
+            |done| !envelope.is_unbroken_since(done) || envelope.unsure_in(done).is_some() || is_old(done);
         let clear = envelope.is_clear() && self.calibration.done().is_none_or(corrected);
         locked && (clear || !Envelope::serves(line.period))
     }
@@ -336,12 +338,7 @@ fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &
     if !envelope.is_unbroken_since(done) {
         return calibration.leave_line();
     }
-    let Some(unsure) = envelope.unsure_in(done) else {
-        if envelope.has_forgotten(done, line.period) {
-            calibration.leave_line();
-        }
-        return;
-    };
+    let Some(unsure) = envelope.unsure_in(done) else { return };
     let begun = |cycle| {
         let start = envelope.start_of(cycle).map_or(line.start, |(start, _)| start);
         Begun { cycle, start, offset: Offset::between(start, line.sched_of(cycle)) }

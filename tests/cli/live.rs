@@ -2,15 +2,18 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, AsRawFd};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use nix::fcntl::{Flock, FlockArg};
+use nix::ifaddrs::getifaddrs;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sched::{CloneFlags, setns};
+use nix::sys::socket::{MsgFlags, sendto};
 use serde_json::Value;
-use socket2::Socket;
+use socket2::{Domain, Socket, Type};
 
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::network;
@@ -28,8 +31,9 @@ fn refusal(output: &Output) -> String {
 fn a_lab_is_stood_up_looked_at_changed_and_taken_down() {
     network("a_lab_is_stood_up_looked_at_changed_and_taken_down", || {
         let cell = Cell::up("looked");
+        wait_until("slave2 is locked", || cell.station("slave2")["standing"]["state"] == "locked");
         let station = cell.station("slave2");
-        assert_eq!((&station["role"], &station["standing"]["state"]), (&"slave".into(), &"locked".into()));
+        assert_eq!(station["role"], "slave");
         assert_eq!(station["slots"][0]["offset_ns"], 1_600_000);
 
         let refused = refusal(&cell.slot("slave2", &["set", "0=2800us"]));
@@ -278,7 +282,7 @@ fn an_ordinary_user_keeps_a_lab_up() {
         let rest = nobody(&["lab", "down", "--all"]);
         assert!(text(&exec.stdout).contains("rt0:"), "{}", text(&exec.stderr));
         assert!(text(&slot.stdout).contains("offset"), "{}", text(&slot.stderr));
-        assert!(text(&status.stdout).contains("SCHED_FIFO 80: EPERM"), "what it lacks is told");
+        assert!(text(&status.stdout).contains("SCHED_FIFO: EPERM"), "what it lacks is told");
         assert_eq!(of_root.status.code(), Some(2));
         for refused in [refusal(&status_of_it), refusal(&all_but_it)] {
             assert!(refused.contains("lab 'coming-up' is coming up: ask again"), "{refused}");
@@ -363,5 +367,35 @@ fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
         assert_eq!(next.down()["unexplained"], 0);
         let again = rtnet().args(["lab", "down", &cell.name]).output().unwrap();
         assert!(refusal(&again).contains("there is no lab"));
+    });
+}
+
+#[test]
+fn what_other_programs_send_in_a_station_does_not_reach_the_medium() {
+    const FRAMES: u64 = 200;
+    network("what_other_programs_send_in_a_station_does_not_reach_the_medium", || {
+        let cell = Cell::up("others");
+        let namespace = format!("/proc/{}/ns/net", pid(&cell.station("slave1")));
+        let left = std::thread::spawn(move || {
+            setns(File::open(namespace).unwrap(), CloneFlags::CLONE_NEWNET).unwrap();
+            let socket = Socket::new(Domain::PACKET, Type::RAW, None).unwrap();
+            let rt0 = getifaddrs().unwrap().find(|found| found.interface_name == "rt0");
+            let rt0 = *rt0.unwrap().address.unwrap().as_link_addr().unwrap();
+            let mut frame = [0xff; 60];
+            frame[6..14].copy_from_slice(&[2, 0, 0, 0, 0, 9, 0x88, 0xb5]);
+            let send = |_: &u64| sendto(socket.as_raw_fd(), &frame, &rt0, MsgFlags::empty()).is_ok();
+            (0..FRAMES).filter(send).count()
+        });
+        let left = left.join().unwrap();
+        let is_guarded = cell.status()["stations"][1]["guard"] == "kernel";
+        wait_until("they are told of", || {
+            let standing = &cell.station("slave1")["standing"];
+            standing["refusals"]["others_kept_off"].as_u64() == is_guarded.then_some(FRAMES)
+        });
+        if is_guarded {
+            assert_eq!(left, 0);
+            let account = json(rtnet().args(["lab", "down", &cell.name, "--json"]));
+            assert_eq!((&account[0]["unexplained"], &account[0]["overlaps"]), (&0.into(), &0.into()));
+        }
     });
 }

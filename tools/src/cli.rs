@@ -294,9 +294,14 @@ pub struct StationArgs {
     #[arg(long, default_value = "skip")]
     pub late: Late,
     /// What keeps the station from sending later than that. The kernel's guard drops its late frames at the
-    /// interface, others' pass; it takes root, or CAP_BPF and CAP_NET_ADMIN
+    /// interface; it takes root, or CAP_BPF and CAP_NET_ADMIN
     #[arg(long, default_value = "auto")]
     pub slot_guard: SlotGuard,
+    /// Let the kernel's guard drop what other programs send on the interface, too, a remote shell's frames among them
+    ///
+    /// Without it they pass, and are counted as `others_passed`: they may meet any station's frames.
+    #[arg(long)]
+    pub exclusive: bool,
     /// How long before a slot its frame is chosen and spun for
     #[arg(long, default_value = "50us", value_parser = parse_nonnegative_span)]
     pub lead: Span,

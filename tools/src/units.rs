@@ -15,6 +15,11 @@ pub enum UnitError {
     /// No unit, or none that is known.
     #[error("'{0}' has no unit that is known here: write {1}")]
     Unit(String, &'static str),
+    /// What keeps slots is told by another key.
+    #[error(
+        "'{0}' is no guard band, which is a time, as in 20us: what keeps the slots is slot_guard = \"{0}\""
+    )]
+    GuardBand(String),
     /// More than can be counted, or less than nothing where that makes no sense.
     #[error("'{0}' is out of range")]
     Range(String),
@@ -50,6 +55,14 @@ pub fn parse_positive_span(text: &str) -> Result<Span, UnitError> {
 pub fn parse_nonnegative_span(text: &str) -> Result<Span, UnitError> {
     parse_span(text)
         .and_then(|span| if span >= Span::ZERO { Ok(span) } else { Err(UnitError::Range(text.into())) })
+}
+
+/// A guard band, `20us`: not what keeps slots, which others call so, too.
+pub fn parse_guard_band(text: &str) -> Result<Span, UnitError> {
+    match text {
+        "auto" | "kernel" | "user" => Err(UnitError::GuardBand(text.into())),
+        _ => parse_nonnegative_span(text),
+    }
 }
 
 /// A rate, `100M`.
@@ -105,6 +118,8 @@ in_files! {
     PositiveSpan(Span) by parse_positive_span;
     /// A duration in a file, not before zero.
     NonNegativeSpan(Span) by parse_nonnegative_span;
+    /// A guard band in a file.
+    GuardBand(Span) by parse_guard_band;
     /// A rate in a file.
     FileRate(Rate) by parse_rate;
 }
@@ -140,6 +155,8 @@ mod tests {
             "'1parsec' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
         );
         assert_eq!(error("-1ms"), "'-1ms' is out of range");
+        let kernel = parse_guard_band("kernel").unwrap_err().to_string();
+        assert!(kernel.ends_with("what keeps the slots is slot_guard = \"kernel\""), "{kernel}");
         assert_eq!(
             error("1e99s"),
             "'1e99s' has no unit that is known here: write ns, us, ms, s or min, as in 250us"

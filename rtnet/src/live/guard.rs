@@ -114,6 +114,8 @@ pub struct GuardCounters {
     pub late: u64,
     /// Dropped: before their window's begin.
     pub early: u64,
+    /// Of other programs on the interface: dropped if they are kept off, else let pass.
+    pub others: u64,
 }
 
 /// A guard at an interface, until it is dropped or its process ends. (A clsact filter stays if the process is
@@ -131,6 +133,9 @@ struct Page {
     passed: AtomicU64,
     late: AtomicU64,
     early: AtomicU64,
+    others: AtomicU64,
+    /// What becomes of others' frames, as the program returns it.
+    verdict: AtomicU64,
 }
 
 /// What holds the program in place.
@@ -155,10 +160,16 @@ impl Guard {
         the_kernels_clock().map_err(refused(Step::Clock))?;
         let map = bpf::create_map().map_err(refused(Step::Map))?;
         let mapping = bpf::Mapping::new(&map).map_err(refused(Step::Mapping))?;
+        mapping.page().verdict.store(program::NEXT as u64, Ordering::Relaxed);
         let program = program::assemble(map.as_raw_fd());
         let program = bpf::load(&program).map_err(refused(Step::Program))?;
         let hook = hook(&program, interface).map_err(refused(Step::Hook))?;
         Ok(Self { mapping, _hook: hook })
+    }
+
+    /// From here on no frame of other programs leaves this interface.
+    pub fn keep_others_off(&self) {
+        self.mapping.page().verdict.store(program::DROP as u64, Ordering::Relaxed);
     }
 
     /// From here on a frame may leave from `begin` to `end`.
@@ -185,9 +196,10 @@ impl Guard {
     /// What was counted so far. Asks nobody.
     #[inline]
     pub fn counters(&self) -> GuardCounters {
-        let Page { passed, late, early, .. } = self.mapping.page();
-        let [passed, late, early] = [passed, late, early].map(|counter| counter.load(Ordering::Relaxed));
-        GuardCounters { passed, late, early }
+        let Page { passed, late, early, others, .. } = self.mapping.page();
+        let counts = [passed, late, early, others].map(|counter| counter.load(Ordering::Relaxed));
+        let [passed, late, early, others] = counts;
+        GuardCounters { passed, late, early, others }
     }
 }
 

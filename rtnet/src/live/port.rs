@@ -40,6 +40,8 @@ pub struct Port {
     woke: True,
     guard: Option<Guard>,
     guard_refused: Option<String>,
+    /// Others are kept off the interface.
+    is_alone: bool,
     hold: Option<fn()>,
     counters: PortCounters,
 }
@@ -68,6 +70,10 @@ pub struct PortCounters {
     pub socket_full: u64,
     /// Steps of the wall clock.
     pub clock_steps: u64,
+    /// Frames of other programs that the guard has seen leave the interface...
+    pub others_passed: u64,
+    /// ... or has kept from it.
+    pub others_kept_off: u64,
 }
 
 impl Port {
@@ -133,6 +139,7 @@ impl Port {
             woke: monotonic(),
             guard: None,
             guard_refused: None,
+            is_alone: false,
             hold: None,
             counters: PortCounters::default(),
         })
@@ -149,6 +156,14 @@ impl Port {
     /// Whether the kernel enforces `latest`.
     pub fn is_guarded(&self) -> bool {
         self.guard.is_some()
+    }
+
+    /// From now on the guard, if there is one, drops the frames of all other programs on the interface.
+    pub fn keep_others_off(&mut self) {
+        if let Some(guard) = &self.guard {
+            guard.keep_others_off();
+            self.is_alone = true;
+        }
     }
 
     /// Why there is no guard though there was to be one if possible: one line, what, why, what it costs.
@@ -180,7 +195,9 @@ impl Port {
         // A packet socket always has statistics.
         let dropped = sockets.filter_map(|socket| packet::take_dropped(socket).ok());
         self.counters.socket_full += dropped.sum::<u64>();
-        PortCounters { clock_steps: self.wall.steps(), ..self.counters }
+        let others = self.guard.as_ref().map_or(0, |guard| guard.counters().others);
+        let (others_passed, others_kept_off) = if self.is_alone { (0, others) } else { (others, 0) };
+        PortCounters { clock_steps: self.wall.steps(), others_passed, others_kept_off, ..self.counters }
     }
 
     /// Hands over the control frames that have arrived, each with its stamp on the station's clock.

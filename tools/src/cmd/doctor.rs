@@ -6,6 +6,7 @@ use rtnet::time::Span;
 
 use super::{Failure, screen_width, writable, write_json};
 use crate::cli::DoctorArgs;
+use crate::control::Directory;
 use crate::doctor::rights::{self, Way};
 use crate::doctor::{self, Options, screen};
 
@@ -19,6 +20,12 @@ pub fn doctor(args: &DoctorArgs) -> Result<u8, Failure> {
     }
     if let Some(path) = &args.json {
         writable(path).map_err(Failure::Usage)?;
+    }
+    for lab in Directory::of_user().labs() {
+        let _ = writeln!(
+            std::io::stderr(),
+            "rtnet: the lab '{lab}' is up: it and the doctor disturb each other (rtnet lab down {lab})"
+        );
     }
     let options = Options { cpu: args.cpu, duration: args.duration, progress: args.duration > SHORT };
     let findings = doctor::examine(&options, &Way::find()).map_err(Failure::Usage)?;

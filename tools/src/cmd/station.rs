@@ -103,6 +103,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         cpu: args.cpu,
         spin: args.lead,
         guard: args.slot_guard.mode(),
+        exclusive: args.exclusive,
         lab,
     })
 }

@@ -342,6 +342,9 @@ pub fn arguments(
         add("--late", "send".into());
     }
     add("--slot-guard", scenario.slot_guard.name().into());
+    // Without a value.
+    line.push("--exclusive".into());
+    let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
     for slot in &plan.slots {
         let (id, offset, size) = (slot.id, slot.offset, slot.size);
         let phase = format!("phase={}/{}", slot.phase + 1, slot.period);

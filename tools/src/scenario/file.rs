@@ -31,7 +31,7 @@ use super::{
     MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window, divide,
 };
 use crate::report::figures::Role;
-use crate::units::{AnySpan, FileRate, NonNegativeSpan, PositiveSpan};
+use crate::units::{AnySpan, FileRate, GuardBand, NonNegativeSpan, PositiveSpan};
 
 const DEFAULT_RATE: Rate = Rate::from_bits_per_second(1_000_000_000);
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
@@ -84,7 +84,7 @@ struct NetworkFile {
     cycle: Spanned<PositiveSpan>,
     rate: Option<FileRate>,
     sync_window: Option<PositiveSpan>,
-    guard: Option<NonNegativeSpan>,
+    guard: Option<GuardBand>,
     duration: Option<PositiveSpan>,
     seed: Option<u64>,
     late: Option<Late>,

@@ -149,6 +149,8 @@ impl Standing {
             ("port_oversize", snapshot.port.oversize),
             ("port_pool_empty", snapshot.port.pool_empty),
             ("port_socket_full", snapshot.port.socket_full),
+            ("others_passed", snapshot.port.others_passed),
+            ("others_kept_off", snapshot.port.others_kept_off),
         ];
         let port = port.into_iter().filter(|&(_, n)| n > 0).map(|(reason, n)| (reason.to_owned(), n));
         let refusals =

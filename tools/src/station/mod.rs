@@ -67,6 +67,8 @@ pub struct Options {
     pub spin: Span,
     /// Whether the kernel is to enforce its slots.
     pub guard: GuardMode,
+    /// Whether the kernel's guard is to keep all other programs off the interface.
+    pub exclusive: bool,
     /// Set by a lab.
     pub lab: Option<LabOptions>,
 }
@@ -206,7 +208,12 @@ fn start(mut driver: Driver<Tdma>, realtime: RealTime) -> Result<(JoinHandle<()>
 /// A port that hears the test traffic, in a lab.
 fn port(options: &Options, interface: &Interface) -> Result<Port> {
     let data: &[_] = if options.lab.is_some() { &[EtherType::EXPERIMENTAL] } else { &[] };
-    Ok(Port::open(interface, data, options.clock(), options.spin.nanos().max(0) as u64, options.guard)?)
+    let spin = options.spin.nanos().max(0) as u64;
+    let mut port = Port::open(interface, data, options.clock(), spin, options.guard)?;
+    if options.exclusive {
+        port.keep_others_off();
+    }
+    Ok(port)
 }
 
 fn driver(

@@ -1,18 +1,18 @@
 //! The guard's program, assembled here: eBPF as linux/bpf.h numbers it.
 //!
 //! ```text
-//!  0        r2 = skb->mark                 r1 is the context
-//!  1        if r2 != MARK goto OTHERS      somebody else's frame
-//!  2   3    r6 = &page                     a load of 64 bits takes two slots
+//!  0   1    r6 = &page                     a load of 64 bits takes two slots
+//!  2        r2 = skb->mark                 r1 is the context
+//!  3        if r2 != MARK goto OTHERS      somebody else's frame
 //!  4        r0 = bpf_ktime_get_ns()
 //!  5        r1 = page.begin
 //!  6        if r0 < r1 goto EARLY
 //!  7        r1 = page.end
 //!  8        if r0 > r1 goto LATE
-//!  9  10    page.passed += 1               atomically, by r1 = 1
-//! 11  12    OTHERS: r0 = -1, exit          whatever else is attached decides
-//! 13..16    LATE:   page.late += 1, r0 = 2, exit      dropped
-//! 17..20    EARLY:  page.early += 1, r0 = 2, exit     dropped
+//!  9..12    page.passed += 1, r0 = -1, exit            whatever else is attached decides
+//! 13..16    OTHERS: page.others += 1, r0 = page.verdict, exit
+//! 17..20    LATE:   page.late += 1, r0 = 2, exit      dropped
+//! 21..24    EARLY:  page.early += 1, r0 = 2, exit     dropped
 //! ```
 //!
 //! The frame's length does not count: what may not happen is that a transmission *starts* late, and the
@@ -22,23 +22,23 @@ use core::mem::offset_of;
 
 use super::Page;
 
-/// What the frames of a guarded socket are marked with (SO_MARK): all others pass. Positive as an `i32`,
+/// What the frames of a guarded socket are marked with (SO_MARK): all others are others'. Positive as an `i32`,
 /// as which a comparison takes it.
 pub const MARK: u32 = u32::from_be_bytes(*b"RTnt");
 
 /// Slots of the program.
-pub const SLOTS: usize = 21;
-const OTHERS: usize = 11;
-const LATE: usize = 13;
-const EARLY: usize = 17;
+pub const SLOTS: usize = 25;
+const OTHERS: usize = 13;
+const LATE: usize = 17;
+const EARLY: usize = 21;
 
 /// Offset of `mark` in `__sk_buff`.
 const SKB_MARK: usize = 8;
 const HELPER_KTIME_GET_NS: i32 = 5;
 /// TCX_NEXT, which is TC_ACT_UNSPEC.
-const NEXT: i32 = -1;
+pub const NEXT: i32 = -1;
 /// TCX_DROP, which is TC_ACT_SHOT.
-const DROP: i32 = 2;
+pub const DROP: i32 = 2;
 
 /// One slot of a program.
 #[repr(C)]
@@ -64,10 +64,10 @@ const R6: Register = Register(6);
 pub fn assemble(map: i32) -> [Instruction; SLOTS] {
     let [address, rest] = load_address(R6, map);
     [
-        load_word(R2, R1, SKB_MARK),
-        jump_unless_equal(R2, MARK as i32, ahead(1, OTHERS)),
         address,
         rest,
+        load_word(R2, R1, SKB_MARK),
+        jump_unless_equal(R2, MARK as i32, ahead(3, OTHERS)),
         call(HELPER_KTIME_GET_NS),
         load(R1, R6, offset_of!(Page, begin)),
         jump_if_less(R0, R1, ahead(6, EARLY)),
@@ -75,8 +75,12 @@ pub fn assemble(map: i32) -> [Instruction; SLOTS] {
         jump_if_greater(R0, R1, ahead(8, LATE)),
         set(R1, 1),
         add_atomically(R6, offset_of!(Page, passed), R1),
-        // OTHERS
         set(R0, NEXT),
+        exit(),
+        // OTHERS
+        set(R1, 1),
+        add_atomically(R6, offset_of!(Page, others), R1),
+        load(R0, R6, offset_of!(Page, verdict)),
         exit(),
         // LATE
         set(R1, 1),
@@ -165,18 +169,22 @@ mod tests {
     fn the_program_is_the_listing() {
         // Code, destination, source, offset, immediate, written down by hand.
         let listing = [
-            (0x61, 2, 1, 8, 0),
-            (0x55, 2, 0, 9, 0x5254_6e74),
             (0x18, 6, 2, 0, 77),
             (0x00, 0, 0, 0, 0),
+            (0x61, 2, 1, 8, 0),
+            (0x55, 2, 0, 9, 0x5254_6e74),
             (0x85, 0, 0, 0, 5),
             (0x79, 1, 6, 0, 0),
-            (0xad, 0, 1, 10, 0),
+            (0xad, 0, 1, 14, 0),
             (0x79, 1, 6, 8, 0),
-            (0x2d, 0, 1, 4, 0),
+            (0x2d, 0, 1, 8, 0),
             (0xb7, 1, 0, 0, 1),
             (0xdb, 6, 1, 16, 0),
             (0xb7, 0, 0, 0, -1),
+            (0x95, 0, 0, 0, 0),
+            (0xb7, 1, 0, 0, 1),
+            (0xdb, 6, 1, 40, 0),
+            (0x79, 0, 6, 48, 0),
             (0x95, 0, 0, 0, 0),
             (0xb7, 1, 0, 0, 1),
             (0xdb, 6, 1, 24, 0),

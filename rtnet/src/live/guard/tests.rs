@@ -44,7 +44,7 @@ fn what_is_outside_its_window_is_dropped_and_counted_by_either_hook() {
         guard.open(now - SECOND, now + SECOND);
         guard.close();
         assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS), "closed");
-        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 3, early: 1 });
+        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 3, early: 1, others: 0 });
         assert_eq!(guard.drops(), 4);
     });
 }
@@ -57,9 +57,26 @@ fn others_frames_pass_and_all_do_once_the_guard_is_gone() {
             assert_eq!(packet::send(&marked(lo, mark), &[0; 60]), Ok(()));
         }
         assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS));
-        assert_eq!(guard.counters(), GuardCounters { passed: 0, late: 1, early: 0 });
+        assert_eq!(guard.counters(), GuardCounters { passed: 0, late: 1, early: 0, others: 4 });
         drop(guard);
         assert_eq!(packet::send(socket, &[0; 60]), Ok(()));
+    });
+}
+
+#[test]
+fn others_that_are_kept_off_do_not_leave_and_are_counted() {
+    with_each_hook(|attach, socket, lo| {
+        let (guard, now) = (attach(), monotonic());
+        guard.keep_others_off();
+        guard.open(now - SECOND, now + SECOND);
+        for mark in [0, MARK + 1] {
+            assert_eq!(packet::send(&marked(lo, mark), &[0; 60]), Err(libc::ENOBUFS));
+        }
+        assert_eq!(packet::send(socket, &[0; 60]), Ok(()));
+        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 0, early: 0, others: 2 });
+        assert_eq!(guard.drops(), 0, "of its own");
+        drop(guard);
+        assert_eq!(packet::send(&marked(lo, 0), &[0; 60]), Ok(()));
     });
 }
 
@@ -73,7 +90,7 @@ fn an_interface_that_was_down_is_still_guarded_by_either_hook() {
         assert_eq!(packet::send(socket, &[0; 60]), Err(libc::ENOBUFS), "no window yet");
         guard.open(now - SECOND, now + SECOND);
         assert_eq!(packet::send(socket, &[0; 60]), Ok(()));
-        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 1, early: 0 });
+        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 1, early: 0, others: 0 });
     });
 }
 

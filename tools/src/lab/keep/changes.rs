@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use rtmac::tdma::schedule::Schedule;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::MTU;
 
@@ -81,7 +82,10 @@ impl Keeper {
         let mut changed = self.scenario.clone();
         set_slot(&mut changed, station, id, plan);
         if let Some(conflict) = changed.schedule().conflicts().first() {
-            bail!("{conflict}");
+            let bare = Schedule { guard: Span::ZERO, ..changed.schedule() };
+            let room =
+                "; without the guard band there is room: bring the lab up with a smaller one (--guard)";
+            bail!("{conflict}{}", if bare.conflicts().is_empty() { room } else { "" });
         }
         let load = load(&changed);
         let too_much = too_much(self.lab.cpu, load, self.lab.declared.as_ref());

@@ -24,7 +24,12 @@ fn a_slave_whose_carrier_is_lost_and_back_follows_again() {
         slave.wait_for("carrier-slave: the interface 'rt0' has no carrier: look at the cable");
         let words = rtnet().args(["tdma", "-S", "carrier-slave", "status"]).output().unwrap();
         let words = String::from_utf8(words.stdout).unwrap();
-        assert!(words.contains(", no carrier), process") && words.contains("carrier_lost 1"), "{words}");
+        assert!(
+            words.contains(", no carrier), process")
+                && words.contains(" guard\n")
+                && words.contains("carrier_lost 1"),
+            "{words}"
+        );
 
         medium.set_port("port1", true);
         let back = wait_until("it follows again", "carrier-slave", is("up", "locked"));

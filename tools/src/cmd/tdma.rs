@@ -144,8 +144,8 @@ fn describe(status: &StationStatus) -> String {
             Span::from_nanos(status.deviation_ns)
         );
     }
-    let StationStatus { interface, address, link, pid, .. } = status;
-    text += &format!("on {interface} ({address}, {link}), process {pid}\n");
+    let StationStatus { interface, address, link, pid, guard, .. } = status;
+    text += &format!("on {interface} ({address}, {link}), process {pid}, {guard} guard\n");
     if let Some(other) = &standing.yielded_to {
         text += &format!("makes way for the master {other}\n");
     }

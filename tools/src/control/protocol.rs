@@ -174,6 +174,8 @@ pub struct StationStatus {
     pub link: String,
     /// `master`, `slave` or `detached`.
     pub role: String,
+    /// What keeps its slots.
+    pub guard: GuardName,
     /// State, cycle, delay, refused frames.
     pub standing: Standing,
     /// From one cycle's start to the next, once known.

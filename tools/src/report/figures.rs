@@ -177,6 +177,15 @@ pub enum GuardName {
     User,
 }
 
+impl fmt::Display for GuardName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            GuardName::Kernel => "kernel",
+            GuardName::User => "user",
+        })
+    }
+}
+
 impl From<bool> for GuardName {
     fn from(is_guarded: bool) -> Self {
         if is_guarded { GuardName::Kernel } else { GuardName::User }

@@ -25,6 +25,7 @@ use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
     Envelope, Reply, Request, RoleRequest, SlotChange, SlotRequest, SlotShown, StationStatus, Traffic, read,
 };
+use crate::report::figures::GuardName;
 use crate::scenario::default_sync_window;
 
 /// A command is carried out after the next slot; a station that hears nothing looks ten times a second. Less than a lab
@@ -54,6 +55,7 @@ pub struct Desk {
     /// The state in the one that was last asked for.
     told: Option<SyncState>,
     host: Vec<String>,
+    guard: GuardName,
     misses: Misses,
     /// Whether the process was continued after it had been stopped.
     continued: Arc<AtomicBool>,
@@ -87,15 +89,16 @@ impl Desk {
             news: false,
             told: None,
             host: Vec::new(),
+            guard: GuardName::User,
             misses: Misses::default(),
             continued: continued(),
             was_continued: false,
         }
     }
 
-    /// What the host refused.
-    pub fn note_host(&mut self, refused: &[String]) {
-        self.host = refused.to_vec();
+    /// What the host refused, and whether it guards.
+    pub fn note_host(&mut self, refused: &[String], is_guarded: bool) {
+        (self.host, self.guard) = (refused.to_vec(), is_guarded.into());
     }
 
     /// Looks at the interface: what has become of it since the last time.
@@ -272,6 +275,7 @@ impl Desk {
             address: self.address.clone(),
             role: status.role.name().into(),
             link: self.link().name().into(),
+            guard: self.guard,
             standing: Standing::of(newest, &self.counts, self.link()),
             period_ns: status.period.map(Span::nanos),
             deviation_ns: status.deviation.nanos(),

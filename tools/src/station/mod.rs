@@ -161,7 +161,7 @@ impl Ready {
         // What this thread may still do is what those that it starts may do. The other one may have said the same.
         refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
         stop_when_told(&self.stop, self.in_lab)?;
-        self.desk.note_host(&refused);
+        self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;
         let mut told = Instant::now();
         loop {

@@ -112,6 +112,8 @@ fn role(station: usize) -> RoleConfig {
             reply_latest: LATE,
             epoch: Offset::default(),
             resume: None,
+            backup: None,
+            follow: SlaveConfig { rounds: 0, step_limit: None },
         }),
         _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE) }),
     }

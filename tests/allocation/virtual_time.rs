@@ -118,6 +118,8 @@ impl Seat {
                 reply_latest: latest,
                 epoch,
                 resume: None,
+                backup: None,
+                follow: SlaveConfig { rounds: 0, step_limit: None },
             }),
             _ => RoleConfig::Slave(SlaveConfig { rounds: 20, step_limit: None }),
         };

@@ -105,6 +105,8 @@ impl Victim {
                 reply_latest: latest,
                 epoch: Offset::default(),
                 resume: None,
+                backup: None,
+                follow: SlaveConfig { rounds: 0, step_limit: None },
             }),
         };
         let offset = if self.address() == SLAVE { Span::from_micros(400) } else { Span::from_micros(200) };

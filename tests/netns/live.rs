@@ -153,7 +153,16 @@ pub fn clock(offset: Span, drift_ppb: i64) -> EmulatedClock {
 pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma {
     let epoch = Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()));
     let (cycle, late) = (CYCLE, Span::from_millis(1));
-    let config = MasterConfig { cycle, sync_latest: late, reply_latest: late, epoch, resume: None };
+    let follow = SlaveConfig { rounds: 0, step_limit: None };
+    let config = MasterConfig {
+        cycle,
+        sync_latest: late,
+        reply_latest: late,
+        epoch,
+        resume: None,
+        backup: None,
+        follow,
+    };
     ours(address, offset, RoleConfig::Master(config))
 }
 

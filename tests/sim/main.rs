@@ -1,5 +1,6 @@
 //! Whole networks in virtual time, one situation per file.
 
+mod backup_masters;
 mod drift_and_loss;
 mod ideal_host;
 mod late_join;

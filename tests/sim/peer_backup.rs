@@ -19,7 +19,7 @@ const SLAVES: [usize; 2] = [2, 3];
 /// Four stations of which the second is the backup; with `peers` these are peers, too.
 fn plan(peers: &[usize]) -> Plan {
     let peers = [peers, &[BACKUP]].concat();
-    let mut plan = Plan { peers, backup: Some((BACKUP, AFTER)), ..Plan::lab(4).on(Host::IDEAL) };
+    let mut plan = Plan { peers, backups: vec![(BACKUP, AFTER)], ..Plan::lab(4).on(Host::IDEAL) };
     let begin_earlier = plan.scenario.sync_window - SYNC_WINDOW;
     plan.scenario.sync_window = SYNC_WINDOW;
     for slot in plan.scenario.stations.iter_mut().flat_map(|station| &mut station.slots) {
@@ -69,7 +69,7 @@ fn our_master_dies_and_the_backup_takes_over_in_that_very_cycle() {
 #[test]
 fn our_slaves_wait_for_a_backup_that_looks_later_than_they_miss_their_master() {
     let plan = plan(&[]);
-    let mut lab = running(&Plan { backup: Some((BACKUP, Span::from_micros(200))), ..plan });
+    let mut lab = running(&Plan { backups: vec![(BACKUP, Span::from_micros(200))], ..plan });
     lab.network.stop(0);
     lab.run_cycles(1_000);
     let judge = lab.judge();

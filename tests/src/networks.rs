@@ -37,8 +37,8 @@ pub struct Plan {
     pub host: Host,
     /// Stations that are peers.
     pub peers: Vec<StationId>,
-    /// A peer that is the backup master, and how long after a cycle's start it takes over.
-    pub backup: Option<(StationId, Span)>,
+    /// Who is a backup master, peers or ours, and how long after a cycle's start it takes over.
+    pub backups: Vec<(StationId, Span)>,
 }
 
 /// A network, and what is known of it from outside.
@@ -82,7 +82,7 @@ impl Plan {
         let scenario = options.scenario().expect("such a lab can be");
         let medium = Medium { rate: scenario.rate.bits_per_second(), ..Medium::default() };
         let (tolerance, host) = (Span::ZERO, Host::IDEAL);
-        Plan { scenario, medium, tolerance, host, peers: Vec::new(), backup: None }
+        Plan { scenario, medium, tolerance, host, peers: Vec::new(), backups: Vec::new() }
     }
 
     /// The same with clocks that run at these rates, in parts per billion; how far apart they begin stays.
@@ -102,6 +102,13 @@ impl Plan {
     /// The same on hosts like this one; the judge allows what the clocks may be wrong by.
     pub fn on(self, host: Host) -> Plan {
         Plan { host, tolerance: self.scenario.clock_share(), ..self }
+    }
+
+    /// The same with these backups, whose Synchronisations are between the primary's window of 50 us and the slots.
+    pub fn with_backups(mut self, backups: &[(StationId, Span)]) -> Plan {
+        self.backups = backups.to_vec();
+        self.scenario.sync_window = Span::from_micros(50);
+        self
     }
 
     /// Address of a station.
@@ -159,7 +166,8 @@ impl Plan {
         let Scenario { cycle, sync_window, rate, guard, stations, .. } = &self.scenario;
         Layout {
             cycle: *cycle,
-            sync_window: *sync_window,
+            sync_window: *sync_window
+                + self.backups.iter().map(|&(_, after)| after).max().unwrap_or(Span::ZERO),
             slot: rate.air_time(stations[0].payload + HEADER_LEN) + *guard,
             tolerance: self.tolerance,
             offsets: stations.iter().map(|station| station.slots[0].offset).collect(),
@@ -266,15 +274,18 @@ impl Plan {
         let slots = scenario.stations[id].slots.iter().map(|slot| scenario.slot_config(slot));
         let rounds = scenario.stations[id].rounds;
         let step_limit = Some(schedule::step_limit(scenario.guard));
-        let role = match master {
+        let follow = SlaveConfig { rounds, step_limit };
+        let role = match master.or(self.backup(id).map(|_| self.cycle())) {
             Some(cycle) => RoleConfig::Master(MasterConfig {
                 cycle,
                 sync_latest: sync_latest(scenario.sync_window),
                 reply_latest: scenario.latest(),
                 epoch: epoch(),
                 resume: None,
+                backup: self.backup(id),
+                follow,
             }),
-            None => RoleConfig::Slave(SlaveConfig { rounds, step_limit }),
+            None => RoleConfig::Slave(follow),
         };
         let tdma = Tdma::new(&TdmaConfig {
             address: self.address(id),
@@ -287,9 +298,13 @@ impl Plan {
         Mixed::Ours(Box::new(tdma.expect("the plan is sound")))
     }
 
+    fn backup(&self, id: StationId) -> Option<Span> {
+        self.backups.iter().find(|(backup, _)| *backup == id).map(|&(_, after)| after)
+    }
+
     fn peer(&self, id: StationId, master: Option<Span>) -> Mixed {
         let StationPlan { rounds, slots, .. } = &self.scenario.stations[id];
-        let backup = self.backup.filter(|(backup, _)| *backup == id).map(|(_, after)| after);
+        let backup = self.backup(id);
         Mixed::Peer(Box::new(Peer::new(PeerConfig {
             address: self.address(id),
             master: master.or(backup.map(|_| self.cycle())),

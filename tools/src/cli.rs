@@ -259,8 +259,12 @@ pub struct StationArgs {
     #[arg(long, value_name = "IF")]
     pub interface: String,
     /// Give the time (needs --cycle)
-    #[arg(long, requires = "cycle", conflicts_with = "rounds")]
+    #[arg(long, requires = "cycle")]
     pub master: bool,
+    /// As a master, be a backup: send the sync only if there is none until so long after a cycle's start. Slots come
+    /// later than that, and those of other backups
+    #[arg(long, value_name = "OFFSET", requires = "master", value_parser = parse_positive_span)]
+    pub backup: Option<Span>,
     /// From one cycle's start to the next
     #[arg(long, value_parser = parse_positive_span, conflicts_with = "slave")]
     pub cycle: Option<Span>,
@@ -270,7 +274,7 @@ pub struct StationArgs {
     /// Follow the master
     #[arg(long)]
     pub slave: bool,
-    /// Calibration rounds; 0: none
+    /// Calibration rounds, of a master when it follows another; 0: none
     #[arg(long, default_value_t = rtmac::tdma::DEFAULT_ROUNDS, value_name = "N")]
     pub rounds: u32,
     /// A slot: its id and offset, and if it is not used in every cycle or takes less than 1500 bytes,

@@ -5,7 +5,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::line::PERIODS;
-use super::master::MAX_REPLY_AHEAD;
+use super::replies::MAX_REPLY_AHEAD;
 use super::slot::MIN_SIZE;
 use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig, Tdma};
 
@@ -180,6 +180,31 @@ pub enum Refused {
         /// What was asked for.
         cycle: Span,
     },
+    /// A backup would look before the primary may be late no more, or too late for its own to be in the cycle.
+    #[error(
+        "a backup that looks {backup} after a cycle's start: it must be later than {earliest}, until when the primary may \
+         send, and as long before the end of the cycle of {cycle}"
+    )]
+    Backup {
+        /// What was asked for.
+        backup: Span,
+        /// How late a Synchronisation may be.
+        earliest: Span,
+        /// The master's.
+        cycle: Span,
+    },
+    /// In the cycle in which it takes over, a backup's slot would be before its Synchronisation.
+    #[error(
+        "slot {id}: the offset {offset} of a backup is not behind its Synchronisation, {earliest} at the earliest"
+    )]
+    BeforeBackup {
+        /// Which slot.
+        id: u8,
+        /// What was asked for.
+        offset: Span,
+        /// Where the first may be.
+        earliest: Span,
+    },
     /// The Synchronisation would have more than the cycle.
     #[error("a sync window that lasts beyond the cycle of {cycle}: shorten it")]
     SyncWindow {
@@ -236,6 +261,15 @@ pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfi
     check_cycle(cycle)?;
     if sync_latest >= cycle {
         return Err(Refused::SyncWindow { cycle });
+    }
+    if let Some(backup) = master.backup {
+        let earliest = backup + sync_latest;
+        if backup <= sync_latest || earliest >= cycle {
+            return Err(Refused::Backup { backup, earliest: sync_latest, cycle });
+        }
+        if let Some(&SlotConfig { id, offset, .. }) = slots.iter().find(|slot| slot.offset < earliest) {
+            return Err(Refused::BeforeBackup { id, offset, earliest });
+        }
     }
     match slots.iter().find(|slot| slot.offset >= cycle) {
         Some(&SlotConfig { id, offset, .. }) => Err(Refused::BeyondCycle { id, offset, cycle }),

@@ -14,11 +14,11 @@ impl Tdma {
         let line = self.line()?;
         let data = || self.slots.next_turn(line, None).map(|turn| Job::Data(self.tolerant(turn, line)));
         match &self.role {
-            Role::Slave(slave) if slave.calibration().delay().is_none() => {
+            Role::Detached => None,
+            _ if self.calibrates() => {
                 self.slots.next_turn(line, self.slots.first().map(|slot| slot.id)).map(Job::Request)
             }
             Role::Slave(_) => data(),
-            Role::Detached => None,
             Role::Master(master) => {
                 let config = master.config();
                 let sync = master.next_sync().map(|(cycle, at, sched)| Job::Sync {
@@ -26,8 +26,9 @@ impl Tdma {
                     at,
                     latest: at + config.sync_latest,
                     sched,
+                    is_backups: config.backup.is_some(),
                 });
-                let reply = master.next_reply().map(|reply| Job::Reply {
+                let reply = master.replies().next().map(|reply| Job::Reply {
                     cycle: reply.cycle,
                     at: reply.at,
                     latest: reply.at + config.reply_latest,
@@ -36,6 +37,11 @@ impl Tdma {
                 sync.into_iter().chain(reply).chain(data()).min_by_key(Job::at)
             }
         }
+    }
+
+    /// Whether its first slot is used for calibration, and no other.
+    fn calibrates(&self) -> bool {
+        self.follower().is_some_and(|follower| follower.calibration().delay().is_none())
     }
 
     fn tolerant(&self, turn: Turn, line: &TimeLine) -> Turn {
@@ -49,7 +55,7 @@ impl Tdma {
     pub(super) fn due(&mut self, now: Instant) -> Option<Job> {
         loop {
             let job = self.next_job()?;
-            if job.at() - self.lead > now {
+            if job.chosen_at(self.lead) > now {
                 return None;
             }
             // Who slept through a slot missed it for that, whatever was heard meanwhile.
@@ -114,8 +120,8 @@ impl Tdma {
     }
 
     fn may_do(&self, job: &Job) -> bool {
-        match (&self.role, job) {
-            (Role::Slave(slave), Job::Request(turn) | Job::Data(turn)) => {
+        match (self.follower(), job) {
+            (Some(slave), Job::Request(turn) | Job::Data(turn)) => {
                 let fits = slave.line().is_some_and(|line| {
                     self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period)
                 });

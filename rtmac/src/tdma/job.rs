@@ -3,15 +3,26 @@
 use rtnet::buf::Buf;
 use rtnet::discipline::{Channel, Returned};
 use rtnet::queue::Priority;
-use rtnet::time::{GlobalTime, Instant};
+use rtnet::time::{GlobalTime, Instant, Span};
 
 use super::slot::Turn;
 
 /// A job of the grid.
 #[derive(Clone, Copy)]
 pub enum Job {
-    Sync { cycle: u32, at: Instant, latest: Instant, sched: GlobalTime },
-    Reply { cycle: u32, at: Instant, latest: Instant },
+    /// A backup's is chosen at its very instant: until then another's may be heard.
+    Sync {
+        cycle: u32,
+        at: Instant,
+        latest: Instant,
+        sched: GlobalTime,
+        is_backups: bool,
+    },
+    Reply {
+        cycle: u32,
+        at: Instant,
+        latest: Instant,
+    },
     Request(Turn),
     Data(Turn),
 }
@@ -40,6 +51,14 @@ impl Job {
         match self {
             Job::Sync { cycle, .. } | Job::Reply { cycle, .. } => *cycle,
             Job::Request(turn) | Job::Data(turn) => turn.cycle,
+        }
+    }
+
+    /// When it is chosen, other jobs `lead` before their instant.
+    pub fn chosen_at(&self, lead: Span) -> Instant {
+        match self {
+            Job::Sync { at, is_backups: true, .. } => *at,
+            other => other.at() - lead,
         }
     }
 

@@ -79,6 +79,12 @@ impl Mark {
         (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle)) && around.contains(&self.deviation_from(line))
     }
 
+    /// Whether it says of the line's last cycle what the line says.
+    pub fn repeats(&self, line: &TimeLine, limit: Option<Span>) -> bool {
+        let limit = step_limit(limit, line.period);
+        self.cycle == line.cycle && self.sched == line.sched && self.deviation_from(line).abs() <= limit
+    }
+
     /// Whether it is likely one of the line's that was long on its way.
     pub fn may_be_held_up(&self, line: &TimeLine) -> bool {
         let late = self.deviation_from(line);

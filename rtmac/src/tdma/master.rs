@@ -1,41 +1,55 @@
-//! The master: listens, then tells the time.
+//! The master: gives the time, as the primary or as a backup in its place.
 //!
 //! ```text
-//!              another master heard
-//!  Listening ───────────────────────► Yielded (for good)
-//!      │ 3 cycles of silence
-//!      ▼
-//!   Active: a Synchronisation at every point of the grid, replies where they were asked for
+//!                   a primary is there already
+//!  Attached ► Listening ──────────────────────► Yielded (a primary that never spoke: for good)
+//!               │  ▲ │ 3 cycles of silence
+//!               │  │ └─────────────────────────────────────► Active ◄─────┐
+//!    any other  │  │ lost                                     ▲  │        │ its instant in a cycle
+//!    sync       ▼  │      calibrated, and it is a backup      │  │        │ without a sync
+//!             Following ──────────────────────────────────────┘  │        │
+//!               │   ▲      a primary that a rival outlasts       │        │
+//!               │   └────────────────────────────────────────────┤        │
+//!               │ a backup: calibrated                           │ a backup: another's sync
+//!               └──────────────────────────► StandBy ◄───────────┘        │
+//!                                               └─────────────────────────┘
 //! ```
 //!
-//! The grid is fixed when the master becomes active, and never moves: a Synchronisation that comes too
-//! late for its window is not sent, and the next carries the number that the grid says.
+//! Active, it sends a Synchronisation at every point of its grid, a backup so much later, and the replies that are asked
+//! for. The grid never moves: it is the one that was followed, or a new one. A Synchronisation that comes too late for
+//! its window is not sent, and the next carries the number that the grid says. A foreign one never re-times the grid of
+//! an active primary.
+//!
+//! Who sends late is a backup: that is how one that returns knows whether the place is taken or only kept for it. Of
+//! two primaries, after a parted network is whole again, the one with the lower address stays; one that is not of our
+//! kind does not know that, and outlasts ours.
 
-use arrayvec::ArrayVec;
 use rtnet::counters::Refusal;
+use rtnet::discipline::{EventKind, SyncState};
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::events::Events;
 use super::line::{Drift, TimeLine};
+use super::replies::{Replies, Reply};
+use super::rival::Rival;
+use super::slave::{Slave, SlaveConfig};
 
 /// Cycles of silence before a master speaks.
 const LISTEN_CYCLES: i64 = 3;
 /// And at least this long.
 const LISTEN_AT_LEAST: Span = Span::from_millis(3);
-/// Calibration requests that wait for their reply's instant, as in RTnet.
-pub const MAX_PENDING_REPLIES: usize = 64;
-/// Furthest cycle a reply may be asked for: stations ask for one period of their first slot ahead.
-pub const MAX_REPLY_AHEAD: u32 = 1024;
-
-/// Times that a late reply is put off. Real stations never ask again: they wait for ever.
-const PUT_OFF_AT_MOST: u8 = 8;
+/// So many late Synchronisations in a row are a backup's.
+const LATE_OF_BACKUP: u32 = 2;
+/// One that comes by less than this part of a cycle early is of the next.
+const EARLY_PARTS: i64 = 8;
 
 /// What is configured of a master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MasterConfig {
     /// From one cycle's start to the next.
     pub cycle: Span,
-    /// How long after a cycle's start its Synchronisation may still be sent.
+    /// How long after its instant a Synchronisation may still be sent.
     pub sync_latest: Span,
     /// How long after the instant asked for a calibration reply may still be sent.
     pub reply_latest: Span,
@@ -44,80 +58,238 @@ pub struct MasterConfig {
     /// A cycle and its scheduled start, of a master before this one whose grid is gone on with. `None`: a new
     /// grid begins.
     pub resume: Option<(u32, GlobalTime)>,
+    /// How long after a cycle's start a backup looks whether there was a Synchronisation, and sends one if not.
+    /// `None`: this is the primary.
+    pub backup: Option<Span>,
+    /// How another master is followed.
+    pub follow: SlaveConfig,
 }
 
-/// A station that gives the time.
+/// A station that gives the time, or would.
 pub struct Master {
     config: MasterConfig,
     phase: Phase,
-    replies: ArrayVec<Reply, MAX_PENDING_REPLIES>,
-    /// The reply that is being sent.
-    taken: Option<Reply>,
+    follower: Slave,
+    replies: Replies,
+    /// Synchronisations in a row that were sent as late as a backup's.
+    late_in_row: u32,
+    rival: Option<Rival>,
+    /// Who outlasted this one: its place is not taken back.
+    outlasted_by: Option<Address>,
 }
 
+#[derive(Clone, Copy)]
 enum Phase {
     Attached,
-    Listening { until: Instant },
-    Active { line: TimeLine },
-    Yielded { to: Address },
+    Listening {
+        until: Instant,
+    },
+    Following,
+    /// Up to this cycle nothing is to be done any more.
+    StandBy {
+        passed: u32,
+    },
+    Active {
+        line: TimeLine,
+    },
+    Yielded {
+        to: Address,
+    },
 }
 
-/// A reply that was asked for.
+/// What a master is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Reply {
-    pub at: Instant,
-    pub to: Address,
-    pub cycle: u32,
-    pub request_xmit: u64,
-    pub reception: Instant,
-    /// From one use of the slave's slot to the next, in cycles.
-    period: u32,
-    put_off: u8,
+pub enum Mastery {
+    /// Finding out whether there is another.
+    Listening,
+    /// Following another, calibrating, or silent for want of it.
+    Following,
+    /// A backup that would take over in this very cycle.
+    StandBy,
+    /// Giving the time.
+    Active,
+    /// A primary that found another, and never speaks.
+    Yielded,
+}
+
+impl Mastery {
+    /// Its name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Mastery::Listening => "listening",
+            Mastery::Following => "following",
+            Mastery::StandBy => "stand-by",
+            Mastery::Active => "active",
+            Mastery::Yielded => "yielded",
+        }
+    }
 }
 
 impl Master {
     pub fn new(config: MasterConfig) -> Self {
-        Self { config, phase: Phase::Attached, replies: ArrayVec::new(), taken: None }
+        Self {
+            config,
+            phase: Phase::Attached,
+            follower: Slave::new(config.follow),
+            replies: Replies::default(),
+            late_in_row: 0,
+            rival: None,
+            outlasted_by: None,
+        }
     }
 
     pub fn config(&self) -> &MasterConfig {
         &self.config
     }
 
-    /// Time has passed; `true` when the master has just become active.
-    pub fn on_timeout(&mut self, now: Instant) -> bool {
+    /// What it is doing.
+    pub fn mastery(&self) -> Mastery {
         match self.phase {
-            Phase::Attached => {
-                let listen = (self.config.cycle * LISTEN_CYCLES).max(LISTEN_AT_LEAST);
-                self.phase = Phase::Listening { until: now + listen };
-                false
+            Phase::Attached | Phase::Listening { .. } => Mastery::Listening,
+            Phase::Following => Mastery::Following,
+            Phase::StandBy { .. } => Mastery::StandBy,
+            Phase::Active { .. } => Mastery::Active,
+            Phase::Yielded { .. } => Mastery::Yielded,
+        }
+    }
+
+    pub fn is_active(&self) -> bool {
+        matches!(self.phase, Phase::Active { .. })
+    }
+
+    /// How it follows another, unless it gives the time itself.
+    pub fn follower(&self) -> Option<&Slave> {
+        (!self.is_active()).then_some(&self.follower)
+    }
+
+    /// How it follows another, unless it gives the time itself.
+    pub fn follower_mut(&mut self) -> Option<&mut Slave> {
+        if self.is_active() { None } else { Some(&mut self.follower) }
+    }
+
+    /// How far it is with the time.
+    pub fn state(&self) -> SyncState {
+        self.follower().map_or(SyncState::Locked, Slave::state)
+    }
+
+    /// Time has passed. Who has no slot cannot calibrate, and does without. `true` when a grid of its own has begun.
+    pub fn on_timeout(&mut self, now: Instant, has_slots: bool, events: &mut Events) -> bool {
+        let listen = (self.config.cycle * LISTEN_CYCLES).max(LISTEN_AT_LEAST);
+        match self.phase {
+            Phase::Attached => self.phase = Phase::Listening { until: now + listen },
+            Phase::Listening { until } if now >= until => return self.speak(now, events),
+            Phase::Following => {
+                self.follower.on_timeout(now, events);
+                if self.follower.state() == SyncState::Lost {
+                    self.phase = Phase::Listening { until: now + listen };
+                } else if self.has_followed(has_slots) {
+                    self.is_ready(events);
+                }
             }
-            Phase::Listening { until } if now >= until => {
-                self.phase = Phase::Active { line: self.grid(now) };
-                true
-            }
+            Phase::StandBy { .. } => self.follower.on_timeout(now, events),
+            _ => {}
+        }
+        false
+    }
+
+    /// There is nobody else. What was followed goes on, if there was something; else a grid of its own begins: `true`.
+    fn speak(&mut self, now: Instant, events: &mut Events) -> bool {
+        let followed = self.follower.line().copied();
+        let MasterConfig { cycle: period, epoch: offset, resume, .. } = self.config;
+        let known = followed.unwrap_or_else(|| {
+            let (cycle, sched) = resume.unwrap_or((0, offset.global(now)));
+            TimeLine { cycle, start: offset.local(sched), sched, period, offset, drift: Drift::NONE }
+        });
+        let gone = (now - known.start).nanos().div_euclid(known.period.nanos());
+        let cycle = known.cycle.wrapping_add(gone as u32);
+        self.begin(&known, cycle);
+        events.note(cycle.wrapping_add(1), EventKind::MasterActive, Span::ZERO);
+        followed.is_none()
+    }
+
+    /// Gives the time on this line from now on; `cycle` was the last that has begun. Of a new grid that is cycle 0,
+    /// without a Synchronisation; the first carries cycle 1, as RTnet's does.
+    fn begin(&mut self, line: &TimeLine, cycle: u32) {
+        let (start, sched) = (line.start_of(cycle), line.sched_of(cycle));
+        let offset = Offset::between(start, sched);
+        let line = TimeLine { cycle, start, sched, period: line.period, offset, drift: Drift::NONE };
+        self.phase = Phase::Active { line };
+        (self.late_in_row, self.rival) = (0, None);
+    }
+
+    fn has_followed(&self, has_slots: bool) -> bool {
+        match self.follower.state() {
+            SyncState::Locked => true,
+            SyncState::Calibrating => !has_slots && self.follower.line().is_some(),
             _ => false,
         }
     }
 
-    /// Of a new grid cycle 0 begins now, without a Synchronisation; the first carries cycle 1, as RTnet's does. Of
-    /// one that is gone on with, the next cycle is the first to be told of.
-    fn grid(&self, now: Instant) -> TimeLine {
-        let MasterConfig { cycle: period, epoch: offset, resume, .. } = self.config;
-        let (cycle, sched) = resume.unwrap_or((0, offset.global(now)));
-        let known = TimeLine { cycle, start: offset.local(sched), sched, period, offset, drift: Drift::NONE };
-        let gone = (now - known.start).nanos().div_euclid(period.nanos());
-        let cycle = cycle.wrapping_add(gone as u32);
-        TimeLine { cycle, start: known.start_of(cycle), sched: known.sched_of(cycle), ..known }
+    /// It follows as well as can be: a backup stands by, and a primary takes its place back from one.
+    fn is_ready(&mut self, events: &mut Events) {
+        let Some(line) = self.follower.line().copied() else { return };
+        if self.config.backup.is_some() {
+            self.phase = Phase::StandBy { passed: line.cycle };
+        } else if self.late_in_row >= LATE_OF_BACKUP && self.outlasted_by != Some(self.follower.master()) {
+            self.begin(&line, line.cycle);
+            events.note(line.cycle.wrapping_add(1), EventKind::MasterActive, Span::ZERO);
+        }
     }
 
-    /// Another master's Synchronisation. Before this one speaks, it yields; `true` when it just did.
-    pub fn on_foreign_sync(&mut self, from: Address) -> bool {
-        let yields = matches!(self.phase, Phase::Attached | Phase::Listening { .. });
-        if yields {
-            self.phase = Phase::Yielded { to: from };
+    /// Another master's Synchronisation of `cycle`, sent `late` after it was scheduled; `true` if it is to be followed.
+    pub fn on_foreign_sync(
+        &mut self,
+        rx: Instant,
+        (from, own): (Address, Address),
+        late: Span,
+        events: &mut Events,
+    ) -> bool {
+        let is_backups = late > self.config.sync_latest;
+        self.late_in_row = if is_backups { self.late_in_row.saturating_add(1) } else { 0 };
+        match self.phase {
+            Phase::Yielded { .. } => return false,
+            Phase::Attached | Phase::Listening { .. } => {
+                let is_taken = self.config.backup.is_none() && !is_backups && self.outlasted_by.is_none();
+                if is_taken && self.follower.line().is_none() {
+                    events.note(0, EventKind::OtherMaster, Span::ZERO);
+                    self.phase = Phase::Yielded { to: from };
+                    return false;
+                }
+                self.phase = Phase::Following;
+            }
+            Phase::Following => {}
+            Phase::StandBy { ref mut passed } => {
+                if let Some(line) = self.follower.line() {
+                    let gone = (rx - line.start + line.period / EARLY_PARTS).nanos();
+                    *passed = line.cycle.wrapping_add(gone.div_euclid(line.period.nanos()) as u32);
+                }
+            }
+            Phase::Active { line } if self.config.backup.is_some() => {
+                self.step_down(line);
+                self.phase = Phase::StandBy { passed: line.cycle.wrapping_add(1) };
+                events.note(line.cycle, EventKind::SteppedDown, Span::ZERO);
+            }
+            Phase::Active { line } => {
+                events.note(line.cycle, EventKind::OtherMaster, late);
+                let rival = self.rival.get_or_insert_with(|| Rival::new(from, rx));
+                rival.heard(from, rx, line.period);
+                if !rival.outlasts(own, is_backups) {
+                    return false;
+                }
+                events.note(line.cycle, EventKind::Yielded, rival.lasted(rx));
+                self.outlasted_by = Some(from);
+                self.follower = Slave::new(self.config.follow);
+                self.replies.clear();
+                self.phase = Phase::Following;
+            }
         }
-        yields
+        true
+    }
+
+    /// What others tell is compared with the line on which this one gave the time.
+    fn step_down(&mut self, line: TimeLine) {
+        self.follower.resume(line);
+        self.replies.clear();
     }
 
     /// A calibration request, received at `rx`.
@@ -130,25 +302,14 @@ impl Master {
         offset: u64,
     ) -> Result<(), Refusal> {
         let Phase::Active { line } = &self.phase else { return Err(Refusal::NotMaster) };
-        if offset >= line.period.nanos() as u64 || line.ahead(cycle) > MAX_REPLY_AHEAD as i32 {
-            return Err(Refusal::ReplyImplausible);
-        }
-        let at = line.start_of(cycle) + Span::from_nanos(offset as i64);
-        if at < rx {
-            return Err(Refusal::ReplyOverdue);
-        }
-        // The reply is asked for in the slot's next use.
-        let asked_in = line.ahead(cycle) - ((rx - line.start).nanos().div_euclid(line.period.nanos())) as i32;
-        let period = asked_in.max(1) as u32;
-        let reply = Reply { at, to: from, cycle, request_xmit, reception: rx, period, put_off: 0 };
-        self.replies.try_push(reply).map_err(|_| Refusal::ReplyBacklog)
+        self.replies.ask(line, rx, from, request_xmit, cycle, offset)
     }
 
-    /// The line of the grid, anchored at the last cycle that was begun.
+    /// The line of the grid, anchored at the last cycle that was begun, or the line that is followed.
     pub fn line(&self) -> Option<&TimeLine> {
         match &self.phase {
             Phase::Active { line } => Some(line),
-            _ => None,
+            _ => self.follower.line(),
         }
     }
 
@@ -160,163 +321,74 @@ impl Master {
         }
     }
 
-    /// When to wake while nothing can be sent yet.
+    /// When to wake next whatever is to be sent.
     pub fn deadline(&self) -> Option<Instant> {
         match self.phase {
             Phase::Attached => Some(Instant::default()),
             Phase::Listening { until } => Some(until),
-            _ => None,
+            Phase::Following | Phase::StandBy { .. } => self.follower.deadline(),
+            Phase::Active { .. } | Phase::Yielded { .. } => None,
         }
     }
 
-    /// The next Synchronisation: its cycle, instant and global time.
+    /// The next Synchronisation: its cycle, instant and global time. A backup's is sent only if nobody else's was heard
+    /// by then.
     pub fn next_sync(&self) -> Option<(u32, Instant, GlobalTime)> {
         let line = self.line()?;
-        let cycle = line.cycle.wrapping_add(1);
-        Some((cycle, line.start_of(cycle), line.sched_of(cycle)))
+        let begun = match self.phase {
+            Phase::Active { line } => line.cycle,
+            // Whichever is later.
+            Phase::StandBy { passed } if line.ahead(passed) > 0 => passed,
+            Phase::StandBy { .. } => line.cycle,
+            _ => return None,
+        };
+        let cycle = begun.wrapping_add(1);
+        let at = line.start_of(cycle) + self.config.backup.unwrap_or(Span::ZERO);
+        Some((cycle, at, line.sched_of(cycle)))
+    }
+
+    /// From this station's clock to global time.
+    pub fn epoch(&self) -> Offset {
+        self.line().map_or(self.config.epoch, |line| line.offset)
     }
 
     /// The next cycle has begun, with or without its Synchronisation.
     pub fn advance(&mut self) {
-        if let Phase::Active { line } = &mut self.phase {
-            let cycle = line.cycle.wrapping_add(1);
-            *line = TimeLine { cycle, start: line.start_of(cycle), sched: line.sched_of(cycle), ..*line };
+        let Some((cycle, ..)) = self.next_sync() else { return };
+        match &mut self.phase {
+            Phase::Active { line } => {
+                *line = TimeLine { cycle, start: line.start_of(cycle), sched: line.sched_of(cycle), ..*line };
+            }
+            Phase::StandBy { passed } => *passed = cycle,
+            _ => {}
         }
     }
 
-    /// The reply whose instant is first.
-    pub fn next_reply(&self) -> Option<&Reply> {
-        self.replies.iter().min_by_key(|reply| reply.at)
+    /// Its Synchronisation of a cycle has left: a backup that stood by has taken over.
+    pub fn sent(&mut self, cycle: u32, events: &mut Events) {
+        if let (Phase::StandBy { .. }, Some(line)) = (self.phase, self.follower.line().copied()) {
+            self.begin(&line, cycle);
+            events.note(cycle, EventKind::TookOver, self.config.backup.unwrap_or(Span::ZERO));
+        }
+    }
+
+    pub fn replies(&self) -> &Replies {
+        &self.replies
     }
 
     /// Takes the reply whose instant is first.
     pub fn take_reply(&mut self) -> Option<Reply> {
-        let first = self.next_reply().copied()?;
-        self.replies.retain(|reply| *reply != first);
-        self.taken = Some(first);
-        Some(first)
+        self.replies.take()
     }
 
-    /// The reply that was taken came too late: it goes into the slave's slot two uses later. In the next,
-    /// a slave that repeats its request sends; two later it is silent again. `false` when it is given up.
+    /// The reply that was taken came too late; `false` when it is given up.
     pub fn put_off(&mut self) -> bool {
-        let (Some(late), Phase::Active { line }) = (self.taken.take(), &self.phase) else { return false };
-        let cycles = late.period * 2;
-        let later = Reply {
-            at: late.at + line.period * i64::from(cycles),
-            cycle: late.cycle.wrapping_add(cycles),
-            put_off: late.put_off + 1,
-            ..late
-        };
-        late.put_off < PUT_OFF_AT_MOST && self.replies.try_push(later).is_ok()
+        match &self.phase {
+            Phase::Active { line } => self.replies.put_off(line),
+            _ => false,
+        }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const A: Address = Address([2, 0, 0, 0, 0, 9]);
-
-    fn at(micros: u64) -> Instant {
-        Instant::from_nanos(micros * 1_000)
-    }
-
-    fn master() -> Master {
-        let (sync_latest, reply_latest) = (Span::from_micros(40), Span::from_micros(40));
-        let epoch = Offset::between(at(0), GlobalTime::from_nanos(u64::MAX - 4_999_999));
-        let cycle = Span::from_millis(1);
-        Master::new(MasterConfig { cycle, sync_latest, reply_latest, epoch, resume: None })
-    }
-
-    fn active() -> Master {
-        let mut master = master();
-        assert!(!master.on_timeout(at(0)));
-        assert!(!master.on_timeout(at(2_999)));
-        assert!(master.on_timeout(at(3_000)));
-        master
-    }
-
-    #[test]
-    fn the_first_synchronisation_carries_cycle_1_one_period_after_the_silence() {
-        let (cycle, start, sched) = active().next_sync().unwrap();
-        assert_eq!((cycle, start), (1, at(4_000)));
-        assert_eq!(sched.nanos(), u64::MAX - 999_999, "global time is the epoch's, modulo 2^64");
-    }
-
-    #[test]
-    fn a_grid_that_is_gone_on_with_keeps_its_numbers_and_its_instants() {
-        let mut master = master();
-        let MasterConfig { epoch, .. } = master.config;
-        // Its predecessor's cycle u32::MAX was to begin at 1.2 ms on this clock.
-        master.config.resume = Some((u32::MAX, epoch.global(at(1_200))));
-        master.on_timeout(at(0));
-        assert!(master.on_timeout(at(3_300)));
-        let (cycle, start, sched) = master.next_sync().unwrap();
-        assert_eq!((cycle, start), (2, at(4_200)));
-        assert_eq!(sched, epoch.global(at(4_200)));
-    }
-
-    #[test]
-    fn global_time_wraps_without_a_jump() {
-        let mut master = active();
-        master.advance();
-        assert_eq!(master.next_sync().unwrap().2.nanos(), 0);
-    }
-
-    #[test]
-    fn every_phase_answers_every_event() {
-        let foreign_while = |mut master: Master| (master.on_foreign_sync(A), master.yielded_to());
-        assert_eq!(foreign_while(master()), (true, Some(A)), "attached");
-        let mut listening = master();
-        listening.on_timeout(at(0));
-        assert_eq!(foreign_while(listening), (true, Some(A)), "listening");
-        assert_eq!(foreign_while(active()), (false, None), "active: its line is not re-timed");
-        let mut yielded = master();
-        yielded.on_foreign_sync(A);
-        assert!(!yielded.on_timeout(at(99_000)), "yielded for good");
-        assert_eq!(yielded.on_request(at(0), A, 0, 1, 0), Err(Refusal::NotMaster));
-        assert_eq!((yielded.deadline(), yielded.next_sync()), (None, None));
-    }
-
-    #[test]
-    fn requests_are_answered_in_the_order_of_their_instants() {
-        let mut master = active();
-        master.on_request(at(3_500), A, 1, 3, 200_000).unwrap();
-        master.on_request(at(3_600), A, 2, 2, 700_000).unwrap();
-        assert_eq!(master.next_reply().unwrap().at, at(5_700));
-        assert_eq!(master.take_reply().unwrap().request_xmit, 2);
-        assert_eq!(master.take_reply().unwrap().at, at(6_200));
-        assert_eq!(master.take_reply(), None);
-    }
-
-    #[test]
-    fn a_late_reply_is_put_off_by_two_uses_of_the_slot_and_given_up_at_last() {
-        let mut master = active();
-        master.advance();
-        // Asked in cycle 1 for cycle 4: a slot that is used in every third.
-        master.on_request(at(4_400), A, 7, 4, 400_000).unwrap();
-        assert_eq!(master.take_reply().unwrap().at, at(7_400));
-        assert!(master.put_off());
-        let later = *master.next_reply().unwrap();
-        assert_eq!((later.at, later.cycle, later.request_xmit), (at(13_400), 10, 7));
-        assert!(!master.put_off(), "only what was taken");
-        let times = (0..).take_while(|_| master.take_reply().is_some() && master.put_off()).count();
-        assert_eq!(times, usize::from(PUT_OFF_AT_MOST) - 1);
-    }
-
-    #[test]
-    fn impossible_requests_are_refused_by_reason() {
-        let mut master = active();
-        let mut ask = |cycle, offset| master.on_request(at(3_500), A, 0, cycle, offset);
-        assert_eq!(ask(0, 400_000), Err(Refusal::ReplyOverdue));
-        assert_eq!(ask(u32::MAX, 0), Err(Refusal::ReplyOverdue));
-        assert_eq!(ask(2_000, 0), Err(Refusal::ReplyImplausible));
-        assert_eq!(ask(2, 1_000_000), Err(Refusal::ReplyImplausible));
-        assert_eq!(ask(2, u64::MAX), Err(Refusal::ReplyImplausible));
-        for _ in 0..MAX_PENDING_REPLIES {
-            assert_eq!(ask(2, 0), Ok(()));
-        }
-        assert_eq!(ask(2, 0), Err(Refusal::ReplyBacklog));
-    }
-}
+mod tests;

@@ -5,6 +5,7 @@
 //! ```text
 //! job          whose    when                       what
 //! Sync         master   start of each cycle        tells cycle number and time
+//!              backup   later, if it is missing    the same
 //! Reply        master   where a slave asked        answers a calibration request
 //! Request      slave    its first slot             asks, until calibrated; then silent for the reply
 //! Data         both     its slots                  the most urgent frame of the slot's queue
@@ -25,6 +26,8 @@ mod mark;
 mod master;
 mod rate;
 mod receive;
+mod replies;
+mod rival;
 mod round;
 pub mod schedule;
 mod slave;
@@ -52,7 +55,8 @@ use job::{Job, Pending};
 pub use line::TimeLine;
 pub use mark::held_up_at_most;
 use master::Master;
-pub use master::{MAX_PENDING_REPLIES, MAX_REPLY_AHEAD, MasterConfig};
+pub use master::{MasterConfig, Mastery};
+pub use replies::{MAX_PENDING_REPLIES, MAX_REPLY_AHEAD};
 use slave::Slave;
 pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
 use slot::Slots;
@@ -83,6 +87,25 @@ enum Role {
     Master(Master),
     Slave(Slave),
     Detached,
+}
+
+impl Role {
+    /// Who follows a master: a slave, or a master that does not give the time itself.
+    fn follower(&self) -> Option<&Slave> {
+        match self {
+            Role::Master(master) => master.follower(),
+            Role::Slave(slave) => Some(slave),
+            Role::Detached => None,
+        }
+    }
+
+    fn follower_mut(&mut self) -> Option<&mut Slave> {
+        match self {
+            Role::Master(master) => master.follower_mut(),
+            Role::Slave(slave) => Some(slave),
+            Role::Detached => None,
+        }
+    }
 }
 
 impl Tdma {
@@ -125,6 +148,10 @@ impl Tdma {
         }
     }
 
+    fn follower(&self) -> Option<&Slave> {
+        self.role.follower()
+    }
+
     /// The cycle that it is now, by the line; 0 without one.
     fn cycle_at(&self, now: Instant) -> u32 {
         self.line().map_or(0, |line| {
@@ -162,16 +189,17 @@ impl Tdma {
         match (job, &mut self.role) {
             (Job::Sync { cycle, sched, .. }, Role::Master(master)) => {
                 let sync = Message::Sync { cycle, xmit: GlobalTime::default(), sched };
-                Some((sync, Address::BROADCAST, master.config().epoch.nanos()))
+                Some((sync, Address::BROADCAST, master.epoch().nanos()))
             }
             (Job::Reply { .. }, Role::Master(master)) => {
-                let asked = master.next_reply()?;
+                let asked = master.replies().next()?;
                 // By the clock of its Synchronisations, as a real master's are: slaves compare the two.
-                let epoch = master.config().epoch;
+                let epoch = master.epoch();
                 let (request_xmit, reception) = (asked.request_xmit, epoch.global(asked.reception).nanos());
                 Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, epoch.nanos()))
             }
-            (Job::Request(turn), Role::Slave(slave)) => {
+            (Job::Request(turn), role) => {
+                let slave = role.follower_mut()?;
                 if !slave.calibration_mut().begin_round() {
                     self.counters.calibration_timeouts += 1;
                     self.events.note(turn.cycle, EventKind::CalibrationTimeout, Span::ZERO);
@@ -216,11 +244,12 @@ impl Discipline for Tdma {
     fn on_timeout(&mut self, now: Instant) {
         match &mut self.role {
             Role::Master(master) => {
-                if master.on_timeout(now)
-                    && let (Some(line), Some((cycle, start, sched))) = (master.line(), master.next_sync())
+                let has_slots = self.slots.first().is_some();
+                if master.on_timeout(now, has_slots, &mut self.events)
+                    && let (Some(line), Some((cycle, ..))) = (master.line(), master.next_sync())
                 {
+                    let (start, sched) = (line.start_of(cycle), line.sched_of(cycle));
                     self.slots.align(&TimeLine { cycle, start, sched, ..*line }, now);
-                    self.events.note(cycle, EventKind::MasterActive, Span::ZERO);
                 }
             }
             Role::Slave(slave) => {
@@ -308,15 +337,15 @@ impl Discipline for Tdma {
             Role::Slave(slave) => slave.deadline(),
             Role::Detached => None,
         };
-        let job = self.next_job().map(|job| job.at() - self.lead);
+        let job = self.next_job().map(|job| job.chosen_at(self.lead));
         role.into_iter().chain(job).min()
     }
 
     fn time(&self) -> TimeView {
         let state = match &self.role {
-            Role::Master(master) if master.line().is_some() => SyncState::Locked,
-            Role::Master(_) | Role::Detached => SyncState::Waiting,
+            Role::Master(master) => master.state(),
             Role::Slave(slave) => slave.state(),
+            Role::Detached => SyncState::Waiting,
         };
         let line = self.line();
         TimeView {
@@ -399,20 +428,24 @@ impl Tdma {
 
     fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
         match (job, &mut self.role) {
-            (Job::Sync { .. }, _) => self.counters.syncs_sent += 1,
+            (Job::Sync { cycle, .. }, role) => {
+                self.counters.syncs_sent += 1;
+                if let Role::Master(master) = role {
+                    master.sent(*cycle, &mut self.events);
+                }
+            }
             (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
             (Job::Data(turn), _) => {
                 self.counters.frames_sent += 1;
                 self.slots.count_sent(turn.id);
             }
-            (Job::Request(_), Role::Slave(slave)) => {
+            (Job::Request(_), role) => {
                 self.counters.requests_sent += 1;
                 // A request that was held up would measure the hold-up: its reply is not awaited.
-                if let Some(stamped) = stamped {
+                if let (Some(slave), Some(stamped)) = (role.follower_mut(), stamped) {
                     slave.calibration_mut().sent(stamped);
                 }
             }
-            (Job::Request(_), Role::Master(_) | Role::Detached) => {}
         }
     }
 }

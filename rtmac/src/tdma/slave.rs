@@ -61,7 +61,7 @@ pub struct Slave {
     /// Who sent the last Synchronisation, and the last that was followed.
     master: Address,
     line_of: Address,
-    /// A cycle whose number came twice.
+    /// A cycle whose number came twice, and not as from a backup.
     doubted: Option<u32>,
     deviation: Span,
     /// Cycles since the line's last Synchronisation.
@@ -137,7 +137,10 @@ impl Slave {
             },
             Track::On { line, step } => {
                 if cycle == line.cycle || step.is_some_and(|step| step.mark.cycle == cycle) {
-                    self.doubted = Some(cycle);
+                    // A backup that has not heard its master says the same as that.
+                    if from == self.master || !mark.repeats(line, self.step_limit) {
+                        self.doubted = Some(cycle);
+                    }
                     events.note(cycle, EventKind::DuplicateCycle, mark.deviation_from(line));
                     return Err(Refusal::DuplicateCycle);
                 }
@@ -215,6 +218,20 @@ impl Slave {
             self.settle(cycle, events);
         }
         Ok(true)
+    }
+
+    /// This station gave the time itself, on this line, and follows from now on whoever does. A delay that is known
+    /// stays.
+    pub fn resume(&mut self, line: TimeLine) {
+        self.track = Track::On { line, step: None };
+        self.envelope.restart();
+        self.calibration.leave_line();
+        (self.master, self.line_of) = (Address::BROADCAST, Address::BROADCAST);
+        (self.doubted, self.missing) = (None, 0);
+        self.state = match self.calibration.delay() {
+            None => SyncState::Calibrating,
+            Some(_) => SyncState::Locked,
+        };
     }
 
     /// Time has passed: Synchronisations may be missing.

@@ -4,6 +4,7 @@ use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::master::{Master, Mastery};
 use super::slot::SlotStatus;
 use super::{Role, Tdma};
 
@@ -76,6 +77,8 @@ impl Counters {
 pub enum RoleName {
     /// Gives the time.
     Master,
+    /// Gives it when the master does not.
+    Backup,
     /// Follows it.
     Slave,
     /// Takes no part in the cycle.
@@ -87,6 +90,7 @@ impl RoleName {
     pub const fn name(self) -> &'static str {
         match self {
             RoleName::Master => "master",
+            RoleName::Backup => "backup",
             RoleName::Slave => "slave",
             RoleName::Detached => "detached",
         }
@@ -119,6 +123,8 @@ pub struct TdmaStatus {
     pub settled: bool,
     /// Calibration requests that had no answer and were repeated.
     pub calibration_repeats: u64,
+    /// What a master or a backup is doing.
+    pub mastery: Option<Mastery>,
     /// The other master that kept this one from speaking.
     pub yielded_to: Option<Address>,
     /// Events that found the log full.
@@ -133,15 +139,16 @@ impl TdmaStatus {
     pub(super) fn of(tdma: &Tdma) -> Self {
         let line = tdma.line();
         let time = tdma.time();
-        let (master, slave) = match &tdma.role {
-            Role::Master(master) => (Some(master), None),
-            Role::Slave(slave) => (None, Some(slave)),
-            Role::Detached => (None, None),
+        let slave = tdma.follower();
+        let master = match &tdma.role {
+            Role::Master(master) => Some(master),
+            _ => None,
         };
         let mut shown = tdma.slots.statuses();
         let returned_dropped = tdma.counters.returned_dropped + tdma.slots.dropped();
         Self {
             role: match tdma.role {
+                Role::Master(ref master) if master.config().backup.is_some() => RoleName::Backup,
                 Role::Master(_) => RoleName::Master,
                 Role::Slave(_) => RoleName::Slave,
                 Role::Detached => RoleName::Detached,
@@ -155,6 +162,7 @@ impl TdmaStatus {
             drift_ppb: slave.and_then(|slave| slave.drift_ppb()),
             settled: slave.map_or(time.state == SyncState::Locked, |slave| slave.is_settled()),
             calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
+            mastery: master.map(Master::mastery),
             yielded_to: master.and_then(|master| master.yielded_to()),
             events_lost: tdma.events.lost(),
             slots: core::array::from_fn(|_| shown.next()),

@@ -19,6 +19,8 @@ fn master_config() -> MasterConfig {
         reply_latest: late,
         epoch: Default::default(),
         resume: None,
+        backup: None,
+        follow: SlaveConfig { rounds: 0, step_limit: None },
     }
 }
 
@@ -439,4 +441,18 @@ fn a_calibration_reply_that_the_guard_drops_is_put_off() {
         is_reply.then_some(next.at)
     });
     assert_eq!(again, Some(at(9_100)), "two uses of the slot later");
+}
+
+#[test]
+fn what_cannot_be_of_a_backup_is_refused() {
+    let refused = |backup: u64, offset: u64| {
+        let backup = MasterConfig { backup: Some(Span::from_micros(backup as i64)), ..master_config() };
+        let mut config = config(RoleConfig::Master(backup));
+        config.slots[0].offset = Span::from_micros(offset as i64);
+        Tdma::new(&config).err()
+    };
+    assert_eq!(refused(100, 140), None);
+    assert!(matches!(refused(100, 139), Some(Refused::BeforeBackup { id: 0, .. })));
+    assert!(matches!(refused(40, 400), Some(Refused::Backup { .. })), "the primary may still send");
+    assert!(matches!(refused(960, 400), Some(Refused::Backup { .. })), "of the next cycle");
 }

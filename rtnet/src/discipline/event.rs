@@ -45,7 +45,7 @@ pub enum EventKind {
     SyncDropped,
     /// A Synchronisation disagrees with the time line by so much.
     TimeStep,
-    /// A cycle number came twice; this station stays silent in that cycle.
+    /// A cycle number came twice; this station stays silent in that cycle, unless another master said the same.
     DuplicateCycle,
     /// A Synchronisation is missing; the cycle is bridged.
     Holdover,
@@ -63,11 +63,17 @@ pub enum EventKind {
     OtherMaster,
     /// This station is the active master from this cycle on.
     MasterActive,
+    /// A backup has sent the Synchronisation that was missing, so long after its cycle's start.
+    TookOver,
+    /// A backup that gave the time has heard another master, and stands by again.
+    SteppedDown,
+    /// A primary makes way for another one, which it has heard for so long.
+    Yielded,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 22] = [
+    pub const ALL: [EventKind; 25] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -90,6 +96,9 @@ impl EventKind {
         EventKind::CalibrationTimeout,
         EventKind::OtherMaster,
         EventKind::MasterActive,
+        EventKind::TookOver,
+        EventKind::SteppedDown,
+        EventKind::Yielded,
     ];
 
     /// Whether a slot or a Synchronisation was missed by it, or a frame was late.
@@ -150,6 +159,9 @@ impl EventKind {
             EventKind::CalibrationTimeout => "calibration_timeout",
             EventKind::OtherMaster => "other_master",
             EventKind::MasterActive => "master_active",
+            EventKind::TookOver => "took_over",
+            EventKind::SteppedDown => "stepped_down",
+            EventKind::Yielded => "yielded",
         }
     }
 }

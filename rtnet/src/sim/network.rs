@@ -41,6 +41,8 @@ pub struct Network<D: Discipline> {
     now: True,
     traffic: Traffic,
     observer: Option<Observer>,
+    /// Who is on the other side of a cut.
+    cut_off: Vec<StationId>,
 }
 
 type Observer = Box<dyn FnMut(&Aired<'_>)>;
@@ -80,6 +82,7 @@ impl<D: Discipline> Network<D> {
             now: 0,
             traffic: Traffic::default(),
             observer: None,
+            cut_off: Vec::new(),
         }
     }
 
@@ -122,6 +125,11 @@ impl<D: Discipline> Network<D> {
     /// Stops a station as a crash would: it sends nothing more and hears nothing more.
     pub fn stop(&mut self, id: StationId) {
         self.members[id].stopped = true;
+    }
+
+    /// Cuts the medium: these stations hear each other, and the others each other. None: it is whole again.
+    pub fn cut_off(&mut self, stations: &[StationId]) {
+        self.cut_off = stations.to_vec();
     }
 
     /// Puts a foreign frame on the medium now, as a station outside the network would.
@@ -220,6 +228,10 @@ impl<D: Discipline> Network<D> {
         for (to, seat) in self.members.iter_mut().enumerate() {
             let addressed = header.destination.is_group() || header.destination == seat.member.address;
             if to == from || !addressed || seat.stopped {
+                continue;
+            }
+            if self.cut_off.contains(&to) != self.cut_off.contains(&from) {
+                self.traffic.lost += 1;
                 continue;
             }
             if !self.medium.hears(frame, &mut self.random) {

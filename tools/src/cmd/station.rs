@@ -57,6 +57,8 @@ pub fn station(args: &StationArgs) -> Result<u8, Failure> {
 fn options(args: &StationArgs) -> anyhow::Result<Options> {
     let lab: Option<LabOptions> =
         args.lab.as_deref().map(serde_json::from_str).transpose().context("--lab is set by a lab only")?;
+    let step_limit = lab.as_ref().map(|lab| Span::from_nanos(lab.step_limit_ns));
+    let follow = SlaveConfig { rounds: args.rounds, step_limit };
     let role = match args.cycle.filter(|_| args.master) {
         Some(cycle) => {
             let window = sync_window(args, cycle);
@@ -69,12 +71,11 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
                     None => station::epoch(&EmulatedClock::default()),
                 },
                 resume: lab.as_ref().and_then(LabOptions::resume),
+                backup: args.backup,
+                follow,
             })
         }
-        None => RoleConfig::Slave(SlaveConfig {
-            rounds: args.rounds,
-            step_limit: lab.as_ref().map(|lab| Span::from_nanos(lab.step_limit_ns)),
-        }),
+        None => RoleConfig::Slave(follow),
     };
     let slots = args.slots.iter().map(|slot| slot.over(None).config(args.latest));
     let tdma = TdmaConfig {

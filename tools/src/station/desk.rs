@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotConfig, SlotStatus, Tdma,
-    TdmaCommand, TdmaStatus,
+    DEFAULT_ROUNDS, MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotConfig,
+    SlotStatus, Tdma, TdmaCommand, TdmaStatus,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, SyncState};
@@ -250,6 +250,8 @@ impl Desk {
                     reply_latest: self.latest,
                     epoch: self.epoch(),
                     resume: None,
+                    backup: None,
+                    follow: SlaveConfig { rounds: DEFAULT_ROUNDS, step_limit: self.step_limit },
                 }))
             }
         }

@@ -221,6 +221,24 @@ fn a_repeated_cycle_is_refused_and_silences_itself() {
 }
 
 #[test]
+fn a_backup_that_has_not_heard_its_master_says_the_same_and_silences_nothing() {
+    let backup = Address([2, 0, 0, 0, 0, 7]);
+    let repeated = |xmit_late: i64, sched_off: i64| {
+        let mut bench = Bench::in_state(SyncState::Locked);
+        bench.hear(3, 0).unwrap();
+        let (sched, late) = (3 * PERIOD + AHEAD, Span::from_nanos(xmit_late));
+        let sched = GlobalTime::from_nanos(sched) + Span::from_nanos(sched_off);
+        let rx = Instant::from_nanos(3 * PERIOD) + late;
+        let refused = bench.slave.on_sync(rx, backup, 3, sched + late, sched, &mut bench.events);
+        assert_eq!(refused, Err(Refusal::DuplicateCycle));
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), 3 * PERIOD, "nothing moves");
+        bench.slave.may_send(3)
+    };
+    assert!(repeated(200_000, 0));
+    assert!(!repeated(200_000, 1_000), "of another grid");
+}
+
+#[test]
 fn a_restarted_master_with_small_numbers_is_followed() {
     let mut bench = Bench::new(0);
     for cycle in 5_000..5_003 {

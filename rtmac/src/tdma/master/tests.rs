@@ -1,0 +1,268 @@
+use super::*;
+use crate::tdma::mark::held_up_at_most;
+
+const OWN: Address = Address([2, 0, 0, 0, 0, 5]);
+const LOWER: Address = Address([2, 0, 0, 0, 0, 1]);
+const HIGHER: Address = Address([2, 0, 0, 0, 0, 9]);
+/// When a primary sends, and when a backup, after the cycle's start.
+const PROMPT: Span = Span::from_micros(5);
+const LATE: Span = Span::from_micros(205);
+const BACKUP: Span = Span::from_micros(200);
+
+fn at(micros: u64) -> Instant {
+    Instant::from_nanos(micros * 1_000)
+}
+
+/// A master with the log that it tells.
+struct Bench {
+    master: Master,
+    events: Events,
+}
+
+impl Bench {
+    fn new(backup: Option<Span>) -> Self {
+        let (sync_latest, reply_latest) = (Span::from_micros(40), Span::from_micros(40));
+        let epoch = Offset::between(at(0), GlobalTime::from_nanos(u64::MAX - 4_999_999));
+        let (cycle, follow) = (Span::from_millis(1), SlaveConfig { rounds: 0, step_limit: None });
+        let config = MasterConfig { cycle, sync_latest, reply_latest, epoch, resume: None, backup, follow };
+        Self { master: Master::new(config), events: Events::new() }
+    }
+
+    fn wait_until(&mut self, now: Instant) -> bool {
+        self.master.on_timeout(now, true, &mut self.events)
+    }
+
+    /// Another master's Synchronisation of `cycle`, whose grid is this one's clock; whether it is followed.
+    fn hear(&mut self, from: Address, cycle: u32, late: Span) -> bool {
+        let rx = at(u64::from(cycle) * 1_000) + late;
+        let followed = self.master.on_foreign_sync(rx, (from, OWN), late, &mut self.events);
+        if let Some(follower) = self.master.follower_mut().filter(|_| followed) {
+            let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+            let _ = follower.on_sync(rx, from, cycle, sched + late, sched, &mut self.events);
+        }
+        followed
+    }
+
+    fn told(&mut self) -> Vec<EventKind> {
+        core::iter::from_fn(|| self.events.take()).map(|event| event.kind).collect()
+    }
+
+    /// It has listened since 0, and speaks since 3 ms.
+    fn active(backup: Option<Span>) -> Self {
+        let mut bench = Self::new(backup);
+        assert!(!bench.wait_until(at(0)));
+        assert!(!bench.wait_until(at(2_999)));
+        assert!(bench.wait_until(at(3_000)));
+        assert_eq!(bench.told(), [EventKind::MasterActive]);
+        bench
+    }
+
+    /// It has heard cycles 1 and 2 of a primary, or of a backup.
+    fn following(backup: Option<Span>, late: Span) -> Self {
+        let mut bench = Self::new(backup);
+        bench.wait_until(at(500));
+        assert!(bench.hear(LOWER, 1, late) && bench.hear(LOWER, 2, late));
+        bench.told();
+        bench
+    }
+
+    fn stand_by() -> Self {
+        let mut bench = Self::following(Some(BACKUP), PROMPT);
+        bench.wait_until(at(2_300));
+        assert_eq!(bench.master.mastery(), Mastery::StandBy);
+        bench
+    }
+}
+
+#[test]
+fn the_first_synchronisation_carries_cycle_1_one_period_after_the_silence() {
+    let (cycle, start, sched) = Bench::active(None).master.next_sync().unwrap();
+    assert_eq!((cycle, start), (1, at(4_000)));
+    assert_eq!(sched.nanos(), u64::MAX - 999_999, "global time is the epoch's, modulo 2^64");
+    let (cycle, start, _) = Bench::active(Some(BACKUP)).master.next_sync().unwrap();
+    assert_eq!((cycle, start), (1, at(4_200)), "a backup's comes as late as if it took over");
+}
+
+#[test]
+fn a_grid_that_is_gone_on_with_keeps_its_numbers_and_its_instants() {
+    let mut bench = Bench::new(None);
+    let MasterConfig { epoch, .. } = bench.master.config;
+    // Its predecessor's cycle u32::MAX was to begin at 1.2 ms on this clock.
+    bench.master.config.resume = Some((u32::MAX, epoch.global(at(1_200))));
+    bench.wait_until(at(0));
+    assert!(bench.wait_until(at(3_300)));
+    let (cycle, start, sched) = bench.master.next_sync().unwrap();
+    assert_eq!((cycle, start), (2, at(4_200)));
+    assert_eq!(sched, epoch.global(at(4_200)));
+}
+
+#[test]
+fn global_time_wraps_without_a_jump() {
+    let mut bench = Bench::active(None);
+    bench.master.advance();
+    assert_eq!(bench.master.next_sync().unwrap().2.nanos(), 0);
+}
+
+/// Every phase of a primary and of a backup, and what becomes of it: after a primary's sync, a backup's, and silence.
+#[test]
+fn every_phase_answers_every_event() {
+    use Mastery::*;
+    let attached = |backup| Bench::new(backup);
+    let listening = |backup| {
+        let mut bench = Bench::new(backup);
+        bench.wait_until(at(0));
+        bench
+    };
+    let following = |backup| Bench::following(backup, PROMPT);
+    let yielded = |_| {
+        let mut bench = Bench::new(None);
+        bench.hear(LOWER, 1, PROMPT);
+        bench
+    };
+    let some = Some(BACKUP);
+    type Begin<'a> = &'a dyn Fn(Option<Span>) -> Bench;
+    // By phase: of a primary after (prompt, late, 99 ms), of a backup after the same.
+    let rows: [(Begin<'_>, [Mastery; 6]); 5] = [
+        (&attached, [Yielded, Following, Listening, Following, Following, Listening]),
+        (&listening, [Yielded, Following, Active, Following, Following, Active]),
+        // A primary that follows one that sends in its window does not speak; nobody else: it listens again.
+        (
+            &|backup| if backup.is_none() { Bench::following(None, LATE) } else { following(backup) },
+            [Following, Following, Listening, Following, Following, Listening],
+        ),
+        (&Bench::active, [Active, Active, Active, StandBy, StandBy, Active]),
+        (&yielded, [Yielded, Yielded, Yielded, Yielded, Yielded, Yielded]),
+    ];
+    for (row, (begin, expected)) in rows.into_iter().enumerate() {
+        for (column, expected) in expected.into_iter().enumerate() {
+            let mut bench = begin(if column < 3 { None } else { some });
+            match column % 3 {
+                0 => bench.hear(LOWER, 3, PROMPT),
+                1 => bench.hear(LOWER, 3, LATE),
+                _ => bench.wait_until(at(99_000)),
+            };
+            assert_eq!(bench.master.mastery(), expected, "row {row}, column {column}");
+        }
+    }
+}
+
+#[test]
+fn who_does_not_give_the_time_answers_nobody() {
+    for mut bench in [Bench::new(None), Bench::following(None, LATE), Bench::stand_by()] {
+        assert_eq!(bench.master.on_request(at(2_400), HIGHER, 0, 3, 0), Err(Refusal::NotMaster));
+    }
+    let mut active = Bench::active(Some(BACKUP));
+    assert_eq!(active.master.on_request(at(3_500), HIGHER, 0, 2, 400_000), Ok(()));
+    active.hear(LOWER, 4, PROMPT);
+    assert_eq!(active.master.replies().next(), None, "and what it had promised is for the other to do");
+}
+
+#[test]
+fn a_primary_that_finds_another_never_speaks() {
+    let mut bench = Bench::new(None);
+    assert!(!bench.hear(LOWER, 1, PROMPT));
+    assert!(!bench.wait_until(at(99_000)), "yielded for good");
+    assert_eq!(bench.master.yielded_to(), Some(LOWER));
+    assert_eq!((bench.master.deadline(), bench.master.next_sync()), (None, None));
+    assert_eq!(bench.told(), [EventKind::OtherMaster]);
+}
+
+#[test]
+fn a_backup_takes_over_in_the_cycle_whose_synchronisation_is_missing() {
+    let mut bench = Bench::stand_by();
+    bench.told();
+    let (cycle, start, sched) = bench.master.next_sync().unwrap();
+    assert_eq!((cycle, start, sched.nanos()), (3, at(3_200), 3_000_000), "scheduled as the primary's");
+    bench.hear(LOWER, 3, PROMPT);
+    assert_eq!(bench.master.next_sync().unwrap().0, 4, "there is one");
+    bench.master.advance();
+    bench.master.sent(4, &mut bench.events);
+    assert_eq!(bench.told(), [EventKind::TookOver]);
+    assert_eq!(bench.master.mastery(), Mastery::Active);
+    assert_eq!(bench.master.next_sync().unwrap().1, at(5_200));
+}
+
+#[test]
+fn a_backup_that_was_itself_late_tries_again_in_the_next_cycle() {
+    let mut bench = Bench::stand_by();
+    bench.master.advance();
+    assert_eq!(bench.master.mastery(), Mastery::StandBy, "nothing has left");
+    assert_eq!(bench.master.next_sync().unwrap().0, 4);
+}
+
+#[test]
+fn any_synchronisation_of_a_cycle_keeps_a_backup_from_sending_in_it() {
+    // One that does not agree with the line: another grid, or held up.
+    let mut bench = Bench::stand_by();
+    let late = held_up_at_most(Span::from_millis(1)) - PROMPT;
+    let _ = bench.master.on_foreign_sync(at(3_000) + late, (HIGHER, OWN), late, &mut bench.events);
+    assert_eq!(bench.master.next_sync().unwrap().0, 4);
+    let early = at(3_950);
+    let _ = bench.master.on_foreign_sync(early, (HIGHER, OWN), PROMPT, &mut bench.events);
+    assert_eq!(bench.master.next_sync().unwrap().0, 5, "one that is a little early is of the next");
+}
+
+#[test]
+fn an_active_backup_steps_down_for_whoever_sends_and_goes_on_with_the_line() {
+    let mut bench = Bench::active(Some(BACKUP));
+    bench.told();
+    let line = *bench.master.line().unwrap();
+    assert!(bench.hear(HIGHER, 4, PROMPT));
+    assert_eq!(bench.told()[0], EventKind::SteppedDown);
+    assert_eq!(bench.master.line().unwrap().start_of(9), line.start_of(9));
+    assert!(bench.master.next_sync().unwrap().0 > line.cycle.wrapping_add(1), "not in that very cycle");
+}
+
+#[test]
+fn a_primary_that_returns_takes_its_place_from_a_backup_but_not_from_a_primary() {
+    let mut bench = Bench::following(None, LATE);
+    bench.wait_until(at(2_300));
+    assert_eq!(bench.told(), [EventKind::MasterActive]);
+    let (cycle, start, sched) = bench.master.next_sync().unwrap();
+    assert_eq!((cycle, start, sched.nanos()), (3, at(3_000), 3_000_000), "the next of the same line");
+
+    let mut bench = Bench::following(None, LATE);
+    bench.hear(LOWER, 3, PROMPT);
+    bench.wait_until(at(3_300));
+    assert_eq!(bench.master.mastery(), Mastery::Following, "somebody else was quicker");
+}
+
+#[test]
+fn who_has_lost_whom_it_followed_listens_and_goes_on_with_its_line() {
+    let mut bench = Bench::following(None, LATE);
+    bench.hear(LOWER, 3, PROMPT);
+    bench.wait_until(at(5_300));
+    assert_eq!(bench.master.mastery(), Mastery::Listening);
+    assert!(!bench.wait_until(at(8_300)), "no grid of its own");
+    let (cycle, start, sched) = bench.master.next_sync().unwrap();
+    assert_eq!((cycle, start, sched.nanos()), (9, at(9_000), 9_000_000));
+}
+
+#[test]
+fn of_two_primaries_the_one_with_the_lower_address_stays() {
+    let heard = |from: Address| {
+        let mut bench = Bench::active(None);
+        bench.told();
+        let yields = (4..100).position(|cycle| bench.hear(from, cycle, PROMPT)).map(|n| n + 1);
+        (yields, bench)
+    };
+    let (yields, mut bench) = heard(LOWER);
+    assert_eq!(yields, Some(3));
+    assert_eq!(bench.told().last(), Some(&EventKind::Yielded));
+    assert_eq!(heard(HIGHER).0, Some(10), "one that stays for so long does not know that");
+    // It follows, and does not take its place back from whom it yielded to.
+    let (_, mut bench) = heard(LOWER);
+    for cycle in 7..20 {
+        bench.hear(LOWER, cycle, LATE);
+    }
+    bench.wait_until(at(19_300));
+    assert_eq!(bench.master.mastery(), Mastery::Following);
+}
+
+#[test]
+fn a_foreign_synchronisation_never_moves_the_grid_of_an_active_primary() {
+    let mut bench = Bench::active(None);
+    let before = bench.master.next_sync();
+    assert!(!bench.hear(LOWER, 77, PROMPT) && !bench.hear(HIGHER, 5, LATE));
+    assert_eq!(bench.master.next_sync(), before);
+}

@@ -1,0 +1,160 @@
+//! The calibration replies that a master has promised, each at the instant that was asked for.
+
+use arrayvec::ArrayVec;
+use rtnet::counters::Refusal;
+use rtnet::time::{Instant, Span};
+use rtnet::wire::ethernet::Address;
+
+use super::line::TimeLine;
+
+/// Calibration requests that wait for their reply's instant, as in RTnet.
+pub const MAX_PENDING_REPLIES: usize = 64;
+/// Furthest cycle a reply may be asked for: stations ask for one period of their first slot ahead.
+pub const MAX_REPLY_AHEAD: u32 = 1024;
+/// Times that a late reply is put off. Real stations never ask again: they wait for ever.
+const PUT_OFF_AT_MOST: u8 = 8;
+
+/// A reply that was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply {
+    pub at: Instant,
+    pub to: Address,
+    pub cycle: u32,
+    pub request_xmit: u64,
+    pub reception: Instant,
+    /// From one use of the slave's slot to the next, in cycles.
+    period: u32,
+    put_off: u8,
+}
+
+/// All of them.
+#[derive(Default)]
+pub struct Replies {
+    pending: ArrayVec<Reply, MAX_PENDING_REPLIES>,
+    /// The one that is being sent.
+    taken: Option<Reply>,
+}
+
+impl Replies {
+    /// A calibration request, received at `rx` by the master of `line`.
+    pub fn ask(
+        &mut self,
+        line: &TimeLine,
+        rx: Instant,
+        from: Address,
+        request_xmit: u64,
+        cycle: u32,
+        offset: u64,
+    ) -> Result<(), Refusal> {
+        if offset >= line.period.nanos() as u64 || line.ahead(cycle) > MAX_REPLY_AHEAD as i32 {
+            return Err(Refusal::ReplyImplausible);
+        }
+        let at = line.start_of(cycle) + Span::from_nanos(offset as i64);
+        if at < rx {
+            return Err(Refusal::ReplyOverdue);
+        }
+        // The reply is asked for in the slot's next use.
+        let asked_in = line.ahead(cycle) - ((rx - line.start).nanos().div_euclid(line.period.nanos())) as i32;
+        let period = asked_in.max(1) as u32;
+        let reply = Reply { at, to: from, cycle, request_xmit, reception: rx, period, put_off: 0 };
+        self.pending.try_push(reply).map_err(|_| Refusal::ReplyBacklog)
+    }
+
+    /// The one whose instant is first.
+    pub fn next(&self) -> Option<&Reply> {
+        self.pending.iter().min_by_key(|reply| reply.at)
+    }
+
+    /// Takes the one whose instant is first.
+    pub fn take(&mut self) -> Option<Reply> {
+        let first = self.next().copied()?;
+        self.pending.retain(|reply| *reply != first);
+        self.taken = Some(first);
+        Some(first)
+    }
+
+    /// The one that was taken came too late: it goes into the slave's slot two uses later. In the next, a slave that
+    /// repeats its request sends; two later it is silent again. `false` when it is given up.
+    pub fn put_off(&mut self, line: &TimeLine) -> bool {
+        let Some(late) = self.taken.take() else { return false };
+        let cycles = late.period * 2;
+        let later = Reply {
+            at: late.at + line.period * i64::from(cycles),
+            cycle: late.cycle.wrapping_add(cycles),
+            put_off: late.put_off + 1,
+            ..late
+        };
+        late.put_off < PUT_OFF_AT_MOST && self.pending.try_push(later).is_ok()
+    }
+
+    /// Who gives the time no more answers nobody: stations ask whose Synchronisation they hear.
+    pub fn clear(&mut self) {
+        self.pending.clear();
+        self.taken = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tdma::line::Drift;
+    use rtnet::time::{GlobalTime, Offset};
+
+    const A: Address = Address([2, 0, 0, 0, 0, 9]);
+
+    fn at(micros: u64) -> Instant {
+        Instant::from_nanos(micros * 1_000)
+    }
+
+    /// Cycle `cycle` began at 3 ms and so many more.
+    fn line(cycle: u32) -> TimeLine {
+        TimeLine {
+            cycle,
+            start: at(3_000 + 1_000 * u64::from(cycle)),
+            sched: GlobalTime::default(),
+            period: Span::from_millis(1),
+            offset: Offset::default(),
+            drift: Drift::NONE,
+        }
+    }
+
+    #[test]
+    fn requests_are_answered_in_the_order_of_their_instants() {
+        let mut replies = Replies::default();
+        replies.ask(&line(0), at(3_500), A, 1, 3, 200_000).unwrap();
+        replies.ask(&line(0), at(3_600), A, 2, 2, 700_000).unwrap();
+        assert_eq!(replies.next().unwrap().at, at(5_700));
+        assert_eq!(replies.take().unwrap().request_xmit, 2);
+        assert_eq!(replies.take().unwrap().at, at(6_200));
+        assert_eq!(replies.take(), None);
+    }
+
+    #[test]
+    fn a_late_reply_is_put_off_by_two_uses_of_the_slot_and_given_up_at_last() {
+        let (mut replies, line) = (Replies::default(), line(1));
+        // Asked in cycle 1 for cycle 4: a slot that is used in every third.
+        replies.ask(&line, at(4_400), A, 7, 4, 400_000).unwrap();
+        assert_eq!(replies.take().unwrap().at, at(7_400));
+        assert!(replies.put_off(&line));
+        let later = *replies.next().unwrap();
+        assert_eq!((later.at, later.cycle, later.request_xmit), (at(13_400), 10, 7));
+        assert!(!replies.put_off(&line), "only what was taken");
+        let times = (0..).take_while(|_| replies.take().is_some() && replies.put_off(&line)).count();
+        assert_eq!(times, usize::from(PUT_OFF_AT_MOST) - 1);
+    }
+
+    #[test]
+    fn impossible_requests_are_refused_by_reason() {
+        let mut replies = Replies::default();
+        let mut ask = |cycle, offset| replies.ask(&line(0), at(3_500), A, 0, cycle, offset);
+        assert_eq!(ask(0, 400_000), Err(Refusal::ReplyOverdue));
+        assert_eq!(ask(u32::MAX, 0), Err(Refusal::ReplyOverdue));
+        assert_eq!(ask(2_000, 0), Err(Refusal::ReplyImplausible));
+        assert_eq!(ask(2, 1_000_000), Err(Refusal::ReplyImplausible));
+        assert_eq!(ask(2, u64::MAX), Err(Refusal::ReplyImplausible));
+        for _ in 0..MAX_PENDING_REPLIES {
+            assert_eq!(ask(2, 0), Ok(()));
+        }
+        assert_eq!(ask(2, 0), Err(Refusal::ReplyBacklog));
+    }
+}

@@ -1,0 +1,95 @@
+//! Another primary on the medium of an active one, and which of the two stays.
+
+use rtnet::time::{Instant, Span};
+use rtnet::wire::ethernet::Address;
+
+/// In so many cycles a primary is heard before one with a higher address makes way: once may be a forgery.
+const CYCLES_OF_LOWER: u32 = 3;
+/// Ours with a higher address has made way by then; what has not is of another kind, or does not hear us.
+const CYCLES_OF_ANY: u32 = 10;
+
+/// Who else gives the time.
+#[derive(Clone, Copy, Debug)]
+pub struct Rival {
+    of: Address,
+    since: Instant,
+    last: Instant,
+    /// In a row.
+    cycles: u32,
+}
+
+impl Rival {
+    /// Heard at `rx` for the first time.
+    pub fn new(of: Address, rx: Instant) -> Self {
+        Self { of, since: rx, last: rx, cycles: 1 }
+    }
+
+    /// One more of its Synchronisations. Two in one cycle are one; after a cycle without it counts anew.
+    pub fn heard(&mut self, of: Address, rx: Instant, period: Span) {
+        let gone = rx - self.last;
+        if of != self.of || gone > period * 2 {
+            *self = Self::new(of, rx);
+        } else if gone > period / 2 {
+            (self.last, self.cycles) = (rx, self.cycles + 1);
+        }
+    }
+
+    /// Whether a primary with the address `own` makes way for it. A backup makes way by itself, unless it is deaf.
+    pub fn outlasts(&self, own: Address, is_backup: bool) -> bool {
+        let patience = if self.of < own && !is_backup { CYCLES_OF_LOWER } else { CYCLES_OF_ANY };
+        self.cycles >= patience
+    }
+
+    /// How long it has been heard.
+    pub fn lasted(&self, now: Instant) -> Span {
+        now - self.since
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Span = Span::from_millis(1);
+    const LOW: Address = address(1);
+    const OWN: Address = address(2);
+    const HIGH: Address = address(3);
+
+    const fn address(last: u8) -> Address {
+        Address([2, 0, 0, 0, 0, last])
+    }
+
+    /// Heard in every so many cycles: in how many until it outlasts us.
+    fn patience(of: Address, is_backup: bool, every: u32) -> Option<u32> {
+        let at = |cycle: u32| Instant::default() + PERIOD * i64::from(cycle);
+        let mut rival = Rival::new(of, at(0));
+        (1..100).find(|&heard| {
+            // Twice in a cycle counts once.
+            rival.heard(of, at((heard - 1) * every), PERIOD);
+            rival.outlasts(OWN, is_backup)
+        })
+    }
+
+    #[test]
+    fn the_lower_address_stays_and_who_does_not_know_that_outlasts_ours() {
+        assert_eq!(patience(LOW, false, 1), Some(CYCLES_OF_LOWER));
+        assert_eq!(patience(HIGH, false, 1), Some(CYCLES_OF_ANY));
+        assert_eq!(
+            patience(LOW, true, 1),
+            Some(CYCLES_OF_ANY),
+            "a backup that is not deaf is silent by then"
+        );
+        assert_eq!(patience(LOW, false, 3), None, "now and then is nobody");
+    }
+
+    #[test]
+    fn another_one_counts_anew() {
+        let at = |cycle: u32| Instant::default() + PERIOD * i64::from(cycle);
+        let mut rival = Rival::new(LOW, at(0));
+        rival.heard(LOW, at(1), PERIOD);
+        rival.heard(HIGH, at(2), PERIOD);
+        rival.heard(LOW, at(3), PERIOD);
+        assert!(!rival.outlasts(OWN, false));
+        assert_eq!(rival.lasted(at(4)), PERIOD);
+    }
+}

@@ -4,6 +4,7 @@
 #![allow(clippy::disallowed_methods)]
 
 mod abused;
+mod backups;
 mod cell;
 mod changes;
 mod host;

@@ -5,6 +5,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::line::PERIODS;
+use super::master::BACKUP_LOOKS_BEFORE;
 use super::replies::MAX_REPLY_AHEAD;
 use super::slot::MIN_SIZE;
 use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig, Tdma};
@@ -182,13 +183,13 @@ pub enum Refused {
     },
     /// A backup would look before the primary may be late no more, or too late for its own to be in the cycle.
     #[error(
-        "a backup that looks {backup} after a cycle's start: it must be later than {earliest}, until when the primary may \
-         send, and as long before the end of the cycle of {cycle}"
+        "a backup that sends {backup} after a cycle's start: it must be later than {earliest}, since the primary may send \
+         until a little earlier, and as long before the end of the cycle of {cycle}"
     )]
     Backup {
         /// What was asked for.
         backup: Span,
-        /// How late a Synchronisation may be.
+        /// How late a Synchronisation may be, and the time to hear of it.
         earliest: Span,
         /// The master's.
         cycle: Span,
@@ -264,8 +265,8 @@ pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfi
     }
     if let Some(backup) = master.backup {
         let earliest = backup + sync_latest;
-        if backup <= sync_latest || earliest >= cycle {
-            return Err(Refused::Backup { backup, earliest: sync_latest, cycle });
+        if backup - BACKUP_LOOKS_BEFORE <= sync_latest || earliest >= cycle {
+            return Err(Refused::Backup { backup, earliest: sync_latest + BACKUP_LOOKS_BEFORE, cycle });
         }
         if let Some(&SlotConfig { id, offset, .. }) = slots.iter().find(|slot| slot.offset < earliest) {
             return Err(Refused::BeforeBackup { id, offset, earliest });

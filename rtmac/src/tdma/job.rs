@@ -5,12 +5,13 @@ use rtnet::discipline::{Channel, Returned};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant, Span};
 
+use super::master::BACKUP_LOOKS_BEFORE;
 use super::slot::Turn;
 
 /// A job of the grid.
 #[derive(Clone, Copy)]
 pub enum Job {
-    /// A backup's is chosen at its very instant: until then another's may be heard.
+    /// A backup's is chosen at the last moment: until then another's may be heard.
     Sync {
         cycle: u32,
         at: Instant,
@@ -57,9 +58,16 @@ impl Job {
     /// When it is chosen, other jobs `lead` before their instant.
     pub fn chosen_at(&self, lead: Span) -> Instant {
         match self {
-            Job::Sync { at, is_backups: true, .. } => *at,
+            Job::Sync { at, is_backups: true, .. } => *at - lead.min(BACKUP_LOOKS_BEFORE),
             other => other.at() - lead,
         }
+    }
+
+    /// When to wake for it, if the last look at the time was at `looked`: all jobs `lead` before their instant, so that
+    /// who has to wait for that is there.
+    pub fn wakes_at(&self, lead: Span, looked: Instant) -> Instant {
+        let early = self.at() - lead;
+        if looked < early { early } else { self.chosen_at(lead) }
     }
 
     /// The slot that it is of.

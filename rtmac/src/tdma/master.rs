@@ -39,6 +39,10 @@ use super::slave::{Slave, SlaveConfig};
 const LISTEN_CYCLES: i64 = 3;
 /// And at least this long.
 const LISTEN_AT_LEAST: Span = Span::from_millis(3);
+/// A backup listens for longer, so that a primary that is started with it speaks first.
+const BACKUP_LISTENS_AT_LEAST: Span = Span::from_millis(50);
+/// How long before its instant a backup looks for the last time: what it then sends is to leave in time.
+pub const BACKUP_LOOKS_BEFORE: Span = Span::from_micros(20);
 /// So many late Synchronisations in a row are a backup's.
 const LATE_OF_BACKUP: u32 = 2;
 /// One that comes by less than this part of a cycle early is of the next.
@@ -58,8 +62,8 @@ pub struct MasterConfig {
     /// A cycle and its scheduled start, of a master before this one whose grid is gone on with. `None`: a new
     /// grid begins.
     pub resume: Option<(u32, GlobalTime)>,
-    /// How long after a cycle's start a backup looks whether there was a Synchronisation, and sends one if not.
-    /// `None`: this is the primary.
+    /// How long after a cycle's start a backup sends a Synchronisation if there was none, for which it looks
+    /// [`BACKUP_LOOKS_BEFORE`]. `None`: this is the primary.
     pub backup: Option<Span>,
     /// How another master is followed.
     pub follow: SlaveConfig,
@@ -174,7 +178,7 @@ impl Master {
 
     /// Time has passed. Who has no slot cannot calibrate, and does without. `true` when a grid of its own has begun.
     pub fn on_timeout(&mut self, now: Instant, has_slots: bool, events: &mut Events) -> bool {
-        let listen = (self.config.cycle * LISTEN_CYCLES).max(LISTEN_AT_LEAST);
+        let listen = self.listens();
         match self.phase {
             Phase::Attached => self.phase = Phase::Listening { until: now + listen },
             Phase::Listening { until } if now >= until => return self.speak(now, events),
@@ -190,6 +194,14 @@ impl Master {
             _ => {}
         }
         false
+    }
+
+    fn listens(&self) -> Span {
+        let silence = self.config.cycle * LISTEN_CYCLES;
+        match self.config.backup {
+            Some(_) => (silence * 2).max(BACKUP_LISTENS_AT_LEAST),
+            None => silence.max(LISTEN_AT_LEAST),
+        }
     }
 
     /// There is nobody else. What was followed goes on, if there was something; else a grid of its own begins: `true`.

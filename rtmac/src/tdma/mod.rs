@@ -55,7 +55,7 @@ use job::{Job, Pending};
 pub use line::TimeLine;
 pub use mark::held_up_at_most;
 use master::Master;
-pub use master::{MasterConfig, Mastery};
+pub use master::{BACKUP_LOOKS_BEFORE, MasterConfig, Mastery};
 pub use replies::{MAX_PENDING_REPLIES, MAX_REPLY_AHEAD};
 use slave::Slave;
 pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
@@ -75,6 +75,8 @@ pub struct Tdma {
     /// Synchronisations, requests and replies are sent from here.
     pool: Pool,
     pending: Option<Pending>,
+    /// When time was last told of.
+    looked: Instant,
     /// The last slot that was silent: its cycle, and when it was.
     silent: Option<(u32, Instant)>,
     events: Events,
@@ -134,6 +136,7 @@ impl Tdma {
             // All pending replies are built when their instant comes, one frame at a time.
             pool: Pool::new(2),
             pending: None,
+            looked: Instant::default(),
             silent: None,
             events: Events::new(),
             counters: Counters::default(),
@@ -242,6 +245,7 @@ impl Discipline for Tdma {
     }
 
     fn on_timeout(&mut self, now: Instant) {
+        self.looked = now;
         match &mut self.role {
             Role::Master(master) => {
                 let has_slots = self.slots.first().is_some();
@@ -337,7 +341,7 @@ impl Discipline for Tdma {
             Role::Slave(slave) => slave.deadline(),
             Role::Detached => None,
         };
-        let job = self.next_job().map(|job| job.chosen_at(self.lead));
+        let job = self.next_job().map(|job| job.wakes_at(self.lead, self.looked));
         role.into_iter().chain(job).min()
     }
 

@@ -12,6 +12,8 @@
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 
+use super::master::BACKUP_LOOKS_BEFORE;
+
 /// What clocks may be wrong by, slave to master: 5 us while a line is young, 2 us later, measured over veth. One that
 /// changes its rate by 4 to 20 ppm at once may be off by twice as much until that is noticed.
 const CLOCKS: Span = Span::from_micros(10);
@@ -76,6 +78,8 @@ pub struct Schedule {
     pub rate: Rate,
     /// Kept free behind each frame.
     pub guard: Span,
+    /// Who takes the primary's place, and how long after a cycle's start it sends if it must; in any order.
+    pub backups: Vec<(String, Span)>,
     /// In any order.
     pub slots: Vec<Slot>,
 }
@@ -139,6 +143,38 @@ pub enum Conflict {
         /// The window.
         sync_window: Span,
     },
+    /// A backup looks while another master may still send.
+    #[error(
+        "backup {owner} sends {backup} after a cycle's start, but looks before, when {before} may still send its sync: let \
+         it send {until} after it, or later"
+    )]
+    BackupTooEarly {
+        /// Whose.
+        owner: String,
+        /// When it sends.
+        backup: Span,
+        /// The master that looks before it, or the primary.
+        before: String,
+        /// The end of that one's sync window, and the time to hear of it.
+        until: Span,
+    },
+    /// In the cycle of a take-over a slot would be before its Synchronisation, or meet it.
+    #[error(
+        "slot {id} of {owner} begins at {offset}, but backup {backup} may send the sync until {until}: let all slots begin \
+         later"
+    )]
+    BeforeBackup {
+        /// Whose.
+        owner: String,
+        /// Which.
+        id: u8,
+        /// Its begin.
+        offset: Span,
+        /// The last of the backups.
+        backup: String,
+        /// The end of its sync window.
+        until: Span,
+    },
     /// A slot ends after the cycle.
     #[error(
         "slot {id} of {owner} ends after the cycle: {offset} + frame {air} + guard band {guard} = {end}, \
@@ -177,6 +213,7 @@ impl Schedule {
     /// some cycle.
     pub fn conflicts(&self) -> Vec<Conflict> {
         let mut found: Vec<Conflict> = self.slots.iter().filter_map(|slot| self.misplaced(slot)).collect();
+        found.extend(self.backups_misplaced());
         let mut order: Vec<&Slot> = self.slots.iter().collect();
         order.sort_by_key(|slot| slot.offset);
         for (i, a) in order.iter().enumerate() {
@@ -203,10 +240,33 @@ impl Schedule {
         (data + share(self.rate.air_time(0), 1)) / self.cycle.nanos() as f64
     }
 
+    /// Every backup looks when the one before it may send no more, which goes on for a sync window.
+    fn backups_misplaced(&self) -> Vec<Conflict> {
+        let mut order: Vec<(String, Span)> = self.backups.clone();
+        order.push(("the primary".into(), Span::ZERO));
+        order.sort_by_key(|&(_, looks)| looks);
+        let too_early = |pair: &[(String, Span)]| {
+            let [(before, at), (owner, backup)] = pair else { return None };
+            let (until, backup) = (*at + self.sync_window + BACKUP_LOOKS_BEFORE, *backup);
+            let (owner, before) = (owner.clone(), before.clone());
+            (backup < until).then_some(Conflict::BackupTooEarly { owner, backup, before, until })
+        };
+        order.windows(2).filter_map(too_early).collect()
+    }
+
+    /// When the last of them may send no more.
+    fn last_backup(&self) -> Option<(&str, Span)> {
+        let last = self.backups.iter().max_by_key(|&&(_, looks)| looks);
+        last.map(|(owner, looks)| (owner.as_str(), *looks + self.sync_window))
+    }
+
     fn misplaced(&self, slot: &Slot) -> Option<Conflict> {
         let (owner, id, offset) = (slot.owner.clone(), slot.id, slot.offset);
         if offset < self.sync_window {
             return Some(Conflict::InSyncWindow { owner, id, offset, sync_window: self.sync_window });
+        }
+        if let Some((backup, until)) = self.last_backup().filter(|&(_, until)| offset < until) {
+            return Some(Conflict::BeforeBackup { owner, id, offset, backup: backup.into(), until });
         }
         let (air, guard, end, cycle) = (self.air_time(slot), self.guard, self.end(slot), self.cycle);
         (end > cycle).then_some(Conflict::BeyondCycle { owner, id, offset, air, guard, end, cycle })
@@ -292,106 +352,4 @@ fn gcd(a: u32, b: u32) -> u32 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const FAST: Rate = Rate::from_bits_per_second(100_000_000);
-
-    fn slot(owner: &str, offset: i64, phase: u32, period: u32) -> Slot {
-        Slot { owner: owner.into(), id: 0, offset: Span::from_micros(offset), phase, period, size: 86 }
-    }
-
-    fn schedule(slots: Vec<Slot>) -> Schedule {
-        let (cycle, sync_window) = (Span::from_millis(1), Span::from_micros(50));
-        Schedule { cycle, sync_window, rate: FAST, guard: Span::from_micros(20), slots }
-    }
-
-    #[test]
-    fn air_time_counts_24_bytes_more_and_at_least_60() {
-        assert_eq!(FAST.air_time(100).nanos(), 9_920);
-        assert_eq!(FAST.air_time(1), FAST.air_time(60));
-        assert_eq!(FAST.air_time(1514).nanos(), 123_040);
-        assert_eq!(Rate::from_bits_per_second(3_000_000_000).air_time(60).nanos(), 224);
-    }
-
-    #[test]
-    fn neighbours_that_touch_do_not_overlap() {
-        let end = 100_000 + 9_920 + 20_000;
-        let touching = Slot { offset: Span::from_nanos(end), ..slot("b", 0, 0, 1) };
-        assert_eq!(schedule(vec![slot("a", 100, 0, 1), touching.clone()]).conflicts(), []);
-        let closer = Slot { offset: Span::from_nanos(end - 1), ..touching };
-        let found = schedule(vec![closer, slot("a", 100, 0, 1)]).conflicts();
-        assert_eq!(found.len(), 1);
-        assert_eq!(
-            found[0].to_string(),
-            "slot 0 of a and slot 0 of b overlap: 100us + frame 9.92us + guard band 20us = 129.92us, but b \
-             begins at 129.919us"
-        );
-    }
-
-    #[test]
-    fn slots_share_a_time_when_their_phases_never_meet() {
-        let shared =
-            |pa, na, pb, nb| schedule(vec![slot("a", 100, pa, na), slot("b", 100, pb, nb)]).conflicts();
-        assert_eq!(shared(0, 2, 1, 2), []);
-        assert_eq!(shared(0, 2, 1, 4), []);
-        assert_eq!(shared(0, 2, 1, 3).len(), 1, "0 mod 2 and 1 mod 3 meet in cycle 4");
-        assert_eq!(shared(0, 2, 2, 4).len(), 1);
-    }
-
-    #[test]
-    fn a_slot_in_the_sync_window_or_beyond_the_cycle_is_a_conflict() {
-        assert!(matches!(
-            schedule(vec![slot("a", 49, 0, 1)]).conflicts()[..],
-            [Conflict::InSyncWindow { .. }]
-        ));
-        assert_eq!(schedule(vec![slot("a", 970, 0, 1)]).conflicts(), []);
-        assert!(matches!(
-            schedule(vec![slot("a", 971, 0, 1)]).conflicts()[..],
-            [Conflict::BeyondCycle { .. }]
-        ));
-    }
-
-    #[test]
-    fn a_cycle_too_short_prints_the_sum() {
-        let (cycle, window) = (Span::from_micros(100), Span::from_micros(50));
-        let length = divide(cycle, window, FAST, 5, 86, None).unwrap();
-        assert_eq!(length, Span::from_micros(10));
-        let refused = divide(cycle, window, FAST, 6, 86, None).unwrap_err();
-        assert!(
-            refused.to_string().contains("50us + 6 x (frame 9.92us + guard band 0ns) = 109.52us"),
-            "{refused}"
-        );
-    }
-
-    #[test]
-    fn utilisation_is_the_share_of_time_on_the_air() {
-        let with_one = schedule(vec![slot("a", 100, 0, 2)]).utilisation();
-        assert!((with_one - (6_720.0 + 9_920.0 / 2.0) / 1e6).abs() < 1e-9);
-    }
-
-    #[test]
-    fn clocks_have_ten_microseconds_at_either_end_or_a_part_of_what_is_shorter_or_longer() {
-        let shares =
-            [(8, 20, 5), (8, 40, 10), (8, 118, 10), (8, 120, 10), (8, 240, 20), (32, 200, 40), (32, 100, 25)];
-        for (stations, guard, share) in shares {
-            let [guard, share] = [guard, share].map(Span::from_micros);
-            let found = (clock_share(guard, stations), latest(guard, stations));
-            assert_eq!(found, (share, guard - share * 2), "{stations} stations, {guard}");
-        }
-        assert_eq!((clock_share(Span::ZERO, 8), latest(Span::ZERO, 8)), (Span::ZERO, Span::ZERO));
-    }
-
-    #[test]
-    fn the_guard_band_covers_drift_over_the_bridged_cycle() {
-        let of = Uncertainty {
-            drift_ppb: 100_000,
-            cycle: Span::from_millis(1),
-            holdover: 1,
-            lateness: Span::from_micros(3),
-            stamp_error: Span::ZERO,
-        };
-        // 100 ppm over two cycles and the calibration's half, for either neighbour.
-        assert_eq!(guard_band(of).nanos(), 2 * (250 + 2) + 3_000);
-    }
-}
+mod tests;

@@ -222,8 +222,14 @@ impl Port {
     }
 
     /// Sleeps until the station's clock shows `at`, at most until the true moment `no_later`.
+    /// What is no farther than a frame is spun for is spun for, too.
     pub fn sleep_until(&mut self, at: Instant, no_later: True) {
-        sleep_until(self.clock.truth(at).min(no_later));
+        let until = self.clock.truth(at).min(no_later);
+        if monotonic() + self.spin < until {
+            sleep_until(until);
+        } else {
+            spin_until(until);
+        }
         self.woke = monotonic();
     }
 

@@ -68,6 +68,15 @@ pub fn account(status: &LabStatus) -> String {
         text += &format!("\n{}\n", paragraph("note: ", note, WIDTH).join("\n"));
     }
     text += &format!("\nslots are kept by {}; {} cpu {}\n", guard(stations), load(status), status.cpu);
+    if stations.iter().any(|station| station.role == "backup") {
+        let taken_over: u64 = stations.iter().filter_map(|station| station.events.get("took_over")).sum();
+        text += &format!(
+            "{} gives the time; backups have taken over {} times; {} cycles had no sync\n",
+            status.time_by,
+            grouped(taken_over),
+            grouped(status.syncs_missing)
+        );
+    }
     if let Some(late) = status.latest_frame_ns {
         text += &format!("{}\n", latest(late));
     }

@@ -128,15 +128,16 @@ fn became(role: RoleRequest) -> String {
 fn describe(status: &StationStatus) -> String {
     let standing = &status.standing;
     let span = |ns: Option<i64>, none: &str| ns.map_or(none.into(), |ns| Span::from_nanos(ns).to_string());
+    let mastery = status.mastery.as_ref().map_or(String::new(), |mastery| format!(" ({mastery})"));
     let mut text = format!(
-        "{}: {}, {}, cycle {} of {}\n",
+        "{}: {}{mastery}, {}, cycle {} of {}\n",
         status.name,
         status.role,
         standing.state,
         standing.cycle,
         span(status.period_ns, "unknown length"),
     );
-    if status.role == "slave" {
+    if standing.delay_ns.is_some() || status.role == "slave" {
         text += &format!(
             "delay {}, clock drift {}, last sync {} beside the time line\n",
             span(standing.delay_ns, "not measured"),

@@ -176,6 +176,8 @@ pub struct StationStatus {
     pub role: String,
     /// What keeps its slots.
     pub guard: GuardName,
+    /// Of a master or a backup: `listening`, `following`, `stand-by`, `active` or `yielded`.
+    pub mastery: Option<String>,
     /// State, cycle, delay, refused frames.
     pub standing: Standing,
     /// From one cycle's start to the next, once known.
@@ -297,6 +299,10 @@ pub struct LabStatus {
     pub overlaps: u64,
     /// Frames outside their slot.
     pub out_of_slot: u64,
+    /// Cycles without a Synchronisation.
+    pub syncs_missing: u64,
+    /// Who sent the last one.
+    pub time_by: String,
     /// Of the frame that left the air latest: how long after its slot's end, or, below zero, before it.
     pub latest_frame_ns: Option<i64>,
     /// Of all that ought not to be, what has no record of its cause.

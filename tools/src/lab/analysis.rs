@@ -6,12 +6,13 @@ use std::collections::BTreeMap;
 use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::schedule::Rate;
 use rtmac::wire::{self, Message, Rtmac};
-use rtnet::clock::{EmulatedClock, True};
-use rtnet::time::{GlobalTime, Offset, Span};
-use rtnet::wire::ethernet::{EtherType, Header};
+use rtnet::clock::True;
+use rtnet::time::{GlobalTime, Span};
+use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 use super::delivery::Passed;
 use super::findings::{Author, Finding, FindingKind};
+use super::givers::{Givers, TrueMaster};
 use super::sight::Sight;
 use super::timetable::{Timetable, before};
 use crate::report::histogram::SignedHistogram;
@@ -20,26 +21,6 @@ use crate::station::traffic::Tag;
 
 /// Findings that are kept one by one; the rest is counted, and counts as unexplained.
 const FINDINGS_MAX: usize = 1_000_000;
-
-/// The master's clock, which the emulation knows.
-#[derive(Clone, Copy, Debug)]
-pub struct TrueMaster {
-    /// Its clock.
-    pub clock: EmulatedClock,
-    /// From its clock to global time.
-    pub epoch: Offset,
-}
-
-impl TrueMaster {
-    /// The true moment at which global time is `at`.
-    pub fn truth(&self, at: GlobalTime) -> True {
-        self.clock.truth(self.epoch.local(at))
-    }
-    /// Global time at a true moment.
-    pub fn global(&self, at: True) -> GlobalTime {
-        self.epoch.global(self.clock.local(at))
-    }
-}
 
 /// One station, as seen from the medium.
 pub struct Seen {
@@ -58,7 +39,7 @@ pub struct Seen {
 
 /// The analysis of a run.
 pub struct Analysis {
-    master: TrueMaster,
+    givers: Givers,
     cycle: Span,
     sync_window: Span,
     guard: Span,
@@ -104,7 +85,7 @@ impl Analysis {
             awaited: None,
         };
         Self {
-            master,
+            givers: Givers::of(scenario, master),
             cycle: scenario.cycle,
             sync_window: scenario.sync_window,
             guard: scenario.guard,
@@ -128,6 +109,21 @@ impl Analysis {
         }
     }
 
+    /// The clock by which all is judged: of who gives the time.
+    pub fn truth(&self) -> &TrueMaster {
+        self.givers.truth()
+    }
+
+    /// What a station took global time for at a true moment.
+    pub fn told_time(&mut self, station: usize, at: True, global: GlobalTime) {
+        self.givers.told(station, at, global);
+    }
+
+    /// Which station gives the time.
+    pub fn giver(&self) -> usize {
+        self.givers.now()
+    }
+
     /// The cycle of the newest Synchronisation.
     pub fn current(&self) -> Option<u32> {
         self.current
@@ -136,7 +132,7 @@ impl Analysis {
     /// The cycle that it is at a true moment, by the master's grid, be there a master or not.
     pub fn cycle_at(&self, at: True) -> Option<u32> {
         let (first, sched) = self.grid?;
-        let gone = (self.master.global(at) - sched).nanos().div_euclid(self.cycle.nanos());
+        let gone = (self.truth().global(at) - sched).nanos().div_euclid(self.cycle.nanos());
         Some(first.wrapping_add(gone as u32))
     }
 
@@ -195,13 +191,15 @@ impl Analysis {
         let air = self.rate.air_time(bytes.len());
         if header.ether_type() == EtherType::RTMAC {
             let sync = match wire::parse(bytes) {
-                Ok(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) => Some((cycle, sched)),
+                Ok(Rtmac::Tdma(Message::Sync { cycle, xmit, sched })) => Some((cycle, xmit, sched)),
                 _ => None,
             };
-            let author = sync.map(|(cycle, _)| Author::sync(cycle));
-            self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), author);
-            if let Some((cycle, sched)) = sync {
-                self.sync(at, cycle, sched, air);
+            let from = header.source;
+            let author =
+                sync.map(|(cycle, ..)| Author { station: self.givers.station(from), ..Author::sync(cycle) });
+            self.occupy(at, air, sync.map(|(cycle, ..)| cycle).or(self.current), author);
+            if let (Some((_, xmit, sched)), Some(author)) = (sync, author) {
+                self.sync(at, author, (from, xmit, sched), air);
             }
         } else if let Some((tag, _)) = Tag::read(bytes)
             && tag.station() < self.stations.len()
@@ -285,12 +283,20 @@ impl Analysis {
         }
     }
 
-    fn sync(&mut self, at: True, cycle: u32, sched: GlobalTime, air: Span) {
+    fn sync(
+        &mut self,
+        at: True,
+        author: Author,
+        (from, xmit, sched): (Address, GlobalTime, GlobalTime),
+        air: Span,
+    ) {
+        let cycle = author.cycle;
         self.grid.get_or_insert((cycle, sched));
-        self.heard(0, cycle);
-        let author = Author::sync(cycle);
+        self.heard(author.station, cycle);
+        let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
+        let has_taken_over = is_newer && self.givers.heard(from, at, xmit);
         let due = self.start_of(cycle).unwrap_or(sched);
-        let error = self.error(at, due);
+        let error = self.error(at, due + self.givers.after(from));
         if sched != due {
             self.find(Finding::of(author, FindingKind::OutOfSlot, sched - due));
         }
@@ -307,8 +313,9 @@ impl Analysis {
         if let Some((last, last_at)) = self.last_sync {
             match cycle.wrapping_sub(last) as i32 {
                 1 => {
-                    if let (true, Some(last_at)) = (self.counts(cycle), last_at) {
-                        let period = self.master.clock.local(at) - self.master.clock.local(last_at);
+                    if let (true, Some(last_at)) = (self.counts(cycle) && !has_taken_over, last_at) {
+                        let clock = self.truth().clock;
+                        let period = clock.local(at) - clock.local(last_at);
                         self.sync_period_jitter.record((period - self.cycle).nanos());
                     }
                 }
@@ -335,8 +342,8 @@ impl Analysis {
         // What the frame says of its instant is what its station believes.
         let Some(start) = self.start_of(cycle) else { return };
         let error = self.error(at, start + slot.offset);
-        if station != 0 && self.heard.is_some_and(|heard| cycle.wrapping_sub(heard) as i32 > HOLDOVER_CYCLES)
-        {
+        let gives = station == 0 || station == self.giver();
+        if !gives && self.heard.is_some_and(|heard| cycle.wrapping_sub(heard) as i32 > HOLDOVER_CYCLES) {
             self.find(Finding::of(author, FindingKind::WithoutSync, Span::ZERO));
         }
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
@@ -373,7 +380,7 @@ impl Analysis {
     }
 
     fn error(&self, at: True, scheduled: GlobalTime) -> Span {
-        Span::from_nanos(at.wrapping_sub(self.master.truth(scheduled)) as i64)
+        Span::from_nanos(at.wrapping_sub(self.truth().truth(scheduled)) as i64)
     }
 
     fn find(&mut self, finding: Finding) {

@@ -11,6 +11,7 @@ use rtnet::time::Span;
 use super::absences::{Absence, Absences};
 use super::findings::{Author, Finding, FindingKind};
 use super::timetable::before;
+use crate::report::figures::Role;
 use crate::scenario::Scenario;
 
 /// A lab's first station is its master.
@@ -39,6 +40,8 @@ pub struct Records {
     cycle: Span,
     /// How long after its instant a frame that is not held up is sent, and another behind it.
     in_time: Span,
+    /// Who may give the time instead of the master.
+    backups: Vec<usize>,
     /// When stations were not there.
     pub absences: Absences,
 }
@@ -63,7 +66,9 @@ impl Records {
     /// None yet, of such a network.
     pub fn new(scenario: &Scenario) -> Self {
         let in_time = scenario.sync_window + scenario.latest();
-        Self { cycle: scenario.cycle, in_time, ..Self::default() }
+        let all = scenario.stations.iter().enumerate();
+        let backups = all.filter(|(_, plan)| plan.role == Role::Backup).map(|(station, _)| station).collect();
+        Self { cycle: scenario.cycle, in_time, backups, ..Self::default() }
     }
 
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
@@ -104,13 +109,16 @@ impl Records {
         match finding.kind {
             FindingKind::OutOfSlot => authors.find_map(|author| {
                 self.held_up(author, finding.span)
-                    .or_else(|| self.held_up(master(author), finding.span))
+                    .or_else(|| self.masters(author).find_map(|master| self.held_up(master, finding.span)))
                     .or_else(|| self.last_words(author))
             }),
             FindingKind::Overlap => authors
                 .find_map(|author| {
                     self.told(author, EventKind::StalledInSend)
-                        .or_else(|| self.told(master(author), EventKind::StalledInSend))
+                        .or_else(|| {
+                            self.masters(author)
+                                .find_map(|master| self.told(master, EventKind::StalledInSend))
+                        })
                         .or_else(|| self.last_words(author))
                 })
                 .or_else(|| self.late_reply(finding)),
@@ -121,8 +129,11 @@ impl Records {
                 let told = self.told_of(author, &MISSED_BY).or_else(|| self.silence(author));
                 self.missing(author, told)
             }),
-            // One that was held up for so long that its slot was taken for missed.
-            FindingKind::Repeated => authors.find_map(|author| self.told(author, EventKind::StalledInSend)),
+            // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
+            FindingKind::Repeated => authors.find_map(|author| {
+                let took_over = self.told(author, EventKind::TookOver).map(|_| Cause::NoSync.name());
+                self.told(author, EventKind::StalledInSend).or(took_over)
+            }),
             FindingKind::WithoutSync => None,
         }
     }
@@ -166,7 +177,8 @@ impl Records {
         let has_no_line = self.follows_nobody(station, cycle);
         let silent =
             self.told(author, EventKind::SlotSilent).or(has_no_line.then_some(Cause::NoSync.name()))?;
-        let absent = absences.just_now(MASTER, cycle) || absences.just_now(station, cycle);
+        let nobody = self.only_master().is_some_and(|master| absences.just_now(master, cycle));
+        let absent = nobody || absences.just_now(station, cycle);
         let doubted =
             self.told_of(of_cycle(author), &[EventKind::DuplicateCycle]).is_some() || self.stepped(author);
         let ago = |cycles| Author { cycle: cycle.wrapping_sub(cycles), ..author };
@@ -179,13 +191,14 @@ impl Records {
         let told = || self.lines.iter().filter(move |&&(of, ..)| of == station);
         let followed = |since: u32| told().any(|&(_, at, has)| has && before(since, at) && before(at, cycle));
         let given_up = told().filter(|&&(_, at, has)| !has && !before(cycle, at)).map(|&(_, at, _)| at);
-        let absent = [MASTER, station].map(|of| self.absences.without_line(of, cycle));
-        station != MASTER && given_up.chain(absent.into_iter().flatten()).any(|since| !followed(since))
+        let gone = self.only_master().into_iter().chain([station]);
+        let absent = gone.flat_map(|of| self.absences.without_line(of, cycle));
+        station != MASTER && given_up.chain(absent).any(|since| !followed(since))
     }
 
     /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it.
     fn without_sync(&self, author: Author) -> bool {
-        self.told_of(master(author), &NO_SYNC_BY).is_some()
+        self.masters(author).any(|master| self.told_of(master, &NO_SYNC_BY).is_some())
             || self.told_of(of_cycle(author), &[EventKind::SyncLate, EventKind::TimeStep]).is_some()
     }
 
@@ -202,6 +215,20 @@ impl Records {
         let absence = self.absences.of(author.station, author.cycle);
         let cut = absence.filter(|&why| why == Absence::NoCarrier).map(Absence::name);
         told.map(|told| cut.unwrap_or(told)).or_else(|| self.untold(author))
+    }
+
+    /// Whose Synchronisation the author's station follows, any of which may be the one.
+    fn masters(&self, author: Author) -> impl Iterator<Item = Author> {
+        core::iter::once(&MASTER).chain(&self.backups).map(move |&station| Author {
+            station,
+            slot: None,
+            ..author
+        })
+    }
+
+    /// Where nobody takes its place, nobody has a line without it.
+    fn only_master(&self) -> Option<usize> {
+        self.backups.is_empty().then_some(MASTER)
     }
 
     fn untold(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
@@ -221,11 +248,6 @@ impl Records {
 
 fn key(Author { station, cycle, slot }: Author, kind: EventKind) -> Key {
     (cycle, station, slot, kind)
-}
-
-/// Whose Synchronisation the author's station follows.
-fn master(author: Author) -> Author {
-    Author { station: MASTER, slot: None, ..author }
 }
 
 /// What the author's station tells of the cycle as a whole.

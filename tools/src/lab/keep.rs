@@ -257,6 +257,8 @@ impl Keeper {
             sync_window_ns: self.scenario.sync_window.nanos(),
             overlaps: self.tally.overlaps,
             out_of_slot: self.tally.out_of_slot,
+            syncs_missing: self.tally.syncs_missing,
+            time_by: self.scenario.stations[analysis.giver()].name.clone(),
             latest_frame_ns: analysis.latest.map(Span::nanos),
             unexplained: self.tally.unexplained,
             unexplained_last: self.tally.shown.iter().map(|finding| self.words(finding)).collect(),

@@ -10,10 +10,10 @@ use rtnet::live::Record;
 use rtnet::live::clock::monotonic;
 use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::analysis::TrueMaster;
 use super::delivery::Heard;
 use super::explain::Records;
 use super::findings::Author;
+use super::givers::{TrueMaster, same_time};
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
 use super::run::INTERFACE;
@@ -276,6 +276,8 @@ impl Member {
             EventKind::ReplyFailed,
             EventKind::CalibrationTimeout,
             EventKind::OtherMaster,
+            EventKind::TookOver,
+            EventKind::Yielded,
         ];
         if worth_knowing.contains(&kind) {
             let note = format!("{} in cycle {cycle}", kind.name());
@@ -328,7 +330,9 @@ pub fn arguments(
     launch: &Launch,
     resume: &Resume,
 ) -> anyhow::Result<Vec<String>> {
-    let Launch { anchor, epoch, cpu, fifo, .. } = *launch;
+    let Launch { anchor, cpu, fifo, .. } = *launch;
+    let master = TrueMaster { clock: clock(scenario, 0, anchor), epoch: launch.epoch };
+    let epoch = same_time(&master, &clock(scenario, station, anchor));
     let plan = &scenario.stations[station];
     let mut line: Vec<String> = Vec::new();
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
@@ -367,13 +371,16 @@ pub fn arguments(
         first: resume.first,
     };
     add("--lab", serde_json::to_string(&lab)?);
-    if plan.role == Role::Master {
-        add("--cycle", scenario.cycle.to_string());
-        add("--sync-window", scenario.sync_window.to_string());
-        line.push("--master".into());
-    } else {
-        add("--rounds", plan.rounds.to_string());
+    add("--rounds", plan.rounds.to_string());
+    if plan.role == Role::Slave {
         line.push("--slave".into());
+        return Ok(line);
     }
+    add("--cycle", scenario.cycle.to_string());
+    add("--sync-window", scenario.sync_window.to_string());
+    if let Some(backup) = plan.backup {
+        add("--backup", backup.to_string());
+    }
+    line.push("--master".into());
     Ok(line)
 }

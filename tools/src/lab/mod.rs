@@ -19,6 +19,7 @@ mod delivery;
 pub mod enter;
 pub mod explain;
 pub mod findings;
+mod givers;
 mod keep;
 mod load;
 mod members;

@@ -13,8 +13,9 @@ use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
 use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::analysis::{Analysis, TrueMaster};
+use super::analysis::Analysis;
 use super::explain::Records;
+use super::givers::TrueMaster;
 use super::load::{load, too_much};
 use super::members::{Launch, Member, Resume, arguments, lost_at_most};
 use super::namespace::{Namespace, Segment};
@@ -26,6 +27,7 @@ use crate::report::figures::Figures;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
+use crate::station::link::Report;
 
 /// The name of a station's interface in its namespace.
 pub const INTERFACE: &str = "rt0";
@@ -95,7 +97,6 @@ pub struct Lab {
     capture_failed: bool,
     pub(super) analysis: Analysis,
     pub(super) records: Records,
-    master: TrueMaster,
     _warm: Option<WarmCore>,
     pub(super) segment: Segment,
     pub(super) notes: Vec<String>,
@@ -190,7 +191,6 @@ impl Lab {
             capture_failed: false,
             analysis: Analysis::new(scenario, master),
             records: Records::new(scenario),
-            master,
             _warm: warm,
             segment,
             notes,
@@ -341,7 +341,11 @@ impl Lab {
         self.end_capture_that(written);
         while let Ok((station, report)) = self.told.try_recv() {
             self.note_absence(station, report.as_ref());
-            self.members[station].take(station, report, &mut self.records, &self.master);
+            if let Some(Report::Times(times)) = &report {
+                let times = times.iter().map(|&(at, global)| (at, GlobalTime::from_nanos(global)));
+                times.for_each(|(at, global)| self.analysis.told_time(station, at, global));
+            }
+            self.members[station].take(station, report, &mut self.records, self.analysis.truth());
         }
         self.note_returns();
     }

@@ -19,6 +19,8 @@ pub struct Tally {
     pub overlaps: u64,
     /// Frames outside their slot.
     pub out_of_slot: u64,
+    /// Cycles without a Synchronisation.
+    pub syncs_missing: u64,
     /// Findings without a record.
     pub unexplained: u64,
     /// Those with one, by the cause that it tells.
@@ -58,6 +60,7 @@ impl Tally {
         match finding.kind {
             FindingKind::Overlap => self.overlaps += 1,
             FindingKind::OutOfSlot => self.out_of_slot += 1,
+            FindingKind::SyncGap => self.syncs_missing += 1,
             _ => {}
         }
         if let Some(cause) = records.explain(&finding) {

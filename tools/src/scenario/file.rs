@@ -12,7 +12,8 @@
 //!
 //! [[station]]
 //! name = "master"
-//! role = "master"           # exactly one
+//! role = "master"           # exactly one; or "slave", or "backup"
+//! backup = "100us"          # of a backup: how long after a cycle's start it looks whether there is a sync
 //! payload = 64
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 }]
@@ -104,6 +105,7 @@ enum Late {
 struct StationFile {
     name: Spanned<String>,
     role: FileRole,
+    backup: Option<PositiveSpan>,
     payload: Option<Spanned<usize>>,
     rounds: Option<u32>,
     clock: Option<ClockFile>,
@@ -114,6 +116,7 @@ struct StationFile {
 #[serde(rename_all = "lowercase")]
 enum FileRole {
     Master,
+    Backup,
     Slave,
 }
 
@@ -131,6 +134,16 @@ struct SlotFile {
     offset: NonNegativeSpan,
     phase: Option<String>,
     size: Option<usize>,
+}
+
+impl From<FileRole> for Role {
+    fn from(role: FileRole) -> Self {
+        match role {
+            FileRole::Master => Role::Master,
+            FileRole::Backup => Role::Backup,
+            FileRole::Slave => Role::Slave,
+        }
+    }
 }
 
 impl Source<'_> {
@@ -223,6 +236,10 @@ impl Source<'_> {
                 return Err(self.impossible(at, format!("slot {} is defined twice", slot.id)));
             }
         }
+        if (station.role == FileRole::Backup) != station.backup.is_some() {
+            let what = "a backup says when it looks, as in backup = \"100us\", and nobody else does";
+            return Err(self.impossible(entry.span().start, what));
+        }
         if let Some(rounds) = station.rounds.filter(|&rounds| rounds > MAX_ROUNDS) {
             let what = format!("{rounds} calibration rounds: at most {MAX_ROUNDS}");
             return Err(self.impossible(entry.span().start, what));
@@ -238,7 +255,8 @@ impl Source<'_> {
         }
         Ok(StationPlan {
             name: station.name.get_ref().clone(),
-            role: if station.role == FileRole::Master { Role::Master } else { Role::Slave },
+            role: station.role.into(),
+            backup: station.backup.map(|backup| backup.0),
             clock: clock.map(|_| (offset, (drift * 1_000.0).round() as i64)),
             clock_offset: Span::ZERO,
             clock_drift_ppb: 0,
@@ -275,18 +293,22 @@ impl Source<'_> {
     ) -> Result<(), FileError> {
         let size = scenario.stations.iter().map(|station| station.payload).max().unwrap_or(DEFAULT_PAYLOAD);
         let Scenario { cycle, rate, .. } = *scenario;
-        let (start, length) = divide(cycle, window, rate, scenario.stations.len(), size, guard)
+        // Slots begin when the last backup may send no more; a window that is longer than need be is in its way.
+        let last = scenario.stations.iter().filter_map(|station| station.backup).max();
+        let window = window.or(last.map(|_| scenario.sync_window));
+        let last = last.unwrap_or(Span::ZERO);
+        let (start, length) = divide(cycle - last, window, rate, scenario.stations.len(), size, guard)
             .map_err(|conflict| self.impossible(0, conflict))?;
         scenario.sync_window = start;
         for (k, station) in scenario.stations.iter_mut().enumerate() {
-            let offset = start + length * k as i64;
+            let offset = last + start + length * k as i64;
             station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size: station.payload }];
         }
         Ok(())
     }
 
     fn check_calibration(&self, network: &NetworkFile, scenario: &Scenario) -> Result<(), FileError> {
-        for slave in scenario.stations.iter().filter(|station| station.role == Role::Slave) {
+        for slave in scenario.stations.iter().filter(|station| station.role != Role::Master) {
             let slots = || slave.slots.iter().map(|slot| (slot.id, slot.period));
             check_rounds(slave.rounds, slots()).map_err(|refused| {
                 let first = slots().min().map_or(0, |(id, _)| id);
@@ -306,9 +328,10 @@ impl Source<'_> {
 fn place_of(network: &NetworkFile, conflict: &Conflict) -> usize {
     match conflict {
         Conflict::Overlap { b, b_id, .. } => place_of_slot(network, b, *b_id),
-        Conflict::InSyncWindow { owner, id, .. } | Conflict::BeyondCycle { owner, id, .. } => {
-            place_of_slot(network, owner, *id)
-        }
+        Conflict::InSyncWindow { owner, id, .. }
+        | Conflict::BeyondCycle { owner, id, .. }
+        | Conflict::BeforeBackup { owner, id, .. } => place_of_slot(network, owner, *id),
+        Conflict::BackupTooEarly { owner, .. } => place_of_slot(network, owner, u8::MAX),
         Conflict::DoesNotFit { .. } => 0,
     }
 }

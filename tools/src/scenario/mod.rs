@@ -60,8 +60,10 @@ pub struct Scenario {
 pub struct StationPlan {
     /// Unique in the network.
     pub name: String,
-    /// Master or slave.
+    /// Master, backup or slave.
     pub role: Role,
+    /// How long after a cycle's start a backup looks whether there is a Synchronisation.
+    pub backup: Option<Span>,
     /// The clock that a file gives it: lead and rate error; otherwise random, by the seed.
     pub clock: Option<(Span, i64)>,
     /// How far its clock is ahead of the host's.
@@ -179,6 +181,7 @@ impl Uniform {
             .map(|k| StationPlan {
                 name: if k == 0 { "master".into() } else { format!("slave{k}") },
                 role: if k == 0 { Role::Master } else { Role::Slave },
+                backup: None,
                 clock: None,
                 clock_offset: Span::ZERO,
                 clock_drift_ppb: 0,
@@ -234,8 +237,10 @@ impl Scenario {
                 size: slot.size,
             })
         });
+        let backups =
+            self.stations.iter().filter_map(|station| Some((station.name.clone(), station.backup?)));
         let Scenario { cycle, sync_window, rate, guard, .. } = *self;
-        Schedule { cycle, sync_window, rate, guard, slots: slots.collect() }
+        Schedule { cycle, sync_window, rate, guard, backups: backups.collect(), slots: slots.collect() }
     }
 
     /// A station's address.

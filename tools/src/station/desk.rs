@@ -278,6 +278,7 @@ impl Desk {
             role: status.role.name().into(),
             link: self.link().name().into(),
             guard: self.guard,
+            mastery: status.mastery.map(|mastery| mastery.name().into()),
             standing: Standing::of(newest, &self.counts, self.link()),
             period_ns: status.period.map(Span::nanos),
             deviation_ns: status.deviation.nanos(),
@@ -331,6 +332,6 @@ fn counters(status: &TdmaStatus, wire: &Wire) -> BTreeMap<String, u64> {
     let all = own.chain([("calibration_repeats", status.calibration_repeats)]);
     // A master sends syncs and replies, the others do not: what cannot be is not shown.
     let of_masters = ["syncs_sent", "syncs_skipped", "replies_sent", "replies_late", "replies_given_up"];
-    let shown = |name: &str| status.role == RoleName::Master || !of_masters.contains(&name);
+    let shown = |name: &str| status.mastery.is_some() || !of_masters.contains(&name);
     all.filter(|(name, n)| *n > 0 || shown(name)).map(|(name, n)| (name.to_owned(), n)).collect()
 }

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering::Relaxed;
 
-use rtmac::tdma::{RoleName, TdmaStatus};
+use rtmac::tdma::{Mastery, RoleName, TdmaStatus};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::{Record, Snapshot};
@@ -160,7 +160,7 @@ impl Standing {
             state: status.state.name().into(),
             settled: status.settled,
             link: link.name().into(),
-            master: status.role == RoleName::Master,
+            master: status.role == RoleName::Master || status.mastery == Some(Mastery::Active),
             cycle: status.cycle,
             delay_ns: status.delay.map(Span::nanos),
             yielded_to: status.yielded_to.map(|address| address.to_string()),

@@ -74,8 +74,8 @@ impl OwnSlots {
             period,
             size,
         });
-        Schedule { cycle, sync_window, rate: self.rate, guard: Span::ZERO, slots: slots.collect() }
-            .conflicts()
+        let (guard, backups) = (Span::ZERO, Vec::new());
+        Schedule { cycle, sync_window, rate: self.rate, guard, backups, slots: slots.collect() }.conflicts()
     }
 }
 
@@ -83,7 +83,8 @@ fn is_of(conflict: &Conflict, slot: Channel) -> bool {
     match conflict {
         Conflict::Overlap { a_id, b_id, .. } => [*a_id, *b_id].contains(&slot),
         Conflict::InSyncWindow { id, .. } | Conflict::BeyondCycle { id, .. } => *id == slot,
-        Conflict::DoesNotFit { .. } => true,
+        Conflict::BeforeBackup { id, .. } => *id == slot,
+        Conflict::DoesNotFit { .. } | Conflict::BackupTooEarly { .. } => true,
     }
 }
 
@@ -100,7 +101,9 @@ fn refusal(conflict: &Conflict) -> String {
             "slot {id} ends after the cycle: {offset} + frame {air} = {end}, the cycle is {cycle}; let it begin \
              earlier, or make it smaller (size=B)"
         ),
-        Conflict::DoesNotFit { .. } => conflict.to_string(),
+        Conflict::DoesNotFit { .. } | Conflict::BackupTooEarly { .. } | Conflict::BeforeBackup { .. } => {
+            conflict.to_string()
+        }
     };
     format!("{what}. A single station knows only its own slots: keep clear of the others' yourself")
 }

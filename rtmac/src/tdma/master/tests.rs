@@ -47,12 +47,13 @@ impl Bench {
         core::iter::from_fn(|| self.events.take()).map(|event| event.kind).collect()
     }
 
-    /// It has listened since 0, and speaks since 3 ms.
+    /// It has listened since 0, and speaks since 3 ms, a backup since 50.
     fn active(backup: Option<Span>) -> Self {
         let mut bench = Self::new(backup);
+        let listened = backup.map_or(3_000, |_| 50_000);
         assert!(!bench.wait_until(at(0)));
-        assert!(!bench.wait_until(at(2_999)));
-        assert!(bench.wait_until(at(3_000)));
+        assert!(!bench.wait_until(at(listened - 1)));
+        assert!(bench.wait_until(at(listened)));
         assert_eq!(bench.told(), [EventKind::MasterActive]);
         bench
     }
@@ -80,7 +81,7 @@ fn the_first_synchronisation_carries_cycle_1_one_period_after_the_silence() {
     assert_eq!((cycle, start), (1, at(4_000)));
     assert_eq!(sched.nanos(), u64::MAX - 999_999, "global time is the epoch's, modulo 2^64");
     let (cycle, start, _) = Bench::active(Some(BACKUP)).master.next_sync().unwrap();
-    assert_eq!((cycle, start), (1, at(4_200)), "a backup's comes as late as if it took over");
+    assert_eq!((cycle, start), (1, at(51_200)), "a backup's comes as late as if it took over");
 }
 
 #[test]
@@ -152,8 +153,8 @@ fn who_does_not_give_the_time_answers_nobody() {
         assert_eq!(bench.master.on_request(at(2_400), HIGHER, 0, 3, 0), Err(Refusal::NotMaster));
     }
     let mut active = Bench::active(Some(BACKUP));
-    assert_eq!(active.master.on_request(at(3_500), HIGHER, 0, 2, 400_000), Ok(()));
-    active.hear(LOWER, 4, PROMPT);
+    assert_eq!(active.master.on_request(at(50_500), HIGHER, 0, 2, 400_000), Ok(()));
+    active.hear(LOWER, 51, PROMPT);
     assert_eq!(active.master.replies().next(), None, "and what it had promised is for the other to do");
 }
 
@@ -207,7 +208,7 @@ fn an_active_backup_steps_down_for_whoever_sends_and_goes_on_with_the_line() {
     let mut bench = Bench::active(Some(BACKUP));
     bench.told();
     let line = *bench.master.line().unwrap();
-    assert!(bench.hear(HIGHER, 4, PROMPT));
+    assert!(bench.hear(HIGHER, 51, PROMPT));
     assert_eq!(bench.told()[0], EventKind::SteppedDown);
     assert_eq!(bench.master.line().unwrap().start_of(9), line.start_of(9));
     assert!(bench.master.next_sync().unwrap().0 > line.cycle.wrapping_add(1), "not in that very cycle");

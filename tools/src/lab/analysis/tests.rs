@@ -8,6 +8,8 @@ use super::*;
 use crate::lab::delivery::Heard;
 use crate::scenario::Uniform;
 use crate::station::traffic::{Traffic, TrafficPlan};
+use rtnet::clock::EmulatedClock;
+use rtnet::time::Offset;
 
 const CYCLE: u64 = 1_000_000;
 const FIRST: u32 = 10;

@@ -78,6 +78,8 @@ pub struct Master {
     /// Synchronisations in a row that were sent as late as a backup's.
     late_in_row: u32,
     rival: Option<Rival>,
+    /// The last cycle whose Synchronisation it has sent in time.
+    sent: Option<u32>,
     /// Who outlasted this one: its place is not taken back.
     outlasted_by: Option<Address>,
 }
@@ -138,6 +140,7 @@ impl Master {
             replies: Replies::default(),
             late_in_row: 0,
             rival: None,
+            sent: None,
             outlasted_by: None,
         }
     }
@@ -283,6 +286,10 @@ impl Master {
             }
             Phase::Active { line } => {
                 events.note(line.cycle, EventKind::OtherMaster, late);
+                // A backup does what it is for where there was none of this one.
+                if self.sent != Some(line.cycle) {
+                    return false;
+                }
                 let rival = self.rival.get_or_insert_with(|| Rival::new(from, rx));
                 rival.heard(from, rx, line.period);
                 if !rival.outlasts(own, is_backups) {
@@ -376,8 +383,9 @@ impl Master {
         }
     }
 
-    /// Its Synchronisation of a cycle has left: a backup that stood by has taken over.
-    pub fn sent(&mut self, cycle: u32, events: &mut Events) {
+    /// Its Synchronisation of a cycle has left, `in_time` or held up: a backup that stood by has taken over.
+    pub fn sent(&mut self, cycle: u32, in_time: bool, events: &mut Events) {
+        self.sent = in_time.then_some(cycle);
         if let (Phase::StandBy { .. }, Some(line)) = (self.phase, self.follower.line().copied()) {
             self.begin(&line, cycle);
             events.note(cycle, EventKind::TookOver, self.config.backup.unwrap_or(Span::ZERO));

@@ -435,7 +435,7 @@ impl Tdma {
             (Job::Sync { cycle, .. }, role) => {
                 self.counters.syncs_sent += 1;
                 if let Role::Master(master) = role {
-                    master.sent(*cycle, &mut self.events);
+                    master.sent(*cycle, stamped.is_some(), &mut self.events);
                 }
             }
             (Job::Reply { .. }, _) => self.counters.replies_sent += 1,

@@ -291,6 +291,10 @@ impl Analysis {
         air: Span,
     ) {
         let cycle = author.cycle;
+        // Before anything counts, two may have begun at once, of which one makes way.
+        if self.window.is_none() {
+            self.grid = Some((cycle, sched));
+        }
         self.grid.get_or_insert((cycle, sched));
         self.heard(author.station, cycle);
         let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));

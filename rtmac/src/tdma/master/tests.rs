@@ -43,6 +43,15 @@ impl Bench {
         followed
     }
 
+    /// Its next Synchronisation, in time or not.
+    fn send(&mut self, in_time: bool) {
+        let (cycle, ..) = self.master.next_sync().unwrap();
+        self.master.advance();
+        if in_time {
+            self.master.sent(cycle, true, &mut self.events);
+        }
+    }
+
     fn told(&mut self) -> Vec<EventKind> {
         core::iter::from_fn(|| self.events.take()).map(|event| event.kind).collect()
     }
@@ -177,7 +186,7 @@ fn a_backup_takes_over_in_the_cycle_whose_synchronisation_is_missing() {
     bench.hear(LOWER, 3, PROMPT);
     assert_eq!(bench.master.next_sync().unwrap().0, 4, "there is one");
     bench.master.advance();
-    bench.master.sent(4, &mut bench.events);
+    bench.master.sent(4, true, &mut bench.events);
     assert_eq!(bench.told(), [EventKind::TookOver]);
     assert_eq!(bench.master.mastery(), Mastery::Active);
     assert_eq!(bench.master.next_sync().unwrap().1, at(5_200));
@@ -244,7 +253,11 @@ fn of_two_primaries_the_one_with_the_lower_address_stays() {
     let heard = |from: Address| {
         let mut bench = Bench::active(None);
         bench.told();
-        let yields = (4..100).position(|cycle| bench.hear(from, cycle, PROMPT)).map(|n| n + 1);
+        let mut yields = |cycle: u32| {
+            bench.send(true);
+            bench.hear(from, cycle, PROMPT)
+        };
+        let yields = (4..100).position(&mut yields).map(|n| n + 1);
         (yields, bench)
     };
     let (yields, mut bench) = heard(LOWER);
@@ -258,6 +271,18 @@ fn of_two_primaries_the_one_with_the_lower_address_stays() {
     }
     bench.wait_until(at(19_300));
     assert_eq!(bench.master.mastery(), Mastery::Following);
+}
+
+#[test]
+fn a_primary_that_is_held_up_does_not_make_way_for_a_backup_but_for_one_that_is_deaf() {
+    let outlasted = |in_time: bool| {
+        let mut bench = Bench::active(None);
+        (4..100).any(|cycle| {
+            bench.send(in_time);
+            bench.hear(LOWER, cycle, LATE)
+        })
+    };
+    assert!(!outlasted(false) && outlasted(true));
 }
 
 #[test]

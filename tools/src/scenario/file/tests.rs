@@ -76,3 +76,34 @@ fn what_cannot_be_names_file_line_and_remedy() {
         assert!(error.contains(expected), "{to}: {error}");
     }
 }
+
+#[test]
+fn backups_are_read_and_what_cannot_be_of_them_is_refused() {
+    let network = |backup: &str, role: &str, slots: &str| {
+        format!(
+            "cycle = \"2ms\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n{slots}\
+             [[station]]\nname = \"b\"\nrole = \"{role}\"\n{backup}{slots2}",
+            slots2 = slots.replace("300us", "900us")
+        )
+    };
+    let slots = "slots = [{ id = 0, offset = \"300us\" }]\n";
+    let read = parse(&network("backup = \"100us\"\n", "backup", slots)).unwrap();
+    assert_eq!(
+        (read.stations[1].role, read.stations[1].backup),
+        (Role::Backup, Some(Span::from_micros(100)))
+    );
+    let divided = parse(&network("backup = \"100us\"\n", "backup", "")).unwrap();
+    assert_eq!(
+        (divided.sync_window, divided.stations[0].slots[0].offset),
+        (Span::from_micros(50), Span::from_micros(150))
+    );
+    for (backup, role, slots, why) in [
+        ("", "backup", slots, "a backup says when it looks"),
+        ("backup = \"100us\"\n", "slave", slots, "and nobody else does"),
+        ("backup = \"60us\"\n", "backup", slots, "backup b sends 60us after a cycle's start"),
+        ("backup = \"280us\"\n", "backup", slots, "slot 0 of m begins at 300us, but backup b may send"),
+    ] {
+        let refused = parse(&network(backup, role, slots)).unwrap_err().to_string();
+        assert!(refused.contains(why), "{refused}");
+    }
+}

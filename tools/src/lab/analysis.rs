@@ -114,6 +114,11 @@ impl Analysis {
         self.givers.truth()
     }
 
+    /// A station begins anew: what it knew of time is gone.
+    pub fn begins_anew(&mut self, station: usize) {
+        self.givers.begins_anew(station);
+    }
+
     /// What a station took global time for at a true moment.
     pub fn told_time(&mut self, station: usize, at: True, global: GlobalTime) {
         self.givers.told(station, at, global);
@@ -191,15 +196,15 @@ impl Analysis {
         let air = self.rate.air_time(bytes.len());
         if header.ether_type() == EtherType::RTMAC {
             let sync = match wire::parse(bytes) {
-                Ok(Rtmac::Tdma(Message::Sync { cycle, xmit, sched })) => Some((cycle, xmit, sched)),
+                Ok(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) => Some((cycle, sched)),
                 _ => None,
             };
             let from = header.source;
             let author =
-                sync.map(|(cycle, ..)| Author { station: self.givers.station(from), ..Author::sync(cycle) });
-            self.occupy(at, air, sync.map(|(cycle, ..)| cycle).or(self.current), author);
-            if let (Some((_, xmit, sched)), Some(author)) = (sync, author) {
-                self.sync(at, author, (from, xmit, sched), air);
+                sync.map(|(cycle, _)| Author { station: self.givers.station(from), ..Author::sync(cycle) });
+            self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), author);
+            if let (Some((_, sched)), Some(author)) = (sync, author) {
+                self.sync(at, author, (from, sched), air);
             }
         } else if let Some((tag, _)) = Tag::read(bytes)
             && tag.station() < self.stations.len()
@@ -283,13 +288,7 @@ impl Analysis {
         }
     }
 
-    fn sync(
-        &mut self,
-        at: True,
-        author: Author,
-        (from, xmit, sched): (Address, GlobalTime, GlobalTime),
-        air: Span,
-    ) {
+    fn sync(&mut self, at: True, author: Author, (from, sched): (Address, GlobalTime), air: Span) {
         let cycle = author.cycle;
         // Before anything counts, two may have begun at once, of which one makes way.
         if self.window.is_none() {
@@ -298,7 +297,7 @@ impl Analysis {
         self.grid.get_or_insert((cycle, sched));
         self.heard(author.station, cycle);
         let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
-        let has_taken_over = is_newer && self.givers.heard(from, at, xmit);
+        let has_taken_over = is_newer && self.givers.heard(from, at);
         let due = self.start_of(cycle).unwrap_or(sched);
         let error = self.error(at, due + self.givers.after(from));
         if sched != due {

@@ -119,6 +119,7 @@ impl Lab {
     pub(super) fn restart(&mut self, scenario: &Scenario, station: usize) -> Result<()> {
         let sender = &self.analysis.stations[station].passed;
         let resume = Resume { grid: self.analysis.grid(), first: sender.beyond() };
+        self.analysis.begins_anew(station);
         let arguments = arguments(scenario, station, &self.launch, &resume)?;
         let member = &mut self.members[station];
         // Somebody may have taken its interface away, or renamed it.

@@ -113,6 +113,7 @@ fn role(station: usize) -> RoleConfig {
             epoch: Offset::default(),
             resume: None,
             backup: None,
+            backups_from: None,
             follow: SlaveConfig { rounds: 0, step_limit: None },
         }),
         _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE) }),

@@ -119,6 +119,7 @@ impl Seat {
                 epoch,
                 resume: None,
                 backup: None,
+                backups_from: None,
                 follow: SlaveConfig { rounds: 0, step_limit: None },
             }),
             _ => RoleConfig::Slave(SlaveConfig { rounds: 20, step_limit: None }),

@@ -106,6 +106,7 @@ impl Victim {
                 epoch: Offset::default(),
                 resume: None,
                 backup: None,
+                backups_from: None,
                 follow: SlaveConfig { rounds: 0, step_limit: None },
             }),
         };

@@ -161,6 +161,7 @@ pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma
         epoch,
         resume: None,
         backup: None,
+        backups_from: None,
         follow,
     };
     ours(address, offset, RoleConfig::Master(config))

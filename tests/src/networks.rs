@@ -283,6 +283,7 @@ impl Plan {
                 epoch: epoch(),
                 resume: None,
                 backup: self.backup(id),
+                backups_from: self.backups.iter().map(|&(_, after)| after).min(),
                 follow,
             }),
             None => RoleConfig::Slave(follow),

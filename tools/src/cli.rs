@@ -265,6 +265,10 @@ pub struct StationArgs {
     /// later than that, and those of other backups
     #[arg(long, value_name = "OFFSET", requires = "master", value_parser = parse_positive_span)]
     pub backup: Option<Span>,
+    /// As a master, know that backups send so long after a cycle's start or later: from one that gives the time, its place
+    /// is taken back. Without, a master that finds another ends
+    #[arg(long, value_name = "OFFSET", requires = "master", conflicts_with = "backup", value_parser = parse_positive_span)]
+    pub backups_from: Option<Span>,
     /// From one cycle's start to the next
     #[arg(long, value_parser = parse_positive_span, conflicts_with = "slave")]
     pub cycle: Option<Span>,

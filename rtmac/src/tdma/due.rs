@@ -12,13 +12,13 @@ impl Tdma {
     /// The job whose instant is first; at the same instant a Synchronisation before a reply before data.
     pub(super) fn next_job(&self) -> Option<Job> {
         let line = self.line()?;
-        let data = || self.slots.next_turn(line, None).map(|turn| Job::Data(self.tolerant(turn, line)));
+        let turns = || match self.slots.first().filter(|_| self.calibrates()) {
+            Some(first) => self.slots.next_turn(line, Some(first.id)).map(Job::Request),
+            None => self.slots.next_turn(line, None).map(|turn| Job::Data(self.tolerant(turn, line))),
+        };
         match &self.role {
             Role::Detached => None,
-            _ if self.calibrates() => {
-                self.slots.next_turn(line, self.slots.first().map(|slot| slot.id)).map(Job::Request)
-            }
-            Role::Slave(_) => data(),
+            Role::Slave(_) => turns(),
             Role::Master(master) => {
                 let config = master.config();
                 let sync = master.next_sync().map(|(cycle, at, sched)| Job::Sync {
@@ -34,7 +34,7 @@ impl Tdma {
                     latest: reply.at + config.reply_latest,
                 });
                 // Replies and slots of one cycle come after its Synchronisation, which begins it.
-                sync.into_iter().chain(reply).chain(data()).min_by_key(Job::at)
+                sync.into_iter().chain(reply).chain(turns()).min_by_key(Job::at)
             }
         }
     }

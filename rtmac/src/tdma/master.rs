@@ -20,7 +20,8 @@
 //! its window is not sent, and the next carries the number that the grid says. A foreign one never re-times the grid of
 //! an active primary.
 //!
-//! Who sends late is a backup: that is how one that returns knows whether the place is taken or only kept for it. Of
+//! Who sends as late as backups do is one: that is how one that returns knows whether the place is taken or only kept for
+//! it. Of
 //! two primaries, after a parted network is whole again, the one with the lower address stays; one that is not of our
 //! kind does not know that, and outlasts ours.
 
@@ -65,6 +66,9 @@ pub struct MasterConfig {
     /// How long after a cycle's start a backup sends a Synchronisation if there was none, for which it looks
     /// [`BACKUP_LOOKS_BEFORE`]. `None`: this is the primary.
     pub backup: Option<Span>,
+    /// So long after a cycle's start or later backups send, as a primary knows: only from one of them it takes its place
+    /// back. `None`: from nobody.
+    pub backups_from: Option<Span>,
     /// How another master is followed.
     pub follow: SlaveConfig,
 }
@@ -90,7 +94,10 @@ enum Phase {
     Listening {
         until: Instant,
     },
-    Following,
+    /// Until then for a line.
+    Following {
+        until: Instant,
+    },
     /// Up to this cycle nothing is to be done any more.
     StandBy {
         passed: u32,
@@ -153,7 +160,7 @@ impl Master {
     pub fn mastery(&self) -> Mastery {
         match self.phase {
             Phase::Attached | Phase::Listening { .. } => Mastery::Listening,
-            Phase::Following => Mastery::Following,
+            Phase::Following { .. } => Mastery::Following,
             Phase::StandBy { .. } => Mastery::StandBy,
             Phase::Active { .. } => Mastery::Active,
             Phase::Yielded { .. } => Mastery::Yielded,
@@ -179,21 +186,27 @@ impl Master {
         self.follower().map_or(SyncState::Locked, Slave::state)
     }
 
-    /// Time has passed. Who has no slot cannot calibrate, and does without. `true` when a grid of its own has begun.
+    /// Time has passed. Who has no slot cannot calibrate, and does without. `true` when slots are to be aligned.
     pub fn on_timeout(&mut self, now: Instant, has_slots: bool, events: &mut Events) -> bool {
         let listen = self.listens();
         match self.phase {
             Phase::Attached => self.phase = Phase::Listening { until: now + listen },
             Phase::Listening { until } if now >= until => return self.speak(now, events),
-            Phase::Following => {
+            Phase::Following { until } => {
                 self.follower.on_timeout(now, events);
-                if self.follower.state() == SyncState::Lost {
+                let is_alone = self.follower.line().is_none() && now >= until;
+                if is_alone || self.follower.state() == SyncState::Lost {
                     self.phase = Phase::Listening { until: now + listen };
                 } else if self.has_followed(has_slots) {
                     self.is_ready(events);
                 }
             }
-            Phase::StandBy { .. } => self.follower.on_timeout(now, events),
+            Phase::StandBy { .. } => {
+                self.follower.on_timeout(now, events);
+                if self.follower.line().is_none() {
+                    self.phase = Phase::Listening { until: now + listen };
+                }
+            }
             _ => {}
         }
         false
@@ -207,7 +220,8 @@ impl Master {
         }
     }
 
-    /// There is nobody else. What was followed goes on, if there was something; else a grid of its own begins: `true`.
+    /// There is nobody else. What was followed goes on, if there was something. `true` if slots are to be aligned: to a grid
+    /// of its own, or since calibration used one alone.
     fn speak(&mut self, now: Instant, events: &mut Events) -> bool {
         let followed = self.follower.line().copied();
         let MasterConfig { cycle: period, epoch: offset, resume, .. } = self.config;
@@ -219,7 +233,7 @@ impl Master {
         let cycle = known.cycle.wrapping_add(gone as u32);
         self.begin(&known, cycle);
         events.note(cycle.wrapping_add(1), EventKind::MasterActive, Span::ZERO);
-        followed.is_none()
+        followed.is_none() || self.follower.calibration().delay().is_none()
     }
 
     /// Gives the time on this line from now on; `cycle` was the last that has begun. Of a new grid that is cycle 0,
@@ -259,7 +273,7 @@ impl Master {
         late: Span,
         events: &mut Events,
     ) -> bool {
-        let is_backups = late > self.config.sync_latest;
+        let is_backups = self.config.backups_from.is_some_and(|from| late >= from - BACKUP_LOOKS_BEFORE);
         self.late_in_row = if is_backups { self.late_in_row.saturating_add(1) } else { 0 };
         match self.phase {
             Phase::Yielded { .. } => return false,
@@ -270,9 +284,9 @@ impl Master {
                     self.phase = Phase::Yielded { to: from };
                     return false;
                 }
-                self.phase = Phase::Following;
+                self.phase = Phase::Following { until: rx + self.listens() };
             }
-            Phase::Following => {}
+            Phase::Following { ref mut until } => *until = rx + self.config.cycle * LISTEN_CYCLES,
             Phase::StandBy { ref mut passed } => {
                 if let Some(line) = self.follower.line() {
                     let gone = (rx - line.start + line.period / EARLY_PARTS).nanos();
@@ -297,12 +311,19 @@ impl Master {
                 }
                 events.note(line.cycle, EventKind::Yielded, rival.lasted(rx));
                 self.outlasted_by = Some(from);
-                self.follower = Slave::new(self.config.follow);
+                self.follower.forget();
                 self.replies.clear();
-                self.phase = Phase::Following;
+                self.phase = Phase::Following { until: rx + self.listens() };
             }
         }
         true
+    }
+
+    /// Another line is followed: cycles may be numbered anew.
+    pub fn follows_another_line(&mut self) {
+        if let (Phase::StandBy { passed }, Some(line)) = (&mut self.phase, self.follower.line()) {
+            *passed = line.cycle;
+        }
     }
 
     /// What others tell is compared with the line on which this one gave the time.
@@ -345,7 +366,8 @@ impl Master {
         match self.phase {
             Phase::Attached => Some(Instant::default()),
             Phase::Listening { until } => Some(until),
-            Phase::Following | Phase::StandBy { .. } => self.follower.deadline(),
+            Phase::Following { until } => self.follower.deadline().or(Some(until)),
+            Phase::StandBy { .. } => self.follower.deadline(),
             Phase::Active { .. } | Phase::Yielded { .. } => None,
         }
     }

@@ -73,6 +73,9 @@ impl Tdma {
             }
             self.silent = None;
             self.slots.align(&line, rx);
+            if let Role::Master(master) = &mut self.role {
+                master.follows_another_line();
+            }
             if let Some(beyond) = self.slots.longest_offset().filter(|offset| *offset >= line.period) {
                 self.events.note(cycle, EventKind::SlotBeyondCycle, beyond - line.period);
             }

@@ -220,6 +220,16 @@ impl Slave {
         Ok(true)
     }
 
+    /// Begins anew, in place: nobody is followed. A delay that is known stays.
+    pub fn forget(&mut self) {
+        self.track = Track::Nothing;
+        self.envelope.restart();
+        self.calibration.leave_line();
+        (self.master, self.line_of) = (Address::BROADCAST, Address::BROADCAST);
+        (self.doubted, self.missing, self.deviation) = (None, 0, Span::ZERO);
+        self.state = SyncState::Waiting;
+    }
+
     /// This station gave the time itself, on this line, and follows from now on whoever does. A delay that is known
     /// stays.
     pub fn resume(&mut self, line: TimeLine) {

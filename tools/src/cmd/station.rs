@@ -72,6 +72,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
                 },
                 resume: lab.as_ref().and_then(LabOptions::resume),
                 backup: args.backup,
+                backups_from: args.backups_from,
                 follow,
             })
         }

@@ -345,7 +345,7 @@ impl Analysis {
         // What the frame says of its instant is what its station believes.
         let Some(start) = self.start_of(cycle) else { return };
         let error = self.error(at, start + slot.offset);
-        let gives = station == 0 || station == self.giver();
+        let gives = station == self.giver();
         if !gives && self.heard.is_some_and(|heard| cycle.wrapping_sub(heard) as i32 > HOLDOVER_CYCLES) {
             self.find(Finding::of(author, FindingKind::WithoutSync, Span::ZERO));
         }

@@ -378,8 +378,10 @@ pub fn arguments(
     }
     add("--cycle", scenario.cycle.to_string());
     add("--sync-window", scenario.sync_window.to_string());
-    if let Some(backup) = plan.backup {
-        add("--backup", backup.to_string());
+    match (plan.backup, scenario.stations.iter().filter_map(|station| station.backup).min()) {
+        (Some(backup), _) => add("--backup", backup.to_string()),
+        (None, Some(first)) => add("--backups-from", first.to_string()),
+        (None, None) => {}
     }
     line.push("--master".into());
     Ok(line)

@@ -13,7 +13,7 @@
 //! [[station]]
 //! name = "master"
 //! role = "master"           # exactly one; or "slave", or "backup"
-//! backup = "100us"          # of a backup: how long after a cycle's start it looks whether there is a sync
+//! backup = "100us"          # of a backup: how long after a cycle's start it sends a sync if there is none
 //! payload = 64
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 }]
@@ -237,7 +237,7 @@ impl Source<'_> {
             }
         }
         if (station.role == FileRole::Backup) != station.backup.is_some() {
-            let what = "a backup says when it looks, as in backup = \"100us\", and nobody else does";
+            let what = "a backup says when it sends, as in backup = \"100us\", and nobody else does";
             return Err(self.impossible(entry.span().start, what));
         }
         if let Some(rounds) = station.rounds.filter(|&rounds| rounds > MAX_ROUNDS) {

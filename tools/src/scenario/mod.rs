@@ -62,7 +62,7 @@ pub struct StationPlan {
     pub name: String,
     /// Master, backup or slave.
     pub role: Role,
-    /// How long after a cycle's start a backup looks whether there is a Synchronisation.
+    /// How long after a cycle's start a backup sends a Synchronisation if there is none.
     pub backup: Option<Span>,
     /// The clock that a file gives it: lead and rate error; otherwise random, by the seed.
     pub clock: Option<(Span, i64)>,

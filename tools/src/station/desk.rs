@@ -251,6 +251,7 @@ impl Desk {
                     epoch: self.epoch(),
                     resume: None,
                     backup: None,
+                    backups_from: None,
                     follow: SlaveConfig { rounds: DEFAULT_ROUNDS, step_limit: self.step_limit },
                 }))
             }

@@ -23,8 +23,18 @@ impl Bench {
     fn new(backup: Option<Span>) -> Self {
         let (sync_latest, reply_latest) = (Span::from_micros(40), Span::from_micros(40));
         let epoch = Offset::between(at(0), GlobalTime::from_nanos(u64::MAX - 4_999_999));
-        let (cycle, follow) = (Span::from_millis(1), SlaveConfig { rounds: 0, step_limit: None });
-        let config = MasterConfig { cycle, sync_latest, reply_latest, epoch, resume: None, backup, follow };
+        let (cycle, backups_from) = (Span::from_millis(1), Some(BACKUP));
+        let follow = SlaveConfig { rounds: 0, step_limit: None };
+        let config = MasterConfig {
+            cycle,
+            sync_latest,
+            reply_latest,
+            epoch,
+            resume: None,
+            backup,
+            backups_from,
+            follow,
+        };
         Self { master: Master::new(config), events: Events::new() }
     }
 
@@ -132,7 +142,9 @@ fn every_phase_answers_every_event() {
     let some = Some(BACKUP);
     type Begin<'a> = &'a dyn Fn(Option<Span>) -> Bench;
     // By phase: of a primary after (prompt, late, 99 ms), of a backup after the same.
-    let rows: [(Begin<'_>, [Mastery; 6]); 5] = [
+    let stand_by = |_| Bench::stand_by();
+    let rows: [(Begin<'_>, [Mastery; 6]); 6] = [
+        (&stand_by, [StandBy; 6]),
         (&attached, [Yielded, Following, Listening, Following, Following, Listening]),
         (&listening, [Yielded, Following, Active, Following, Following, Active]),
         // A primary that follows one that sends in its window does not speak; nobody else: it listens again.
@@ -291,4 +303,27 @@ fn a_foreign_synchronisation_never_moves_the_grid_of_an_active_primary() {
     let before = bench.master.next_sync();
     assert!(!bench.hear(LOWER, 77, PROMPT) && !bench.hear(HIGHER, 5, LATE));
     assert_eq!(bench.master.next_sync(), before);
+}
+
+#[test]
+fn who_has_heard_one_synchronisation_and_no_more_listens_again_and_speaks() {
+    for (backup, listens) in [(None, 3_000), (Some(BACKUP), 50_000)] {
+        let mut bench = Bench::new(backup);
+        bench.wait_until(at(0));
+        bench.hear(LOWER, 1, LATE);
+        assert_eq!(bench.master.mastery(), Mastery::Following);
+        let until = bench.master.deadline().expect("it does not wait for ever");
+        bench.wait_until(until);
+        assert_eq!(bench.master.mastery(), Mastery::Listening);
+        assert!(bench.wait_until(until + Span::from_micros(listens)), "a grid of its own");
+    }
+}
+
+#[test]
+fn a_backup_that_has_no_line_any_more_listens_again() {
+    let mut bench = Bench::stand_by();
+    for ms in 3..1_020 {
+        bench.wait_until(at(ms * 1_000));
+    }
+    assert_eq!(bench.master.mastery(), Mastery::Listening, "its syncs did not leave for a thousand cycles");
 }

@@ -98,7 +98,7 @@ fn backups_are_read_and_what_cannot_be_of_them_is_refused() {
         (Span::from_micros(50), Span::from_micros(150))
     );
     for (backup, role, slots, why) in [
-        ("", "backup", slots, "a backup says when it looks"),
+        ("", "backup", slots, "a backup says when it sends"),
         ("backup = \"100us\"\n", "slave", slots, "and nobody else does"),
         ("backup = \"60us\"\n", "backup", slots, "backup b sends 60us after a cycle's start"),
         ("backup = \"280us\"\n", "backup", slots, "slot 0 of m begins at 300us, but backup b may send"),

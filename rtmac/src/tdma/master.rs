@@ -198,7 +198,7 @@ impl Master {
                 if is_alone || self.follower.state() == SyncState::Lost {
                     self.phase = Phase::Listening { until: now + listen };
                 } else if self.has_followed(has_slots) {
-                    self.is_ready(events);
+                    self.take_place(events);
                 }
             }
             Phase::StandBy { .. } => {
@@ -255,7 +255,7 @@ impl Master {
     }
 
     /// It follows as well as can be: a backup stands by, and a primary takes its place back from one.
-    fn is_ready(&mut self, events: &mut Events) {
+    fn take_place(&mut self, events: &mut Events) {
         let Some(line) = self.follower.line().copied() else { return };
         if self.config.backup.is_some() {
             self.phase = Phase::StandBy { passed: line.cycle };
@@ -265,7 +265,7 @@ impl Master {
         }
     }
 
-    /// Another master's Synchronisation of `cycle`, sent `late` after it was scheduled; `true` if it is to be followed.
+    /// Another master's Synchronisation, sent `late` after it was scheduled; `true` if it is to be followed.
     pub fn on_foreign_sync(
         &mut self,
         rx: Instant,

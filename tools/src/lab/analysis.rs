@@ -291,10 +291,9 @@ impl Analysis {
     fn sync(&mut self, at: True, author: Author, (from, sched): (Address, GlobalTime), air: Span) {
         let cycle = author.cycle;
         // Before anything counts, two may have begun at once, of which one makes way.
-        if self.window.is_none() {
+        if self.window.is_none() || self.grid.is_none() {
             self.grid = Some((cycle, sched));
         }
-        self.grid.get_or_insert((cycle, sched));
         self.heard(author.station, cycle);
         let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
         let has_taken_over = is_newer && self.givers.heard(from, at);

@@ -7,7 +7,7 @@ use crate::time::{Instant, Span};
 /// Nanoseconds.
 pub type True = u64;
 
-const BILLION: i64 = 1_000_000_000;
+pub(crate) const BILLION: i64 = 1_000_000_000;
 
 /// `local = true + offset + (true - anchor) * drift`, exact to the nanosecond in both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -42,7 +42,7 @@ impl EmulatedClock {
 /// `a * b / c`, rounded down. This stands before every send, where a 128-bit division costs a third of
 /// what is ours: it is done only when the product does not fit 64 bits (days from the anchor on).
 #[inline]
-fn floor_of_product(a: i64, b: i64, c: i64) -> i64 {
+pub(crate) fn floor_of_product(a: i64, b: i64, c: i64) -> i64 {
     match a.checked_mul(b) {
         Some(product) => product.div_euclid(c),
         None => (i128::from(a) * i128::from(b)).div_euclid(i128::from(c)) as i64,

@@ -14,14 +14,16 @@
 //! Both are pure: they are given the time with every call and never ask for it.
 
 mod event;
+mod time_view;
 
 use crate::buf::Buf;
 use crate::counters::Refusal;
 use crate::queue::Priority;
-use crate::time::{GlobalTime, Instant, Offset};
+use crate::time::{GlobalTime, Instant};
 use crate::wire::ethernet::{EtherType, Header};
 
 pub use event::{Cause, Event, EventKind};
+pub use time_view::{SyncState, TimeView};
 
 /// The slot id that a frame is to leave in: 0 real-time, 1 non-real-time, 2.. the user's.
 pub type Channel = u8;
@@ -172,48 +174,6 @@ pub struct Returned {
     pub priority: Priority,
     /// Its slot.
     pub channel: Channel,
-}
-
-/// How far a station is with the master's time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum SyncState {
-    /// No Synchronisation yet: silent.
-    #[default]
-    Waiting,
-    /// Measuring the delay to the master: sends only calibration requests.
-    Calibrating,
-    /// Synchronised.
-    Locked,
-    /// One Synchronisation is missing; its cycle is bridged.
-    Holdover,
-    /// More than one is missing: silent.
-    Lost,
-}
-
-impl SyncState {
-    /// The state's name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            SyncState::Waiting => "waiting",
-            SyncState::Calibrating => "calibrating",
-            SyncState::Locked => "locked",
-            SyncState::Holdover => "holdover",
-            SyncState::Lost => "lost",
-        }
-    }
-}
-
-/// What a station knows of the master's time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct TimeView {
-    /// How far it is.
-    pub state: SyncState,
-    /// Number of the last cycle that a Synchronisation told of.
-    pub cycle: u32,
-    /// That cycle's start on this station's clock.
-    pub start: Instant,
-    /// From this station's clock to the master's.
-    pub offset: Offset,
 }
 
 /// Why a frame could not be queued.

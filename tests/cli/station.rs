@@ -303,6 +303,57 @@ fn a_running_station_refuses_slots_of_its_own_that_clash() {
     });
 }
 
+/// Waits until it can be asked.
+fn runs(station: &Station, name: &str) {
+    station.wait_for("Ctrl-C ends it");
+    let deadline = Instant::now() + PATIENCE;
+    while asked(&["tdma", "-S", name, "status"]).is_err() {
+        assert!(Instant::now() < deadline, "it never answers");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn no_request_to_a_station_waits_for_ever() {
+    network("no_request_to_a_station_waits_for_ever", || {
+        let medium = Medium::new();
+        let name = format!("alone-{}", std::process::id());
+        let options = ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--name", &name];
+        let slave = Station::start(&medium.b, &options);
+        runs(&slave, &name);
+        // Without a master nothing can be calibrated: RTnet's configuring calls would block for good.
+        asked(&["slot", "-S", &name, "set", "0=2ms"]).unwrap();
+        asked(&["tdma", "-S", &name, "detach"]).unwrap();
+        asked(&["tdma", "-S", &name, "slave", "--rounds", "10"]).unwrap();
+
+        // Nor does it help to ask who is stopped.
+        let process = Pid::from_raw(slave.child.id() as i32);
+        kill(process, Signal::SIGSTOP).unwrap();
+        let requests = [
+            vec!["tdma", "-S", &name, "status"],
+            vec!["tdma", "-S", &name, "master", "--cycle", "5ms"],
+            vec!["tdma", "-S", &name, "slave"],
+            vec!["slot", "-S", &name, "set", "0=3ms"],
+            vec!["slot", "-S", &name, "remove", "0"],
+            vec!["slot", "-S", &name, "list"],
+        ];
+        let begun = Instant::now();
+        let refused = std::thread::scope(|scope| {
+            let asking: Vec<_> = requests.iter().map(|request| scope.spawn(|| asked(request))).collect();
+            asking.into_iter().map(|asking| asking.join().unwrap()).collect::<Vec<_>>()
+        });
+        let took = begun.elapsed();
+        kill(process, Signal::SIGCONT).unwrap();
+        for (refused, request) in refused.iter().zip(&requests) {
+            let message = refused.as_ref().unwrap_err();
+            assert!(message.contains("has not answered in time"), "{request:?}: {message}");
+        }
+        assert!(took < PATIENCE, "{took:?}");
+        let now = wait_until("it goes on", &name, |status| status["standing"]["state"] == "waiting");
+        assert_eq!(now["slots"][0]["offset_ns"], 2_000_000, "what was given up was not done later");
+    });
+}
+
 #[test]
 fn who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone() {
     network("who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone", || {

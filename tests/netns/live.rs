@@ -13,7 +13,7 @@ use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Discipline, Service};
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::interface::Interface;
-use rtnet::live::{Driver, DriverConfig, GuardMode, Port, Snapshot};
+use rtnet::live::{Driver, DriverConfig, GuardMode, Port, Snapshot, TimeBoard};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType};
@@ -37,6 +37,7 @@ pub struct Running<D: Discipline> {
     latest: Option<Snapshot<D::Status>>,
     snapshots: Arc<crossbeam::queue::ArrayQueue<Snapshot<D::Status>>>,
     pub tally: Arc<Tally>,
+    pub time: Arc<TimeBoard>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
     // The interface goes with it.
@@ -95,9 +96,9 @@ impl Medium {
         let stop = Arc::new(AtomicBool::new(false));
         let config = DriverConfig { stop: stop.clone(), sample_time: false, changed: None };
         let mut driver = Driver::new(Station::new(discipline(address), services), port, config);
-        let snapshots = driver.snapshots();
+        let (snapshots, time) = (driver.snapshots(), driver.time());
         let thread = Some(std::thread::spawn(move || driver.run()));
-        Running { latest: None, snapshots, tally, stop, thread, _namespace: namespace }
+        Running { latest: None, snapshots, tally, time, stop, thread, _namespace: namespace }
     }
 }
 

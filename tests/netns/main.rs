@@ -8,3 +8,4 @@ mod live;
 mod not_for_us;
 mod peer_over_veth;
 mod sync_loss;
+mod wait_on_cycle;

@@ -357,6 +357,8 @@ impl Discipline for Tdma {
             cycle: line.map_or(0, |line| line.cycle),
             start: line.map_or(Instant::default(), |line| line.start),
             offset: line.map_or(Default::default(), |line| line.offset),
+            period: line.map(|line| line.period),
+            drift_ppb: line.map_or(0, |line| line.drift.parts_per_billion(line.period)),
         }
     }
 

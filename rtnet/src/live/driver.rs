@@ -15,6 +15,7 @@ use crate::time::{GlobalTime, Span};
 use super::clock::{monotonic, thread_cpu_time};
 use super::errands::Errands;
 use super::port::{Port, PortCounters};
+use super::time_board::{TimeBoard, TimePublisher};
 
 /// Longest sleep: how soon the loop notices that it is to stop.
 const LONGEST_SLEEP: True = 100_000_000;
@@ -72,6 +73,7 @@ pub struct Driver<D: Discipline> {
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
     errands: Arc<Errands<D::Command, D::Refused>>,
+    time: TimePublisher,
     records_lost: u64,
     next_snapshot: True,
     /// The state in the last snapshot.
@@ -84,6 +86,7 @@ pub struct Driver<D: Discipline> {
 impl<D: Discipline> Driver<D> {
     /// A driver that has not started.
     pub fn new(station: Station<D>, port: Port, config: DriverConfig) -> Self {
+        let time = TimePublisher::new(*port.clock());
         Self {
             station,
             port,
@@ -91,6 +94,7 @@ impl<D: Discipline> Driver<D> {
             records: Arc::new(ArrayQueue::new(RECORDS)),
             snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
             errands: Arc::new(Errands::new()),
+            time,
             records_lost: 0,
             next_snapshot: 0,
             shown: SyncState::Waiting,
@@ -112,6 +116,11 @@ impl<D: Discipline> Driver<D> {
     /// The way of commands: one is carried out in a turn, after the slot's send.
     pub fn errands(&self) -> Arc<Errands<D::Command, D::Refused>> {
         self.errands.clone()
+    }
+
+    /// Where the loop shows the time, for every thread of the process that wants to know it or to wait for a cycle.
+    pub fn time(&self) -> Arc<TimeBoard> {
+        self.time.board()
     }
 
     /// Runs until told to stop, then leaves a last snapshot.
@@ -163,9 +172,11 @@ impl<D: Discipline> Driver<D> {
             self.record(Record::Event(event, event.kind.cause().or(late)));
         }
         let time = self.station.discipline().time();
-        let synchronised = matches!(time.state, SyncState::Locked | SyncState::Holdover);
-        if self.config.sample_time && sample_time && synchronised {
-            self.record(Record::Time(now, time.offset.global(self.port.clock().local(now))));
+        self.time.publish(&time);
+        if self.config.sample_time && sample_time && time.state.is_synchronised() {
+            // What a program that asks would be told.
+            let global = time.to_global(self.port.clock().local(now));
+            global.into_iter().for_each(|global| self.record(Record::Time(now, global)));
         }
         let commanded = self.obey();
         let changed = time.state != self.shown;

@@ -6,6 +6,8 @@
 //!        └────────────────────────── drain data sockets ◄─────────────────────────┘
 //! ```
 //!
+//! Other threads of the process read the time from the driver's [`TimeBoard`], and wait for cycles there.
+//!
 //! Nothing else in this crate opens a socket or reads a clock.
 
 #![allow(unsafe_code)]
@@ -21,8 +23,12 @@ mod packet;
 mod port;
 pub mod realtime;
 pub mod ring;
+mod time_board;
+mod wait;
 
 pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};
 pub use port::{OpenError, Port, PortCounters};
+pub use time_board::{TimeBoard, TimePublisher};
+pub use wait::{Cycle, WaitError, Waiter};

@@ -370,7 +370,7 @@ impl Discipline for Peer {
             (Some(_), true) => SyncState::Locked,
         };
         let Some(Clock { cycle, start, offset }) = self.clock else { return TimeView::default() };
-        TimeView { state, cycle, start, offset }
+        TimeView { state, cycle, start, offset, ..TimeView::default() }
     }
 
     fn next_event(&mut self) -> Option<Event> {

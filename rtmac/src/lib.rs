@@ -1,7 +1,7 @@
 //! Media access, plugged into [`rtnet`]: when a frame may leave.
 //!
 //! [`tdma`] is RTnet's time division: a master tells the time once a cycle, every station sends only
-//! in its own slots. [`wire`] is what that looks like in bytes; [`tdma::schedule`] is the arithmetic of
+//! in its own slots. [`nomac`] is RTmac without slots. [`wire`] is what both look like in bytes; [`tdma::schedule`] is the arithmetic of
 //! slots that do not overlap.
 //!
 //! ```
@@ -11,5 +11,6 @@
 //! assert_eq!(Rate::from_bits_per_second(100_000_000).air_time(60).nanos(), 6_720);
 //! ```
 
+pub mod nomac;
 pub mod tdma;
 pub mod wire;

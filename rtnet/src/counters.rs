@@ -35,6 +35,8 @@ refusals! {
     RtmacVersion = "rtmac_version",
     /// An RTmac control frame of another discipline.
     OtherDiscipline = "other_discipline",
+    /// An RTmac control frame of NoMAC, which has none.
+    NomacControl = "nomac_control",
     /// A tunnelled frame, and nothing here that unwraps it.
     NoTunnel = "no_tunnel",
     /// Sent by a group, or by this station's own address: nobody who is one station.

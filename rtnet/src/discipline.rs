@@ -61,6 +61,11 @@ pub trait Discipline: Send {
     fn payload_limit(&self, channel: Channel) -> Result<usize, SendError>;
     /// When to wake next. `None`: nothing to do until a frame arrives.
     fn next_deadline(&self) -> Option<Instant>;
+    /// Whether a frame that arrives wakes the station before its deadline. Where there are slots it does not: it would be
+    /// for nothing, and all stations would wake at once.
+    fn wakes_on_frames(&self) -> bool {
+        false
+    }
     /// What is known of the master's time.
     fn time(&self) -> TimeView;
     /// The oldest thing worth telling that has not been told.
@@ -196,6 +201,6 @@ pub enum SendError {
     #[error("the queue of slot {0} is full")]
     QueueFull(Channel),
     /// An RTmac frame that real RTnet stations never free (invariant 8).
-    #[error("an RTmac control frame that is not TDMA's never leaves: it deafens RTnet stations")]
+    #[error("an RTmac frame that is not the discipline's own never leaves: it deafens RTnet stations")]
     Lethal,
 }

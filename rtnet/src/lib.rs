@@ -23,9 +23,11 @@
 //! # Ok::<(), rtnet::PriorityOutOfRange>(())
 //! ```
 
+pub mod at_once;
 pub mod buf;
 pub mod clock;
 pub mod counters;
+pub mod direct;
 pub mod discipline;
 pub mod live;
 pub mod queue;
@@ -36,6 +38,7 @@ pub mod wire;
 
 pub use buf::{Buf, Pool, hand_over};
 pub use counters::{Refusal, Refusals};
+pub use direct::Direct;
 pub use discipline::{Discipline, Service};
 pub use queue::{Priority, PriorityOutOfRange, PriorityQueue};
 pub use station::Station;

@@ -9,3 +9,4 @@ mod not_for_us;
 mod peer_over_veth;
 mod sync_loss;
 mod wait_on_cycle;
+mod without_slots;

@@ -1,4 +1,4 @@
-//! Test traffic: one frame for every opportunity, which says whose, which cycle and for when.
+//! Test traffic: one frame in each slot of a cycle, which says whose, which cycle and for when.
 //!
 //! ```text
 //! 0        14        16        17         18      22          30
@@ -46,6 +46,8 @@ pub struct TestTraffic {
     pub pool: Pool,
     /// What it counts.
     pub tally: Arc<Tally>,
+    /// For which slot of which cycle it has sent last. Who has no slots is asked more often.
+    pub sent: Option<(u32, Channel)>,
 }
 
 /// What a [`TestTraffic`] counts.
@@ -75,7 +77,7 @@ pub struct DataFrame {
 impl TestTraffic {
     /// Traffic of 64 bytes from `address` to `to`.
     pub fn new(station: u16, address: Address, to: Address) -> Self {
-        Self { station, address, to, payload: 64, pool: Pool::new(8), tally: Arc::default() }
+        Self { station, address, to, payload: 64, pool: Pool::new(8), tally: Arc::default(), sent: None }
     }
 }
 
@@ -128,6 +130,10 @@ impl Service for TestTraffic {
     }
 
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
+        let turn = Some((slot.cycle, slot.channel));
+        if std::mem::replace(&mut self.sent, turn) == turn {
+            return;
+        }
         let Some(mut frame) = self.pool.take() else { return };
         let Opportunity { channel, cycle, scheduled, .. } = *slot;
         let data = DataFrame { station: self.station, channel, cycle, scheduled };

@@ -33,10 +33,7 @@ pub fn thread_cpu_time() -> u64 {
 /// Sleeps until a moment of CLOCK_MONOTONIC; returns at once when it has passed.
 #[inline]
 pub fn sleep_until(at: True) {
-    let until = libc::timespec {
-        tv_sec: (at / 1_000_000_000) as libc::time_t,
-        tv_nsec: (at % 1_000_000_000) as libc::c_long,
-    };
+    let until = timespec(at);
     // SAFETY: `until` is a valid timespec that outlives the call; no remainder is asked for.
     // A signal ends the sleep early, which the caller's loop makes up for.
     unsafe {
@@ -112,6 +109,15 @@ impl WallClock {
     #[cfg(test)]
     fn step(&mut self, by: u64) {
         self.ahead = self.ahead.wrapping_add(by);
+    }
+}
+
+/// So many nanoseconds, as the kernel takes them.
+#[inline]
+pub(super) fn timespec(nanos: u64) -> libc::timespec {
+    libc::timespec {
+        tv_sec: (nanos / 1_000_000_000) as libc::time_t,
+        tv_nsec: (nanos % 1_000_000_000) as libc::c_long,
     }
 }
 

@@ -141,6 +141,11 @@ impl<D: Discipline> Driver<D> {
     fn turn(&mut self) {
         let Self { station, port, .. } = self;
         port.drain_control(|rx, frame| station.on_frame(rx, frame));
+        let wakes_on_frames = station.discipline().wakes_on_frames();
+        if wakes_on_frames {
+            // No slot waits: what has come may be answered in this turn.
+            port.drain_data(|rx, frame| station.on_frame(rx, frame));
+        }
         (self.looked, self.woke) = (monotonic(), port.woke());
         let now = port.clock().local(self.looked);
         station.on_timeout(now);
@@ -152,15 +157,20 @@ impl<D: Discipline> Driver<D> {
                 (self.looked, self.woke) = (port.clock().truth(*at), port.woke());
             }
             station.on_sent(sent);
-            port.drain_data(|rx, frame| station.on_frame(rx, frame));
+            if !wakes_on_frames {
+                port.drain_data(|rx, frame| station.on_frame(rx, frame));
+            }
             self.tell(sampled);
             return;
         }
-        port.drain_data(|rx, frame| station.on_frame(rx, frame));
+        if !wakes_on_frames {
+            port.drain_data(|rx, frame| station.on_frame(rx, frame));
+        }
         self.tell(false);
+        let no_later = monotonic() + LONGEST_SLEEP;
         match self.station.next_deadline() {
-            Some(deadline) => self.port.sleep_until(deadline, monotonic() + LONGEST_SLEEP),
-            None => self.port.wait_for_frame((LONGEST_SLEEP / 1_000_000) as i32),
+            Some(deadline) if !wakes_on_frames => self.port.sleep_until(deadline, no_later),
+            deadline => self.port.wait_for_frame_until(deadline, no_later),
         }
     }
 

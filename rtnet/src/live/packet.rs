@@ -5,7 +5,9 @@ use std::os::fd::AsRawFd;
 
 use socket2::{Domain, SockAddr, Socket, Type};
 
+use super::clock::timespec;
 use crate::buf::{Buf, ROOM};
+use crate::clock::True;
 
 /// Room for the control message of one time stamp, aligned as the kernel wants it.
 type StampRoom = [u64; 8];
@@ -121,12 +123,15 @@ pub fn take_dropped(socket: &impl AsRawFd) -> io::Result<u64> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(stats.tp_drops.into()) }
 }
 
-/// Waits until one of the sockets has a frame, or `timeout_ms` milliseconds.
-pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Socket>, timeout_ms: i32) {
+/// Waits until one of the sockets has a frame, or so many nanoseconds.
+pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Socket>, at_most: True) {
     let entry = |socket: &Socket| libc::pollfd { fd: socket.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     let mut entries: arrayvec::ArrayVec<libc::pollfd, 8> = sockets.take(8).map(entry).collect();
-    // SAFETY: pointer and count are of one live array.
-    unsafe { libc::poll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, timeout_ms) };
+    let at_most = timespec(at_most);
+    // SAFETY: pointer and count are of one live array; `at_most` outlives the call, and no signal mask is given.
+    unsafe {
+        libc::ppoll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, &at_most, core::ptr::null());
+    }
 }
 
 fn errno() -> i32 {

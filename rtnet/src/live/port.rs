@@ -218,7 +218,16 @@ impl Port {
 
     /// Waits for a frame of any kind, at most `timeout_ms` milliseconds.
     pub fn wait_for_frame(&self, timeout_ms: i32) {
-        packet::wait_any(std::iter::once(&self.control).chain(&self.data), timeout_ms);
+        let at_most = timeout_ms.max(0) as True * 1_000_000;
+        packet::wait_any(std::iter::once(&self.control).chain(&self.data), at_most);
+    }
+
+    /// The same until the station's clock shows `at`, at most until the true moment `no_later`.
+    pub fn wait_for_frame_until(&mut self, at: Option<Instant>, no_later: True) {
+        let until = at.map_or(no_later, |at| self.clock.truth(at).min(no_later));
+        let at_most = until.saturating_sub(monotonic());
+        packet::wait_any(std::iter::once(&self.control).chain(&self.data), at_most);
+        self.woke = monotonic();
     }
 
     /// Sleeps until the station's clock shows `at`, at most until the true moment `no_later`.

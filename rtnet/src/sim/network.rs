@@ -53,8 +53,10 @@ struct Seat<D: Discipline> {
     pool: Pool,
     inbox: VecDeque<(True, Buf)>,
     chosen: Option<Transmission>,
-    /// Sleeps until a frame arrives.
+    /// Sleeps until a frame arrives, at the latest until its deadline if it has one.
     blocked: bool,
+    /// When its thread runs next; a wake-up for any other time was for a deadline that a frame came before.
+    wakes: Option<True>,
     stopped: bool,
     dropped: u64,
     turns_now: (True, u32),
@@ -95,11 +97,12 @@ impl<D: Discipline> Network<D> {
             inbox: VecDeque::with_capacity(NIC_POOL),
             chosen: None,
             blocked: false,
+            wakes: None,
             stopped: false,
             dropped: 0,
             turns_now: (0, 0),
         });
-        self.agenda.put(at.max(self.now), Action::Turn(id));
+        self.wake(id, at.max(self.now));
         id
     }
 
@@ -113,7 +116,8 @@ impl<D: Discipline> Network<D> {
         while let Some((at, action)) = self.agenda.take(until) {
             self.now = at;
             match action {
-                Action::Turn(id) => self.turn(id),
+                Action::Turn(id) if self.members[id].wakes == Some(at) => self.turn(id),
+                Action::Turn(_) => {}
                 Action::Send(id) => self.send(id),
                 Action::Air { from, frame } => self.air(from, &frame),
                 Action::Arrive { to, frame } => self.arrive(to, frame),
@@ -164,9 +168,16 @@ impl<D: Discipline> Network<D> {
         self.members[id].dropped
     }
 
+    /// Lets a station's thread run at true time `at`, and not before.
+    fn wake(&mut self, id: StationId, at: True) {
+        self.members[id].wakes = Some(at);
+        self.agenda.put(at, Action::Turn(id));
+    }
+
     fn turn(&mut self, id: StationId) {
         let (now, random) = (self.now, &mut self.random);
         let seat = &mut self.members[id];
+        (seat.wakes, seat.blocked) = (None, false);
         if seat.stopped {
             return;
         }
@@ -183,12 +194,11 @@ impl<D: Discipline> Network<D> {
             self.agenda.put(at, Action::Send(id));
             return;
         }
-        match station.next_deadline() {
-            Some(deadline) => {
-                let wake = clock.truth(deadline).max(now) + host.wake_delay(random);
-                self.agenda.put(wake, Action::Turn(id));
-            }
-            None => seat.blocked = true,
+        let deadline = station.next_deadline();
+        seat.blocked = deadline.is_none() || station.discipline().wakes_on_frames();
+        if let Some(deadline) = deadline {
+            let wake = clock.truth(deadline).max(now) + host.wake_delay(random);
+            self.wake(id, wake);
         }
     }
 
@@ -204,7 +214,7 @@ impl<D: Discipline> Network<D> {
         let before = clock.local(now);
         if before > latest {
             station.on_sent(Sent::Late(before, frame));
-            self.agenda.put(now, Action::Turn(id));
+            self.wake(id, now);
             return;
         }
         if let Some(stamp) = stamp {
@@ -214,7 +224,7 @@ impl<D: Discipline> Network<D> {
         let after = clock.local(on_wire);
         station.on_sent(if after > latest { Sent::StalledUntil(after) } else { Sent::At(before) });
         self.agenda.put(on_wire, Action::Air { from: id, frame });
-        self.agenda.put(on_wire, Action::Turn(id));
+        self.wake(id, on_wire);
     }
 
     fn air(&mut self, from: StationId, frame: &[u8]) {
@@ -253,7 +263,9 @@ impl<D: Discipline> Network<D> {
         seat.inbox.push_back((self.now, frame));
         if std::mem::take(&mut seat.blocked) {
             let wake = self.now + seat.member.host.wake_delay(&mut self.random);
-            self.agenda.put(wake, Action::Turn(to));
+            // The deadline may be nearer.
+            let wake = seat.wakes.map_or(wake, |deadline| deadline.min(wake));
+            self.wake(to, wake);
         }
     }
 }

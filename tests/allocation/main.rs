@@ -6,6 +6,7 @@
 
 mod live;
 mod virtual_time;
+mod without_slots;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

@@ -10,3 +10,4 @@ mod peer_backup;
 mod peer_interop;
 mod second_master_refuses;
 mod virtual_machine;
+mod without_slots;

@@ -253,12 +253,16 @@ fn parse_measurement(text: &str) -> Result<Span, String> {
 
 /// Arguments of `station`.
 #[derive(Debug, Args)]
-#[command(group = clap::ArgGroup::new("role").required(true).args(["master", "slave"]))]
+#[command(group = clap::ArgGroup::new("role").args(["master", "slave"]))]
 pub struct StationArgs {
     /// The interface to run on
     #[arg(long, value_name = "IF")]
     pub interface: String,
-    /// Give the time (needs --cycle)
+    /// How it shares the medium. Without time slots, `nomac` or `direct`, nothing that is about roles, cycle and slots can
+    /// be said
+    #[arg(long, default_value = "tdma")]
+    pub discipline: DisciplineName,
+    /// Give the time (needs --cycle); with TDMA this or --slave must be said
     #[arg(long, requires = "cycle")]
     pub master: bool,
     /// As a master, be a backup: send the sync only if there is none until so long after a cycle's start. Slots come
@@ -322,6 +326,17 @@ pub struct StationArgs {
     /// What a lab adds, in JSON
     #[arg(long, hide = true)]
     pub lab: Option<String>,
+}
+
+/// A way to share the medium.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DisciplineName {
+    /// RTmac's time slots, by a master's time
+    Tdma,
+    /// RTmac without slots: frames leave at once, the most urgent first
+    Nomac,
+    /// No RTmac: frames leave at once, in the order in which they were queued
+    Direct,
 }
 
 /// How a real-time thread is scheduled.

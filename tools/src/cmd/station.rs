@@ -2,16 +2,18 @@
 
 use std::str::FromStr;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use rtmac::tdma::{LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig};
 use rtnet::clock::EmulatedClock;
+use rtnet::live::GuardMode;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::Failure;
-use crate::cli::{Late, Scheduling, StationArgs};
+use crate::cli::{DisciplineName, Late, Scheduling, StationArgs};
 use crate::control::SlotChange;
-use crate::scenario::{default_sync_window, parse_phase};
+use crate::scenario::{SlotGuard, default_sync_window, parse_phase};
+use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
@@ -57,7 +59,66 @@ pub fn station(args: &StationArgs) -> Result<u8, Failure> {
 fn options(args: &StationArgs) -> anyhow::Result<Options> {
     let lab: Option<LabOptions> =
         args.lab.as_deref().map(serde_json::from_str).transpose().context("--lab is set by a lab only")?;
-    let step_limit = lab.as_ref().map(|lab| Span::from_nanos(lab.step_limit_ns));
+    let access = match args.discipline {
+        DisciplineName::Tdma => AccessConfig::Tdma(tdma(args, lab.as_ref())?),
+        DisciplineName::Nomac => AccessConfig::NoMac,
+        DisciplineName::Direct => AccessConfig::Direct,
+    };
+    let given = args.cycle.filter(|_| args.master).map(|cycle| (cycle, sync_window(args, cycle)));
+    // A lab has judged the slots of all its stations together.
+    let single = access.tdma().filter(|_| lab.is_none());
+    let own_slots = single.map(|tdma| OwnSlots::of(tdma, given, args.rate));
+    if let Some(own) = &own_slots {
+        own.check().map_err(|why| anyhow!(why))?;
+    }
+    // Without slots nothing is late.
+    let guard = match &access {
+        AccessConfig::Tdma(_) => args.slot_guard.mode(),
+        AccessConfig::NoMac | AccessConfig::Direct => {
+            without_slots(args)?;
+            GuardMode::User
+        }
+    };
+    Ok(Options {
+        interface: args.interface.clone(),
+        name: args.name.clone(),
+        access,
+        latest: args.latest,
+        own_slots,
+        fifo: args.scheduling == Scheduling::Fifo,
+        cpu: args.cpu,
+        spin: args.lead,
+        guard,
+        exclusive: args.exclusive,
+        lab,
+    })
+}
+
+/// Refuses what only a discipline with time slots could do.
+fn without_slots(args: &StationArgs) -> anyhow::Result<()> {
+    let said = [
+        ("--master", args.master),
+        ("--slave", args.slave),
+        ("--cycle", args.cycle.is_some()),
+        ("--sync-window", args.sync_window.is_some()),
+        ("--slot", !args.slots.is_empty()),
+        ("--slot-guard kernel", args.slot_guard == SlotGuard::Kernel),
+        ("--exclusive", args.exclusive),
+    ];
+    match said.iter().find(|(_, is_said)| *is_said) {
+        Some((option, _)) => bail!(
+            "{option} goes with time slots, which this discipline has not: leave it out, or run the station with \
+             --discipline tdma"
+        ),
+        None => Ok(()),
+    }
+}
+
+fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConfig> {
+    if !args.master && !args.slave {
+        bail!("a station is --master, with --cycle, or --slave: say which");
+    }
+    let step_limit = lab.map(|lab| Span::from_nanos(lab.step_limit_ns));
     let follow = SlaveConfig { rounds: args.rounds, step_limit };
     let role = match args.cycle.filter(|_| args.master) {
         Some(cycle) => {
@@ -66,11 +127,11 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
                 cycle,
                 sync_latest: station::sync_latest(window),
                 reply_latest: args.latest,
-                epoch: match &lab {
+                epoch: match lab {
                     Some(lab) => link::offset(lab.epoch),
                     None => station::epoch(&EmulatedClock::default()),
                 },
-                resume: lab.as_ref().and_then(LabOptions::resume),
+                resume: lab.and_then(LabOptions::resume),
                 backup: args.backup,
                 backups_from: args.backups_from,
                 follow,
@@ -89,25 +150,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
     };
     // What cannot be is refused before anything is opened.
     Tdma::new(&tdma).map_err(|refused| anyhow!(refused))?;
-    let given = args.cycle.filter(|_| args.master).map(|cycle| (cycle, sync_window(args, cycle)));
-    // A lab has judged the slots of all its stations together.
-    let own_slots = lab.is_none().then(|| OwnSlots::of(&tdma, given, args.rate));
-    if let Some(own) = &own_slots {
-        own.check().map_err(|why| anyhow!(why))?;
-    }
-    Ok(Options {
-        interface: args.interface.clone(),
-        name: args.name.clone(),
-        tdma,
-        latest: args.latest,
-        own_slots,
-        fifo: args.scheduling == Scheduling::Fifo,
-        cpu: args.cpu,
-        spin: args.lead,
-        guard: args.slot_guard.mode(),
-        exclusive: args.exclusive,
-        lab,
-    })
+    Ok(tdma)
 }
 
 fn sync_window(args: &StationArgs, cycle: Span) -> Span {

@@ -127,6 +127,39 @@ fn became(role: RoleRequest) -> String {
 
 fn describe(status: &StationStatus) -> String {
     let standing = &status.standing;
+    let has_cycle = status.discipline == "tdma";
+    let mut text = if has_cycle {
+        in_the_cycle(status)
+    } else {
+        format!("{}: {}, {}\n", status.name, status.discipline, standing.state)
+    };
+    let StationStatus { interface, address, link, pid, guard, .. } = status;
+    text += &format!("on {interface} ({address}, {link}), process {pid}");
+    text += &if has_cycle { format!(", {guard} guard\n") } else { "\n".into() };
+    if let Some(other) = &standing.yielded_to {
+        text += &format!("makes way for the master {other}\n");
+    }
+    if has_cycle {
+        text += &format!("\n{}", slots(status));
+    }
+    for (title, counts) in [
+        ("counters", &status.counters),
+        ("refused frames", &standing.refusals),
+        ("requests", &status.control),
+    ] {
+        let shown: Vec<String> =
+            counts.iter().filter(|(_, n)| **n > 0).map(|(name, n)| format!("{name} {n}")).collect();
+        if !shown.is_empty() {
+            text += &format!("\n{title}: {}\n", shown.join(", "));
+        }
+    }
+    status.host.iter().for_each(|line| text += &format!("\nhost: {line}\n"));
+    text
+}
+
+/// Its part in the cycle, and what it knows of the time.
+fn in_the_cycle(status: &StationStatus) -> String {
+    let standing = &status.standing;
     let span = |ns: Option<i64>, none: &str| ns.map_or(none.into(), |ns| Span::from_nanos(ns).to_string());
     let mastery = status.mastery.as_ref().map_or(String::new(), |mastery| format!(" ({mastery})"));
     let mut text = format!(
@@ -145,24 +178,9 @@ fn describe(status: &StationStatus) -> String {
             Span::from_nanos(status.deviation_ns)
         );
     }
-    let StationStatus { interface, address, link, pid, guard, .. } = status;
-    text += &format!("on {interface} ({address}, {link}), process {pid}, {guard} guard\n");
-    if let Some(other) = &standing.yielded_to {
-        text += &format!("makes way for the master {other}\n");
+    if let Some(global) = status.global_ns {
+        text += &format!("global time {}.{:09}\n", global / 1_000_000_000, global % 1_000_000_000);
     }
-    text += &format!("\n{}", slots(status));
-    for (title, counts) in [
-        ("counters", &status.counters),
-        ("refused frames", &standing.refusals),
-        ("requests", &status.control),
-    ] {
-        let shown: Vec<String> =
-            counts.iter().filter(|(_, n)| **n > 0).map(|(name, n)| format!("{name} {n}")).collect();
-        if !shown.is_empty() {
-            text += &format!("\n{title}: {}\n", shown.join(", "));
-        }
-    }
-    status.host.iter().for_each(|line| text += &format!("\nhost: {line}\n"));
     text
 }
 

@@ -172,7 +172,9 @@ pub struct StationStatus {
     pub address: String,
     /// `up`, `no carrier` or `down`: whether frames can pass there.
     pub link: String,
-    /// `master`, `slave` or `detached`.
+    /// How it shares the medium: `tdma`, `nomac` or `direct`.
+    pub discipline: String,
+    /// `master`, `backup`, `slave` or `detached`; `none` where there is no cycle.
     pub role: String,
     /// What keeps its slots.
     pub guard: GuardName,
@@ -182,6 +184,9 @@ pub struct StationStatus {
     pub standing: Standing,
     /// From one cycle's start to the next, once known.
     pub period_ns: Option<i64>,
+    /// Global time as the station knew it when it was asked, nanoseconds since 1970, if it knows any.
+    #[serde(default)]
+    pub global_ns: Option<u64>,
     /// By how much the last Synchronisation disagreed with the time line.
     pub deviation_ns: i64,
     /// How fast its clock gains on the master's, in parts per 10^9; `None`: the master's own, or not known yet.

@@ -7,16 +7,18 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    DEFAULT_ROUNDS, MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotConfig,
-    SlotStatus, Tdma, TdmaCommand, TdmaStatus,
+    DEFAULT_ROUNDS, MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotConfig, SlotStatus,
+    TdmaCommand, TdmaStatus,
 };
+use rtnet::at_once::AtOnceStatus;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, SyncState};
 use rtnet::live::clock::{monotonic, realtime};
-use rtnet::live::{Driver, Errand, Errands, Record, Snapshot};
+use rtnet::live::{Driver, Errand, Errands, Record, Snapshot, TimeBoard};
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::access::{Access, AccessStatus, Refused};
 use super::link::Standing;
 use super::misses::Misses;
 use super::traffic::TrafficCounts;
@@ -46,10 +48,11 @@ pub struct Desk {
     /// A single station's slots with every change that was carried out; a lab sees to its stations' itself.
     own_slots: Option<OwnSlots>,
     records: Arc<ArrayQueue<Record>>,
-    snapshots: Arc<ArrayQueue<Snapshot<TdmaStatus>>>,
+    snapshots: Arc<ArrayQueue<Snapshot<AccessStatus>>>,
     errands: Arc<Errands<TdmaCommand, Refused>>,
+    time: Arc<TimeBoard>,
     counts: Arc<TrafficCounts>,
-    newest: Option<Snapshot<TdmaStatus>>,
+    newest: Option<Snapshot<AccessStatus>>,
     /// Whether there is a newer one than was last asked for.
     news: bool,
     /// The state in the one that was last asked for.
@@ -66,7 +69,7 @@ pub struct Desk {
 impl Desk {
     pub fn new(
         options: &Options,
-        driver: &Driver<Tdma>,
+        driver: &Driver<Access>,
         address: Address,
         wire: Wire,
         counts: Arc<TrafficCounts>,
@@ -84,6 +87,7 @@ impl Desk {
             records: driver.records(),
             snapshots: driver.snapshots(),
             errands: driver.errands(),
+            time: driver.time(),
             counts,
             newest: None,
             news: false,
@@ -125,17 +129,17 @@ impl Desk {
     }
 
     /// The newest snapshot, if there is one since the last time.
-    pub fn news(&mut self) -> Option<Snapshot<TdmaStatus>> {
+    pub fn news(&mut self) -> Option<Snapshot<AccessStatus>> {
         self.look();
         let news = self.newest.filter(|_| std::mem::take(&mut self.news));
-        self.told = news.map(|news| news.status.state).or(self.told);
+        self.told = news.and_then(|news| news.status.state()).or(self.told);
         news
     }
 
     /// Whether the station's state is another than the last news told.
     pub fn has_another_state(&mut self) -> bool {
         self.look();
-        self.newest.is_some_and(|newest| Some(newest.status.state) != self.told)
+        self.newest.is_some_and(|newest| newest.status.state().is_some_and(|state| Some(state) != self.told))
     }
 
     fn look(&mut self) {
@@ -192,8 +196,9 @@ impl Desk {
         to_be: impl FnOnce(&OwnSlots, Option<Span>) -> Result<OwnSlots, String>,
     ) -> Reply {
         self.look();
-        let slave = self.newest.filter(|newest| newest.status.role == RoleName::Slave);
-        let heard = slave.and_then(|slave| slave.status.period);
+        let newest = self.newest.as_ref().and_then(|newest| newest.status.tdma());
+        let slave = newest.filter(|status| status.role == RoleName::Slave);
+        let heard = slave.and_then(|slave| slave.period);
         match self.own_slots.as_ref().map(|own| to_be(own, heard)).transpose() {
             Ok(to_be) => self.command(command, to_be),
             Err(why) => Reply::Refused(why),
@@ -235,7 +240,7 @@ impl Desk {
         }
     }
 
-    fn role(&mut self, role: RoleRequest) -> Result<NewRole, Refused> {
+    fn role(&mut self, role: RoleRequest) -> Result<NewRole, rtmac::tdma::Refused> {
         match role {
             RoleRequest::Detached => Ok(NewRole::detached()),
             RoleRequest::Slave { rounds } => {
@@ -261,7 +266,8 @@ impl Desk {
     /// Global time goes on where this station knows it; else the wall clock's begins.
     fn epoch(&mut self) -> Offset {
         self.look();
-        let known = self.newest.as_ref().and_then(|newest| newest.status.offset);
+        let newest = self.newest.as_ref().and_then(|newest| newest.status.tdma());
+        let known = newest.and_then(|status| status.offset);
         known.unwrap_or_else(|| epoch(&self.clock))
     }
 
@@ -271,20 +277,23 @@ impl Desk {
             return Reply::Refused("the station has only just started: ask again".into());
         };
         let status = &newest.status;
+        let tdma = status.tdma();
         Reply::Status(Box::new(StationStatus {
             name: self.name.clone(),
             pid: std::process::id(),
             interface: self.wire.name().into(),
             address: self.address.clone(),
-            role: status.role.name().into(),
+            discipline: status.name().into(),
+            role: tdma.map_or("none", |tdma| tdma.role.name()).into(),
             link: self.link().name().into(),
             guard: self.guard,
-            mastery: status.mastery.map(|mastery| mastery.name().into()),
+            mastery: tdma.and_then(|tdma| tdma.mastery).map(|mastery| mastery.name().into()),
             standing: Standing::of(newest, &self.counts, self.link()),
-            period_ns: status.period.map(Span::nanos),
-            deviation_ns: status.deviation.nanos(),
-            drift_ppb: status.drift_ppb,
-            slots: status.slots.iter().flatten().map(shown).collect(),
+            period_ns: tdma.and_then(|tdma| tdma.period).map(Span::nanos),
+            global_ns: self.time.global_now().map(|(global, _)| global.nanos()),
+            deviation_ns: tdma.map_or(0, |tdma| tdma.deviation.nanos()),
+            drift_ppb: tdma.and_then(|tdma| tdma.drift_ppb),
+            slots: tdma.iter().flat_map(|tdma| tdma.slots.iter().flatten()).map(shown).collect(),
             counters: counters(status, &self.wire),
             host: self.host.clone(),
             misses: self.misses.clone(),
@@ -328,9 +337,29 @@ fn shown(slot: &SlotStatus) -> SlotShown {
     }
 }
 
-fn counters(status: &TdmaStatus, wire: &Wire) -> BTreeMap<String, u64> {
-    let own = status.counters.named().into_iter().chain(wire.counters());
-    let all = own.chain([("calibration_repeats", status.calibration_repeats)]);
+fn counters(status: &AccessStatus, wire: &Wire) -> BTreeMap<String, u64> {
+    let mut counters = match status {
+        AccessStatus::Tdma(status) => of_tdma(status),
+        AccessStatus::AtOnce(_, status) => of_at_once(status),
+    };
+    counters.extend(wire.counters().into_iter().map(|(name, n)| (name.to_owned(), n)));
+    counters
+}
+
+fn of_at_once(status: &AtOnceStatus) -> BTreeMap<String, u64> {
+    let all = [
+        ("frames_sent", status.frames_sent),
+        ("send_failed", status.send_failed),
+        ("queue_full", status.queue_full),
+        ("lethal", status.lethal),
+        ("queued", status.queued as u64),
+    ];
+    all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect()
+}
+
+fn of_tdma(status: &TdmaStatus) -> BTreeMap<String, u64> {
+    let all =
+        status.counters.named().into_iter().chain([("calibration_repeats", status.calibration_repeats)]);
     // A master sends syncs and replies, the others do not: what cannot be is not shown.
     let of_masters = ["syncs_sent", "syncs_skipped", "replies_sent", "replies_late", "replies_given_up"];
     let shown = |name: &str| status.mastery.is_some() || !of_masters.contains(&name);

@@ -5,13 +5,14 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering::Relaxed;
 
-use rtmac::tdma::{Mastery, RoleName, TdmaStatus};
+use rtmac::tdma::{Mastery, RoleName};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::{Record, Snapshot};
 use rtnet::time::{GlobalTime, Offset, Span};
 use serde::{Deserialize, Serialize};
 
+use super::access::AccessStatus;
 use super::traffic::TrafficCounts;
 use super::wire::LinkState;
 
@@ -109,7 +110,7 @@ impl Report {
 pub struct Standing {
     /// CLOCK_MONOTONIC.
     pub at: u64,
-    /// `waiting`, `calibrating`, `locked`, `holdover` or `lost`.
+    /// `waiting`, `calibrating`, `locked`, `holdover` or `lost`; without a cycle `attached`.
     pub state: String,
     /// Whether its time will not become clearer.
     pub settled: bool,
@@ -143,8 +144,9 @@ pub struct Standing {
 
 impl Standing {
     /// A snapshot in a form to be told.
-    pub fn of(snapshot: &Snapshot<TdmaStatus>, traffic: &TrafficCounts, link: LinkState) -> Self {
+    pub fn of(snapshot: &Snapshot<AccessStatus>, traffic: &TrafficCounts, link: LinkState) -> Self {
         let status = &snapshot.status;
+        let tdma = status.tdma();
         let port = [
             ("port_oversize", snapshot.port.oversize),
             ("port_pool_empty", snapshot.port.pool_empty),
@@ -157,21 +159,22 @@ impl Standing {
             snapshot.refusals.nonzero().map(|(reason, n)| (reason.name().to_owned(), n)).chain(port);
         Self {
             at: snapshot.at,
-            state: status.state.name().into(),
-            settled: status.settled,
+            state: status.state_name().into(),
+            settled: tdma.is_some_and(|tdma| tdma.settled),
             link: link.name().into(),
-            master: status.role == RoleName::Master || status.mastery == Some(Mastery::Active),
-            cycle: status.cycle,
-            delay_ns: status.delay.map(Span::nanos),
-            yielded_to: status.yielded_to.map(|address| address.to_string()),
+            master: tdma
+                .is_some_and(|tdma| tdma.role == RoleName::Master || tdma.mastery == Some(Mastery::Active)),
+            cycle: status.cycle(),
+            delay_ns: tdma.and_then(|tdma| tdma.delay).map(Span::nanos),
+            yielded_to: tdma.and_then(|tdma| tdma.yielded_to).map(|address| address.to_string()),
             cpu_ns: snapshot.cpu,
-            frames_sent: status.counters.frames_sent,
+            frames_sent: status.frames_sent(),
             received: traffic.received.load(Relaxed),
             missing: traffic.missing.load(Relaxed),
             first: traffic.first.load(Relaxed),
             refusals: refusals.collect(),
             clock_steps: snapshot.port.clock_steps,
-            lost_records: snapshot.records_lost + status.events_lost,
+            lost_records: snapshot.records_lost + status.events_lost(),
         }
     }
 

@@ -1,5 +1,6 @@
 //! One live station in the foreground: its options, its real-time thread, its control thread.
 
+pub mod access;
 mod desk;
 mod failures;
 mod halt;
@@ -19,17 +20,17 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
 use nix::sys::eventfd::{EfdFlags, EventFd};
-use rtmac::tdma::{RoleConfig, Tdma, TdmaConfig};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime, SLAVE_PRIORITY};
-use rtnet::live::{Driver, DriverConfig, GuardMode, Port};
+use rtnet::live::{Driver, DriverConfig, GuardMode, Port, TimeBoard};
 use rtnet::station::Station;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 
 use crate::control::{Directory, Held, Place, Server};
+use access::{Access, AccessConfig};
 use desk::Desk;
 pub use desk::epoch;
 use link::LabOptions;
@@ -53,8 +54,8 @@ pub struct Options {
     /// A name that no other station on this machine has: under it the station is looked at and changed. If it is not
     /// given, the interface's, as long as nobody else has that.
     pub name: Option<String>,
-    /// Everything of the discipline but the address, which is the interface's.
-    pub tdma: TdmaConfig,
+    /// How it is to share the medium.
+    pub access: AccessConfig,
     /// How long after its begin a slot that is defined later may still be used.
     pub latest: Span,
     /// What changes of its slots are judged by; none in a lab, which judges them itself.
@@ -87,7 +88,7 @@ pub fn sync_latest(window: Span) -> Span {
 
 /// A station whose sockets are open and whose name is taken.
 pub struct Ready {
-    driver: Driver<Tdma>,
+    driver: Driver<Access>,
     realtime: RealTime,
     guarded: bool,
     guard_refused: Option<String>,
@@ -130,7 +131,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         DriverConfig { stop: stop.clone(), sample_time: options.lab.is_some(), changed: Some(changed) };
     let driver = driver(&options, &interface, port, config, counts.clone())?;
     let in_lab = options.lab.is_some();
-    let is_master = matches!(options.tdma.role, RoleConfig::Master(_));
+    let is_master = options.access.is_master();
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
     let realtime = RealTime { priority: options.fifo.then_some(priority), cpu: options.cpu };
     let unseen = || format!("the interface '{}' cannot be looked at", interface.name);
@@ -153,6 +154,11 @@ pub fn set_up(options: Options) -> Result<Ready> {
 }
 
 impl Ready {
+    /// Where threads of this process read the time and wait for cycles, as long as the station runs.
+    pub fn time(&self) -> Arc<TimeBoard> {
+        self.driver.time()
+    }
+
     /// Runs until told to stop, or until the station cannot go on.
     pub fn run(mut self) -> Result<()> {
         let (thread, mut refused) = start(self.driver, self.realtime)?;
@@ -192,7 +198,7 @@ impl Ready {
 }
 
 /// Starts the real-time thread; with what the host refused it.
-fn start(mut driver: Driver<Tdma>, realtime: RealTime) -> Result<(JoinHandle<()>, Vec<String>)> {
+fn start(mut driver: Driver<Access>, realtime: RealTime) -> Result<(JoinHandle<()>, Vec<String>)> {
     let (told, refusals) = std::sync::mpsc::channel();
     let builder = std::thread::Builder::new().name("real-time".into()).stack_size(STACK);
     let thread = builder.spawn(move || {
@@ -222,9 +228,8 @@ fn driver(
     port: Port,
     config: DriverConfig,
     counts: Arc<TrafficCounts>,
-) -> Result<Driver<Tdma>> {
-    let tdma = TdmaConfig { address: interface.address, ..options.tdma.clone() };
-    let discipline = Tdma::new(&tdma).map_err(|refused| anyhow!(refused))?;
+) -> Result<Driver<Access>> {
+    let discipline = Access::new(&options.access, interface.address)?;
     let mut services: Vec<Box<dyn Service>> = Vec::new();
     if let Some(lab) = &options.lab {
         let plan = TrafficPlan {

@@ -4,11 +4,13 @@ use std::io::Write;
 
 use anyhow::Result;
 use rtmac::tdma::TdmaStatus;
+use rtnet::at_once::AtOnceStatus;
 use rtnet::discipline::{Event, EventKind, SyncState};
 use rtnet::live::{Record, Snapshot};
 use rtnet::wire::ethernet::Address;
 
 use super::Options;
+use super::access::{AccessConfig, AccessStatus};
 use super::failures::Failures;
 use super::link::{self, Report, Standing};
 use super::traffic::TrafficCounts;
@@ -24,7 +26,7 @@ pub enum Teller {
 pub struct Person {
     name: String,
     state: SyncState,
-    last: Option<TdmaStatus>,
+    last: Option<AccessStatus>,
     failures: Failures,
 }
 
@@ -35,7 +37,13 @@ impl Teller {
             None => {
                 let name = options.name.clone().unwrap_or_else(|| options.interface.clone());
                 let guard = if guarded { ", kernel guard" } else { "" };
-                print(&format!("{name}: on {} ({address}{guard}); Ctrl-C ends it", options.interface));
+                let discipline = match options.access {
+                    AccessConfig::Tdma(_) => "",
+                    AccessConfig::NoMac => ", nomac",
+                    AccessConfig::Direct => ", direct",
+                };
+                let on = &options.interface;
+                print(&format!("{name}: on {on} ({address}{discipline}{guard}); Ctrl-C ends it"));
                 let (state, failures) = (SyncState::Waiting, Failures::default());
                 Teller::Person(Box::new(Person { name, state, last: None, failures }))
             }
@@ -59,11 +67,12 @@ impl Teller {
     pub fn tell(
         &mut self,
         records: Vec<Record>,
-        snapshot: Option<Snapshot<TdmaStatus>>,
+        snapshot: Option<Snapshot<AccessStatus>>,
         counts: &TrafficCounts,
         link: LinkState,
     ) -> Result<Option<String>> {
-        let yielded = snapshot.and_then(|snapshot| snapshot.status.yielded_to).map(|other| {
+        let yielded_to = |snapshot: Snapshot<AccessStatus>| snapshot.status.tdma()?.yielded_to;
+        let yielded = snapshot.and_then(yielded_to).map(|other| {
             format!(
                 "another master ({other}) is active on this medium: stop it, or run this station as --slave"
             )
@@ -113,7 +122,7 @@ impl Person {
         print(&format!("{}: {line}", self.name));
     }
 
-    fn tell(&mut self, records: &[Record], status: Option<TdmaStatus>) {
+    fn tell(&mut self, records: &[Record], status: Option<AccessStatus>) {
         let mut failed = false;
         for record in records {
             let Record::Event(event, _) = record else { continue };
@@ -131,9 +140,9 @@ impl Person {
         if !failed {
             self.failures.sent(sent(&status)).iter().for_each(|line| self.say(line));
         }
-        if status.state != self.state {
-            self.state = status.state;
-            self.say(&standing_line(&status));
+        if let Some(tdma) = status.tdma().filter(|tdma| tdma.state != self.state) {
+            self.state = tdma.state;
+            self.say(&standing_line(tdma));
         }
         self.last = Some(status);
     }
@@ -142,23 +151,32 @@ impl Person {
 impl Drop for Person {
     fn drop(&mut self) {
         self.failures.over().iter().for_each(|line| self.say(line));
-        if let Some(status) = &self.last {
-            let counters = &status.counters;
-            self.say(&format!(
-                "ended in cycle {} ({}): {} syncs sent, {} skipped, {} received; {} frames sent, {} \
-                 overruns, {} stalled in send, {} dropped by the kernel guard",
-                status.cycle,
-                status.state.name(),
-                counters.syncs_sent,
-                counters.syncs_skipped,
-                counters.syncs_received,
-                counters.frames_sent,
-                counters.overruns,
-                counters.stalled_in_send,
-                counters.guard_drops,
-            ));
+        match &self.last {
+            Some(AccessStatus::Tdma(status)) => self.say(&ended_line(status)),
+            Some(AccessStatus::AtOnce(_, status)) => {
+                let AtOnceStatus { frames_sent, send_failed, .. } = status;
+                self.say(&format!("ended: {frames_sent} frames sent, {send_failed} refused by the kernel"));
+            }
+            None => {}
         }
     }
+}
+
+fn ended_line(status: &TdmaStatus) -> String {
+    let counters = &status.counters;
+    format!(
+        "ended in cycle {} ({}): {} syncs sent, {} skipped, {} received; {} frames sent, {} overruns, {} stalled \
+         in send, {} dropped by the kernel guard",
+        status.cycle,
+        status.state.name(),
+        counters.syncs_sent,
+        counters.syncs_skipped,
+        counters.syncs_received,
+        counters.frames_sent,
+        counters.overruns,
+        counters.stalled_in_send,
+        counters.guard_drops,
+    )
 }
 
 /// A line for a person; one who does not listen any more misses nothing.
@@ -167,9 +185,11 @@ fn print(line: &str) {
 }
 
 /// Frames of any kind that were sent.
-fn sent(status: &TdmaStatus) -> u64 {
-    let counters = &status.counters;
-    counters.syncs_sent + counters.replies_sent + counters.requests_sent + counters.frames_sent
+fn sent(status: &AccessStatus) -> u64 {
+    let control = status.tdma().map_or(0, |TdmaStatus { counters, .. }| {
+        counters.syncs_sent + counters.replies_sent + counters.requests_sent
+    });
+    control + status.frames_sent()
 }
 
 fn event_line(event: &Event) -> String {

@@ -1,4 +1,4 @@
-//! The lab's test traffic: one frame per slot, checked by its receiver.
+//! The lab's test traffic: one frame in each slot of a cycle, checked by its receiver.
 //!
 //! ```text
 //! 0          14        16     17      18      22         30          38
@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
-use rtnet::discipline::{Opportunity, Outlet, Service};
+use rtnet::discipline::{Channel, Opportunity, Outlet, Service};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant};
 use rtnet::wire::ethernet::{self, Address, EtherType, Header};
@@ -129,6 +129,8 @@ pub struct Traffic {
     pool: Pool,
     sequence: u64,
     heard: Option<u64>,
+    /// For which slot of which cycle it has sent last. Who has no slots is asked more often.
+    sent: Option<(u32, Channel)>,
     counts: Arc<TrafficCounts>,
 }
 
@@ -165,7 +167,7 @@ pub struct TrafficCounts {
 impl Traffic {
     /// Traffic by this plan, counted into `counts`.
     pub fn new(plan: TrafficPlan, counts: Arc<TrafficCounts>) -> Self {
-        Self { plan, pool: Pool::new(POOL), sequence: plan.first, heard: None, counts }
+        Self { plan, pool: Pool::new(POOL), sequence: plan.first, heard: None, sent: None, counts }
     }
 
     fn write(&mut self, slot: &Opportunity, frame: &mut Buf) {
@@ -216,6 +218,10 @@ impl Service for Traffic {
     }
 
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
+        let turn = Some((slot.cycle, slot.channel));
+        if std::mem::replace(&mut self.sent, turn) == turn {
+            return;
+        }
         let Some(mut frame) = self.pool.take() else { return };
         self.write(slot, &mut frame);
         // A slot that takes no frame shows as a gap in the sequence and in the capture.

@@ -13,6 +13,7 @@ mod lab;
 mod live;
 mod manual;
 mod observe;
+mod requests;
 mod rights;
 mod station;
 

@@ -187,6 +187,14 @@ pub enum SendError {
     /// The station has no such slot (yet).
     #[error("slot {0} is not defined: define it, or send in another channel")]
     NoSlot(Channel),
+    /// The station can have no such slot.
+    #[error("channel {channel} is unknown: they go from 0 to {max}")]
+    UnknownChannel {
+        /// What was asked for.
+        channel: Channel,
+        /// The highest there is.
+        max: Channel,
+    },
     /// The frame does not fit the slot.
     #[error("a payload of {got} bytes does not fit slot {channel}, which takes {limit}")]
     TooLong {
@@ -203,4 +211,45 @@ pub enum SendError {
     /// An RTmac frame that real RTnet stations never free (invariant 8).
     #[error("an RTmac frame that is not the discipline's own never leaves: it deafens RTnet stations")]
     Lethal,
+}
+
+impl SendError {
+    /// The number by which the sockets of an operating system say the same.
+    ///
+    /// | variant | number | as in RTnet |
+    /// |---|---|---|
+    /// | [`NoSlot`](Self::NoSlot) | `EAGAIN` | yes: the slot may come |
+    /// | [`UnknownChannel`](Self::UnknownChannel) | `EINVAL` | no: RTnet reads beyond its table |
+    /// | [`TooLong`](Self::TooLong) | `EMSGSIZE` | yes |
+    /// | [`QueueFull`](Self::QueueFull) | `ENOBUFS` | there it is a pool that runs empty |
+    /// | [`Lethal`](Self::Lethal) | `EPERM` | no: RTnet sends it |
+    pub const fn errno(&self) -> i32 {
+        match self {
+            SendError::NoSlot(_) => libc::EAGAIN,
+            SendError::UnknownChannel { .. } => libc::EINVAL,
+            SendError::TooLong { .. } => libc::EMSGSIZE,
+            SendError::QueueFull(_) => libc::ENOBUFS,
+            SendError::Lethal => libc::EPERM,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_not_to_queue_a_frame_has_the_number_that_sockets_give() {
+        let too_long = SendError::TooLong { channel: 0, got: 2, limit: 1 };
+        for (error, number, name) in [
+            (SendError::NoSlot(2), 11, "EAGAIN"),
+            (SendError::UnknownChannel { channel: 8, max: 7 }, 22, "EINVAL"),
+            (too_long, 90, "EMSGSIZE"),
+            (SendError::QueueFull(0), 105, "ENOBUFS"),
+            (SendError::Lethal, 1, "EPERM"),
+        ] {
+            assert_eq!(error.errno(), number, "{name}");
+            assert_eq!(nix::errno::Errno::from_raw(number).to_string().split(':').next(), Some(name));
+        }
+    }
 }

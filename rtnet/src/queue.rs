@@ -115,10 +115,7 @@ impl<T> PriorityQueue<T> {
     /// Takes the oldest item of the most urgent level.
     #[inline]
     pub fn pop(&mut self) -> Option<(Priority, T)> {
-        if self.occupied == 0 {
-            return None;
-        }
-        let priority = Priority(self.occupied.trailing_zeros() as u8);
+        let priority = self.first()?;
         let level = &mut self.levels[usize::from(priority.0)];
         let index = level.head;
         let node = &mut self.nodes[usize::from(index)];
@@ -131,6 +128,11 @@ impl<T> PriorityQueue<T> {
         self.free = index;
         self.len -= 1;
         node.item.take().map(|item| (priority, item))
+    }
+
+    /// The most urgent level that holds something.
+    pub fn first(&self) -> Option<Priority> {
+        (self.occupied != 0).then(|| Priority(self.occupied.trailing_zeros() as u8))
     }
 
     /// How many items wait.
@@ -211,6 +213,8 @@ mod tests {
                         }
                     }
                     _ => {
+                        let first = lists.iter().position(|list| !list.is_empty()).map(|level| p(level as u8));
+                        prop_assert_eq!(queue.first(), first);
                         let expected = (0..32).find_map(|l| lists[l].pop_front().map(|i| (p(l as u8), i)));
                         prop_assert_eq!(queue.pop(), expected);
                     }

@@ -35,6 +35,8 @@ pub enum EventKind {
     SlotEmpty,
     /// A slot begins after the master's cycle ends, by so much: it is never used.
     SlotBeyondCycle,
+    /// The slot that this one was joined to has grown: from this cycle on it has a queue of its own.
+    JointDetached,
     /// The kernel refused a frame; the span is its error number.
     SendFailed,
     /// So it did with a calibration reply.
@@ -73,7 +75,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 25] = [
+    pub const ALL: [EventKind; 26] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -82,6 +84,7 @@ impl EventKind {
         EventKind::TurnLeft,
         EventKind::SlotEmpty,
         EventKind::SlotBeyondCycle,
+        EventKind::JointDetached,
         EventKind::SendFailed,
         EventKind::ReplyFailed,
         EventKind::SyncSkipped,
@@ -145,6 +148,7 @@ impl EventKind {
             EventKind::TurnLeft => "turn_left",
             EventKind::SlotEmpty => "slot_empty",
             EventKind::SlotBeyondCycle => "slot_beyond_cycle",
+            EventKind::JointDetached => "joint_detached",
             EventKind::SendFailed => "send_failed",
             EventKind::ReplyFailed => "reply_failed",
             EventKind::SyncSkipped => "sync_skipped",

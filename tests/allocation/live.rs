@@ -90,13 +90,14 @@ fn real_time_threads_allocate_nothing_after_start() {
     assert_eq!(allocations, [0, 0]);
 }
 
-/// A slot that moves, one that comes and goes, and a slave that leaves and joins again.
+/// A slot that moves, one that is joined to it, follows, is left behind and goes, and a slave that leaves and joins again.
 fn every_command() -> Vec<TdmaCommand> {
     let slot = slot(1);
     let attached = NewRole::attached(role(1)).unwrap();
     vec![
         TdmaCommand::SetSlot(SlotConfig { offset: slot.offset + Span::from_micros(50), ..slot }),
-        TdmaCommand::SetSlot(SlotConfig { id: 2, offset: Span::from_micros(1_900), ..slot }),
+        TdmaCommand::SetSlot(SlotConfig { id: 2, offset: Span::from_micros(1_900), joint: Some(0), ..slot }),
+        TdmaCommand::SetSlot(SlotConfig { size: 80, ..slot }),
         TdmaCommand::SetSlot(slot),
         TdmaCommand::RemoveSlot(2),
         TdmaCommand::Become(NewRole::detached()),
@@ -122,7 +123,7 @@ fn role(station: usize) -> RoleConfig {
 
 fn slot(station: usize) -> SlotConfig {
     let offset = Span::from_micros(600 + 700 * station as i64);
-    SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: LATE }
+    SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, joint: None, latest: LATE }
 }
 
 fn driver(

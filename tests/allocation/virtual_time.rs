@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaConfig,
+    TdmaCommand, TdmaConfig,
 };
 use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Discipline, Sent, SyncState, Transmission};
@@ -19,10 +19,12 @@ use crate::calls;
 
 const CYCLE: Span = Span::from_millis(1);
 const STATIONS: usize = 3;
+const LATEST: Span = Span::from_micros(50);
 
 #[test]
 fn stations_allocate_nothing_from_their_first_turn_on() {
     let mut network = Network::new();
+    let mut changes = changes_of_slots();
 
     let before = calls();
     network.run(Instant::from_nanos(3_500_000));
@@ -33,17 +35,43 @@ fn stations_allocate_nothing_from_their_first_turn_on() {
     let (locked, sent) = (network.states(), network.sent);
     let now = network.now;
     network.run(now + CYCLE * 1_000);
+    let sent_unchanged = network.sent - sent;
+    for change in &mut changes {
+        let now = network.now;
+        network.seats[1].station.discipline_mut().command(now, change).expect("it can be");
+        network.run(now + CYCLE * 3);
+    }
     let allocations = calls() - before;
 
     assert_eq!(listening, (0, [SyncState::Locked, SyncState::Waiting, SyncState::Waiting]));
     assert_eq!(calibrating, [SyncState::Locked, SyncState::Calibrating, SyncState::Calibrating]);
     assert_eq!(locked, [SyncState::Locked; STATIONS]);
-    assert_eq!(network.sent - sent, 1_000 * (STATIONS as u64 + 1), "they were at work");
+    assert_eq!(sent_unchanged, 1_000 * (STATIONS as u64 + 1), "they were at work");
     for seat in &network.seats {
         assert!(seat.counts.received.load(Ordering::Relaxed) >= 1_300, "and checked what they heard");
         assert_eq!(seat.station.refusals().total(), 0);
     }
     assert_eq!(allocations, 0);
+}
+
+/// The first slave's slot.
+fn slot() -> SlotConfig {
+    let offset = Span::from_micros(350);
+    SlotConfig { id: 0, offset, phase: 0, period: 1, size: 64, joint: None, latest: LATEST }
+}
+
+/// A slot that others are joined to, shrinks, grows, and is alone again; slot 1 comes and goes.
+fn changes_of_slots() -> Vec<TdmaCommand> {
+    let at = |id, micros| SlotConfig { id, offset: Span::from_micros(micros), ..slot() };
+    vec![
+        TdmaCommand::SetSlot(SlotConfig { joint: Some(0), ..at(2, 200) }),
+        TdmaCommand::SetSlot(SlotConfig { joint: Some(2), ..at(3, 500) }),
+        TdmaCommand::SetSlot(SlotConfig { size: 60, ..slot() }),
+        TdmaCommand::SetSlot(at(1, 700)),
+        TdmaCommand::SetSlot(slot()),
+        TdmaCommand::RemoveSlot(1),
+        TdmaCommand::RemoveSlot(2),
+    ]
 }
 
 /// Stations that hear each other at once, all on one clock; everything it needs is made beforehand.
@@ -109,7 +137,7 @@ impl Seat {
         let stations = STATIONS as u8;
         let address = Address([2, 0, 0, 0, 0, id + 1]);
         let neighbour = Address([2, 0, 0, 0, 0, (id + 1) % stations + 1]);
-        let latest = Span::from_micros(50);
+        let latest = LATEST;
         let epoch = Offset::between(Instant::default(), GlobalTime::from_nanos(1_795_000_000_000_000_000));
         let role = match id {
             0 => RoleConfig::Master(MasterConfig {
@@ -128,7 +156,7 @@ impl Seat {
         let tdma = Tdma::new(&TdmaConfig {
             address,
             role,
-            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 64, latest }],
+            slots: vec![SlotConfig { offset, ..slot() }],
             max_slot_id: DEFAULT_MAX_SLOT_ID,
             lead: DEFAULT_LEAD,
             late: LatePolicy::Skip,

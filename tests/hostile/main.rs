@@ -114,7 +114,7 @@ impl Victim {
         let tdma = Tdma::new(&TdmaConfig {
             address: self.address(),
             role,
-            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 64, latest }],
+            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 64, joint: None, latest }],
             max_slot_id: DEFAULT_MAX_SLOT_ID,
             lead: DEFAULT_LEAD,
             late: LatePolicy::Skip,

@@ -176,7 +176,8 @@ pub fn our_slave(address: Address, rounds: u32, offset: Span) -> Tdma {
 }
 
 fn ours(address: Address, offset: Span, role: RoleConfig) -> Tdma {
-    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: Span::from_micros(500) };
+    let latest = Span::from_micros(500);
+    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, joint: None, latest };
     let (max_slot_id, lead, late) = (DEFAULT_MAX_SLOT_ID, DEFAULT_LEAD, LatePolicy::Skip);
     Tdma::new(&TdmaConfig { address, role, slots: vec![slot], max_slot_id, lead, late }).unwrap()
 }

@@ -79,7 +79,11 @@ impl Plan {
 
     /// The network that a lab with these options would be.
     pub fn of(options: &Uniform) -> Plan {
-        let scenario = options.scenario().expect("such a lab can be");
+        Plan::of_scenario(options.scenario().expect("such a lab can be"))
+    }
+
+    /// The same of any network.
+    pub fn of_scenario(scenario: Scenario) -> Plan {
         let medium = Medium { rate: scenario.rate.bits_per_second(), ..Medium::default() };
         let (tolerance, host) = (Span::ZERO, Host::IDEAL);
         Plan { scenario, medium, tolerance, host, peers: Vec::new(), backups: Vec::new() }
@@ -268,8 +272,8 @@ impl Lab {
 }
 
 impl Plan {
-    /// As `rtnet station` is told by a lab.
-    fn ours(&self, id: StationId, master: Option<Span>) -> Mixed {
+    /// As `rtnet station` is told by a lab; with a cycle, a master.
+    pub fn ours(&self, id: StationId, master: Option<Span>) -> Mixed {
         let scenario = &self.scenario;
         let slots = scenario.stations[id].slots.iter().map(|slot| scenario.slot_config(slot));
         let rounds = scenario.stations[id].rounds;
@@ -318,10 +322,11 @@ impl Plan {
 }
 
 fn peer_slot(slot: &SlotPlan) -> PeerSlot {
-    let &SlotPlan { id, offset, phase, period, size } = slot;
+    let &SlotPlan { id, offset, phase, period, size, .. } = slot;
     PeerSlot { id, offset, phase, period, size }
 }
 
-fn epoch() -> Offset {
+/// From the master's clock to global time.
+pub fn epoch() -> Offset {
     Offset::between(Instant::default(), EPOCH)
 }

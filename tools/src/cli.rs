@@ -55,7 +55,8 @@ pub enum Verb {
     /// Look at the slots of a running station, or change them
     ///
     /// A change is effective from the next cycle on, and no queued frame is lost unless it does not fit its
-    /// slot any more. In a lab, a slot that overlaps another station's is refused; a station of its own
+    /// slot any more. A slot that is joined to another (ID->ID in the list) takes frames from that one's queue, and
+    /// follows when it is made smaller; when it is made larger, it has a queue of its own from then on. In a lab, a slot that overlaps another station's is refused; a station of its own
     /// refuses what overlaps its own slots, or as master its sync window, and trusts that you know the others'.
     Slot(SlotArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants
@@ -212,11 +213,13 @@ pub enum SlotVerb {
     /// Define a slot, or change one: what is not given stays as it is
     Set {
         /// Its id and offset; if it is not used in every cycle or takes less than 1500 bytes, phase P of N
-        /// cycles and size in bytes
-        #[arg(value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
+        /// cycles and size in bytes; if it takes its frames from the queue of another of the same size, that one's
+        /// id (joint=none: from its own again)
+        #[arg(value_name = "ID=OFFSET[,phase=P/N][,size=B][,joint=ID]", value_parser = crate::cmd::station::parse_slot)]
         slot: crate::control::SlotChange,
     },
-    /// Remove a slot; what is queued in it is dropped and counted
+    /// Remove a slot; what is queued in it is dropped and counted, but of slot 1, for which slot 0 sends then, and of
+    /// a joint slot. One that others are joined to stays
     Remove {
         /// Its id
         id: u8,
@@ -286,8 +289,9 @@ pub struct StationArgs {
     #[arg(long, default_value_t = rtmac::tdma::DEFAULT_ROUNDS, value_name = "N")]
     pub rounds: u32,
     /// A slot: its id and offset, and if it is not used in every cycle or takes less than 1500 bytes,
-    /// phase P of N cycles and size in bytes. Can be given several times
-    #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B]", value_parser = crate::cmd::station::parse_slot)]
+    /// phase P of N cycles and size in bytes; if it takes its frames from the queue of another of the same size, that
+    /// one's id. Can be given several times
+    #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B][,joint=ID]", value_parser = crate::cmd::station::parse_slot)]
     pub slots: Vec<crate::control::SlotChange>,
     /// Line rate at which its slots are checked against each other, and a master's against its cycle
     #[arg(long, default_value = "1G", value_parser = parse_rate)]

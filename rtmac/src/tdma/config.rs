@@ -56,7 +56,8 @@ pub struct TdmaConfig {
 pub enum TdmaCommand {
     /// Define or change a slot, from the next cycle on.
     SetSlot(SlotConfig),
-    /// Remove a slot, from the next cycle on; what is queued in it is dropped and counted.
+    /// Remove a slot, from the next cycle on. What is queued in it is dropped and counted, but of slot 1, whose channel
+    /// is slot 0's again then, and of a joint slot.
     RemoveSlot(Channel),
     /// Be something else from now on.
     Become(NewRole),
@@ -141,6 +142,51 @@ pub enum Refused {
     NotDefined {
         /// Which.
         id: u8,
+    },
+    /// Slot 1 is not defined, and slot 0 sends what is queued for it.
+    #[error("slot 1 is another name of slot 0 as long as it is not defined: there is nothing to remove")]
+    Alias,
+    /// A slot that another one is joined to stays.
+    #[error(
+        "slot {by} is joined to slot {id}, and takes from its queue: remove slot {by} first, or unjoin it (joint=none)"
+    )]
+    JoinedTo {
+        /// Which.
+        id: u8,
+        /// The first that is joined to it.
+        by: u8,
+    },
+    /// There is no slot to be joined to.
+    #[error("slot {id} cannot be joined to slot {joint}: that is not defined; define it first")]
+    JointUndefined {
+        /// Which slot.
+        id: u8,
+        /// Which there is not.
+        joint: u8,
+    },
+    /// Slots that take from one queue take the same frames.
+    #[error(
+        "slot {id} cannot be joined to slot {joint}: it takes {size} bytes, slot {joint} {other}; give both one size"
+    )]
+    JointSize {
+        /// Which slot.
+        id: u8,
+        /// What it takes.
+        size: usize,
+        /// To which it was to be joined.
+        joint: u8,
+        /// What that takes.
+        other: usize,
+    },
+    /// Who is joined to whom goes round, and ends at no queue.
+    #[error(
+        "slot {id} cannot be joined to slot {joint}: that would take from itself; give one of them its own queue"
+    )]
+    JointRound {
+        /// Which slot.
+        id: u8,
+        /// To which it was to be joined.
+        joint: u8,
     },
     /// The slot in which a slave calibrates cannot be removed while it has no other.
     #[error("slot {id} is the only one of a slave, which calibrates in it: define another first, or detach")]

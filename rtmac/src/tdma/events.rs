@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use rtnet::discipline::{Event, EventKind};
+use rtnet::discipline::{Channel, Event, EventKind};
 use rtnet::time::Span;
 
 use super::job::Job;
@@ -25,6 +25,11 @@ impl Events {
     /// Something of the cycle as a whole.
     pub fn note(&mut self, cycle: u32, kind: EventKind, span: Span) {
         self.push(Event { cycle, kind, slot: None, span });
+    }
+
+    /// Something of a slot.
+    pub fn note_slot(&mut self, cycle: u32, slot: Channel, kind: EventKind) {
+        self.push(Event { cycle, kind, slot: Some(slot), span: Span::ZERO });
     }
 
     /// Something that became of a job.

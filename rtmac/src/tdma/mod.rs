@@ -21,6 +21,7 @@ mod edge;
 mod envelope;
 mod events;
 mod job;
+pub mod joint;
 pub mod line;
 mod mark;
 mod master;
@@ -113,12 +114,15 @@ impl Role {
 impl Tdma {
     /// A station with its slots; what cannot be is refused by name.
     pub fn new(config: &TdmaConfig) -> Result<Self, Refused> {
-        let mut slots = Slots::new(config.max_slot_id);
-        for &slot in &config.slots {
+        let (mut slots, mut events) = (Slots::new(config.max_slot_id), Events::new());
+        let mut resolved = joint::resolved(&config.slots)?;
+        // Those that others are joined to come first.
+        resolved.sort_by_key(|slot| slot.joint);
+        for slot in resolved {
             if slots.get(slot.id).is_some() {
                 return Err(Refused::DefinedTwice { id: slot.id });
             }
-            slots.set(slot, 0)?;
+            slots.set(slot, 0, &mut events)?;
         }
         match config.role {
             RoleConfig::Master(master) => drop(checked(master, &config.slots)?),
@@ -138,7 +142,7 @@ impl Tdma {
             pending: None,
             looked: Instant::default(),
             silent: None,
-            events: Events::new(),
+            events,
             counters: Counters::default(),
         })
     }
@@ -374,13 +378,16 @@ impl Discipline for Tdma {
                     checked(*master.config(), &[*slot])?;
                 }
                 self.not_while_calibrating(slot.id)?;
+                let mut joined = self.slots.planned().filter(|other| joint::follow(other, slot).is_some());
+                joined.try_for_each(|follower| self.not_while_calibrating(follower.id))?;
+                drop(joined);
                 self.can_calibrate(slot.id, Some(slot))?;
                 if let Some(&TimeLine { period: cycle, .. }) = self.line()
                     && slot.offset >= cycle
                 {
                     return Err(Refused::BeyondCycle { id: slot.id, offset: slot.offset, cycle });
                 }
-                self.slots.set(*slot, cycle)?;
+                self.slots.set(*slot, cycle, &mut self.events)?;
             }
             TdmaCommand::RemoveSlot(id) => {
                 self.not_while_calibrating(*id)?;

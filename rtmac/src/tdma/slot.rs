@@ -1,19 +1,30 @@
 //! A station's own slots, their queues, and which comes next.
+//!
+//! ```text
+//! channel ──► slot ──► queue       channel 1 is slot 0 while there is no slot 1
+//!    0          0        0 ◄┐
+//!    2          2        2  │      what waited in a slot before it was joined to another stays there: that slot
+//!               └─ joint ───┘      takes the more urgent of both, what has waited longer first
+//! ```
 
 use arrayvec::ArrayVec;
 use rtnet::buf::Buf;
-use rtnet::discipline::{Channel, Returned, SendError};
+use rtnet::discipline::{Channel, EventKind, Returned, SendError};
 use rtnet::queue::{Priority, PriorityQueue};
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet;
 
 use super::config::Refused;
+use super::events::Events;
+use super::joint;
 use super::line::{TimeLine, next_cycle};
 use crate::wire;
 
 /// Highest slot id unless configured otherwise, as in RTnet.
 pub const DEFAULT_MAX_SLOT_ID: u8 = 7;
-/// The id of the slot for everything that is not real-time; an alias of 0 while undefined.
+/// The id of the slot for real-time traffic.
+const RT_SLOT: Channel = 0;
+/// The id of the slot for everything that is not real-time; another name of slot 0 while it is not defined.
 pub const NON_RT_SLOT: Channel = 1;
 /// Smallest slot: the payload of the smallest frame.
 pub const MIN_SIZE: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
@@ -33,6 +44,8 @@ pub struct SlotConfig {
     pub period: u32,
     /// Largest payload behind the Ethernet header, bytes.
     pub size: usize,
+    /// The slot whose queue it takes from, if not its own.
+    pub joint: Option<Channel>,
     /// How long after its begin a transmission may still start.
     pub latest: Span,
 }
@@ -55,6 +68,11 @@ impl SlotConfig {
         }
         Ok(())
     }
+
+    /// Whose queue it takes from.
+    pub(super) fn queue(&self) -> Channel {
+        self.joint.unwrap_or(self.id)
+    }
 }
 
 /// A place for a slot. Its queue is there from the start, so that a slot can be defined while others are used.
@@ -70,6 +88,8 @@ struct Slot {
     sent: u64,
     /// Whether a frame was taken for its last turn.
     used: bool,
+    /// From whose queue.
+    taken_from: Channel,
 }
 
 #[derive(Clone, Copy)]
@@ -81,8 +101,11 @@ enum Change {
 /// The slots of one station.
 pub struct Slots {
     table: Vec<Slot>,
+    max_id: u8,
     /// Queued frames whose slot was removed or became too small for them.
     dropped: u64,
+    /// Joint slots that got a queue of their own because the one that they were joined to grew.
+    detached: u64,
 }
 
 /// A slot as others see it.
@@ -90,7 +113,7 @@ pub struct Slots {
 pub struct SlotStatus {
     /// What is configured of it.
     pub config: SlotConfig,
-    /// Frames that wait for it.
+    /// Frames that wait for it, or for another that takes from the same queue.
     pub queued: usize,
     /// Frames sent in it.
     pub sent: u64,
@@ -107,29 +130,46 @@ pub struct Turn {
 
 impl Slots {
     pub fn new(max_id: u8) -> Self {
-        let place = |_| Slot {
+        let place = |id| Slot {
             config: None,
             queue: PriorityQueue::new(QUEUE_CAPACITY),
             next: 0,
             change: None,
             sent: 0,
             used: false,
+            taken_from: id,
         };
-        Self { table: (0..=max_id).map(place).collect(), dropped: 0 }
+        Self { table: (0..=max_id).map(place).collect(), max_id, dropped: 0, detached: 0 }
     }
 
     /// Defines or changes a slot, from the cycle after `cycle` on; a turn that it still has in `cycle` it
-    /// takes as it was. Queued frames that still fit stay.
-    pub fn set(&mut self, config: SlotConfig, cycle: u32) -> Result<(), Refused> {
-        config.check((self.table.len() - 1) as u8)?;
-        self.change(config.id, Change::Set(config), cycle);
+    /// takes as it was. Queued frames that still fit stay. Those that are joined to it follow, or are told of.
+    pub fn set(&mut self, slot: SlotConfig, cycle: u32, events: &mut Events) -> Result<(), Refused> {
+        slot.check(self.max_id)?;
+        let joint = joint::owner(&slot, |id| self.plan_of(id))?;
+        let slot = SlotConfig { joint, ..slot };
+        self.change(slot.id, Change::Set(slot), cycle);
+        for id in 0..=self.max_id {
+            let follows = self.plan_of(id).and_then(|other| joint::follow(&other, &slot));
+            let Some(followed) = follows else { continue };
+            self.change(id, Change::Set(followed), cycle);
+            if followed.joint.is_none() {
+                self.detached += 1;
+                events.note_slot(cycle.wrapping_add(1), id, EventKind::JointDetached);
+            }
+        }
         Ok(())
     }
 
-    /// Removes a slot, from the cycle after `cycle` on.
+    /// Removes a slot, from the cycle after `cycle` on. What is queued in it is dropped and counted, unless its channel
+    /// has another slot then: 1 is slot 0 again, and a joint one's frames are the queue's that it was joined to.
     pub fn remove(&mut self, id: Channel, cycle: u32) -> Result<(), Refused> {
         if self.get(id).is_none() {
-            return Err(Refused::NotDefined { id });
+            let is_alias = id == NON_RT_SLOT && self.get(RT_SLOT).is_some();
+            return Err(if is_alias { Refused::Alias } else { Refused::NotDefined { id } });
+        }
+        if let Some(joined) = self.planned().find(|slot| slot.joint == Some(id)) {
+            return Err(Refused::JoinedTo { id, by: joined.id });
         }
         self.change(id, Change::Remove, cycle);
         Ok(())
@@ -141,17 +181,17 @@ impl Slots {
         if slot.config.is_some() && cycle.wrapping_sub(slot.next) as i32 >= 0 {
             slot.change = Some((change, from));
         } else {
-            self.dropped += slot.apply(change, from);
+            self.apply(id, change, from);
         }
     }
 
     /// What is configured of every slot, with the changes that are still to come.
     pub fn planned(&self) -> impl Iterator<Item = SlotConfig> {
-        self.table.iter().filter_map(|slot| match slot.change {
-            Some((Change::Set(config), _)) => Some(config),
-            Some((Change::Remove, _)) => None,
-            None => slot.config,
-        })
+        self.table.iter().filter_map(Slot::planned)
+    }
+
+    fn plan_of(&self, id: Channel) -> Option<SlotConfig> {
+        self.table.get(usize::from(id))?.planned()
     }
 
     /// Queued frames whose slot was removed or became too small for them.
@@ -159,11 +199,17 @@ impl Slots {
         self.dropped
     }
 
+    /// Joint slots that got a queue of their own because the one that they were joined to grew.
+    pub fn detached(&self) -> u64 {
+        self.detached
+    }
+
     /// Every slot, by id.
     pub fn statuses(&self) -> impl Iterator<Item = SlotStatus> {
         self.table.iter().filter_map(|slot| {
             let config = slot.config?;
-            Some(SlotStatus { config, queued: slot.queue.len(), sent: slot.sent })
+            let shared = config.joint.map_or(0, |joint| self.table[usize::from(joint)].queue.len());
+            Some(SlotStatus { config, queued: slot.queue.len() + shared, sent: slot.sent })
         })
     }
 
@@ -188,10 +234,11 @@ impl Slots {
 
     /// Lets every slot begin with its first turn on `line` that is not before `from`.
     pub fn align(&mut self, line: &TimeLine, from: Instant) {
-        for slot in &mut self.table {
-            if let Some((change, _)) = slot.change.take() {
-                self.dropped += slot.apply(change, line.cycle);
+        for id in 0..=self.max_id {
+            if let Some((change, _)) = self.table[usize::from(id)].change.take() {
+                self.apply(id, change, line.cycle);
             }
+            let slot = &mut self.table[usize::from(id)];
             let Some(SlotConfig { phase, period, offset, .. }) = slot.config else { continue };
             let gone = (from - (line.start + offset)).nanos();
             let passed = if gone > 0 { (gone - 1) / line.period.nanos() + 1 } else { 0 };
@@ -224,42 +271,54 @@ impl Slots {
                 if (from.wrapping_sub(slot.next) as i32) > 0 {
                     slot.change = Some((change, from));
                 } else {
-                    self.dropped += slot.apply(change, from);
+                    self.apply(id, change, from);
                 }
             }
-            (Some((change, _)), _) => self.dropped += slot.apply(change, cycle),
+            (Some((change, _)), _) => self.apply(id, change, cycle),
             (None, Some(config)) => slot.next = next_cycle(cycle, config.phase, config.period),
             (None, None) => {}
         }
     }
 
     pub fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
-        let Some((id, limit)) = self.resolve(ch) else { return Err((SendError::NoSlot(ch), frame)) };
-        let got = payload_of(&frame);
-        // A frame padded to the Ethernet minimum fits every slot.
-        if got > limit.max(MIN_SIZE) {
-            return Err((SendError::TooLong { channel: ch, got, limit }, frame));
+        let (queue, limit) = match self.resolve(ch) {
+            Ok(place) => place,
+            Err(error) => return Err((error, frame)),
+        };
+        if !fits(&frame, limit) {
+            return Err((SendError::TooLong { channel: ch, got: payload_of(&frame), limit }, frame));
         }
         if wire::is_lethal(&frame) {
             return Err((SendError::Lethal, frame));
         }
-        let queue = &mut self.table[usize::from(id)].queue;
+        let queue = &mut self.table[usize::from(queue)].queue;
         queue.push(priority, frame).map_err(|frame| (SendError::QueueFull(ch), frame))
     }
 
-    pub fn put_back(&mut self, frame: Returned) -> Result<(), Buf> {
-        match self.resolve(frame.channel) {
-            Some((id, size)) if payload_of(&frame.frame) <= size.max(MIN_SIZE) => {
-                self.table[usize::from(id)].queue.push_front(frame.priority, frame.frame)
+    /// A frame that was taken for a slot's turn goes back to where it was taken from, as long as the slot takes from
+    /// there and its size allows it; else to where its channel is served now.
+    pub fn put_back(&mut self, Returned { frame, priority, channel }: Returned) -> Result<(), Buf> {
+        let place = self.get(channel).and_then(|config| {
+            let queue = self.table[usize::from(channel)].taken_from;
+            [config.id, config.queue()].contains(&queue).then_some((queue, config.size))
+        });
+        match place.or_else(|| self.resolve(channel).ok()) {
+            Some((queue, size)) if fits(&frame, size) => {
+                self.table[usize::from(queue)].queue.push_front(priority, frame)
             }
-            _ => Err(frame.frame),
+            _ => Err(frame),
         }
     }
 
+    /// The most urgent frame of a slot's queue. One that is joined to another may have some that are older than that.
     pub fn dequeue(&mut self, id: Channel) -> Option<(Priority, Buf)> {
+        let shared = self.get(id)?.queue();
+        let first = |queue: Channel| self.table[usize::from(queue)].queue.first();
+        let is_shared = first(shared).is_some_and(|urgent| first(id).is_none_or(|own| urgent < own));
+        let from = if is_shared { shared } else { id };
+        let frame = self.table[usize::from(from)].queue.pop();
         let slot = &mut self.table[usize::from(id)];
-        let frame = slot.queue.pop();
-        slot.used |= frame.is_some();
+        (slot.used, slot.taken_from) = (slot.used | frame.is_some(), from);
         frame
     }
 
@@ -269,13 +328,22 @@ impl Slots {
     }
 
     pub fn payload_limit(&self, ch: Channel) -> Result<usize, SendError> {
-        self.resolve(ch).map(|(_, size)| size).ok_or(SendError::NoSlot(ch))
+        self.resolve(ch).map(|(_, limit)| limit)
     }
 
-    /// The slot that serves a channel, and its size.
-    fn resolve(&self, ch: Channel) -> Option<(Channel, usize)> {
-        let alias = if self.get(ch).is_none() && ch == NON_RT_SLOT { 0 } else { ch };
-        self.get(alias).map(|config| (alias, config.size))
+    /// The queue that serves a channel, and the largest payload that every slot takes that takes from it: while a change
+    /// of joint slots is under way they may differ.
+    fn resolve(&self, ch: Channel) -> Result<(Channel, usize), SendError> {
+        let max = self.max_id.max(NON_RT_SLOT);
+        if ch > max {
+            return Err(SendError::UnknownChannel { channel: ch, max });
+        }
+        let is_alias = ch == NON_RT_SLOT && self.get(ch).is_none();
+        let slot = self.get(if is_alias { RT_SLOT } else { ch }).ok_or(SendError::NoSlot(ch))?;
+        let queue = slot.queue();
+        let own = self.get(queue).ok_or(SendError::NoSlot(ch))?;
+        let sharing = self.defined().map(|(config, _)| config).filter(|config| config.queue() == queue);
+        Ok((queue, sharing.fold(own.size, |limit, config| limit.min(config.size))))
     }
 
     /// Every slot's configuration, and the cycle it is used in next.
@@ -284,33 +352,47 @@ impl Slots {
     }
 }
 
-impl Slot {
-    /// Changes it now, to be used from `cycle` on; tells how many queued frames have no place any more.
-    fn apply(&mut self, change: Change, cycle: u32) -> u64 {
-        self.change = None;
-        let waiting = self.queue.len();
-        match change {
-            Change::Remove => {
-                self.config = None;
-                while self.queue.pop().is_some() {}
-            }
+impl Slots {
+    /// Changes a slot now, to be used from `cycle` on; counts the queued frames that have no place any more.
+    fn apply(&mut self, id: Channel, change: Change, cycle: u32) {
+        let slot = &mut self.table[usize::from(id)];
+        slot.change = None;
+        let waiting: ArrayVec<_, { QUEUE_CAPACITY as usize }> =
+            core::iter::from_fn(|| slot.queue.pop()).collect();
+        let place = match change {
             Change::Set(config) => {
-                self.config = Some(config);
-                self.next = next_cycle(cycle, config.phase, config.period);
-                let mut kept: ArrayVec<_, { QUEUE_CAPACITY as usize }> = ArrayVec::new();
-                while let Some((priority, frame)) = self.queue.pop() {
-                    if payload_of(&frame) <= config.size.max(MIN_SIZE) {
-                        kept.push((priority, frame));
-                    }
-                }
-                for (priority, frame) in kept {
-                    // As many as were in it just now.
-                    let _ = self.queue.push(priority, frame);
-                }
+                slot.config = Some(config);
+                slot.next = next_cycle(cycle, config.phase, config.period);
+                Some((id, config.size))
             }
+            Change::Remove => {
+                let served_by = slot.config.take().map_or(id, |config| config.queue());
+                self.resolve(served_by).ok()
+            }
+        };
+        for (priority, frame) in waiting {
+            let kept = place.is_some_and(|(queue, size)| {
+                fits(&frame, size) && self.table[usize::from(queue)].queue.push(priority, frame).is_ok()
+            });
+            self.dropped += u64::from(!kept);
         }
-        (waiting - self.queue.len()) as u64
     }
+}
+
+impl Slot {
+    /// What is configured of it once the change that is to come, if any, has come.
+    fn planned(&self) -> Option<SlotConfig> {
+        match self.change {
+            Some((Change::Set(config), _)) => Some(config),
+            Some((Change::Remove, _)) => None,
+            None => self.config,
+        }
+    }
+}
+
+/// A frame padded to the Ethernet minimum fits every slot.
+fn fits(frame: &[u8], size: usize) -> bool {
+    payload_of(frame) <= size.max(MIN_SIZE)
 }
 
 fn payload_of(frame: &[u8]) -> usize {
@@ -318,90 +400,4 @@ fn payload_of(frame: &[u8]) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::tdma::line::Drift;
-    use rtnet::buf::Pool;
-    use rtnet::time::{GlobalTime, Offset};
-
-    fn config(id: u8, offset: i64, phase: u32, period: u32) -> SlotConfig {
-        let (offset, latest) = (Span::from_micros(offset), Span::from_micros(10));
-        SlotConfig { id, offset, phase, period, size: 100, latest }
-    }
-
-    fn line() -> TimeLine {
-        TimeLine {
-            cycle: 0,
-            start: Instant::from_nanos(0),
-            sched: GlobalTime::default(),
-            period: Span::from_millis(1),
-            offset: Offset::default(),
-            drift: Drift::NONE,
-        }
-    }
-
-    #[test]
-    fn slots_take_turns_by_time_and_phase() {
-        let mut slots = Slots::new(7);
-        for slot in [config(0, 300, 0, 1), config(2, 100, 1, 2), config(3, 300, 0, 2)] {
-            slots.set(slot, 0).unwrap();
-        }
-        slots.align(&line(), Instant::from_nanos(1_000_000));
-        let order: Vec<_> = (0..6)
-            .map(|_| {
-                let turn = slots.next_turn(&line(), None).unwrap();
-                slots.pass(&turn);
-                (turn.cycle, turn.id, turn.at.nanos() / 1000)
-            })
-            .collect();
-        assert_eq!(
-            order,
-            [(1, 2, 1100), (1, 0, 1300), (2, 0, 2300), (2, 3, 2300), (3, 2, 3100), (3, 0, 3300)]
-        );
-    }
-
-    #[test]
-    fn slot_1_is_slot_0_until_it_is_defined() {
-        let pool = Pool::new(3);
-        let frame = || {
-            let mut frame = pool.take().unwrap();
-            frame.fill(&[0; 60]);
-            frame
-        };
-        let mut slots = Slots::new(7);
-        assert!(matches!(slots.enqueue(frame(), Priority::NON_RT, 1), Err((SendError::NoSlot(1), _))));
-        slots.set(config(0, 100, 0, 1), 0).unwrap();
-        slots.enqueue(frame(), Priority::NON_RT, 1).unwrap();
-        slots.enqueue(frame(), Priority::FIRST, 0).unwrap();
-        assert_eq!(slots.dequeue(0).unwrap().0, Priority::FIRST);
-        assert_eq!(slots.dequeue(0).unwrap().0, Priority::NON_RT);
-        slots.set(config(1, 200, 0, 1), 0).unwrap();
-        slots.enqueue(frame(), Priority::NON_RT, 1).unwrap();
-        assert!(slots.dequeue(0).is_none() && slots.dequeue(1).is_some());
-    }
-
-    #[test]
-    fn what_is_no_slot_is_refused_by_name() {
-        let mut slots = Slots::new(7);
-        let refused = |slots: &mut Slots, slot| slots.set(slot, 0).unwrap_err().to_string();
-        assert!(refused(&mut slots, config(8, 0, 0, 1)).contains("ids go from 0 to 7"));
-        assert!(refused(&mut slots, config(0, 0, 2, 2)).contains("phase 3 of 2"));
-        assert!(refused(&mut slots, config(0, -1, 0, 1)).contains("before the cycle"));
-        assert!(refused(&mut slots, SlotConfig { size: 1501, ..config(0, 0, 0, 1) }).contains("1501"));
-        assert!(slots.remove(3, 0).unwrap_err().to_string().contains("slot 3 is not defined"));
-    }
-
-    #[test]
-    fn the_lethal_frame_never_gets_into_a_queue() {
-        let pool = Pool::new(1);
-        let mut slots = Slots::new(7);
-        slots.set(config(0, 100, 0, 1), 0).unwrap();
-        let mut frame = pool.take().unwrap();
-        frame.fill(&[0; 60]);
-        frame[12..18].copy_from_slice(&[0x90, 0x21, 0x00, 0x42, 2, 0]);
-        let (error, mut frame) = slots.enqueue(frame, Priority::DEFAULT, 0).unwrap_err();
-        assert_eq!(error, SendError::Lethal);
-        frame[17] = 1;
-        slots.enqueue(frame, Priority::DEFAULT, 0).unwrap();
-    }
-}
+mod tests;

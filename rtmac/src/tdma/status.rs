@@ -45,11 +45,13 @@ pub struct Counters {
     pub replies_given_up: u64,
     /// Frames dropped because their slot is gone, full, or too small for them now.
     pub returned_dropped: u64,
+    /// Joint slots that got a queue of their own because the slot that they were joined to grew.
+    pub joints_detached: u64,
 }
 
 impl Counters {
     /// Each with its name.
-    pub fn named(&self) -> [(&'static str, u64); 17] {
+    pub fn named(&self) -> [(&'static str, u64); 18] {
         [
             ("syncs_sent", self.syncs_sent),
             ("syncs_skipped", self.syncs_skipped),
@@ -68,6 +70,7 @@ impl Counters {
             ("replies_late", self.replies_late),
             ("replies_given_up", self.replies_given_up),
             ("returned_dropped", self.returned_dropped),
+            ("joints_detached", self.joints_detached),
         ]
     }
 }
@@ -166,7 +169,7 @@ impl TdmaStatus {
             yielded_to: master.and_then(|master| master.yielded_to()),
             events_lost: tdma.events.lost(),
             slots: core::array::from_fn(|_| shown.next()),
-            counters: Counters { returned_dropped, ..tdma.counters },
+            counters: Counters { returned_dropped, joints_detached: tdma.slots.detached(), ..tdma.counters },
         }
     }
 }

@@ -6,7 +6,8 @@ const OTHER: Address = Address([2, 0, 0, 0, 0, 2]);
 
 fn config(role: RoleConfig) -> TdmaConfig {
     let offset = Span::from_micros(400);
-    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest: Span::from_micros(20) };
+    let (joint, latest) = (None, Span::from_micros(20));
+    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, joint, latest };
     let (max_slot_id, lead, late) = (DEFAULT_MAX_SLOT_ID, DEFAULT_LEAD, LatePolicy::Skip);
     TdmaConfig { address: OWN, role, slots: vec![slot], max_slot_id, lead, late }
 }
@@ -483,3 +484,5 @@ fn a_backup_without_a_slot_or_not_calibrated_takes_over_all_the_same() {
         assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { .. }))), "{slots} slots");
     }
 }
+
+mod joint_slots;

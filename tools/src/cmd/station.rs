@@ -18,14 +18,15 @@ use crate::station::link::{self, LabOptions, Report};
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
 
-/// Reads a slot from the command line: `ID=OFFSET[,phase=P/N][,size=B]`.
+/// Reads a slot from the command line: `ID=OFFSET[,phase=P/N][,size=B][,joint=ID]`; `joint=none` is a queue of its own.
 pub fn parse_slot(text: &str) -> Result<SlotChange, String> {
     let mut parts = text.split(',');
     let first = parts.next().unwrap_or_default();
     let (id, offset) = first.split_once('=').ok_or("write ID=OFFSET, as in 0=100us")?;
     let id = u8::from_str(id).map_err(|_| format!("'{id}' is no slot id: write a number from 0 on"))?;
     let offset = parse_nonnegative_span(offset).map_err(|error| error.to_string())?;
-    let mut slot = SlotChange { id, offset_ns: offset.nanos(), phase: None, period: None, size: None };
+    let offset_ns = offset.nanos();
+    let mut slot = SlotChange { id, offset_ns, phase: None, period: None, size: None, joint: None };
     for part in parts {
         match part.split_once('=') {
             Some(("phase", phase)) => {
@@ -35,7 +36,13 @@ pub fn parse_slot(text: &str) -> Result<SlotChange, String> {
             Some(("size", size)) => {
                 slot.size = Some(size.parse().map_err(|_| format!("'{size}' is no size in bytes"))?);
             }
-            _ => return Err(format!("'{part}' means nothing here: only phase=P/N and size=B do")),
+            Some(("joint", "none")) => slot.joint = Some(None),
+            Some(("joint", to)) => {
+                let to =
+                    to.parse().map_err(|_| format!("'{to}' is no slot id: write joint=ID, or joint=none"))?;
+                slot.joint = Some(Some(to));
+            }
+            _ => return Err(format!("'{part}' means nothing here: only phase=P/N, size=B and joint=ID do")),
         }
     }
     Ok(slot)
@@ -163,12 +170,12 @@ mod tests {
 
     #[test]
     fn slots_are_read_as_the_help_says() {
-        let slot = parse_slot("2=250us,phase=2/4,size=128").unwrap();
-        let whole =
-            SlotChange { id: 2, offset_ns: 250_000, phase: Some(1), period: Some(4), size: Some(128) };
-        assert_eq!(slot, whole);
-        let moved = SlotChange { offset_ns: 0, phase: None, period: None, size: None, ..whole };
+        let slot = parse_slot("2=250us,phase=2/4,size=128,joint=0").unwrap();
+        let (phase, period, size, joint) = (Some(1), Some(4), Some(128), Some(Some(0)));
+        assert_eq!(slot, SlotChange { id: 2, offset_ns: 250_000, phase, period, size, joint });
+        let moved = SlotChange { id: 2, offset_ns: 0, phase: None, period: None, size: None, joint: None };
         assert_eq!(parse_slot("2=0us").unwrap(), moved);
+        assert_eq!(parse_slot("2=0us,joint=none").unwrap(), SlotChange { joint: Some(None), ..moved });
     }
 
     #[test]
@@ -179,7 +186,8 @@ mod tests {
             ("0=100", "no unit"),
             ("0=100us,phase=0/2", "'0/2' is no phase"),
             ("0=100us,size=big", "'big' is no size"),
-            ("0=100us,joint=1", "'joint=1' means nothing here"),
+            ("0=100us,joint=-1", "'-1' is no slot id: write joint=ID, or joint=none"),
+            ("0=100us,join=1", "'join=1' means nothing here: only phase=P/N, size=B and joint=ID do"),
         ] {
             let error = parse_slot(text).unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");

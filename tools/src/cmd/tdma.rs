@@ -8,7 +8,8 @@ use rtnet::time::Span;
 use super::Failure;
 use crate::cli::{TdmaArgs, TdmaVerb, Which};
 use crate::control::{
-    self, Directory, LabReply, LabRequest, Place, Reply, Request, RoleRequest, SlotShown, StationStatus,
+    self, Directory, LabReply, LabRequest, Place, Reply, Request, RoleRequest, SlotRequest, SlotShown,
+    StationStatus,
 };
 use crate::report::text::{Column, grouped, micros, table};
 use crate::station::misses::{Miss, Misses, Refusal};
@@ -232,7 +233,7 @@ pub fn slots(status: &StationStatus) -> String {
     let span = |ns| Span::from_nanos(ns).to_string();
     let lines = table(
         &[
-            Column::left(["", "slot"], slots.iter().map(|shown| shown.slot.id.to_string())),
+            Column::left(["", "slot"], slots.iter().map(|shown| name(&shown.slot))),
             Column::right(["", "offset"], slots.iter().map(|shown| span(shown.slot.offset_ns))),
             right("phase", |shown| format!("{}/{}", shown.slot.phase + 1, shown.slot.period)),
             right("size", |shown| shown.slot.size.to_string()),
@@ -243,4 +244,9 @@ pub fn slots(status: &StationStatus) -> String {
         WIDTH,
     );
     lines.join("\n") + "\n"
+}
+
+/// A slot's id; behind it, as in RTnet, that of the slot whose queue it takes from, if not its own.
+fn name(slot: &SlotRequest) -> String {
+    slot.joint.map_or(slot.id.to_string(), |joint| format!("{}->{joint}", slot.id))
 }

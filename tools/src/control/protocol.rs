@@ -7,7 +7,7 @@ use rtmac::tdma::SlotConfig;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::MTU;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
@@ -91,17 +91,25 @@ pub struct SlotRequest {
     pub period: u32,
     /// Largest payload behind the Ethernet header.
     pub size: usize,
+    /// The slot whose queue it takes from, if not its own.
+    pub joint: Option<u8>,
 }
 
 impl SlotRequest {
     /// The slot as the discipline takes it.
     pub fn config(&self, latest: Span) -> SlotConfig {
-        let &Self { id, offset_ns, phase, period, size } = self;
-        SlotConfig { id, offset: Span::from_nanos(offset_ns), phase, period, size, latest }
+        let &Self { id, offset_ns, phase, period, size, joint } = self;
+        SlotConfig { id, offset: Span::from_nanos(offset_ns), phase, period, size, joint, latest }
     }
 }
 
-/// What is to become of a slot: what is not given stays as it is, or is the largest in every cycle.
+impl From<SlotConfig> for SlotRequest {
+    fn from(SlotConfig { id, offset, phase, period, size, joint, .. }: SlotConfig) -> Self {
+        Self { id, offset_ns: offset.nanos(), phase, period, size, joint }
+    }
+}
+
+/// What is to become of a slot: what is not given stays as it is, or is the largest in every cycle with its own queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SlotChange {
@@ -118,26 +126,36 @@ pub struct SlotChange {
     /// See [`SlotRequest`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<usize>,
+    /// See [`SlotRequest`]; `null` is a queue of its own.
+    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    pub joint: Option<Option<u8>>,
+}
+
+/// `null`, too, is given.
+fn given<'de, D: Deserializer<'de>>(value: D) -> Result<Option<Option<u8>>, D::Error> {
+    Option::deserialize(value).map(Some)
 }
 
 impl SlotChange {
     /// The whole slot. Who knows all changes says what it was before: a status shows it as it is, not as it is to be.
     pub fn over(&self, before: Option<&SlotRequest>) -> SlotRequest {
-        let &Self { id, offset_ns, phase, period, size } = self;
-        let none = SlotRequest { id, offset_ns, phase: 0, period: 1, size: MTU };
+        let &Self { id, offset_ns, phase, period, size, joint } = self;
+        let none = SlotRequest { id, offset_ns, phase: 0, period: 1, size: MTU, joint: None };
         let before = before.unwrap_or(&none);
         SlotRequest {
             phase: phase.unwrap_or(before.phase),
             period: period.unwrap_or(before.period),
             size: size.unwrap_or(before.size),
+            joint: joint.unwrap_or(before.joint),
             ..none
         }
     }
 }
 
 impl From<SlotRequest> for SlotChange {
-    fn from(SlotRequest { id, offset_ns, phase, period, size }: SlotRequest) -> Self {
-        Self { id, offset_ns, phase: Some(phase), period: Some(period), size: Some(size) }
+    fn from(SlotRequest { id, offset_ns, phase, period, size, joint }: SlotRequest) -> Self {
+        let (phase, period, size) = (Some(phase), Some(period), Some(size));
+        Self { id, offset_ns, phase, period, size, joint: Some(joint) }
     }
 }
 

@@ -276,6 +276,7 @@ impl Member {
             EventKind::ReplyFailed,
             EventKind::CalibrationTimeout,
             EventKind::OtherMaster,
+            EventKind::JointDetached,
             EventKind::TookOver,
             EventKind::Yielded,
         ];
@@ -352,7 +353,8 @@ pub fn arguments(
     for slot in &plan.slots {
         let (id, offset, size) = (slot.id, slot.offset, slot.size);
         let phase = format!("phase={}/{}", slot.phase + 1, slot.period);
-        add("--slot", format!("{id}={offset},{phase},size={size}"));
+        let joint = slot.joint.map_or(String::new(), |joint| format!(",joint={joint}"));
+        add("--slot", format!("{id}={offset},{phase},size={size}{joint}"));
     }
     let lab = LabOptions {
         station: station as u16,

@@ -19,7 +19,7 @@ mod delivery;
 pub mod enter;
 pub mod explain;
 pub mod findings;
-mod givers;
+pub mod givers;
 mod keep;
 mod load;
 mod members;

@@ -16,13 +16,16 @@
 //! backup = "100us"          # of a backup: how long after a cycle's start it sends a sync if there is none
 //! payload = 64
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
-//! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 }]
+//! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 },
+//!          { id = 2, offset = "500us", joint = 0 }]          # takes from slot 0's queue; of one size
 //! ```
 
 use std::path::Path;
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
-use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle, check_rounds};
+use rtmac::tdma::{
+    DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle, check_rounds, joint,
+};
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
@@ -134,6 +137,7 @@ struct SlotFile {
     offset: NonNegativeSpan,
     phase: Option<String>,
     size: Option<usize>,
+    joint: Option<u8>,
 }
 
 impl From<FileRole> for Role {
@@ -229,13 +233,14 @@ impl Source<'_> {
             return Err(self.impossible(at, what));
         }
         let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload));
-        let slots = slots.collect::<Result<Vec<_>, _>>()?;
+        let mut slots = slots.collect::<Result<Vec<_>, _>>()?;
         for (i, slot) in slots.iter().enumerate() {
             if slots[..i].iter().any(|other| other.id == slot.id) {
                 let at = station.slots.as_ref().map_or(entry.span().start, |slots| slots[i].span().start);
                 return Err(self.impossible(at, format!("slot {} is defined twice", slot.id)));
             }
         }
+        self.join(&mut slots, station)?;
         if (station.role == FileRole::Backup) != station.backup.is_some() {
             let what = "a backup says when it sends, as in backup = \"100us\", and nobody else does";
             return Err(self.impossible(entry.span().start, what));
@@ -281,7 +286,18 @@ impl Source<'_> {
         if slot.id > DEFAULT_MAX_SLOT_ID {
             return refuse(format!("slot {}: ids go from 0 to {DEFAULT_MAX_SLOT_ID}", slot.id));
         }
-        Ok(SlotPlan { id: slot.id, offset: slot.offset.0, phase, period, size })
+        Ok(SlotPlan { id: slot.id, offset: slot.offset.0, phase, period, size, joint: slot.joint })
+    }
+
+    /// Lets every joint slot take from a queue that there is.
+    fn join(&self, slots: &mut [SlotPlan], station: &StationFile) -> Result<(), FileError> {
+        let plans = slots.to_vec();
+        let get = |id| plans.iter().find(|plan| plan.id == id).map(|plan| plan.config(Span::ZERO));
+        for (slot, entry) in slots.iter_mut().zip(station.slots.iter().flatten()) {
+            let owner = joint::owner(&slot.config(Span::ZERO), get);
+            slot.joint = owner.map_err(|refused| self.impossible(entry.span().start, refused))?;
+        }
+        Ok(())
     }
 
     /// No station says where its slots are: the cycle is divided evenly, in the order of the file.
@@ -302,7 +318,8 @@ impl Source<'_> {
         scenario.sync_window = start;
         for (k, station) in scenario.stations.iter_mut().enumerate() {
             let offset = last + start + length * k as i64;
-            station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size: station.payload }];
+            let size = station.payload;
+            station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size, joint: None }];
         }
         Ok(())
     }

@@ -91,6 +91,22 @@ pub struct SlotPlan {
     pub period: u32,
     /// Largest payload behind the Ethernet header.
     pub size: usize,
+    /// The slot whose queue it takes from, if not its own.
+    pub joint: Option<u8>,
+}
+
+impl SlotPlan {
+    /// The slot as the discipline takes it.
+    pub fn config(&self, latest: Span) -> SlotConfig {
+        let &SlotPlan { id, offset, phase, period, size, joint } = self;
+        SlotConfig { id, offset, phase, period, size, joint, latest }
+    }
+}
+
+impl From<SlotConfig> for SlotPlan {
+    fn from(SlotConfig { id, offset, phase, period, size, joint, .. }: SlotConfig) -> Self {
+        Self { id, offset, phase, period, size, joint }
+    }
 }
 
 /// What keeps a station from sending after its slot's `latest` instant.
@@ -193,6 +209,7 @@ impl Uniform {
                     phase: 0,
                     period: 1,
                     size: payload,
+                    joint: None,
                 }],
             })
             .collect();
@@ -270,8 +287,7 @@ impl Scenario {
 
     /// The slot as the discipline takes it.
     pub fn slot_config(&self, slot: &SlotPlan) -> SlotConfig {
-        let &SlotPlan { id, offset, phase, period, size } = slot;
-        SlotConfig { id, offset, phase, period, size, latest: self.latest() }
+        slot.config(self.latest())
     }
 }
 

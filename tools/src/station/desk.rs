@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    DEFAULT_ROUNDS, MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotConfig, SlotStatus,
+    DEFAULT_ROUNDS, MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotStatus,
     TdmaCommand, TdmaStatus,
 };
 use rtnet::at_once::AtOnceStatus;
@@ -25,7 +25,7 @@ use super::traffic::TrafficCounts;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
-    Envelope, Reply, Request, RoleRequest, SlotChange, SlotRequest, SlotShown, StationStatus, Traffic, read,
+    Envelope, Reply, Request, RoleRequest, SlotChange, SlotShown, StationStatus, Traffic, read,
 };
 use crate::report::figures::GuardName;
 use crate::scenario::default_sync_window;
@@ -168,10 +168,10 @@ impl Desk {
 
     /// What is not given of a slot stays as it is to be after every change that was asked for; a lab gives all.
     fn set_slot(&mut self, change: &SlotChange) -> Reply {
-        let before = self.own_slots.as_ref().and_then(|own| own.get(change.id)).map(request);
+        let before = self.own_slots.as_ref().and_then(|own| own.get(change.id)).map(|&slot| slot.into());
         let slot = change.over(before.as_ref()).config(self.latest);
         self.change(TdmaCommand::SetSlot(slot), |own, heard| {
-            let own = own.with(slot);
+            let own = own.with(slot)?;
             own.check_slot(slot.id, heard).map(|()| own)
         })
     }
@@ -322,19 +322,9 @@ pub fn epoch(clock: &EmulatedClock) -> Offset {
     Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()))
 }
 
-fn request(config: &SlotConfig) -> SlotRequest {
-    let &SlotConfig { id, offset, phase, period, size, .. } = config;
-    SlotRequest { id, offset_ns: offset.nanos(), phase, period, size }
-}
-
 fn shown(slot: &SlotStatus) -> SlotShown {
     let config = slot.config;
-    SlotShown {
-        slot: request(&config),
-        latest_ns: config.latest.nanos(),
-        queued: slot.queued,
-        sent: slot.sent,
-    }
+    SlotShown { slot: config.into(), latest_ns: config.latest.nanos(), queued: slot.queued, sent: slot.sent }
 }
 
 fn counters(status: &AccessStatus, wire: &Wire) -> BTreeMap<String, u64> {

@@ -1,7 +1,7 @@
 //! What a single station knows of a network's slots: its own, and of the cycle what a master gives or a slave hears.
 
 use rtmac::tdma::schedule::{Conflict, Rate, Schedule, Slot};
-use rtmac::tdma::{SlotConfig, TdmaConfig};
+use rtmac::tdma::{SlotConfig, TdmaConfig, joint};
 use rtnet::discipline::Channel;
 use rtnet::time::Span;
 
@@ -18,14 +18,15 @@ pub struct OwnSlots {
 impl OwnSlots {
     /// Those that a station is configured with; `given` by a master: its cycle and sync window.
     pub fn of(tdma: &TdmaConfig, given: Option<(Span, Span)>, rate: Rate) -> Self {
-        Self { rate, max_id: tdma.max_slot_id, given, slots: tdma.slots.clone() }
+        // Where that cannot be, the station has refused it already.
+        let slots = joint::resolved(&tdma.slots).unwrap_or_else(|_| tdma.slots.clone());
+        Self { rate, max_id: tdma.max_slot_id, given, slots }
     }
 
-    /// With this slot, defined or changed.
-    pub fn with(&self, slot: SlotConfig) -> Self {
-        let mut own = self.without(slot.id);
-        own.slots.push(slot);
-        own
+    /// With this slot, defined or changed, and those that are joined to it as they follow; or why it cannot be joined.
+    pub fn with(&self, slot: SlotConfig) -> Result<Self, String> {
+        let slots = joint::redefined(&self.slots, slot).map_err(|refused| refused.to_string())?;
+        Ok(Self { slots, ..self.clone() })
     }
 
     /// Without this slot.
@@ -118,7 +119,7 @@ mod tests {
 
     fn slot(id: u8, micros: i64, phase: u32, period: u32) -> SlotConfig {
         let (offset, latest) = (Span::from_micros(micros), Span::from_micros(50));
-        SlotConfig { id, offset, phase, period, size: MTU, latest }
+        SlotConfig { id, offset, phase, period, size: MTU, joint: None, latest }
     }
 
     fn slave(slots: &[SlotConfig], rate: Rate) -> OwnSlots {
@@ -177,7 +178,7 @@ mod tests {
         refused(own.check_slot(0, heard), "slot 0 ends after the cycle");
         assert_eq!(own.check_slot(0, None), Ok(()));
         assert_eq!(
-            own.with(slot(0, 100, 0, 1)).check_slot(0, heard),
+            own.with(slot(0, 100, 0, 1)).unwrap().check_slot(0, heard),
             Ok(()),
             "slot 3 is still to be set right"
         );
@@ -193,11 +194,27 @@ mod tests {
             (slot(0, 100, 0, 0), "phase 1 of 0"),
             (slot(8, 100, 0, 1), "ids go from 0 to 7"),
         ] {
-            let why = none.with(wrong).check_slot(wrong.id, None).unwrap_err();
+            let why = none.with(wrong).unwrap().check_slot(wrong.id, None).unwrap_err();
             assert!(why.contains(expected), "{why}");
         }
         // Nobody's slot, but no reason to panic.
         let endless = SlotConfig { offset: Span::from_nanos(i64::MAX), ..slot(1, 0, 0, 1) };
-        let _ = none.with(endless).check_slot(1, Some(Span::from_millis(1)));
+        let _ = none.with(endless).unwrap().check_slot(1, Some(Span::from_millis(1)));
+    }
+
+    #[test]
+    fn a_joint_slot_takes_its_time_like_any_other_and_follows_as_the_station_has_it() {
+        let joined = |micros| SlotConfig { joint: Some(0), ..slot(2, micros, 0, 1) };
+        refused(
+            slave(&[slot(0, 100, 0, 1), joined(112)], FAST).check(),
+            "slot 0 and slot 2 overlap: 100us + frame 12.304us",
+        );
+        let own = slave(&[joined(500), slot(0, 100, 0, 1)], FAST);
+        let small = own.with(SlotConfig { size: 100, ..slot(0, 100, 0, 1) }).unwrap();
+        assert_eq!(small.get(2), Some(&SlotConfig { size: 100, ..joined(500) }));
+        let grown = small.with(slot(0, 100, 0, 1)).unwrap();
+        assert_eq!(grown.get(2), Some(&SlotConfig { size: 100, joint: None, ..joined(500) }));
+        let why = grown.with(joined(500)).unwrap().with(SlotConfig { joint: Some(2), ..slot(0, 100, 0, 1) });
+        assert!(why.unwrap_err().contains("slot 0 cannot be joined to slot 2: that would take from itself"));
     }
 }

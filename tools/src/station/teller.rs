@@ -198,6 +198,12 @@ fn event_line(event: &Event) -> String {
         EventKind::SlotBeyondCycle => {
             format!("{name}: a slot begins {} after the master's cycle ends; change its --slot", event.span)
         }
+        EventKind::JointDetached => {
+            let slot = event.slot.map_or("a slot".into(), |id| format!("slot {id}"));
+            format!(
+                "{name}: {slot} has a queue of its own now, since the slot that it was joined to has grown"
+            )
+        }
         _ => format!("{name} ({})", event.span),
     }
 }

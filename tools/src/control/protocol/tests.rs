@@ -1,11 +1,14 @@
 use super::*;
 
-const SLOT: SlotRequest = SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128 };
+const SLOT: SlotRequest =
+    SlotRequest { id: 2, offset_ns: 100_000, phase: 0, period: 1, size: 128, joint: None };
+const MOVED: SlotChange =
+    SlotChange { id: 2, offset_ns: 7, phase: None, period: None, size: None, joint: None };
 
 #[test]
 fn a_request_reads_back() {
-    let moved = SlotChange { id: 2, offset_ns: 1, phase: None, period: None, size: None };
-    let set = [Request::SetSlot(SLOT.into()), Request::SetSlot(moved)];
+    let joint = |joint| Request::SetSlot(SlotChange { joint, ..MOVED });
+    let set = [Request::SetSlot(SLOT.into()), joint(None), joint(Some(None)), joint(Some(Some(0)))];
     for request in set.into_iter().chain([Request::Status, Request::Become(RoleRequest::Detached)]) {
         assert_eq!(read::<Request>(&Envelope::pack(request.clone())), Ok(request));
     }
@@ -13,10 +16,11 @@ fn a_request_reads_back() {
 
 #[test]
 fn what_is_not_given_of_a_slot_stays_as_it_was() {
-    let whole = SlotRequest { phase: 1, period: 4, ..SLOT };
-    let moved = SlotChange { id: 2, offset_ns: 7, phase: None, period: None, size: None };
-    assert_eq!(moved.over(Some(&whole)), SlotRequest { offset_ns: 7, ..whole });
-    assert_eq!(moved.over(None), SlotRequest { id: 2, offset_ns: 7, phase: 0, period: 1, size: 1500 });
+    let whole = SlotRequest { phase: 1, period: 4, joint: Some(0), ..SLOT };
+    assert_eq!(MOVED.over(Some(&whole)), SlotRequest { offset_ns: 7, ..whole });
+    assert_eq!(MOVED.over(None), SlotRequest { offset_ns: 7, size: 1500, ..SLOT });
+    let unjoined = SlotChange { joint: Some(None), ..MOVED };
+    assert_eq!(unjoined.over(Some(&whole)), SlotRequest { offset_ns: 7, joint: None, ..whole });
     assert_eq!(SlotChange::from(SLOT).over(Some(&whole)), SLOT);
 }
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use rtmac::tdma::joint;
 use rtmac::tdma::schedule::Schedule;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::MTU;
@@ -10,7 +11,7 @@ use rtnet::wire::ethernet::MTU;
 use super::Keeper;
 use crate::control::{self, Place, Question, Reply, Request, RoleRequest, SlotChange, SlotRequest};
 use crate::lab::load::{load, too_much};
-use crate::scenario::{Scenario, SlotPlan};
+use crate::scenario::SlotPlan;
 
 /// How long a station may take to let its lab in, and to answer it: meanwhile nobody looks at the medium, and the
 /// observer's ring holds a second.
@@ -27,10 +28,9 @@ pub(super) struct Pending {
 }
 
 /// What holds from the cycle on that the station tells.
-#[derive(Clone, Copy)]
 enum Change {
-    /// A slot is so, or is there no more.
-    Slot(u8, Option<SlotPlan>),
+    /// Its slots are so.
+    Slots(Vec<SlotPlan>),
     /// A slave leaves the cycle.
     Leave,
     /// It may come back.
@@ -42,32 +42,30 @@ impl Keeper {
     pub(super) fn try_set(&mut self, name: &str, change: &SlotChange) -> Result<u32> {
         let station = self.station(name)?;
         let plan = &self.scenario.stations[station];
-        let before = plan.slots.iter().find(|slot| slot.id == change.id).map(request);
+        let latest = self.scenario.latest();
+        let slots: Vec<_> = plan.slots.iter().map(|slot| slot.config(latest)).collect();
+        let before = slots.iter().find(|slot| slot.id == change.id).map(|&slot| slot.into());
         let slot = change.over(before.as_ref());
-        let SlotRequest { id, size, phase, period, .. } = slot;
+        let SlotRequest { size, phase, period, .. } = slot;
         ensure!(phase < period, "phase {} of {period} does not exist", u64::from(phase) + 1);
         let payload = plan.payload;
         ensure!(
             (payload..=MTU).contains(&size),
             "a size of {size} is not within {payload}, the payload of '{name}', and {MTU}"
         );
-        let plan = SlotPlan { id, offset: Span::from_nanos(slot.offset_ns), phase, period, size };
-        self.change_slot(station, id, Some(plan), Request::SetSlot(slot.into()))
+        let slots = joint::redefined(&slots, slot.config(latest))?.into_iter().map(SlotPlan::from);
+        self.change_slots(station, slots.collect(), Request::SetSlot(slot.into()))
     }
 
     pub(super) fn try_remove(&mut self, name: &str, id: u8) -> Result<u32> {
         let station = self.station(name)?;
-        self.change_slot(station, id, None, Request::RemoveSlot(id))
+        let slots = &self.scenario.stations[station].slots;
+        let slots = slots.iter().filter(|slot| slot.id != id).copied().collect();
+        self.change_slots(station, slots, Request::RemoveSlot(id))
     }
 
-    /// Changes a slot where it hits no neighbour, and expects it so from the cycle that the station tells.
-    fn change_slot(
-        &mut self,
-        station: usize,
-        id: u8,
-        plan: Option<SlotPlan>,
-        request: Request,
-    ) -> Result<u32> {
+    /// Changes a station's slots where they hit no neighbour, and expects them so from the cycle that the station tells.
+    fn change_slots(&mut self, station: usize, slots: Vec<SlotPlan>, request: Request) -> Result<u32> {
         let name = &self.scenario.stations[station].name;
         ensure!(
             self.changes < CHANGES_AT_MOST,
@@ -80,7 +78,7 @@ impl Keeper {
         self.must_have_been_locked(station)?;
         self.must_have_answered()?;
         let mut changed = self.scenario.clone();
-        set_slot(&mut changed, station, id, plan);
+        changed.stations[station].slots.clone_from(&slots);
         if let Some(conflict) = changed.schedule().conflicts().first() {
             let bare = Schedule { guard: Span::ZERO, ..changed.schedule() };
             let room =
@@ -92,7 +90,7 @@ impl Keeper {
         if let (Some(why), true) = (too_much, self.lab.declared.is_some() && load > self.lab.load) {
             bail!("{why}: give the slot a longer period, or take another lab down");
         }
-        self.ask(station, request, Change::Slot(id, plan))
+        self.ask(station, request, Change::Slots(slots))
     }
 
     /// Lets a slave leave the cycle, or join it again: from when on its frames are expected no more, or, from its
@@ -173,9 +171,15 @@ impl Keeper {
         let from = if known { from } else { current.wrapping_add(1) };
         let timetable = &mut self.lab.analysis.timetable;
         match change {
-            Change::Slot(id, plan) => {
-                timetable.change(station, id, plan, from);
-                set_slot(&mut self.scenario, station, id, plan);
+            Change::Slots(after) => {
+                let slots = &mut self.scenario.stations[station].slots;
+                for slot in slots.iter().filter(|slot| after.iter().all(|other| other.id != slot.id)) {
+                    timetable.change(station, slot.id, None, from);
+                }
+                for slot in after.iter().filter(|slot| !slots.contains(slot)) {
+                    timetable.change(station, slot.id, Some(*slot), from);
+                }
+                *slots = after;
                 self.changes += 1;
                 self.lab.load = load(&self.scenario);
                 if let Some(declared) = &mut self.lab.declared {
@@ -191,15 +195,4 @@ impl Keeper {
         }
         Ok(from)
     }
-}
-
-fn request(&SlotPlan { id, offset, phase, period, size }: &SlotPlan) -> SlotRequest {
-    SlotRequest { id, offset_ns: offset.nanos(), phase, period, size }
-}
-
-/// The slots of a station with one of them changed, or without it.
-fn set_slot(scenario: &mut Scenario, station: usize, id: u8, plan: Option<SlotPlan>) {
-    let slots = &mut scenario.stations[station].slots;
-    slots.retain(|slot| slot.id != id);
-    slots.extend(plan);
 }

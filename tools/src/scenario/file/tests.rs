@@ -33,8 +33,8 @@ fn a_file_says_everything_per_station() {
         (master.role, master.clock_offset, master.clock_drift_ppb),
         (Role::Master, Span::from_millis(-120), 12_500)
     );
-    let slot = SlotPlan { id: 0, offset: Span::from_micros(500), phase: 1, period: 2, size: 100 };
-    assert_eq!(arm.slots, [slot]);
+    let offset = Span::from_micros(500);
+    assert_eq!(arm.slots, [SlotPlan { id: 0, offset, phase: 1, period: 2, size: 100, joint: None }]);
     let guarded = GOOD.replace("rate =", "slot_guard = \"kernel\"\nrate =");
     assert_eq!(parse(&guarded).unwrap().slot_guard, SlotGuard::Kernel);
     // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
@@ -105,5 +105,34 @@ fn backups_are_read_and_what_cannot_be_of_them_is_refused() {
     ] {
         let refused = parse(&network(backup, role, slots)).unwrap_err().to_string();
         assert!(refused.contains(why), "{refused}");
+    }
+}
+
+#[test]
+fn joint_slots_are_read_in_any_order_and_what_cannot_be_joined_is_refused_where_it_stands() {
+    let with = |more: &str| {
+        parse(&GOOD.replace(
+            "slots = [{ id = 0, offset = \"100us\"",
+            &format!("slots = [{more}\n{{ id = 0, offset = \"100us\""),
+        ))
+    };
+    let chain =
+        with(r#"{ id = 3, offset = "700us", joint = 2 }, { id = 2, offset = "300us", joint = 0 },"#).unwrap();
+    let joints: Vec<_> = chain.stations[0].slots.iter().map(|slot| (slot.id, slot.joint)).collect();
+    assert_eq!(joints, [(3, Some(0)), (2, Some(0)), (0, None)], "one queue");
+    for (slot, why) in [
+        (
+            r#"{ id = 2, offset = "300us", joint = 1 },"#,
+            "slot 2 cannot be joined to slot 1: that is not defined",
+        ),
+        (r#"{ id = 2, offset = "300us", joint = 2 },"#, "slot 2 cannot be joined to slot 2: that would take"),
+        (
+            r#"{ id = 2, offset = "300us", size = 100, joint = 0 },"#,
+            "slot 2 cannot be joined to slot 0: it takes 100 bytes, slot 0 64",
+        ),
+        (r#"{ id = 2, offset = "505us", joint = 0 },"#, "slot 0 of arm and slot 2 of master overlap"),
+    ] {
+        let error = with(slot).unwrap_err().to_string();
+        assert!(error.starts_with("net.toml:14: ") && error.contains(why), "{slot}: {error}");
     }
 }

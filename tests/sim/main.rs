@@ -3,6 +3,7 @@
 mod backup_masters;
 mod drift_and_loss;
 mod ideal_host;
+mod joint_slots;
 mod late_join;
 mod master_dies;
 mod one_seed_identical_bytes;

@@ -3,6 +3,7 @@
 //! ```text
 //! bare       a packet socket and nothing else
 //! networks   a master and its slaves in virtual time, judged by what is on the air
+//! observed   the network of a lab's file in virtual time, judged as a live lab is
 //! bench      one station by hand: frames in at their stamps, transmissions out at their instants
 //! peer       an independent TDMA station with the habits of real RTnet's
 //! ```
@@ -13,6 +14,7 @@ pub mod captures;
 pub mod judge;
 pub mod mixed;
 pub mod networks;
+pub mod observed;
 pub mod peer;
 pub mod traffic;
 pub mod vectors;

@@ -74,3 +74,45 @@ fn of_two_changes_in_a_row_the_second_keeps_what_the_first_said() {
         assert_eq!(cell.down()["unexplained"], 0);
     });
 }
+
+/// The lab knows what becomes of a slot because another one changes, and judges by it.
+#[test]
+fn joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained() {
+    network("joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained", || {
+        let cell = Cell::with("joint", |file| {
+            let joint = r#"{ id = 2, offset = "2500us", size = 200, joint = 0 }"#;
+            file.replace(r#""1600us" }"#, &format!(r#""1600us", size = 200 }}, {joint}"#))
+        });
+        let slots = || {
+            let slots = cell.station("slave2")["slots"].clone();
+            [0, 1].map(|n| (slots[n]["size"].as_u64().unwrap(), slots[n]["joint"].as_u64()))
+        };
+        let set = |change: &str, expected: [(u64, Option<u64>); 2]| {
+            let output = cell.slot("slave2", &["set", change]);
+            assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+            wait_until(change, || slots() == expected);
+            std::thread::sleep(Duration::from_millis(100));
+        };
+        wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(100));
+        let list = text(&cell.slot("slave2", &["list"]).stdout);
+        assert!(list.lines().any(|line| line.starts_with("2->0 ")), "{list}");
+        set("0=1600us,size=100", [(100, None), (100, Some(0))]);
+        let refused = text(&cell.slot("slave2", &["remove", "0"]).stderr);
+        assert!(refused.contains("slot 2 is joined to slot 0"), "{refused}");
+        set("0=1600us,size=300", [(300, None), (100, None)]);
+        let refused = text(&cell.slot("slave2", &["set", "2=2500us,joint=0"]).stderr);
+        assert!(refused.contains("it takes 100 bytes, slot 0 300; give both one size"), "{refused}");
+        set("2=2300us,size=300,joint=0", [(300, None), (300, Some(0))]);
+        let counters = cell.station("slave2")["counters"].clone();
+        assert_eq!(counters["joints_detached"], 1, "{counters}");
+        assert_eq!(counters["returned_dropped"].as_u64().unwrap_or(0), 0, "{counters}");
+        cell.restart("slave2");
+        cell.wait_until_locked();
+        assert_eq!(slots(), [(300, None), (300, Some(0))], "started anew as it was");
+        std::thread::sleep(Duration::from_millis(300));
+        let account = cell.down();
+        assert_eq!((&account["unexplained"], &account["frames_lost"]), (&0.into(), &0.into()), "{account:#}");
+        let frames = |station: usize| account["stations"][station]["frames_seen"].as_u64().unwrap() as f64;
+        assert!(frames(2) > 1.5 * frames(1), "twice in a cycle: {account:#}");
+    });
+}

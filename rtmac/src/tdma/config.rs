@@ -4,6 +4,7 @@ use rtnet::discipline::Channel;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
+use super::joint;
 use super::line::PERIODS;
 use super::master::BACKUP_LOOKS_BEFORE;
 use super::replies::MAX_REPLY_AHEAD;
@@ -282,6 +283,12 @@ impl Tdma {
             }
             _ => Ok(()),
         }
+    }
+
+    /// What is joined to a slot changes with it, by the same rule.
+    pub(super) fn joined_may_follow(&self, slot: &SlotConfig) -> Result<(), Refused> {
+        let mut followers = self.slots.planned().filter(|other| joint::follow(other, slot).is_some());
+        followers.try_for_each(|follower| self.not_while_calibrating(follower.id))
     }
 
     /// A slave that is still to calibrate must be able to with the slots that it would have: slot `id` as `changed`.

@@ -378,9 +378,7 @@ impl Discipline for Tdma {
                     checked(*master.config(), &[*slot])?;
                 }
                 self.not_while_calibrating(slot.id)?;
-                let mut joined = self.slots.planned().filter(|other| joint::follow(other, slot).is_some());
-                joined.try_for_each(|follower| self.not_while_calibrating(follower.id))?;
-                drop(joined);
+                self.joined_may_follow(slot)?;
                 self.can_calibrate(slot.id, Some(slot))?;
                 if let Some(&TimeLine { period: cycle, .. }) = self.line()
                     && slot.offset >= cycle

@@ -143,7 +143,7 @@ impl Slots {
     }
 
     /// Defines or changes a slot, from the cycle after `cycle` on; a turn that it still has in `cycle` it
-    /// takes as it was. Queued frames that still fit stay. Those that are joined to it follow, or are told of.
+    /// takes as it was. Queued frames that still fit stay. What is joined to it follows, or is told of.
     pub fn set(&mut self, slot: SlotConfig, cycle: u32, events: &mut Events) -> Result<(), Refused> {
         slot.check(self.max_id)?;
         let joint = joint::owner(&slot, |id| self.plan_of(id))?;
@@ -350,9 +350,7 @@ impl Slots {
     fn defined(&self) -> impl Iterator<Item = (&SlotConfig, u32)> {
         self.table.iter().filter_map(|slot| Some((slot.config.as_ref()?, slot.next)))
     }
-}
 
-impl Slots {
     /// Changes a slot now, to be used from `cycle` on; counts the queued frames that have no place any more.
     fn apply(&mut self, id: Channel, change: Change, cycle: u32) {
         let slot = &mut self.table[usize::from(id)];

@@ -289,7 +289,18 @@ fn a_running_station_refuses_slots_of_its_own_that_clash() {
         set("2=2ms,phase=1/2").unwrap();
         set("3=2ms,phase=2/2").unwrap();
         assert!(set("4=2ms,phase=1/4").unwrap_err().contains("slot 2 and slot 4 overlap"));
-        asked(&["slot", "-S", &name, "remove", "2"]).unwrap();
+        let remove = |id: &str| asked(&["slot", "-S", &name, "remove", id]);
+        set("5=3ms,phase=1/2,joint=3").unwrap();
+        assert!(remove("3").unwrap_err().contains("slot 5 is joined to slot 3"));
+        assert!(set("3=2ms,joint=5").unwrap_err().contains("slot 3 cannot be joined to slot 5"));
+        set("3=2ms,phase=2/2,size=100").unwrap();
+        wait_until("slot 5 follows", &name, |status| {
+            let five = status["slots"].as_array().unwrap().last().unwrap();
+            (&five["size"], &five["joint"], &five["period"]) == (&100.into(), &3.into(), &2.into())
+        });
+        remove("5").unwrap();
+        assert!(remove("1").unwrap_err().contains("slot 1 is another name of slot 0"));
+        remove("2").unwrap();
         set("4=2ms,phase=1/4").unwrap();
         let message = asked(&["tdma", "-S", &name, "master", "--cycle", "2ms"]).unwrap_err();
         assert!(

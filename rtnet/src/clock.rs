@@ -37,6 +37,16 @@ impl EmulatedClock {
         let gained = floor_of_product(gone, self.drift_ppb, BILLION + self.drift_ppb);
         self.anchor.saturating_add_signed(gone.wrapping_sub(gained))
     }
+
+    /// The clock that shows the same at a true moment, and goes on at another rate.
+    pub fn at_rate(&self, at: True, drift_ppb: i64) -> Self {
+        Self { anchor: at, offset: self.local(at) - Instant::from_nanos(at), drift_ppb }
+    }
+
+    /// The clock that shows so much more, or less.
+    pub fn stepped(&self, by: Span) -> Self {
+        Self { offset: self.offset + by, ..*self }
+    }
 }
 
 /// `a * b / c`, rounded down. This stands before every send, where a 128-bit division costs a third of
@@ -59,6 +69,15 @@ mod tests {
         let clock = EmulatedClock { anchor: 1_000, offset: Span::from_nanos(7), drift_ppb: 100_000 };
         assert_eq!(clock.local(1_000).nanos(), 1_007);
         assert_eq!(clock.local(1_000_001_000).nanos(), 1_000_101_007);
+    }
+
+    #[test]
+    fn a_clock_that_changes_its_rate_goes_on_from_where_it_was() {
+        let clock = EmulatedClock { anchor: 1_000, offset: Span::from_nanos(7), drift_ppb: 100_000 };
+        let changed = clock.at_rate(2_000_001_000, -50_000);
+        assert_eq!(changed.local(2_000_001_000), clock.local(2_000_001_000));
+        assert_eq!(changed.local(3_000_001_000).nanos(), clock.local(2_000_001_000).nanos() + 999_950_000);
+        assert_eq!(clock.stepped(Span::from_nanos(-5)).local(1_000).nanos(), 1_002);
     }
 
     proptest! {

@@ -4,7 +4,7 @@
 
 use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::schedule::{Rate, Uncertainty, guard_band};
-use rtnet::sim::{Host, Medium, StationId};
+use rtnet::sim::{Host, Latency, Medium, StationId};
 use rtnet::time::Span;
 use tests::networks::{Lab, Plan};
 use tools::scenario::Uniform;
@@ -105,7 +105,7 @@ fn every_slave_finds_out_how_far_its_clock_drifts() {
 
 #[test]
 fn on_a_busy_host_too() {
-    let busy = Host { send_jitter: Span::from_micros(8), ..Host::VIRTUAL_MACHINE };
+    let busy = Host { send: Latency::Uniform(Span::ZERO, Span::from_micros(8)), ..Host::VIRTUAL_MACHINE };
     let mut lab = Plan::of(&Plan::lab_options(STATIONS)).with_drift(alternating).on(busy).build();
     lab.run_until_locked();
     lab.run_cycles(4_000);

@@ -8,10 +8,10 @@ use std::sync::Arc;
 use rtnet::discipline::{Discipline, Service, SyncState};
 use rtnet::sim::{Host, Member, Network, StationId};
 use rtnet::station::Station;
-use tools::lab::analysis::Analysis;
-use tools::lab::explain::Records;
-use tools::lab::findings::{Author, Finding};
-use tools::lab::givers::TrueMaster;
+use tools::judge::analysis::Analysis;
+use tools::judge::explain::Records;
+use tools::judge::findings::{Author, Finding};
+use tools::judge::givers::TrueMaster;
 use tools::scenario::Source;
 use tools::station::traffic::TrafficCounts;
 

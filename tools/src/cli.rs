@@ -1,6 +1,7 @@
 //! The command line: the one source of its help.
 
 mod lab;
+mod sim;
 
 use std::path::PathBuf;
 
@@ -16,6 +17,7 @@ use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 pub use lab::{
     DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
 };
+pub use sim::{SimRunArgs, SimVerb};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
 #[derive(Debug, Parser)]
@@ -32,6 +34,9 @@ pub enum Verb {
     /// Networks on this machine, each station in a network namespace of its own
     #[command(subcommand)]
     Lab(LabVerb),
+    /// Networks in virtual time, from the same files, with faults and with what is expected
+    #[command(subcommand)]
+    Sim(SimVerb),
     /// Measure what this host can hold: which cycle, how many stations, how many missed slots
     ///
     /// Measures how late threads wake, how often the host holds the core up, what sending costs, and

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
-use tools::cli::{Cli, LabVerb, Verb};
+use tools::cli::{Cli, LabVerb, SimVerb, Verb};
 use tools::cmd;
 
 fn main() -> ExitCode {
@@ -17,6 +17,8 @@ fn main() -> ExitCode {
         Verb::Lab(LabVerb::Status(args)) => cmd::lab::status(args),
         Verb::Lab(LabVerb::Restart(args)) => cmd::lab::restart(args),
         Verb::Lab(LabVerb::Exec(args)) => cmd::lab::exec(args),
+        Verb::Sim(SimVerb::Run(args)) => cmd::sim::sim_run(args),
+        Verb::Sim(SimVerb::Example) => cmd::sim::example(),
         Verb::Doctor(args) => cmd::doctor::doctor(args),
         Verb::Station(args) => cmd::station::station(args),
         Verb::Tdma(args) => cmd::tdma::tdma(args),

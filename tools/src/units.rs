@@ -20,6 +20,9 @@ pub enum UnitError {
         "'{0}' is no guard band, which is a time, as in 20us: what keeps the slots is slot_guard = \"{0}\""
     )]
     GuardBand(String),
+    /// No share of a whole.
+    #[error("'{0}' is no share: write for example 1% or 50ppm, at most 100%")]
+    Share(String),
     /// More than can be counted, or less than nothing where that makes no sense.
     #[error("'{0}' is out of range")]
     Range(String),
@@ -28,6 +31,7 @@ pub enum UnitError {
 const SPAN_EXAMPLE: &str = "250us";
 const SPAN_UNITS: &str = "ns, us, ms, s or min, as in 250us";
 const RATE_EXAMPLE: &str = "100M";
+const SHARE_EXAMPLE: &str = "1%";
 const RATE_UNITS: &str = "k, M or G (bits per second), as in 100M";
 
 /// A duration, `250us`; a leading minus is allowed.
@@ -82,6 +86,18 @@ pub fn parse_rate(text: &str) -> Result<Rate, UnitError> {
     }
 }
 
+/// A share of a whole in parts per million: `1%`, `50ppm`.
+pub fn parse_share(text: &str) -> Result<u32, UnitError> {
+    let (number, unit) = split(text, SHARE_EXAMPLE)?;
+    let scale = match unit {
+        "%" => 1e4,
+        "ppm" => 1.0,
+        _ => return Err(UnitError::Share(text.into())),
+    };
+    let ppm = (number * scale).round();
+    if (0.0..=1e6).contains(&ppm) { Ok(ppm as u32) } else { Err(UnitError::Share(text.into())) }
+}
+
 fn split<'a>(text: &'a str, example: &'static str) -> Result<(f64, &'a str), UnitError> {
     let text = text.trim();
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '-')).unwrap_or(text.len());
@@ -122,6 +138,8 @@ in_files! {
     GuardBand(Span) by parse_guard_band;
     /// A rate in a file.
     FileRate(Rate) by parse_rate;
+    /// A share in a file, in parts per million.
+    Share(u32) by parse_share;
 }
 
 #[cfg(test)]
@@ -161,6 +179,18 @@ mod tests {
             error("1e99s"),
             "'1e99s' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
         );
+    }
+
+    #[test]
+    fn shares_are_in_parts_per_million() {
+        for (text, ppm) in [("1%", 10_000), ("0.5 %", 5_000), ("50ppm", 50), ("100%", 1_000_000), ("0%", 0)] {
+            assert_eq!(parse_share(text), Ok(ppm), "{text}");
+        }
+        for text in ["101%", "-1%", "1", "0.1"] {
+            let error = parse_share(text).unwrap_err().to_string();
+            assert_eq!(error, format!("'{text}' is no share: write for example 1% or 50ppm, at most 100%"));
+        }
+        assert!(parse_share("some").unwrap_err().to_string().ends_with("write for example 1%"));
     }
 
     #[test]

@@ -1,28 +1,47 @@
-//! The medium: when each frame is on the air, who hears it, and whether two were there at once.
+//! The medium: when each frame is on the air, and whether two were there at once.
 
 use super::StationId;
-use super::random::Random;
 use crate::clock::True;
 use crate::time::Span;
-use crate::wire::ethernet::{EtherType, Header, MIN_FRAME, OVERHEAD};
+use crate::wire::ethernet::{MIN_FRAME, OVERHEAD};
 
 /// What the medium is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Medium {
     /// Bits per second.
     pub rate: u64,
-    /// From any station to any other.
+    /// From any station to any other; of a switch, from any station to it.
     pub propagation: Span,
+    /// What joins the stations.
+    pub joint: Joint,
     /// RTmac frames in a million that one receiver does not hear; each receiver has its own luck.
     pub lose_control_ppm: u32,
     /// The same for all other frames.
     pub lose_data_ppm: u32,
 }
 
+/// What joins the stations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Joint {
+    /// All hear a frame as soon as it begins, and two at once are only counted: as an emulator's bridge does.
+    #[default]
+    Bridge,
+    /// A hub, one collision domain: frames that meet destroy each other.
+    Hub,
+    /// A store-and-forward switch with a queue for each port.
+    Switch {
+        /// From a frame's end to its begin at the other port, if that is free.
+        latency: Span,
+        /// Frames that wait for a port; one more is dropped.
+        queue: usize,
+    },
+}
+
 impl Default for Medium {
     fn default() -> Self {
         let propagation = Span::from_nanos(500);
-        Self { rate: 1_000_000_000, propagation, lose_control_ppm: 0, lose_data_ppm: 0 }
+        let joint = Joint::Bridge;
+        Self { rate: 1_000_000_000, propagation, joint, lose_control_ppm: 0, lose_data_ppm: 0 }
     }
 }
 
@@ -52,15 +71,22 @@ pub struct Traffic {
     pub smallest_gap: Option<Span>,
     /// Deliveries that were lost on the way, by intent.
     pub lost: u64,
+    /// Frames that a hub destroyed.
+    pub collided: u64,
+    /// Deliveries that a port of a switch had no room for.
+    pub queue_full: u64,
+    /// Most frames that waited for a port of a switch at once.
+    pub longest_queue: usize,
+    /// Deliveries that came twice, by intent.
+    pub duplicated: u64,
+    /// Deliveries of which a bit was changed, by intent.
+    pub corrupted: u64,
+    /// Deliveries that were held back so that others overtake them, by intent.
+    pub reordered: u64,
     free_from: True,
 }
 
 impl Medium {
-    pub(super) fn hears(&self, frame: &[u8], random: &mut Random) -> bool {
-        let control = Header::parse(frame).is_some_and(|(h, _)| h.ether_type() == EtherType::RTMAC);
-        !random.happens(if control { self.lose_control_ppm } else { self.lose_data_ppm })
-    }
-
     /// How long a frame of `len` bytes occupies the medium, rounded up.
     pub fn air_time(&self, len: usize) -> u64 {
         let bits = (len.max(MIN_FRAME) + OVERHEAD) as u128 * 8;
@@ -86,5 +112,10 @@ impl Traffic {
         self.overlaps += u64::from(overlaps);
         self.free_from = self.free_from.max(at + air);
         Aired { from, at, until: at + air, overlaps, bytes }
+    }
+
+    /// Forgets the counts, not what is on the air.
+    pub(super) fn start_over(&mut self) {
+        *self = Traffic { free_from: self.free_from, ..Traffic::default() };
     }
 }

@@ -1,24 +1,26 @@
 //! Stations on a medium, driven through virtual time as `live` drives them through real time.
 
-use std::collections::VecDeque;
+mod carriage;
+mod faults;
+mod seat;
 
 use super::agenda::Agenda;
 use super::host::Host;
 use super::medium::{Aired, Medium, Traffic};
 use super::random::Random;
-use crate::buf::{Buf, Pool};
+use crate::buf::Buf;
 use crate::clock::{EmulatedClock, True};
 use crate::discipline::{Discipline, Sent, Transmission};
 use crate::station::Station;
-use crate::wire::ethernet::{Address, Header};
+use crate::wire::ethernet::Address;
+
+use carriage::Flight;
+use seat::Seat;
+
+pub use faults::Wander;
 
 /// Which station, in the order they were added.
 pub type StationId = usize;
-
-/// Buffers of a station's network card, as RTnet's receive ring and transmit descriptors.
-const NIC_POOL: usize = 32;
-/// Turns without any time passing after which a station is taken to be stuck.
-const STUCK: u32 = 10_000;
 
 /// What one station brings to a network.
 pub struct Member<D: Discipline> {
@@ -36,41 +38,51 @@ pub struct Member<D: Discipline> {
 pub struct Network<D: Discipline> {
     medium: Medium,
     members: Vec<Seat<D>>,
+    /// Who has which address, in the order of addresses.
+    addresses: Vec<(Address, StationId)>,
     agenda: Agenda<Action>,
     random: Random,
     now: True,
     traffic: Traffic,
     observer: Option<Observer>,
+    attendant: Option<Attendant<D>>,
+    mourner: Option<Mourner>,
     /// Who is on the other side of a cut.
     cut_off: Vec<StationId>,
+    /// Frames that a hub or a switch has not received wholly.
+    flights: Vec<Flight>,
 }
 
 type Observer = Box<dyn FnMut(&Aired<'_>)>;
+type Mourner = Box<dyn FnMut(StationId, &[u8])>;
+type Attendant<D> = Box<dyn FnMut(&Moment, &mut Member<D>)>;
 
-/// A member and where it is in its loop.
-struct Seat<D: Discipline> {
-    member: Member<D>,
-    pool: Pool,
-    inbox: VecDeque<(True, Buf)>,
-    chosen: Option<Transmission>,
-    /// Sleeps until a frame arrives, at the latest until its deadline if it has one.
-    blocked: bool,
-    /// When its thread runs next; a wake-up for any other time was for a deadline that a frame came before.
-    wakes: Option<True>,
-    stopped: bool,
-    dropped: u64,
-    turns_now: (True, u32),
+/// A station has taken its turn, or sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// Which station.
+    pub id: StationId,
+    /// When it was done, in true time.
+    pub at: True,
+    /// When it looked at the clock for that, and when it had woken before.
+    pub looked: True,
+    /// See `looked`.
+    pub woke: True,
+    /// Whether a frame of it has left.
+    pub sent: bool,
 }
 
 enum Action {
-    /// A station's thread runs: it drains, chooses, and waits.
-    Turn(StationId),
+    /// A station's thread runs: it drains, chooses, and waits. One that was put off since is void, by its number.
+    Turn(StationId, u64),
     /// A station has spun up to its frame's instant.
-    Send(StationId),
+    Send(StationId, u64),
     /// A frame is on the wire.
     Air { from: StationId, frame: Buf },
-    /// A frame has arrived.
-    Arrive { to: StationId, frame: Buf },
+    /// A hub or a switch has received a frame wholly.
+    Landed(u64),
+    /// A clock changes its rate a little.
+    Wander(StationId, Wander),
 }
 
 impl<D: Discipline> Network<D> {
@@ -79,30 +91,27 @@ impl<D: Discipline> Network<D> {
         Self {
             medium,
             members: Vec::new(),
+            addresses: Vec::new(),
             agenda: Agenda::new(),
             random: Random::new(seed),
             now: 0,
             traffic: Traffic::default(),
             observer: None,
+            attendant: None,
+            mourner: None,
             cut_off: Vec::new(),
+            flights: Vec::new(),
         }
     }
 
     /// Adds a station, which starts at true time `at`.
     pub fn add(&mut self, member: Member<D>, at: True) -> StationId {
         let id = self.members.len();
-        self.members.push(Seat {
-            member,
-            pool: Pool::new(NIC_POOL),
-            inbox: VecDeque::with_capacity(NIC_POOL),
-            chosen: None,
-            blocked: false,
-            wakes: None,
-            stopped: false,
-            dropped: 0,
-            turns_now: (0, 0),
-        });
-        self.wake(id, at.max(self.now));
+        let place = self.addresses.partition_point(|entry| *entry < (member.address, id));
+        self.addresses.insert(place, (member.address, id));
+        let mut seat = Seat::new(member);
+        seat.turn_at(&mut self.agenda, id, at.max(self.now));
+        self.members.push(seat);
         id
     }
 
@@ -111,36 +120,34 @@ impl<D: Discipline> Network<D> {
         self.observer = Some(Box::new(observer));
     }
 
+    /// Lets `attendant` look at every station after each of its turns.
+    pub fn attend(&mut self, attendant: impl FnMut(&Moment, &mut Member<D>) + 'static) {
+        self.attendant = Some(Box::new(attendant));
+    }
+
+    /// Tells `mourner` of every frame that is lost on its way to a station.
+    pub fn mourn(&mut self, mourner: impl FnMut(StationId, &[u8]) + 'static) {
+        self.mourner = Some(Box::new(mourner));
+    }
+
+    /// Lets nobody look at it any more.
+    pub fn forget_watchers(&mut self) {
+        (self.observer, self.attendant, self.mourner) = (None, None, None);
+    }
+
     /// Lets virtual time pass up to and including `until`.
     pub fn run_until(&mut self, until: True) {
         while let Some((at, action)) = self.agenda.take(until) {
             self.now = at;
             match action {
-                Action::Turn(id) if self.members[id].wakes == Some(at) => self.turn(id),
-                Action::Turn(_) => {}
-                Action::Send(id) => self.send(id),
-                Action::Air { from, frame } => self.air(from, &frame),
-                Action::Arrive { to, frame } => self.arrive(to, frame),
+                Action::Turn(id, number) => self.turn(id, number),
+                Action::Send(id, number) => self.send(id, number),
+                Action::Air { from, frame } => self.air(from, frame),
+                Action::Landed(flight) => self.landed(flight),
+                Action::Wander(id, wander) => self.wander_on(id, wander),
             }
         }
         self.now = until;
-    }
-
-    /// Stops a station as a crash would: it sends nothing more and hears nothing more.
-    pub fn stop(&mut self, id: StationId) {
-        self.members[id].stopped = true;
-    }
-
-    /// Cuts the medium: these stations hear each other, and the others each other. None: it is whole again.
-    pub fn cut_off(&mut self, stations: &[StationId]) {
-        self.cut_off = stations.to_vec();
-    }
-
-    /// Puts a foreign frame on the medium now, as a station outside the network would.
-    pub fn inject(&mut self, bytes: &[u8]) {
-        let mut frame = Pool::new(1).take().expect("a new pool is full");
-        frame.fill(bytes);
-        self.air(StationId::MAX, &frame);
     }
 
     /// Virtual time.
@@ -150,6 +157,10 @@ impl<D: Discipline> Network<D> {
     /// What has happened on the medium.
     pub fn traffic(&self) -> &Traffic {
         &self.traffic
+    }
+    /// Counts from here on.
+    pub fn start_over(&mut self) {
+        self.traffic.start_over();
     }
     /// The medium, to change while the network runs.
     pub fn medium_mut(&mut self) -> &mut Medium {
@@ -168,112 +179,74 @@ impl<D: Discipline> Network<D> {
         self.members[id].dropped
     }
 
-    /// Lets a station's thread run at true time `at`, and not before.
-    fn wake(&mut self, id: StationId, at: True) {
-        self.members[id].wakes = Some(at);
-        self.agenda.put(at, Action::Turn(id));
-    }
-
-    fn turn(&mut self, id: StationId) {
-        let (now, random) = (self.now, &mut self.random);
+    fn turn(&mut self, id: StationId, number: u64) {
+        let now = self.now;
         let seat = &mut self.members[id];
-        (seat.wakes, seat.blocked) = (None, false);
-        if seat.stopped {
+        if seat.is_void(number) || seat.is_frozen(&mut self.agenda, Action::Turn(id, number), now) {
             return;
         }
         seat.note_progress(now);
+        seat.blocked = false;
+        seat.drain(now);
         let Member { clock, station, host, .. } = &mut seat.member;
-        while let Some((at, frame)) = seat.inbox.pop_front() {
-            station.on_frame(Some(clock.local(at)), frame);
-        }
         let local = clock.local(now);
         station.on_timeout(local);
         if let Some(chosen) = station.next_transmission(local) {
             let at = clock.truth(chosen.at).max(now);
-            seat.chosen = Some(chosen);
-            self.agenda.put(at, Action::Send(id));
-            return;
+            (seat.chosen, seat.woke) = (Some(chosen), now);
+            self.agenda.put(at, Action::Send(id, number));
+        } else {
+            let deadline = station.next_deadline().map(|deadline| clock.truth(deadline).max(now));
+            let wakes = deadline.map(|at| at + host.wake_delay(&mut self.random));
+            seat.blocked = wakes.is_none() || station.discipline().wakes_on_frames();
+            seat.wakes = wakes;
+            if let Some(at) = wakes {
+                self.agenda.put(at, Action::Turn(id, number));
+            }
         }
-        let deadline = station.next_deadline();
-        seat.blocked = deadline.is_none() || station.discipline().wakes_on_frames();
-        if let Some(deadline) = deadline {
-            let wake = clock.truth(deadline).max(now) + host.wake_delay(random);
-            self.wake(id, wake);
-        }
+        self.attend_to(Moment { id, at: now, looked: now, woke: now, sent: false });
     }
 
     /// The last act of a transmission: look at the clock, stamp, send, look again.
-    fn send(&mut self, id: StationId) {
-        let (now, random) = (self.now, &mut self.random);
+    fn send(&mut self, id: StationId, number: u64) {
+        let now = self.now;
         let seat = &mut self.members[id];
-        let Some(Transmission { mut frame, latest, stamp, .. }) = seat.chosen.take() else { return };
-        if seat.stopped {
+        if seat.is_void(number) || seat.is_frozen(&mut self.agenda, Action::Send(id, number), now) {
             return;
         }
         let Member { clock, station, host, .. } = &mut seat.member;
         let before = clock.local(now);
+        let Some(chosen) = seat.chosen.take_if(|chosen| chosen.at <= before) else {
+            // The clock was set back meanwhile.
+            let at = seat.chosen.as_ref().map_or(now, |chosen| clock.truth(chosen.at));
+            return self.agenda.put(at, Action::Send(id, number));
+        };
+        let Transmission { mut frame, latest, stamp, .. } = chosen;
+        let mut moment = Moment { id, at: now, looked: now, woke: seat.woke, sent: false };
         if before > latest {
             station.on_sent(Sent::Late(before, frame));
-            self.wake(id, now);
-            return;
+            self.agenda.put(now, Action::Turn(id, number));
+            return self.attend_to(moment);
         }
         if let Some(stamp) = stamp {
             stamp.write(&mut frame, before);
         }
-        let on_wire = now + host.send_delay(random);
+        let on_wire = now + host.send_delay(&mut self.random) + std::mem::take(&mut seat.stall);
         let after = clock.local(on_wire);
-        station.on_sent(if after > latest { Sent::StalledUntil(after) } else { Sent::At(before) });
-        self.agenda.put(on_wire, Action::Air { from: id, frame });
-        self.wake(id, on_wire);
+        if host.guard.is_some_and(|tolerance| after > latest + tolerance) {
+            station.on_sent(Sent::Guarded(after, frame));
+        } else {
+            station.on_sent(if after > latest { Sent::StalledUntil(after) } else { Sent::At(before) });
+            self.agenda.put(on_wire, Action::Air { from: id, frame });
+            moment.sent = true;
+        }
+        self.agenda.put(on_wire, Action::Turn(id, number));
+        self.attend_to(moment);
     }
 
-    fn air(&mut self, from: StationId, frame: &[u8]) {
-        let air = self.medium.air_time(frame.len());
-        let aired = self.traffic.put_on_air(from, self.now, air, frame);
-        if let Some(observer) = &mut self.observer {
-            observer(&aired);
+    fn attend_to(&mut self, moment: Moment) {
+        if let Some(attendant) = &mut self.attendant {
+            attendant(&moment, &mut self.members[moment.id].member);
         }
-        let Some((header, _)) = Header::parse(frame) else { return };
-        let arrives = self.now + self.medium.propagation.nanos().max(0) as u64;
-        for (to, seat) in self.members.iter_mut().enumerate() {
-            let addressed = header.destination.is_group() || header.destination == seat.member.address;
-            if to == from || !addressed || seat.stopped {
-                continue;
-            }
-            if self.cut_off.contains(&to) != self.cut_off.contains(&from) {
-                self.traffic.lost += 1;
-                continue;
-            }
-            if !self.medium.hears(frame, &mut self.random) {
-                self.traffic.lost += 1;
-                continue;
-            }
-            match seat.pool.take() {
-                Some(mut copy) => {
-                    copy.fill(frame);
-                    self.agenda.put(arrives, Action::Arrive { to, frame: copy });
-                }
-                None => seat.dropped += 1,
-            }
-        }
-    }
-
-    fn arrive(&mut self, to: StationId, frame: Buf) {
-        let seat = &mut self.members[to];
-        seat.inbox.push_back((self.now, frame));
-        if std::mem::take(&mut seat.blocked) {
-            let wake = self.now + seat.member.host.wake_delay(&mut self.random);
-            // The deadline may be nearer.
-            let wake = seat.wakes.map_or(wake, |deadline| deadline.min(wake));
-            self.wake(to, wake);
-        }
-    }
-}
-
-impl<D: Discipline> Seat<D> {
-    fn note_progress(&mut self, now: True) {
-        let (since, turns) = self.turns_now;
-        self.turns_now = if since == now { (now, turns + 1) } else { (now, 0) };
-        assert!(turns < STUCK, "a station takes turn after turn at {now} ns and never waits");
     }
 }

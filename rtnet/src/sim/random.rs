@@ -39,9 +39,19 @@ impl Random {
         if mean == 0 {
             return 0;
         }
-        let unit = (self.bits() >> 11) as f64 / (1u64 << 53) as f64;
-        let drawn = -(1.0 - unit).ln() * mean as f64;
+        let drawn = -(1.0 - self.unit()).ln() * mean as f64;
         (drawn as u64).min(mean * 10)
+    }
+
+    /// A number of the standard normal distribution, between -6 and 6: the sum of twelve even ones, which is the same on
+    /// every machine.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
+    }
+
+    /// 0 up to but not including 1.
+    fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 }
 

@@ -8,6 +8,7 @@ pub mod lab;
 pub mod lab_run;
 pub mod lab_up;
 pub mod manual;
+pub mod sim;
 pub mod slot;
 pub mod station;
 pub mod tdma;

@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, ensure};
 use rtnet::time::Span;
 
-use super::findings::{Author, Finding};
 use super::members::{Member, lost_at_most};
 use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
@@ -19,6 +18,7 @@ use super::tally::Tally;
 use crate::control::{
     Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_name, read,
 };
+use crate::judge::findings::{Author, Finding};
 use crate::scenario::Scenario;
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, WORST};

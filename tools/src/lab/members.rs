@@ -10,14 +10,15 @@ use rtnet::live::Record;
 use rtnet::live::clock::monotonic;
 use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::delivery::Heard;
-use super::explain::Records;
-use super::findings::Author;
-use super::givers::{TrueMaster, same_time};
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
 use super::run::INTERFACE;
 use crate::control::Home;
+use crate::judge::delivery::Heard;
+use crate::judge::explain::Records;
+use crate::judge::findings::Author;
+use crate::judge::givers::{TrueMaster, same_time};
+use crate::judge::outcome::Facts;
 use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
@@ -208,16 +209,46 @@ impl Member {
         !standing.master && !is_synchronised(standing) && since.is_none_or(|since| since > at_most)
     }
 
-    /// Steps of the wall clock that it has seen.
-    pub fn clock_steps(&self) -> u64 {
-        self.standing.as_ref().map_or(0, |standing| standing.clock_steps)
-    }
-
     /// Share of one core that the real-time thread used while it was measured.
     pub fn rt_cpu_share(&self) -> f64 {
         let (Some(begin), Some(end)) = (&self.standing_at_begin, &self.standing_at_end) else { return 0.0 };
         let (used, passed) = (end.cpu_ns.saturating_sub(begin.cpu_ns), end.at.saturating_sub(begin.at));
         if passed == 0 { 0.0 } else { used as f64 / passed as f64 }
+    }
+
+    /// What the report says of it, if it was judged to the end.
+    pub fn facts(&self, name: &str, is_judged: bool) -> Facts {
+        let standing = self.standing.as_ref();
+        Facts {
+            pid: self.pid(),
+            guarded: self.guarded,
+            delay_ns: standing.and_then(|standing| standing.delay_ns),
+            payload_errors: self.payload_errors(),
+            sync_error: self.sync_error.clone(),
+            resident: self.resident,
+            cpu_seconds: self.cpu_seconds,
+            rt_cpu_share: self.rt_cpu_share(),
+            sequence_gaps: self.sequence_gaps(),
+            heard: (!self.ended).then(|| self.heard()),
+            refusals: standing.map(|standing| standing.refusals.clone()).unwrap_or_default(),
+            notes: [&self.refused[..], &self.notes[..]].concat(),
+            clock_steps: standing.map_or(0, |standing| standing.clock_steps),
+            lost_records: standing.map_or(0, |standing| standing.lost_records),
+            lost_on_purpose: 0,
+            reproach: self.reproach(name, is_judged),
+        }
+    }
+
+    fn reproach(&self, name: &str, is_judged: bool) -> Option<String> {
+        if let Some(why) = &self.failed {
+            Some(format!("station '{name}' failed: {why}"))
+        } else if self.ended {
+            let remedy = "its last words, if any, are above; run the lab again";
+            Some(format!("station '{name}' (process {}) was lost: {remedy}", self.pid()))
+        } else {
+            let is_lost = is_judged && self.lost_at_end;
+            is_lost.then(|| format!("station '{name}' was not synchronised at the end"))
+        }
     }
 
     /// Takes a line, or the end.

@@ -5,35 +5,26 @@
 //!   namespace of a station      namespace of the segment          this process
 //!   ┌─────────────┐             ┌──────────────────────┐
 //!   │ station  rt0│────veth─────│port0 ┐               │          stations' reports ─► run
-//!   └─────────────┘             │      ├ br0 ── ring ──│────────► frames, stamped  ─► analysis
+//!   └─────────────┘             │      ├ br0 ── ring ──│────────► frames, stamped  ─► judge::analysis
 //!   ┌─────────────┐             │port1 ┘               │
-//!   │ station  rt0│────veth─────│                      │          explain: every finding has a record
+//!   │ station  rt0│────veth─────│                      │          judge::explain: every finding has a record
 //!   └─────────────┘             └──────────────────────┘
 //! ```
 //!
 //! The namespaces have no names: they go with the last process inside, however it ends.
 
-mod absences;
-pub mod analysis;
-mod delivery;
 pub mod enter;
-pub mod explain;
-pub mod findings;
-pub mod givers;
 mod keep;
 mod load;
 mod members;
 pub mod namespace;
 pub mod netlink;
-mod outcome;
 mod processes;
 mod returns;
 mod run;
-mod sight;
 mod tally;
-mod timetable;
 pub mod userns;
 
 pub use keep::keep;
 pub use processes::this_program;
-pub use run::{Lab, Outcome, RunOptions};
+pub use run::{Lab, RunOptions};

@@ -6,12 +6,12 @@ use rtnet::clock::True;
 use rtnet::discipline::Cause;
 use rtnet::live::clock::monotonic;
 
-use super::absences::Absence;
 use super::members::{Resume, arguments};
 use super::processes::Process;
 use super::run::{INTERFACE, Lab, port_name};
 use super::tally::Tally;
-use super::timetable::before;
+use crate::judge::absences::Absence;
+use crate::judge::timetable::before;
 use crate::scenario::Scenario;
 use crate::station::link::Report;
 

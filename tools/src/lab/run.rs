@@ -13,18 +13,16 @@ use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
 use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
-use super::analysis::Analysis;
-use super::explain::Records;
-use super::givers::TrueMaster;
 use super::load::{load, too_much};
 use super::members::{Launch, Member, Resume, arguments, lost_at_most};
 use super::namespace::{Namespace, Segment};
-use super::outcome;
 use super::processes::{Process, Told};
 use crate::control::{Directory, Home, Load};
+use crate::judge::analysis::Analysis;
+use crate::judge::explain::Records;
+use crate::judge::givers::TrueMaster;
+use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
-use crate::report::figures::Figures;
-use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
 use crate::station::link::Report;
@@ -74,14 +72,6 @@ pub struct RunOptions {
     pub progress: bool,
 }
 
-/// What a run has shown.
-pub struct Outcome {
-    /// The report's figures.
-    pub figures: Figures,
-    /// |slot error - the station's median| of all stations.
-    pub slot_error_abs: SignedHistogram,
-}
-
 /// A network that has been stood up; dropping it takes it down.
 pub struct Lab {
     // Fields are dropped in this order: processes first, then what they live in.
@@ -118,7 +108,7 @@ impl Lab {
         let host = HostFacts::begin();
         self.measure(scenario)?;
         self.end();
-        outcome::of(scenario, self.parts(), host.finish())
+        Ok(outcome::of(scenario, self.parts(scenario), host.finish()))
     }
 
     /// Stands a network up: its medium, its namespaces, its stations' processes.
@@ -390,14 +380,19 @@ impl Lab {
         }
     }
 
-    fn parts(mut self) -> outcome::Parts {
-        outcome::Parts {
+    fn parts(mut self, scenario: &Scenario) -> Parts {
+        let interrupted = self.interrupted.load(Ordering::Relaxed);
+        let is_judged = !interrupted && self.analysis.cycles() > 0;
+        let stations = self.members.iter().zip(&scenario.stations);
+        let stations = stations.map(|(member, plan)| member.facts(&plan.name, is_judged)).collect();
+        Parts {
+            stations,
             dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),
-            interrupted: self.interrupted.load(Ordering::Relaxed),
+            // A lost station ends the run, and says so itself.
+            ended_early: interrupted || self.members.iter().any(|member| member.ended),
             wall_steps: self.wall.steps(),
             distrusted: self.distrusted,
             capture_failed: self.capture_failed,
-            members: self.members,
             analysis: self.analysis,
             records: self.records,
             notes: self.notes,

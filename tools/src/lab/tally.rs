@@ -3,9 +3,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use super::analysis::Analysis;
-use super::explain::Records;
-use super::findings::{Finding, FindingKind};
+use crate::judge::analysis::Analysis;
+use crate::judge::explain::Records;
+use crate::judge::findings::{Finding, FindingKind};
 
 /// Findings without a record that are kept to be shown; the rest is only counted.
 const SHOWN_AT_MOST: usize = 10;

@@ -5,6 +5,9 @@ use std::fs;
 
 use serde::{Deserialize, Serialize};
 
+/// What a run in virtual time has instead of a kernel.
+const VIRTUAL_TIME: &str = "virtual time";
+
 /// The host of a run. `None`, or `unknown`, where the host does not say.
 #[derive(Clone, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
 pub struct HostFacts {
@@ -35,6 +38,16 @@ impl HostFacts {
     /// Starts to watch the host; the facts are there at [`HostWatch::finish`].
     pub fn begin() -> HostWatch {
         HostWatch { steal_at_start: steal_now() }
+    }
+
+    /// Of a run in virtual time, which no host has any part in.
+    pub fn of_virtual_time() -> Self {
+        Self { kernel: VIRTUAL_TIME.into(), rtnet: env!("CARGO_PKG_VERSION").into(), ..Self::default() }
+    }
+
+    /// Whether it is that.
+    pub fn is_virtual_time(&self) -> bool {
+        self.kernel == VIRTUAL_TIME
     }
 }
 

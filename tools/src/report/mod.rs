@@ -4,5 +4,6 @@ pub mod capture;
 pub mod figures;
 pub mod histogram;
 pub mod host;
+pub(crate) mod recorded;
 pub mod screen;
 pub(crate) mod text;

@@ -252,6 +252,11 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
 
 /// What a run took place on, in one list, and what else there is to say of it.
 pub(crate) fn host_lines(host: &HostFacts, more: Option<String>, width: usize) -> Vec<String> {
+    if host.is_virtual_time() {
+        let items: Vec<String> =
+            [host.kernel.clone()].into_iter().chain(more).chain([format!("rtnet {}", host.rtnet)]).collect();
+        return list("host: ", &items, width);
+    }
     let mut items = vec![
         format!("Linux {}", host.kernel),
         host.preemption.clone(),

@@ -19,6 +19,10 @@
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 },
 //!          { id = 2, offset = "500us", joint = 0 }]          # takes from slot 0's queue; of one size
 //! ```
+//!
+//! What a network goes through, and what is expected of it, stands in sections of its own: see [`conditions`].
+
+mod conditions;
 
 use std::path::Path;
 
@@ -31,8 +35,11 @@ use rtnet::wire::ethernet;
 use serde::Deserialize;
 use toml::Spanned;
 
+use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, WanderFile, WireFile};
+
 use super::{
-    MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window, divide,
+    Conditions, MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window,
+    divide,
 };
 use crate::report::figures::Role;
 use crate::units::{AnySpan, FileRate, GuardBand, NonNegativeSpan, PositiveSpan};
@@ -94,6 +101,13 @@ struct NetworkFile {
     late: Option<Late>,
     slot_guard: Option<SlotGuard>,
     station: Vec<Spanned<StationFile>>,
+    medium: Option<MediumFile>,
+    host: Option<HostFile>,
+    #[serde(default)]
+    wire: Vec<WireFile>,
+    #[serde(default)]
+    event: Vec<Spanned<EventFile>>,
+    expect: Option<ExpectFile>,
 }
 
 #[derive(Deserialize)]
@@ -112,6 +126,8 @@ struct StationFile {
     payload: Option<Spanned<usize>>,
     rounds: Option<u32>,
     clock: Option<ClockFile>,
+    host: Option<HostFile>,
+    expect: Option<ExpectFile>,
     slots: Option<Vec<Spanned<SlotFile>>>,
 }
 
@@ -128,6 +144,7 @@ enum FileRole {
 struct ClockFile {
     offset: Option<AnySpan>,
     drift_ppm: Option<f64>,
+    wander: Option<WanderFile>,
 }
 
 #[derive(Deserialize)]
@@ -153,7 +170,7 @@ impl From<FileRole> for Role {
 impl Source<'_> {
     /// Reads the network.
     pub fn parse(self) -> Result<Scenario, FileError> {
-        let network: NetworkFile = toml::from_str(self.text)
+        let mut network: NetworkFile = toml::from_str(self.text)
             .map_err(|error| FileError::Toml(self.file.into(), error.to_string()))?;
         let cycle = network.cycle.get_ref().0;
         check_cycle(cycle).map_err(|refused| self.impossible(network.cycle.span().start, refused))?;
@@ -178,6 +195,7 @@ impl Source<'_> {
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
             slot_guard: network.slot_guard.unwrap_or_default(),
             stations,
+            conditions: self.conditions(&mut network)?,
         };
         if divided {
             self.divide(&mut scenario, sync_window, asked)?;
@@ -194,8 +212,41 @@ impl Source<'_> {
         }
         scenario = scenario.with_random_clocks();
         // The master comes first, as in a network without a file.
-        scenario.stations.sort_by_key(|station| station.role != Role::Master);
+        let master = scenario.stations.iter().position(|station| station.role == Role::Master).unwrap_or(0);
+        scenario.stations[..=master].rotate_right(1);
+        scenario.conditions.renumber(|station| match station {
+            first if first == master => 0,
+            before if before < master => before + 1,
+            behind => behind,
+        });
         Ok(scenario)
+    }
+
+    /// What the network goes through; stations are numbered as in the file.
+    fn conditions(self, network: &mut NetworkFile) -> Result<Conditions, FileError> {
+        let mut sections = Sections {
+            medium: network.medium.take(),
+            host: network.host.take(),
+            wires: std::mem::take(&mut network.wire),
+            events: std::mem::take(&mut network.event),
+            expects: network.expect.take().map(|expect| (None, expect)).into_iter().collect(),
+            slot_guard: network.slot_guard.unwrap_or_default(),
+            ..Sections::default()
+        };
+        for (id, entry) in network.station.iter().enumerate() {
+            let StationFile { host, clock, expect, .. } = entry.get_ref();
+            sections.expects.extend(expect.clone().map(|expect| (Some(id), expect)));
+            sections.hosts.extend(host.clone().map(|host| (id, host)));
+            sections.wanders.extend(clock.as_ref().and_then(|clock| clock.wander).map(|wander| (id, wander)));
+        }
+        let names = network.station.iter().map(|entry| entry.get_ref().name.get_ref().as_str()).collect();
+        Reader { source: self, names }.conditions(sections)
+    }
+
+    /// A rate error in parts per billion.
+    fn drift(self, ppm: f64, at: usize) -> Result<i64, FileError> {
+        let refuse = || self.impossible(at, format!("a clock off by {ppm} ppm: at most {MAX_DRIFT_PPM} ppm"));
+        (ppm.abs() <= MAX_DRIFT_PPM).then_some((ppm * 1_000.0).round() as i64).ok_or_else(refuse)
     }
 
     fn check_stations(&self, stations: &[Spanned<StationFile>]) -> Result<(), FileError> {
@@ -336,8 +387,12 @@ impl Source<'_> {
     }
 
     fn impossible(&self, at: usize, what: impl ToString) -> FileError {
-        let line = self.text[..at.min(self.text.len())].matches('\n').count() + 1;
-        FileError::Impossible { file: self.file.into(), line, what: what.to_string() }
+        FileError::Impossible { file: self.file.into(), line: self.line(at), what: what.to_string() }
+    }
+
+    /// The line of a place in the text, from 1.
+    fn line(&self, at: usize) -> usize {
+        self.text[..at.min(self.text.len())].matches('\n').count() + 1
     }
 }
 

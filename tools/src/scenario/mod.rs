@@ -1,6 +1,8 @@
-//! What a network is: the stations, their slots, their clocks. Made from command-line options or from a
+//! What a network is: the stations, their slots, their clocks, and what they go through. Made from command-line options or from a
 //! file; one form for labs and simulations.
 
+mod conditions;
+mod expectation;
 mod file;
 
 use clap::ValueEnum;
@@ -14,6 +16,8 @@ use serde::Deserialize;
 
 use crate::report::figures::Role;
 
+pub use conditions::{Conditions, Direction, Event, Happening, Wandering, Wire};
+pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Source, load, parse_phase};
 
 /// Part of each cycle that belongs to the Synchronisation, unless the cycle is too short for it.
@@ -53,6 +57,8 @@ pub struct Scenario {
     pub slot_guard: SlotGuard,
     /// The first is the master.
     pub stations: Vec<StationPlan>,
+    /// What it goes through.
+    pub conditions: Conditions,
 }
 
 /// One station.
@@ -215,8 +221,19 @@ impl Uniform {
             .collect();
         let guard = guard.unwrap_or(length - air);
         let (late, slot_guard) = (LatePolicy::Skip, SlotGuard::Auto);
-        let scenario =
-            Scenario { cycle, sync_window, rate, guard, duration, seed, late, slot_guard, stations };
+        let conditions = Conditions::default();
+        let scenario = Scenario {
+            cycle,
+            sync_window,
+            rate,
+            guard,
+            duration,
+            seed,
+            late,
+            slot_guard,
+            stations,
+            conditions,
+        };
         Ok(scenario.with_random_clocks())
     }
 }

@@ -30,6 +30,8 @@ pub struct Seen {
     pub slot_error: SignedHistogram,
     /// Which of its frames were on the medium.
     pub passed: Passed,
+    /// Its frames outside its slots, of whatever kind.
+    pub stray: u64,
     last: BTreeMap<u8, u32>,
     /// The newest cycle with a frame of it, and how many.
     newest: (u32, u64),
@@ -80,6 +82,7 @@ impl Analysis {
             frames: 0,
             slot_error: SignedHistogram::new(),
             passed: Passed::default(),
+            stray: 0,
             last: BTreeMap::new(),
             newest: (0, 0),
             awaited: None,

@@ -1,41 +1,94 @@
-//! From what a lab has seen and been told to the figures of its report.
+//! From what was seen and told to the figures of a report.
+
+use std::collections::BTreeMap;
 
 use rtnet::discipline::EventKind;
 use rtnet::time::Span;
 
-use super::Outcome;
 use super::absences::Absence;
 use super::analysis::Analysis;
+use super::delivery::Heard;
 use super::explain::Records;
 use super::findings::{Finding, FindingKind};
-use super::members::Member;
 use crate::report::figures::{Figures, Miss, MissKind, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
 
-/// What a lab leaves.
+/// What a run has shown.
+pub struct Outcome {
+    /// The report's figures.
+    pub figures: Figures,
+    /// |slot error - the station's median| of all stations.
+    pub slot_error_abs: SignedHistogram,
+}
+
+/// What a run leaves.
 pub struct Parts {
-    pub members: Vec<Member>,
+    /// By station.
+    pub stations: Vec<Facts>,
+    /// What was seen.
     pub analysis: Analysis,
+    /// What was told.
     pub records: Records,
+    /// What a reader should know of the whole.
     pub notes: Vec<String>,
+    /// Frames that the observer lost.
     pub dropped: u64,
+    /// How often the host's clock was seen to jump.
     pub wall_steps: u64,
     /// Frames whose stamps a step of the wall clock made worthless.
     pub distrusted: u64,
     /// What was to be captured is not whole.
     pub capture_failed: bool,
-    pub interrupted: bool,
+    /// It ended before its time, and somebody has said why.
+    pub ended_early: bool,
+}
+
+/// What is known of a station besides what was seen of it.
+#[derive(Default)]
+pub struct Facts {
+    /// Its process, if it has one.
+    pub pid: u32,
+    /// Whether the kernel enforces its slots.
+    pub guarded: bool,
+    /// The delay from the master that it has measured.
+    pub delay_ns: Option<i64>,
+    /// Frames whose payload was not what was sent to it.
+    pub payload_errors: u64,
+    /// Estimated - true global time.
+    pub sync_error: SignedHistogram,
+    /// Resident memory, bytes.
+    pub resident: u64,
+    /// Processor time of the whole process, seconds.
+    pub cpu_seconds: f64,
+    /// Share of a core that its real-time thread used.
+    pub rt_cpu_share: f64,
+    /// Frames missing between those that it received.
+    pub sequence_gaps: u64,
+    /// What it received; of one that was lost it is not known.
+    pub heard: Option<Heard>,
+    /// What its stack refused, by name of the refusal.
+    pub refusals: BTreeMap<String, u64>,
+    /// What a reader should know.
+    pub notes: Vec<String>,
+    /// How often it saw the host's clock jump.
+    pub clock_steps: u64,
+    /// Events that it could not tell of.
+    pub lost_records: u64,
+    /// Frames for it that a simulation lost on purpose.
+    pub lost_on_purpose: u64,
+    /// What is wrong with it, a sentence without a full stop.
+    pub reproach: Option<String>,
 }
 
 /// The figures.
-pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<Outcome> {
-    let Parts { members, analysis, records, .. } = &parts;
+pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
+    let Parts { stations, analysis, records, .. } = &parts;
     let (from, cycles) = analysis.window_counted();
     let own = |kind| records.of_kind(kind, from, cycles);
     let mut figures = Figures {
-        stations: members.len() as u64,
+        stations: stations.len() as u64,
         cycle_ns: scenario.cycle.nanos() as u64,
         cycles: u64::from(cycles),
         syncs_sent: analysis.syncs,
@@ -46,13 +99,13 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         latest_frame_ns: analysis.latest.map(Span::nanos),
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
-        rt_cpu_percent: members.iter().map(Member::rt_cpu_share).sum::<f64>() * 100.0,
-        clock_steps: parts.wall_steps + members.iter().map(Member::clock_steps).sum::<u64>(),
+        rt_cpu_percent: stations.iter().map(|station| station.rt_cpu_share).sum::<f64>() * 100.0,
+        clock_steps: parts.wall_steps + stations.iter().map(|station| station.clock_steps).sum::<u64>(),
         capture_dropped: parts.dropped,
         ..Figures::default()
     };
     let mut all = Histograms::new();
-    for station in 0..members.len() {
+    for station in 0..stations.len() {
         let one = station_figures(scenario, &parts, station, (from, cycles), &mut all);
         figures.frames_expected += one.frames_expected;
         figures.frames_seen += one.frames_seen;
@@ -95,7 +148,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> anyhow::Result<
         }
     }
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
-    Ok(Outcome { figures, slot_error_abs: all.slot_error_abs })
+    Outcome { figures, slot_error_abs: all.slot_error_abs }
 }
 
 /// Over all stations.
@@ -119,7 +172,7 @@ fn station_figures(
     (from, cycles): (u32, u32),
     all: &mut Histograms,
 ) -> StationFigures {
-    let (plan, member) = (&scenario.stations[station], &parts.members[station]);
+    let (plan, facts) = (&scenario.stations[station], &parts.stations[station]);
     let seen = &parts.analysis.stations[station];
     let expected = parts.analysis.expected(station);
     let missed = expected.saturating_sub(seen.frames);
@@ -128,11 +181,11 @@ fn station_figures(
     slot_error_abs.record_n(parts.analysis.slot_length(station).nanos(), missed);
     all.slot_error.merge(&seen.slot_error);
     all.slot_error_abs.merge(&slot_error_abs);
-    all.sync_error.merge(&member.sync_error);
+    all.sync_error.merge(&facts.sync_error);
     let own = |kind| {
         parts.records.of_kind(kind, from, cycles).filter(|record| record.station == station).count() as u64
     };
-    let mut notes = [&member.refused[..], &member.notes[..]].concat();
+    let mut notes = facts.notes.clone();
     if station == 0 {
         notes.extend(parts.notes.clone());
     }
@@ -140,38 +193,34 @@ fn station_figures(
         name: plan.name.clone(),
         role: plan.role,
         mac: scenario.address(station).to_string(),
-        pid: member.pid(),
+        pid: facts.pid,
         clock_offset_ns: plan.clock_offset.nanos(),
         clock_drift_ppb: plan.clock_drift_ppb,
-        calibration_delay_ns: member
-            .standing
-            .as_ref()
-            .and_then(|standing| standing.delay_ns)
-            .filter(|_| plan.role != Role::Master),
+        calibration_delay_ns: facts.delay_ns.filter(|_| plan.role != Role::Master),
         frames_expected: expected,
         frames_seen: seen.frames,
         slots_missed: missed,
         overruns: own(EventKind::Overrun),
         stalled_in_send: own(EventKind::StalledInSend) + own(EventKind::ReplyStalled),
-        guard: member.guarded.into(),
+        guard: facts.guarded.into(),
         guard_drops: own(EventKind::GuardDropped) + own(EventKind::SyncDropped),
-        payload_errors: member.payload_errors(),
+        payload_errors: facts.payload_errors,
         slot_error_ns: seen.slot_error.summary(),
         slot_error_abs_ns: slot_error_abs.summary(),
-        sync_error_ns: member.sync_error.summary(),
-        rss_bytes: member.resident,
-        cpu_percent: percent(member.cpu_seconds, cycles, scenario),
-        sequence_gaps: member.sequence_gaps(),
+        sync_error_ns: facts.sync_error.summary(),
+        rss_bytes: facts.resident,
+        cpu_percent: percent(facts.cpu_seconds, cycles, scenario),
+        sequence_gaps: facts.sequence_gaps,
         frames_lost: frames_lost(scenario, parts, station),
-        refusals: member.standing.as_ref().map(|standing| standing.refusals.clone()).unwrap_or_default(),
+        refusals: facts.refusals.clone(),
         notes,
     }
 }
 
 /// Of what its sender had on the medium. What a lost station heard last is not known.
 fn frames_lost(scenario: &Scenario, parts: &Parts, station: usize) -> u64 {
-    let (member, sender) = (&parts.members[station], scenario.sender(station));
-    if member.ended { 0 } else { parts.analysis.stations[sender].passed.lost(&member.heard()) }
+    let passed = &parts.analysis.stations[scenario.sender(station)].passed;
+    parts.stations[station].heard.map_or(0, |heard| passed.lost(&heard))
 }
 
 fn percent(cpu_seconds: f64, cycles: u32, scenario: &Scenario) -> f64 {
@@ -204,19 +253,11 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
 
 fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {
     let mut reasons = Vec::new();
-    for (member, plan) in parts.members.iter().zip(&scenario.stations) {
-        if let Some(why) = &member.failed {
-            reasons.push(format!("station '{}' failed: {why}", plan.name));
-        } else if member.ended {
-            let (name, pid) = (&plan.name, member.pid());
-            let remedy = "its last words, if any, are above; run the lab again";
-            reasons.push(format!("station '{name}' (process {pid}) was lost: {remedy}"));
-        } else if !parts.interrupted && figures.cycles > 0 && member.lost_at_end {
-            reasons.push(format!("station '{}' was not synchronised at the end", plan.name));
-        }
-        let lost = member.standing.as_ref().map_or(0, |standing| standing.lost_records);
-        if lost > 0 {
-            reasons.push(format!("station '{}' could not tell of {lost} events", plan.name));
+    for (station, plan) in parts.stations.iter().zip(&scenario.stations) {
+        reasons.extend(station.reproach.clone());
+        if station.lost_records > 0 {
+            reasons
+                .push(format!("station '{}' could not tell of {} events", plan.name, station.lost_records));
         }
     }
     let plural = |n: u64| if n == 1 { "" } else { "s" };
@@ -230,8 +271,11 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
     if figures.payload_errors > 0 {
         reasons.push(format!("{} payload error{}", figures.payload_errors, plural(figures.payload_errors)));
     }
-    for station in figures.per_station.iter().filter(|station| station.frames_lost > 0) {
-        let (name, n) = (&station.name, station.frames_lost);
+    for (station, facts) in figures.per_station.iter().zip(&parts.stations) {
+        let (name, n) = (&station.name, station.frames_lost.saturating_sub(facts.lost_on_purpose));
+        if n == 0 {
+            continue;
+        }
         reasons.push(format!(
             "station '{name}' did not receive {n} frame{} that {} on the medium",
             plural(n),
@@ -249,9 +293,7 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
         reasons.push(format!("the wall clock was set during the run: {n} frame{} not judged", plural(n)));
     }
     let asked = (scenario.duration.nanos() / scenario.cycle.nanos()).max(1) as u64;
-    // A lost station ends the run, and says so itself.
-    let ended = parts.interrupted || parts.members.iter().any(|member| member.ended);
-    if figures.cycles < asked && !ended {
+    if figures.cycles < asked && !parts.ended_early {
         reasons.push(format!("the syncs ended after {} of {asked} cycles", figures.cycles));
     }
     reasons

@@ -3,8 +3,8 @@
 use rtnet::time::Span;
 
 use super::{Analysis, FINDINGS_MAX};
-use crate::lab::findings::{Author, Finding, FindingKind};
-use crate::lab::timetable::{before, turns};
+use crate::judge::findings::{Author, Finding, FindingKind};
+use crate::judge::timetable::{before, turns};
 
 impl Analysis {
     /// Every turn of a station before cycle `end` has been seen, or is missed: nothing more of it will come.

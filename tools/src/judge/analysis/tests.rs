@@ -5,7 +5,7 @@ use rtnet::time::Instant;
 use rtnet::wire::ethernet::Address;
 
 use super::*;
-use crate::lab::delivery::Heard;
+use crate::judge::delivery::Heard;
 use crate::scenario::Uniform;
 use crate::station::traffic::{Traffic, TrafficPlan};
 use rtnet::clock::EmulatedClock;

@@ -2,7 +2,7 @@
 //! did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
 //! station missed that was not there is explained by its absence only if it could not tell of it later.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most};
 use rtnet::discipline::{Cause, Channel, EventKind};
@@ -36,6 +36,10 @@ pub struct Records {
     by_cycle: BTreeMap<Key, (Span, Option<Cause>)>,
     /// When stations told that they have a line, or none any more.
     lines: Vec<(usize, u32, bool)>,
+    /// When backups told that they give the time, or do so no more.
+    reigns: Vec<(usize, u32, bool)>,
+    /// Synchronisations that were lost on their way to a station, where somebody knows that: cycle and station.
+    lost_syncs: BTreeSet<(u32, usize)>,
     /// From one cycle's start to the next.
     cycle: Span,
     /// How long after its instant a frame that is not held up is sent, and another behind it.
@@ -76,22 +80,24 @@ impl Records {
         if matches!(kind, EventKind::Locked | EventKind::LineGivenUp) {
             self.lines.push((author.station, author.cycle, kind == EventKind::Locked));
         }
+        if matches!(kind, EventKind::TookOver | EventKind::SteppedDown) {
+            self.reigns.push((author.station, author.cycle, kind == EventKind::TookOver));
+        }
         let longest = self.by_cycle.entry(key(author, kind)).or_insert((span, cause));
         *longest = (*longest).max((span, cause));
+    }
+
+    /// The Synchronisation of a cycle was lost on its way to a station.
+    pub fn note_sync_lost(&mut self, station: usize, cycle: u32) {
+        self.lost_syncs.insert((cycle, station));
     }
 
     /// Forgets what is older than this cycle.
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
         self.absences.forget_before(cycle);
-        // What a station told last of its line still holds.
-        let mut index = 0;
-        let newest: BTreeMap<usize, usize> =
-            self.lines.iter().enumerate().map(|(index, &(station, ..))| (station, index)).collect();
-        self.lines.retain(|&(station, of, _)| {
-            index += 1;
-            !before(of, cycle) || newest[&station] == index - 1
-        });
+        keep_newest(&mut self.lines, cycle);
+        keep_newest(&mut self.reigns, cycle);
     }
 
     /// The records of one kind in `cycles` cycles from `from` on, with their station.
@@ -131,8 +137,8 @@ impl Records {
             }),
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
             FindingKind::Repeated => authors.find_map(|author| {
-                let took_over = self.told(author, EventKind::TookOver).map(|_| Cause::NoSync.name());
-                self.told(author, EventKind::StalledInSend).or(took_over)
+                let reigns = self.reigns(author.station, author.cycle).then_some(Cause::NoSync.name());
+                self.told(author, EventKind::StalledInSend).or(reigns)
             }),
             FindingKind::WithoutSync => None,
         }
@@ -186,6 +192,14 @@ impl Records {
         why.then_some(silent)
     }
 
+    /// Whether a backup has told that it gives the time from this cycle on, or before it and not since that it does so no
+    /// more.
+    fn reigns(&self, station: usize, cycle: u32) -> bool {
+        let told = || self.reigns.iter().filter(move |&&(of, ..)| of == station);
+        let earlier = told().filter(|&&(_, at, _)| before(at, cycle));
+        told().any(|&(_, at, begins)| begins && at == cycle) || earlier.last().is_some_and(|&(.., begins)| begins)
+    }
+
     /// Whether a slave has told that it has no line, or had none any more, and has told of none since.
     fn follows_nobody(&self, station: usize, cycle: u32) -> bool {
         let told = || self.lines.iter().filter(move |&&(of, ..)| of == station);
@@ -198,7 +212,8 @@ impl Records {
 
     /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it.
     fn without_sync(&self, author: Author) -> bool {
-        self.masters(author).any(|master| self.told_of(master, &NO_SYNC_BY).is_some())
+        self.lost_syncs.contains(&(author.cycle, author.station))
+            || self.masters(author).any(|master| self.told_of(master, &NO_SYNC_BY).is_some())
             || self.told_of(of_cycle(author), &[EventKind::SyncLate, EventKind::TimeStep]).is_some()
     }
 
@@ -244,6 +259,17 @@ impl Records {
         let (_, cause) = self.by_cycle.get(&key(author, kind))?;
         Some(cause.map_or(kind.name(), Cause::name))
     }
+}
+
+/// Forgets what was told before this cycle, but for what each station told last: it still holds.
+fn keep_newest(told: &mut Vec<(usize, u32, bool)>, cycle: u32) {
+    let newest: BTreeMap<usize, usize> =
+        told.iter().enumerate().map(|(index, &(station, ..))| (station, index)).collect();
+    let mut index = 0;
+    told.retain(|&(station, of, _)| {
+        index += 1;
+        !before(of, cycle) || newest[&station] == index - 1
+    });
 }
 
 fn key(Author { station, cycle, slot }: Author, kind: EventKind) -> Key {

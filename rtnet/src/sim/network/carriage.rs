@@ -1,0 +1,156 @@
+//! How a frame gets from its sender to those that hear it.
+//!
+//! ```text
+//!   air ──bridge─────────────────────────────► deliver ──► receive, for each that is addressed and lucky
+//!    └───hub, switch──► Landed ──not collided──►┘   └─switch──► behind what waits for the port
+//! ```
+
+use std::ops::Range;
+
+use super::seat::Port;
+use super::{Action, Network, StationId};
+use crate::buf::Buf;
+use crate::clock::True;
+use crate::discipline::Discipline;
+use crate::sim::latency::nanos;
+use crate::sim::link::{Fate, is_control};
+use crate::sim::medium::{Joint, Medium};
+use crate::wire::ethernet::{Address, Header};
+
+/// A frame that a hub or a switch is receiving.
+pub struct Flight {
+    number: u64,
+    from: StationId,
+    frame: Buf,
+    until: True,
+    collided: bool,
+}
+
+impl<D: Discipline> Network<D> {
+    pub(super) fn air(&mut self, from: StationId, frame: Buf) {
+        let now = self.now;
+        if self.members.get(from).is_some_and(|seat| seat.sends_by.down) {
+            self.traffic.lost += 1;
+            return;
+        }
+        let air = self.medium.air_time(frame.len());
+        let aired = self.traffic.put_on_air(from, now, air, &frame);
+        if let Some(observer) = &mut self.observer {
+            observer(&aired);
+        }
+        let propagation = nanos(self.medium.propagation);
+        if self.medium.joint == Joint::Bridge {
+            return self.deliver(from, &frame, now + propagation, false);
+        }
+        let (number, until) = (self.traffic.frames, now + air);
+        let mut collided = false;
+        if self.medium.joint == Joint::Hub {
+            for other in self.flights.iter_mut().filter(|other| other.until > now) {
+                (other.collided, collided) = (true, true);
+            }
+        }
+        self.flights.push(Flight { number, from, frame, until, collided });
+        self.agenda.put(until + propagation, Action::Landed(number));
+    }
+
+    pub(super) fn landed(&mut self, number: u64) {
+        let Some(place) = self.flights.iter().position(|flight| flight.number == number) else { return };
+        let Flight { from, frame, collided, .. } = self.flights.swap_remove(place);
+        self.traffic.collided += u64::from(collided);
+        self.deliver(from, &frame, self.now, collided);
+    }
+
+    /// A frame reaches those that it is for at a time, or as much later as their wires want it, or never.
+    fn deliver(&mut self, from: StationId, frame: &[u8], at: True, is_destroyed: bool) {
+        let Some((header, _)) = Header::parse(frame) else { return };
+        let seat = self.members.get(from).filter(|_| !is_destroyed);
+        let carried = seat.map(|seat| seat.sends_by.carry(frame, &mut self.random));
+        let fate = carried.unwrap_or((!is_destroyed).then(Fate::default));
+        self.count(fate.unwrap_or_default());
+        let to_all = header.destination.is_group();
+        let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination) };
+        for _ in 0..=u8::from(fate.is_some_and(|fate| fate.comes_twice)) {
+            for place in range.clone() {
+                let to = if to_all { place } else { self.addresses[place].1 };
+                let seat = &self.members[to];
+                if to != from
+                    && !seat.stopped
+                    && !fate.is_some_and(|fate| self.hand_to(to, from, frame, at, fate))
+                {
+                    self.lose(to, frame);
+                }
+            }
+        }
+    }
+
+    /// The places in the order of addresses of those with this one.
+    fn who_has(&self, address: Address) -> Range<usize> {
+        let first = self.addresses.partition_point(|entry| entry.0 < address);
+        let behind = self.addresses[first..].iter().take_while(|entry| entry.0 == address).count();
+        first..first + behind
+    }
+
+    fn lose(&mut self, to: StationId, frame: &[u8]) {
+        self.traffic.lost += 1;
+        if let Some(mourner) = &mut self.mourner {
+            mourner(to, frame);
+        }
+    }
+
+    fn count(&mut self, fate: Fate) {
+        self.traffic.duplicated += u64::from(fate.comes_twice);
+        self.traffic.corrupted += u64::from(fate.corrupt.is_some());
+        self.traffic.reordered += u64::from(fate.overtaken);
+    }
+
+    /// Whether a frame that left its sender with this fate reaches a station.
+    fn hand_to(&mut self, to: StationId, from: StationId, frame: &[u8], at: True, sent: Fate) -> bool {
+        let is_cut = !self.cut_off.is_empty() && self.cut_off.contains(&to) != self.cut_off.contains(&from);
+        let Medium { lose_control_ppm, lose_data_ppm, .. } = self.medium;
+        let lose = if is_control(frame) { lose_control_ppm } else { lose_data_ppm };
+        if is_cut || self.random.happens(lose) {
+            return false;
+        }
+        let Some(heard) = self.members[to].hears_by.carry(frame, &mut self.random) else { return false };
+        let Some(at) = self.through_port(to, frame.len(), at) else { return false };
+        self.count(heard);
+        let at = at + sent.later + heard.later;
+        for _ in 0..=u8::from(heard.comes_twice) {
+            let seat = &mut self.members[to];
+            let Some(mut copy) = seat.pool.take() else {
+                seat.dropped += 1;
+                return false;
+            };
+            copy.fill(frame);
+            sent.corrupt(&mut copy);
+            heard.corrupt(&mut copy);
+            seat.receive(at, copy);
+            if seat.blocked {
+                let wake = at + seat.member.host.wake_delay(&mut self.random);
+                // Its deadline may be nearer.
+                let wake = seat.wakes.map_or(wake, |deadline| deadline.min(wake));
+                seat.turn_at(&mut self.agenda, to, wake);
+            }
+        }
+        true
+    }
+
+    /// When a frame that comes to a switch has left it by a station's port; `None`: there was no room for it.
+    fn through_port(&mut self, to: StationId, len: usize, at: True) -> Option<True> {
+        let Joint::Switch { latency, queue } = self.medium.joint else { return Some(at) };
+        let air = self.medium.air_time(len);
+        let Port { free_from, waiting } = &mut self.members[to].port;
+        while waiting.pop_front_if(|begins| *begins <= at).is_some() {}
+        if waiting.len() >= queue.max(1) {
+            self.traffic.queue_full += 1;
+            return None;
+        }
+        let begins = (*free_from).max(at + nanos(latency));
+        if begins > at + nanos(latency) {
+            waiting.push_back(begins);
+        }
+        *free_from = begins + air;
+        self.traffic.longest_queue = self.traffic.longest_queue.max(waiting.len());
+        Some(*free_from + nanos(self.medium.propagation))
+    }
+}

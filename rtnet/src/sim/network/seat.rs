@@ -1,0 +1,119 @@
+//! A member of a network, and where it is in its loop.
+
+use std::collections::VecDeque;
+
+use super::{Action, Agenda, Member, StationId};
+use crate::buf::{Buf, Pool};
+use crate::clock::True;
+use crate::discipline::{Discipline, Transmission};
+use crate::sim::link::Link;
+
+/// Buffers of a station's network card, as RTnet's receive ring and transmit descriptors.
+const NIC_POOL: usize = 32;
+/// Turns without any time passing after which a station is taken to be stuck.
+const STUCK: u32 = 10_000;
+
+pub struct Seat<D: Discipline> {
+    pub member: Member<D>,
+    pub pool: Pool,
+    /// What has arrived, or is about to, in the order of its arrival.
+    inbox: VecDeque<(True, Buf)>,
+    pub chosen: Option<Transmission>,
+    /// When it had woken to choose that.
+    pub woke: True,
+    /// Sleeps until a frame arrives, at the latest until then.
+    pub blocked: bool,
+    /// See `blocked`.
+    pub wakes: Option<True>,
+    pub stopped: bool,
+    /// Its thread does not run before this.
+    pub frozen_until: True,
+    /// For so long its next frame is held up behind its last look at the clock.
+    pub stall: u64,
+    pub dropped: u64,
+    /// Its wire: what it sends, and what it hears.
+    pub sends_by: Link,
+    pub hears_by: Link,
+    /// Its port of a switch.
+    pub port: Port,
+    /// The number of what it does next: what was put down before under another one is void.
+    number: u64,
+    turns_now: (True, u32),
+}
+
+/// A port of a switch.
+#[derive(Default)]
+pub struct Port {
+    pub free_from: True,
+    /// When those that wait for it begin.
+    pub waiting: VecDeque<True>,
+}
+
+impl<D: Discipline> Seat<D> {
+    pub fn new(member: Member<D>) -> Self {
+        Self {
+            member,
+            pool: Pool::new(NIC_POOL),
+            inbox: VecDeque::with_capacity(NIC_POOL),
+            chosen: None,
+            woke: 0,
+            blocked: false,
+            wakes: None,
+            stopped: false,
+            frozen_until: 0,
+            stall: 0,
+            dropped: 0,
+            sends_by: Link::default(),
+            hears_by: Link::default(),
+            port: Port::default(),
+            number: 0,
+            turns_now: (0, 0),
+        }
+    }
+
+    /// Its next turn is at this time, whatever was put down before.
+    pub fn turn_at(&mut self, agenda: &mut Agenda<Action>, id: StationId, at: True) {
+        self.number += 1;
+        self.blocked = false;
+        agenda.put(at, Action::Turn(id, self.number));
+    }
+
+    pub fn is_void(&self, number: u64) -> bool {
+        self.stopped || number != self.number
+    }
+
+    /// Whether its thread does not run now; then it does this when it runs again.
+    pub fn is_frozen(&self, agenda: &mut Agenda<Action>, action: Action, now: True) -> bool {
+        let is_frozen = now < self.frozen_until;
+        if is_frozen {
+            agenda.put(self.frozen_until, action);
+        }
+        is_frozen
+    }
+
+    /// Forgets what has arrived and what was chosen.
+    pub fn clear(&mut self) {
+        self.inbox.clear();
+        self.chosen = None;
+    }
+
+    /// A frame arrives at a time, mostly behind all others.
+    pub fn receive(&mut self, at: True, frame: Buf) {
+        let place = self.inbox.iter().rposition(|&(before, _)| before <= at).map_or(0, |last| last + 1);
+        self.inbox.insert(place, (at, frame));
+    }
+
+    /// Gives the station what has arrived by now.
+    pub fn drain(&mut self, now: True) {
+        let Member { clock, station, .. } = &mut self.member;
+        while let Some((at, frame)) = self.inbox.pop_front_if(|&mut (at, _)| at <= now) {
+            station.on_frame(Some(clock.local(at)), frame);
+        }
+    }
+
+    pub fn note_progress(&mut self, now: True) {
+        let (since, turns) = self.turns_now;
+        self.turns_now = if since == now { (now, turns + 1) } else { (now, 0) };
+        assert!(turns < STUCK, "a station takes turn after turn at {now} ns and never waits");
+    }
+}

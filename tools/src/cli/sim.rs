@@ -1,0 +1,43 @@
+//! The command line of `rtnet sim`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use rtnet::time::Span;
+
+use crate::units::parse_positive_span;
+
+/// What can be done with a network in virtual time.
+#[derive(Debug, Subcommand)]
+pub enum SimVerb {
+    /// Run a scenario in virtual time, and print a report as `lab run` does
+    ///
+    /// The same stations as in a lab, on a simulated medium, hosts and clocks. A scenario is a lab's file, or one
+    /// with faults, with what happens when, and with what is expected: `rtnet sim example` prints one that says it
+    /// all. One seed is one run, to the byte.
+    ///
+    /// Exit status: 0 all is as expected, or without [expect] all is well; 1 it is not: the cycle and the frames
+    /// around it are shown; 2 bad usage, or a scenario that cannot be.
+    Run(SimRunArgs),
+    /// Print a scenario that says what can be said, and runs
+    Example,
+}
+
+/// Arguments of `sim run`.
+#[derive(Debug, Args)]
+pub struct SimRunArgs {
+    /// The scenario
+    pub file: PathBuf,
+    /// Everything random follows from it [default: what the file says, or 1]
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// End after so much virtual time, joining included, whatever the file says
+    #[arg(long, value_parser = parse_positive_span)]
+    pub until: Option<Span>,
+    /// Write the report as JSON, too
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write every frame on the medium as pcapng, in virtual time
+    #[arg(long, value_name = "FILE")]
+    pub pcap: Option<PathBuf>,
+}

@@ -1,0 +1,53 @@
+//! `rtnet sim`.
+
+use std::io::Write;
+
+use super::{Failure, screen_width, writable, write_json};
+use crate::cli::SimRunArgs;
+use crate::report::screen;
+use crate::scenario::{self, Scenario};
+use crate::sim::{self, Checked, Ended, Options, screen as sim_screen};
+
+/// Prints a scenario that runs.
+pub fn example() -> Result<u8, Failure> {
+    // Whoever closed our output does not want to read the rest.
+    let _ = std::io::stdout().write_all(sim::EXAMPLE.as_bytes());
+    Ok(0)
+}
+
+/// Runs a scenario and prints its report; the exit status is 1 if it is not as expected.
+pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
+    let scenario = scenario(args).map_err(Failure::Usage)?;
+    let files = args.json.iter().chain(&args.pcap);
+    files.into_iter().try_for_each(|path| writable(path)).map_err(Failure::Usage)?;
+    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None };
+    let Ended { figures, slot_error_abs, .. } = sim::run(&scenario, &options).map_err(Failure::Run)?;
+    if let Some(path) = &args.json {
+        write_json(path, &figures).map_err(Failure::Run)?;
+    }
+    let width = screen_width();
+    let around =
+        frames_around(&scenario, &options, &figures.simulation.expectations).map_err(Failure::Run)?;
+    let text = sim_screen::render(&figures.simulation, &around, width)
+        + "\n"
+        + &screen::render(&figures.figures, width, &slot_error_abs);
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    Ok(if figures.figures.verdict.ok { 0 } else { 1 })
+}
+
+fn scenario(args: &SimRunArgs) -> anyhow::Result<Scenario> {
+    let mut scenario = scenario::load(&args.file)?;
+    if let Some(seed) = args.seed {
+        scenario.seed = seed;
+        scenario = scenario.with_random_clocks();
+    }
+    Ok(scenario)
+}
+
+/// The frames around the first place where something was not as expected. The run is repeated for them: it is the same
+/// to the byte, and none has to be kept of one in which all is well.
+fn frames_around(scenario: &Scenario, options: &Options, checked: &[Checked]) -> anyhow::Result<Vec<String>> {
+    let Some(cycle) = checked.iter().find_map(|checked| checked.cycle) else { return Ok(Vec::new()) };
+    let around = Some((cycle.saturating_sub(1), cycle.saturating_add(1)));
+    Ok(sim::run(scenario, &Options { pcap: None, around, ..options.clone() })?.lines)
+}

@@ -1,0 +1,17 @@
+//! What is made of the frames on a medium and of what its stations told: errors, overlaps, gaps, and whether each has a
+//! record. The same for labs and simulations. Pure: it is given frames, stamps and records.
+//!
+//! ```text
+//!   frames, stamped ──► analysis ──findings──┐
+//!   stations' records ─► explain ◄───────────┴──► outcome ─► figures
+//! ```
+
+pub mod absences;
+pub mod analysis;
+pub mod delivery;
+pub mod explain;
+pub mod findings;
+pub mod givers;
+pub mod outcome;
+mod sight;
+pub mod timetable;

@@ -1,0 +1,458 @@
+//! The part of a file that says what a network goes through, and what is expected of it.
+//!
+//! ```toml
+//! [medium]
+//! joint = "bridge"          # or "hub": frames that meet destroy each other; or "switch": a queue for each port
+//! propagation = "500ns"
+//! latency = "2us"           # of a switch, from a frame's end to its begin at the other port
+//! queue = 64                # of a switch, frames that wait for a port
+//!
+//! [host]                    # of all stations; host = { ... } of a [[station]] is its own
+//! wake = "exponential 13us" # or "constant T", "uniform T T", "normal MEAN SD", "recorded FILE"
+//! send = "uniform 0us 0.4us"
+//! outages = { ppm = 75, longest = "4ms" }
+//! stalls = { ppm = 2, longest = "4ms" }
+//!
+//! [[wire]]
+//! stations = ["arm"]        # all, if not given
+//! direction = "in"          # or "out"; both, if not given
+//! lose = "1%"               # or lose_control, lose_data; and duplicate, corrupt, reorder, each "1%" or "50ppm"
+//! reorder_by = "100us"
+//! delay = "uniform 0us 5us"
+//!
+//! [[event]]
+//! at = "2s"                 # after the begin of the measurement
+//! kill = "master"           # one of: kill, restart, stop, stall, clock, cut, unplug, wire, babble, inject
+//! times = 20                # and every = "100ms"
+//!
+//! [expect]
+//! overlaps = 0
+//! takeover_cycles = "<= 1"  # expect = { ... } of a [[station]] is of that one alone
+//! ```
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use rtnet::sim::{Host, Joint, Latency, Link};
+use rtnet::time::Span;
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::{FileError, Source};
+use crate::report::recorded;
+use crate::scenario::{
+    Conditions, Direction, Event, Expectation, Happening, Measure, SlotGuard, Wandering, Wire,
+};
+use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan, Share, parse_nonnegative_span};
+
+/// By how much a kernel guard lets a frame be later than it may.
+const GUARD_TOLERANCE: Span = Span::from_micros(10);
+/// How late a frame is that others overtake, unless it is said.
+const REORDER_BY: Span = Span::from_micros(100);
+const QUEUE: usize = 64;
+const WANDER_EVERY: Span = Span::from_millis(100);
+/// Any one event; more shows nothing that so many do not.
+const TIMES_AT_MOST: u32 = 1_000_000;
+const BABBLE_EVERY: Span = Span::from_micros(100);
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MediumFile {
+    joint: Option<JointFile>,
+    propagation: Option<NonNegativeSpan>,
+    latency: Option<NonNegativeSpan>,
+    queue: Option<usize>,
+}
+
+#[derive(Clone, Copy, Deserialize, PartialEq)]
+#[serde(rename_all = "lowercase")]
+enum JointFile {
+    Bridge,
+    Hub,
+    Switch,
+}
+
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HostFile {
+    wake: Option<Spanned<String>>,
+    send: Option<Spanned<String>>,
+    outages: Option<OutagesFile>,
+    stalls: Option<OutagesFile>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OutagesFile {
+    ppm: u32,
+    longest: PositiveSpan,
+}
+
+/// How the rate of a clock changes.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WanderFile {
+    step_ppm: f64,
+    within_ppm: f64,
+    every: Option<PositiveSpan>,
+}
+
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WireFile {
+    stations: Option<Spanned<Names>>,
+    #[serde(default)]
+    direction: DirectionFile,
+    lose: Option<Share>,
+    lose_control: Option<Share>,
+    lose_data: Option<Share>,
+    duplicate: Option<Share>,
+    corrupt: Option<Share>,
+    reorder: Option<Share>,
+    reorder_by: Option<PositiveSpan>,
+    delay: Option<Spanned<String>>,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum DirectionFile {
+    In,
+    Out,
+    #[default]
+    Both,
+}
+
+/// One station, or several.
+#[derive(Clone, Deserialize)]
+#[serde(untagged)]
+enum Names {
+    One(String),
+    Several(Vec<String>),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EventFile {
+    at: NonNegativeSpan,
+    times: Option<u32>,
+    every: Option<PositiveSpan>,
+    #[serde(rename = "for")]
+    lasts: Option<PositiveSpan>,
+    kill: Option<Spanned<Names>>,
+    restart: Option<Spanned<Names>>,
+    stop: Option<Spanned<Names>>,
+    stall: Option<Spanned<Names>>,
+    clock: Option<Spanned<ClockChange>>,
+    cut: Option<Spanned<Names>>,
+    unplug: Option<Spanned<Names>>,
+    wire: Option<Spanned<WireFile>>,
+    babble: Option<Spanned<BabbleFile>>,
+    inject: Option<Spanned<String>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ClockChange {
+    stations: Option<Names>,
+    step: Option<AnySpan>,
+    drift_ppm: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BabbleFile {
+    station: String,
+    every: Option<PositiveSpan>,
+}
+
+/// What is expected: of all, or of a single station.
+pub type ExpectFile = BTreeMap<Spanned<String>, Spanned<Figure>>;
+
+/// A count or a time, behind a relation or not.
+#[derive(Clone, Deserialize)]
+#[serde(untagged)]
+pub enum Figure {
+    Count(i64),
+    Text(String),
+}
+
+/// The sections of a file that say all this.
+#[derive(Default)]
+pub struct Sections {
+    pub medium: Option<MediumFile>,
+    pub host: Option<HostFile>,
+    /// Of single stations, by their number in the file.
+    pub hosts: Vec<(usize, HostFile)>,
+    pub wanders: Vec<(usize, WanderFile)>,
+    pub wires: Vec<WireFile>,
+    pub events: Vec<Spanned<EventFile>>,
+    /// Of all, and of single stations.
+    pub expects: Vec<(Option<usize>, ExpectFile)>,
+    pub slot_guard: SlotGuard,
+}
+
+/// Reads them; stations are numbered as in the file.
+pub struct Reader<'a> {
+    pub source: Source<'a>,
+    pub names: Vec<&'a str>,
+}
+
+impl Reader<'_> {
+    pub fn conditions(&self, sections: Sections) -> Result<Conditions, FileError> {
+        let guard = (sections.slot_guard != SlotGuard::User).then_some(GUARD_TOLERANCE);
+        let host = |file: Option<HostFile>| self.host(file, guard);
+        let hosts = sections.hosts.into_iter();
+        let medium = sections.medium.unwrap_or_default();
+        Ok(Conditions {
+            joint: self.joint(&medium)?,
+            propagation: medium.propagation.map(|span| span.0),
+            host: host(sections.host)?,
+            hosts: hosts.map(|(id, file)| Ok((id, host(Some(file))?))).collect::<Result<_, FileError>>()?,
+            wanders: sections.wanders.into_iter().map(|(id, file)| (id, wandering(file))).collect(),
+            wires: sections.wires.iter().map(|wire| self.wire(wire)).collect::<Result<_, _>>()?,
+            events: sections.events.iter().map(|event| self.event(event)).collect::<Result<_, _>>()?,
+            expectations: self.expectations(&sections.expects)?,
+        })
+    }
+
+    fn joint(&self, medium: &MediumFile) -> Result<Joint, FileError> {
+        let joint = medium.joint.unwrap_or(JointFile::Bridge);
+        if joint != JointFile::Switch && (medium.latency.is_some() || medium.queue.is_some()) {
+            let what = "only a switch has a latency and a queue: say joint = \"switch\", or leave them out";
+            return Err(self.source.impossible(self.place("[medium]"), what));
+        }
+        Ok(match joint {
+            JointFile::Bridge => Joint::Bridge,
+            JointFile::Hub => Joint::Hub,
+            JointFile::Switch => Joint::Switch {
+                latency: medium.latency.map_or(Span::ZERO, |latency| latency.0),
+                queue: medium.queue.unwrap_or(QUEUE),
+            },
+        })
+    }
+
+    fn host(&self, file: Option<HostFile>, guard: Option<Span>) -> Result<Host, FileError> {
+        let Some(file) = file else { return Ok(Host { guard, ..Host::IDEAL }) };
+        let latency = |text: &Option<Spanned<String>>| {
+            text.as_ref().map_or(Ok(Latency::NONE), |text| self.latency(text))
+        };
+        let (outages, stalls) = (file.outages, file.stalls);
+        Ok(Host {
+            wake: latency(&file.wake)?,
+            outage_ppm: outages.map_or(0, |outages| outages.ppm),
+            longest_outage: outages.map_or(Span::ZERO, |outages| outages.longest.0),
+            send: latency(&file.send)?,
+            stall_ppm: stalls.map_or(0, |stalls| stalls.ppm),
+            longest_stall: stalls.map_or(Span::ZERO, |stalls| stalls.longest.0),
+            guard,
+        })
+    }
+
+    /// `exponential 13us`.
+    fn latency(&self, text: &Spanned<String>) -> Result<Latency, FileError> {
+        let refuse = |what: String| self.source.impossible(text.span().start, what);
+        let words: Vec<&str> = text.get_ref().split_whitespace().collect();
+        let times = || {
+            let read = words[1..].iter().map(|word| parse_nonnegative_span(word));
+            read.collect::<Result<Vec<Span>, _>>().map_err(|error| refuse(error.to_string()))
+        };
+        match words[..] {
+            ["recorded", file] => {
+                let beside = Path::new(self.source.file).parent().unwrap_or(Path::new(""));
+                let recorded =
+                    recorded::load(&beside.join(file)).map_err(|error| refuse(format!("{error:#}")))?;
+                return Ok(Latency::Recorded(Arc::new(recorded)));
+            }
+            ["constant" | "exponential", _] | ["uniform" | "normal", _, _] => {}
+            _ => {
+                return Err(refuse(format!(
+                    "'{}' is no distribution: write \"constant T\", \"uniform T T\", \"exponential MEAN\", \
+                     \"normal MEAN SD\" or \"recorded FILE\", as in \"exponential 13us\"",
+                    text.get_ref()
+                )));
+            }
+        }
+        Ok(match (words[0], &times()?[..]) {
+            ("uniform", &[from, to]) if from <= to => Latency::Uniform(from, to),
+            ("uniform", _) => {
+                return Err(refuse("the first of the two times must be the shorter one".into()));
+            }
+            ("exponential", &[mean]) => Latency::Exponential(mean),
+            ("normal", &[mean, deviation]) => Latency::Normal(mean, deviation),
+            (_, times) => Latency::Constant(times[0]),
+        })
+    }
+
+    fn wire(&self, file: &WireFile) -> Result<Wire, FileError> {
+        let ppm = |share: Option<Share>| share.map_or(0, |share| share.0);
+        let lose = |of: Option<Share>| ppm(of.or(file.lose));
+        let stations = match &file.stations {
+            Some(names) => self.stations(names)?,
+            None => (0..self.names.len()).collect(),
+        };
+        Ok(Wire {
+            stations,
+            direction: match file.direction {
+                DirectionFile::In => Direction::In,
+                DirectionFile::Out => Direction::Out,
+                DirectionFile::Both => Direction::Both,
+            },
+            link: Link {
+                lose_control_ppm: lose(file.lose_control),
+                lose_data_ppm: lose(file.lose_data),
+                duplicate_ppm: ppm(file.duplicate),
+                corrupt_ppm: ppm(file.corrupt),
+                reorder_ppm: ppm(file.reorder),
+                reorder_by: file.reorder_by.map_or(REORDER_BY, |span| span.0),
+                delay: file.delay.as_ref().map_or(Ok(Latency::NONE), |text| self.latency(text))?,
+                down: false,
+            },
+        })
+    }
+
+    fn event(&self, entry: &Spanned<EventFile>) -> Result<Event, FileError> {
+        let event = entry.get_ref();
+        let refuse = |what: &str| self.source.impossible(entry.span().start, what);
+        let mut all = self.happenings(event, entry.span().start)?;
+        let Some((what, lasts)) = all.pop().filter(|_| all.is_empty()) else {
+            return Err(refuse(
+                "an event is one thing: kill, restart, stop, stall, clock, cut, unplug, wire, babble or inject",
+            ));
+        };
+        if lasts != event.lasts.is_some() {
+            return Err(refuse(if lasts {
+                "this lasts for some time: say how long, as in for = \"50ms\""
+            } else {
+                "this takes no time: leave out for"
+            }));
+        }
+        let times = event.times.unwrap_or(1);
+        if times == 0 || times > TIMES_AT_MOST || (times > 1) != event.every.is_some() {
+            return Err(refuse(
+                "what happens several times says how often, as in times = 20, every = \"100ms\"",
+            ));
+        }
+        let every = event.every.map_or(Span::ZERO, |every| every.0);
+        Ok(Event { at: event.at.0, times, every, what, line: self.source.line(entry.span().start) })
+    }
+
+    /// Everything that an event says, and whether each lasts.
+    fn happenings(&self, event: &EventFile, at: usize) -> Result<Vec<(Happening, bool)>, FileError> {
+        let lasts = event.lasts.map_or(Span::ZERO, |lasts| lasts.0);
+        let mut all = Vec::new();
+        let mut named =
+            |names: &Option<Spanned<Names>>, what: fn(Vec<usize>, Span) -> Happening, for_some_time| {
+                if let Some(names) = names {
+                    all.push((what(self.stations(names)?, lasts), for_some_time));
+                }
+                Ok::<_, FileError>(())
+            };
+        named(&event.kill, |stations, _| Happening::Kill(stations), false)?;
+        named(&event.restart, |stations, _| Happening::Restart(stations), false)?;
+        named(&event.stop, Happening::Stop, true)?;
+        named(&event.stall, Happening::Stall, true)?;
+        named(&event.cut, Happening::Cut, true)?;
+        named(&event.unplug, Happening::Unplug, true)?;
+        if let Some(change) = &event.clock {
+            let (place, change) = (change.span().start, change.get_ref());
+            let stations = match &change.stations {
+                Some(names) => self.numbers(names, place)?,
+                None => (0..self.names.len()).collect(),
+            };
+            let drift = change.drift_ppm.map(|ppm| self.source.drift(ppm, place)).transpose()?;
+            all.push((
+                Happening::Clock(stations, change.step.map_or(Span::ZERO, |step| step.0), drift),
+                false,
+            ));
+        }
+        if let Some(wire) = &event.wire {
+            all.push((Happening::Wires(self.wire(wire.get_ref())?, lasts), true));
+        }
+        if let Some(babble) = &event.babble {
+            let BabbleFile { station, every } = babble.get_ref();
+            let station = self.number(station, babble.span().start)?;
+            all.push((Happening::Babble(station, lasts, every.map_or(BABBLE_EVERY, |every| every.0)), true));
+        }
+        if let Some(frame) = &event.inject {
+            let bytes = hex(frame.get_ref()).map_err(|what| self.source.impossible(at, what))?;
+            all.push((Happening::Inject(bytes), false));
+        }
+        Ok(all)
+    }
+
+    fn expectations(&self, files: &[(Option<usize>, ExpectFile)]) -> Result<Vec<Expectation>, FileError> {
+        let lines = files.iter().flat_map(|(station, file)| file.iter().map(move |line| (*station, line)));
+        let read = lines.map(|(station, (name, figure))| self.expectation(name.get_ref(), figure, station));
+        let mut all = read.collect::<Result<Vec<_>, _>>()?;
+        all.sort_by_key(|expected| expected.line);
+        Ok(all)
+    }
+
+    fn expectation(
+        &self,
+        name: &str,
+        figure: &Spanned<Figure>,
+        station: Option<usize>,
+    ) -> Result<Expectation, FileError> {
+        let at = figure.span().start;
+        let refuse = |what: String| self.source.impossible(at, what);
+        let known = Measure::by_name(name).filter(|measure| station.is_none() || measure.is_of_stations());
+        let Some(measure) = known else {
+            let of = if station.is_some() { "of a station" } else { "" };
+            let names = Measure::ALL.iter().filter(|(of, _)| station.is_none() || of.is_of_stations());
+            let names: Vec<_> = names.map(|&(_, name)| name).collect();
+            return Err(refuse(format!("nothing {of} is called '{name}': expect {}", names.join(", "))));
+        };
+        let text = match figure.get_ref() {
+            Figure::Count(count) => count.to_string(),
+            Figure::Text(text) => text.clone(),
+        };
+        let (relation, limit) = Expectation::parse(measure, &text).map_err(refuse)?;
+        Ok(Expectation { measure, station, relation, limit, line: self.source.line(at) })
+    }
+
+    fn stations(&self, names: &Spanned<Names>) -> Result<Vec<usize>, FileError> {
+        self.numbers(names.get_ref(), names.span().start)
+    }
+
+    fn numbers(&self, names: &Names, at: usize) -> Result<Vec<usize>, FileError> {
+        match names {
+            Names::One(name) => Ok(vec![self.number(name, at)?]),
+            Names::Several(names) => names.iter().map(|name| self.number(name, at)).collect(),
+        }
+    }
+
+    fn number(&self, name: &str, at: usize) -> Result<usize, FileError> {
+        let number = self.names.iter().position(|of| *of == name);
+        number.ok_or_else(|| {
+            let what = format!("there is no station '{name}': there are {}", self.names.join(", "));
+            self.source.impossible(at, what)
+        })
+    }
+
+    /// Where a section begins.
+    fn place(&self, section: &str) -> usize {
+        self.source.text.find(section).unwrap_or(0)
+    }
+}
+
+fn wandering(file: WanderFile) -> Wandering {
+    let ppb = |ppm: f64| (ppm.abs() * 1_000.0).round() as i64;
+    let every = file.every.map_or(WANDER_EVERY, |every| every.0);
+    Wandering { every, step_ppb: ppb(file.step_ppm), within_ppb: ppb(file.within_ppm) }
+}
+
+/// Bytes as pairs of hexadecimal digits, with blanks where one likes.
+fn hex(text: &str) -> Result<Vec<u8>, String> {
+    let digits: Vec<u8> = text.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
+    let byte = |pair: &[u8]| {
+        let pair = std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?;
+        u8::from_str_radix(pair, 16).ok()
+    };
+    let bytes: Option<Vec<u8>> = digits.chunks(2).map(byte).collect();
+    let fits = |bytes: &Vec<u8>| (14..=1_514).contains(&bytes.len());
+    bytes.filter(fits).ok_or_else(|| {
+        "a frame to inject is 14 to 1514 bytes as hexadecimal digits, from its destination on".to_owned()
+    })
+}

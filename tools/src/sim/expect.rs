@@ -1,0 +1,121 @@
+//! Whether a run shows what its scenario expects of it.
+
+use serde::Serialize;
+
+use super::run::SimFigures;
+use crate::judge::findings::{Finding, FindingKind};
+use crate::scenario::{Expectation, Measure, Scenario};
+
+/// What "never" is as a figure.
+pub const NEVER: i64 = i64::MAX;
+
+/// An expectation, and what was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Checked {
+    /// The line of the file.
+    pub line: usize,
+    /// What was expected, as in `takeover_cycles <= 1`.
+    pub expected: String,
+    /// Of which station, if not of all.
+    pub station: Option<String>,
+    /// What was found.
+    pub found: String,
+    /// Whether that is as expected.
+    pub holds: bool,
+    /// Where to look first, if it is not.
+    pub cycle: Option<u32>,
+}
+
+/// All expectations of a scenario, in the order of its file.
+pub fn check(scenario: &Scenario, figures: &SimFigures, findings: &[Finding]) -> Vec<Checked> {
+    let check = |expected: &Expectation| {
+        let found = figure(figures, expected.measure, expected.station);
+        let holds = found.is_some_and(|found| expected.holds(found));
+        Checked {
+            line: expected.line,
+            expected: expected.to_string(),
+            station: expected.station.map(|station| scenario.stations[station].name.clone()),
+            found: found.map_or("nothing".into(), |found| match found {
+                NEVER => "never".into(),
+                found => expected.measure.show(found),
+            }),
+            holds,
+            cycle: if holds { None } else { place(figures, findings, expected) },
+        }
+    };
+    scenario.conditions.expectations.iter().map(check).collect()
+}
+
+/// A figure of a run; none if there was nothing to measure.
+fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Option<i64> {
+    let run = &figures.figures;
+    let count = |n: u64| Some(i64::try_from(n).unwrap_or(i64::MAX));
+    let extreme = |summary: &crate::report::histogram::Summary| {
+        Some(summary.min?.saturating_abs().max(summary.max?.saturating_abs()))
+    };
+    if let Some(of) = station {
+        let (seen, own) = (&run.per_station[of], &figures.simulation.stations[of]);
+        return match measure {
+            Measure::SlotsMissed => count(seen.slots_missed),
+            Measure::Overruns => count(seen.overruns),
+            Measure::FramesLost => count(seen.frames_lost),
+            Measure::FramesSeen => count(seen.frames_seen),
+            Measure::PayloadErrors => count(seen.payload_errors),
+            Measure::SyncError => extreme(&seen.sync_error_ns),
+            Measure::SlotError => extreme(&seen.slot_error_ns),
+            Measure::Locked => Some(own.is_locked().into()),
+            Measure::Masters => Some(own.gives_time.into()),
+            Measure::Stray => count(own.stray),
+            _ => None,
+        };
+    }
+    let simulation = &figures.simulation;
+    match measure {
+        Measure::Overlaps => count(run.overlaps),
+        Measure::OutOfSlot => count(run.out_of_slot),
+        Measure::Unexplained => count(run.unexplained),
+        Measure::SlotsMissed => count(run.slots_missed),
+        Measure::Overruns => count(run.overruns),
+        Measure::SyncsMissing => count(simulation.syncs_missing),
+        Measure::FramesLost => count(run.frames_lost),
+        Measure::FramesSeen => count(run.frames_seen),
+        Measure::PayloadErrors => count(run.payload_errors),
+        Measure::Collisions => count(simulation.collisions),
+        Measure::QueueFull => count(simulation.queue_full),
+        Measure::Takeovers => count(simulation.takeovers),
+        Measure::TakeoverCycles => (simulation.takeovers > 0).then_some(simulation.takeover_cycles.into()),
+        Measure::RivalCycles => Some(simulation.rival_cycles.into()),
+        Measure::RelockCycles => Some(simulation.relock_cycles.unwrap_or(NEVER)),
+        Measure::Locked => count(simulation.stations.iter().filter(|own| own.is_locked()).count() as u64),
+        Measure::Masters => count(simulation.stations.iter().filter(|own| own.gives_time).count() as u64),
+        Measure::SyncError => extreme(&run.sync_error_ns),
+        Measure::SlotError => extreme(&run.slot_error_ns),
+        Measure::LatestFrame => run.latest_frame_ns,
+        Measure::SmallestGap => simulation.smallest_gap_ns,
+        Measure::Stray => count(simulation.stations.iter().map(|own| own.stray).sum()),
+    }
+}
+
+/// The first cycle in which there was something of this kind.
+fn place(figures: &SimFigures, findings: &[Finding], expected: &Expectation) -> Option<u32> {
+    let of = |finding: &&Finding| {
+        expected.station.is_none_or(|station| finding.authors.iter().flatten().any(|a| a.station == station))
+    };
+    let first = |kind: FindingKind| {
+        findings.iter().filter(of).find(|finding| finding.kind == kind).map(|finding| finding.cycle)
+    };
+    match expected.measure {
+        Measure::Overlaps | Measure::Collisions => first(FindingKind::Overlap),
+        Measure::OutOfSlot | Measure::LatestFrame | Measure::SlotError | Measure::Stray => {
+            first(FindingKind::OutOfSlot)
+        }
+        Measure::SlotsMissed | Measure::Overruns | Measure::FramesSeen => first(FindingKind::SlotMissed),
+        Measure::SyncsMissing => first(FindingKind::SyncGap),
+        Measure::Unexplained => figures.figures.misses.first().map(|miss| miss.cycle as u32),
+        Measure::Takeovers | Measure::TakeoverCycles => {
+            let longest = figures.simulation.masters_seen.iter().max_by_key(|takeover| takeover.cycles);
+            longest.map(|takeover| takeover.cycle)
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,24 @@
+//! Networks in virtual time, from the same files as labs: the same stations, the same judge, the same report, and
+//! identical bytes for one seed.
+//!
+//! ```text
+//!   scenario ──► world: rtnet::sim::Network ──frames, moments──► watch ─► judge ─► figures
+//!                  ▲                                               │
+//!                script: what happens when                         └─► oracle ─► expectations
+//! ```
+
+mod expect;
+mod oracle;
+mod run;
+pub mod screen;
+mod script;
+mod watch;
+mod world;
+
+pub use expect::Checked;
+pub use oracle::Takeover;
+pub use run::{Ended, Options, SimFigures, Simulation, run};
+pub use world::discipline;
+
+/// A scenario that says what can be said, and runs.
+pub const EXAMPLE: &str = include_str!("example.toml");

@@ -1,0 +1,517 @@
+//! A run in virtual time from its begin to its end: all join, time passes, things happen, figures.
+
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::sync::atomic::Ordering::Relaxed;
+
+use anyhow::{Result, bail};
+use rtmac::tdma::{Mastery, TdmaStatus};
+use rtnet::clock::True;
+use rtnet::counters::{Refusal, Refusals};
+use rtnet::discipline::{Discipline, SyncState};
+use rtnet::time::Span;
+use serde::Serialize;
+
+use super::expect::{self, Checked};
+use super::oracle::Takeover;
+use super::script::{self, Act, Part};
+use super::watch::Watch;
+use super::world::{UPTIME, World};
+use crate::judge::absences::Absence;
+use crate::judge::analysis::Analysis;
+use crate::judge::delivery::Heard;
+use crate::judge::explain::Records;
+use crate::judge::outcome::{self, Facts, Outcome, Parts};
+use crate::report::capture::CaptureFile;
+use crate::report::figures::{Figures, Verdict};
+use crate::report::histogram::SignedHistogram;
+use crate::report::host::HostFacts;
+use crate::scenario::{Happening, Scenario};
+
+/// Cycles between the moment when all are locked and the begin of the measurement.
+const SETTLE_CYCLES: u32 = 10;
+/// For so many cycles clocks may take to settle once all are locked.
+const SETTLE_WITHIN: u64 = 3_000;
+/// How many cycles joining may take besides what calibration takes.
+const JOIN_WITHIN: u64 = 2_000;
+/// A calibration round takes two periods of the slot; so many times that is allowed.
+const CALIBRATION_ALLOWANCE: u64 = 3;
+/// Cycles in which the frames of the last one are still to come.
+const LINGER_CYCLES: u64 = 4;
+
+/// How to run a scenario.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Where to write every frame.
+    pub pcap: Option<PathBuf>,
+    /// No longer than this in virtual time, joining included.
+    pub until: Option<Span>,
+    /// Keep the frames of these cycles as text.
+    pub around: Option<(u32, u32)>,
+}
+
+/// What a run has shown, and the histogram of its slot errors.
+pub struct Ended {
+    /// The figures.
+    pub figures: SimFigures,
+    /// |slot error - the station's median| of all stations.
+    pub slot_error_abs: SignedHistogram,
+    /// The frames that were to be kept as text.
+    pub lines: Vec<String>,
+}
+
+/// The report of a run: that of a lab, and what only a simulation knows.
+#[derive(Clone, Debug, Serialize)]
+pub struct SimFigures {
+    /// As of a lab.
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// What only a simulation knows.
+    pub simulation: Simulation,
+}
+
+/// What only a simulation knows.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Simulation {
+    /// Everything random followed from it.
+    pub seed: u64,
+    /// Virtual time from the begin of the network to its end.
+    pub virtual_ns: u64,
+    /// Frames on the medium, of the measurement.
+    pub frames: u64,
+    /// Shortest time that the medium was free between two frames.
+    pub smallest_gap_ns: Option<i64>,
+    /// Cycles without a Synchronisation.
+    pub syncs_missing: u64,
+    /// Frames that a hub destroyed.
+    pub collisions: u64,
+    /// Deliveries for which a port of a switch had no room.
+    pub queue_full: u64,
+    /// Most frames that waited for a port of a switch at once.
+    pub longest_queue: u64,
+    /// Deliveries that were lost on the way.
+    pub lost: u64,
+    /// Deliveries that came twice.
+    pub duplicated: u64,
+    /// Deliveries of which a bit was changed.
+    pub corrupted: u64,
+    /// Deliveries that others overtook.
+    pub reordered: u64,
+    /// How often another station gave the time than before.
+    pub takeovers: u64,
+    /// Most cycles from the last Synchronisation of one to the first of the other.
+    pub takeover_cycles: u32,
+    /// Most cycles in a row in which two gave the time.
+    pub rival_cycles: u32,
+    /// Cycles from the end of the last event until all were locked; none: they never were.
+    pub relock_cycles: Option<i64>,
+    /// The first take-overs.
+    pub masters_seen: Vec<Takeover>,
+    /// By station, as in `per_station`.
+    pub stations: Vec<SimStation>,
+    /// What was expected, and what was found.
+    pub expectations: Vec<Checked>,
+}
+
+/// How a station ended.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct SimStation {
+    /// Its name.
+    pub name: String,
+    /// `locked`, `lost`, ...; `down` if it was not there.
+    pub state: String,
+    /// Whether it gave the time.
+    pub gives_time: bool,
+    /// Frames of it outside its slots, of whatever kind.
+    pub stray: u64,
+    /// Frames that found its receive pool empty.
+    pub dropped: u64,
+}
+
+impl SimStation {
+    /// Whether it was locked.
+    pub fn is_locked(&self) -> bool {
+        self.state == SyncState::Locked.name()
+    }
+}
+
+/// Runs a scenario from its begin to its end.
+pub fn run(scenario: &Scenario, options: &Options) -> Result<Ended> {
+    let mut run = Run::new(scenario, options)?;
+    run.join()?;
+    run.settle();
+    run.measure()?;
+    run.end()
+}
+
+struct Run<'a> {
+    scenario: &'a Scenario,
+    options: &'a Options,
+    world: World,
+    watch: Rc<RefCell<Watch>>,
+    cycle: u64,
+    /// Which stations are there, as far as the scenario says.
+    present: Vec<bool>,
+    /// Which have been another process before.
+    anew: Vec<bool>,
+    /// What each had counted when the measurement began.
+    before: Vec<(u64, u64)>,
+    /// When the last event is over.
+    over: True,
+}
+
+impl<'a> Run<'a> {
+    fn new(scenario: &'a Scenario, options: &'a Options) -> Result<Self> {
+        let mut world = World::new(scenario)?;
+        let names = scenario.stations.iter().map(|station| station.name.clone()).collect();
+        let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
+        watch.capture = options.pcap.as_deref().map(CaptureFile::create).transpose()?;
+        watch.around = options.around;
+        let watch = Rc::new(RefCell::new(watch));
+        let (seen, told, lost) = (watch.clone(), watch.clone(), watch.clone());
+        world.network.observe(move |aired| seen.borrow_mut().aired(aired));
+        world.network.attend(move |moment, member| told.borrow_mut().attend(moment, member));
+        world.network.mourn(move |to, frame| lost.borrow_mut().lost(to, frame));
+        let events = &scenario.conditions.events;
+        let comes_later = |id: &usize| {
+            events.iter().any(|event| {
+                // Who is started before anything else happened to it was not there.
+                let first =
+                    events.iter().filter(|event| concerns(&event.what, *id)).min_by_key(|event| event.at);
+                event.what.starts().contains(id)
+                    && first.is_some_and(|first| first.what.starts().contains(id))
+            })
+        };
+        let present: Vec<bool> = (0..scenario.stations.len()).map(|id| !comes_later(&id)).collect();
+        let n = scenario.stations.len();
+        let mut run = Self {
+            scenario,
+            options,
+            world,
+            watch,
+            cycle: scenario.cycle.nanos() as u64,
+            present,
+            anew: vec![false; n],
+            before: vec![(0, 0); n],
+            over: 0,
+        };
+        for id in 0..n {
+            if run.present[id] {
+                run.start(id, None, 0)?;
+            }
+        }
+        Ok(run)
+    }
+
+    fn start(&mut self, id: usize, grid: Option<(u32, rtnet::time::GlobalTime)>, first: u64) -> Result<()> {
+        let station = self.world.station(self.scenario, id, grid, first)?;
+        self.world.network.restart(id, station);
+        Ok(())
+    }
+
+    fn now(&self) -> True {
+        self.world.network.now()
+    }
+
+    fn status(&self, id: usize) -> TdmaStatus {
+        self.world.network.member(id).station.discipline().status()
+    }
+
+    fn is_locked(&self, id: usize) -> bool {
+        self.world.network.member(id).station.discipline().time().state == SyncState::Locked
+    }
+
+    fn all(&self, are: impl Fn(&Self, usize) -> bool) -> bool {
+        (0..self.present.len()).filter(|&id| self.present[id]).all(|id| are(self, id))
+    }
+
+    /// Lets a cycle pass; fails if time is up.
+    fn step(&mut self) -> Result<()> {
+        let next = self.now() + self.cycle;
+        if let Some(until) = self.options.until
+            && next > UPTIME + until.nanos() as u64
+        {
+            bail!("the stations were not all locked after {until}: give it a longer --until");
+        }
+        self.world.network.run_until(next);
+        Ok(())
+    }
+
+    /// Until all are locked that are there.
+    fn join(&mut self) -> Result<()> {
+        let rounds = self.scenario.stations.iter().map(|station| {
+            let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
+            u64::from(station.rounds) * 2 * u64::from(period)
+        });
+        let allowed = rounds.max().unwrap_or(0) * CALIBRATION_ALLOWANCE + JOIN_WITHIN;
+        for _ in 0..allowed {
+            if self.all(Self::is_locked) {
+                return Ok(());
+            }
+            self.step()?;
+        }
+        let late = (0..self.present.len()).find(|&id| self.present[id] && !self.is_locked(id)).unwrap_or(0);
+        bail!(
+            "station '{}' is not locked to the master after {allowed} cycles ({}): its wire, its host or its clock does \
+             not let it; change them only later by an [[event]], if that is meant",
+            self.scenario.stations[late].name,
+            self.status(late).state.name()
+        )
+    }
+
+    /// Until the clocks of all are as near the master's as they come, but not for ever.
+    fn settle(&mut self) {
+        for _ in 0..SETTLE_WITHIN {
+            if self.all(|run, id| run.status(id).settled) || self.step().is_err() {
+                break;
+            }
+        }
+    }
+
+    fn measure(&mut self) -> Result<()> {
+        let Scenario { duration, cycle, .. } = *self.scenario;
+        let cycles = (duration.nanos() / cycle.nanos()).clamp(1, i64::from(i32::MAX)) as u32;
+        let begin = self.begin(cycles)?;
+        let mut end = begin + u64::from(cycles) * self.cycle;
+        if let Some(until) = self.options.until {
+            end = end.min(UPTIME + until.nanos() as u64);
+        }
+        self.over = begin + script::over(self.scenario).nanos() as u64;
+        let mut acts = script::acts(self.scenario, begin).into_iter().peekable();
+        while self.now() < end {
+            let next = (self.now() + self.cycle).min(end);
+            while let Some(act) = acts.next_if(|act| act.at <= next) {
+                self.pass_until(act.at);
+                self.act(&act)?;
+            }
+            self.pass_until(next);
+            self.look();
+        }
+        self.watch.borrow_mut().counting = false;
+        // What was sent in the last cycle is still on its way.
+        for _ in 0..LINGER_CYCLES {
+            self.pass_until(self.now() + self.cycle);
+        }
+        Ok(())
+    }
+
+    /// From here on, for so many cycles, all counts: when the first of them begins.
+    fn begin(&mut self, cycles: u32) -> Result<True> {
+        let mut watch = self.watch.borrow_mut();
+        let Some((current, start)) = watch.analysis.grid() else { bail!("no Synchronisation was seen") };
+        watch.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
+        let begin = watch.analysis.truth().truth(start + self.scenario.cycle * i64::from(SETTLE_CYCLES));
+        drop(watch);
+        // Everything of the cycle before is over, and nothing of the first has begun.
+        self.pass_until(begin.saturating_sub(self.cycle / 20));
+        let mut watch = self.watch.borrow_mut();
+        watch.counting = true;
+        watch.oracle.begin();
+        self.world.network.start_over();
+        for (id, before) in self.before.iter_mut().enumerate() {
+            let refusals = self.world.network.member(id).station.refusals();
+            *before = (bad_payloads(refusals), self.world.counts[id].missing.load(Relaxed));
+        }
+        Ok(begin)
+    }
+
+    fn pass_until(&mut self, until: True) {
+        self.world.network.run_until(until.max(self.now()));
+    }
+
+    /// Something happens, or is over.
+    fn act(&mut self, act: &Act) -> Result<()> {
+        let what = &self.scenario.conditions.events[act.event].what;
+        let now = self.watch.borrow().analysis.cycle_at(act.at).unwrap_or(0);
+        match what {
+            Happening::Kill(stations) => {
+                for &id in stations {
+                    self.world.network.stop(id);
+                    self.present[id] = false;
+                    self.watch.borrow_mut().records.absences.begin(id, Absence::Down, now);
+                }
+            }
+            Happening::Restart(stations) => {
+                for &id in stations {
+                    self.restart(id, now)?;
+                }
+            }
+            Happening::Stop(stations, _) => self.absent(stations, Absence::Stopped, act.part, now),
+            Happening::Unplug(stations, _) => self.absent(stations, Absence::NoCarrier, act.part, now),
+            Happening::Cut(..) => self.watch.borrow_mut().oracle.is_cut = act.part == Part::Begin,
+            _ => {}
+        }
+        script::act(&mut self.world.network, self.scenario, what, act.part);
+        Ok(())
+    }
+
+    fn absent(&self, stations: &[usize], why: Absence, part: Part, now: u32) {
+        let absences = &mut self.watch.borrow_mut().records.absences;
+        for &id in stations {
+            match part {
+                Part::End => absences.end(id, why, now.wrapping_add(1)),
+                _ => absences.begin(id, why, now),
+            }
+        }
+    }
+
+    /// A new process in the place of a station's; a master goes on with the grid, if there is one.
+    fn restart(&mut self, id: usize, now: u32) -> Result<()> {
+        let mut watch = self.watch.borrow_mut();
+        let (grid, first) = (watch.analysis.grid(), watch.analysis.stations[id].passed.beyond());
+        watch.records.absences.begin(id, Absence::Down, now);
+        watch.analysis.begins_anew(id);
+        watch.analysis.await_again(id, now.wrapping_add(1));
+        drop(watch);
+        (self.present[id], self.anew[id]) = (true, true);
+        self.start(id, grid, first)
+    }
+
+    /// Once a cycle: who is back, and who is not locked.
+    fn look(&mut self) {
+        let all_locked = self.all(Self::is_locked);
+        let mut watch = self.watch.borrow_mut();
+        let Watch { analysis, records, oracle, .. } = &mut *watch;
+        for id in (0..self.present.len()).filter(|&id| self.present[id]) {
+            if let (true, Some(cycle)) =
+                (records.absences.is_open(id, Absence::Down), analysis.heard_again(id))
+            {
+                records.absences.end(id, Absence::Down, cycle);
+            }
+        }
+        if !all_locked {
+            oracle.unlocked = Some(self.world.network.now());
+        }
+    }
+
+    fn end(mut self) -> Result<Ended> {
+        let facts = (0..self.present.len()).map(|id| self.facts(id)).collect();
+        let stations = (0..self.present.len()).map(|id| self.station(id)).collect();
+        let relock = self.relock_cycles();
+        let (now, traffic) = (self.now(), *self.world.network.traffic());
+        // Its observers go with it.
+        self.world.network.forget_watchers();
+        let watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
+        let Watch { mut analysis, records, oracle, capture, capture_failed, lines, .. } = watch;
+        if let Some(error) = capture_failed {
+            return Err(error);
+        }
+        capture.map_or(Ok(()), CaptureFile::finish)?;
+        if let Some(current) = analysis.cycle_at(now) {
+            analysis.advance_to(current);
+        }
+        analysis.finish();
+        let missing = |finding: &&crate::judge::findings::Finding| {
+            finding.kind == crate::judge::findings::FindingKind::SyncGap
+        };
+        let syncs_missing = analysis.findings.iter().filter(missing).count() as u64;
+        let findings = analysis.findings.clone();
+        let parts = Parts {
+            stations: facts,
+            analysis,
+            records,
+            notes: Vec::new(),
+            dropped: 0,
+            wall_steps: 0,
+            distrusted: 0,
+            capture_failed: false,
+            ended_early: self.options.until.is_some(),
+        };
+        let Outcome { figures, slot_error_abs } =
+            outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
+        let simulation = Simulation {
+            seed: self.scenario.seed,
+            virtual_ns: now - UPTIME,
+            frames: traffic.frames,
+            smallest_gap_ns: traffic.smallest_gap.map(Span::nanos),
+            syncs_missing,
+            collisions: traffic.collided,
+            queue_full: traffic.queue_full,
+            longest_queue: traffic.longest_queue as u64,
+            lost: traffic.lost,
+            duplicated: traffic.duplicated,
+            corrupted: traffic.corrupted,
+            reordered: traffic.reordered,
+            takeovers: oracle.takeovers_all,
+            takeover_cycles: oracle.takeover_cycles,
+            rival_cycles: oracle.rival_cycles,
+            relock_cycles: relock,
+            masters_seen: oracle.takeovers,
+            stations,
+            expectations: Vec::new(),
+        };
+        let mut figures = SimFigures { figures, simulation };
+        figures.simulation.expectations = expect::check(self.scenario, &figures, &findings);
+        if !figures.simulation.expectations.is_empty() {
+            figures.figures.verdict = verdict(&figures.simulation.expectations);
+        }
+        Ok(Ended { figures, slot_error_abs, lines })
+    }
+
+    fn relock_cycles(&self) -> Option<i64> {
+        if !self.all(Self::is_locked) {
+            return None;
+        }
+        let unlocked = self.watch.borrow().oracle.unlocked.unwrap_or(0);
+        Some(unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
+    }
+
+    fn station(&self, id: usize) -> SimStation {
+        let status = self.status(id);
+        SimStation {
+            name: self.scenario.stations[id].name.clone(),
+            state: if self.present[id] { status.state.name() } else { "down" }.into(),
+            gives_time: self.present[id] && status.mastery == Some(Mastery::Active),
+            stray: self.watch.borrow().analysis.stations[id].stray,
+            dropped: self.world.network.dropped(id),
+        }
+    }
+
+    fn facts(&self, id: usize) -> Facts {
+        let (status, counts) = (self.status(id), &self.world.counts[id]);
+        let refusals = self.world.network.member(id).station.refusals();
+        let watch = self.watch.borrow();
+        let [received, missing, first] =
+            [&counts.received, &counts.missing, &counts.first].map(|count| count.load(Relaxed));
+        let range = (received > 0).then(|| (first, first + received + missing - 1));
+        let name = &self.scenario.stations[id].name;
+        let is_lost = self.present[id] && !self.is_locked(id);
+        Facts {
+            guarded: self.scenario.conditions.host(id).guard.is_some(),
+            delay_ns: status.delay.map(Span::nanos),
+            payload_errors: bad_payloads(refusals).saturating_sub(self.before[id].0),
+            sync_error: watch.sync_error[id].clone(),
+            sequence_gaps: missing.saturating_sub(self.before[id].1),
+            heard: Some(Heard { received, range, anew: self.anew[id] }),
+            refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
+            notes: watch.notes(id),
+            lost_records: status.events_lost,
+            lost_on_purpose: watch.lost_on_purpose[id],
+            reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
+            ..Facts::default()
+        }
+    }
+}
+
+fn bad_payloads(refusals: &Refusals) -> u64 {
+    refusals.get(Refusal::BadPayload)
+}
+
+/// Whether something happens to a station whose process it is: it ends, or begins.
+fn concerns(what: &Happening, id: usize) -> bool {
+    match what {
+        Happening::Kill(stations) | Happening::Restart(stations) => stations.contains(&id),
+        _ => false,
+    }
+}
+
+/// By what was expected, and nothing else.
+fn verdict(expectations: &[Checked]) -> Verdict {
+    let failed = expectations.iter().filter(|checked| !checked.holds);
+    let reason = |checked: &Checked| {
+        let of = checked.station.as_ref().map_or(String::new(), |name| format!(" of '{name}'"));
+        format!("line {}: expected {}{of}, found {}", checked.line, checked.expected, checked.found)
+    };
+    Verdict::from_reasons(failed.map(reason).collect())
+}

@@ -1,0 +1,173 @@
+//! Who watches a network in virtual time: sees every frame, and hears what every station tells.
+
+use std::collections::BTreeMap;
+
+use rtmac::tdma::Tdma;
+use rtnet::clock::True;
+use rtnet::discipline::{Cause, Discipline, EventKind, SyncState};
+use rtnet::sim::{Aired, Member, Moment, StationId};
+use rtnet::wire::ethernet::Header;
+
+use super::oracle::Oracle;
+use super::world::{EPOCH, UPTIME};
+use crate::judge::analysis::Analysis;
+use crate::judge::explain::Records;
+use crate::judge::findings::Author;
+use crate::observe::decode::decode;
+use crate::report::capture::CaptureFile;
+use crate::report::histogram::SignedHistogram;
+
+/// What is known of a run.
+pub struct Watch {
+    /// What was seen.
+    pub analysis: Analysis,
+    /// What was told.
+    pub records: Records,
+    /// What no single frame shows.
+    pub oracle: Oracle,
+    /// Estimated - true global time, by station.
+    pub sync_error: Vec<SignedHistogram>,
+    /// What a reader of the report should know, by station: what it told of, in which cycles, and how often.
+    pub told: Vec<BTreeMap<EventKind, (u64, Vec<u32>)>>,
+    /// Deliveries of test traffic that were lost on purpose, by receiver.
+    pub lost_on_purpose: Vec<u64>,
+    /// Where to write every frame, and why that failed.
+    pub capture: Option<CaptureFile>,
+    /// See `capture`.
+    pub capture_failed: Option<anyhow::Error>,
+    /// Frames of these cycles are kept as text.
+    pub around: Option<(u32, u32)>,
+    /// See `around`.
+    pub lines: Vec<String>,
+    /// From here on times count.
+    pub counting: bool,
+    names: Vec<String>,
+}
+
+/// Cycles that are told one by one.
+const CYCLES_AT_MOST: usize = 5;
+/// Frames that are shown around a place.
+const LINES_AT_MOST: usize = 100;
+
+impl Watch {
+    /// Nothing seen yet.
+    pub fn new(analysis: Analysis, records: Records, names: Vec<String>) -> Self {
+        Self {
+            analysis,
+            records,
+            oracle: Oracle::default(),
+            sync_error: names.iter().map(|_| SignedHistogram::new()).collect(),
+            told: vec![BTreeMap::new(); names.len()],
+            lost_on_purpose: vec![0; names.len()],
+            capture: None,
+            capture_failed: None,
+            around: None,
+            lines: Vec::new(),
+            counting: false,
+            names,
+        }
+    }
+
+    /// A frame goes on the air.
+    pub fn aired(&mut self, aired: &Aired<'_>) {
+        let realtime = EPOCH.nanos() + (aired.at - UPTIME);
+        if let Some(file) = &mut self.capture
+            && let Err(error) = file.frame(realtime, aired.bytes, None)
+        {
+            (self.capture, self.capture_failed) = (None, Some(error));
+        }
+        self.analysis.frame(aired.at, aired.bytes);
+        self.oracle.aired(aired, self.analysis.current());
+        self.note_around(aired);
+    }
+
+    /// A station has taken its turn.
+    pub fn attend(&mut self, moment: &Moment, member: &mut Member<Tdma>) {
+        let (station, at) = (moment.id, moment.at);
+        let clock = member.clock;
+        let tdma = member.station.discipline_mut();
+        while let Some(event) = tdma.next_event() {
+            let late = event.kind.is_miss().then(|| why_late(moment, event.span.nanos()));
+            let author = Author { station, cycle: event.cycle, slot: event.slot };
+            self.records.note(author, event.kind, event.span, event.kind.cause().or(late));
+            self.remember(station, event.kind, event.cycle);
+        }
+        if !moment.sent {
+            return;
+        }
+        let time = tdma.time();
+        if matches!(time.state, SyncState::Locked | SyncState::Holdover) {
+            let global = time.offset.global(clock.local(at));
+            self.analysis.told_time(station, at, global);
+            if self.counting && station != 0 {
+                let error = global - self.analysis.truth().global(at);
+                self.sync_error[station].record(error.nanos());
+            }
+        }
+    }
+
+    /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
+    pub fn lost(&mut self, to: StationId, frame: &[u8]) {
+        use crate::observe::decode::What;
+        match decode(frame, frame.len()).what {
+            What::Data(_) if self.counting => self.lost_on_purpose[to] += 1,
+            What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
+            _ => {}
+        }
+    }
+
+    fn remember(&mut self, station: StationId, kind: EventKind, cycle: u32) {
+        use EventKind::*;
+        let worth_knowing = [
+            SyncLost,
+            SendFailed,
+            ReplyFailed,
+            CalibrationTimeout,
+            OtherMaster,
+            TookOver,
+            SteppedDown,
+            Yielded,
+        ];
+        if self.counting && worth_knowing.contains(&kind) {
+            let (n, cycles) = self.told[station].entry(kind).or_default();
+            *n += 1;
+            if cycles.len() < CYCLES_AT_MOST {
+                cycles.push(cycle);
+            }
+        }
+    }
+
+    /// What a reader of the report should know of a station.
+    pub fn notes(&self, station: StationId) -> Vec<String> {
+        let note = |(kind, (n, cycles)): (&EventKind, &(u64, Vec<u32>))| {
+            let list = cycles.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+            let more = if *n > cycles.len() as u64 { format!(", ... ({n} times)") } else { String::new() };
+            format!("{} in cycle {list}{more}", kind.name())
+        };
+        self.told[station].iter().map(note).collect()
+    }
+
+    fn note_around(&mut self, aired: &Aired<'_>) {
+        let (Some((from, to)), Some(cycle)) = (self.around, self.analysis.current()) else { return };
+        if !(from..=to).contains(&cycle) || self.lines.len() == LINES_AT_MOST {
+            return;
+        }
+        let place = self.analysis.grid().map(|(_, start)| self.analysis.truth().global(aired.at) - start);
+        let place = place.map_or(String::new(), |place| format!("{:+.3}us", place.nanos() as f64 / 1e3));
+        let who = self.names.get(aired.from).map_or("foreign", String::as_str);
+        let what = decode(aired.bytes, aired.bytes.len()).what;
+        let overlaps = if aired.overlaps { "  overlaps" } else { "" };
+        self.lines.push(format!("cycle {cycle} {place:>13}  {who}: {what}{overlaps}"));
+    }
+}
+
+/// As a live station's loop tells it: it had woken after the last moment already, or only got to it later.
+fn why_late(moment: &Moment, late: i64) -> Cause {
+    let last_moment: True = moment.looked.saturating_sub(late.max(0) as u64);
+    if moment.woke > last_moment { Cause::TimerLate } else { Cause::Preempted }
+}
+
+/// Whose address a frame says that it is from.
+pub fn source(frame: &[u8]) -> Option<rtnet::wire::ethernet::Address> {
+    Header::parse(frame).map(|(header, _)| header.source)
+}

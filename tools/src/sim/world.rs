@@ -1,0 +1,152 @@
+//! From a scenario to its stations in virtual time.
+
+use std::sync::Arc;
+
+use anyhow::{Result, anyhow};
+use rtmac::tdma::schedule;
+use rtmac::tdma::{
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
+};
+use rtnet::clock::{EmulatedClock, True};
+use rtnet::sim::{Medium, Member, Network, Wander};
+use rtnet::station::Station;
+use rtnet::time::{GlobalTime, Offset};
+
+use crate::judge::givers::{TrueMaster, same_time};
+use crate::report::figures::Role;
+use crate::scenario::{Direction, Scenario, Wire};
+use crate::station::sync_latest;
+use crate::station::traffic::{Traffic, TrafficCounts, TrafficPlan};
+
+/// True time when a network begins: no clock of a file is so far behind that it shows less than 0.
+pub const UPTIME: True = 7_200_000_000_000;
+/// Global time then: an instant of 2026, so that captures look like captures.
+pub const EPOCH: GlobalTime = GlobalTime::from_nanos(1_795_000_000_000_000_000);
+
+/// A network and what its stations count.
+pub struct World {
+    /// Its stations on their medium.
+    pub network: Network<Tdma>,
+    /// What each station's traffic counts.
+    pub counts: Vec<Arc<TrafficCounts>>,
+    /// The time of its master.
+    pub truth: TrueMaster,
+}
+
+impl World {
+    /// All stations, none of which has begun: see [`World::start`].
+    pub fn new(scenario: &Scenario) -> Result<Self> {
+        let conditions = &scenario.conditions;
+        let mut medium =
+            Medium { rate: scenario.rate.bits_per_second(), joint: conditions.joint, ..Medium::default() };
+        if let Some(propagation) = conditions.propagation {
+            medium.propagation = propagation;
+        }
+        let mut network = Network::new(medium, scenario.seed);
+        network.run_until(UPTIME);
+        let master = clock(scenario, 0);
+        let truth = TrueMaster { clock: master, epoch: Offset::between(master.local(UPTIME), EPOCH) };
+        let counts: Vec<Arc<TrafficCounts>> = scenario.stations.iter().map(|_| Arc::default()).collect();
+        let mut world = Self { network, counts, truth };
+        for id in 0..scenario.stations.len() {
+            let station = world.station(scenario, id, None, 0)?;
+            let (address, clock, host) =
+                (scenario.address(id), clock(scenario, id), conditions.host(id).clone());
+            world.network.add(Member { address, clock, host, station }, UPTIME);
+            world.network.stop(id);
+        }
+        for wire in &conditions.wires {
+            set_wire(&mut world.network, wire);
+        }
+        for &(id, wandering) in &conditions.wanders {
+            let around_ppb = clock_drift(scenario, id);
+            let (every, step_ppb, within_ppb) = (wandering.every, wandering.step_ppb, wandering.within_ppb);
+            world.network.wander(id, Wander { every, step_ppb, within_ppb, around_ppb });
+        }
+        Ok(world)
+    }
+
+    /// A station with its test traffic, whose first frame has this number; a master goes on with a grid, if there is one.
+    pub fn station(
+        &self,
+        scenario: &Scenario,
+        id: usize,
+        grid: Option<(u32, GlobalTime)>,
+        first: u64,
+    ) -> Result<Station<Tdma>> {
+        let epoch = same_time(&self.truth, &clock(scenario, id));
+        let config = discipline(scenario, id, epoch, grid);
+        let tdma =
+            Tdma::new(&config).map_err(|why| anyhow!("station '{}': {why}", scenario.stations[id].name))?;
+        let sender = scenario.sender(id);
+        let plan = TrafficPlan {
+            station: id as u16,
+            source: scenario.address(id),
+            destination: scenario.address(scenario.receiver(id)),
+            from: sender as u16,
+            payload: scenario.stations[id].payload,
+            from_payload: scenario.stations[sender].payload,
+            first,
+        };
+        Ok(Station::new(tdma, vec![Box::new(Traffic::new(plan, self.counts[id].clone()))]))
+    }
+}
+
+/// What a station's wire is like from now on, as far as this says so.
+pub fn set_wire(network: &mut Network<Tdma>, wire: &Wire) {
+    for &id in &wire.stations {
+        let (sends_by, hears_by) = network.wire_mut(id);
+        if wire.direction != Direction::In {
+            *sends_by = wire.link.clone();
+        }
+        if wire.direction != Direction::Out {
+            *hears_by = wire.link.clone();
+        }
+    }
+}
+
+/// A station's clock as it begins.
+pub fn clock(scenario: &Scenario, id: usize) -> EmulatedClock {
+    EmulatedClock {
+        anchor: UPTIME,
+        offset: scenario.stations[id].clock_offset,
+        drift_ppb: clock_drift(scenario, id),
+    }
+}
+
+fn clock_drift(scenario: &Scenario, id: usize) -> i64 {
+    scenario.stations[id].clock_drift_ppb
+}
+
+/// A station's discipline, as a lab's station has it.
+pub fn discipline(
+    scenario: &Scenario,
+    id: usize,
+    epoch: Offset,
+    resume: Option<(u32, GlobalTime)>,
+) -> TdmaConfig {
+    let plan = &scenario.stations[id];
+    let follow = SlaveConfig { rounds: plan.rounds, step_limit: Some(schedule::step_limit(scenario.guard)) };
+    let role = if plan.role == Role::Slave {
+        RoleConfig::Slave(follow)
+    } else {
+        RoleConfig::Master(MasterConfig {
+            cycle: scenario.cycle,
+            sync_latest: sync_latest(scenario.sync_window),
+            reply_latest: scenario.latest(),
+            epoch,
+            resume,
+            backup: plan.backup,
+            backups_from: scenario.stations.iter().filter_map(|station| station.backup).min(),
+            follow,
+        })
+    };
+    TdmaConfig {
+        address: scenario.address(id),
+        role,
+        slots: plan.slots.iter().map(|slot| scenario.slot_config(slot)).collect(),
+        max_slot_id: DEFAULT_MAX_SLOT_ID,
+        lead: DEFAULT_LEAD,
+        late: scenario.late,
+    }
+}

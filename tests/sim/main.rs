@@ -9,6 +9,7 @@ mod master_dies;
 mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;
+mod scenarios;
 mod second_master_refuses;
 mod virtual_machine;
 mod without_slots;

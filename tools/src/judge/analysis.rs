@@ -47,6 +47,8 @@ pub struct Analysis {
     guard: Span,
     clock_share: Span,
     rate: Rate,
+    /// Whose address is which, by station.
+    addresses: Vec<Address>,
     /// Which slots there are in which cycles.
     pub timetable: Timetable,
     window: Option<(u32, u32)>,
@@ -94,6 +96,7 @@ impl Analysis {
             guard: scenario.guard,
             clock_share: scenario.clock_share(),
             rate: scenario.rate,
+            addresses: (0..scenario.stations.len()).map(|station| scenario.address(station)).collect(),
             timetable: Timetable::of(scenario),
             window: None,
             current: None,
@@ -216,8 +219,9 @@ impl Analysis {
             self.occupy(at, air, Some(tag.cycle()), Some(author));
             self.data(at, tag, author, air);
         } else {
-            // Somebody else's: whom it hits, it hits.
+            // Somebody else's, or nobody's: whom it hits, it hits.
             self.occupy(at, air, self.current, None);
+            self.stray(at, header.source, air);
         }
     }
 
@@ -270,7 +274,7 @@ impl Analysis {
 
     /// The length of a slot, as which a missed one counts.
     pub fn slot_length(&self, station: usize) -> Span {
-        self.guard + self.rate.air_time(self.timetable.largest(station) + rtnet::wire::ethernet::HEADER_LEN)
+        self.length(self.timetable.largest(station))
     }
 
     fn counts(&self, cycle: u32) -> bool {
@@ -353,7 +357,7 @@ impl Analysis {
         }
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
         // the same share of its own.
-        let end = self.rate.air_time(slot.size + rtnet::wire::ethernet::HEADER_LEN) + self.guard;
+        let end = self.length(slot.size);
         self.ends(error + air - end);
         if error < -self.clock_share || error + air > end - self.clock_share {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
@@ -384,6 +388,25 @@ impl Analysis {
         self.latest = self.latest.max(Some(late));
     }
 
+    /// A frame that is no test traffic is in a slot of the station whose address it bears, or that one babbles.
+    fn stray(&mut self, at: True, source: Address, air: Span) {
+        let Some(station) = self.addresses.iter().position(|address| *address == source) else { return };
+        let Some(cycle) = self.cycle_at(at).filter(|&cycle| self.counts(cycle)) else { return };
+        let Some(start) = self.start_of(cycle) else { return };
+        let is_in = |id| {
+            let Some(slot) = self.timetable.at(station, id, cycle) else { return false };
+            let error = self.error(at, start + slot.offset);
+            -self.clock_share <= error && error + air <= self.length(slot.size) - self.clock_share
+        };
+        let is_stray = !self.timetable.ids(station).into_iter().any(is_in);
+        self.stations[station].stray += u64::from(is_stray);
+    }
+
+    /// From a slot's begin to the end of its guard band.
+    fn length(&self, size: usize) -> Span {
+        self.rate.air_time(size + rtnet::wire::ethernet::HEADER_LEN) + self.guard
+    }
+
     fn error(&self, at: True, scheduled: GlobalTime) -> Span {
         Span::from_nanos(at.wrapping_sub(self.truth().truth(scheduled)) as i64)
     }
@@ -391,6 +414,9 @@ impl Analysis {
     fn find(&mut self, finding: Finding) {
         if !self.counts(finding.cycle) {
             return;
+        }
+        if let (FindingKind::OutOfSlot, [Some(author), _]) = (finding.kind, finding.authors) {
+            self.stations[author.station].stray += 1;
         }
         if self.findings.len() < FINDINGS_MAX {
             self.findings.push(finding);

@@ -67,9 +67,9 @@ pub enum Measure {
     TakeoverCycles,
     /// Most cycles in a row in which two stations gave the time.
     RivalCycles,
-    /// Cycles from the end of the last event until all stations were locked.
+    /// Cycles from the end of the last event until all stations were synchronised for good.
     RelockCycles,
-    /// Stations that were locked at the end.
+    /// Stations that were synchronised at the end: locked, or bridging a cycle.
     Locked,
     /// Stations that gave the time at the end.
     Masters,

@@ -130,9 +130,9 @@ pub struct SimStation {
 }
 
 impl SimStation {
-    /// Whether it was locked.
+    /// Whether it was synchronised: locked, or bridging a cycle.
     pub fn is_locked(&self) -> bool {
-        self.state == SyncState::Locked.name()
+        [SyncState::Locked, SyncState::Holdover].iter().any(|state| state.name() == self.state)
     }
 }
 
@@ -222,6 +222,12 @@ impl<'a> Run<'a> {
         self.world.network.member(id).station.discipline().time().state == SyncState::Locked
     }
 
+    /// Locked, or bridging a cycle.
+    fn is_synchronised(&self, id: usize) -> bool {
+        let state = self.world.network.member(id).station.discipline().time().state;
+        matches!(state, SyncState::Locked | SyncState::Holdover)
+    }
+
     fn all(&self, are: impl Fn(&Self, usize) -> bool) -> bool {
         (0..self.present.len()).filter(|&id| self.present[id]).all(|id| are(self, id))
     }
@@ -306,6 +312,9 @@ impl<'a> Run<'a> {
         // Everything of the cycle before is over, and nothing of the first has begun.
         self.pass_until(begin.saturating_sub(self.cycle / 20));
         let mut watch = self.watch.borrow_mut();
+        for id in (0..self.present.len()).filter(|&id| !self.present[id]) {
+            watch.records.absences.begin(id, Absence::Down, current);
+        }
         watch.counting = true;
         watch.oracle.begin();
         self.world.network.start_over();
@@ -370,7 +379,7 @@ impl<'a> Run<'a> {
 
     /// Once a cycle: who is back, and who is not locked.
     fn look(&mut self) {
-        let all_locked = self.all(Self::is_locked);
+        let all_locked = self.all(Self::is_synchronised);
         let mut watch = self.watch.borrow_mut();
         let Watch { analysis, records, oracle, .. } = &mut *watch;
         for id in (0..self.present.len()).filter(|&id| self.present[id]) {
@@ -450,7 +459,7 @@ impl<'a> Run<'a> {
     }
 
     fn relock_cycles(&self) -> Option<i64> {
-        if !self.all(Self::is_locked) {
+        if !self.all(Self::is_synchronised) {
             return None;
         }
         let unlocked = self.watch.borrow().oracle.unlocked.unwrap_or(0);
@@ -476,7 +485,7 @@ impl<'a> Run<'a> {
             [&counts.received, &counts.missing, &counts.first].map(|count| count.load(Relaxed));
         let range = (received > 0).then(|| (first, first + received + missing - 1));
         let name = &self.scenario.stations[id].name;
-        let is_lost = self.present[id] && !self.is_locked(id);
+        let is_lost = self.present[id] && !self.is_synchronised(id);
         Facts {
             guarded: self.scenario.conditions.host(id).guard.is_some(),
             delay_ns: status.delay.map(Span::nanos),

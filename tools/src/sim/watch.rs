@@ -149,13 +149,15 @@ impl Watch {
 
     fn note_around(&mut self, aired: &Aired<'_>) {
         let (Some((from, to)), Some(cycle)) = (self.around, self.analysis.current()) else { return };
-        if !(from..=to).contains(&cycle) || self.lines.len() == LINES_AT_MOST {
+        let what = decode(aired.bytes, aired.bytes.len()).what;
+        // One that was held up for cycles is of its own, too.
+        let of = what.scheduled().map_or(cycle, |(of, _)| of);
+        if ![cycle, of].iter().any(|cycle| (from..=to).contains(cycle)) || self.lines.len() == LINES_AT_MOST {
             return;
         }
         let place = self.analysis.grid().map(|(_, start)| self.analysis.truth().global(aired.at) - start);
         let place = place.map_or(String::new(), |place| format!("{:+.3}us", place.nanos() as f64 / 1e3));
         let who = self.names.get(aired.from).map_or("foreign", String::as_str);
-        let what = decode(aired.bytes, aired.bytes.len()).what;
         let overlaps = if aired.overlaps { "  overlaps" } else { "" };
         self.lines.push(format!("cycle {cycle} {place:>13}  {who}: {what}{overlaps}"));
     }

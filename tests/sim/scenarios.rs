@@ -1,0 +1,110 @@
+//! Every scenario of this directory, one situation each, shows what its file expects.
+
+use std::path::{Path, PathBuf};
+
+use tools::scenario::{self, Measure};
+use tools::sim::{self, EXAMPLE, Ended, Options};
+
+fn directory() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("sim")
+}
+
+fn run(file: &str) -> Ended {
+    let scenario = scenario::load(&directory().join(file)).unwrap();
+    sim::run(&scenario, &Options::default()).unwrap()
+}
+
+#[track_caller]
+fn check(file: &str) {
+    let simulation = run(file).figures.simulation;
+    assert!(!simulation.expectations.is_empty(), "{file} expects nothing");
+    let failed: Vec<_> = simulation.expectations.iter().filter(|checked| !checked.holds).collect();
+    assert!(failed.is_empty(), "rtnet sim run tests/sim/{file}: {failed:#?}");
+}
+
+macro_rules! scenarios {
+    ($($name:ident)+) => {
+        $(#[test]
+        fn $name() {
+            check(concat!(stringify!($name), ".toml"));
+        })+
+
+        #[test]
+        fn every_file_here_is_a_test() {
+            let entries = std::fs::read_dir(directory()).unwrap();
+            let files = entries.map(|entry| entry.unwrap().path()).filter(|path| path.extension().is_some_and(|of| of == "toml"));
+            let mut names: Vec<String> = files.map(|path| path.file_stem().unwrap().to_string_lossy().into()).collect();
+            names.sort();
+            assert_eq!(names, [$(stringify!($name)),+]);
+        }
+    };
+}
+
+scenarios! {
+    clocks_step_and_wander
+    foreign_frames_change_nothing
+    frames_are_lost_doubled_late_and_changed
+    hosts_with_outages_explain_every_miss
+    late_frames_without_a_guard_are_told_of
+    parted_network_is_whole_again
+    primary_dies_and_the_backups_take_over
+    primary_dies_twenty_times_on_a_lossy_medium
+    station_babbles_on_a_hub
+    station_joins_a_running_network
+    stopped_stations_send_nothing_late
+    switch_delays_every_frame
+    ten_megabits_on_a_hub
+    wires_are_out_and_back
+}
+
+#[test]
+fn the_example_runs_and_is_as_it_says() {
+    let scenario = scenario::Source { file: "example.toml", text: EXAMPLE }.parse().unwrap();
+    let ended = sim::run(&scenario, &Options::default()).unwrap();
+    assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new());
+}
+
+#[test]
+fn one_seed_is_one_run_to_the_byte_and_another_is_another() {
+    let directory = tempfile::tempdir().unwrap();
+    let scenario = |seed| {
+        let mut scenario = scenario::Source { file: "example.toml", text: EXAMPLE }.parse().unwrap();
+        scenario.seed = seed;
+        scenario.duration = rtnet::time::Span::from_millis(3_000);
+        scenario.with_random_clocks()
+    };
+    let run = |seed, name: &str| {
+        let pcap = Some(directory.path().join(name));
+        let ended = sim::run(&scenario(seed), &Options { pcap: pcap.clone(), ..Options::default() }).unwrap();
+        (std::fs::read(pcap.unwrap()).unwrap(), serde_json::to_string(&ended.figures).unwrap())
+    };
+    let (first, second, other) = (run(7, "a"), run(7, "b"), run(8, "c"));
+    assert!(first == second && first.0 != other.0);
+    assert!(first.0.len() > 500_000, "{}", first.0.len());
+}
+
+#[test]
+fn a_run_ends_when_its_time_is_up() {
+    let scenario = scenario::load(&directory().join("ten_megabits_on_a_hub.toml")).unwrap();
+    let until = Some(rtnet::time::Span::from_millis(10_000));
+    let figures = sim::run(&scenario, &Options { until, ..Options::default() }).unwrap().figures;
+    assert!(figures.simulation.virtual_ns <= 10_100_000_000, "{}", figures.simulation.virtual_ns);
+    assert!((100..900).contains(&figures.figures.cycles), "what came before was joining");
+}
+
+#[test]
+fn an_expectation_that_does_not_hold_names_its_cycle_and_the_frames_around_it() {
+    let mut scenario =
+        scenario::load(&directory().join("late_frames_without_a_guard_are_told_of.toml")).unwrap();
+    let expected = scenario.conditions.expectations.iter_mut().find(|of| of.measure == Measure::OutOfSlot);
+    expected.expect("it does").limit = 0;
+    let ended = sim::run(&scenario, &Options::default()).unwrap();
+    assert!(!ended.figures.figures.verdict.ok);
+    let failed = ended.figures.simulation.expectations.into_iter().find(|checked| !checked.holds).unwrap();
+    let cycle = failed.cycle.expect("the first frame that was out of its slot");
+    let around = Some((cycle, cycle));
+    let lines = sim::run(&scenario, &Options { around, ..Options::default() }).unwrap().lines;
+    let of_slave2 =
+        lines.iter().find(|line| line.contains("slave2: data") && line.contains(&cycle.to_string()));
+    assert!(of_slave2.is_some(), "{lines:#?}");
+}

@@ -50,7 +50,7 @@ impl Observed {
         traffic: impl Fn(&Plan, StationId, Arc<TrafficCounts>) -> Box<dyn Service>,
     ) -> Self {
         let scenario = Source { file: "lab.toml", text }.parse().expect("a network");
-        let plan = Plan::of_scenario(scenario).on(host);
+        let plan = Plan::of_scenario(scenario).on(host.clone());
         let master = TrueMaster { clock: plan.clock(0), epoch: epoch() };
         let analysis = Rc::new(RefCell::new(Analysis::new(&plan.scenario, master)));
         let mut network = Network::new(plan.medium, plan.scenario.seed);
@@ -61,7 +61,7 @@ impl Observed {
         for (id, counts) in received.iter().enumerate() {
             let discipline = plan.ours(id, (id == 0).then_some(plan.cycle()));
             let station = Station::new(discipline, vec![traffic(&plan, id, counts.clone())]);
-            let (address, clock) = (plan.address(id), plan.clock(id));
+            let (address, clock, host) = (plan.address(id), plan.clock(id), host.clone());
             network.add(Member { address, clock, host, station }, BEGIN + id as u64 * 1_000_000);
         }
         let records = Records::new(&plan.scenario);

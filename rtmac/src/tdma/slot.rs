@@ -101,6 +101,8 @@ enum Change {
 /// The slots of one station.
 pub struct Slots {
     table: Vec<Slot>,
+    /// The ids that are defined, in order: the table is looked at in every turn, and most of it is empty.
+    in_use: Vec<Channel>,
     max_id: u8,
     /// Queued frames whose slot was removed or became too small for them.
     dropped: u64,
@@ -139,7 +141,10 @@ impl Slots {
             used: false,
             taken_from: id,
         };
-        Self { table: (0..=max_id).map(place).collect(), max_id, dropped: 0, detached: 0 }
+        let table: Vec<Slot> = (0..=max_id).map(place).collect();
+        // Slots are defined by the real-time thread, which makes no room.
+        let in_use = Vec::with_capacity(table.len());
+        Self { table, in_use, max_id, dropped: 0, detached: 0 }
     }
 
     /// Defines or changes a slot, from the cycle after `cycle` on; a turn that it still has in `cycle` it
@@ -348,7 +353,8 @@ impl Slots {
 
     /// Every slot's configuration, and the cycle it is used in next.
     fn defined(&self) -> impl Iterator<Item = (&SlotConfig, u32)> {
-        self.table.iter().filter_map(|slot| Some((slot.config.as_ref()?, slot.next)))
+        let slots = self.in_use.iter().map(|&id| &self.table[usize::from(id)]);
+        slots.filter_map(|slot| Some((slot.config.as_ref()?, slot.next)))
     }
 
     /// Changes a slot now, to be used from `cycle` on; counts the queued frames that have no place any more.
@@ -361,10 +367,14 @@ impl Slots {
             Change::Set(config) => {
                 slot.config = Some(config);
                 slot.next = next_cycle(cycle, config.phase, config.period);
+                if let Err(place) = self.in_use.binary_search(&id) {
+                    self.in_use.insert(place, id);
+                }
                 Some((id, config.size))
             }
             Change::Remove => {
                 let served_by = slot.config.take().map_or(id, |config| config.queue());
+                self.in_use.retain(|&of| of != id);
                 self.resolve(served_by).ok()
             }
         };

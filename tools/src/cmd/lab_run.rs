@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use anyhow::ensure;
 use rtnet::time::Span;
 
 use super::{Failure, screen_width, writable, write_json};
@@ -9,7 +10,7 @@ use crate::cli::LabRunArgs;
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
 use crate::report::screen;
-use crate::scenario::{self, Scenario, Uniform};
+use crate::scenario::{self, MAX_LAB_STATIONS, Scenario, Uniform};
 
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_SEED: u64 = 1;
@@ -35,6 +36,11 @@ pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
 /// The network and how to run it; what cannot be is refused before anything is made.
 pub fn prepared(args: &LabRunArgs) -> anyhow::Result<(Scenario, RunOptions)> {
     let scenario = scenario(args)?;
+    let n = scenario.stations.len();
+    ensure!(
+        n <= MAX_LAB_STATIONS,
+        "{n} stations: a lab holds at most {MAX_LAB_STATIONS}; `rtnet sim run` holds more"
+    );
     let options = RunOptions {
         warm_core: args.warm_core,
         cpu: args.cpu,

@@ -31,8 +31,10 @@ const SYNC_WINDOW_PARTS: i64 = 8;
 const CLOCK_OFFSET: Span = Span::from_millis(1_000);
 /// And drift by up to 50 ppm.
 const CLOCK_DRIFT_PPB: i64 = 50_000;
-/// A station's interfaces need a name each and the master an address; more would not fit one.
-pub const MAX_STATIONS: usize = 250;
+/// Nobody simulates more; each has a number of 16 bits in its frames, and in its address.
+pub const MAX_STATIONS: usize = 10_000;
+/// What one host holds as processes and interfaces, by far.
+pub const MAX_LAB_STATIONS: usize = 250;
 /// Smallest payload of test traffic: that of the smallest frame.
 pub const MIN_PAYLOAD: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
 
@@ -279,7 +281,8 @@ impl Scenario {
 
     /// A station's address.
     pub fn address(&self, station: usize) -> Address {
-        Address([0x02, 0, 0, 0, 0, station as u8 + 1])
+        let [high, low] = (station as u16 + 1).to_be_bytes();
+        Address([0x02, 0, 0, 0, high, low])
     }
 
     /// Where a station sends its frames: to the next.

@@ -18,7 +18,7 @@ mod world;
 pub use expect::Checked;
 pub use oracle::Takeover;
 pub use run::{Ended, Options, SimFigures, Simulation, run};
-pub use world::discipline;
+pub use world::{World, discipline};
 
 /// A scenario that says what can be said, and runs.
 pub const EXAMPLE: &str = include_str!("example.toml");

@@ -34,7 +34,7 @@ pub struct World {
 }
 
 impl World {
-    /// All stations, none of which has begun: see [`World::start`].
+    /// All stations, none of which has begun.
     pub fn new(scenario: &Scenario) -> Result<Self> {
         let conditions = &scenario.conditions;
         let mut medium =
@@ -62,6 +62,16 @@ impl World {
             let around_ppb = clock_drift(scenario, id);
             let (every, step_ppb, within_ppb) = (wandering.every, wandering.step_ppb, wandering.within_ppb);
             world.network.wander(id, Wander { every, step_ppb, within_ppb, around_ppb });
+        }
+        Ok(world)
+    }
+
+    /// All stations, which begin now.
+    pub fn begun(scenario: &Scenario) -> Result<Self> {
+        let mut world = Self::new(scenario)?;
+        for id in 0..scenario.stations.len() {
+            let station = world.station(scenario, id, None, 0)?;
+            world.network.restart(id, station);
         }
         Ok(world)
     }

@@ -80,7 +80,15 @@ fn driver(name: &str, is_slave: bool, stop: Arc<AtomicBool>) -> Result<Driver<Td
         backups_from: None,
         follow,
     };
-    let slot = SlotConfig { id: 0, offset: Span::from_micros(300), phase: 0, period: 1, size: MTU, latest };
+    let slot = SlotConfig {
+        id: 0,
+        offset: Span::from_micros(300),
+        phase: 0,
+        period: 1,
+        size: MTU,
+        joint: None,
+        latest,
+    };
     let tdma = Tdma::new(&TdmaConfig {
         address: interface.address,
         role: if is_slave { RoleConfig::Slave(follow) } else { RoleConfig::Master(master) },

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    DEFAULT_ROUNDS, MasterConfig, NewRole, Refused, RoleConfig, RoleName, SlaveConfig, SlotStatus,
-    TdmaCommand, TdmaStatus,
+    DEFAULT_ROUNDS, MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotStatus, TdmaCommand,
+    TdmaStatus,
 };
 use rtnet::at_once::AtOnceStatus;
 use rtnet::clock::EmulatedClock;

@@ -230,7 +230,6 @@ impl Source<'_> {
             wires: std::mem::take(&mut network.wire),
             events: std::mem::take(&mut network.event),
             expects: network.expect.take().map(|expect| (None, expect)).into_iter().collect(),
-            slot_guard: network.slot_guard.unwrap_or_default(),
             ..Sections::default()
         };
         for (id, entry) in network.station.iter().enumerate() {

@@ -279,6 +279,11 @@ impl Scenario {
         Schedule { cycle, sync_window, rate, guard, backups: backups.collect(), slots: slots.collect() }
     }
 
+    /// Whether a kernel that can guard its stations' slots does.
+    pub fn is_guarded(&self) -> bool {
+        self.slot_guard != SlotGuard::User
+    }
+
     /// A station's address.
     pub fn address(&self, station: usize) -> Address {
         let [high, low] = (station as u16 + 1).to_be_bytes();

@@ -487,7 +487,7 @@ impl<'a> Run<'a> {
         let name = &self.scenario.stations[id].name;
         let is_lost = self.present[id] && !self.is_synchronised(id);
         Facts {
-            guarded: self.scenario.conditions.host(id).guard.is_some(),
+            guarded: self.scenario.is_guarded(),
             delay_ns: status.delay.map(Span::nanos),
             payload_errors: bad_payloads(refusals).saturating_sub(self.before[id].0),
             sync_error: watch.sync_error[id].clone(),

@@ -8,9 +8,9 @@ use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
 use rtnet::clock::{EmulatedClock, True};
-use rtnet::sim::{Medium, Member, Network, Wander};
+use rtnet::sim::{Host, Medium, Member, Network, Wander};
 use rtnet::station::Station;
-use rtnet::time::{GlobalTime, Offset};
+use rtnet::time::{GlobalTime, Offset, Span};
 
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
@@ -22,6 +22,9 @@ use crate::station::traffic::{Traffic, TrafficCounts, TrafficPlan};
 pub const UPTIME: True = 7_200_000_000_000;
 /// Global time then: an instant of 2026, so that captures look like captures.
 pub const EPOCH: GlobalTime = GlobalTime::from_nanos(1_795_000_000_000_000_000);
+
+/// By how much a kernel guard lets a frame be later than it may.
+const GUARD_TOLERANCE: Span = Span::from_micros(10);
 
 /// A network and what its stations count.
 pub struct World {
@@ -50,8 +53,9 @@ impl World {
         let mut world = Self { network, counts, truth };
         for id in 0..scenario.stations.len() {
             let station = world.station(scenario, id, None, 0)?;
-            let (address, clock, host) =
-                (scenario.address(id), clock(scenario, id), conditions.host(id).clone());
+            let (address, clock) = (scenario.address(id), clock(scenario, id));
+            let guard = scenario.is_guarded().then_some(GUARD_TOLERANCE);
+            let host = Host { guard, ..conditions.host(id).clone() };
             world.network.add(Member { address, clock, host, station }, UPTIME);
             world.network.stop(id);
         }

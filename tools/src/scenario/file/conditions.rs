@@ -41,13 +41,9 @@ use toml::Spanned;
 
 use super::{FileError, Source};
 use crate::report::recorded;
-use crate::scenario::{
-    Conditions, Direction, Event, Expectation, Happening, Measure, SlotGuard, Wandering, Wire,
-};
+use crate::scenario::{Conditions, Direction, Event, Expectation, Happening, Measure, Wandering, Wire};
 use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan, Share, parse_nonnegative_span};
 
-/// By how much a kernel guard lets a frame be later than it may.
-const GUARD_TOLERANCE: Span = Span::from_micros(10);
 /// How late a frame is that others overtake, unless it is said.
 const REORDER_BY: Span = Span::from_micros(100);
 const QUEUE: usize = 64;
@@ -189,7 +185,6 @@ pub struct Sections {
     pub events: Vec<Spanned<EventFile>>,
     /// Of all, and of single stations.
     pub expects: Vec<(Option<usize>, ExpectFile)>,
-    pub slot_guard: SlotGuard,
 }
 
 /// Reads them; stations are numbered as in the file.
@@ -200,15 +195,13 @@ pub struct Reader<'a> {
 
 impl Reader<'_> {
     pub fn conditions(&self, sections: Sections) -> Result<Conditions, FileError> {
-        let guard = (sections.slot_guard != SlotGuard::User).then_some(GUARD_TOLERANCE);
-        let host = |file: Option<HostFile>| self.host(file, guard);
-        let hosts = sections.hosts.into_iter();
+        let hosts = sections.hosts.iter();
         let medium = sections.medium.unwrap_or_default();
         Ok(Conditions {
             joint: self.joint(&medium)?,
             propagation: medium.propagation.map(|span| span.0),
-            host: host(sections.host)?,
-            hosts: hosts.map(|(id, file)| Ok((id, host(Some(file))?))).collect::<Result<_, FileError>>()?,
+            host: sections.host.as_ref().map_or(Ok(Host::IDEAL), |file| self.host(file))?,
+            hosts: hosts.map(|(id, file)| Ok((*id, self.host(file)?))).collect::<Result<_, FileError>>()?,
             wanders: sections.wanders.into_iter().map(|(id, file)| (id, wandering(file))).collect(),
             wires: sections.wires.iter().map(|wire| self.wire(wire)).collect::<Result<_, _>>()?,
             events: sections.events.iter().map(|event| self.event(event)).collect::<Result<_, _>>()?,
@@ -232,8 +225,7 @@ impl Reader<'_> {
         })
     }
 
-    fn host(&self, file: Option<HostFile>, guard: Option<Span>) -> Result<Host, FileError> {
-        let Some(file) = file else { return Ok(Host { guard, ..Host::IDEAL }) };
+    fn host(&self, file: &HostFile) -> Result<Host, FileError> {
         let latency = |text: &Option<Spanned<String>>| {
             text.as_ref().map_or(Ok(Latency::NONE), |text| self.latency(text))
         };
@@ -245,7 +237,8 @@ impl Reader<'_> {
             send: latency(&file.send)?,
             stall_ppm: stalls.map_or(0, |stalls| stalls.ppm),
             longest_stall: stalls.map_or(Span::ZERO, |stalls| stalls.longest.0),
-            guard,
+            // Of the whole network, by its slot_guard.
+            guard: None,
         })
     }
 

@@ -157,11 +157,13 @@ impl Calibration {
         self.done
     }
 
-    /// Another line, or another master: the rounds so far say nothing of it. A delay that is known stays.
+    /// Another line, or another master: the rounds so far say nothing of it, nor does one whose reply is still to come. A
+    /// delay that is known stays.
     pub fn leave_line(&mut self) {
         self.done = None;
         if self.delay.is_none() {
             self.samples.clear();
+            self.outstanding = None;
             self.attempts = 0;
         }
     }
@@ -216,6 +218,16 @@ mod tests {
         assert_eq!(calibration.reply(20, 0, 0, rx, &LINE), Ok(Some(Span::from_nanos(10))));
         assert_eq!(calibration.repeats(), 1);
         assert_eq!(calibration.reply(20, 0, 0, rx, &LINE), Err(Refusal::UnexpectedReply), "twice");
+    }
+
+    #[test]
+    fn a_round_that_began_on_a_line_that_was_left_is_no_sample_of_the_next() {
+        let mut calibration = Calibration::new(1);
+        assert!(calibration.begin_round());
+        calibration.sent(Instant::from_nanos(10));
+        calibration.leave_line();
+        let late = calibration.reply(10, 0, 0, Instant::from_nanos(40), &LINE);
+        assert_eq!((late, calibration.delay()), (Err(Refusal::UnexpectedReply), None));
     }
 
     #[test]

@@ -1,11 +1,17 @@
 //! Measuring the delay from the master, in rounds.
 //!
 //! ```text
-//!            request due                     reply matches
-//!  idle ──────────────────► outstanding ──────────────────► idle (one sample more)
-//!   ▲                            │ no reply by the next turn
-//!   └────────────────────────────┘ repeated, up to a limit, then everything starts over
+//!            request sent                   reply matches
+//!  idle ──────────────────► outstanding ──────────────────► idle (one sample more), or done (the last)
+//!   │ ▲                          │
+//!   └─┤ late, held up,           │ no reply by the next turn: repeated
+//!     │ dropped, failed          │ one whose stamps cannot be: refused
+//!     └──────────────────────────┘ another line, another master: the samples are forgotten
 //! ```
+//!
+//! Three requests for each round, and 20 more, may be sent; instead of the next one that is told of, and everything starts
+//! over. A reply to anything else is refused, and while Synchronisations are missing nothing changes: `transitions.rs` has
+//! every state against everything that can happen.
 //!
 //! RTnet takes the mean of all rounds and never repeats a lost one. Here the lower quartile counts: one stamp
 //! that the host held up by a millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever
@@ -168,6 +174,9 @@ impl Calibration {
         }
     }
 }
+
+#[cfg(test)]
+mod transitions;
 
 #[cfg(test)]
 mod tests {

@@ -5,15 +5,19 @@
 //!  Attached ► Listening ──────────────────────► Yielded (a primary that never spoke: for good)
 //!               │  ▲ │ 3 cycles of silence
 //!               │  │ └─────────────────────────────────────► Active ◄─────┐
-//!    any other  │  │ lost                                     ▲  │        │ its instant in a cycle
+//!    any other  │  │ lost, or only one heard                  ▲  │        │ its instant in a cycle
 //!    sync       ▼  │      calibrated, and it is a backup      │  │        │ without a sync
 //!             Following ──────────────────────────────────────┘  │        │
 //!               │   ▲      a primary that a rival outlasts       │        │
 //!               │   └────────────────────────────────────────────┤        │
 //!               │ a backup: calibrated                           │ a backup: another's sync
 //!               └──────────────────────────► StandBy ◄───────────┘        │
-//!                                               └─────────────────────────┘
+//!                          Listening ◄───────┘  └─────────────────────────┘
+//!                               no line any more
 //! ```
+//!
+//! Attached it answers as while it listens. Who has no slot does not wait to be calibrated. `tests/transitions.rs` has every
+//! phase of a primary and of a backup against everything that can happen.
 //!
 //! Active, it sends a Synchronisation at every point of its grid, a backup so much later, and the replies that are asked
 //! for. The grid never moves: it is the one that was followed, or a new one. A Synchronisation that comes too late for

@@ -3,13 +3,20 @@
 //! ```text
 //!            second Synchronisation agrees        last round
 //!  Waiting ──────────────────────► Calibrating ─────────────► Locked ◄──────────┐
-//!                                                               │ one missing    │ a Synchronisation
-//!                                                               ▼                │ that agrees
-//!                                                            Holdover ───────────┤
-//!                                                               │ two missing    │
-//!                                                               ▼                │
-//!                                                              Lost ─────────────┘
+//!     (without rounds: Locked)        │  ▲                      │ one missing    │ a Synchronisation that agrees,
+//!                                     │  │                      ▼                │ or the last that a new line
+//!                                     │  │                   Holdover ───────────┤ takes
+//!                                     │  │ the same, before     │ two missing    │
+//!                        two missing  │  │ the last round       ▼                │
+//!                                     │  └──────────────────── Lost ─────────────┘
+//!                                     └──────────────────────►  │ a thousand missing
+//!                                                               ▼
+//!                                              Lost, and the line given up: two that agree are needed again
 //! ```
+//!
+//! Whatever is refused or waits to be confirmed changes no state; `tests/transitions.rs` has every state, with what may be
+//! doubted in it, against everything that can happen. The follower of a master also begins anew (`forget`), and goes on with
+//! the line on which that one gave the time (`resume`: Locked, or Calibrating before the last round).
 //!
 //! A Synchronisation that disagrees with the line is a *time step*: the next one tells whether the master moved (it
 //! agrees with the step) or one frame was held up on its way (it agrees with the line). Until then one that is a little

@@ -257,6 +257,29 @@ fn sent_next(tdma: &mut Tdma) -> Instant {
     }
 }
 
+#[test]
+fn at_one_instant_a_sync_goes_first_and_a_reply_before_data() {
+    let mut config = config(RoleConfig::Master(master_config()));
+    config.slots[0].offset = Span::ZERO;
+    let mut master = Tdma::new(&config).unwrap();
+    master.on_timeout(at(0));
+    master.on_timeout(at(3_000));
+    let request = Message::Request { xmit: 0, reply_cycle: 1, reply_offset: 0 };
+    assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
+    queue(&mut master, &Pool::new(1), 60);
+    let order = [(); 3].map(|()| {
+        let next = master.next_transmission(at(3_960)).unwrap();
+        assert_eq!(next.at, at(4_000));
+        master.on_sent(Sent::At(next.at));
+        wire::parse(&next.frame).ok().map(|parsed| match parsed {
+            Rtmac::Tdma(Message::Sync { .. }) => "sync",
+            Rtmac::Tdma(Message::Reply { .. }) => "reply",
+            other => panic!("{other:?}"),
+        })
+    });
+    assert_eq!(order, [Some("sync"), Some("reply"), None], "what is no RTmac frame is data");
+}
+
 /// Its slot 0, moved or of another size.
 fn moved(offset: i64, size: usize) -> TdmaCommand {
     let slot = config(RoleConfig::Master(master_config())).slots[0];

@@ -1,3 +1,5 @@
+mod transitions;
+
 use super::*;
 use crate::tdma::mark::held_up_at_most;
 
@@ -121,51 +123,6 @@ fn global_time_wraps_without_a_jump() {
     let mut bench = Bench::active(None);
     bench.master.advance();
     assert_eq!(bench.master.next_sync().unwrap().2.nanos(), 0);
-}
-
-/// Every phase of a primary and of a backup, and what becomes of it: after a primary's sync, a backup's, and silence.
-#[test]
-fn every_phase_answers_every_event() {
-    use Mastery::*;
-    let attached = |backup| Bench::new(backup);
-    let listening = |backup| {
-        let mut bench = Bench::new(backup);
-        bench.wait_until(at(0));
-        bench
-    };
-    let following = |backup| Bench::following(backup, PROMPT);
-    let yielded = |_| {
-        let mut bench = Bench::new(None);
-        bench.hear(LOWER, 1, PROMPT);
-        bench
-    };
-    let some = Some(BACKUP);
-    type Begin<'a> = &'a dyn Fn(Option<Span>) -> Bench;
-    // By phase: of a primary after (prompt, late, 99 ms), of a backup after the same.
-    let stand_by = |_| Bench::stand_by();
-    let rows: [(Begin<'_>, [Mastery; 6]); 6] = [
-        (&stand_by, [StandBy; 6]),
-        (&attached, [Yielded, Following, Listening, Following, Following, Listening]),
-        (&listening, [Yielded, Following, Active, Following, Following, Active]),
-        // A primary that follows one that sends in its window does not speak; nobody else: it listens again.
-        (
-            &|backup| if backup.is_none() { Bench::following(None, LATE) } else { following(backup) },
-            [Following, Following, Listening, Following, Following, Listening],
-        ),
-        (&Bench::active, [Active, Active, Active, StandBy, StandBy, Active]),
-        (&yielded, [Yielded, Yielded, Yielded, Yielded, Yielded, Yielded]),
-    ];
-    for (row, (begin, expected)) in rows.into_iter().enumerate() {
-        for (column, expected) in expected.into_iter().enumerate() {
-            let mut bench = begin(if column < 3 { None } else { some });
-            match column % 3 {
-                0 => bench.hear(LOWER, 3, PROMPT),
-                1 => bench.hear(LOWER, 3, LATE),
-                _ => bench.wait_until(at(99_000)),
-            };
-            assert_eq!(bench.master.mastery(), expected, "row {row}, column {column}");
-        }
-    }
 }
 
 #[test]

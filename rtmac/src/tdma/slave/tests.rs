@@ -1,3 +1,5 @@
+mod transitions;
+
 use super::*;
 
 const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
@@ -51,59 +53,6 @@ impl Bench {
         assert_eq!(bench.slave.state(), state);
         bench.told();
         bench
-    }
-}
-
-const STATES: [SyncState; 5] =
-    [SyncState::Waiting, SyncState::Calibrating, SyncState::Locked, SyncState::Holdover, SyncState::Lost];
-
-/// What can happen in any state.
-#[derive(Clone, Copy, Debug)]
-enum Happening {
-    AgreeingSync,
-    HeldUpSync,
-    RepeatedCycle,
-    HalfACycle,
-    TwoCycles,
-    FiveCycles,
-    Reply,
-}
-
-#[test]
-fn every_state_answers_every_event() {
-    use Happening::*;
-    use SyncState::*;
-    // The last Synchronisation was that of cycle 2.
-    let table = [
-        (AgreeingSync, [Waiting, Calibrating, Locked, Locked, Locked]),
-        (HeldUpSync, [Waiting, Calibrating, Locked, Holdover, Lost]),
-        (RepeatedCycle, [Waiting, Calibrating, Locked, Holdover, Lost]),
-        (HalfACycle, [Waiting, Calibrating, Locked, Holdover, Lost]),
-        (TwoCycles, [Waiting, Calibrating, Holdover, Holdover, Lost]),
-        (FiveCycles, [Waiting, Lost, Lost, Lost, Lost]),
-        (Reply, [Waiting, Locked, Locked, Holdover, Lost]),
-    ];
-    for (happening, expected) in table {
-        for (state, expected) in STATES.into_iter().zip(expected) {
-            let mut bench = Bench::in_state(state);
-            match happening {
-                AgreeingSync => drop(bench.hear(3, 0)),
-                HeldUpSync => drop(bench.hear(3, 500_000)),
-                RepeatedCycle => drop(bench.hear(2, 0)),
-                HalfACycle => drop(bench.wait_until(2 * PERIOD + PERIOD / 2)),
-                TwoCycles => drop(bench.wait_until(3 * PERIOD + PERIOD / 2)),
-                FiveCycles => drop(bench.wait_until(7 * PERIOD)),
-                Reply => {
-                    bench.slave.calibration_mut().begin_round();
-                    bench.slave.calibration_mut().sent(Instant::from_nanos(2 * PERIOD));
-                    let rx = Instant::from_nanos(2 * PERIOD + 1_400);
-                    // Who has calibrated does not wait for one, and who has no line cannot use one.
-                    let result = bench.slave.on_reply(rx, 2 * PERIOD, 0, 0, &mut bench.events);
-                    assert_eq!(result.is_ok(), state == Calibrating, "{state:?}");
-                }
-            }
-            assert_eq!(bench.slave.state(), expected, "{happening:?} while {state:?}");
-        }
     }
 }
 

@@ -53,6 +53,8 @@ impl Replies {
         if at < rx {
             return Err(Refusal::ReplyOverdue);
         }
+        // Who asks again does not wait any more for what was put off, which would be in this very turn of the slot.
+        self.pending.retain(|reply| reply.to != from || reply.put_off == 0);
         // The reply is asked for in the slot's next use.
         let asked_in = line.ahead(cycle) - ((rx - line.start).nanos().div_euclid(line.period.nanos())) as i32;
         let period = asked_in.max(1) as u32;
@@ -74,9 +76,13 @@ impl Replies {
     }
 
     /// The one that was taken came too late: it goes into the slave's slot two uses later. In the next, a slave that
-    /// repeats its request sends; two later it is silent again. `false` when it is given up.
+    /// repeats its request sends; two later it is silent again, for the reply to that. `false` when it is given up.
     pub fn put_off(&mut self, line: &TimeLine) -> bool {
         let Some(late) = self.taken.take() else { return false };
+        // Who was held up for long may have been asked again meanwhile.
+        if self.pending.iter().any(|reply| reply.to == late.to) {
+            return true;
+        }
         let cycles = late.period * 2;
         let later = Reply {
             at: late.at + line.period * i64::from(cycles),
@@ -141,6 +147,27 @@ mod tests {
         assert!(!replies.put_off(&line), "only what was taken");
         let times = (0..).take_while(|_| replies.take().is_some() && replies.put_off(&line)).count();
         assert_eq!(times, usize::from(PUT_OFF_AT_MOST) - 1);
+    }
+
+    #[test]
+    fn who_asks_again_is_answered_once() {
+        let (mut replies, line) = (Replies::default(), line(1));
+        let (first, second) = ((at(4_400), 7, 2), (at(6_400), 8, 4));
+        let ask = |replies: &mut Replies, (rx, xmit, cycle)| replies.ask(&line, rx, A, xmit, cycle, 400_000);
+        // It is noticed in time that the first reply is late; or only when the second request is there.
+        for noticed_at_once in [true, false] {
+            ask(&mut replies, first).unwrap();
+            replies.take().unwrap();
+            if noticed_at_once {
+                assert!(replies.put_off(&line));
+            }
+            ask(&mut replies, second).unwrap();
+            if !noticed_at_once {
+                assert!(replies.put_off(&line));
+            }
+            let Reply { request_xmit, at: when, .. } = replies.take().unwrap();
+            assert_eq!((request_xmit, when, replies.next()), (8, at(7_400), None));
+        }
     }
 
     #[test]

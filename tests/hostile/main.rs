@@ -79,7 +79,8 @@ impl Victim {
     /// Cycles whose Synchronisations it has heard.
     fn heard(self) -> core::ops::Range<u32> {
         match self {
-            Victim::Calibrating | Victim::Locked => HOSTILE - 3..HOSTILE,
+            Victim::Calibrating => HOSTILE - 2..HOSTILE,
+            Victim::Locked => HOSTILE - 3..HOSTILE,
             Victim::Holdover => HOSTILE - 4..HOSTILE - 1,
             Victim::Lost => HOSTILE - 6..HOSTILE - 3,
             Victim::Waiting | Victim::Listening | Victim::Active => 0..0,

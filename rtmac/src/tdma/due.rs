@@ -136,7 +136,12 @@ impl Tdma {
         match (job, &mut self.role) {
             (Job::Sync { .. }, Role::Master(master)) => master.advance(),
             (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
-            (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
+            // The next one is for the reply: it is left free even if there was no request, for one that was put off.
+            (Job::Request(turn), _) => {
+                let period = self.slots.get(turn.id).map_or(1, |slot| slot.period);
+                self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
+            }
+            (Job::Data(turn), _) => self.slots.pass(turn),
             _ => {}
         }
     }

@@ -284,7 +284,8 @@ impl Discipline for Tdma {
     fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
         let job = self.due(now)?;
         let built = self.build(job);
-        self.pass_done(&job);
+        // A chosen job does not come again.
+        self.pass(&job);
         built
     }
 
@@ -423,20 +424,6 @@ impl Discipline for Tdma {
 }
 
 impl Tdma {
-    /// A chosen job does not come again; a slave that asked also leaves the slot of its reply free.
-    fn pass_done(&mut self, job: &Job) {
-        let asked = match (job, self.pending.is_some()) {
-            (Job::Request(turn), true) => self.slots.get(turn.id).map(|slot| (turn, slot.period)),
-            _ => None,
-        };
-        match asked {
-            Some((turn, period)) => {
-                self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
-            }
-            None => self.pass(job),
-        }
-    }
-
     fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
         match (job, &mut self.role) {
             (Job::Sync { cycle, .. }, role) => {

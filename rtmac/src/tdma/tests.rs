@@ -228,6 +228,20 @@ fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none
 }
 
 #[test]
+fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off() {
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: None });
+    let mut slave = Tdma::new(&config(role)).unwrap();
+    hear_syncs(&mut slave, 1..=2);
+    let request = slave.next_transmission(at(2_400)).expect("a request");
+    slave.on_sent(Sent::At(request.at));
+    hear_syncs(&mut slave, 3..=4);
+    assert!(slave.next_transmission(at(4_450)).is_none(), "too late");
+    hear_syncs(&mut slave, 5..=6);
+    assert!(slave.next_transmission(at(5_400)).is_none(), "there the reply to the first may come");
+    assert!(slave.next_transmission(at(6_400)).is_some());
+}
+
+#[test]
 fn who_loses_its_master_while_it_calibrates_has_missed_no_slots() {
     let role = RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: None });
     let mut slave = Tdma::new(&config(role)).unwrap();

@@ -151,3 +151,26 @@ fn of_two_primaries_after_a_cut_the_one_with_the_higher_address_makes_way() {
     lab.run_cycles(100);
     check_undisturbed(&lab, 100, &[0, 1, 2, 3, 4]);
 }
+
+#[test]
+fn backups_that_have_a_line_in_common_all_follow_the_primary_after_a_cut() {
+    let cycle = plan().cycle().nanos() as u64;
+    for part in 0..16 {
+        let mut lab = running(&plan());
+        lab.network.stop(0);
+        lab.run_cycles(10);
+        let returned = lab.add(0, Some(lab.plan.cycle()), lab.network.now() + cycle * part / 16);
+        lab.network.cut_off(&[returned]);
+        lab.run_cycles(20);
+        let masters = [returned, FIRST, SECOND].map(|id| lab.status(id).mastery);
+        let (active, stands_by) = (Some(Mastery::Active), Some(Mastery::StandBy));
+        assert_eq!(masters, [active, active, stands_by], "of two lines");
+        lab.network.cut_off(&[]);
+        lab.run_cycles(10);
+        let masters = [returned, FIRST, SECOND].map(|id| lab.status(id).mastery);
+        assert_eq!(masters, [active, stands_by, stands_by], "{part} parts of a cycle later");
+        lab.judge_from_here();
+        lab.run_cycles(100);
+        assert_eq!(lab.judge().syncs, 100, "one in every cycle");
+    }
+}

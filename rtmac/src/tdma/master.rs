@@ -330,6 +330,19 @@ impl Master {
         }
     }
 
+    /// What was heard at `rx` may be of another line: a backup sends nothing before the next of that would have told. Else
+    /// several that follow one line took turns with it for ever, each of them the proof of it to the others.
+    pub fn doubts_line(&mut self, rx: Instant) {
+        let backup = self.config.backup.unwrap_or(Span::ZERO);
+        if let (Phase::StandBy { passed }, Some(line)) = (&mut self.phase, self.follower.line()) {
+            let gone = (rx + line.period - backup - line.start).nanos().div_euclid(line.period.nanos());
+            let silent = line.cycle.wrapping_add(gone as u32);
+            if silent.wrapping_sub(*passed) as i32 > 0 {
+                *passed = silent;
+            }
+        }
+    }
+
     /// What others tell is compared with the line on which this one gave the time.
     fn step_down(&mut self, line: TimeLine) {
         self.follower.resume(line);

@@ -61,6 +61,7 @@ impl Tdma {
         self.counters.syncs_received += 1;
         let left = slave.line().copied();
         let followed = slave.on_sync(rx, from, cycle, xmit, sched, events)?;
+        let doubts_line = slave.doubts_line();
         if let Some((silent, at)) = self.silent
             && cycle.wrapping_sub(silent) as i32 <= 0
         {
@@ -79,6 +80,9 @@ impl Tdma {
             if let Some(beyond) = self.slots.longest_offset().filter(|offset| *offset >= line.period) {
                 self.events.note(cycle, EventKind::SlotBeyondCycle, beyond - line.period);
             }
+        }
+        if let (true, Role::Master(master)) = (doubts_line, &mut self.role) {
+            master.doubts_line(rx);
         }
         Ok(())
     }

@@ -182,6 +182,18 @@ fn any_synchronisation_of_a_cycle_keeps_a_backup_from_sending_in_it() {
 }
 
 #[test]
+fn a_backup_that_hears_another_line_is_silent_until_the_next_of_it_would_have_told() {
+    // It stands by after cycle 2; the other line's cycles begin so long after its own, and it looks after 200 us.
+    for (other, next) in [(100, 4), (190, 4), (300, 5), (950, 5)] {
+        let mut bench = Bench::stand_by();
+        let rx = at(3_000 + other);
+        let _ = bench.master.on_foreign_sync(rx, (HIGHER, OWN), PROMPT, &mut bench.events);
+        bench.master.doubts_line(rx);
+        assert_eq!(bench.master.next_sync().unwrap().0, next, "{other} us");
+    }
+}
+
+#[test]
 fn an_active_backup_steps_down_for_whoever_sends_and_goes_on_with_the_line() {
     let mut bench = Bench::active(Some(BACKUP));
     bench.told();

@@ -174,3 +174,26 @@ fn backups_that_have_a_line_in_common_all_follow_the_primary_after_a_cut() {
         assert_eq!(lab.judge().syncs, 100, "one in every cycle");
     }
 }
+
+#[test]
+fn backups_whose_line_has_drifted_from_the_primarys_follow_it_after_a_cut() {
+    // Of 0.1 us in a millisecond: as late as a hold-up explains, and with the same numbers.
+    let plan = plan().with_drift(|id| if id == 0 { -50_000 } else { 50_000 });
+    for (cut, cycles) in
+        [(&[FIRST][..], 600), (&[FIRST], 2_000), (&[FIRST, SECOND], 600), (&[FIRST, SECOND], 2_000)]
+    {
+        let mut lab = running(&plan);
+        lab.network.cut_off(cut);
+        lab.run_cycles(cycles);
+        assert_eq!(lab.status(FIRST).mastery, Some(Mastery::Active), "in its half");
+        lab.network.cut_off(&[]);
+        lab.run_cycles(10);
+        let masters = [0, FIRST, SECOND].map(|id| lab.status(id).mastery);
+        let stands_by = Some(Mastery::StandBy);
+        assert_eq!(masters, [Some(Mastery::Active), stands_by, stands_by], "{cut:?} for {cycles} cycles");
+        lab.judge_from_here();
+        lab.run_cycles(100);
+        assert_eq!(lab.judge().syncs, 100, "one in every cycle");
+        assert!((1..5).all(|id| lab.state(id) == SyncState::Locked));
+    }
+}

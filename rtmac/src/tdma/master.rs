@@ -22,7 +22,7 @@
 //! Active, it sends a Synchronisation at every point of its grid, a backup so much later, and the replies that are asked
 //! for. The grid never moves: it is the one that was followed, or a new one. A Synchronisation that comes too late for
 //! its window is not sent, and the next carries the number that the grid says. A foreign one never re-times the grid of
-//! an active primary.
+//! an active primary. A backup that hears one beside its line sends nothing before the next of that would have come.
 //!
 //! Who sends as late as backups do is one: that is how one that returns knows whether the place is taken or only kept for
 //! it. Of
@@ -304,6 +304,8 @@ impl Master {
             }
             Phase::Active { line } => {
                 events.note(line.cycle, EventKind::OtherMaster, late);
+                // Who gives the time does not calibrate.
+                self.replies.forget(from);
                 // A backup does what it is for where there was none of this one.
                 if self.sent != Some(line.cycle) {
                     return false;
@@ -330,8 +332,8 @@ impl Master {
         }
     }
 
-    /// What was heard at `rx` may be of another line: a backup sends nothing before the next of that would have told. Else
-    /// several that follow one line took turns with it for ever, each of them the proof of it to the others.
+    /// What was heard at `rx` was beside the line, and may be of another: a backup sends nothing before the next of that
+    /// would have told. Else it would hear its own line again and again, from itself or the other backups.
     pub fn doubts_line(&mut self, rx: Instant) {
         let backup = self.config.backup.unwrap_or(Span::ZERO);
         if let (Phase::StandBy { passed }, Some(line)) = (&mut self.phase, self.follower.line()) {

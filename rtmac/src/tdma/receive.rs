@@ -60,13 +60,15 @@ impl Tdma {
         let Some(slave) = self.role.follower_mut() else { return Err(Refusal::Detached) };
         self.counters.syncs_received += 1;
         let left = slave.line().copied();
-        let followed = slave.on_sync(rx, from, cycle, xmit, sched, events)?;
-        let doubts_line = slave.doubts_line();
+        let followed = slave.on_sync(rx, from, cycle, xmit, sched, events);
+        self.doubt_line(rx, cycle, followed);
+        let followed = followed?;
+        let Some(slave) = self.role.follower() else { return Ok(()) };
         if let Some((silent, at)) = self.silent
             && cycle.wrapping_sub(silent) as i32 <= 0
         {
             self.counters.syncs_late += 1;
-            events.note(cycle, EventKind::SyncLate, at - rx);
+            self.events.note(cycle, EventKind::SyncLate, at - rx);
         }
         if let (Followed::NewLine, Some(&line)) = (followed, slave.line()) {
             if let (Some(left), Some(_)) = (left, slave.calibration().delay()) {
@@ -81,9 +83,19 @@ impl Tdma {
                 self.events.note(cycle, EventKind::SlotBeyondCycle, beyond - line.period);
             }
         }
-        if let (true, Role::Master(master)) = (doubts_line, &mut self.role) {
+        Ok(())
+    }
+
+    /// A backup hesitates if what it has heard at `rx` was beside its line.
+    fn doubt_line(&mut self, rx: Instant, cycle: u32, followed: Result<Followed, Refusal>) {
+        let Role::Master(master) = &mut self.role else { return };
+        let is_beside = master.follower().is_some_and(|follower| match followed {
+            Ok(Followed::Pending) => follower.line().is_some(),
+            Err(Refusal::DuplicateCycle) => follower.doubts(cycle),
+            _ => false,
+        });
+        if is_beside {
             master.doubts_line(rx);
         }
-        Ok(())
     }
 }

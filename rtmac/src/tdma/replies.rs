@@ -93,6 +93,11 @@ impl Replies {
         late.put_off < PUT_OFF_AT_MOST && self.pending.try_push(later).is_ok()
     }
 
+    /// This station waits for none any more.
+    pub fn forget(&mut self, station: Address) {
+        self.pending.retain(|reply| reply.to != station);
+    }
+
     /// Who gives the time no more answers nobody: stations ask whose Synchronisation they hear.
     pub fn clear(&mut self) {
         self.pending.clear();

@@ -281,16 +281,14 @@ impl Slave {
     /// Whether anything may be sent in `cycle`: not without (or long after) its Synchronisation or the one before,
     /// not while a time step is unconfirmed that no hold-up explains, not in a cycle whose number came twice.
     pub fn may_send(&self, cycle: u32) -> bool {
-        let Track::On { line, .. } = &self.track else { return false };
-        line.ahead(cycle).unsigned_abs() <= HOLDOVER_CYCLES.unsigned_abs()
-            && !self.doubts_line()
-            && self.doubted != Some(cycle)
+        let Track::On { line, step } = &self.track else { return false };
+        let moved = step.is_some_and(|step| !step.mark.may_be_held_up(line));
+        line.ahead(cycle).unsigned_abs() <= HOLDOVER_CYCLES.unsigned_abs() && !moved && !self.doubts(cycle)
     }
 
-    /// Whether there is a time step that is unconfirmed and that no hold-up explains: of another line, it may be.
-    pub fn doubts_line(&self) -> bool {
-        let Track::On { line, step } = &self.track else { return false };
-        step.is_some_and(|step| !step.mark.may_be_held_up(line))
+    /// Whether the number of this cycle came twice, and not as from a backup.
+    pub fn doubts(&self, cycle: u32) -> bool {
+        self.doubted == Some(cycle)
     }
 
     /// The line that is followed. Without Synchronisations it is kept for a while, so that slots that

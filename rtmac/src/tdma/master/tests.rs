@@ -137,6 +137,17 @@ fn who_does_not_give_the_time_answers_nobody() {
 }
 
 #[test]
+fn who_gives_the_time_itself_waits_for_no_reply() {
+    let mut primary = Bench::active(None);
+    for of in [LOWER, HIGHER] {
+        assert_eq!(primary.master.on_request(at(3_400), of, 0, 2, 400_000), Ok(()));
+    }
+    primary.hear(LOWER, 4, LATE);
+    assert_eq!(primary.master.take_reply().map(|reply| reply.to), Some(HIGHER));
+    assert_eq!(primary.master.replies().next(), None);
+}
+
+#[test]
 fn a_primary_that_finds_another_never_speaks() {
     let mut bench = Bench::new(None);
     assert!(!bench.hear(LOWER, 1, PROMPT));

@@ -12,6 +12,7 @@ use rtnet::discipline::{Discipline, Sent, SyncState, Transmission};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
+use tests::chance::Case;
 use tests::traffic;
 use tools::station::traffic::TrafficCounts;
 
@@ -72,6 +73,25 @@ fn changes_of_slots() -> Vec<TdmaCommand> {
         TdmaCommand::RemoveSlot(1),
         TdmaCommand::RemoveSlot(2),
     ]
+}
+
+#[test]
+fn networks_by_chance_allocate_nothing_once_they_run() {
+    for seed in 0..50 {
+        let case = Case::of(seed);
+        let mut lab = case.settled().unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+        // The judge writes down what it sees.
+        lab.network.observe(|_| ());
+        lab.network.medium_mut().lose_control_ppm = 100_000;
+        let cycle = case.plan.cycle().nanos() as u64;
+        // The simulator's own lists have become as long as they will be.
+        lab.network.run_until(lab.network.now() + 200 * cycle);
+        let (before, sent) = (calls(), lab.network.traffic().frames);
+        lab.network.run_until(lab.network.now() + 500 * cycle);
+        let allocations = calls() - before;
+        assert!(lab.network.traffic().frames > sent + 500, "seed {seed}: they were at work");
+        assert_eq!(allocations, 0, "seed {seed}");
+    }
 }
 
 /// Stations that hear each other at once, all on one clock; everything it needs is made beforehand.

@@ -45,6 +45,8 @@ pub struct Judge {
     last_sync: Option<u32>,
     requests: Vec<(Address, u64, u32)>,
     on_air: Option<(Author, True)>,
+    /// Whose calibration that is of.
+    calibrates: Option<Address>,
     /// Synchronisations.
     pub syncs: u64,
     /// Calibration requests and replies.
@@ -57,6 +59,8 @@ pub struct Judge {
     pub sync_error: Spread,
     /// Frames that began while another was on the air: both.
     pub overlaps: Vec<(Author, Author)>,
+    /// Of them, a station's request with a reply to it, in its own slot.
+    pub crossed: Vec<(Author, Author)>,
     /// Frames that were not wholly within their slot or window.
     pub out_of_slot: Vec<Author>,
     /// Everything that must not be, in words; at most a few.
@@ -86,11 +90,13 @@ impl Judge {
             last_sync: None,
             requests: Vec::new(),
             on_air: None,
+            calibrates: None,
             syncs: 0,
             calibration: 0,
             slot_error: Spread::default(),
             sync_error: Spread::default(),
             overlaps: Vec::new(),
+            crossed: Vec::new(),
             out_of_slot: Vec::new(),
             faults: Vec::new(),
         }
@@ -116,13 +122,21 @@ impl Judge {
         let Some(author) = author else {
             return self.fault(format!("a frame of no known kind from station {}", aired.from));
         };
+        let calibrates = match wire::parse(aired.bytes) {
+            Ok(Rtmac::Tdma(Message::Request { .. })) => Some(header.source),
+            Ok(Rtmac::Tdma(Message::Reply { .. })) => Some(header.destination),
+            _ => None,
+        };
         if let Some((before, until)) = self.on_air
             && aired.at < until
         {
             self.overlaps.push((before, author));
+            if before.from != author.from && calibrates.is_some() && calibrates == self.calibrates {
+                self.crossed.push((before, author));
+            }
         }
         if self.on_air.is_none_or(|(_, until)| until < aired.until) {
-            self.on_air = Some((author, aired.until));
+            (self.on_air, self.calibrates) = (Some((author, aired.until)), calibrates);
         }
     }
 

@@ -4,6 +4,8 @@
 //! bare       a packet socket and nothing else
 //! networks   a master and its slaves in virtual time, judged by what is on the air
 //! observed   the network of a lab's file in virtual time, judged as a live lab is
+//! chance     networks that follow from a seed: schedules, clocks, hosts, faults
+//! course     what happens to one of them, and what must be true of it all the while
 //! bench      one station by hand: frames in at their stamps, transmissions out at their instants
 //! peer       an independent TDMA station with the habits of real RTnet's
 //! ```
@@ -11,6 +13,8 @@
 pub mod bare;
 pub mod bench;
 pub mod captures;
+pub mod chance;
+pub mod course;
 pub mod judge;
 pub mod mixed;
 pub mod networks;

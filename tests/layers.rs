@@ -127,7 +127,8 @@ fn protocol_code_is_pure() {
 #[test]
 fn every_test_that_the_specification_cites_exists() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace");
-    let text = std::fs::read_to_string(root.join("SPECIFICATION.md")).expect("the specification");
+    let documents = ["SPECIFICATION.md", "docs/rtnet-rows.md"];
+    let text = documents.map(|name| std::fs::read_to_string(root.join(name)).expect(name)).concat();
     let packages = metadata();
     let folders =
         packages.workspace_packages().into_iter().filter_map(|package| package.manifest_path.parent());

@@ -35,7 +35,8 @@ impl Tdma {
                 };
                 let done = follower.on_reply(rx, request_xmit, reception, xmit, &mut self.events)?;
                 if let (true, Some(line)) = (done, follower.line()) {
-                    self.slots.align(line, rx);
+                    // The reply has had its slot's turn, which a line that is a little late has still to come.
+                    self.slots.align(line, rx + self.lead);
                 }
                 Ok(())
             }

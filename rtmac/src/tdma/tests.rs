@@ -242,6 +242,33 @@ fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off
 }
 
 #[test]
+fn who_has_had_the_last_reply_in_its_slot_sends_there_from_the_next_turn_on() {
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, step_limit: None });
+    let mut slave = Tdma::new(&config(role)).unwrap();
+    queue(&mut slave, &Pool::new(1), 60);
+    // Synchronisations take 3 us, other frames 1, which stamps of another clock do not tell: its line is 2 us late.
+    let hear_late = |slave: &mut Tdma, cycle: u32| {
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+        slave.on_frame(Some(at(u64::from(cycle) * 1_000 + 3)), frame);
+    };
+    (1..=2).for_each(|cycle| hear_late(&mut slave, cycle));
+    let request = slave.next_transmission(at(2_400)).expect("a request");
+    assert_eq!(request.at, at(2_403));
+    slave.on_sent(Sent::At(request.at));
+    hear_late(&mut slave, 3);
+    let [request_xmit, reception, xmit] = [2_403_000, (1 << 50) + 2_404_000, (1 << 50) + 3_400_000];
+    let mut frame = Pool::new(1).take().unwrap();
+    Message::Reply { request_xmit, reception, xmit }.write(OWN, OTHER, &mut frame);
+    assert!(matches!(slave.on_frame(Some(at(3_401)), frame), Claimed::Kept));
+    assert_eq!(slave.status().delay, Some(Span::from_micros(1)));
+    assert!(slave.next_transmission(at(3_401)).is_none(), "the reply is still on the air");
+    hear_late(&mut slave, 4);
+    assert_eq!(slave.next_transmission(at(4_400)).expect("what is queued").at, at(4_402));
+}
+
+#[test]
 fn who_loses_its_master_while_it_calibrates_has_missed_no_slots() {
     let role = RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: None });
     let mut slave = Tdma::new(&config(role)).unwrap();

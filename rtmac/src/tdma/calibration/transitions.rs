@@ -162,7 +162,7 @@ impl Seat {
         let slave = Tdma::new(&TdmaConfig {
             address: OWN,
             role: RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, step_limit: None }),
-            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, latest }],
+            slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, joint: None, latest }],
             max_slot_id: DEFAULT_MAX_SLOT_ID,
             lead: DEFAULT_LEAD,
             late: LatePolicy::Skip,

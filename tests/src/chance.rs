@@ -3,11 +3,11 @@
 
 use rtmac::tdma::schedule::{Rate, Uncertainty, guard_band};
 use rtmac::tdma::{BACKUP_LOOKS_BEFORE, HOLDOVER_CYCLES, LatePolicy};
-use rtnet::sim::{Host, Medium, Random, StationId};
+use rtnet::sim::{Host, Latency, Medium, Random, StationId};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::HEADER_LEN;
 use tools::report::figures::Role;
-use tools::scenario::{Scenario, SlotGuard, SlotPlan, StationPlan};
+use tools::scenario::{Conditions, Scenario, SlotGuard, SlotPlan, StationPlan};
 
 use crate::networks::Plan;
 
@@ -77,8 +77,8 @@ impl Case {
             }
         };
         let host = |_| Host {
-            wake_latency: Span::from_nanos(random.between(0, 20_000)),
-            send_jitter: SEND_JITTER,
+            wake: Latency::Exponential(Span::from_nanos(random.between(0, 20_000))),
+            send: Latency::Uniform(Span::ZERO, SEND_JITTER),
             ..Host::IDEAL
         };
         let hosts = (0..plan.stations()).map(host).collect();
@@ -124,6 +124,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
         late: LatePolicy::Skip,
         slot_guard: SlotGuard::User,
         stations,
+        conditions: Conditions::default(),
     };
     place(random, &mut scenario, &parts, begin, spare);
     assert_eq!(scenario.schedule().conflicts(), [], "seed {seed}");
@@ -195,7 +196,14 @@ fn place(random: &mut Random, scenario: &mut Scenario, parts: &[Part], begin: Sp
         (offset, spare) = (offset + gap, spare - gap);
         for (phase, &(station, id)) in owners.iter().enumerate() {
             let station = &mut scenario.stations[station];
-            station.slots.push(SlotPlan { id, offset, phase: phase as u32, period, size: station.payload });
+            station.slots.push(SlotPlan {
+                id,
+                offset,
+                phase: phase as u32,
+                period,
+                size: station.payload,
+                joint: None,
+            });
         }
         let size = scenario.stations[0].payload;
         offset = offset + scenario.rate.air_time(size + HEADER_LEN) + scenario.guard;

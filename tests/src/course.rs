@@ -135,7 +135,7 @@ impl<'a> Course<'a> {
         let mut lab = case.plan.build();
         let members: Vec<_> = (0..case.plan.stations()).map(Some).collect();
         for (id, host) in case.hosts.iter().enumerate() {
-            lab.network.member_mut(id).host = *host;
+            lab.network.member_mut(id).host = host.clone();
         }
         let account = Account { settles_within: case.settles_within(), ..Account::default() };
         Self { case, lab, members, cut: Vec::new(), cycle: 0, apart: false, judged: 0, account }
@@ -163,7 +163,7 @@ impl<'a> Course<'a> {
     }
 
     fn begin(&mut self, trouble: &Trouble) {
-        let host = |id: &StationId| self.case.hosts[*id];
+        let host = |id: &StationId| self.case.hosts[*id].clone();
         match trouble {
             Trouble::Losses(ppm) => self.lose(*ppm),
             Trouble::Outages(id, outage_ppm, longest_outage) => {
@@ -186,7 +186,9 @@ impl<'a> Course<'a> {
     fn end(&mut self, trouble: &Trouble) {
         match trouble {
             Trouble::Losses(_) => self.lose(0),
-            Trouble::Outages(id, ..) | Trouble::Stalls(id, ..) => self.move_to(*id, self.case.hosts[*id]),
+            Trouble::Outages(id, ..) | Trouble::Stalls(id, ..) => {
+                self.move_to(*id, self.case.hosts[*id].clone())
+            }
             Trouble::Crash(id) => self.restart(*id),
             Trouble::Cut(_) => self.cut_off(&[]),
         }
@@ -215,7 +217,7 @@ impl<'a> Course<'a> {
             let master = (id == 0).then_some(self.case.plan.cycle());
             let now = self.lab.network.now();
             self.members[id] = Some(self.lab.add(id, master, now));
-            self.move_to(id, self.case.hosts[id]);
+            self.move_to(id, self.case.hosts[id].clone());
             self.cut_off(&self.cut.clone());
         }
     }
@@ -303,7 +305,7 @@ impl<'a> Course<'a> {
     /// From now on nothing is lost or late.
     fn settle(&mut self) -> Result<(), String> {
         for id in 0..self.members.len() {
-            self.move_to(id, Host { send_jitter: self.case.hosts[id].send_jitter, ..Host::IDEAL });
+            self.move_to(id, Host { send: self.case.hosts[id].send.clone(), ..Host::IDEAL });
         }
         // Who was woken late, or held up, is back by then.
         for _ in 0..=LONGEST_HOLD_UP {
@@ -351,11 +353,10 @@ impl<'a> Course<'a> {
         );
         for (id, station) in scenario.stations.iter().enumerate() {
             let slots: Vec<_> = station.slots.iter().map(|s| (s.id, s.offset, s.phase, s.period)).collect();
-            let (rounds, drift, host) =
-                (station.rounds, station.clock_drift_ppb, self.case.hosts[id].wake_latency);
+            let (rounds, drift, host) = (station.rounds, station.clock_drift_ppb, &self.case.hosts[id].wake);
             let member = self.members[id];
             text += &format!(
-                "  {id}, now {member:?}: {rounds} rounds, {drift} ppb, wakes in {host}, {slots:?}\n"
+                "  {id}, now {member:?}: {rounds} rounds, {drift} ppb, wakes in {host:?}, {slots:?}\n"
             );
         }
         for fault in &self.case.faults {

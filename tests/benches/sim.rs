@@ -48,7 +48,7 @@ fn main() {
         return;
     }
     let before = resident();
-    let mut world = World::begun(&scenario).expect("such a network can be");
+    let mut world = World::new(&scenario, |_| true).expect("such a network can be");
     let network = &mut world.network;
     network.run_until(network.now() + 20 * cycle);
     let frames = network.traffic().frames;

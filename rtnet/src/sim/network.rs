@@ -233,15 +233,25 @@ impl<D: Discipline> Network<D> {
         }
         let on_wire = now + host.send_delay(&mut self.random) + std::mem::take(&mut seat.stall);
         let after = clock.local(on_wire);
-        if host.guard.is_some_and(|tolerance| after > latest + tolerance) {
+        let leaves = if host.guard.is_some_and(|tolerance| after > latest + tolerance) {
             station.on_sent(Sent::Guarded(after, frame));
+            None
         } else {
             station.on_sent(if after > latest { Sent::StalledUntil(after) } else { Sent::At(before) });
-            self.agenda.put(on_wire, Action::Air { from: id, frame });
-            moment.sent = true;
-        }
-        self.agenda.put(on_wire, Action::Turn(id, number));
+            Some(frame)
+        };
+        moment.sent = leaves.is_some();
         self.attend_to(moment);
+        if on_wire > now {
+            let air = leaves.map(|frame| Action::Air { from: id, frame });
+            air.into_iter().for_each(|air| self.agenda.put(on_wire, air));
+            return self.agenda.put(on_wire, Action::Turn(id, number));
+        }
+        // Nothing happens in between: the agenda need not know.
+        if let Some(frame) = leaves {
+            self.air(id, frame);
+        }
+        self.turn(id, number);
     }
 
     fn attend_to(&mut self, moment: Moment) {

@@ -163,7 +163,14 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     fn new(scenario: &'a Scenario, options: &'a Options) -> Result<Self> {
-        let mut world = World::new(scenario)?;
+        let events = &scenario.conditions.events;
+        // Who is started before anything else happened to it was not there.
+        let is_there = |id: usize| {
+            let own = events.iter().filter(|event| concerns(&event.what, id));
+            let first = own.min_by_key(|event| event.at);
+            first.is_none_or(|first| !first.what.starts().contains(&id))
+        };
+        let mut world = World::new(scenario, is_there)?;
         let names = scenario.stations.iter().map(|station| station.name.clone()).collect();
         let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
         watch.capture = options.pcap.as_deref().map(CaptureFile::create).transpose()?;
@@ -173,41 +180,18 @@ impl<'a> Run<'a> {
         world.network.observe(move |aired| seen.borrow_mut().aired(aired));
         world.network.attend(move |moment, member| told.borrow_mut().attend(moment, member));
         world.network.mourn(move |to, frame| lost.borrow_mut().lost(to, frame));
-        let events = &scenario.conditions.events;
-        let comes_later = |id: &usize| {
-            events.iter().any(|event| {
-                // Who is started before anything else happened to it was not there.
-                let first =
-                    events.iter().filter(|event| concerns(&event.what, *id)).min_by_key(|event| event.at);
-                event.what.starts().contains(id)
-                    && first.is_some_and(|first| first.what.starts().contains(id))
-            })
-        };
-        let present: Vec<bool> = (0..scenario.stations.len()).map(|id| !comes_later(&id)).collect();
         let n = scenario.stations.len();
-        let mut run = Self {
+        Ok(Self {
             scenario,
             options,
             world,
             watch,
             cycle: scenario.cycle.nanos() as u64,
-            present,
+            present: (0..n).map(is_there).collect(),
             anew: vec![false; n],
             before: vec![(0, 0); n],
             over: 0,
-        };
-        for id in 0..n {
-            if run.present[id] {
-                run.start(id, None, 0)?;
-            }
-        }
-        Ok(run)
-    }
-
-    fn start(&mut self, id: usize, grid: Option<(u32, rtnet::time::GlobalTime)>, first: u64) -> Result<()> {
-        let station = self.world.station(self.scenario, id, grid, first)?;
-        self.world.network.restart(id, station);
-        Ok(())
+        })
     }
 
     fn now(&self) -> True {
@@ -374,7 +358,9 @@ impl<'a> Run<'a> {
         watch.analysis.await_again(id, now.wrapping_add(1));
         drop(watch);
         (self.present[id], self.anew[id]) = (true, true);
-        self.start(id, grid, first)
+        let station = self.world.station(self.scenario, id, grid, first)?;
+        self.world.network.restart(id, station);
+        Ok(())
     }
 
     /// Once a cycle: who is back, and who is not locked.

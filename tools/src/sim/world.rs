@@ -37,8 +37,8 @@ pub struct World {
 }
 
 impl World {
-    /// All stations, none of which has begun.
-    pub fn new(scenario: &Scenario) -> Result<Self> {
+    /// All stations; those that are there begin now.
+    pub fn new(scenario: &Scenario, is_there: impl Fn(usize) -> bool) -> Result<Self> {
         let conditions = &scenario.conditions;
         let mut medium =
             Medium { rate: scenario.rate.bits_per_second(), joint: conditions.joint, ..Medium::default() };
@@ -57,7 +57,9 @@ impl World {
             let guard = scenario.is_guarded().then_some(GUARD_TOLERANCE);
             let host = Host { guard, ..conditions.host(id).clone() };
             world.network.add(Member { address, clock, host, station }, UPTIME);
-            world.network.stop(id);
+            if !is_there(id) {
+                world.network.stop(id);
+            }
         }
         for wire in &conditions.wires {
             set_wire(&mut world.network, wire);
@@ -66,16 +68,6 @@ impl World {
             let around_ppb = clock_drift(scenario, id);
             let (every, step_ppb, within_ppb) = (wandering.every, wandering.step_ppb, wandering.within_ppb);
             world.network.wander(id, Wander { every, step_ppb, within_ppb, around_ppb });
-        }
-        Ok(world)
-    }
-
-    /// All stations, which begin now.
-    pub fn begun(scenario: &Scenario) -> Result<Self> {
-        let mut world = Self::new(scenario)?;
-        for id in 0..scenario.stations.len() {
-            let station = world.station(scenario, id, None, 0)?;
-            world.network.restart(id, station);
         }
         Ok(world)
     }

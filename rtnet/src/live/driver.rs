@@ -31,7 +31,7 @@ const RECORDS: usize = 16_384;
 pub struct DriverConfig {
     /// Set to end the loop.
     pub stop: Arc<AtomicBool>,
-    /// Whether to record the estimate of global time at each transmission.
+    /// Whether to record the estimate of global time at each transmission, and how late that was.
     pub sample_time: bool,
     /// Becomes readable at every change of state, so that the control thread need not look all the time.
     pub changed: Option<Arc<EventFd>>,
@@ -44,6 +44,8 @@ pub enum Record {
     Event(Event, Option<Cause>),
     /// The station's estimate of global time at a moment of CLOCK_MONOTONIC.
     Time(True, GlobalTime),
+    /// How much later than it was to be the last look at the clock before a send was, nanoseconds, sent or not.
+    Late(u64),
 }
 
 /// A driver's state as the control thread sees it.
@@ -156,9 +158,13 @@ impl<D: Discipline> Driver<D> {
                 // What is told of last was judged by that look at the clock.
                 (self.looked, self.woke) = (port.clock().truth(*at), port.woke());
             }
+            let late = port.late();
             station.on_sent(sent);
             if !wakes_on_frames {
                 port.drain_data(|rx, frame| station.on_frame(rx, frame));
+            }
+            if self.config.sample_time {
+                self.record(Record::Late(late));
             }
             self.tell(sampled);
             return;

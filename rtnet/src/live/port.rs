@@ -38,6 +38,8 @@ pub struct Port {
     send_cost: Option<True>,
     /// When the last sleep ended.
     woke: True,
+    /// How much later than it was to be its last look at the clock before a send was, nanoseconds.
+    late: u64,
     guard: Option<Guard>,
     guard_refused: Option<String>,
     /// Others are kept off the interface.
@@ -137,6 +139,7 @@ impl Port {
             spin,
             send_cost: None,
             woke: monotonic(),
+            late: 0,
             guard: None,
             guard_refused: None,
             is_alone: false,
@@ -246,6 +249,11 @@ impl Port {
     pub fn woke(&self) -> True {
         self.woke
     }
+    /// How much later than it was to be its last look at the clock before a send was, nanoseconds: the wake-up
+    /// latency, as far as a slot feels it.
+    pub fn late(&self) -> u64 {
+        self.late
+    }
 
     /// Sends a frame at its instant: sleeps, spins, stamps, checks, sends, and looks at the clock again.
     pub fn transmit(&mut self, transmission: Transmission) -> Sent {
@@ -271,6 +279,7 @@ impl Port {
     fn send_at(&mut self, target: True, latest: True, stamp: Option<Stamp>, mut frame: Buf) -> Sent {
         let drops = self.drops();
         let before = spin_until(target);
+        self.late = before.saturating_sub(target);
         let stamped = self.clock.local(before);
         if before > latest {
             return Sent::Late(stamped, frame);

@@ -13,7 +13,9 @@ pub struct Host {
     pub outage_ppm: u32,
     /// Longest outage; the lengths are evenly distributed.
     pub longest_outage: Span,
-    /// From the last look at the clock to the wire.
+    /// From a frame's instant to the last look at the clock before it is sent.
+    pub late: Latency,
+    /// From that look to the wire.
     pub send: Latency,
     /// Transmissions in a million that are held up between that look and the wire.
     pub stall_ppm: u32,
@@ -29,6 +31,7 @@ impl Host {
         wake: Latency::NONE,
         outage_ppm: 0,
         longest_outage: Span::ZERO,
+        late: Latency::NONE,
         send: Latency::NONE,
         stall_ppm: 0,
         longest_stall: Span::ZERO,
@@ -41,6 +44,7 @@ impl Host {
         wake: Latency::Exponential(Span::from_micros(13)),
         outage_ppm: 75,
         longest_outage: Span::from_millis(4),
+        late: Latency::NONE,
         send: Latency::Uniform(Span::ZERO, Span::from_nanos(400)),
         stall_ppm: 2,
         longest_stall: Span::from_millis(4),

@@ -192,7 +192,9 @@ impl<D: Discipline> Network<D> {
         let local = clock.local(now);
         station.on_timeout(local);
         if let Some(chosen) = station.next_transmission(local) {
-            let at = clock.truth(chosen.at).max(now);
+            let at = clock.truth(chosen.at);
+            // Who is late already does not sleep again.
+            let at = if at > now { at + host.late.draw(&mut self.random) } else { now };
             (seat.chosen, seat.woke) = (Some(chosen), now);
             self.agenda.put(at, Action::Send(id, number));
         } else {

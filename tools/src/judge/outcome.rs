@@ -58,6 +58,8 @@ pub struct Facts {
     pub payload_errors: u64,
     /// Estimated - true global time.
     pub sync_error: SignedHistogram,
+    /// How much later than it was to be its last look at the clock before a send was.
+    pub late: SignedHistogram,
     /// Resident memory, bytes.
     pub resident: u64,
     /// Processor time of the whole process, seconds.
@@ -117,6 +119,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.slot_error_ns = all.slot_error.summary();
     figures.slot_error_abs_ns = all.slot_error_abs.summary();
     figures.sync_error_ns = all.sync_error.summary();
+    figures.wake_latency = wake_latency(&parts.stations);
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     figures.unexplained = analysis.findings_dropped;
     use EventKind::{ReplyFailed, SendFailed, SlotEmpty, SlotSilent, TurnLeft};
@@ -149,6 +152,13 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     }
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
     Outcome { figures, slot_error_abs: all.slot_error_abs }
+}
+
+/// Of all stations, as hosts of simulations take it: ranges of nanoseconds, and how many there were.
+fn wake_latency(stations: &[Facts]) -> Vec<(u64, u64, u64)> {
+    let mut all = SignedHistogram::new();
+    stations.iter().for_each(|station| all.merge(&station.late));
+    all.iter().map(|(late, n)| (late.unsigned_abs(), late.unsigned_abs(), n)).collect()
 }
 
 /// Over all stations.

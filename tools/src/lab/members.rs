@@ -47,6 +47,8 @@ pub struct Member {
     pub standing_at_end: Option<Standing>,
     pub lost_at_end: bool,
     pub sync_error: SignedHistogram,
+    /// How late it was for its sends.
+    pub late: SignedHistogram,
     pub failed: Option<String>,
     /// Its process ended before it was told to.
     pub ended: bool,
@@ -87,6 +89,7 @@ impl Member {
             standing_at_end: None,
             lost_at_end: false,
             sync_error: SignedHistogram::new(),
+            late: SignedHistogram::new(),
             failed: None,
             ended: false,
             silent: false,
@@ -225,6 +228,7 @@ impl Member {
             delay_ns: standing.and_then(|standing| standing.delay_ns),
             payload_errors: self.payload_errors(),
             sync_error: self.sync_error.clone(),
+            late: self.late.clone(),
             resident: self.resident,
             cpu_seconds: self.cpu_seconds,
             rt_cpu_share: self.rt_cpu_share(),
@@ -290,7 +294,10 @@ impl Member {
                 }
             }
             Some(Report::Link { carrier, .. }) => self.cuts += u32::from(!carrier),
-            Some(Report::Times(_)) => {}
+            Some(Report::Late(all)) if self.counting => {
+                all.into_iter().for_each(|late| self.late.record(late.try_into().unwrap_or(i64::MAX)));
+            }
+            Some(Report::Times(_) | Report::Late(_)) => {}
         }
     }
 

@@ -74,6 +74,10 @@ pub struct Figures {
     pub causes: BTreeMap<String, u64>,
     /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
     pub misses: Vec<Miss>,
+    /// How much later than it was to be the last look at the clock before each send was, all stations: ranges of
+    /// nanoseconds, lowest and highest, and how many. A simulation's hosts draw from it: `late = "recorded FILE"`.
+    #[serde(default)]
+    pub wake_latency: Vec<(u64, u64, u64)>,
 }
 
 impl Figures {

@@ -77,6 +77,8 @@ pub enum Report {
     Events(Vec<EventTold>),
     /// Estimates of global time: CLOCK_MONOTONIC, estimate.
     Times(Vec<(u64, u64)>),
+    /// How much later than they were to be its last looks at the clock before sends were, nanoseconds.
+    Late(Vec<u64>),
     /// Where it stands.
     Standing(Box<Standing>),
     /// Frames can pass at its interface again, or cannot any more.
@@ -186,13 +188,14 @@ impl Standing {
 
 /// Sorts records into the lines that tell of them.
 pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
-    let (mut events, mut times) = (Vec::new(), Vec::new());
+    let (mut events, mut times, mut late) = (Vec::new(), Vec::new(), Vec::new());
     for record in records {
         match record {
             Record::Event(Event { cycle, kind, slot, span }, cause) => {
                 events.push((cycle, slot, number(kind), span.nanos(), cause.map(|cause| cause as u8)));
             }
             Record::Time(at, global) => times.push((at, global.nanos())),
+            Record::Late(by) => late.push(by),
         }
     }
     let mut lines = Vec::new();
@@ -201,6 +204,9 @@ pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
     }
     if !times.is_empty() {
         lines.push(Report::Times(times));
+    }
+    if !late.is_empty() {
+        lines.push(Report::Late(late));
     }
     lines
 }

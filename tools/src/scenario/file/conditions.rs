@@ -9,6 +9,7 @@
 //!
 //! [host]                    # of all stations; host = { ... } of a [[station]] is its own
 //! wake = "exponential 13us" # or "constant T", "uniform T T", "normal MEAN SD", "recorded FILE"
+//! late = "recorded lab.json" # from a frame's instant to the last look at the clock, as `lab run --json` recorded it
 //! send = "uniform 0us 0.4us"
 //! outages = { ppm = 75, longest = "4ms" }
 //! stalls = { ppm = 2, longest = "4ms" }
@@ -73,6 +74,7 @@ enum JointFile {
 #[serde(deny_unknown_fields)]
 pub struct HostFile {
     wake: Option<Spanned<String>>,
+    late: Option<Spanned<String>>,
     send: Option<Spanned<String>>,
     outages: Option<OutagesFile>,
     stalls: Option<OutagesFile>,
@@ -234,6 +236,7 @@ impl Reader<'_> {
             wake: latency(&file.wake)?,
             outage_ppm: outages.map_or(0, |outages| outages.ppm),
             longest_outage: outages.map_or(Span::ZERO, |outages| outages.longest.0),
+            late: latency(&file.late)?,
             send: latency(&file.send)?,
             stall_ppm: stalls.map_or(0, |stalls| stalls.ppm),
             longest_stall: stalls.map_or(Span::ZERO, |stalls| stalls.longest.0),

@@ -11,6 +11,7 @@ use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
 use crate::report::screen;
 use crate::scenario::{self, MAX_LAB_STATIONS, Scenario, Uniform};
+use crate::sim;
 
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_SEED: u64 = 1;
@@ -23,7 +24,12 @@ const JOINING_CYCLES: i64 = 250;
 pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
     let (scenario, options) = prepared(args).map_err(Failure::Usage)?;
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
-    let outcome = lab.run(&scenario).map_err(Failure::Run)?;
+    let mut outcome = lab.run(&scenario).map_err(Failure::Run)?;
+    let expected = sim::of_lab(&scenario, &outcome.figures);
+    let failed = expected.iter().filter(|checked| !checked.holds).map(sim::Checked::reason);
+    let verdict = &mut outcome.figures.verdict;
+    verdict.reasons.extend(failed);
+    verdict.ok = verdict.reasons.is_empty();
     if let Some(path) = &args.json {
         write_json(path, &outcome.figures).map_err(Failure::Run)?;
     }

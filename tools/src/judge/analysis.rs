@@ -135,6 +135,11 @@ impl Analysis {
         self.givers.now()
     }
 
+    /// From one cycle's start to the next.
+    pub fn cycle(&self) -> Span {
+        self.cycle
+    }
+
     /// The cycle of the newest Synchronisation.
     pub fn current(&self) -> Option<u32> {
         self.current

@@ -78,7 +78,7 @@ pub struct Facts {
     pub clock_steps: u64,
     /// Events that it could not tell of.
     pub lost_records: u64,
-    /// Frames for it that a simulation lost on purpose.
+    /// Frames for it that a simulation lost on purpose, or a cut wire.
     pub lost_on_purpose: u64,
     /// What is wrong with it, a sentence without a full stop.
     pub reproach: Option<String>,

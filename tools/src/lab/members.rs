@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use rtmac::tdma::LatePolicy;
 use rtnet::clock::{EmulatedClock, True};
-use rtnet::discipline::{Cause, Event, EventKind};
+use rtnet::discipline::{Cause, Event};
 use rtnet::live::Record;
 use rtnet::live::clock::monotonic;
 use rtnet::time::{GlobalTime, Offset, Span};
@@ -18,6 +18,7 @@ use crate::judge::delivery::Heard;
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::givers::{TrueMaster, same_time};
+use crate::judge::noteworthy::Noteworthy;
 use crate::judge::outcome::Facts;
 use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
@@ -40,8 +41,8 @@ pub struct Member {
     pub guarded: bool,
     /// What the host refused it.
     pub refused: Vec<String>,
-    /// What a reader of the report should know.
-    pub notes: Vec<String>,
+    /// What it told of that a reader of the report should know.
+    pub noteworthy: Noteworthy,
     pub standing: Option<Standing>,
     pub standing_at_begin: Option<Standing>,
     pub standing_at_end: Option<Standing>,
@@ -70,6 +71,8 @@ pub struct Member {
     synchronised_at: Option<True>,
     counting: bool,
     told_to_end: bool,
+    /// It was ended because its scenario says so.
+    is_meant_to_end: bool,
     /// It was stopped by somebody, so that there was no other way.
     was_killed: bool,
     /// Test traffic that was not what was sent, in those processes.
@@ -83,7 +86,7 @@ impl Member {
             namespace,
             guarded: false,
             refused: Vec::new(),
-            notes: Vec::new(),
+            noteworthy: Noteworthy::default(),
             standing: None,
             standing_at_begin: None,
             standing_at_end: None,
@@ -103,6 +106,7 @@ impl Member {
             synchronised_at: None,
             counting: false,
             told_to_end: false,
+            is_meant_to_end: false,
             was_killed: false,
             former_errors: 0,
         }
@@ -115,6 +119,7 @@ impl Member {
         self.restarts += 1;
         (self.standing, self.standing_at_begin) = (None, None);
         (self.failed, self.ended, self.silent, self.told_to_end) = (None, false, false, false);
+        self.is_meant_to_end = false;
     }
 
     pub fn pid(&self) -> u32 {
@@ -154,6 +159,14 @@ impl Member {
         self.resident = self.process.as_ref().and_then(Process::resident).unwrap_or(0);
     }
 
+    /// Ends it at once, as its scenario says.
+    pub fn kill(&mut self) {
+        self.is_meant_to_end = true;
+        if let Some(process) = &mut self.process {
+            process.kill();
+        }
+    }
+
     pub fn tell_to_end(&mut self) {
         self.told_to_end = true;
         if let Some(process) = &mut self.process {
@@ -173,7 +186,11 @@ impl Member {
 
     /// It was told to end: whether it did, and well.
     pub fn see_it_end(&mut self) {
-        let Some(process) = self.process.as_mut().filter(|_| !self.ended && !self.was_killed) else { return };
+        let Some(process) =
+            self.process.as_mut().filter(|_| !self.ended && !self.was_killed && !self.is_meant_to_end)
+        else {
+            return;
+        };
         self.failed = process.outcome(if self.silent { END_WITHIN } else { Duration::ZERO }).err();
         self.ended = self.failed.is_some();
     }
@@ -233,12 +250,13 @@ impl Member {
             cpu_seconds: self.cpu_seconds,
             rt_cpu_share: self.rt_cpu_share(),
             sequence_gaps: self.sequence_gaps(),
-            heard: (!self.ended).then(|| self.heard()),
+            heard: (!self.ended && !self.is_meant_to_end).then(|| self.heard()),
             refusals: standing.map(|standing| standing.refusals.clone()).unwrap_or_default(),
-            notes: [&self.refused[..], &self.notes[..]].concat(),
+            notes: self.refused.iter().cloned().chain(self.noteworthy.lines()).collect(),
             clock_steps: standing.map_or(0, |standing| standing.clock_steps),
             lost_records: standing.map_or(0, |standing| standing.lost_records),
-            lost_on_purpose: 0,
+            // While a wire is cut nobody knows what would have been heard.
+            lost_on_purpose: if self.cuts > 0 { u64::MAX } else { 0 },
             reproach: self.reproach(name, is_judged),
         }
     }
@@ -250,7 +268,7 @@ impl Member {
             let remedy = "its last words, if any, are above; run the lab again";
             Some(format!("station '{name}' (process {}) was lost: {remedy}", self.pid()))
         } else {
-            let is_lost = is_judged && self.lost_at_end;
+            let is_lost = is_judged && self.lost_at_end && !self.is_meant_to_end;
             is_lost.then(|| format!("station '{name}' was not synchronised at the end"))
         }
     }
@@ -265,7 +283,7 @@ impl Member {
     ) {
         match report {
             None => {
-                self.ended = !self.told_to_end;
+                self.ended = !self.told_to_end && !self.is_meant_to_end;
                 self.silent = true;
             }
             Some(Report::Started { guarded, refused }) => (self.guarded, self.refused) = (guarded, refused),
@@ -308,22 +326,7 @@ impl Member {
             *self.events.entry(kind.name().into()).or_default() += 1;
             self.misses.note(&[Record::Event(event, cause)]);
         }
-        let worth_knowing = [
-            EventKind::SyncLost,
-            EventKind::SendFailed,
-            EventKind::ReplyFailed,
-            EventKind::CalibrationTimeout,
-            EventKind::OtherMaster,
-            EventKind::JointDetached,
-            EventKind::TookOver,
-            EventKind::Yielded,
-        ];
-        if worth_knowing.contains(&kind) {
-            let note = format!("{} in cycle {cycle}", kind.name());
-            if self.notes.len() < 20 {
-                self.notes.push(note);
-            }
-        }
+        self.noteworthy.note(kind, cycle);
     }
 }
 

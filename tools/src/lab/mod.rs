@@ -14,6 +14,7 @@
 //! The namespaces have no names: they go with the last process inside, however it ends.
 
 pub mod enter;
+mod faults;
 mod keep;
 mod load;
 mod members;

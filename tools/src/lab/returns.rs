@@ -91,10 +91,15 @@ impl Lab {
         }
     }
 
+    /// Whether its master is there.
+    pub(super) fn has_master(&self) -> bool {
+        !self.records.absences.open().any(|(station, ..)| station == 0)
+    }
+
     /// A lab that ends without its master ends now, not with the last Synchronisation.
     pub(super) fn note_end_without_master(&mut self) {
         let now = self.analysis.cycle_at(monotonic());
-        if let (Some(now), true) = (now, self.records.absences.open().any(|(station, ..)| station == 0)) {
+        if let (Some(now), false) = (now, self.has_master()) {
             self.analysis.advance_to(now);
         }
     }

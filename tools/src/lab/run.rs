@@ -8,11 +8,13 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use rtnet::clock::True;
 use rtnet::live::clock::{WallClock, monotonic, realtime};
 use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
 use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
+use super::faults::{Play, only_simulated};
 use super::load::{load, too_much};
 use super::members::{Launch, Member, Resume, arguments, lost_at_most};
 use super::namespace::{Namespace, Segment};
@@ -47,6 +49,8 @@ const CALIBRATION_ALLOWANCE: u32 = 3;
 const LINGER: Duration = Duration::from_millis(100);
 /// Frames that the kernel stamped before a step of the wall clock may still come out of the ring for so long.
 const DISTRUST: Duration = Duration::from_millis(100);
+/// A lab without its master ends so much later than it was to, without a sync that says so.
+const END_WITHOUT_MASTER: True = 100_000_000;
 /// Progress is shown so often on anything that takes longer than this.
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
@@ -98,6 +102,8 @@ pub struct Lab {
     pub(super) declared: Option<Load>,
     pub(super) interrupted: Arc<AtomicBool>,
     next_progress: Option<Instant>,
+    /// What is still to happen to it.
+    pub(super) play: Play,
 }
 
 impl Lab {
@@ -118,7 +124,7 @@ impl Lab {
         if !cpus.contains(&cpu) {
             bail!("there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
         }
-        let mut notes = Vec::new();
+        let mut notes = only_simulated(&scenario.conditions);
         if let Err(error) = avoid(cpu) {
             notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
         }
@@ -188,6 +194,7 @@ impl Lab {
             load,
             declared,
             interrupted,
+            play: Play::default(),
             next_progress: options.progress.then(|| Instant::now() + PROGRESS_EVERY),
         })
     }
@@ -250,11 +257,14 @@ impl Lab {
     fn measure(&mut self, scenario: &Scenario) -> Result<()> {
         let cycles =
             (scenario.duration.nanos() / scenario.cycle.nanos()).clamp(1, i64::from(i32::MAX)) as u32;
-        self.begin(cycles)?;
+        let begin = self.begin(cycles)?;
+        self.prepare(scenario, begin);
+        let end = begin + scenario.duration.nanos() as u64 + END_WITHOUT_MASTER;
         let allowed = Duration::from_nanos(scenario.duration.nanos() as u64) * 2 + JOIN_WITHIN;
         let deadline = Instant::now() + allowed;
-        while !self.analysis.is_complete() {
+        while !self.analysis.is_complete() && (self.has_master() || monotonic() < end) {
             self.look();
+            self.play(scenario)?;
             let ended = self.members.iter().any(|member| member.ended);
             if ended || self.interrupted.load(Ordering::Relaxed) || Instant::now() > deadline {
                 break;
@@ -263,6 +273,7 @@ impl Lab {
             let findings = self.analysis.findings.len();
             self.show_progress(|| format!("cycle {done} of {cycles}, {findings} misses"));
         }
+        self.note_end_without_master();
         self.analysis.end();
         for member in &mut self.members {
             member.stop_counting(
@@ -272,12 +283,12 @@ impl Lab {
         Ok(())
     }
 
-    /// From here on, for so many cycles, all counts.
-    pub(super) fn begin(&mut self, cycles: u32) -> Result<()> {
-        let current = self.analysis.current().context("stations are locked, but no sync was seen")?;
+    /// From here on, for so many cycles, all counts: when the first of them begins.
+    pub(super) fn begin(&mut self, cycles: u32) -> Result<True> {
+        let (current, start) = self.analysis.grid().context("stations are locked, but no sync was seen")?;
         self.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
         self.members.iter_mut().for_each(Member::begin);
-        Ok(())
+        Ok(self.analysis.truth().truth(start + self.analysis.cycle() * i64::from(SETTLE_CYCLES)))
     }
 
     /// Ends every station, and takes what it still has to tell.

@@ -140,6 +140,25 @@ impl Measure {
         of_stations.contains(&self)
     }
 
+    /// Whether a lab measures it, too.
+    pub fn is_of_labs(self) -> bool {
+        use Measure::*;
+        let of_labs = [
+            Overlaps,
+            OutOfSlot,
+            Unexplained,
+            SlotsMissed,
+            Overruns,
+            FramesLost,
+            FramesSeen,
+            PayloadErrors,
+            SyncError,
+            SlotError,
+            LatestFrame,
+        ];
+        of_labs.contains(&self)
+    }
+
     /// Whether it is a time, not a count.
     pub fn is_time(self) -> bool {
         use Measure::*;

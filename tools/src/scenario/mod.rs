@@ -1,6 +1,7 @@
 //! What a network is: the stations, their slots, their clocks, and what they go through. Made from command-line options or from a
 //! file; one form for labs and simulations.
 
+mod acts;
 mod conditions;
 mod expectation;
 mod file;
@@ -16,6 +17,7 @@ use serde::Deserialize;
 
 use crate::report::figures::Role;
 
+pub use acts::{Act, Part, acts, over};
 pub use conditions::{Conditions, Direction, Event, Happening, Wandering, Wire};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Source, load, parse_phase};

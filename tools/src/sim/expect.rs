@@ -2,12 +2,21 @@
 
 use serde::Serialize;
 
-use super::run::SimFigures;
+use super::run::{SimFigures, Simulation};
 use crate::judge::findings::{Finding, FindingKind};
+use crate::report::figures::Figures;
 use crate::scenario::{Expectation, Measure, Scenario};
 
 /// What "never" is as a figure.
 pub const NEVER: i64 = i64::MAX;
+
+impl Checked {
+    /// Why a run is not as expected.
+    pub fn reason(&self) -> String {
+        let of = self.station.as_ref().map_or(String::new(), |name| format!(" of '{name}'"));
+        format!("line {}: expected {}{of}, found {}", self.line, self.expected, self.found)
+    }
+}
 
 /// An expectation, and what was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -26,8 +35,24 @@ pub struct Checked {
     pub cycle: Option<u32>,
 }
 
+/// What a lab can show of the expectations of its scenario: it knows nothing of what only a simulation measures.
+pub fn of_lab(scenario: &Scenario, figures: &Figures) -> Vec<Checked> {
+    let run = SimFigures { figures: figures.clone(), simulation: Simulation::default() };
+    let shown = |expected: &&Expectation| expected.measure.is_of_labs();
+    check_those(scenario, &run, &[], scenario.conditions.expectations.iter().filter(shown))
+}
+
 /// All expectations of a scenario, in the order of its file.
 pub fn check(scenario: &Scenario, figures: &SimFigures, findings: &[Finding]) -> Vec<Checked> {
+    check_those(scenario, figures, findings, scenario.conditions.expectations.iter())
+}
+
+fn check_those<'a>(
+    scenario: &Scenario,
+    figures: &SimFigures,
+    findings: &[Finding],
+    expectations: impl Iterator<Item = &'a Expectation>,
+) -> Vec<Checked> {
     let check = |expected: &Expectation| {
         let found = figure(figures, expected.measure, expected.station);
         let holds = found.is_some_and(|found| expected.holds(found));
@@ -43,7 +68,7 @@ pub fn check(scenario: &Scenario, figures: &SimFigures, findings: &[Finding]) ->
             cycle: if holds { None } else { place(figures, findings, expected) },
         }
     };
-    scenario.conditions.expectations.iter().map(check).collect()
+    expectations.map(check).collect()
 }
 
 /// A figure of a run; none if there was nothing to measure.
@@ -54,7 +79,7 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
         Some(summary.min?.saturating_abs().max(summary.max?.saturating_abs()))
     };
     if let Some(of) = station {
-        let (seen, own) = (&run.per_station[of], &figures.simulation.stations[of]);
+        let (seen, own) = (&run.per_station[of], figures.simulation.stations.get(of));
         return match measure {
             Measure::SlotsMissed => count(seen.slots_missed),
             Measure::Overruns => count(seen.overruns),
@@ -63,9 +88,9 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
             Measure::PayloadErrors => count(seen.payload_errors),
             Measure::SyncError => extreme(&seen.sync_error_ns),
             Measure::SlotError => extreme(&seen.slot_error_ns),
-            Measure::Locked => Some(own.is_locked().into()),
-            Measure::Masters => Some(own.gives_time.into()),
-            Measure::Stray => count(own.stray),
+            Measure::Locked => Some(own?.is_locked().into()),
+            Measure::Masters => Some(own?.gives_time.into()),
+            Measure::Stray => count(own?.stray),
             _ => None,
         };
     }

@@ -4,18 +4,18 @@
 //! ```text
 //!   scenario ──► world: rtnet::sim::Network ──frames, moments──► watch ─► judge ─► figures
 //!                  ▲                                               │
-//!                script: what happens when                         └─► oracle ─► expectations
+//!                faults: what happens to it                         └─► oracle ─► expectations
 //! ```
 
 mod expect;
+mod faults;
 mod oracle;
 mod run;
 pub mod screen;
-mod script;
 mod watch;
 mod world;
 
-pub use expect::Checked;
+pub use expect::{Checked, of_lab};
 pub use oracle::Takeover;
 pub use run::{Ended, Options, SimFigures, Simulation, run};
 pub use world::{World, discipline};

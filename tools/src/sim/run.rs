@@ -14,8 +14,8 @@ use rtnet::time::Span;
 use serde::Serialize;
 
 use super::expect::{self, Checked};
+use super::faults;
 use super::oracle::Takeover;
-use super::script::{self, Act, Part};
 use super::watch::Watch;
 use super::world::{UPTIME, World};
 use crate::judge::absences::Absence;
@@ -27,7 +27,7 @@ use crate::report::capture::CaptureFile;
 use crate::report::figures::{Figures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
-use crate::scenario::{Happening, Scenario};
+use crate::scenario::{Act, Happening, Part, Scenario, acts, over};
 
 /// Cycles between the moment when all are locked and the begin of the measurement.
 const SETTLE_CYCLES: u32 = 10;
@@ -267,8 +267,8 @@ impl<'a> Run<'a> {
         if let Some(until) = self.options.until {
             end = end.min(UPTIME + until.nanos() as u64);
         }
-        self.over = begin + script::over(self.scenario).nanos() as u64;
-        let mut acts = script::acts(self.scenario, begin).into_iter().peekable();
+        self.over = begin + over(&self.scenario.conditions.events).nanos() as u64;
+        let mut acts = acts(&self.scenario.conditions.events, begin).into_iter().peekable();
         while self.now() < end {
             let next = (self.now() + self.cycle).min(end);
             while let Some(act) = acts.next_if(|act| act.at <= next) {
@@ -335,7 +335,7 @@ impl<'a> Run<'a> {
             Happening::Cut(..) => self.watch.borrow_mut().oracle.is_cut = act.part == Part::Begin,
             _ => {}
         }
-        script::act(&mut self.world.network, self.scenario, what, act.part);
+        faults::act(&mut self.world.network, self.scenario, what, act.part);
         Ok(())
     }
 
@@ -480,7 +480,7 @@ impl<'a> Run<'a> {
             sequence_gaps: missing.saturating_sub(self.before[id].1),
             heard: Some(Heard { received, range, anew: self.anew[id] }),
             refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
-            notes: watch.notes(id),
+            notes: watch.noteworthy[id].lines().collect(),
             lost_records: status.events_lost,
             lost_on_purpose: watch.lost_on_purpose[id],
             reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
@@ -503,10 +503,5 @@ fn concerns(what: &Happening, id: usize) -> bool {
 
 /// By what was expected, and nothing else.
 fn verdict(expectations: &[Checked]) -> Verdict {
-    let failed = expectations.iter().filter(|checked| !checked.holds);
-    let reason = |checked: &Checked| {
-        let of = checked.station.as_ref().map_or(String::new(), |name| format!(" of '{name}'"));
-        format!("line {}: expected {}{of}, found {}", checked.line, checked.expected, checked.found)
-    };
-    Verdict::from_reasons(failed.map(reason).collect())
+    Verdict::from_reasons(expectations.iter().filter(|checked| !checked.holds).map(Checked::reason).collect())
 }

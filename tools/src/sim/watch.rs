@@ -1,10 +1,8 @@
 //! Who watches a network in virtual time: sees every frame, and hears what every station tells.
 
-use std::collections::BTreeMap;
-
 use rtmac::tdma::Tdma;
 use rtnet::clock::True;
-use rtnet::discipline::{Cause, Discipline, EventKind, SyncState};
+use rtnet::discipline::{Cause, Discipline, SyncState};
 use rtnet::sim::{Aired, Member, Moment, StationId};
 use rtnet::wire::ethernet::Header;
 
@@ -13,6 +11,7 @@ use super::world::{EPOCH, UPTIME};
 use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
+use crate::judge::noteworthy::Noteworthy;
 use crate::observe::decode::decode;
 use crate::report::capture::CaptureFile;
 use crate::report::histogram::SignedHistogram;
@@ -27,8 +26,8 @@ pub struct Watch {
     pub oracle: Oracle,
     /// Estimated - true global time, by station.
     pub sync_error: Vec<SignedHistogram>,
-    /// What a reader of the report should know, by station: what it told of, in which cycles, and how often.
-    pub told: Vec<BTreeMap<EventKind, (u64, Vec<u32>)>>,
+    /// What a reader of the report should know, by station.
+    pub noteworthy: Vec<Noteworthy>,
     /// Deliveries of test traffic that were lost on purpose, by receiver.
     pub lost_on_purpose: Vec<u64>,
     /// Where to write every frame, and why that failed.
@@ -44,8 +43,6 @@ pub struct Watch {
     names: Vec<String>,
 }
 
-/// Cycles that are told one by one.
-const CYCLES_AT_MOST: usize = 5;
 /// Frames that are shown around a place.
 const LINES_AT_MOST: usize = 100;
 
@@ -57,7 +54,7 @@ impl Watch {
             records,
             oracle: Oracle::default(),
             sync_error: names.iter().map(|_| SignedHistogram::new()).collect(),
-            told: vec![BTreeMap::new(); names.len()],
+            noteworthy: vec![Noteworthy::default(); names.len()],
             lost_on_purpose: vec![0; names.len()],
             capture: None,
             capture_failed: None,
@@ -90,7 +87,9 @@ impl Watch {
             let late = event.kind.is_miss().then(|| why_late(moment, event.span.nanos()));
             let author = Author { station, cycle: event.cycle, slot: event.slot };
             self.records.note(author, event.kind, event.span, event.kind.cause().or(late));
-            self.remember(station, event.kind, event.cycle);
+            if self.counting {
+                self.noteworthy[station].note(event.kind, event.cycle);
+            }
         }
         if !moment.sent {
             return;
@@ -114,37 +113,6 @@ impl Watch {
             What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
             _ => {}
         }
-    }
-
-    fn remember(&mut self, station: StationId, kind: EventKind, cycle: u32) {
-        use EventKind::*;
-        let worth_knowing = [
-            SyncLost,
-            SendFailed,
-            ReplyFailed,
-            CalibrationTimeout,
-            OtherMaster,
-            TookOver,
-            SteppedDown,
-            Yielded,
-        ];
-        if self.counting && worth_knowing.contains(&kind) {
-            let (n, cycles) = self.told[station].entry(kind).or_default();
-            *n += 1;
-            if cycles.len() < CYCLES_AT_MOST {
-                cycles.push(cycle);
-            }
-        }
-    }
-
-    /// What a reader of the report should know of a station.
-    pub fn notes(&self, station: StationId) -> Vec<String> {
-        let note = |(kind, (n, cycles)): (&EventKind, &(u64, Vec<u32>))| {
-            let list = cycles.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-            let more = if *n > cycles.len() as u64 { format!(", ... ({n} times)") } else { String::new() };
-            format!("{} in cycle {list}{more}", kind.name())
-        };
-        self.told[station].iter().map(note).collect()
     }
 
     fn note_around(&mut self, aired: &Aired<'_>) {

@@ -1,65 +1,11 @@
-//! What happens when: the events of a scenario, each with its begin and its end.
+//! The events of a scenario, played in virtual time.
 
 use rtmac::tdma::Tdma;
-use rtnet::clock::True;
 use rtnet::sim::{Link, Network};
-use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType, Header, MIN_FRAME};
 use zerocopy::IntoBytes;
 
-use crate::scenario::{Happening, Scenario, Wire};
-
-/// One thing to do.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Act {
-    /// When, in true time.
-    pub at: True,
-    /// The event's place in the scenario.
-    pub event: usize,
-    /// What of it.
-    pub part: Part,
-}
-
-/// A part of an event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    /// It begins.
-    Begin,
-    /// Once more of what it does again and again.
-    Again,
-    /// It is over.
-    End,
-}
-
-/// Everything that is to be done, in order.
-pub fn acts(scenario: &Scenario, begin: True) -> Vec<Act> {
-    let mut acts = Vec::new();
-    for (event, plan) in scenario.conditions.events.iter().enumerate() {
-        for instant in plan.instants() {
-            let at = |span: Span| begin + (instant + span).nanos().max(0) as u64;
-            let mut act = |span, part| acts.push(Act { at: at(span), event, part });
-            act(Span::ZERO, Part::Begin);
-            if let Happening::Babble(_, lasts, every) = plan.what {
-                let mut span = every;
-                while span < lasts {
-                    act(span, Part::Again);
-                    span = span + every;
-                }
-            }
-            if plan.what.lasts() > Span::ZERO {
-                act(plan.what.lasts(), Part::End);
-            }
-        }
-    }
-    // Of one instant in the order of the file; what ends, ends before what begins.
-    acts.sort_by_key(|act| (act.at, act.part != Part::End));
-    acts
-}
-
-/// When the last of all events is over, after the begin.
-pub fn over(scenario: &Scenario) -> Span {
-    scenario.conditions.events.iter().map(crate::scenario::Event::is_over).max().unwrap_or(Span::ZERO)
-}
+use crate::scenario::{Happening, Part, Scenario, Wire};
 
 /// Does what concerns only the network; what stations there are is somebody else's.
 pub fn act(network: &mut Network<Tdma>, scenario: &Scenario, what: &Happening, part: Part) {

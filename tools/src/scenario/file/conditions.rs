@@ -395,10 +395,10 @@ impl Reader<'_> {
         let refuse = |what: String| self.source.impossible(at, what);
         let known = Measure::by_name(name).filter(|measure| station.is_none() || measure.is_of_stations());
         let Some(measure) = known else {
-            let of = if station.is_some() { "of a station" } else { "" };
+            let of = if station.is_some() { "of a station " } else { "" };
             let names = Measure::ALL.iter().filter(|(of, _)| station.is_none() || of.is_of_stations());
             let names: Vec<_> = names.map(|&(_, name)| name).collect();
-            return Err(refuse(format!("nothing {of} is called '{name}': expect {}", names.join(", "))));
+            return Err(refuse(format!("nothing {of}is called '{name}': expect {}", names.join(", "))));
         };
         let text = match figure.get_ref() {
             Figure::Count(count) => count.to_string(),
@@ -452,3 +452,6 @@ fn hex(text: &str) -> Result<Vec<u8>, String> {
         "a frame to inject is 14 to 1514 bytes as hexadecimal digits, from its destination on".to_owned()
     })
 }
+
+#[cfg(test)]
+mod tests;

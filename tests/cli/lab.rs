@@ -269,3 +269,38 @@ fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
         assert!(screen.contains("unexplained 0,"), "{screen}");
     });
 }
+
+#[test]
+fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
+    network("a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot", || {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/faults.toml");
+        let directory = tempfile::tempdir().unwrap();
+        let json = directory.path().join("report.json");
+        let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+        let reasons = &report["verdict"]["reasons"];
+        assert!(output.status.success(), "{reasons} {text}");
+        assert_eq!((&report["unexplained"], &report["overlaps"]), (&0.into(), &0.into()));
+        let causes = &report["causes"];
+        for cause in ["station_down", "no_carrier"] {
+            assert!(causes[cause].as_u64() > Some(0), "{causes}");
+        }
+        let missed = |station: usize| report["per_station"][station]["slots_missed"].as_u64().unwrap();
+        assert!(missed(0) >= 120, "dead for 125 cycles and more, until it has calibrated: {}", missed(0));
+        assert!(missed(2) >= 24 + 120, "stopped for 25 cycles, and dead for the last 125: {}", missed(2));
+        assert!(missed(3) >= 45, "without a carrier for 50: {}", missed(3));
+        for only in ["takeovers of line 56", "the event of line 44"] {
+            assert!(
+                text.contains(&format!("only in a simulation (rtnet sim run), and not here: {only}")),
+                "{text}"
+            );
+        }
+        let wakes = report["wake_latency"].as_array().unwrap();
+        let recorded: u64 = wakes.iter().map(|range| range[2].as_u64().unwrap()).sum();
+        assert!(recorded >= 3_500, "one for each frame and sync: {recorded}");
+
+        let simulated = rtnet().args(["sim", "run"]).arg(&scenario).output().unwrap();
+        assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stdout));
+    });
+}

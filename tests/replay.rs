@@ -84,7 +84,7 @@ fn slave(start: Instant) -> Bench<Tdma> {
     let latest = Span::from_micros(100);
     let tdma = Tdma::new(&TdmaConfig {
         address,
-        role: RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None }),
+        role: RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() }),
         slots: vec![SlotConfig { id: 0, offset: OFFSET, phase: 0, period: 1, size: 64, joint: None, latest }],
         max_slot_id: DEFAULT_MAX_SLOT_ID,
         lead: DEFAULT_LEAD,

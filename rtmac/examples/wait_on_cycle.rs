@@ -20,8 +20,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MasterConfig, RoleConfig, SlaveConfig,
-    SlotConfig, Tdma, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MasterConfig,
+    RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::live::clock::{monotonic, realtime};
@@ -68,7 +68,7 @@ fn driver(name: &str, is_slave: bool, stop: Arc<AtomicBool>) -> Result<Driver<Td
     let interface = Interface::find(name)?;
     let clock = EmulatedClock::default();
     let latest = Span::from_micros(50);
-    let follow = SlaveConfig { rounds: DEFAULT_ROUNDS, step_limit: None };
+    let follow = SlaveConfig { rounds: DEFAULT_ROUNDS, ..SlaveConfig::default() };
     let epoch = Offset::between(Instant::from_nanos(monotonic()), GlobalTime::from_nanos(realtime()));
     let master = MasterConfig {
         cycle: CYCLE,
@@ -78,6 +78,7 @@ fn driver(name: &str, is_slave: bool, stop: Arc<AtomicBool>) -> Result<Driver<Td
         resume: None,
         backup: None,
         backups_from: None,
+        max_requests: DEFAULT_MAX_REQUESTS,
         follow,
     };
     let slot = SlotConfig {

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRole, RoleConfig, SlaveConfig,
-    SlotConfig, Tdma, TdmaCommand, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRole, RoleConfig,
+    SlaveConfig, SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::SyncState;
@@ -115,9 +115,10 @@ fn role(station: usize) -> RoleConfig {
             resume: None,
             backup: None,
             backups_from: None,
-            follow: SlaveConfig { rounds: 0, step_limit: None },
+            max_requests: DEFAULT_MAX_REQUESTS,
+            follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
         }),
-        _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE) }),
+        _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE), ..SlaveConfig::default() }),
     }
 }
 

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaCommand, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRounds, RoleConfig,
+    SlaveConfig, SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Discipline, Sent, SyncState, Transmission};
@@ -94,6 +94,23 @@ fn networks_by_chance_allocate_nothing_once_they_run() {
     }
 }
 
+#[test]
+fn measuring_anew_in_more_rounds_than_before_allocates_nothing() {
+    let mut network = Network::new();
+    network.run(Instant::from_nanos(400_000_000));
+    let mut command = TdmaCommand::Calibrate(NewRounds::of(50).expect("more than 20"));
+
+    let before = calls();
+    let (now, slave) = (network.now, network.seats[1].station.discipline_mut());
+    assert!(slave.command(now, &mut command).is_ok());
+    network.run(now + CYCLE * 300);
+    let allocations = calls() - before;
+
+    let status = network.seats[1].station.discipline().status();
+    let measured = status.calibration.map(|report| report.rounds);
+    assert_eq!((status.calibrating, measured, allocations), (None, Some(50), 0));
+}
+
 /// Stations that hear each other at once, all on one clock; everything it needs is made beforehand.
 struct Network {
     seats: Vec<Seat>,
@@ -168,9 +185,10 @@ impl Seat {
                 resume: None,
                 backup: None,
                 backups_from: None,
-                follow: SlaveConfig { rounds: 0, step_limit: None },
+                max_requests: DEFAULT_MAX_REQUESTS,
+                follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
             }),
-            _ => RoleConfig::Slave(SlaveConfig { rounds: 20, step_limit: None }),
+            _ => RoleConfig::Slave(SlaveConfig { rounds: 20, ..SlaveConfig::default() }),
         };
         let offset = Span::from_micros(100 + 250 * i64::from(id));
         let tdma = Tdma::new(&TdmaConfig {

@@ -5,6 +5,7 @@
 
 mod abused;
 mod backups;
+mod calibrate;
 mod cell;
 mod changes;
 mod host;

@@ -11,8 +11,8 @@ mod traffic;
 use frames::hostile_frame;
 use proptest::prelude::*;
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig,
+    SlaveConfig, SlotConfig, Tdma, TdmaConfig,
 };
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::buf::Pool;
@@ -97,9 +97,11 @@ impl Victim {
         let latest = Span::from_micros(50);
         let role = match self {
             Victim::Waiting | Victim::Locked | Victim::Holdover | Victim::Lost => {
-                RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None })
+                RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() })
             }
-            Victim::Calibrating => RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, step_limit: None }),
+            Victim::Calibrating => {
+                RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, ..SlaveConfig::default() })
+            }
             Victim::Listening | Victim::Active => RoleConfig::Master(MasterConfig {
                 cycle: CYCLE,
                 sync_latest: latest,
@@ -108,7 +110,8 @@ impl Victim {
                 resume: None,
                 backup: None,
                 backups_from: None,
-                follow: SlaveConfig { rounds: 0, step_limit: None },
+                max_requests: DEFAULT_MAX_REQUESTS,
+                follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
             }),
         };
         let offset = if self.address() == SLAVE { Span::from_micros(400) } else { Span::from_micros(200) };

@@ -6,8 +6,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig,
+    SlaveConfig, SlotConfig, Tdma, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Discipline, Service};
@@ -154,7 +154,7 @@ pub fn clock(offset: Span, drift_ppb: i64) -> EmulatedClock {
 pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma {
     let epoch = Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()));
     let (cycle, late) = (CYCLE, Span::from_millis(1));
-    let follow = SlaveConfig { rounds: 0, step_limit: None };
+    let follow = SlaveConfig { rounds: 0, ..SlaveConfig::default() };
     let config = MasterConfig {
         cycle,
         sync_latest: late,
@@ -163,6 +163,7 @@ pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma
         resume: None,
         backup: None,
         backups_from: None,
+        max_requests: DEFAULT_MAX_REQUESTS,
         follow,
     };
     ours(address, offset, RoleConfig::Master(config))
@@ -172,7 +173,7 @@ pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma
 pub fn our_slave(address: Address, rounds: u32, offset: Span) -> Tdma {
     // On a machine that runs other tests, a Synchronisation may be held up by more than 50 us.
     let step_limit = Some(Span::from_micros(500));
-    ours(address, offset, RoleConfig::Slave(SlaveConfig { rounds, step_limit }))
+    ours(address, offset, RoleConfig::Slave(SlaveConfig { rounds, step_limit, ..SlaveConfig::default() }))
 }
 
 fn ours(address: Address, offset: Span, role: RoleConfig) -> Tdma {

@@ -144,7 +144,7 @@ fn what_a_nomac_station_tunnels_is_understood_by_a_tdma_station() {
     assert_eq!(heard.iter().map(|(_, frame)| frame).collect::<Vec<_>>(), [&tunnelled]);
 
     assert_eq!(wire::parse(&heard[0].1), Ok(Rtmac::Tunnel(EtherType(0x0800), &[0x45; 60])));
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() });
     let (slots, max_slot_id) = (Vec::new(), DEFAULT_MAX_SLOT_ID);
     let (lead, late) = (DEFAULT_LEAD, LatePolicy::Skip);
     let mut tdma = Tdma::new(&TdmaConfig { address: A, role, slots, max_slot_id, lead, late }).unwrap();

@@ -7,7 +7,7 @@ use rtnet::sim::{Host, Latency, Medium, Random, StationId};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::HEADER_LEN;
 use tools::report::figures::Role;
-use tools::scenario::{Conditions, Scenario, SlotGuard, SlotPlan, StationPlan};
+use tools::scenario::{Conditions, Scenario, ServoName, SlotGuard, SlotPlan, StationPlan};
 
 use crate::networks::Plan;
 
@@ -123,6 +123,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
         seed,
         late: LatePolicy::Skip,
         slot_guard: SlotGuard::User,
+        servo: ServoName::Linear,
         stations,
         conditions: Conditions::default(),
     };
@@ -130,7 +131,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
     assert_eq!(scenario.schedule().conflicts(), [], "seed {seed}");
     let medium = Medium { rate: rate.bits_per_second(), ..Medium::default() };
     let (tolerance, host) = (scenario.clock_share(), Host::IDEAL);
-    Some(Plan { scenario, medium, tolerance, host, peers: Vec::new(), backups })
+    Some(Plan { medium, tolerance, host, backups, ..Plan::of_scenario(scenario) })
 }
 
 /// None, one or two, each later than the one before may still send.

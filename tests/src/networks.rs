@@ -3,11 +3,13 @@
 use std::cell::{Ref, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use clap::Parser;
 use rtmac::tdma::schedule;
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig, TdmaStatus,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma,
+    TdmaCommand, TdmaConfig, TdmaStatus,
 };
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Discipline, Event, EventKind, SyncState};
@@ -39,6 +41,10 @@ pub struct Plan {
     pub peers: Vec<StationId>,
     /// Who is a backup master, peers or ours, and how long after a cycle's start it takes over.
     pub backups: Vec<(StationId, Span)>,
+    /// How ours follow, but for the rounds, the servo and what is a time step, which the scenario has.
+    pub follow: SlaveConfig,
+    /// How many calibration requests ours answer at a time.
+    pub max_requests: usize,
 }
 
 /// A network, and what is known of it from outside.
@@ -86,7 +92,9 @@ impl Plan {
     pub fn of_scenario(scenario: Scenario) -> Plan {
         let medium = Medium { rate: scenario.rate.bits_per_second(), ..Medium::default() };
         let (tolerance, host) = (Span::ZERO, Host::IDEAL);
-        Plan { scenario, medium, tolerance, host, peers: Vec::new(), backups: Vec::new() }
+        let (peers, backups, follow) = (Vec::new(), Vec::new(), SlaveConfig::default());
+        let max_requests = DEFAULT_MAX_REQUESTS;
+        Plan { scenario, medium, tolerance, host, peers, backups, follow, max_requests }
     }
 
     /// The same with clocks that run at these rates, in parts per billion; how far apart they begin stays.
@@ -232,6 +240,12 @@ impl Lab {
         panic!("not all stations are locked after 10 000 cycles");
     }
 
+    /// Asks a station for something; from which cycle on it holds, or why not.
+    pub fn command(&mut self, id: StationId, mut command: TdmaCommand) -> Result<u32, String> {
+        let now = self.clocks[id].local(self.network.now());
+        self.network.member_mut(id).station.discipline_mut().command(now, &mut command)
+    }
+
     /// What the judge has seen.
     pub fn judge(&self) -> Ref<'_, Judge> {
         self.judge.borrow()
@@ -264,6 +278,16 @@ impl Lab {
         }
     }
 
+    /// By how much a station's last slot began later than the master's clock had it, in true time, host aside.
+    pub fn line_error(&self, id: StationId) -> Span {
+        let tally = &self.tallies[id];
+        let begin = Instant::from_nanos(tally.begin.load(Relaxed));
+        let scheduled = GlobalTime::from_nanos(tally.scheduled.load(Relaxed));
+        let [here, there] = [(id, begin), (0, epoch().local(scheduled))];
+        let truth = |(id, at): (StationId, Instant)| Instant::from_nanos(self.clocks[id].truth(at));
+        truth(here) - truth(there)
+    }
+
     /// Cycles in which something of this kind happened at a station.
     pub fn cycles_with(&self, id: StationId, kind: EventKind) -> Vec<u32> {
         let of_it = self.events.iter().filter(|(of, event)| *of == id && event.kind == kind);
@@ -278,7 +302,7 @@ impl Plan {
         let slots = scenario.stations[id].slots.iter().map(|slot| scenario.slot_config(slot));
         let rounds = scenario.stations[id].rounds;
         let step_limit = Some(schedule::step_limit(scenario.guard));
-        let follow = SlaveConfig { rounds, step_limit };
+        let follow = SlaveConfig { rounds, step_limit, servo: scenario.servo.servo(), ..self.follow };
         let role = match master.or(self.backup(id).map(|_| self.cycle())) {
             Some(cycle) => RoleConfig::Master(MasterConfig {
                 cycle,
@@ -288,6 +312,7 @@ impl Plan {
                 resume: None,
                 backup: self.backup(id),
                 backups_from: self.backups.iter().map(|&(_, after)| after).min(),
+                max_requests: self.max_requests,
                 follow,
             }),
             None => RoleConfig::Slave(follow),

@@ -59,6 +59,10 @@ pub struct Tally {
     pub not_queued: AtomicU64,
     /// Frames received from others.
     pub received: AtomicU64,
+    /// Of the last slot, its begin on the station's own clock and on the master's, as the station believes.
+    pub begin: AtomicU64,
+    /// See `begin`.
+    pub scheduled: AtomicU64,
 }
 
 /// What a frame of test traffic says.
@@ -135,7 +139,9 @@ impl Service for TestTraffic {
             return;
         }
         let Some(mut frame) = self.pool.take() else { return };
-        let Opportunity { channel, cycle, scheduled, .. } = *slot;
+        let Opportunity { channel, cycle, begin, scheduled } = *slot;
+        self.tally.begin.store(begin.nanos(), Ordering::Relaxed);
+        self.tally.scheduled.store(scheduled.nanos(), Ordering::Relaxed);
         let data = DataFrame { station: self.station, channel, cycle, scheduled };
         data.write(self.to, self.address, self.payload, &mut frame);
         let queued = out(frame, Priority::DEFAULT, channel).is_ok();

@@ -11,7 +11,7 @@ use rtnet::time::Span;
 
 use crate::control::{Place, parse_name};
 use crate::observe::ear::Spot;
-use crate::scenario::SlotGuard;
+use crate::scenario::{DelayPolicy, ServoName, SlotGuard};
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 pub use lab::{
@@ -194,6 +194,24 @@ pub enum TdmaVerb {
         /// Calibration rounds; 0: none
         #[arg(long, default_value_t = rtmac::tdma::DEFAULT_ROUNDS, value_name = "N")]
         rounds: u32,
+        /// How syncs become its time line [default: as it was started, and so are the others]
+        #[arg(long)]
+        servo: Option<ServoName>,
+        /// Cycles without a sync that are bridged; in a lab it is one
+        #[arg(long, value_name = "N")]
+        holdover: Option<u32>,
+        /// What becomes of the measured delay when another master gives the time
+        #[arg(long, value_name = "WHAT")]
+        on_master_change: Option<DelayPolicy>,
+    },
+    /// Measure the delay from the master anew, as a slave or a backup that stands by, which stays in the cycle
+    ///
+    /// Until that is done, its first slot carries data in every fourth turn only, and the delay that is known stays in
+    /// use. Nothing is changed if too many requests have no answer: `status` tells how far it is, and what came of it.
+    Calibrate {
+        /// Rounds, at least 1 [default: as many as the first time]
+        #[arg(long, value_name = "N")]
+        rounds: Option<u32>,
     },
     /// Take no part in the cycle: silent and deaf until told to be master or slave again
     Detach,
@@ -293,6 +311,19 @@ pub struct StationArgs {
     /// Calibration rounds, of a master when it follows another; 0: none
     #[arg(long, default_value_t = rtmac::tdma::DEFAULT_ROUNDS, value_name = "N")]
     pub rounds: u32,
+    /// How syncs become its time line, of a master when it follows another
+    #[arg(long, default_value = "linear")]
+    pub servo: ServoName,
+    /// Cycles without a sync that are bridged before it is silent. How far its time may be off meanwhile,
+    /// `rtnet tdma status` tells
+    #[arg(long, default_value_t = rtmac::tdma::HOLDOVER_CYCLES.unsigned_abs(), value_name = "N")]
+    pub holdover: u32,
+    /// What becomes of the measured delay when another master gives the time
+    #[arg(long, default_value = "keep", value_name = "WHAT")]
+    pub on_master_change: DelayPolicy,
+    /// Calibration requests that a master answers at a time; more are refused, and counted as `reply_backlog`
+    #[arg(long, default_value_t = rtmac::tdma::DEFAULT_MAX_REQUESTS, value_name = "N", conflicts_with = "slave")]
+    pub max_requests: usize,
     /// A slot: its id and offset, and if it is not used in every cycle or takes less than 1500 bytes,
     /// phase P of N cycles and size in bytes; if it takes its frames from the queue of another of the same size, that
     /// one's id. Can be given several times

@@ -13,6 +13,9 @@
 //! over. A reply to anything else is refused, and while Synchronisations are missing nothing changes: `transitions.rs` has
 //! every state against everything that can happen.
 //!
+//! A delay that is known can be measured anew: it stays in use until the last round, or for good if the limit is reached.
+//! Rounds with a master before this one count for the delay, which would be kept for this one, too.
+//!
 //! RTnet takes the mean of all rounds and never repeats a lost one. Here the lower quartile counts: one stamp
 //! that the host held up by a millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever
 //! make a round longer. And where Synchronisations take longer than that, it is their delay that counts.
@@ -22,6 +25,7 @@ use rtnet::time::{Instant, Span};
 
 use super::line::TimeLine;
 use super::rate::Rate;
+use super::report::{CalibrationReport, Tally};
 use super::round::{self, Begun, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
@@ -32,19 +36,30 @@ pub const MAX_ROUNDS: u32 = 10_000;
 const ATTEMPTS_PER_ROUND: u32 = 3;
 const ATTEMPTS_EXTRA: u32 = 20;
 
-/// A calibration, running or done.
+/// A calibration: one that is done, one under way, or both while the delay is measured anew.
 pub struct Calibration {
+    /// Of a first calibration, and of one that another master asks for.
     rounds: u32,
+    /// Of the one under way, or of the last.
+    wanted: u32,
+    is_measuring: bool,
     samples: Vec<Round>,
     /// The request's stamp on this station's clock, while its reply is awaited.
     outstanding: Option<Instant>,
     attempts: u32,
+    tally: Tally,
+    /// Lines that were followed since the first round: the master's clock of one is not that of another.
+    line: u32,
     /// Of a frame for one station, and of Synchronisations.
     one: Span,
     delay: Option<Span>,
+    /// By how much the line was late that was followed meanwhile, were there no delay.
+    of_line: Span,
     rate: Option<Rate>,
-    /// In which cycle the last round was, while they say something of the line that is followed.
+    /// The quicker rounds of the line that is followed, and in which cycle the last was, while they say something of it.
+    kept: Vec<Round>,
     done: Option<u32>,
+    report: Option<CalibrationReport>,
     repeats: u64,
 }
 
@@ -54,13 +69,20 @@ impl Calibration {
         let rounds = rounds.min(MAX_ROUNDS);
         Self {
             rounds,
+            wanted: rounds,
+            is_measuring: rounds > 0,
             samples: Vec::with_capacity(rounds as usize),
             outstanding: None,
             attempts: 0,
+            tally: Tally::default(),
+            line: 0,
             one: Span::ZERO,
             delay: (rounds == 0).then_some(Span::ZERO),
+            of_line: Span::ZERO,
             rate: None,
+            kept: Vec::with_capacity(round::KEPT),
             done: None,
+            report: None,
             repeats: 0,
         }
     }
@@ -75,6 +97,32 @@ impl Calibration {
         self.delay
     }
 
+    /// The delay by which the line that was followed while it was measured anew is right. Where Synchronisations have begun
+    /// to take longer, that line is still of those that did not.
+    pub fn of_line(&self) -> Span {
+        self.of_line
+    }
+
+    /// Whether the delay is being measured, for the first time or anew.
+    pub fn is_measuring(&self) -> bool {
+        self.is_measuring
+    }
+
+    /// Whether it is being measured while an older one is in use.
+    pub fn measures_anew(&self) -> bool {
+        self.is_measuring && self.delay.is_some()
+    }
+
+    /// Of the measuring under way: rounds so far, of how many.
+    pub fn progress(&self) -> Option<(u32, u32)> {
+        self.is_measuring.then_some((self.samples.len() as u32, self.wanted))
+    }
+
+    /// What the last calibration has shown, or the first so far.
+    pub fn report(&self) -> Option<CalibrationReport> {
+        self.report.or_else(|| self.tally.report(None))
+    }
+
     /// How fast this clock gains on the master's, if the rounds were enough to show it, and stamped by the clock of its
     /// Synchronisations.
     pub fn rate(&self) -> Option<Rate> {
@@ -86,14 +134,40 @@ impl Calibration {
         self.repeats
     }
 
-    /// A request may be sent now. `false`: too many had no answer; what was measured is forgotten.
+    /// Measures anew, at least one round. A delay that is known stays until the last. Rounds that do not fit what is
+    /// there take the place of `room`, which is left with what they do not need.
+    pub fn measure_anew(&mut self, rounds: u32, room: &mut Vec<Round>) {
+        if self.samples.capacity() < rounds as usize {
+            core::mem::swap(&mut self.samples, room);
+        }
+        self.wanted = rounds.min(self.samples.capacity() as u32);
+        self.is_measuring = true;
+        self.start_over();
+    }
+
+    /// The same in as many rounds as are configured, for which there is always room.
+    pub fn repeat(&mut self) {
+        if self.rounds > 0 {
+            self.measure_anew(self.rounds, &mut Vec::new());
+        }
+    }
+
+    /// The rounds so far count no more.
+    fn start_over(&mut self) {
+        self.samples.clear();
+        self.tally = Tally::default();
+        (self.outstanding, self.attempts) = (None, 0);
+    }
+
+    /// A request may be sent now. `false`: too many had no answer; what was measured is forgotten, and a delay that is
+    /// known is not measured anew any more.
     pub fn begin_round(&mut self) -> bool {
         if self.outstanding.take().is_some() {
             self.repeats += 1;
         }
-        if self.attempts >= self.rounds * ATTEMPTS_PER_ROUND + ATTEMPTS_EXTRA {
-            self.attempts = 0;
-            self.samples.clear();
+        if self.attempts >= self.wanted * ATTEMPTS_PER_ROUND + ATTEMPTS_EXTRA {
+            self.start_over();
+            self.is_measuring = self.delay.is_none();
             return false;
         }
         self.attempts += 1;
@@ -105,8 +179,8 @@ impl Calibration {
         self.outstanding = Some(xmit);
     }
 
-    /// A reply, received at `rx` on this line; the delay once it was the last. A sample beyond the line's period is
-    /// refused, whichever its sign.
+    /// A reply, received at `rx` on the line of a Synchronisation that knows of no delay, and is so much later than the
+    /// line that is followed; the delay once it was the last. A sample beyond the period is refused, whichever its sign.
     pub fn reply(
         &mut self,
         request_xmit: u64,
@@ -114,27 +188,47 @@ impl Calibration {
         xmit: u64,
         rx: Instant,
         line: &TimeLine,
+        beside: Span,
     ) -> Result<Option<Span>, Refusal> {
         if self.outstanding.is_none_or(|sent| sent.nanos() != request_xmit) {
             return Err(Refusal::UnexpectedReply);
         }
         self.outstanding = None;
-        let round = Round::new(request_xmit, reception, xmit, rx, line);
+        let mut round = Round::new(request_xmit, reception, xmit, rx, line);
+        (round.line, round.beside) = (self.line, beside);
         if round.delay.abs() > line.period {
             return Err(Refusal::ImplausibleReply);
         }
+        self.tally.note(round.delay);
         self.samples.push(round);
-        if self.samples.len() == self.rounds as usize {
-            self.one = round::keep_quicker(&mut self.samples);
-            let of_syncs = |round: &Round| round.ahead_of(round.begun(), 0.0).abs() < line.period;
-            self.rate = round::rate(&self.samples).filter(|_| of_syncs(&self.samples[0]));
-            let apart = self.rate.map_or(0.0, |rate| -rate.gains);
-            let late = |round: &Round| round.ahead_of(round.begun(), apart);
-            let later = round::later(&mut self.samples, self.one, line.period, late);
-            self.delay = Some(self.one + later.unwrap_or(Span::ZERO));
-            self.done = Some(line.cycle);
+        let is_last = self.samples.len() == self.wanted as usize;
+        if is_last {
+            self.conclude(line);
         }
-        Ok(self.delay)
+        Ok(self.delay.filter(|_| is_last))
+    }
+
+    /// What all rounds say. Those on another line measured the delay as well, but tell nothing of this one.
+    fn conclude(&mut self, line: &TimeLine) {
+        let delays = round::keep_quicker(&mut self.samples);
+        self.report = self.tally.report(Some(delays));
+        self.one = delays.quartile;
+        self.kept.clear();
+        self.kept.extend(self.samples.iter().filter(|round| round.line == self.line));
+        if self.kept.len() * 2 < self.samples.len() {
+            self.kept.clear();
+        }
+        let of_syncs = |round: &Round| round.ahead_of(round.begun(), 0.0).abs() < line.period;
+        self.rate = round::rate(&self.kept).filter(|_| self.kept.first().is_some_and(of_syncs));
+        let apart = self.rate.map_or(0.0, |rate| -rate.gains);
+        let late = |round: &Round| round.ahead_of(round.begun(), apart);
+        let later = round::later(&mut self.kept, self.one, line.period, late);
+        let delay = self.one + later.unwrap_or(Span::ZERO);
+        self.of_line = later.and_then(|_| round::of_line(&mut self.kept, late)).unwrap_or(delay);
+        self.delay = Some(delay);
+        self.done = Some(line.cycle);
+        self.is_measuring = false;
+        self.start_over();
     }
 
     /// The line of the time of calibration is known better now than it was then: by how much the delay is longer than
@@ -149,7 +243,7 @@ impl Calibration {
     ) -> Span {
         let (Some(before), Some(_)) = (self.delay, self.done) else { return Span::ZERO };
         let late = |round: &Round| before + round.ahead_of(begun(round.begun().cycle), apart);
-        let later = round::later(&mut self.samples, self.one, period, late);
+        let later = round::later(&mut self.kept, self.one, period, late);
         let delay = later.map_or(before, |later| self.one + later);
         if (delay - before).abs() <= unsure / 2 {
             return Span::ZERO;
@@ -163,15 +257,23 @@ impl Calibration {
         self.done
     }
 
-    /// Another line, or another master: the rounds so far say nothing of it, nor does one whose reply is still to come. A
-    /// delay that is known stays.
-    pub fn leave_line(&mut self) {
+    /// The rounds that are done say nothing of the line any more.
+    pub fn outdate(&mut self) {
         self.done = None;
-        if self.delay.is_none() {
-            self.samples.clear();
-            self.outstanding = None;
-            self.attempts = 0;
-        }
+    }
+
+    /// Another line, or another master: the rounds so far say nothing of it, but how long their frames took. A reply that
+    /// is still to come is of the old one. A delay that is known stays.
+    pub fn leave_line(&mut self) {
+        self.outdate();
+        self.line = self.line.wrapping_add(1);
+        (self.outstanding, self.attempts) = (None, 0);
+    }
+
+    /// Another master, whose delay is to be its own: of what is under way nothing stays.
+    pub fn leave_master(&mut self) {
+        self.leave_line();
+        self.start_over();
     }
 }
 
@@ -198,7 +300,7 @@ mod tests {
     fn round(of: &mut Calibration, at: u64, delay: u64) -> Result<Option<Span>, Refusal> {
         assert!(of.begin_round());
         of.sent(Instant::from_nanos(at));
-        of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), &LINE)
+        of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), &LINE, Span::ZERO)
     }
 
     #[test]
@@ -220,13 +322,17 @@ mod tests {
         calibration.sent(Instant::from_nanos(20));
         let rx = Instant::from_nanos(40);
         assert_eq!(
-            calibration.reply(10, 0, 0, rx, &LINE),
+            calibration.reply(10, 0, 0, rx, &LINE, Span::ZERO),
             Err(Refusal::UnexpectedReply),
             "of the lost round"
         );
-        assert_eq!(calibration.reply(20, 0, 0, rx, &LINE), Ok(Some(Span::from_nanos(10))));
+        assert_eq!(calibration.reply(20, 0, 0, rx, &LINE, Span::ZERO), Ok(Some(Span::from_nanos(10))));
         assert_eq!(calibration.repeats(), 1);
-        assert_eq!(calibration.reply(20, 0, 0, rx, &LINE), Err(Refusal::UnexpectedReply), "twice");
+        assert_eq!(
+            calibration.reply(20, 0, 0, rx, &LINE, Span::ZERO),
+            Err(Refusal::UnexpectedReply),
+            "twice"
+        );
     }
 
     #[test]
@@ -235,7 +341,7 @@ mod tests {
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(10));
         calibration.leave_line();
-        let late = calibration.reply(10, 0, 0, Instant::from_nanos(40), &LINE);
+        let late = calibration.reply(10, 0, 0, Instant::from_nanos(40), &LINE, Span::ZERO);
         assert_eq!((late, calibration.delay()), (Err(Refusal::UnexpectedReply), None));
     }
 
@@ -253,7 +359,7 @@ mod tests {
         assert_eq!(round(&mut calibration, 0, 2_000_000), Err(Refusal::ImplausibleReply));
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(7));
-        let lie = calibration.reply(7, u64::MAX / 2, 3, Instant::from_nanos(9), &LINE);
+        let lie = calibration.reply(7, u64::MAX / 2, 3, Instant::from_nanos(9), &LINE, Span::ZERO);
         assert_eq!(lie, Err(Refusal::ImplausibleReply));
         assert_eq!(calibration.delay(), None);
     }

@@ -1,6 +1,6 @@
 //! What is configured of a TDMA station, and what may be asked of it later.
 
-use rtnet::discipline::Channel;
+use rtnet::discipline::{Channel, SyncState};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
@@ -9,7 +9,10 @@ use super::line::PERIODS;
 use super::master::BACKUP_LOOKS_BEFORE;
 use super::replies::MAX_REPLY_AHEAD;
 use super::slot::MIN_SIZE;
-use super::{MAX_ROUNDS, Master, MasterConfig, Role, Slave, SlaveConfig, SlotConfig, Tdma};
+use super::{
+    MAX_HOLDOVER, MAX_REQUESTS, MAX_ROUNDS, Master, MasterConfig, NewRounds, Role, Slave, SlaveConfig,
+    SlotConfig, Tdma,
+};
 
 /// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
 /// within 50 us in 99 of 100 cases on a virtual machine.
@@ -62,6 +65,8 @@ pub enum TdmaCommand {
     RemoveSlot(Channel),
     /// Be something else from now on.
     Become(NewRole),
+    /// Measure the delay from the master anew, from the next cycle on.
+    Calibrate(NewRounds),
 }
 
 /// A role that is ready to be taken: made by the control thread, since making it takes memory.
@@ -72,10 +77,7 @@ impl NewRole {
     pub fn attached(config: RoleConfig) -> Result<Self, Refused> {
         match config {
             RoleConfig::Master(master) => Ok(Self(Role::Master(Master::new(checked(master, &[])?)))),
-            RoleConfig::Slave(slave) if slave.rounds > MAX_ROUNDS => {
-                Err(Refused::TooManyRounds { rounds: slave.rounds })
-            }
-            RoleConfig::Slave(slave) => Ok(Self(Role::Slave(Slave::new(slave)))),
+            RoleConfig::Slave(slave) => slave.check().map(|()| Self(Role::Slave(Slave::new(slave)))),
         }
     }
 
@@ -196,7 +198,7 @@ pub enum Refused {
         id: u8,
     },
     /// Requests and replies are under way in it.
-    #[error("slot {id} is calibrated in just now: ask again when the station is locked")]
+    #[error("slot {id} is calibrated in just now: ask again when that is done")]
     Calibrating {
         /// Which.
         id: u8,
@@ -206,6 +208,33 @@ pub enum Refused {
     TooManyRounds {
         /// What was asked for.
         rounds: u32,
+    },
+    /// None at all.
+    #[error("0 calibration rounds measure nothing: at least 1")]
+    NoRounds,
+    /// Nobody is there with whom a delay could be measured.
+    #[error("this station gives the time itself: only who follows a master calibrates")]
+    GivesTheTime,
+    /// What is measured without a time that is followed says nothing.
+    #[error("the station is {}, and calibrates anew only while it is locked", state.name())]
+    NotLocked {
+        /// How far it is with the master's time.
+        state: SyncState,
+    },
+    /// It does so already.
+    #[error("the station calibrates already: ask again when that is done")]
+    CalibratesAlready,
+    /// A line that is bridged for so long would be given up meanwhile.
+    #[error("a holdover of {cycles} cycles: at most {MAX_HOLDOVER}, then the time line is given up")]
+    Holdover {
+        /// What was asked for.
+        cycles: u32,
+    },
+    /// A master that answers nobody, or more than there can be.
+    #[error("{requests} calibration requests at a time: at least 1 and at most {MAX_REQUESTS}")]
+    Requests {
+        /// What was asked for.
+        requests: usize,
     },
     /// A slave that is to calibrate without a slot.
     #[error("a slave calibrates in its first slot: give it one, or 0 rounds")]
@@ -272,15 +301,26 @@ pub fn check_rounds(rounds: u32, slots: impl Iterator<Item = (Channel, u32)>) ->
     }
 }
 
+/// The same of a master, which calibrates when it follows another: without a slot it does without, and whoever is not told
+/// of others follows them only to make way.
+pub fn check_rounds_of_master(
+    master: &MasterConfig,
+    slots: impl Iterator<Item = (Channel, u32)>,
+) -> Result<(), Refused> {
+    match check_rounds(master.follow.rounds, slots) {
+        Err(Refused::NoSlotToCalibrate) => Ok(()),
+        Err(Refused::NeverCalibrated { .. }) if !master.knows_of_others() => Ok(()),
+        checked => checked,
+    }
+}
+
 impl Tdma {
-    /// A reply is on its way in the slot that calibration uses: it stays where it is for the while.
+    /// A reply is on its way in the slot that calibration uses: it stays where it is for the while, and stays the first.
     pub(super) fn not_while_calibrating(&self, id: Channel) -> Result<(), Refused> {
-        match (&self.role, self.slots.first()) {
-            (Role::Slave(slave), Some(first))
-                if slave.line().is_some() && slave.calibration().delay().is_none() && first.id == id =>
-            {
-                Err(Refused::Calibrating { id })
-            }
+        let follower = self.follower().filter(|follower| follower.line().is_some());
+        let measures = follower.is_some_and(|follower| follower.calibration().is_measuring());
+        match self.slots.first() {
+            Some(first) if measures && id <= first.id => Err(Refused::Calibrating { id: first.id }),
             _ => Ok(()),
         }
     }
@@ -291,13 +331,14 @@ impl Tdma {
         followers.try_for_each(|follower| self.not_while_calibrating(follower.id))
     }
 
-    /// A slave that is still to calibrate must be able to with the slots that it would have: slot `id` as `changed`.
+    /// Who is still to calibrate, or will again, must be able to with the slots that it would have: slot `id` as `changed`.
     pub(super) fn can_calibrate(&self, id: Channel, changed: Option<&SlotConfig>) -> Result<(), Refused> {
+        let others = self.slots.planned().filter(|slot| slot.id != id);
+        let slots = others.chain(changed.copied()).map(|slot| (slot.id, slot.period));
         match &self.role {
-            Role::Slave(slave) if slave.calibration().delay().is_none() => {
-                let others = self.slots.planned().filter(|slot| slot.id != id);
-                let slots = others.chain(changed.copied()).map(|slot| (slot.id, slot.period));
-                check_rounds(slave.calibration().rounds(), slots)
+            Role::Slave(slave) if slave.has_to_calibrate() => check_rounds(slave.rounds(), slots),
+            Role::Master(master) if master.has_to_calibrate() => {
+                check_rounds_of_master(master.config(), slots)
             }
             _ => Ok(()),
         }
@@ -311,8 +352,12 @@ pub fn check_cycle(cycle: Span) -> Result<(), Refused> {
 
 /// A master knows its cycle, so that its own slots can be checked against it.
 pub fn checked(master: MasterConfig, slots: &[SlotConfig]) -> Result<MasterConfig, Refused> {
-    let MasterConfig { cycle, sync_latest, .. } = master;
+    let MasterConfig { cycle, sync_latest, max_requests, .. } = master;
     check_cycle(cycle)?;
+    master.follow.check()?;
+    if !(1..=MAX_REQUESTS).contains(&max_requests) {
+        return Err(Refused::Requests { requests: max_requests });
+    }
     if sync_latest >= cycle {
         return Err(Refused::SyncWindow { cycle });
     }

@@ -3,6 +3,7 @@
 use rtnet::discipline::EventKind;
 use rtnet::time::{Instant, Span};
 
+use super::anew::Purpose;
 use super::job::Job;
 use super::line::{LINE_GOOD_FOR, TimeLine};
 use super::slot::Turn;
@@ -14,7 +15,10 @@ impl Tdma {
         let line = self.line()?;
         let turns = || match self.slots.first().filter(|_| self.calibrates()) {
             Some(first) => self.slots.next_turn(line, Some(first.id)).map(Job::Request),
-            None => self.slots.next_turn(line, None).map(|turn| Job::Data(self.tolerant(turn, line))),
+            None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
+                Purpose::Request => Job::Request(turn),
+                Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
+            }),
         };
         match &self.role {
             Role::Detached => None,
@@ -40,7 +44,7 @@ impl Tdma {
     }
 
     /// Whether its first slot is used for calibration, and no other.
-    fn calibrates(&self) -> bool {
+    pub(super) fn calibrates(&self) -> bool {
         self.follower().is_some_and(|follower| follower.calibration().delay().is_none())
     }
 
@@ -65,12 +69,20 @@ impl Tdma {
                 self.silent = Some((job.cycle(), job.at()));
                 self.counters.slots_silent += 1;
                 self.events.note_job(&job, EventKind::SlotSilent, Span::ZERO);
+            } else if matches!(job, Job::Data(turn) if self.purpose(&turn) == Purpose::Reply) {
+                self.calibrates_in(&job);
             } else {
                 return Some(job);
             }
             self.pass(&job);
             self.put_off(&job);
         }
+    }
+
+    /// A turn that carries no data, since the delay is measured anew.
+    pub(super) fn calibrates_in(&mut self, job: &Job) {
+        self.counters.slots_calibrating += 1;
+        self.events.note_job(job, EventKind::CalibrationTurn, Span::ZERO);
     }
 
     /// Another line is followed from `until` on: the turns that it does not have any more are missed. Where its cycles
@@ -133,15 +145,17 @@ impl Tdma {
 
     /// The job's time is over, whether it was done or not.
     pub(super) fn pass(&mut self, job: &Job) {
+        let calibrates = self.calibrates();
         match (job, &mut self.role) {
             (Job::Sync { .. }, Role::Master(master)) => master.advance(),
             (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
-            // The next one is for the reply: it is left free even if there was no request, for one that was put off.
-            (Job::Request(turn), _) => {
+            // The next one is for the reply: it is left free even if there was no request, for one that was put off. Who
+            // measures anew tells of such a turn when it comes.
+            (Job::Request(turn), _) if calibrates => {
                 let period = self.slots.get(turn.id).map_or(1, |slot| slot.period);
                 self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
             }
-            (Job::Data(turn), _) => self.slots.pass(turn),
+            (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
             _ => {}
         }
     }

@@ -85,6 +85,8 @@ pub struct Envelope {
     /// Since this cycle the clocks have been the same.
     since: Option<u32>,
     edge: Option<Edge>,
+    /// Where the line lies: half of the early ones are later by so much, and the earliest earlier, together.
+    scatter: Span,
     known: Option<Known>,
 }
 
@@ -103,7 +105,7 @@ struct Known {
 impl Envelope {
     pub fn new() -> Self {
         let (window, early) = (Vec::with_capacity(WINDOW), VecDeque::with_capacity(WINDOWS));
-        Self { window, too_early: 0, early, since: None, edge: None, known: None }
+        Self { window, too_early: 0, early, since: None, edge: None, scatter: Span::ZERO, known: None }
     }
 
     /// Whether there is ever a line at cycles of this length.
@@ -140,6 +142,13 @@ impl Envelope {
         }
         if let Some(known) = &mut self.known {
             known.delay = known.delay + by;
+        }
+    }
+
+    /// A Synchronisation is on its way for so long by now.
+    pub fn know_delay(&mut self, delay: Span) {
+        if let Some(known) = &mut self.known {
+            known.delay = delay;
         }
     }
 
@@ -230,6 +239,16 @@ impl Envelope {
             }
             None => edge,
         };
+        self.scatter = self.scattered();
+    }
+
+    fn scattered(&self) -> Span {
+        let mut late = [Span::ZERO; WINDOWS];
+        let count = late.iter_mut().zip(self.late()).map(|(place, late)| *place = late).count();
+        let late = &mut late[..count];
+        let earliest = late.iter().fold(Span::ZERO, |a, &b| a.min(b));
+        let median = (count > 0).then(|| *late.select_nth_unstable(count / 2).1);
+        median.unwrap_or(Span::ZERO).max(Span::ZERO) - earliest
     }
 
     /// The rate that is known, with what an edge shows of it. One that does not agree is of a busy host, if not all of
@@ -304,6 +323,18 @@ impl Envelope {
     pub fn unsure_in(&self, cycle: u32) -> Option<Span> {
         let above = -self.late().fold(Span::ZERO, Span::min);
         self.edge.map(|edge| edge.unsure_in(cycle) + above).filter(|&unsure| unsure <= NOISE)
+    }
+
+    /// By how much the line may be off in a cycle, near or far. What lately `disagreed` says more where windows are few.
+    pub fn off_in(&self, cycle: u32, disagreed: Span) -> Option<Span> {
+        let is_young = self.early.len() < WINDOWS_AT_LEAST;
+        let place = self.scatter + if is_young { disagreed } else { Span::ZERO };
+        self.edge.map(|edge| edge.unsure_in(cycle) + place)
+    }
+
+    /// Whether the clocks' rate is known at least as well as this.
+    pub fn knows_better(&self, now: Instant, than: Rate) -> bool {
+        self.known_at(now).is_some_and(|known| known.unsure <= than.unsure)
     }
 
     /// Whether the drift of the line is clear.

@@ -116,6 +116,7 @@ fn drifted(line: &TimeLine, cycle: u32) -> Span {
     line.period * i64::from(line.ahead(cycle)) / DRIFT_PARTS
 }
 
-fn step_limit(configured: Option<Span>, period: Span) -> Span {
+/// What disagrees by more is a time step.
+pub fn step_limit(configured: Option<Span>, period: Span) -> Span {
     configured.unwrap_or((period / STEP_PARTS).max(STEP_AT_LEAST))
 }

@@ -35,10 +35,11 @@ use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::events::Events;
+use super::follow::SlaveConfig;
 use super::line::{Drift, TimeLine};
 use super::replies::{Replies, Reply};
 use super::rival::Rival;
-use super::slave::{Slave, SlaveConfig};
+use super::slave::Slave;
 
 /// Cycles of silence before a master speaks.
 const LISTEN_CYCLES: i64 = 3;
@@ -73,8 +74,17 @@ pub struct MasterConfig {
     /// So long after a cycle's start or later backups send, as a primary knows: only from one of them it takes its place
     /// back. `None`: from nobody.
     pub backups_from: Option<Span>,
+    /// Calibration requests that are answered at a time, at least 1; more are refused.
+    pub max_requests: usize,
     /// How another master is followed.
     pub follow: SlaveConfig,
+}
+
+impl MasterConfig {
+    /// Whether it is told that somebody else may give the time, whom it then follows.
+    pub fn knows_of_others(&self) -> bool {
+        self.backup.or(self.backups_from).is_some()
+    }
 }
 
 /// A station that gives the time, or would.
@@ -148,7 +158,7 @@ impl Master {
             config,
             phase: Phase::Attached,
             follower: Slave::new(config.follow),
-            replies: Replies::default(),
+            replies: Replies::of(config.max_requests),
             late_in_row: 0,
             rival: None,
             sent: None,
@@ -183,6 +193,12 @@ impl Master {
     /// How it follows another, unless it gives the time itself.
     pub fn follower_mut(&mut self) -> Option<&mut Slave> {
         if self.is_active() { None } else { Some(&mut self.follower) }
+    }
+
+    /// Whether it is to measure the delay from another, now or later.
+    pub fn has_to_calibrate(&self) -> bool {
+        let follows = self.follower().is_some_and(|follower| follower.line().is_some());
+        (follows || self.config.knows_of_others()) && self.follower.has_to_calibrate()
     }
 
     /// How far it is with the time.

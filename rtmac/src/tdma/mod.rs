@@ -7,19 +7,22 @@
 //! Sync         master   start of each cycle        tells cycle number and time
 //!              backup   later, if it is missing    the same
 //! Reply        master   where a slave asked        answers a calibration request
-//! Request      slave    its first slot             asks, until calibrated; then silent for the reply
+//! Request      slave    its first slot             asks, until calibrated, or anew; then silent for the reply
 //! Data         both     its slots                  the most urgent frame of the slot's queue
 //! ```
 //!
 //! A job is chosen at its instant less the lead. One whose `latest` instant has passed is skipped,
 //! counted and told of; it is never made up for.
 
+mod anew;
+mod bound;
 mod calibration;
 mod config;
 mod due;
 mod edge;
 mod envelope;
 mod events;
+mod follow;
 mod job;
 pub mod joint;
 pub mod line;
@@ -28,6 +31,7 @@ mod master;
 mod rate;
 mod receive;
 mod replies;
+mod report;
 mod rival;
 mod round;
 pub mod schedule;
@@ -45,21 +49,23 @@ use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 
+pub use anew::NewRounds;
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
-use config::checked;
 pub use config::{
     DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
     check_rounds,
 };
+use config::{check_rounds_of_master, checked};
 use events::Events;
+pub use follow::{HOLDOVER_CYCLES, MAX_HOLDOVER, OnMasterChange, Servo, SlaveConfig};
 use job::{Job, Pending};
 pub use line::TimeLine;
 pub use mark::held_up_at_most;
 use master::Master;
 pub use master::{BACKUP_LOOKS_BEFORE, MasterConfig, Mastery};
-pub use replies::{MAX_PENDING_REPLIES, MAX_REPLY_AHEAD};
+pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
+pub use report::{CalibrationReport, Delays};
 use slave::Slave;
-pub use slave::{HOLDOVER_CYCLES, SlaveConfig};
 use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig, SlotStatus};
 pub use status::{Counters, RoleName, SLOTS_SHOWN, TdmaStatus};
@@ -84,7 +90,7 @@ pub struct Tdma {
     counters: Counters,
 }
 
-// A master is large, for its 64 pending replies; in a box it would have to be freed when it becomes a slave.
+// A master is a slave and more; in a box it would have to be freed when it becomes one.
 #[allow(clippy::large_enum_variant)]
 enum Role {
     Master(Master),
@@ -125,7 +131,10 @@ impl Tdma {
             slots.set(slot, 0, &mut events)?;
         }
         match config.role {
-            RoleConfig::Master(master) => drop(checked(master, &config.slots)?),
+            RoleConfig::Master(master) => {
+                checked(master, &config.slots)?;
+                check_rounds_of_master(&master, config.slots.iter().map(|slot| (slot.id, slot.period)))?;
+            }
             RoleConfig::Slave(slave) => {
                 check_rounds(slave.rounds, config.slots.iter().map(|slot| (slot.id, slot.period)))?;
             }
@@ -205,8 +214,11 @@ impl Tdma {
                 let (request_xmit, reception) = (asked.request_xmit, epoch.global(asked.reception).nanos());
                 Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, epoch.nanos()))
             }
-            (Job::Request(turn), role) => {
-                let slave = role.follower_mut()?;
+            (Job::Request(turn), _) => {
+                if !self.calibrates() {
+                    self.calibrates_in(&job);
+                }
+                let slave = self.role.follower_mut()?;
                 if !slave.calibration_mut().begin_round() {
                     self.counters.calibration_timeouts += 1;
                     self.events.note(turn.cycle, EventKind::CalibrationTimeout, Span::ZERO);
@@ -364,6 +376,7 @@ impl Discipline for Tdma {
             offset: line.map_or(Default::default(), |line| line.offset),
             period: line.map(|line| line.period),
             drift_ppb: line.map_or(0, |line| line.drift.parts_per_billion(line.period)),
+            holdover: self.follower().map_or(0, |follower| follower.config().holdover as u16),
         }
     }
 
@@ -398,22 +411,21 @@ impl Discipline for Tdma {
                 self.slots.remove(*id, cycle)?;
             }
             TdmaCommand::Become(NewRole(role)) => {
-                if let Role::Master(master) = role {
-                    let cycle = master.config().cycle;
-                    if let Some(SlotConfig { id, offset, .. }) =
-                        self.slots.planned().find(|slot| slot.offset >= cycle)
-                    {
-                        return Err(Refused::BeyondCycle { id, offset, cycle });
+                let slots = || self.slots.planned().map(|slot| (slot.id, slot.period));
+                match role {
+                    Role::Master(master) => {
+                        let config = master.config();
+                        self.slots.planned().try_for_each(|slot| checked(*config, &[slot]).map(drop))?;
+                        check_rounds_of_master(config, slots())?;
                     }
-                }
-                if let Role::Slave(slave) = &*role {
-                    let slots = self.slots.planned().map(|slot| (slot.id, slot.period));
-                    check_rounds(slave.calibration().rounds(), slots)?;
+                    Role::Slave(slave) => check_rounds(slave.calibration().rounds(), slots())?,
+                    Role::Detached => {}
                 }
                 self.leave_until(cycle);
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;
             }
+            TdmaCommand::Calibrate(rounds) => self.measure_anew(rounds)?,
         }
         Ok(cycle.wrapping_add(1))
     }

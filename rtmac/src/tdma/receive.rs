@@ -28,11 +28,10 @@ impl Tdma {
                 master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
             }
             (Message::Request { .. }, Role::Slave(_)) => Err(Refusal::NotMaster),
-            (Message::Reply { request_xmit, reception, xmit }, role) => {
-                let Some(follower) = role.follower_mut().filter(|_| header.destination == self.address)
-                else {
-                    return Err(Refusal::UnexpectedReply);
-                };
+            (Message::Reply { .. }, _) if header.destination != self.address => Err(Refusal::UnexpectedReply),
+            (Message::Reply { request_xmit, reception, xmit }, _) => {
+                self.leave_turn_to_reply(rx);
+                let Some(follower) = self.role.follower_mut() else { return Err(Refusal::UnexpectedReply) };
                 let done = follower.on_reply(rx, request_xmit, reception, xmit, &mut self.events)?;
                 if let (true, Some(line)) = (done, follower.line()) {
                     // The reply has had its slot's turn, which a line that is a little late has still to come.

@@ -1,14 +1,15 @@
 //! The calibration replies that a master has promised, each at the instant that was asked for.
 
-use arrayvec::ArrayVec;
 use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::line::TimeLine;
 
-/// Calibration requests that wait for their reply's instant, as in RTnet.
-pub const MAX_PENDING_REPLIES: usize = 64;
+/// Calibration requests that wait for their reply's instant unless configured otherwise, as in RTnet.
+pub const DEFAULT_MAX_REQUESTS: usize = 64;
+/// Most that can be: a station asks once at a time, a network has hardly more, and all are looked at for which is next.
+pub const MAX_REQUESTS: usize = 256;
 /// Furthest cycle a reply may be asked for: stations ask for one period of their first slot ahead.
 pub const MAX_REPLY_AHEAD: u32 = 1024;
 /// Times that a late reply is put off. Real stations never ask again: they wait for ever.
@@ -28,14 +29,19 @@ pub struct Reply {
 }
 
 /// All of them.
-#[derive(Default)]
 pub struct Replies {
-    pending: ArrayVec<Reply, MAX_PENDING_REPLIES>,
+    pending: Vec<Reply>,
+    at_most: usize,
     /// The one that is being sent.
     taken: Option<Reply>,
 }
 
 impl Replies {
+    /// None yet, and so many at a time.
+    pub fn of(at_most: usize) -> Self {
+        Self { pending: Vec::with_capacity(at_most), at_most, taken: None }
+    }
+
     /// A calibration request, received at `rx` by the master of `line`.
     pub fn ask(
         &mut self,
@@ -59,7 +65,15 @@ impl Replies {
         let asked_in = line.ahead(cycle) - ((rx - line.start).nanos().div_euclid(line.period.nanos())) as i32;
         let period = asked_in.max(1) as u32;
         let reply = Reply { at, to: from, cycle, request_xmit, reception: rx, period, put_off: 0 };
-        self.pending.try_push(reply).map_err(|_| Refusal::ReplyBacklog)
+        if self.promise(reply) { Ok(()) } else { Err(Refusal::ReplyBacklog) }
+    }
+
+    fn promise(&mut self, reply: Reply) -> bool {
+        let has_room = self.pending.len() < self.at_most;
+        if has_room {
+            self.pending.push(reply);
+        }
+        has_room
     }
 
     /// The one whose instant is first.
@@ -90,7 +104,7 @@ impl Replies {
             put_off: late.put_off + 1,
             ..late
         };
-        late.put_off < PUT_OFF_AT_MOST && self.pending.try_push(later).is_ok()
+        late.put_off < PUT_OFF_AT_MOST && self.promise(later)
     }
 
     /// This station waits for none any more.
@@ -131,7 +145,7 @@ mod tests {
 
     #[test]
     fn requests_are_answered_in_the_order_of_their_instants() {
-        let mut replies = Replies::default();
+        let mut replies = Replies::of(DEFAULT_MAX_REQUESTS);
         replies.ask(&line(0), at(3_500), A, 1, 3, 200_000).unwrap();
         replies.ask(&line(0), at(3_600), A, 2, 2, 700_000).unwrap();
         assert_eq!(replies.next().unwrap().at, at(5_700));
@@ -142,7 +156,7 @@ mod tests {
 
     #[test]
     fn a_late_reply_is_put_off_by_two_uses_of_the_slot_and_given_up_at_last() {
-        let (mut replies, line) = (Replies::default(), line(1));
+        let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
         // Asked in cycle 1 for cycle 4: a slot that is used in every third.
         replies.ask(&line, at(4_400), A, 7, 4, 400_000).unwrap();
         assert_eq!(replies.take().unwrap().at, at(7_400));
@@ -156,7 +170,7 @@ mod tests {
 
     #[test]
     fn who_asks_again_is_answered_once() {
-        let (mut replies, line) = (Replies::default(), line(1));
+        let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
         let (first, second) = ((at(4_400), 7, 2), (at(6_400), 8, 4));
         let ask = |replies: &mut Replies, (rx, xmit, cycle)| replies.ask(&line, rx, A, xmit, cycle, 400_000);
         // It is noticed in time that the first reply is late; or only when the second request is there.
@@ -177,14 +191,14 @@ mod tests {
 
     #[test]
     fn impossible_requests_are_refused_by_reason() {
-        let mut replies = Replies::default();
+        let mut replies = Replies::of(DEFAULT_MAX_REQUESTS);
         let mut ask = |cycle, offset| replies.ask(&line(0), at(3_500), A, 0, cycle, offset);
         assert_eq!(ask(0, 400_000), Err(Refusal::ReplyOverdue));
         assert_eq!(ask(u32::MAX, 0), Err(Refusal::ReplyOverdue));
         assert_eq!(ask(2_000, 0), Err(Refusal::ReplyImplausible));
         assert_eq!(ask(2, 1_000_000), Err(Refusal::ReplyImplausible));
         assert_eq!(ask(2, u64::MAX), Err(Refusal::ReplyImplausible));
-        for _ in 0..MAX_PENDING_REPLIES {
+        for _ in 0..DEFAULT_MAX_REQUESTS {
             assert_eq!(ask(2, 0), Ok(()));
         }
         assert_eq!(ask(2, 0), Err(Refusal::ReplyBacklog));

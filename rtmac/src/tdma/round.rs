@@ -16,6 +16,7 @@ use rtnet::time::{GlobalTime, Instant, Offset, Span};
 
 use super::line::{self, DRIFT_PARTS, TimeLine};
 use super::rate::Rate;
+use super::report::Delays;
 
 /// What a Synchronisation is later than a frame for one station by: less is noise; more than so many times the delay
 /// (a bridge of 32 ports takes eight), or than this part of a cycle, is a host that held syncs up all the while, or a
@@ -25,7 +26,7 @@ const LATER_AT_MOST: i64 = 12;
 const LATER_PARTS: i64 = 16;
 
 /// The quicker half of the rounds is kept, but no more than so many.
-const KEPT: usize = 128;
+pub const KEPT: usize = 128;
 /// From the first round to the last a busy host may make one way longer than the other by twice this much: measured.
 const ASKEW: Span = Span::from_micros(1);
 
@@ -39,6 +40,9 @@ pub struct Round {
     global: GlobalTime,
     /// The cycle that had begun, as it was known then.
     begun: Begun,
+    /// Which of the lines that were followed that was, and by how much the cycle's start is later than that line.
+    pub line: u32,
+    pub beside: Span,
 }
 
 /// A cycle's number and start, and from this clock to the master's what its Synchronisation says.
@@ -62,6 +66,8 @@ impl Round {
             middle: Instant::from_nanos(request_xmit) + half(request_xmit, rx.nanos()),
             global: GlobalTime::from_nanos(reception) + half(reception, reply_xmit),
             begun: Begun { cycle, start, offset },
+            line: 0,
+            beside: Span::ZERO,
         }
     }
 
@@ -78,25 +84,36 @@ impl Round {
     }
 }
 
-/// Keeps the quicker rounds. The delay of a frame for one station: hold-ups only ever make a round longer, so the
-/// lower quartile of all counts.
-pub fn keep_quicker(rounds: &mut Vec<Round>) -> Span {
+/// Keeps the quicker rounds; what all of them say. The delay of a frame for one station: hold-ups only ever make a
+/// round longer, so the lower quartile of all counts.
+pub fn keep_quicker(rounds: &mut Vec<Round>) -> Delays {
     rounds.sort_unstable_by_key(|round| round.delay);
-    let delay = rounds[rounds.len() / 4].delay;
+    let delays = Delays::of_sorted(rounds, |round| round.delay);
     rounds.truncate(rounds.len().div_ceil(2).min(KEPT));
-    delay
+    delays
 }
 
 /// How much later than a frame for `one` station Synchronisations are, by how `late` each of the quicker rounds shows
 /// them to be; `None` if they say nothing that can be. Hold-ups only ever make them later: the lower eighth counts, as
 /// for the line they are on.
 pub fn later(rounds: &mut [Round], one: Span, period: Span, late: impl Fn(&Round) -> Span) -> Option<Span> {
+    if rounds.is_empty() {
+        return None;
+    }
     let (_, early, _) = rounds.select_nth_unstable_by_key(rounds.len() / 8, &late);
     let later = late(early) - one;
     let at_most = (one * LATER_AT_MOST).min(period / LATER_PARTS).min(period - one);
     (-LATER_AT_LEAST..=at_most)
         .contains(&later)
         .then(|| if later < LATER_AT_LEAST { Span::ZERO } else { later })
+}
+
+/// By how much the line that was followed is late, if rounds show by how much each of their syncs was, and those
+/// were beside it. The middle one counts: a line is neither early nor late.
+pub fn of_line(rounds: &mut [Round], late: impl Fn(&Round) -> Span) -> Option<Span> {
+    let of_line = |round: &Round| late(round) - round.beside;
+    let middle = rounds.len() / 2;
+    (!rounds.is_empty()).then(|| of_line(rounds.select_nth_unstable_by_key(middle, of_line).1))
 }
 
 /// How fast this clock gains on the master's, by the middles of the quicker rounds.
@@ -137,7 +154,7 @@ mod tests {
 
     /// What they say, if syncs were later than the rounds know by `more`.
     fn told(mut rounds: Vec<Round>, more: impl Fn(&Round) -> i64) -> i64 {
-        let one = keep_quicker(&mut rounds);
+        let one = keep_quicker(&mut rounds).quartile;
         let apart = rate(&rounds).map_or(0.0, |rate| -rate.gains);
         let late = |round: &Round| round.ahead_of(round.begun, apart) + Span::from_nanos(more(round));
         (one + later(&mut rounds, one, PERIOD, late).unwrap_or(Span::ZERO)).nanos()

@@ -14,6 +14,9 @@
 //!                                              Lost, and the line given up: two that agree are needed again
 //! ```
 //!
+//! One is bridged, or as many as configured; one more is a loss. All that follows is so unless there is no filter
+//! (`overwrite.rs`).
+//!
 //! Whatever is refused or waits to be confirmed changes no state; `tests/transitions.rs` has every state, with what may be
 //! doubted in it, against everything that can happen. The follower of a master also begins anew (`forget`), and goes on with
 //! the line on which that one gave the time (`resume`: Locked, or Calibrating before the last round).
@@ -25,22 +28,24 @@
 //! the line below all ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at most, and
 //! what is late by more than drift only by an eighth of it: frames are held up on their way, never early.
 
+mod overwrite;
+mod rounds;
+
 use rtnet::counters::Refusal;
 use rtnet::discipline::{EventKind, SyncState};
-use rtnet::time::{GlobalTime, Instant, Offset, Span};
+use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::bound::Disagreement;
 use super::calibration::Calibration;
 use super::envelope::{Envelope, OLDEST};
 use super::events::Events;
+use super::follow::{Servo, SlaveConfig};
 use super::line::{self, Drift, LINE_GOOD_FOR, TimeLine};
-use super::mark::{Mark, Step};
-use super::round::Begun;
+use super::mark::{self, Mark, Step};
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it: no sync window is longer.
 const GRACE_PARTS: i64 = 8;
-/// Cycles without a Synchronisation that are bridged.
-pub const HOLDOVER_CYCLES: i32 = 1;
 /// So many Synchronisations that agree with each other are a new line; so many, if they may have been held up.
 const MOVED: u32 = 2;
 const MOVED_LATE: u32 = 3;
@@ -48,19 +53,9 @@ const MOVED_LATE: u32 = 3;
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
 
-/// What is configured of a slave.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlaveConfig {
-    /// Calibration rounds; 0: none, and a delay of 0.
-    pub rounds: u32,
-    /// How much a Synchronisation may disagree with the line before it is a time step. Default: a
-    /// hundredth of the cycle, and at least 20 us.
-    pub step_limit: Option<Span>,
-}
-
 /// A station that follows.
 pub struct Slave {
-    step_limit: Option<Span>,
+    config: SlaveConfig,
     track: Track,
     envelope: Envelope,
     state: SyncState,
@@ -68,9 +63,14 @@ pub struct Slave {
     /// Who sent the last Synchronisation, and the last that was followed.
     master: Address,
     line_of: Address,
+    /// With whom the delay was, or is being, measured.
+    measured_with: Address,
     /// A cycle whose number came twice, and not as from a backup.
     doubted: Option<u32>,
     deviation: Span,
+    /// How much later than the line the last Synchronisation on it is, as the line is since.
+    beside: Span,
+    disagreement: Disagreement,
     /// Cycles since the line's last Synchronisation.
     missing: i64,
 }
@@ -95,15 +95,18 @@ pub enum Followed {
 impl Slave {
     pub fn new(config: SlaveConfig) -> Self {
         Self {
-            step_limit: config.step_limit,
+            config,
             track: Track::Nothing,
             envelope: Envelope::new(),
             state: SyncState::Waiting,
             calibration: Calibration::new(config.rounds),
             master: Address::BROADCAST,
             line_of: Address::BROADCAST,
+            measured_with: Address::BROADCAST,
             doubted: None,
             deviation: Span::ZERO,
+            beside: Span::ZERO,
+            disagreement: Disagreement::default(),
             missing: 0,
         }
     }
@@ -126,12 +129,35 @@ impl Slave {
         if age > known {
             return Err(Refusal::ImplausibleSync);
         }
+        let followed = match self.config.servo {
+            Servo::None => self.overwrite(from, mark, age),
+            Servo::Linear => self.filter(from, mark, age, events)?,
+        };
+        self.master = from;
+        if followed == Followed::Pending {
+            return Ok(followed);
+        }
+        self.line_of = from;
+        self.measure_with(from);
+        self.settle(cycle, events);
+        Ok(followed)
+    }
+
+    /// A Synchronisation agrees with the line, confirms another, or waits for the next one to do so.
+    fn filter(
+        &mut self,
+        from: Address,
+        mark: Mark,
+        age: Span,
+        events: &mut Events,
+    ) -> Result<Followed, Refusal> {
+        let cycle = mark.cycle;
         let followed = match &mut self.track {
             Track::Nothing => {
                 self.track = Track::First(mark);
                 Followed::Pending
             }
-            Track::First(first) => match first.line_to(&mark, self.step_limit) {
+            Track::First(first) => match first.line_to(&mark, self.config.step_limit) {
                 Some(line) if age <= line.period => {
                     // Whichever was held up less.
                     let start = line.start.min(first.start() + (mark.sched - first.sched));
@@ -145,27 +171,29 @@ impl Slave {
             Track::On { line, step } => {
                 if cycle == line.cycle || step.is_some_and(|step| step.mark.cycle == cycle) {
                     // A backup that has not heard its master says the same as that.
-                    if from == self.master || !mark.repeats(line, self.step_limit) {
+                    if from == self.master || !mark.repeats(line, self.config.step_limit) {
                         self.doubted = Some(cycle);
                     }
                     events.note(cycle, EventKind::DuplicateCycle, mark.deviation_from(line));
                     return Err(Refusal::DuplicateCycle);
                 }
                 self.deviation = mark.deviation_from(line);
-                if mark.agrees_with(line, self.step_limit, self.envelope.slower()) {
+                if mark.agrees_with(line, self.config.step_limit, self.envelope.slower()) {
                     if from != self.line_of {
                         // Another clock: it may drift otherwise.
                         self.envelope.restart();
                         self.calibration.leave_line();
                     }
                     if self.envelope.note(cycle, mark.start(), line.start_of(cycle), line.period) {
-                        correct_delay(&mut self.calibration, &mut self.envelope, line);
+                        rounds::correct_delay(&mut self.calibration, &mut self.envelope, line);
                     }
                     *line = match self.envelope.start_of(cycle) {
                         Some((start, drift)) => line.carried_on(&mark, start, drift),
                         None => line.moved_to(&mark),
                     };
                     *step = None;
+                    self.beside = mark.start() - line.start;
+                    self.disagreement.note(self.deviation);
                     Followed::Agrees
                 } else {
                     let agreed = step.and_then(|step| step.confirmed_by(&mark, line.period));
@@ -183,48 +211,7 @@ impl Slave {
                 }
             }
         };
-        self.master = from;
-        if followed == Followed::Pending {
-            return Ok(followed);
-        }
-        self.line_of = from;
-        self.settle(cycle, events);
         Ok(followed)
-    }
-
-    /// A calibration reply, received at `rx`; `true` when it was the last that was needed.
-    pub fn on_reply(
-        &mut self,
-        rx: Instant,
-        request_xmit: u64,
-        reception: u64,
-        xmit: u64,
-        events: &mut Events,
-    ) -> Result<bool, Refusal> {
-        let Track::On { line, .. } = &mut self.track else { return Err(Refusal::UnexpectedReply) };
-        if self.calibration.delay().is_some() {
-            return Err(Refusal::UnexpectedReply);
-        }
-        let Some(delay) = self.calibration.reply(request_xmit, reception, xmit, rx, line)? else {
-            return Ok(false);
-        };
-        // The offset grows by the delay, so everything is due that much earlier on this clock.
-        line.start = line.start - delay;
-        self.envelope.lengthen(delay);
-        let cycle = line.cycle;
-        if let Some(rate) = self.calibration.rate() {
-            self.envelope.know(rx, rate, delay, line.period);
-            correct_delay(&mut self.calibration, &mut self.envelope, line);
-        }
-        if let Some((start, drift)) = self.envelope.start_of(cycle) {
-            (line.start, line.drift) = (start, drift);
-        }
-        line.offset = Offset::between(line.start, line.sched);
-        // Who has lost the master meanwhile is locked by the next Synchronisation, not by a reply.
-        if self.state == SyncState::Calibrating {
-            self.settle(cycle, events);
-        }
-        Ok(true)
     }
 
     /// Begins anew, in place: nobody is followed. A delay that is known stays.
@@ -241,6 +228,8 @@ impl Slave {
     /// stays.
     pub fn resume(&mut self, line: TimeLine) {
         self.track = Track::On { line, step: None };
+        self.beside = Span::ZERO;
+        self.disagreement = Disagreement::at_first(mark::step_limit(self.config.step_limit, line.period));
         self.envelope.restart();
         self.calibration.leave_line();
         (self.master, self.line_of) = (Address::BROADCAST, Address::BROADCAST);
@@ -258,14 +247,17 @@ impl Slave {
         let missing = (since.nanos() / line.period.nanos()).max(0);
         self.missing = missing;
         let cycle = line.cycle.wrapping_add(missing as u32);
+        let is_bridged = missing <= i64::from(self.config.holdover);
         match (self.state, missing) {
-            (_, 0) | (SyncState::Holdover, 1) => {}
-            (SyncState::Locked, 1) => {
+            (_, 0) => {}
+            (SyncState::Holdover, _) if is_bridged => {}
+            (SyncState::Locked, _) if is_bridged => {
                 self.state = SyncState::Holdover;
                 events.note(cycle, EventKind::Holdover, since);
             }
             // One missing Synchronisation does not interrupt a calibration.
-            (_, 1) => {}
+            (SyncState::Calibrating, 1) => {}
+            (SyncState::Calibrating, _) if is_bridged => {}
             (SyncState::Lost, _) if missing > i64::from(LINE_GOOD_FOR) => {
                 self.track = Track::Nothing;
                 events.note(cycle, EventKind::LineGivenUp, since);
@@ -283,7 +275,10 @@ impl Slave {
     pub fn may_send(&self, cycle: u32) -> bool {
         let Track::On { line, step } = &self.track else { return false };
         let moved = step.is_some_and(|step| !step.mark.may_be_held_up(line));
-        line.ahead(cycle).unsigned_abs() <= HOLDOVER_CYCLES.unsigned_abs() && !moved && !self.doubts(cycle)
+        let bridged = self.config.holdover as i32;
+        // The next one's Synchronisation may have come before a slot at the cycle's end.
+        let known = -bridged.min(1)..=bridged;
+        known.contains(&line.ahead(cycle)) && !moved && !self.doubts(cycle)
     }
 
     /// Whether the number of this cycle came twice, and not as from a backup.
@@ -300,10 +295,11 @@ impl Slave {
         }
     }
 
-    /// When the loss of one more Synchronisation than is bridged, or than is missing, would be noticed.
+    /// When the loss of one more Synchronisation would be noticed, but the first that is bridged, which whoever sends
+    /// notices.
     pub fn deadline(&self) -> Option<Instant> {
         let line = self.line()?;
-        let cycles = self.missing.max(i64::from(HOLDOVER_CYCLES)) + 1;
+        let cycles = self.missing.max(i64::from(self.config.holdover.min(1))) + 1;
         Some(line.start + line.period * cycles + line.period / GRACE_PARTS)
     }
 
@@ -323,6 +319,19 @@ impl Slave {
     pub fn deviation(&self) -> Span {
         self.deviation
     }
+    pub fn config(&self) -> &SlaveConfig {
+        &self.config
+    }
+    pub fn envelope(&self) -> &Envelope {
+        &self.envelope
+    }
+    pub fn disagreement(&self) -> Disagreement {
+        self.disagreement
+    }
+    /// Cycles since the line's last Synchronisation that ought to have had one.
+    pub fn missing(&self) -> u32 {
+        self.missing as u32
+    }
 
     /// How fast this station's clock gains on the master's, in parts per 10^9, once known.
     pub fn drift_ppb(&self) -> Option<i64> {
@@ -340,11 +349,13 @@ impl Slave {
         let corrected =
             |done| !envelope.is_unbroken_since(done) || envelope.unsure_in(done).is_some() || is_old(done);
         let clear = envelope.is_clear() && self.calibration.done().is_none_or(corrected);
-        locked && (clear || !Envelope::serves(line.period))
+        locked && (clear || !Envelope::serves(line.period) || self.config.servo == Servo::None)
     }
 
     fn adopt(&mut self, from: Address, line: TimeLine) -> Followed {
         self.track = Track::On { line, step: None };
+        self.beside = Span::ZERO;
+        self.disagreement = Disagreement::at_first(mark::step_limit(self.config.step_limit, line.period));
         if from == self.line_of {
             self.envelope.begin_line();
         } else {
@@ -366,23 +377,6 @@ impl Slave {
             events.note(cycle, EventKind::Locked, self.calibration.delay().unwrap_or(Span::ZERO));
         }
     }
-}
-
-/// The envelope has become clearer. If it reaches back to the time of calibration, so has what rounds say of the delay of
-/// syncs: then the host may have been busy, and the line have been followed late.
-fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &TimeLine) {
-    let (Some(done), Some(drift)) = (calibration.done(), envelope.drift()) else { return };
-    if !envelope.is_unbroken_since(done) {
-        return calibration.leave_line();
-    }
-    let Some(unsure) = envelope.unsure_in(done) else { return };
-    let begun = |cycle| {
-        let start = envelope.start_of(cycle).map_or(line.start, |(start, _)| start);
-        Begun { cycle, start, offset: Offset::between(start, line.sched_of(cycle)) }
-    };
-    let apart = -(drift.parts_per_billion(line.period) as f64) / 1e9;
-    let longer = calibration.corrected(line.period, unsure, apart, begun);
-    envelope.lengthen(longer);
 }
 
 #[cfg(test)]

@@ -5,8 +5,9 @@ use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::master::{Master, Mastery};
+use super::report::CalibrationReport;
 use super::slot::SlotStatus;
-use super::{Role, Tdma};
+use super::{Role, Servo, Tdma};
 
 /// Everything a TDMA station counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -33,6 +34,8 @@ pub struct Counters {
     pub slots_empty: u64,
     /// Slots passed over because synchronisation did not allow them.
     pub slots_silent: u64,
+    /// Turns of a slot that carried no data, since the delay was measured anew in them.
+    pub slots_calibrating: u64,
     /// Calibration requests sent.
     pub requests_sent: u64,
     /// Times that calibration was given up.
@@ -51,7 +54,7 @@ pub struct Counters {
 
 impl Counters {
     /// Each with its name.
-    pub fn named(&self) -> [(&'static str, u64); 18] {
+    pub fn named(&self) -> [(&'static str, u64); 19] {
         [
             ("syncs_sent", self.syncs_sent),
             ("syncs_skipped", self.syncs_skipped),
@@ -64,6 +67,7 @@ impl Counters {
             ("send_failed", self.send_failed),
             ("slots_empty", self.slots_empty),
             ("slots_silent", self.slots_silent),
+            ("slots_calibrating", self.slots_calibrating),
             ("requests_sent", self.requests_sent),
             ("calibration_timeouts", self.calibration_timeouts),
             ("replies_sent", self.replies_sent),
@@ -124,6 +128,21 @@ pub struct TdmaStatus {
     pub drift_ppb: Option<i64>,
     /// Whether its time will not become clearer: the drift is known, and the delay by it.
     pub settled: bool,
+    /// By how much cycles may start earlier or later than is believed, as of the last look at the time; `None`: nobody is
+    /// followed, or no delay was measured.
+    pub error_bound: Option<Span>,
+    /// How Synchronisations become its line; `None`: nobody is followed.
+    pub servo: Option<Servo>,
+    /// Cycles without a Synchronisation that are bridged, of those that follow somebody.
+    pub holdover: u32,
+    /// Cycles since the last Synchronisation that was followed.
+    pub missing: u32,
+    /// What calibration has shown.
+    pub calibration: Option<CalibrationReport>,
+    /// Rounds that were measured of one under way, and of how many.
+    pub calibrating: Option<(u32, u32)>,
+    /// Calibration rounds that are configured.
+    pub rounds: u32,
     /// Calibration requests that had no answer and were repeated.
     pub calibration_repeats: u64,
     /// What a master or a backup is doing.
@@ -164,6 +183,13 @@ impl TdmaStatus {
             deviation: slave.map_or(Span::ZERO, |slave| slave.deviation()),
             drift_ppb: slave.and_then(|slave| slave.drift_ppb()),
             settled: slave.map_or(time.state == SyncState::Locked, |slave| slave.is_settled()),
+            error_bound: slave.and_then(|slave| slave.error_bound(tdma.looked)),
+            servo: slave.map(|slave| slave.config().servo),
+            holdover: slave.map_or(0, |slave| slave.config().holdover),
+            missing: slave.map_or(0, |slave| slave.missing()),
+            calibration: slave.and_then(|slave| slave.calibration().report()),
+            calibrating: slave.and_then(|slave| slave.calibration().progress()),
+            rounds: slave.map_or(0, |slave| slave.config().rounds),
             calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
             mastery: master.map(Master::mastery),
             yielded_to: master.and_then(|master| master.yielded_to()),

@@ -1,3 +1,6 @@
+mod anew;
+mod requests;
+
 use super::*;
 use rtnet::discipline::SyncState;
 
@@ -22,7 +25,8 @@ fn master_config() -> MasterConfig {
         resume: None,
         backup: None,
         backups_from: None,
-        follow: SlaveConfig { rounds: 0, step_limit: None },
+        max_requests: DEFAULT_MAX_REQUESTS,
+        follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
     }
 }
 
@@ -117,7 +121,7 @@ fn who_is_to_send_late_does_so_up_to_a_cycle() {
 #[test]
 fn a_slave_is_silent_before_it_has_heard_anything() {
     let mut slave =
-        Tdma::new(&config(RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None }))).unwrap();
+        Tdma::new(&config(RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() }))).unwrap();
     slave.on_timeout(at(9_000));
     assert_eq!(slave.next_deadline(), None);
     assert!(slave.opportunity(at(9_000)).is_none() && slave.next_transmission(at(9_000)).is_none());
@@ -138,7 +142,7 @@ fn slots_change_by_command_and_a_masters_must_be_in_its_cycle() {
 
 /// A slave that has heard cycles 1 and 2 of a line on which cycle n begins at n ms.
 fn locked_slave() -> Tdma {
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() });
     let mut slave = Tdma::new(&config(role)).unwrap();
     hear_syncs(&mut slave, 1..=2);
     assert_eq!(slave.time().state, SyncState::Locked);
@@ -229,7 +233,7 @@ fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none
 
 #[test]
 fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off() {
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 5, ..SlaveConfig::default() });
     let mut slave = Tdma::new(&config(role)).unwrap();
     hear_syncs(&mut slave, 1..=2);
     let request = slave.next_transmission(at(2_400)).expect("a request");
@@ -243,7 +247,7 @@ fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off
 
 #[test]
 fn who_has_had_the_last_reply_in_its_slot_sends_there_from_the_next_turn_on() {
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, ..SlaveConfig::default() });
     let mut slave = Tdma::new(&config(role)).unwrap();
     queue(&mut slave, &Pool::new(1), 60);
     // Synchronisations take 3 us, other frames 1, which stamps of another clock do not tell: its line is 2 us late.
@@ -270,7 +274,7 @@ fn who_has_had_the_last_reply_in_its_slot_sends_there_from_the_next_turn_on() {
 
 #[test]
 fn who_loses_its_master_while_it_calibrates_has_missed_no_slots() {
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 5, ..SlaveConfig::default() });
     let mut slave = Tdma::new(&config(role)).unwrap();
     hear_syncs(&mut slave, 1..=2);
     slave.on_timeout(at(4_500));
@@ -379,7 +383,7 @@ fn a_slave_keeps_the_slot_it_calibrates_in() {
 
 /// A slave with these slots, each an id and a period.
 fn with_slots(rounds: u32, slots: &[(u8, u32)]) -> TdmaConfig {
-    let whole = config(RoleConfig::Slave(SlaveConfig { rounds, step_limit: None }));
+    let whole = config(RoleConfig::Slave(SlaveConfig { rounds, ..SlaveConfig::default() }));
     let slots = slots.iter().map(|&(id, period)| SlotConfig { id, period, ..whole.slots[0] });
     TdmaConfig { slots: slots.collect(), ..whole }
 }
@@ -402,7 +406,7 @@ fn a_first_slot_in_which_no_master_would_reply_is_refused() {
 fn no_command_leaves_a_slave_with_a_first_slot_in_which_no_master_would_reply() {
     let refused = Err(Refused::NeverCalibrated { id: 1, period: 1_025 });
     let set = TdmaCommand::SetSlot(with_slots(1, &[(1, 1_025)]).slots[0]);
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, ..SlaveConfig::default() });
     let calibrate = TdmaCommand::Become(NewRole::attached(role).unwrap());
     for (rounds, slots, mut command) in [
         (1, &[(2, 1_024)][..], set),
@@ -446,7 +450,7 @@ fn who_is_detached_is_silent_and_deaf_until_attached_again() {
     assert!(matches!(hear(&mut slave, OTHER, sync), Claimed::Refused(Refusal::Detached)));
     assert_eq!(slave.status().role, RoleName::Detached);
 
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() });
     slave.command(at(9_000), &mut TdmaCommand::Become(NewRole::attached(role).unwrap())).unwrap();
     assert_eq!(slave.time().state, SyncState::Waiting);
     hear_syncs(&mut slave, 10..=11);
@@ -526,7 +530,7 @@ fn what_cannot_be_of_a_backup_is_refused() {
 #[test]
 fn a_backup_without_a_slot_or_not_calibrated_takes_over_all_the_same() {
     for slots in [0, 1] {
-        let follow = SlaveConfig { rounds: 20, step_limit: None };
+        let follow = SlaveConfig { rounds: 20, ..SlaveConfig::default() };
         let backup = MasterConfig { backup: Some(Span::from_micros(100)), follow, ..master_config() };
         let mut config = config(RoleConfig::Master(backup));
         config.slots.truncate(slots);

@@ -41,6 +41,8 @@ pub enum EventKind {
     SendFailed,
     /// So it did with a calibration reply.
     ReplyFailed,
+    /// A slot's turn carried no data, since the delay is measured anew in it.
+    CalibrationTurn,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
     /// The kernel guard dropped a Synchronisation that came too late, by so much or less: its cycle has none.
@@ -49,7 +51,7 @@ pub enum EventKind {
     TimeStep,
     /// A cycle number came twice; this station stays silent in that cycle, unless another master said the same.
     DuplicateCycle,
-    /// A Synchronisation is missing; the cycle is bridged.
+    /// A Synchronisation is missing; its cycle is bridged, and those after it as far as configured.
     Holdover,
     /// More Synchronisations are missing than are bridged.
     SyncLost,
@@ -59,7 +61,9 @@ pub enum EventKind {
     SyncLate,
     /// Synchronised; the span is the delay from the master.
     Locked,
-    /// Calibration was given up for now.
+    /// The delay was measured anew: the span is what it is from now on.
+    CalibratedAnew,
+    /// Calibration was given up for now; a delay that is known stays.
     CalibrationTimeout,
     /// Another master is active on the medium.
     OtherMaster,
@@ -75,7 +79,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 26] = [
+    pub const ALL: [EventKind; 28] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -87,6 +91,7 @@ impl EventKind {
         EventKind::JointDetached,
         EventKind::SendFailed,
         EventKind::ReplyFailed,
+        EventKind::CalibrationTurn,
         EventKind::SyncSkipped,
         EventKind::SyncDropped,
         EventKind::TimeStep,
@@ -96,6 +101,7 @@ impl EventKind {
         EventKind::LineGivenUp,
         EventKind::SyncLate,
         EventKind::Locked,
+        EventKind::CalibratedAnew,
         EventKind::CalibrationTimeout,
         EventKind::OtherMaster,
         EventKind::MasterActive,
@@ -116,6 +122,7 @@ impl EventKind {
                 | SlotSilent
                 | TurnLeft
                 | SlotEmpty
+                | CalibrationTurn
                 | SendFailed
                 | ReplyFailed
                 | SyncSkipped
@@ -132,6 +139,7 @@ impl EventKind {
             | EventKind::SyncDropped => Some(Cause::StalledInSend),
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
+            EventKind::CalibrationTurn => Some(Cause::Calibrating),
             EventKind::SendFailed | EventKind::ReplyFailed => Some(Cause::Refused),
             _ => None,
         }
@@ -151,6 +159,7 @@ impl EventKind {
             EventKind::JointDetached => "joint_detached",
             EventKind::SendFailed => "send_failed",
             EventKind::ReplyFailed => "reply_failed",
+            EventKind::CalibrationTurn => "calibration_turn",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::SyncDropped => "sync_dropped",
             EventKind::TimeStep => "time_step",
@@ -160,6 +169,7 @@ impl EventKind {
             EventKind::LineGivenUp => "line_given_up",
             EventKind::SyncLate => "sync_late",
             EventKind::Locked => "locked",
+            EventKind::CalibratedAnew => "calibrated_anew",
             EventKind::CalibrationTimeout => "calibration_timeout",
             EventKind::OtherMaster => "other_master",
             EventKind::MasterActive => "master_active",
@@ -183,18 +193,21 @@ pub enum Cause {
     NoSync,
     /// Nothing was queued in time.
     QueueEmpty,
+    /// The delay was measured in it, as was asked for.
+    Calibrating,
     /// The kernel did not take the frame.
     Refused,
 }
 
 impl Cause {
     /// Every cause.
-    pub const ALL: [Cause; 6] = [
+    pub const ALL: [Cause; 7] = [
         Cause::TimerLate,
         Cause::Preempted,
         Cause::StalledInSend,
         Cause::NoSync,
         Cause::QueueEmpty,
+        Cause::Calibrating,
         Cause::Refused,
     ];
 
@@ -206,6 +219,7 @@ impl Cause {
             Cause::StalledInSend => "stalled_in_send",
             Cause::NoSync => "sync_lost_or_late",
             Cause::QueueEmpty => "queue_empty",
+            Cause::Calibrating => "calibrating",
             Cause::Refused => "refused",
         }
     }

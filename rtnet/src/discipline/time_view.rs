@@ -10,7 +10,7 @@ use crate::clock::{BILLION, floor_of_product};
 use crate::time::{GlobalTime, Instant, Offset, Span};
 
 /// A station looks at its line within two cycles, or some more when its loop sleeps as long as it ever does: a view
-/// that is older than this is of a station that is held up.
+/// that is older than this, and than what is bridged, is of a station that is held up.
 const OLD_CYCLES: i64 = 4;
 /// See [`OLD_CYCLES`].
 const OLD_AFTER: Span = Span::from_millis(200);
@@ -25,9 +25,9 @@ pub enum SyncState {
     Calibrating,
     /// Synchronised.
     Locked,
-    /// One Synchronisation is missing; its cycle is bridged.
+    /// Synchronisations are missing, no more than are bridged: one, unless configured otherwise.
     Holdover,
-    /// More than one is missing: silent.
+    /// More are missing: silent.
     Lost,
 }
 
@@ -64,6 +64,8 @@ pub struct TimeView {
     pub period: Option<Span>,
     /// How fast this station's clock gains on the master's, in parts per 10^9, as far as that is known.
     pub drift_ppb: i64,
+    /// Cycles without a Synchronisation that are bridged.
+    pub holdover: u16,
 }
 
 impl TimeView {
@@ -109,7 +111,8 @@ impl TimeView {
     /// How far the station is at `now`. What is too old to be true is lost: the station is held up, and does not know
     /// what has become of its master.
     pub fn state_at(&self, now: Instant) -> SyncState {
-        let old = self.period.map_or(Span::ZERO, |period| period * OLD_CYCLES + OLD_AFTER);
+        let cycles = OLD_CYCLES + i64::from(self.holdover);
+        let old = self.period.map_or(Span::ZERO, |period| period * cycles + OLD_AFTER);
         if self.state.is_synchronised() && now - self.start > old { SyncState::Lost } else { self.state }
     }
 
@@ -132,7 +135,7 @@ mod tests {
         let start = Instant::from_nanos(5_000_000);
         let offset = Offset::between(start, GlobalTime::from_nanos(2_000_000_000));
         let (state, period) = (SyncState::Locked, Some(MS));
-        TimeView { state, cycle: 100, start, offset, period, drift_ppb: 100_000 }
+        TimeView { state, cycle: 100, start, offset, period, drift_ppb: 100_000, holdover: 0 }
     }
 
     #[test]
@@ -184,6 +187,9 @@ mod tests {
         let after = |span| view.start + span;
         assert_eq!(view.state_at(after(MS * OLD_CYCLES + OLD_AFTER)), SyncState::Locked);
         assert_eq!(view.state_at(after(MS * OLD_CYCLES + OLD_AFTER + MS)), SyncState::Lost);
+        let bridging = TimeView { state: SyncState::Holdover, holdover: 20, ..view };
+        assert_eq!(bridging.state_at(after(MS * (OLD_CYCLES + 20) + OLD_AFTER)), SyncState::Holdover);
+        assert_eq!(bridging.state_at(after(MS * (OLD_CYCLES + 21) + OLD_AFTER)), SyncState::Lost);
         let calibrating = TimeView { state: SyncState::Calibrating, ..view };
         assert_eq!(calibrating.state_at(after(MS * 100_000)), SyncState::Calibrating);
     }

@@ -27,7 +27,7 @@ use crate::time::{GlobalTime, Instant, Offset, Span};
 use super::clock::monotonic;
 use super::wait::Waiter;
 
-/// State and cycle, start, offset, period, drift.
+/// State, holdover and cycle, start, offset, period, drift.
 const WORDS: usize = 5;
 
 /// What a station shows of the master's time, to the threads of its process.
@@ -46,7 +46,7 @@ const WORDS: usize = 5;
 /// let board = publisher.board();
 /// let (start, offset) = (board.now(), Offset::default());
 /// let (state, period) = (SyncState::Locked, Some(Span::from_millis(2)));
-/// publisher.publish(&TimeView { state, cycle: 7, start, offset, period, drift_ppb: 0 });
+/// publisher.publish(&TimeView { state, cycle: 7, start, offset, period, ..TimeView::default() });
 ///
 /// let (global, state) = board.global_now().expect("there is a time line");
 /// assert_eq!(board.to_local(global).map(|local| board.to_global(local)), Some(Some(global)));
@@ -185,15 +185,15 @@ const STATES: [SyncState; 5] =
     [SyncState::Waiting, SyncState::Calibrating, SyncState::Locked, SyncState::Holdover, SyncState::Lost];
 
 fn pack(view: &TimeView) -> [u64; WORDS] {
-    let &TimeView { state, cycle, start, offset, period, drift_ppb } = view;
-    let state_and_cycle = (state as u64) << 32 | u64::from(cycle);
+    let &TimeView { state, cycle, start, offset, period, drift_ppb, holdover } = view;
+    let state_and_cycle = (state as u64) << 48 | u64::from(holdover) << 32 | u64::from(cycle);
     // No period is 0.
     let period = period.map_or(0, Span::nanos) as u64;
     [state_and_cycle, start.nanos(), offset.nanos(), period, drift_ppb as u64]
 }
 
 fn unpack([state_and_cycle, start, offset, period, drift]: [u64; WORDS]) -> TimeView {
-    let state = STATES.get((state_and_cycle >> 32) as usize);
+    let state = STATES.get((state_and_cycle >> 48) as usize);
     TimeView {
         state: state.copied().unwrap_or_default(),
         cycle: state_and_cycle as u32,
@@ -201,6 +201,7 @@ fn unpack([state_and_cycle, start, offset, period, drift]: [u64; WORDS]) -> Time
         offset: Offset::between(Instant::default(), GlobalTime::from_nanos(offset)),
         period: (period > 0).then_some(Span::from_nanos(period as i64)),
         drift_ppb: drift as i64,
+        holdover: (state_and_cycle >> 32) as u16,
     }
 }
 
@@ -217,6 +218,7 @@ mod tests {
             offset: Offset::between(Instant::default(), GlobalTime::from_nanos(n.wrapping_mul(5))),
             period: Some(Span::from_nanos(n as i64 + 1)),
             drift_ppb: -(n as i64),
+            holdover: n as u16,
         }
     }
 
@@ -288,7 +290,15 @@ mod tests {
         let global = GlobalTime::from_nanos(9_000_000_000);
         let offset = Offset::between(start, global);
         let (state, period) = (SyncState::Locked, Some(Span::from_millis(1)));
-        publisher.publish(&TimeView { state, cycle: 1, start, offset, period, drift_ppb: 50_000 });
+        publisher.publish(&TimeView {
+            state,
+            cycle: 1,
+            start,
+            offset,
+            period,
+            drift_ppb: 50_000,
+            holdover: 1,
+        });
         let later = start + Span::from_nanos(1_000_050_000);
         assert_eq!(board.to_global(later).unwrap() - global, Span::from_millis(1_000));
         assert_eq!(board.to_local(global + Span::from_millis(1_000)), Some(later));

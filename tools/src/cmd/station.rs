@@ -126,7 +126,13 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
         bail!("a station is --master, with --cycle, or --slave: say which");
     }
     let step_limit = lab.map(|lab| Span::from_nanos(lab.step_limit_ns));
-    let follow = SlaveConfig { rounds: args.rounds, step_limit };
+    let follow = SlaveConfig {
+        rounds: args.rounds,
+        step_limit,
+        servo: args.servo.servo(),
+        holdover: args.holdover,
+        on_master_change: args.on_master_change.on_master_change(),
+    };
     let role = match args.cycle.filter(|_| args.master) {
         Some(cycle) => {
             let window = sync_window(args, cycle);
@@ -141,6 +147,7 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
                 resume: lab.and_then(LabOptions::resume),
                 backup: args.backup,
                 backups_from: args.backups_from,
+                max_requests: args.max_requests,
                 follow,
             })
         }

@@ -30,7 +30,14 @@ pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
             return Ok(0);
         }
         TdmaVerb::Master { cycle } => RoleRequest::Master { cycle_ns: cycle.nanos() },
-        TdmaVerb::Slave { rounds } => RoleRequest::Slave { rounds },
+        TdmaVerb::Slave { rounds, servo, holdover, on_master_change } => {
+            RoleRequest::Slave { rounds, servo, holdover, on_master_change }
+        }
+        TdmaVerb::Calibrate { rounds } => {
+            let from = applied(which, Request::Calibrate { rounds }).map_err(Failure::Usage)?;
+            let so_far = ", while it keeps its slots; `status` tells how far it is";
+            return told(which, from, &format!("{}: calibrates anew", which.place), so_far);
+        }
         TdmaVerb::Detach => RoleRequest::Detached,
     };
     let Place { lab, station } = which.place.clone();
@@ -120,8 +127,8 @@ fn became(role: RoleRequest) -> String {
         RoleRequest::Master { cycle_ns } => {
             format!("master of a cycle of {}", Span::from_nanos(cycle_ns))
         }
-        RoleRequest::Slave { rounds: 0 } => "slave, without calibration".into(),
-        RoleRequest::Slave { rounds } => format!("slave, after {rounds} calibration rounds"),
+        RoleRequest::Slave { rounds: 0, .. } => "slave, without calibration".into(),
+        RoleRequest::Slave { rounds, .. } => format!("slave, after {rounds} calibration rounds"),
         RoleRequest::Detached => "detached".into(),
     }
 }
@@ -178,6 +185,8 @@ fn in_the_cycle(status: &StationStatus) -> String {
             status.drift_ppb.map_or("not known yet".into(), |ppb| format!("{:+.3} ppm", ppb as f64 / 1e3)),
             Span::from_nanos(status.deviation_ns)
         );
+        let measures_anew = standing.delay_ns.is_some();
+        text += &status.clock.as_ref().map_or(String::new(), |clock| clock.describe(measures_anew));
     }
     if let Some(global) = status.global_ns {
         text += &format!("global time {}.{:09}\n", global / 1_000_000_000, global % 1_000_000_000);

@@ -11,12 +11,14 @@
 //! back what it has asked for and nobody has begun with.
 
 mod client;
+mod clock;
 mod loads;
 mod places;
 mod protocol;
 mod server;
 
 pub use client::{Question, ask, ask_lab, lab_status, put, station_status};
+pub use clock::{CalibrationShown, ClockShown, Progress};
 pub use loads::Load;
 pub use places::{Directory, Held, Home, Place, check_name, parse_name};
 pub use protocol::{

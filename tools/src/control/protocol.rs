@@ -9,8 +9,10 @@ use rtnet::wire::ethernet::MTU;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::clock::ClockShown;
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
+use crate::scenario::{DelayPolicy, ServoName};
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, Misses};
 
@@ -63,6 +65,12 @@ pub enum Request {
     RemoveSlot(u8),
     /// Be something else in the cycle.
     Become(RoleRequest),
+    /// Measure the delay from the master anew.
+    Calibrate {
+        /// In so many rounds; not given: in as many as the first time.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        rounds: Option<u32>,
+    },
 }
 
 /// What it answers.
@@ -172,6 +180,15 @@ pub enum RoleRequest {
     Slave {
         /// 0: none.
         rounds: u32,
+        /// Not given: as the station was started, and so are the others.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        servo: Option<ServoName>,
+        /// Cycles without a Synchronisation that are bridged.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        holdover: Option<u32>,
+        /// What becomes of the delay with another master.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        on_master_change: Option<DelayPolicy>,
     },
     /// Take no part.
     Detached,
@@ -209,6 +226,8 @@ pub struct StationStatus {
     pub deviation_ns: i64,
     /// How fast its clock gains on the master's, in parts per 10^9; `None`: the master's own, or not known yet.
     pub drift_ppb: Option<i64>,
+    /// How it follows its master's time, and how well; `None`: it has no cycle.
+    pub clock: Option<ClockShown>,
     /// Its slots, by id.
     pub slots: Vec<SlotShown>,
     /// Everything that its discipline counts, and what became of its interface.

@@ -20,12 +20,13 @@ const MASTER: usize = 0;
 const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
 
 /// By what a slot is missed.
-const MISSED_BY: [EventKind; 5] = [
+const MISSED_BY: [EventKind; 6] = [
     EventKind::Overrun,
     EventKind::GuardDropped,
     EventKind::SendFailed,
     EventKind::TurnLeft,
     EventKind::SlotEmpty,
+    EventKind::CalibrationTurn,
 ];
 /// By what a cycle has no Synchronisation.
 const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::SyncDropped, EventKind::SendFailed];

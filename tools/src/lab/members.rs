@@ -22,7 +22,7 @@ use crate::judge::noteworthy::Noteworthy;
 use crate::judge::outcome::Facts;
 use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, ServoName};
 use crate::station::link::{self, LabOptions, Report, Standing};
 use crate::station::misses::Misses;
 use rtmac::tdma::schedule;
@@ -388,6 +388,9 @@ pub fn arguments(
         add("--late", "send".into());
     }
     add("--slot-guard", scenario.slot_guard.name().into());
+    if scenario.servo == ServoName::None {
+        add("--servo", "none".into());
+    }
     // Without a value.
     line.push("--exclusive".into());
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);

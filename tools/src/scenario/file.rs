@@ -9,6 +9,7 @@
 //! seed = 1
 //! late = "skip"             # or "send", as RTnet does
 //! slot_guard = "auto"       # or "kernel", "user": what keeps stations from sending later
+//! servo = "linear"          # or "none", as in RTnet: each sync is the time line
 //!
 //! [[station]]
 //! name = "master"
@@ -38,8 +39,8 @@ use toml::Spanned;
 use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, WanderFile, WireFile};
 
 use super::{
-    Conditions, MAX_STATIONS, MIN_PAYLOAD, Scenario, SlotGuard, SlotPlan, StationPlan, default_sync_window,
-    divide,
+    Conditions, MAX_STATIONS, MIN_PAYLOAD, Scenario, ServoName, SlotGuard, SlotPlan, StationPlan,
+    default_sync_window, divide,
 };
 use crate::report::figures::Role;
 use crate::units::{AnySpan, FileRate, GuardBand, NonNegativeSpan, PositiveSpan};
@@ -100,6 +101,7 @@ struct NetworkFile {
     seed: Option<u64>,
     late: Option<Late>,
     slot_guard: Option<SlotGuard>,
+    servo: Option<ServoName>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
     host: Option<HostFile>,
@@ -194,6 +196,7 @@ impl Source<'_> {
             seed: network.seed.unwrap_or(1),
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
             slot_guard: network.slot_guard.unwrap_or_default(),
+            servo: network.servo.unwrap_or_default(),
             stations,
             conditions: self.conditions(&mut network)?,
         };
@@ -375,7 +378,10 @@ impl Source<'_> {
     }
 
     fn check_calibration(&self, network: &NetworkFile, scenario: &Scenario) -> Result<(), FileError> {
-        for slave in scenario.stations.iter().filter(|station| station.role != Role::Master) {
+        // A master that returns to its backups calibrates, too.
+        let has_backups = scenario.stations.iter().any(|station| station.backup.is_some());
+        let follows = |station: &&StationPlan| station.role != Role::Master || has_backups;
+        for slave in scenario.stations.iter().filter(follows) {
             let slots = || slave.slots.iter().map(|slot| (slot.id, slot.period));
             check_rounds(slave.rounds, slots()).map_err(|refused| {
                 let first = slots().min().map_or(0, |(id, _)| id);

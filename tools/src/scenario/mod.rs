@@ -5,6 +5,7 @@ mod acts;
 mod conditions;
 mod expectation;
 mod file;
+mod follow;
 
 use clap::ValueEnum;
 use rtmac::tdma::schedule::{self, Conflict, Rate, Schedule};
@@ -21,6 +22,7 @@ pub use acts::{Act, Part, acts, over};
 pub use conditions::{Conditions, Direction, Event, Happening, Wandering, Wire};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Source, load, parse_phase};
+pub use follow::{DelayPolicy, ServoName};
 
 /// Part of each cycle that belongs to the Synchronisation, unless the cycle is too short for it.
 const SYNC_WINDOW: Span = Span::from_micros(50);
@@ -59,6 +61,8 @@ pub struct Scenario {
     pub late: LatePolicy,
     /// What keeps stations from sending later than that.
     pub slot_guard: SlotGuard,
+    /// How syncs become the stations' time lines.
+    pub servo: ServoName,
     /// The first is the master.
     pub stations: Vec<StationPlan>,
     /// What it goes through.
@@ -224,7 +228,7 @@ impl Uniform {
             })
             .collect();
         let guard = guard.unwrap_or(length - air);
-        let (late, slot_guard) = (LatePolicy::Skip, SlotGuard::Auto);
+        let (late, slot_guard, servo) = (LatePolicy::Skip, SlotGuard::Auto, ServoName::Linear);
         let conditions = Conditions::default();
         let scenario = Scenario {
             cycle,
@@ -235,6 +239,7 @@ impl Uniform {
             seed,
             late,
             slot_guard,
+            servo,
             stations,
             conditions,
         };

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use anyhow::{Result, anyhow};
 use rtmac::tdma::schedule;
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma,
+    TdmaConfig,
 };
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::sim::{Host, Medium, Member, Network, Wander};
@@ -132,7 +133,12 @@ pub fn discipline(
     resume: Option<(u32, GlobalTime)>,
 ) -> TdmaConfig {
     let plan = &scenario.stations[id];
-    let follow = SlaveConfig { rounds: plan.rounds, step_limit: Some(schedule::step_limit(scenario.guard)) };
+    let follow = SlaveConfig {
+        rounds: plan.rounds,
+        step_limit: Some(schedule::step_limit(scenario.guard)),
+        servo: scenario.servo.servo(),
+        ..SlaveConfig::default()
+    };
     let role = if plan.role == Role::Slave {
         RoleConfig::Slave(follow)
     } else {
@@ -144,6 +150,7 @@ pub fn discipline(
             resume,
             backup: plan.backup,
             backups_from: scenario.stations.iter().filter_map(|station| station.backup).min(),
+            max_requests: DEFAULT_MAX_REQUESTS,
             follow,
         })
     };

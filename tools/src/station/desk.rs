@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::{
-    DEFAULT_ROUNDS, MasterConfig, NewRole, RoleConfig, RoleName, SlaveConfig, SlotStatus, TdmaCommand,
-    TdmaStatus,
+    DEFAULT_ROUNDS, MasterConfig, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig, SlotStatus,
+    TdmaCommand, TdmaStatus,
 };
 use rtnet::at_once::AtOnceStatus;
 use rtnet::clock::EmulatedClock;
@@ -25,10 +25,10 @@ use super::traffic::TrafficCounts;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
-    Envelope, Reply, Request, RoleRequest, SlotChange, SlotShown, StationStatus, Traffic, read,
+    ClockShown, Envelope, Reply, Request, RoleRequest, SlotChange, SlotShown, StationStatus, Traffic, read,
 };
 use crate::report::figures::GuardName;
-use crate::scenario::default_sync_window;
+use crate::scenario::{DelayPolicy, ServoName, default_sync_window};
 
 /// A command is carried out after the next slot; a station that hears nothing looks ten times a second. Less than a lab
 /// waits for its station.
@@ -44,7 +44,9 @@ pub struct Desk {
     clock: EmulatedClock,
     /// How long after its begin a slot may still be used, unless a lab says otherwise.
     latest: Span,
-    step_limit: Option<Span>,
+    /// How it follows, and answers, unless it is told otherwise.
+    follow: SlaveConfig,
+    max_requests: usize,
     /// A single station's slots with every change that was carried out; a lab sees to its stations' itself.
     own_slots: Option<OwnSlots>,
     records: Arc<ArrayQueue<Record>>,
@@ -82,7 +84,8 @@ impl Desk {
             wire,
             clock: options.clock(),
             latest: options.latest,
-            step_limit: lab.map(|lab| Span::from_nanos(lab.step_limit_ns)),
+            follow: options.follow(),
+            max_requests: options.max_requests(),
             own_slots: options.own_slots.clone(),
             records: driver.records(),
             snapshots: driver.snapshots(),
@@ -162,6 +165,7 @@ impl Desk {
                 Ok(new) => self.take_role(role, new),
                 Err(refused) => Reply::Refused(refused.to_string()),
             },
+            Ok(Request::Calibrate { rounds }) => self.calibrate(rounds),
         };
         Envelope::pack(reply)
     }
@@ -186,6 +190,17 @@ impl Desk {
             let own = own.giving(given);
             own.check().map(|()| own)
         })
+    }
+
+    /// In as many rounds as the first time, unless it is said in how many.
+    fn calibrate(&mut self, rounds: Option<u32>) -> Reply {
+        self.look();
+        let tdma = self.newest.as_ref().and_then(|newest| newest.status.tdma());
+        let configured = tdma.map(|tdma| tdma.rounds).filter(|&rounds| rounds > 0);
+        match NewRounds::of(rounds.or(configured).unwrap_or(DEFAULT_ROUNDS)) {
+            Ok(rounds) => self.change(TdmaCommand::Calibrate(rounds), |own, _| Ok(own.clone())),
+            Err(refused) => Reply::Refused(refused.to_string()),
+        }
     }
 
     /// Asks for a change that goes with the station's own slots: `to_be` says what becomes of them, by the cycle
@@ -243,9 +258,16 @@ impl Desk {
     fn role(&mut self, role: RoleRequest) -> Result<NewRole, rtmac::tdma::Refused> {
         match role {
             RoleRequest::Detached => Ok(NewRole::detached()),
-            RoleRequest::Slave { rounds } => {
-                let step_limit = self.step_limit;
-                NewRole::attached(RoleConfig::Slave(SlaveConfig { rounds, step_limit }))
+            RoleRequest::Slave { rounds, servo, holdover, on_master_change } => {
+                let before = self.follow;
+                NewRole::attached(RoleConfig::Slave(SlaveConfig {
+                    rounds,
+                    servo: servo.map_or(before.servo, ServoName::servo),
+                    holdover: holdover.unwrap_or(before.holdover),
+                    on_master_change: on_master_change
+                        .map_or(before.on_master_change, DelayPolicy::on_master_change),
+                    ..before
+                }))
             }
             RoleRequest::Master { cycle_ns } => {
                 let cycle = Span::from_nanos(cycle_ns);
@@ -257,7 +279,8 @@ impl Desk {
                     resume: None,
                     backup: None,
                     backups_from: None,
-                    follow: SlaveConfig { rounds: DEFAULT_ROUNDS, step_limit: self.step_limit },
+                    max_requests: self.max_requests,
+                    follow: SlaveConfig { rounds: DEFAULT_ROUNDS, ..self.follow },
                 }))
             }
         }
@@ -293,6 +316,7 @@ impl Desk {
             global_ns: self.time.global_now().map(|(global, _)| global.nanos()),
             deviation_ns: tdma.map_or(0, |tdma| tdma.deviation.nanos()),
             drift_ppb: tdma.and_then(|tdma| tdma.drift_ppb),
+            clock: tdma.map(ClockShown::from),
             slots: tdma.iter().flat_map(|tdma| tdma.slots.iter().flatten()).map(shown).collect(),
             counters: counters(status, &self.wire),
             host: self.host.clone(),

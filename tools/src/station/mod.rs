@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
 use nix::sys::eventfd::{EfdFlags, EventFd};
+use rtmac::tdma::{DEFAULT_MAX_REQUESTS, MasterConfig, RoleConfig, SlaveConfig};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
@@ -78,6 +79,22 @@ impl Options {
     /// The clock that the station is to have.
     pub fn clock(&self) -> EmulatedClock {
         self.lab.as_ref().map_or_else(EmulatedClock::default, LabOptions::clock)
+    }
+
+    /// How it follows a master, as a slave or when it is none itself.
+    fn follow(&self) -> SlaveConfig {
+        match self.access.tdma().map(|tdma| tdma.role) {
+            Some(RoleConfig::Master(MasterConfig { follow, .. }) | RoleConfig::Slave(follow)) => follow,
+            None => SlaveConfig::default(),
+        }
+    }
+
+    /// Calibration requests that it answers at a time as a master.
+    fn max_requests(&self) -> usize {
+        match self.access.tdma().map(|tdma| tdma.role) {
+            Some(RoleConfig::Master(MasterConfig { max_requests, .. })) => max_requests,
+            Some(RoleConfig::Slave(_)) | None => DEFAULT_MAX_REQUESTS,
+        }
     }
 }
 

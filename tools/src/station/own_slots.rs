@@ -125,7 +125,7 @@ mod tests {
     fn slave(slots: &[SlotConfig], rate: Rate) -> OwnSlots {
         let tdma = TdmaConfig {
             address: Address::default(),
-            role: RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None }),
+            role: RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() }),
             slots: slots.to_vec(),
             max_slot_id: 7,
             lead: DEFAULT_LEAD,

@@ -127,7 +127,7 @@ impl Person {
         for record in records {
             let Record::Event(event, _) = record else { continue };
             match event.kind {
-                EventKind::SlotSilent | EventKind::TurnLeft => {}
+                EventKind::SlotSilent | EventKind::TurnLeft | EventKind::CalibrationTurn => {}
                 EventKind::SendFailed | EventKind::ReplyFailed => {
                     failed = true;
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);

@@ -8,8 +8,8 @@ use rtnet::wire::ethernet::Address;
 
 use super::Calibration;
 use crate::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, Role, RoleConfig, SlaveConfig, SlotConfig, Tdma,
-    TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, NewRounds, Refused, Role, RoleConfig, SlaveConfig,
+    SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use crate::wire::{self, Message, Rtmac};
 
@@ -34,10 +34,25 @@ enum Place {
     /// As many requests as there may be had no reply; the last may still have one.
     Exhausted,
     Done,
+    /// Done, and measured anew: the same again.
+    Anew,
+    AnewOutstanding,
+    AnewLastOutstanding,
+    AnewExhausted,
 }
 
-const PLACES: [Place; 6] =
-    [Place::NoLine, Place::Idle, Place::Outstanding, Place::LastOutstanding, Place::Exhausted, Place::Done];
+const PLACES: [Place; 10] = [
+    Place::NoLine,
+    Place::Idle,
+    Place::Outstanding,
+    Place::LastOutstanding,
+    Place::Exhausted,
+    Place::Done,
+    Place::Anew,
+    Place::AnewOutstanding,
+    Place::AnewLastOutstanding,
+    Place::AnewExhausted,
+];
 
 /// What can happen.
 #[derive(Clone, Copy, Debug)]
@@ -60,9 +75,11 @@ enum Happening {
     LineMoved,
     /// A Synchronisation of another master on the same line.
     MasterChanged,
+    /// A command to measure anew.
+    Command,
 }
 
-const HAPPENINGS: [Happening; 11] = [
+const HAPPENINGS: [Happening; 12] = [
     Happening::Sent,
     Happening::Stalled,
     Happening::Late,
@@ -74,6 +91,7 @@ const HAPPENINGS: [Happening; 11] = [
     Happening::SyncLost,
     Happening::LineMoved,
     Happening::MasterChanged,
+    Happening::Command,
 ];
 
 /// What can be seen of it.
@@ -82,6 +100,8 @@ enum Phase {
     Idle,
     Outstanding,
     Done,
+    AnewIdle,
+    AnewOutstanding,
 }
 
 /// What comes of it.
@@ -92,6 +112,9 @@ enum Answer {
     Asked,
     Kept,
     Refused(Refusal),
+    Begun,
+    /// It is being measured already.
+    Busy,
 }
 
 /// Where it is then, with so many samples, attempts and repeats; what it answers; what it tells of, if of calibration.
@@ -114,23 +137,26 @@ impl Place {
         }
         match self {
             Place::NoLine | Place::Idle => {}
-            Place::Outstanding => {
+            Place::Done => seat.calibrate(),
+            Place::Anew | Place::AnewOutstanding | Place::AnewLastOutstanding | Place::AnewExhausted => {
+                seat.calibrate();
+                seat.command();
+            }
+            Place::Outstanding | Place::LastOutstanding | Place::Exhausted => {}
+        }
+        match self {
+            Place::NoLine | Place::Idle | Place::Done | Place::Anew => {}
+            Place::Outstanding | Place::AnewOutstanding => {
                 seat.ask(Happening::Sent);
             }
-            Place::LastOutstanding => {
+            Place::LastOutstanding | Place::AnewLastOutstanding => {
                 seat.ask(Happening::Sent);
                 seat.reply(0, 0);
                 seat.ask(Happening::Sent);
             }
-            Place::Exhausted => {
+            Place::Exhausted | Place::AnewExhausted => {
                 for _ in 0..ATTEMPTS {
                     seat.ask(Happening::Sent);
-                }
-            }
-            Place::Done => {
-                for _ in 0..ROUNDS {
-                    seat.ask(Happening::Sent);
-                    seat.reply(0, 0);
                 }
             }
         }
@@ -145,8 +171,11 @@ impl Place {
             Place::Outstanding => (Phase::Outstanding, (0, 1, 0)),
             Place::LastOutstanding => (Phase::Outstanding, (1, 2, 0)),
             Place::Exhausted => (Phase::Outstanding, (0, ATTEMPTS, u64::from(ATTEMPTS) - 1)),
-            // Of two, the quicker is kept.
-            Place::Done => (Phase::Done, (1, 2, 0)),
+            Place::Done => (Phase::Done, (0, 0, 0)),
+            Place::Anew => (Phase::AnewIdle, Place::Idle.seen().1),
+            Place::AnewOutstanding => (Phase::AnewOutstanding, Place::Outstanding.seen().1),
+            Place::AnewLastOutstanding => (Phase::AnewOutstanding, Place::LastOutstanding.seen().1),
+            Place::AnewExhausted => (Phase::AnewOutstanding, Place::Exhausted.seen().1),
         }
     }
 }
@@ -161,7 +190,7 @@ impl Seat {
         let offset = Span::from_micros(SLOT as i64);
         let slave = Tdma::new(&TdmaConfig {
             address: OWN,
-            role: RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, step_limit: None }),
+            role: RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, ..SlaveConfig::default() }),
             slots: vec![SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, joint: None, latest }],
             max_slot_id: DEFAULT_MAX_SLOT_ID,
             lead: DEFAULT_LEAD,
@@ -179,10 +208,12 @@ impl Seat {
 
     fn seen(&self) -> (Phase, (usize, u32, u64)) {
         let calibration = self.calibration();
-        let phase = match (calibration.delay, calibration.outstanding) {
-            (Some(_), _) => Phase::Done,
-            (None, Some(_)) => Phase::Outstanding,
-            (None, None) => Phase::Idle,
+        let phase = match (calibration.measures_anew(), calibration.delay, calibration.outstanding) {
+            (true, _, Some(_)) => Phase::AnewOutstanding,
+            (true, _, None) => Phase::AnewIdle,
+            (false, Some(_), _) => Phase::Done,
+            (false, None, Some(_)) => Phase::Outstanding,
+            (false, None, None) => Phase::Idle,
         };
         (phase, (calibration.samples.len(), calibration.attempts, calibration.repeats()))
     }
@@ -208,9 +239,29 @@ impl Seat {
         answer
     }
 
-    /// Up to its next turn, with Synchronisations; where it follows nobody, there are none.
+    /// All rounds.
+    fn calibrate(&mut self) {
+        for _ in 0..ROUNDS {
+            self.ask(Happening::Sent);
+            self.reply(0, 0);
+        }
+    }
+
+    fn command(&mut self) -> Answer {
+        let now = at(u64::from(self.cycle) * 1_000 + SLOT + 100);
+        match self.slave.command(now, &mut TdmaCommand::Calibrate(NewRounds::of(ROUNDS).unwrap())) {
+            Ok(_) => Answer::Begun,
+            Err(refused) => {
+                assert_eq!(refused, Refused::CalibratesAlready);
+                Answer::Busy
+            }
+        }
+    }
+
+    /// Up to its next turn, with Synchronisations; where it follows nobody, there are none. Anew it asks in every fourth.
     fn ask(&mut self, outcome: Happening) -> Answer {
-        for _ in 0..3 {
+        let cycles = if self.calibration().measures_anew() { 5 } else { 3 };
+        for _ in 0..cycles {
             let now = at(u64::from(self.cycle) * 1_000 + SLOT);
             self.slave.on_timeout(now);
             if let Some(request) = self.slave.next_transmission(now) {
@@ -261,6 +312,7 @@ impl Seat {
                 self.hear_sync(MASTER, 300)
             }
             Happening::MasterChanged => self.hear_sync(BACKUP, 0),
+            Happening::Command => self.command(),
         }
     }
 }
@@ -270,52 +322,77 @@ fn expected(happening: Happening, place: Place) -> Outcome {
     use Place::*;
     let (phase, (samples, attempts, repeats)) = place.seen();
     let stays = |answer| (phase, (samples, attempts, repeats), answer, None);
-    let begins_anew = (Phase::Idle, (0, 0, repeats), Answer::Kept, None);
     let unexpected = stays(Answer::Refused(Refusal::UnexpectedReply));
+    // A delay that is known stays meanwhile.
+    let (idle, outstanding) = match phase {
+        Phase::Idle | Phase::Outstanding | Phase::Done => (Phase::Idle, Phase::Outstanding),
+        Phase::AnewIdle | Phase::AnewOutstanding => (Phase::AnewIdle, Phase::AnewOutstanding),
+    };
+    // The rounds so far count, and no reply that is still to come.
+    let other_line = (idle, (samples, 0, repeats), Answer::Kept, None);
     // One that had no reply is repeated.
     let asked = |phase, told| match place {
         NoLine | Done => stays(Answer::Nothing),
-        Idle => (phase, (samples, attempts + 1, repeats), Answer::Asked, told),
-        Outstanding | LastOutstanding => (phase, (samples, attempts + 1, repeats + 1), Answer::Asked, told),
+        Idle | Anew => (phase, (samples, attempts + 1, repeats), Answer::Asked, told),
+        Outstanding | LastOutstanding | AnewOutstanding | AnewLastOutstanding => {
+            (phase, (samples, attempts + 1, repeats + 1), Answer::Asked, told)
+        }
         Exhausted => (Phase::Idle, (0, 0, repeats + 1), Answer::Nothing, Some(EventKind::CalibrationTimeout)),
+        AnewExhausted => {
+            (Phase::Done, (0, 0, repeats + 1), Answer::Nothing, Some(EventKind::CalibrationTimeout))
+        }
     };
     match happening {
-        Happening::Sent => asked(Phase::Outstanding, None),
+        Happening::Sent => asked(outstanding, None),
         // The reply to one that was held up would measure that; the others have none.
-        Happening::Stalled => asked(Phase::Idle, Some(EventKind::StalledInSend)),
-        Happening::Late => asked(Phase::Idle, Some(EventKind::Overrun)),
-        Happening::Guarded => asked(Phase::Idle, Some(EventKind::GuardDropped)),
-        Happening::Failed => asked(Phase::Idle, Some(EventKind::SendFailed)),
+        Happening::Stalled => asked(idle, Some(EventKind::StalledInSend)),
+        Happening::Late => asked(idle, Some(EventKind::Overrun)),
+        Happening::Guarded => asked(idle, Some(EventKind::GuardDropped)),
+        Happening::Failed => asked(idle, Some(EventKind::SendFailed)),
         Happening::Reply => match place {
-            NoLine | Idle | Done => unexpected,
-            Outstanding | Exhausted => (Phase::Idle, (samples + 1, attempts, repeats), Answer::Kept, None),
-            LastOutstanding => (Phase::Done, (1, attempts, repeats), Answer::Kept, Some(EventKind::Locked)),
+            NoLine | Idle | Done | Anew => unexpected,
+            Outstanding | Exhausted | AnewOutstanding | AnewExhausted => {
+                (idle, (samples + 1, attempts, repeats), Answer::Kept, None)
+            }
+            LastOutstanding => (Phase::Done, (0, 0, repeats), Answer::Kept, Some(EventKind::Locked)),
+            AnewLastOutstanding => {
+                (Phase::Done, (0, 0, repeats), Answer::Kept, Some(EventKind::CalibratedAnew))
+            }
         },
-        Happening::ForeignReply => match place {
-            NoLine | Idle | Outstanding | LastOutstanding | Exhausted | Done => unexpected,
-        },
+        Happening::ForeignReply => unexpected,
         Happening::ImplausibleReply => match place {
-            NoLine | Idle | Done => unexpected,
-            Outstanding | LastOutstanding | Exhausted => {
+            NoLine | Idle | Done | Anew => unexpected,
+            Outstanding | LastOutstanding | Exhausted | AnewOutstanding | AnewLastOutstanding
+            | AnewExhausted => {
                 let refused = Answer::Refused(Refusal::ImplausibleReply);
-                (Phase::Idle, (samples, attempts, repeats), refused, None)
+                (idle, (samples, attempts, repeats), refused, None)
             }
         },
         Happening::SyncLost => match place {
             NoLine => stays(Answer::Nothing),
-            Idle | Outstanding | LastOutstanding | Exhausted | Done => {
+            Idle | Outstanding | LastOutstanding | Exhausted | Done | Anew | AnewOutstanding
+            | AnewLastOutstanding | AnewExhausted => {
                 (phase, (samples, attempts, repeats), Answer::Nothing, Some(EventKind::SyncLost))
             }
         },
         Happening::LineMoved => match place {
             NoLine => stays(Answer::Kept),
-            Idle | Outstanding | LastOutstanding | Exhausted => begins_anew,
+            Idle | Outstanding | LastOutstanding | Exhausted => other_line,
             // Whose slot had a turn on the line that was left.
             Done => (phase, (samples, attempts, repeats), Answer::Kept, Some(EventKind::Overrun)),
+            Anew | AnewOutstanding | AnewLastOutstanding | AnewExhausted => {
+                (idle, (samples, 0, repeats), Answer::Kept, Some(EventKind::Overrun))
+            }
         },
         Happening::MasterChanged => match place {
             NoLine | Done => stays(Answer::Kept),
-            Idle | Outstanding | LastOutstanding | Exhausted => begins_anew,
+            Idle | Outstanding | LastOutstanding | Exhausted | Anew | AnewOutstanding
+            | AnewLastOutstanding | AnewExhausted => other_line,
+        },
+        Happening::Command => match place {
+            Done => (Phase::AnewIdle, (0, 0, repeats), Answer::Begun, None),
+            NoLine | Idle | Outstanding | LastOutstanding | Exhausted | Anew | AnewOutstanding
+            | AnewLastOutstanding | AnewExhausted => stays(Answer::Busy),
         },
     }
 }
@@ -330,7 +407,9 @@ fn every_state_of_a_calibration_answers_every_event() {
             let (phase, counts) = seat.seen();
             let events = std::iter::from_fn(|| seat.slave.next_event()).map(|event| event.kind);
             let of_the_line = |kind: &EventKind| matches!(kind, EventKind::TimeStep | EventKind::Holdover);
-            let told = events.filter(|kind| !of_the_line(kind) && *kind != EventKind::SlotEmpty);
+            let of_turns =
+                |kind: &EventKind| matches!(kind, EventKind::SlotEmpty | EventKind::CalibrationTurn);
+            let told = events.filter(|kind| !of_the_line(kind) && !of_turns(kind));
             let told: Vec<EventKind> = told.collect();
             let (expected_phase, expected_counts, expected_answer, expected_told) =
                 expected(happening, place);

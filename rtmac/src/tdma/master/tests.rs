@@ -1,6 +1,7 @@
 mod transitions;
 
 use super::*;
+use crate::tdma::DEFAULT_MAX_REQUESTS;
 use crate::tdma::mark::held_up_at_most;
 
 const OWN: Address = Address([2, 0, 0, 0, 0, 5]);
@@ -26,7 +27,7 @@ impl Bench {
         let (sync_latest, reply_latest) = (Span::from_micros(40), Span::from_micros(40));
         let epoch = Offset::between(at(0), GlobalTime::from_nanos(u64::MAX - 4_999_999));
         let (cycle, backups_from) = (Span::from_millis(1), Some(BACKUP));
-        let follow = SlaveConfig { rounds: 0, step_limit: None };
+        let follow = SlaveConfig { rounds: 0, ..SlaveConfig::default() };
         let config = MasterConfig {
             cycle,
             sync_latest,
@@ -35,6 +36,7 @@ impl Bench {
             resume: None,
             backup,
             backups_from,
+            max_requests: DEFAULT_MAX_REQUESTS,
             follow,
         };
         Self { master: Master::new(config), events: Events::new() }

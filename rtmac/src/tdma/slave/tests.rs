@@ -1,6 +1,10 @@
+mod anew;
+mod holdover;
+mod servo;
 mod transitions;
 
 use super::*;
+use crate::tdma::OnMasterChange;
 
 const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
 const PERIOD: u64 = 1_000_000;
@@ -15,7 +19,11 @@ struct Bench {
 
 impl Bench {
     fn new(rounds: u32) -> Self {
-        Self { slave: Slave::new(SlaveConfig { rounds, step_limit: None }), events: Events::new() }
+        Self::of(SlaveConfig { rounds, ..SlaveConfig::default() })
+    }
+
+    fn of(config: SlaveConfig) -> Self {
+        Self { slave: Slave::new(config), events: Events::new() }
     }
 
     /// The Synchronisation of a cycle, `late` nanoseconds held up after its stamp was taken.

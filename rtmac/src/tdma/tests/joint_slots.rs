@@ -7,7 +7,7 @@ fn slots() -> Vec<SlotConfig> {
 }
 
 fn slave_with(slots: Vec<SlotConfig>, rounds: u32) -> Tdma {
-    let role = RoleConfig::Slave(SlaveConfig { rounds, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds, ..SlaveConfig::default() });
     Tdma::new(&TdmaConfig { slots, ..config(role) }).unwrap()
 }
 
@@ -90,7 +90,7 @@ fn what_cannot_be_joined_or_removed_is_refused_and_nothing_changes() {
     }
     assert_eq!(slave.status(), before);
     let alone = vec![SlotConfig { joint: Some(3), ..own }];
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, step_limit: None });
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() });
     let refused = Tdma::new(&TdmaConfig { slots: alone, ..config(role) }).err();
     assert_eq!(refused, Some(Refused::JointUndefined { id: 0, joint: 3 }));
 }

@@ -18,7 +18,7 @@ fn station() -> (TimePublisher, TimeView) {
     let start = publisher.board().now();
     let offset = Offset::between(start, GlobalTime::from_nanos(1_795_000_000_000_000_000));
     let (state, period) = (SyncState::Locked, Some(CYCLE));
-    let view = TimeView { state, cycle: 100, start, offset, period, drift_ppb: 50_000 };
+    let view = TimeView { state, cycle: 100, start, offset, period, drift_ppb: 50_000, holdover: 1 };
     (publisher, view)
 }
 

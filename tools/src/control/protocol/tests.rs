@@ -9,9 +9,26 @@ const MOVED: SlotChange =
 fn a_request_reads_back() {
     let joint = |joint| Request::SetSlot(SlotChange { joint, ..MOVED });
     let set = [Request::SetSlot(SLOT.into()), joint(None), joint(Some(None)), joint(Some(Some(0)))];
-    for request in set.into_iter().chain([Request::Status, Request::Become(RoleRequest::Detached)]) {
+    let slave = RoleRequest::Slave {
+        rounds: 7,
+        servo: Some(ServoName::None),
+        holdover: Some(20),
+        on_master_change: Some(DelayPolicy::Repeat),
+    };
+    let calibrate = [None, Some(10)].map(|rounds| Request::Calibrate { rounds });
+    let roles = [RoleRequest::Detached, slave].map(Request::Become);
+    let others = [Request::Status].into_iter().chain(roles).chain(calibrate);
+    for request in set.into_iter().chain(others) {
         assert_eq!(read::<Request>(&Envelope::pack(request.clone())), Ok(request));
     }
+}
+
+#[test]
+fn what_is_not_given_of_a_slave_need_not_be_said() {
+    let packet = br#"{"version":1,"body":{"become":{"slave":{"rounds":3}}}}"#;
+    let (servo, holdover, on_master_change) = (None, None, None);
+    let slave = RoleRequest::Slave { rounds: 3, servo, holdover, on_master_change };
+    assert_eq!(read::<Request>(packet), Ok(Request::Become(slave)));
 }
 
 #[test]

@@ -152,8 +152,10 @@ fn what_the_kernel_refused_and_what_was_not_there_is_told_of() {
     records.note(author(7, 2), EventKind::SendFailed, Span::ZERO, Some(Cause::Refused));
     records.note(author(8, 2), EventKind::SlotEmpty, Span::ZERO, Some(Cause::QueueEmpty));
     records.note(author(9, 2), EventKind::TurnLeft, Span::ZERO, Some(Cause::NoSync));
+    records.note(author(10, 2), EventKind::CalibrationTurn, Span::ZERO, Some(Cause::Calibrating));
     let missed = |cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
-    assert_eq!([7, 8, 9].map(missed), ["refused", "queue_empty", "sync_lost_or_late"].map(Some));
+    let causes = ["refused", "queue_empty", "sync_lost_or_late", "calibrating"];
+    assert_eq!([7, 8, 9, 10].map(missed), causes.map(Some));
     assert!(records.explain(&finding(7, FindingKind::OutOfSlot, 2)).is_none(), "it was not sent");
 
     records.absences.begin(2, Absence::NoCarrier, 7);

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::joint;
 use rtmac::tdma::schedule::Schedule;
 use rtnet::time::Span;
@@ -104,6 +105,11 @@ impl Keeper {
         let change = match role {
             RoleRequest::Master { .. } => bail!("a lab has one master, '{}'", self.scenario.stations[0].name),
             RoleRequest::Detached => Change::Leave,
+            RoleRequest::Slave { holdover: Some(_), .. } => {
+                bail!(
+                    "a lab judges its stations by a holdover of {HOLDOVER_CYCLES} cycle: leave --holdover out"
+                )
+            }
             RoleRequest::Slave { .. } => Change::Return,
         };
         // Who is away and is to return need not know the cycle.

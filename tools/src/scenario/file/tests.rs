@@ -37,6 +37,9 @@ fn a_file_says_everything_per_station() {
     assert_eq!(arm.slots, [SlotPlan { id: 0, offset, phase: 1, period: 2, size: 100, joint: None }]);
     let guarded = GOOD.replace("rate =", "slot_guard = \"kernel\"\nrate =");
     assert_eq!(parse(&guarded).unwrap().slot_guard, SlotGuard::Kernel);
+    let without_a_filter = GOOD.replace("rate =", "servo = \"none\"\nrate =");
+    let servos = [GOOD, &without_a_filter].map(|text| parse(text).unwrap().servo);
+    assert_eq!(servos, [ServoName::Linear, ServoName::None]);
     // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
     assert_eq!(network.guard.nanos(), 400_000 - 8_160);
 }
@@ -101,6 +104,12 @@ fn backups_are_read_and_what_cannot_be_of_them_is_refused() {
         ("", "backup", slots, "a backup says when it sends"),
         ("backup = \"100us\"\n", "slave", slots, "and nobody else does"),
         ("backup = \"60us\"\n", "backup", slots, "backup b sends 60us after a cycle's start"),
+        (
+            "backup = \"100us\"\n",
+            "backup",
+            "slots = [{ id = 0, offset = \"300us\", phase = \"1/1025\" }]\n",
+            "net.toml:5: slot 0: a slave calibrates in its first slot, and no master promises",
+        ),
         ("backup = \"280us\"\n", "backup", slots, "slot 0 of m begins at 300us, but backup b may send"),
     ] {
         let refused = parse(&network(backup, role, slots)).unwrap_err().to_string();

@@ -143,7 +143,7 @@ impl Place {
                 3
             }
             (Place::Calibrating, _) => {
-                let follow = SlaveConfig { rounds: 1, step_limit: None };
+                let follow = SlaveConfig { rounds: 1, ..SlaveConfig::default() };
                 bench.master = Master::new(MasterConfig { follow, ..bench.master.config });
                 bench.wait_until(at(500));
                 bench.hear(LOWER, 1, LATE);

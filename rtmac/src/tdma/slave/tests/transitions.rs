@@ -11,6 +11,8 @@ enum Place {
     First,
     Calibrating,
     Locked,
+    /// Locked, and the delay is measured anew.
+    Anew,
     /// Locked: the number of this cycle came twice.
     Doubled,
     /// Locked: the last Synchronisation was late as if it had been held up.
@@ -20,6 +22,8 @@ enum Place {
     /// Locked: the last Synchronisation was later than hold-ups are.
     Moved,
     Holdover,
+    /// Holdover, with two more cycles that are bridged as configured.
+    Bridging,
     Lost,
     /// Lost, and not calibrated yet.
     LostUncalibrated,
@@ -27,16 +31,18 @@ enum Place {
     GivenUp,
 }
 
-const PLACES: [Place; 12] = [
+const PLACES: [Place; 14] = [
     Place::Nothing,
     Place::First,
     Place::Calibrating,
     Place::Locked,
+    Place::Anew,
     Place::Doubled,
     Place::HeldUp,
     Place::HeldUpTwice,
     Place::Moved,
     Place::Holdover,
+    Place::Bridging,
     Place::Lost,
     Place::LostUncalibrated,
     Place::GivenUp,
@@ -126,15 +132,17 @@ impl Place {
         match self {
             Place::Nothing | Place::First => SyncState::Waiting,
             Place::Calibrating => SyncState::Calibrating,
-            Place::Locked | Place::Doubled | Place::HeldUp | Place::Moved => SyncState::Locked,
-            Place::HeldUpTwice | Place::Holdover => SyncState::Holdover,
+            Place::Locked | Place::Anew | Place::Doubled | Place::HeldUp | Place::Moved => SyncState::Locked,
+            Place::HeldUpTwice | Place::Holdover | Place::Bridging => SyncState::Holdover,
             Place::Lost | Place::LostUncalibrated | Place::GivenUp => SyncState::Lost,
         }
     }
 
     fn take(self) -> Seat {
         let calibrates = matches!(self, Place::Calibrating | Place::LostUncalibrated);
-        let mut bench = Bench::new(calibrates.into());
+        let holdover = if self == Place::Bridging { 3 } else { 1 };
+        let mut bench =
+            Bench::of(SlaveConfig { rounds: calibrates.into(), holdover, ..SlaveConfig::default() });
         if !matches!(self, Place::Nothing | Place::First) {
             bench.hear(1, 0).unwrap();
             bench.hear(2, 0).unwrap();
@@ -144,6 +152,10 @@ impl Place {
             Place::Nothing | Place::Calibrating | Place::Locked => (2, 3),
             Place::First => {
                 bench.hear(2, 0).unwrap();
+                (2, 3)
+            }
+            Place::Anew => {
+                bench.slave.calibration_mut().measure_anew(1, &mut Vec::with_capacity(1));
                 (2, 3)
             }
             Place::Doubled => {
@@ -164,7 +176,7 @@ impl Place {
                 bench.hear(3, JUMPED).unwrap();
                 (3, 4)
             }
-            Place::Holdover => {
+            Place::Holdover | Place::Bridging => {
                 bench.wait_until(middle_of(3));
                 (2, 4)
             }
@@ -273,32 +285,32 @@ fn expected(happening: Happening, place: Place) -> Outcome {
         Happening::NextSync | Happening::AnothersSync => match place {
             Nothing | GivenUp => stays(PENDING, None),
             First => locked(NEW_LINE, Some(EventKind::Locked)),
-            Calibrating | Locked | Doubled | HeldUp | Moved => stays(AGREES, None),
-            HeldUpTwice | Holdover => locked(AGREES, None),
+            Calibrating | Locked | Anew | Doubled | HeldUp | Moved => stays(AGREES, None),
+            HeldUpTwice | Holdover | Bridging => locked(AGREES, None),
             Lost => locked(AGREES, Some(EventKind::Locked)),
             LostUncalibrated => (SyncState::Calibrating, AGREES, None),
         },
         Happening::HeldUpSync => match place {
             Nothing | First | GivenUp => stays(PENDING, None),
             HeldUpTwice => locked(NEW_LINE, None),
-            Calibrating | Locked | Doubled | HeldUp | Moved | Holdover | Lost | LostUncalibrated => step,
+            Calibrating | Locked | Anew | Doubled | HeldUp | Moved | Holdover | Bridging | Lost
+            | LostUncalibrated => step,
         },
         Happening::JumpedSync => match place {
             Nothing | First | GivenUp => stays(PENDING, None),
             Moved => locked(NEW_LINE, None),
-            Calibrating | Locked | Doubled | HeldUp | HeldUpTwice | Holdover | Lost | LostUncalibrated => {
-                step
-            }
+            Calibrating | Locked | Anew | Doubled | HeldUp | HeldUpTwice | Holdover | Bridging | Lost
+            | LostUncalibrated => step,
         },
         Happening::RenumberedSync => match place {
             Nothing | First | GivenUp => stays(PENDING, None),
-            Calibrating | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Lost
-            | LostUncalibrated => step,
+            Calibrating | Locked | Anew | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Bridging
+            | Lost | LostUncalibrated => step,
         },
         Happening::RepeatedSync | Happening::BackupsRepeat => match place {
             Nothing | First | GivenUp => stays(PENDING, None),
-            Calibrating | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Lost
-            | LostUncalibrated => {
+            Calibrating | Locked | Anew | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Bridging
+            | Lost | LostUncalibrated => {
                 stays(Answer::Refused(Refusal::DuplicateCycle), Some(EventKind::DuplicateCycle))
             }
         },
@@ -306,45 +318,48 @@ fn expected(happening: Happening, place: Place) -> Outcome {
         Happening::Reply => match place {
             Calibrating => locked(Answer::Calibrated, Some(EventKind::Locked)),
             LostUncalibrated => stays(Answer::Calibrated, None),
-            Nothing | First | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Lost | GivenUp => {
-                refused(Refusal::UnexpectedReply)
-            }
+            // It goes on as before, with another delay.
+            Anew => stays(Answer::Nothing, Some(EventKind::CalibratedAnew)),
+            Nothing | First | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Bridging
+            | Lost | GivenUp => refused(Refusal::UnexpectedReply),
         },
         Happening::ForeignReply => refused(Refusal::UnexpectedReply),
         Happening::ImplausibleReply => match place {
-            Calibrating | LostUncalibrated => refused(Refusal::ImplausibleReply),
-            Nothing | First | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Lost | GivenUp => {
-                refused(Refusal::UnexpectedReply)
-            }
+            Calibrating | LostUncalibrated | Anew => refused(Refusal::ImplausibleReply),
+            Nothing | First | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Bridging
+            | Lost | GivenUp => refused(Refusal::UnexpectedReply),
         },
         Happening::HalfACycle => match place {
             // What may be held up, or is of another line, is missing.
             HeldUp | Moved => (SyncState::Holdover, Answer::Nothing, Some(EventKind::Holdover)),
             HeldUpTwice => lost,
-            Nothing | First | Calibrating | Locked | Doubled | Holdover | Lost | LostUncalibrated
-            | GivenUp => stays(Answer::Nothing, None),
+            Nothing | First | Calibrating | Locked | Anew | Doubled | Holdover | Bridging | Lost
+            | LostUncalibrated | GivenUp => stays(Answer::Nothing, None),
         },
         Happening::OneCycleMore => match place {
-            Locked | Doubled => (SyncState::Holdover, Answer::Nothing, Some(EventKind::Holdover)),
+            Locked | Anew | Doubled => (SyncState::Holdover, Answer::Nothing, Some(EventKind::Holdover)),
             HeldUp | HeldUpTwice | Moved | Holdover => lost,
             // One that is missing does not interrupt a calibration.
-            Nothing | First | Calibrating | Lost | LostUncalibrated | GivenUp => stays(Answer::Nothing, None),
+            Nothing | First | Calibrating | Bridging | Lost | LostUncalibrated | GivenUp => {
+                stays(Answer::Nothing, None)
+            }
         },
         Happening::TwoCyclesMore => match place {
-            Calibrating | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover => lost,
-            Nothing | First | Lost | LostUncalibrated | GivenUp => stays(Answer::Nothing, None),
+            Calibrating | Locked | Anew | Doubled | HeldUp | HeldUpTwice | Moved | Holdover => lost,
+            Nothing | First | Bridging | Lost | LostUncalibrated | GivenUp => stays(Answer::Nothing, None),
         },
         Happening::AThousandCyclesMore => match place {
-            Calibrating | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover => lost,
+            Calibrating | Locked | Anew | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Bridging => {
+                lost
+            }
             Lost | LostUncalibrated => stays(Answer::Nothing, Some(EventKind::LineGivenUp)),
             Nothing | First | GivenUp => stays(Answer::Nothing, None),
         },
         Happening::Forget => (SyncState::Waiting, Answer::Nothing, None),
         Happening::Resume => match place {
             Calibrating | LostUncalibrated => (SyncState::Calibrating, Answer::Nothing, None),
-            Nothing | First | Locked | Doubled | HeldUp | HeldUpTwice | Moved | Holdover | Lost | GivenUp => {
-                locked(Answer::Nothing, None)
-            }
+            Nothing | First | Locked | Anew | Doubled | HeldUp | HeldUpTwice | Moved | Holdover
+            | Bridging | Lost | GivenUp => locked(Answer::Nothing, None),
         },
     }
 }

@@ -1,0 +1,98 @@
+//! Measuring the delay anew, by a station that stays in the cycle.
+//!
+//! ```text
+//! turns of its first slot   0         1         2         3                          4
+//!                           request   (reply)   data      (a reply that was late)    request
+//! ```
+//!
+//! A round needs two turns of the slot, of which the second is the master's; a master that was late with it answers two
+//! turns later. So of four turns one carries data, and all other slots are as ever. The delay that is known stays in use
+//! until the last round, which moves the line by the difference.
+
+use super::config::{Refused, check_rounds};
+use super::job::Job;
+use super::round::Round;
+use super::slot::Turn;
+use super::{MAX_ROUNDS, Role, Tdma};
+use rtnet::discipline::SyncState;
+use rtnet::time::Instant;
+
+/// After so many turns all begins again.
+const TURNS: u32 = 4;
+
+/// How many rounds to measure anew, with room for them: made by the control thread, since that takes memory.
+#[derive(Debug)]
+pub struct NewRounds {
+    rounds: u32,
+    room: Vec<Round>,
+}
+
+impl NewRounds {
+    /// At least one round.
+    pub fn of(rounds: u32) -> Result<Self, Refused> {
+        match rounds {
+            0 => Err(Refused::NoRounds),
+            1..=MAX_ROUNDS => Ok(Self { rounds, room: Vec::with_capacity(rounds as usize) }),
+            _ => Err(Refused::TooManyRounds { rounds }),
+        }
+    }
+}
+
+/// What a slot's turn is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    Data,
+    Request,
+    /// It is left to the master.
+    Reply,
+}
+
+impl Tdma {
+    /// Begins to measure the delay anew.
+    pub(super) fn measure_anew(&mut self, asked: &mut NewRounds) -> Result<(), Refused> {
+        let slots = check_rounds(asked.rounds, self.slots.planned().map(|slot| (slot.id, slot.period)));
+        let gives_the_time = matches!(&self.role, Role::Master(master) if master.is_active());
+        let Some(follower) = self.role.follower_mut() else {
+            let state = SyncState::Waiting;
+            return Err(if gives_the_time { Refused::GivesTheTime } else { Refused::NotLocked { state } });
+        };
+        let state = follower.state();
+        if follower.calibration().is_measuring() {
+            return Err(Refused::CalibratesAlready);
+        }
+        // A sync that is missing just now is no reason: its slots are used, too.
+        if !matches!(state, SyncState::Locked | SyncState::Holdover) {
+            return Err(Refused::NotLocked { state });
+        }
+        slots?;
+        follower.calibration_mut().measure_anew(asked.rounds, &mut asked.room);
+        Ok(())
+    }
+
+    /// A reply has had its turn of the slot, which a line that is a little late has still to come: that carries no data,
+    /// even if no other round follows.
+    pub(super) fn leave_turn_to_reply(&mut self, rx: Instant) {
+        let Some((line, first)) = self.line().zip(self.slots.first()) else { return };
+        let next = self.slots.next_turn(line, Some(first.id));
+        if let Some(turn) =
+            next.filter(|turn| turn.at - self.lead <= rx && self.purpose(turn) == Purpose::Reply)
+        {
+            let job = Job::Data(turn);
+            self.calibrates_in(&job);
+            self.pass(&job);
+        }
+    }
+
+    /// What a turn of a calibrated station is for.
+    pub(super) fn purpose(&self, turn: &Turn) -> Purpose {
+        let measures = self.follower().is_some_and(|follower| follower.calibration().measures_anew());
+        match self.slots.first().filter(|first| measures && first.id == turn.id) {
+            None => Purpose::Data,
+            Some(first) => match turn.cycle / first.period % TURNS {
+                0 => Purpose::Request,
+                2 => Purpose::Data,
+                _ => Purpose::Reply,
+            },
+        }
+    }
+}

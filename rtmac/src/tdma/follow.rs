@@ -1,0 +1,84 @@
+//! What is configured of a station that follows a master.
+
+use rtnet::time::Span;
+
+use super::calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
+use super::config::Refused;
+use super::line::LINE_GOOD_FOR;
+
+/// Cycles without a Synchronisation that are bridged, unless configured otherwise.
+pub const HOLDOVER_CYCLES: i32 = 1;
+/// Most that can be: a line that is bridged for longer would be given up before the loss is told of.
+pub const MAX_HOLDOVER: u32 = LINE_GOOD_FOR as u32 - 1;
+
+/// How Synchronisations become a time line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Servo {
+    /// Each is the line, as in RTnet: no filter, no drift, no doubt. For comparison runs.
+    None,
+    /// The line lies below them, with the drift of the clocks; what disagrees has to be confirmed.
+    #[default]
+    Linear,
+}
+
+impl Servo {
+    /// Its name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Servo::None => "none",
+            Servo::Linear => "linear",
+        }
+    }
+}
+
+/// What becomes of the measured delay when somebody else gives the time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum OnMasterChange {
+    /// It is kept, as in RTnet.
+    #[default]
+    Keep,
+    /// It is measured anew, and kept until that is done.
+    Repeat,
+}
+
+/// What is configured of a slave, and of a master when it follows another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlaveConfig {
+    /// Calibration rounds; 0: none, and a delay of 0.
+    pub rounds: u32,
+    /// How much a Synchronisation may disagree with the line before it is a time step. Default: a
+    /// hundredth of the cycle, and at least 20 us.
+    pub step_limit: Option<Span>,
+    /// How Synchronisations become a time line.
+    pub servo: Servo,
+    /// Cycles without a Synchronisation that are bridged, at most [`MAX_HOLDOVER`].
+    pub holdover: u32,
+    /// Whether the delay is measured anew with another master.
+    pub on_master_change: OnMasterChange,
+}
+
+impl Default for SlaveConfig {
+    fn default() -> Self {
+        Self {
+            rounds: DEFAULT_ROUNDS,
+            step_limit: None,
+            servo: Servo::default(),
+            holdover: HOLDOVER_CYCLES.unsigned_abs(),
+            on_master_change: OnMasterChange::default(),
+        }
+    }
+}
+
+impl SlaveConfig {
+    /// Whether it can be, whatever slots there are.
+    pub fn check(&self) -> Result<(), Refused> {
+        let &Self { rounds, holdover, .. } = self;
+        if rounds > MAX_ROUNDS {
+            return Err(Refused::TooManyRounds { rounds });
+        }
+        if holdover > MAX_HOLDOVER {
+            return Err(Refused::Holdover { cycles: holdover });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,49 @@
+//! What the servo is good for: one host, one seed, with it and as RTnet does without.
+
+use rtnet::discipline::SyncState;
+use rtnet::sim::Host;
+use rtnet::time::Span;
+use tests::networks::{Lab, Plan};
+use tools::scenario::{ServoName, Uniform};
+
+/// Hosts that hold one frame in five up, by up to 90 us after its stamp.
+fn run(servo: ServoName, seed: u64) -> (Span, Lab) {
+    let busy = Host { stall_ppm: 200_000, longest_stall: Span::from_micros(90), ..Host::VIRTUAL_MACHINE };
+    let mut plan = Plan::of(&Uniform { seed, ..Plan::lab_options(4) }).on(busy);
+    plan.scenario.servo = servo;
+    let mut lab = plan.build();
+    lab.run_until_locked();
+    lab.run_cycles(2_000);
+    let cycles = 500;
+    let mut sum = Span::ZERO;
+    for _ in 0..cycles {
+        lab.run_cycles(1);
+        sum = (1..4).fold(sum, |sum, id| sum + lab.line_error(id).abs());
+    }
+    (sum / (3 * cycles), lab)
+}
+
+#[test]
+fn with_a_filter_slots_are_many_times_nearer_to_where_they_belong_than_without() {
+    for seed in 1..=4 {
+        let (linear, _) = run(ServoName::Linear, seed);
+        let (none, lab) = run(ServoName::None, seed);
+        assert!(linear * 4 < none, "seed {seed}: {linear} on average with a filter, {none} without");
+        assert!(none > Span::from_micros(5) && none < Span::from_micros(18), "which is the host's: {none}");
+        assert!((1..4).all(|id| lab.state(id) == SyncState::Locked && lab.status(id).drift_ppb.is_none()));
+    }
+}
+
+#[test]
+fn on_an_ideal_host_with_clocks_that_run_alike_it_makes_no_difference() {
+    for servo in [ServoName::None, ServoName::Linear] {
+        let mut plan = Plan::lab(4).with_drift(|_| 0);
+        plan.scenario.servo = servo;
+        let mut lab = plan.build();
+        lab.run_until_locked();
+        lab.judge_from_here();
+        lab.run_cycles(1_000);
+        let error = lab.judge().slot_error;
+        assert_eq!((error.n, error.min, error.max), (4_000, Span::ZERO, Span::ZERO), "{servo:?}");
+    }
+}

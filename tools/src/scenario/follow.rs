@@ -1,0 +1,47 @@
+//! How a station follows a master, as the command line and files have it.
+
+use clap::ValueEnum;
+use rtmac::tdma::{OnMasterChange, Servo};
+use serde::{Deserialize, Serialize};
+
+/// How syncs become a time line.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum ServoName {
+    /// Each sync is the time line, as in RTnet, however late it is: for comparison
+    None,
+    /// The time line lies below the syncs, with the drift of the clocks
+    #[default]
+    Linear,
+}
+
+impl ServoName {
+    /// As a station takes it.
+    pub fn servo(self) -> Servo {
+        match self {
+            ServoName::None => Servo::None,
+            ServoName::Linear => Servo::Linear,
+        }
+    }
+}
+
+/// What becomes of the measured delay when somebody else gives the time.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum DelayPolicy {
+    /// It stays, as in RTnet
+    #[default]
+    Keep,
+    /// It is measured anew, and stays until that is done
+    Repeat,
+}
+
+impl DelayPolicy {
+    /// As a station takes it.
+    pub fn on_master_change(self) -> OnMasterChange {
+        match self {
+            DelayPolicy::Keep => OnMasterChange::Keep,
+            DelayPolicy::Repeat => OnMasterChange::Repeat,
+        }
+    }
+}

@@ -74,9 +74,10 @@ fn one_seed_is_one_run_to_the_byte_and_another_is_another() {
         scenario.with_random_clocks()
     };
     let run = |seed, name: &str| {
-        let pcap = Some(directory.path().join(name));
-        let ended = sim::run(&scenario(seed), &Options { pcap: pcap.clone(), ..Options::default() }).unwrap();
-        (std::fs::read(pcap.unwrap()).unwrap(), serde_json::to_string(&ended.figures).unwrap())
+        let pcap = directory.path().join(name);
+        let options = Options { pcap: Some(pcap.clone()), ..Options::default() };
+        let ended = sim::run(&scenario(seed), &options).unwrap();
+        (std::fs::read(pcap).unwrap(), serde_json::to_string(&ended.figures).unwrap())
     };
     let (first, second, other) = (run(7, "a"), run(7, "b"), run(8, "c"));
     assert!(first == second && first.0 != other.0);

@@ -197,9 +197,9 @@ impl Records {
     /// more.
     fn reigns(&self, station: usize, cycle: u32) -> bool {
         let told = || self.reigns.iter().filter(move |&&(of, ..)| of == station);
-        let earlier = told().filter(|&&(_, at, _)| before(at, cycle));
+        let mut earlier = told().filter(|&&(_, at, _)| before(at, cycle));
         told().any(|&(_, at, begins)| begins && at == cycle)
-            || earlier.last().is_some_and(|&(.., begins)| begins)
+            || earlier.next_back().is_some_and(|&(.., begins)| begins)
     }
 
     /// Whether a slave has told that it has no line, or had none any more, and has told of none since.

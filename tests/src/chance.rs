@@ -2,7 +2,7 @@
 //! last, or known seeds (`tests/property/seeds.txt`) are other networks.
 
 use rtmac::tdma::schedule::{Rate, Uncertainty, guard_band};
-use rtmac::tdma::{BACKUP_LOOKS_BEFORE, HOLDOVER_CYCLES, LatePolicy};
+use rtmac::tdma::{BACKUP_LOOKS_BEFORE, HOLDOVER_CYCLES, LatePolicy, OnMasterChange};
 use rtnet::sim::{Host, Latency, Medium, Random, StationId};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::HEADER_LEN;
@@ -71,7 +71,7 @@ impl Case {
     /// The case of a seed.
     pub fn of(seed: u64) -> Self {
         let mut random = Random::new(seed);
-        let plan = loop {
+        let mut plan = loop {
             if let Some(plan) = plan(&mut random, seed) {
                 break plan;
             }
@@ -83,6 +83,10 @@ impl Case {
         };
         let hosts = (0..plan.stations()).map(host).collect();
         let faults = faults(&mut random, &plan);
+        // Those of three networks in ten measure the delay from each master anew.
+        if random.happens(300_000) {
+            plan.follow.on_master_change = OnMasterChange::Repeat;
+        }
         Self { seed, plan, hosts, faults }
     }
 }

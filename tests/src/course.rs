@@ -114,8 +114,8 @@ impl Case {
     /// 2. Of several one is left: a backup steps down in the next cycle; one more each.
     /// 3. The others follow: three Synchronisations, and one that is still of another line.
     /// 4. They calibrate, two periods of the first slot a round, and one that waits for a lost reply before. Who is
-    ///    calibrating when requests have come to their limit, or another master begins, starts over: by a backup, and by the
-    ///    primary that calibrates with it and returns.
+    ///    calibrating when requests have come to their limit, or with each master when another begins, starts over: by a
+    ///    backup, and by the primary that calibrates with it and returns. Who measures anew is locked meanwhile.
     /// 5. Who followed a line that had drifted from the master's by less than a time step comes to that by what one
     ///    Synchronisation that is late moves a line: a 2400th of the cycle, and a 5000th for drift.
     pub fn settles_within(&self) -> u64 {
@@ -326,17 +326,17 @@ impl<'a> Course<'a> {
 
     /// Every slot has its frame.
     fn watch(&mut self) -> Result<(), String> {
-        let before = self.lab.judge().data.clone();
+        let before = self.turns_used();
         for _ in 0..WATCHED {
             self.pass()?;
             if !self.has_settled() {
                 return Err(format!("cycle {}: no longer all follow one master", self.cycle));
             }
         }
-        let judge = self.lab.judge();
+        let after = self.turns_used();
         for (id, station) in self.case.plan.scenario.stations.iter().enumerate() {
             let due: u64 = station.slots.iter().map(|slot| WATCHED / u64::from(slot.period)).sum();
-            let (sent, ends) = (judge.data[id] - before[id], station.slots.len() as u64);
+            let (sent, ends) = (after[id] - before[id], station.slots.len() as u64);
             if sent.abs_diff(due) > ends {
                 return Err(format!("station {id} sent {sent} frames in {WATCHED} cycles, {due} were due"));
             }
@@ -344,12 +344,22 @@ impl<'a> Course<'a> {
         Ok(())
     }
 
+    /// Frames of data that each has sent, and turns that carried none since the delay was measured anew in them.
+    fn turns_used(&self) -> Vec<u64> {
+        let anew = |member| self.lab.status(member).counters.slots_calibrating;
+        self.there().map(|(id, member)| self.lab.judge().data[id] + anew(member)).collect()
+    }
+
     /// What it is, what happened to it, and what the stations told of last.
     fn describe(&self) -> String {
         let scenario = &self.case.plan.scenario;
         let mut text = format!(
-            "  cycle {}, sync window {}, guard band {}, backups {:?}\n",
-            scenario.cycle, scenario.sync_window, scenario.guard, self.case.plan.backups
+            "  cycle {}, sync window {}, guard band {}, backups {:?}, another master's delay: {:?}\n",
+            scenario.cycle,
+            scenario.sync_window,
+            scenario.guard,
+            self.case.plan.backups,
+            self.case.plan.follow.on_master_change
         );
         for (id, station) in scenario.stations.iter().enumerate() {
             let slots: Vec<_> = station.slots.iter().map(|s| (s.id, s.offset, s.phase, s.period)).collect();

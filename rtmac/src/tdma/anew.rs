@@ -85,14 +85,22 @@ impl Tdma {
 
     /// What a turn of a calibrated station is for.
     pub(super) fn purpose(&self, turn: &Turn) -> Purpose {
+        let Some(first) = self.slots.first().filter(|first| first.id == turn.id) else {
+            return Purpose::Data;
+        };
         let measures = self.follower().is_some_and(|follower| follower.calibration().measures_anew());
-        match self.slots.first().filter(|first| measures && first.id == turn.id) {
-            None => Purpose::Data,
-            Some(first) => match turn.cycle / first.period % TURNS {
-                0 => Purpose::Request,
-                2 => Purpose::Data,
-                _ => Purpose::Reply,
-            },
+        match turn.cycle / first.period % TURNS {
+            0 if measures => Purpose::Request,
+            1 | 3 if measures || self.was_asked_for(first.period, turn) => Purpose::Reply,
+            _ => Purpose::Data,
         }
+    }
+
+    /// Whether this backup has asked shortly before it took over: whom it asked may not know of that, and answer.
+    fn was_asked_for(&self, period: u32, turn: &Turn) -> bool {
+        let Role::Master(master) = &self.role else { return false };
+        let asked = master.asked().filter(|_| master.is_active());
+        let line = master.line();
+        asked.zip(line).is_some_and(|(asked, line)| turn.at - asked < line.period * i64::from(period * TURNS))
     }
 }

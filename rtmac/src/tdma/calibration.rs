@@ -46,6 +46,8 @@ pub struct Calibration {
     samples: Vec<Round>,
     /// The request's stamp on this station's clock, while its reply is awaited.
     outstanding: Option<Instant>,
+    /// Of the last request that nobody has answered, also where no reply is awaited any more.
+    asked: Option<Instant>,
     attempts: u32,
     tally: Tally,
     /// Lines that were followed since the first round: the master's clock of one is not that of another.
@@ -73,6 +75,7 @@ impl Calibration {
             is_measuring: rounds > 0,
             samples: Vec::with_capacity(rounds as usize),
             outstanding: None,
+            asked: None,
             attempts: 0,
             tally: Tally::default(),
             line: 0,
@@ -111,6 +114,12 @@ impl Calibration {
     /// Whether it is being measured while an older one is in use.
     pub fn measures_anew(&self) -> bool {
         self.is_measuring && self.delay.is_some()
+    }
+
+    /// When the last request was sent, unless it was answered: whom it was sent to may still do so, whoever is followed
+    /// by now.
+    pub fn asked(&self) -> Option<Instant> {
+        self.asked
     }
 
     /// Of the measuring under way: rounds so far, of how many.
@@ -176,7 +185,7 @@ impl Calibration {
 
     /// The request has left with this stamp.
     pub fn sent(&mut self, xmit: Instant) {
-        self.outstanding = Some(xmit);
+        (self.outstanding, self.asked) = (Some(xmit), Some(xmit));
     }
 
     /// A reply, received at `rx` on the line of a Synchronisation that knows of no delay, and is so much later than the
@@ -193,7 +202,7 @@ impl Calibration {
         if self.outstanding.is_none_or(|sent| sent.nanos() != request_xmit) {
             return Err(Refusal::UnexpectedReply);
         }
-        self.outstanding = None;
+        (self.outstanding, self.asked) = (None, None);
         let mut round = Round::new(request_xmit, reception, xmit, rx, line);
         (round.line, round.beside) = (self.line, beside);
         if round.delay.abs() > line.period {

@@ -195,6 +195,11 @@ impl Master {
         if self.is_active() { None } else { Some(&mut self.follower) }
     }
 
+    /// When it has sent a request that was not answered, also of one that gives the time since.
+    pub fn asked(&self) -> Option<Instant> {
+        self.follower.calibration().asked()
+    }
+
     /// Whether it is to measure the delay from another, now or later.
     pub fn has_to_calibrate(&self) -> bool {
         let follows = self.follower().is_some_and(|follower| follower.line().is_some());

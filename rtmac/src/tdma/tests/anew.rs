@@ -68,6 +68,31 @@ fn who_has_had_the_last_reply_anew_sends_from_the_next_turn_on() {
 }
 
 #[test]
+fn a_backup_that_takes_over_leaves_the_turn_of_the_reply_that_it_asked_for_free() {
+    let follow = SlaveConfig { rounds: 0, ..SlaveConfig::default() };
+    let backup = MasterConfig { backup: Some(Span::from_micros(100)), follow, ..master_config() };
+    let mut tdma = Tdma::new(&config(RoleConfig::Master(backup))).unwrap();
+    tdma.on_timeout(at(500));
+    hear_syncs(&mut tdma, 1..=3);
+    tdma.on_timeout(at(3_300));
+    assert_eq!(tdma.status().mastery, Some(Mastery::StandBy));
+    assert!(tdma.next_transmission(at(3_400)).is_none(), "nothing was queued");
+    tdma.command(at(3_500), &mut calibrate(2)).unwrap();
+    hear_syncs(&mut tdma, 4..=4);
+    assert_eq!(sent_next(&mut tdma), at(4_400), "the request");
+    // Whatever it is to measure by now.
+    tdma.role.follower_mut().unwrap().calibration_mut().leave_master();
+    queue(&mut tdma, &Pool::new(1), 60);
+    assert_eq!(sent_next(&mut tdma), at(5_100), "there was no Synchronisation");
+    assert_eq!(tdma.status().mastery, Some(Mastery::Active));
+    assert!(tdma.next_transmission(at(5_400)).is_none(), "who has not heard that answers");
+    assert_eq!(sent_next(&mut tdma), at(6_100));
+    assert_eq!(sent_next(&mut tdma), at(6_400), "what is queued");
+    let told = told(&mut tdma).into_iter().filter(|(_, kind, _)| *kind == EventKind::CalibrationTurn);
+    assert_eq!(told.map(|(cycle, ..)| cycle).collect::<Vec<_>>(), [4, 5], "each is told of");
+}
+
+#[test]
 fn who_gets_no_answer_at_all_is_told_of_and_goes_on_as_before() {
     let mut slave = locked_slave();
     hear_syncs(&mut slave, 3..=3);

@@ -1,10 +1,12 @@
 //! What the servo is good for: one host, one seed, with it and as RTnet does without.
 
+use rtmac::tdma::{RoleConfig, Servo};
 use rtnet::discipline::SyncState;
 use rtnet::sim::Host;
-use rtnet::time::Span;
+use rtnet::time::{Offset, Span};
 use tests::networks::{Lab, Plan};
-use tools::scenario::{ServoName, Uniform};
+use tools::scenario::{Scenario, ServoName, Uniform};
+use tools::sim::discipline;
 
 /// Hosts that hold one frame in five up, by up to 90 us after its stamp.
 fn run(servo: ServoName, seed: u64) -> (Span, Lab) {
@@ -45,5 +47,17 @@ fn on_an_ideal_host_with_clocks_that_run_alike_it_makes_no_difference() {
         lab.run_cycles(1_000);
         let error = lab.judge().slot_error;
         assert_eq!((error.n, error.min, error.max), (4_000, Span::ZERO, Span::ZERO), "{servo:?}");
+    }
+}
+
+#[test]
+fn a_scenarios_servo_is_that_of_its_stations_in_virtual_time() {
+    for (name, servo) in [(ServoName::None, Servo::None), (ServoName::Linear, Servo::Linear)] {
+        let scenario =
+            Scenario { servo: name, ..Plan::lab_options(2).scenario().expect("such a lab can be") };
+        let RoleConfig::Slave(slave) = discipline(&scenario, 1, Offset::default(), None).role else {
+            panic!("the first is the master");
+        };
+        assert_eq!(slave.servo, servo);
     }
 }

@@ -64,6 +64,11 @@ pub fn account(status: &LabStatus) -> String {
     text += &format!("{}{refused}", if refused.is_empty() { "" } else { "\n" });
     let failed = |s: &MemberStatus| s.failed.as_ref().map(|why| format!("\nstation {}: {why}\n", s.name));
     text.extend(stations.iter().filter_map(failed));
+    let stray = |s: &MemberStatus| (s.stray > 0).then(|| format!("{} {}", s.name, grouped(s.stray)));
+    let stray: Vec<String> = stations.iter().filter_map(stray).collect();
+    if !stray.is_empty() {
+        text += &format!("\nframes outside their slots, by sender: {}\n", stray.join(", "));
+    }
     for note in &status.notes {
         text += &format!("\n{}\n", paragraph("note: ", note, WIDTH).join("\n"));
     }

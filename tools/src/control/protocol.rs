@@ -381,6 +381,9 @@ pub struct MemberStatus {
     pub frames_seen: u64,
     /// Slots without their frame.
     pub slots_missed: u64,
+    /// Frames of it outside its slots, of whatever kind.
+    #[serde(default)]
+    pub stray: u64,
     /// Test traffic that was not what was sent.
     pub payload_errors: u64,
     /// Frames on the medium that it did not receive; known at the end only.

@@ -210,6 +210,7 @@ fn station_figures(
         frames_expected: expected,
         frames_seen: seen.frames,
         slots_missed: missed,
+        stray: seen.stray,
         overruns: own(EventKind::Overrun),
         stalled_in_send: own(EventKind::StalledInSend) + own(EventKind::ReplyStalled),
         guard: facts.guarded.into(),

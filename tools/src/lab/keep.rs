@@ -316,6 +316,7 @@ impl Keeper {
             address: self.scenario.address(station).to_string(),
             frames_seen: seen.frames,
             slots_missed: self.lab.analysis.expected(station).saturating_sub(seen.frames),
+            stray: seen.stray,
             payload_errors: member.payload_errors(),
             frames_lost: lost,
             slot_error_ns: seen.slot_error.summary(),

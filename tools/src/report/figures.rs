@@ -117,6 +117,9 @@ pub struct StationFigures {
     pub frames_seen: u64,
     /// Slots with no frame though one was queued.
     pub slots_missed: u64,
+    /// Frames of it outside its slots, of whatever kind.
+    #[serde(default)]
+    pub stray: u64,
     /// Slots that it skipped because it was late.
     pub overruns: u64,
     /// Frames late because it was held up inside the send call.

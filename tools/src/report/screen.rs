@@ -238,7 +238,12 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
         .filter(|&(_, count)| count > 0)
         .map(|(refusal, count)| format!("{} {refusal}", grouped(count)))
         .collect();
+    let stray = figures.per_station.iter().filter(|station| station.stray > 0);
+    let stray: Vec<_> = stray.map(|station| format!("{} {}", station.name, grouped(station.stray))).collect();
     let mut lines = if refusals.is_empty() { Vec::new() } else { list("refused: ", &refusals, width) };
+    if !stray.is_empty() {
+        lines.extend(list("frames outside their slots, by sender: ", &stray, width));
+    }
     for (note, names) in notes {
         let who = if names.len() == figures.per_station.len() && names.len() > 1 {
             "all stations".to_owned()
@@ -291,6 +296,10 @@ fn verdict(figures: &Figures, width: usize) -> Vec<String> {
     let all = if figures.verdict.ok {
         let counts = format!("{} of {}", grouped(figures.frames_seen), grouped(figures.frames_expected));
         match (figures.slots_missed, figures.out_of_slot + figures.overlaps) {
+            // Only a scenario expects that.
+            _ if figures.unexplained > 0 => {
+                format!("OK: as expected, {counts} frames seen; {} unexplained", grouped(figures.unexplained))
+            }
             (0, 0) => format!("OK: every frame in its slot, {counts} seen"),
             (missed, 0) => format!("OK: every frame seen in its slot, {counts}; {} missed", grouped(missed)),
             (missed, stray) => format!(

@@ -155,6 +155,7 @@ impl Measure {
             SyncError,
             SlotError,
             LatestFrame,
+            Stray,
         ];
         of_labs.contains(&self)
     }

@@ -90,7 +90,7 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
             Measure::SlotError => extreme(&seen.slot_error_ns),
             Measure::Locked => Some(own?.is_locked().into()),
             Measure::Masters => Some(own?.gives_time.into()),
-            Measure::Stray => count(own?.stray),
+            Measure::Stray => count(seen.stray),
             _ => None,
         };
     }
@@ -117,7 +117,7 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
         Measure::SlotError => extreme(&run.slot_error_ns),
         Measure::LatestFrame => run.latest_frame_ns,
         Measure::SmallestGap => simulation.smallest_gap_ns,
-        Measure::Stray => count(simulation.stations.iter().map(|own| own.stray).sum()),
+        Measure::Stray => count(run.per_station.iter().map(|seen| seen.stray).sum()),
     }
 }
 

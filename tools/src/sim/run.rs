@@ -123,8 +123,6 @@ pub struct SimStation {
     pub state: String,
     /// Whether it gave the time.
     pub gives_time: bool,
-    /// Frames of it outside its slots, of whatever kind.
-    pub stray: u64,
     /// Frames that found its receive pool empty.
     pub dropped: u64,
 }
@@ -458,7 +456,6 @@ impl<'a> Run<'a> {
             name: self.scenario.stations[id].name.clone(),
             state: if self.present[id] { status.state.name() } else { "down" }.into(),
             gives_time: self.present[id] && status.mastery == Some(Mastery::Active),
-            stray: self.watch.borrow().analysis.stations[id].stray,
             dropped: self.world.network.dropped(id),
         }
     }

@@ -74,12 +74,7 @@ fn states(simulation: &Simulation) -> Vec<String> {
             None => items.push((state.into(), 1)),
         }
     }
-    let mut items: Vec<String> = items.into_iter().map(|(state, n)| format!("{n} {state}")).collect();
-    let stray = simulation.stations.iter().filter(|station| station.stray > 0);
-    items.extend(
-        stray.map(|station| format!("{} babbled: {} stray frames", station.name, grouped(station.stray))),
-    );
-    items
+    items.into_iter().map(|(state, n)| format!("{n} {state}")).collect()
 }
 
 fn expectation(checked: &Checked) -> String {

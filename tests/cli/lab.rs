@@ -290,12 +290,14 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
         assert!(missed(0) >= 120, "dead for 125 cycles and more, until it has calibrated: {}", missed(0));
         assert!(missed(2) >= 24 + 120, "stopped for 25 cycles, and dead for the last 125: {}", missed(2));
         assert!(missed(3) >= 45, "without a carrier for 50: {}", missed(3));
-        for only in ["takeovers of line 56", "the event of line 44"] {
+        for only in ["locked of line 58", "the event of line 44"] {
             assert!(
                 text.contains(&format!("only in a simulation (rtnet sim run), and not here: {only}")),
                 "{text}"
             );
         }
+        assert!(report["takeovers"].as_u64() >= Some(2), "{text}");
+        assert!(text.contains("masters: "), "{text}");
         let wakes = report["wake_latency"].as_array().unwrap();
         let recorded: u64 = wakes.iter().map(|range| range[2].as_u64().unwrap()).sum();
         assert!(recorded >= 3_500, "one for each frame and sync: {recorded}");

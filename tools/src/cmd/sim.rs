@@ -28,7 +28,7 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let width = screen_width();
     let around =
         frames_around(&scenario, &options, &figures.simulation.expectations).map_err(Failure::Run)?;
-    let text = sim_screen::render(&figures.simulation, &around, width)
+    let text = sim_screen::render(&figures, &around, width)
         + "\n"
         + &screen::render(&figures.figures, width, &slot_error_abs);
     let _ = std::io::stdout().write_all(text.as_bytes());

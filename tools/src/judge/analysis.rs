@@ -13,6 +13,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 use super::delivery::Passed;
 use super::findings::{Author, Finding, FindingKind};
 use super::givers::{Givers, TrueMaster};
+use super::masters::Masters;
 use super::sight::Sight;
 use super::timetable::{Timetable, before};
 use crate::report::histogram::SignedHistogram;
@@ -61,6 +62,8 @@ pub struct Analysis {
     /// The cycle of the newest Synchronisation that slaves can have heard, unless nobody looked since.
     heard: Option<u32>,
     sight: Sight,
+    /// Who gave the time when.
+    pub masters: Masters,
     /// The frame in the window that ended latest, by how much after its slot's end, or before it.
     pub latest: Option<Span>,
     /// Synchronisations seen in the window.
@@ -105,6 +108,7 @@ impl Analysis {
             busy: None,
             heard: None,
             sight: Sight::default(),
+            masters: Masters::default(),
             latest: None,
             syncs: 0,
             sync_slot_error: SignedHistogram::new(),
@@ -307,6 +311,7 @@ impl Analysis {
             self.grid = Some((cycle, sched));
         }
         self.heard(author.station, cycle);
+        self.masters.sync(from, cycle, self.counts(cycle));
         let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
         let has_taken_over = is_newer && self.givers.heard(from, at);
         let due = self.start_of(cycle).unwrap_or(sched);

@@ -12,6 +12,7 @@ pub mod delivery;
 pub mod explain;
 pub mod findings;
 pub mod givers;
+pub mod masters;
 pub mod noteworthy;
 pub mod outcome;
 mod sight;

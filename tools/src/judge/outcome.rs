@@ -89,6 +89,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     let Parts { stations, analysis, records, .. } = &parts;
     let (from, cycles) = analysis.window_counted();
     let own = |kind| records.of_kind(kind, from, cycles);
+    let gaps = analysis.findings.iter().filter(|finding| finding.kind == FindingKind::SyncGap);
     let mut figures = Figures {
         stations: stations.len() as u64,
         cycle_ns: scenario.cycle.nanos() as u64,
@@ -104,6 +105,11 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         rt_cpu_percent: stations.iter().map(|station| station.rt_cpu_share).sum::<f64>() * 100.0,
         clock_steps: parts.wall_steps + stations.iter().map(|station| station.clock_steps).sum::<u64>(),
         capture_dropped: parts.dropped,
+        syncs_missing: gaps.count() as u64,
+        takeovers: analysis.masters.takeovers_all,
+        takeover_cycles: analysis.masters.takeover_cycles,
+        rival_cycles: analysis.masters.rival_cycles,
+        masters_seen: analysis.masters.takeovers.clone(),
         ..Figures::default()
     };
     let mut all = Histograms::new();

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::histogram::Summary;
 use super::host::HostFacts;
+use crate::judge::masters::Takeover;
 
 /// A whole run.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
@@ -74,6 +75,21 @@ pub struct Figures {
     pub causes: BTreeMap<String, u64>,
     /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
     pub misses: Vec<Miss>,
+    /// Cycles without a Synchronisation.
+    #[serde(default)]
+    pub syncs_missing: u64,
+    /// How often another station gave the time than before.
+    #[serde(default)]
+    pub takeovers: u64,
+    /// Most cycles from the last Synchronisation of one to the first of the other: 1 is none missing.
+    #[serde(default)]
+    pub takeover_cycles: u32,
+    /// Most cycles in a row in which two gave the time.
+    #[serde(default)]
+    pub rival_cycles: u32,
+    /// The first take-overs.
+    #[serde(default)]
+    pub masters_seen: Vec<Takeover>,
     /// How much later than it was to be the last look at the clock before each send was, all stations: ranges of
     /// nanoseconds, lowest and highest, and how many. A simulation's hosts draw from it: `late = "recorded FILE"`.
     #[serde(default)]

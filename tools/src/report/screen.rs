@@ -241,6 +241,10 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
     let stray = figures.per_station.iter().filter(|station| station.stray > 0);
     let stray: Vec<_> = stray.map(|station| format!("{} {}", station.name, grouped(station.stray))).collect();
     let mut lines = if refusals.is_empty() { Vec::new() } else { list("refused: ", &refusals, width) };
+    let masters = masters(figures);
+    if !masters.is_empty() {
+        lines.extend(list("masters: ", &masters, width));
+    }
     if !stray.is_empty() {
         lines.extend(list("frames outside their slots, by sender: ", &stray, width));
     }
@@ -253,6 +257,22 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
         lines.extend(paragraph("note: ", &format!("{note} ({who})"), width));
     }
     lines
+}
+
+/// Who gave the time, if that was not one all the while.
+fn masters(figures: &Figures) -> Vec<String> {
+    let mut items = Vec::new();
+    if figures.takeovers > 0 {
+        let (n, cycles) = (grouped(figures.takeovers), figures.takeover_cycles);
+        items.push(format!("{n} times another one, {cycles} cycles after the last sync at the most"));
+    }
+    if figures.rival_cycles > 0 {
+        items.push(format!("two at once for {} cycles", figures.rival_cycles));
+    }
+    if figures.takeovers > 0 && figures.syncs_missing > 0 {
+        items.push(format!("{} cycles without a sync", grouped(figures.syncs_missing)));
+    }
+    items
 }
 
 /// What a run took place on, in one list, and what else there is to say of it.

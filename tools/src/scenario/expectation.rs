@@ -156,6 +156,10 @@ impl Measure {
             SlotError,
             LatestFrame,
             Stray,
+            SyncsMissing,
+            Takeovers,
+            TakeoverCycles,
+            RivalCycles,
         ];
         of_labs.contains(&self)
     }

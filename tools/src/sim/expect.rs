@@ -101,15 +101,15 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
         Measure::Unexplained => count(run.unexplained),
         Measure::SlotsMissed => count(run.slots_missed),
         Measure::Overruns => count(run.overruns),
-        Measure::SyncsMissing => count(simulation.syncs_missing),
+        Measure::SyncsMissing => count(run.syncs_missing),
         Measure::FramesLost => count(run.frames_lost),
         Measure::FramesSeen => count(run.frames_seen),
         Measure::PayloadErrors => count(run.payload_errors),
         Measure::Collisions => count(simulation.collisions),
         Measure::QueueFull => count(simulation.queue_full),
-        Measure::Takeovers => count(simulation.takeovers),
-        Measure::TakeoverCycles => (simulation.takeovers > 0).then_some(simulation.takeover_cycles.into()),
-        Measure::RivalCycles => Some(simulation.rival_cycles.into()),
+        Measure::Takeovers => count(run.takeovers),
+        Measure::TakeoverCycles => (run.takeovers > 0).then_some(run.takeover_cycles.into()),
+        Measure::RivalCycles => Some(run.rival_cycles.into()),
         Measure::RelockCycles => Some(simulation.relock_cycles.unwrap_or(NEVER)),
         Measure::Locked => count(simulation.stations.iter().filter(|own| own.is_locked()).count() as u64),
         Measure::Masters => count(simulation.stations.iter().filter(|own| own.gives_time).count() as u64),
@@ -138,7 +138,7 @@ fn place(figures: &SimFigures, findings: &[Finding], expected: &Expectation) -> 
         Measure::SyncsMissing => first(FindingKind::SyncGap),
         Measure::Unexplained => figures.figures.misses.first().map(|miss| miss.cycle as u32),
         Measure::Takeovers | Measure::TakeoverCycles => {
-            let longest = figures.simulation.masters_seen.iter().max_by_key(|takeover| takeover.cycles);
+            let longest = figures.figures.masters_seen.iter().max_by_key(|takeover| takeover.cycles);
             longest.map(|takeover| takeover.cycle)
         }
         _ => None,

@@ -4,19 +4,17 @@
 //! ```text
 //!   scenario ──► world: rtnet::sim::Network ──frames, moments──► watch ─► judge ─► figures
 //!                  ▲                                               │
-//!                faults: what happens to it                         └─► oracle ─► expectations
+//!                faults: what happens to it                         └─► expectations
 //! ```
 
 mod expect;
 mod faults;
-mod oracle;
 mod run;
 pub mod screen;
 mod watch;
 mod world;
 
 pub use expect::{Checked, of_lab};
-pub use oracle::Takeover;
 pub use run::{Ended, Options, SimFigures, Simulation, run};
 pub use world::{World, discipline};
 

@@ -15,7 +15,6 @@ use serde::Serialize;
 
 use super::expect::{self, Checked};
 use super::faults;
-use super::oracle::Takeover;
 use super::watch::Watch;
 use super::world::{UPTIME, World};
 use crate::judge::absences::Absence;
@@ -82,8 +81,6 @@ pub struct Simulation {
     pub frames: u64,
     /// Shortest time that the medium was free between two frames.
     pub smallest_gap_ns: Option<i64>,
-    /// Cycles without a Synchronisation.
-    pub syncs_missing: u64,
     /// Frames that a hub destroyed.
     pub collisions: u64,
     /// Deliveries for which a port of a switch had no room.
@@ -98,16 +95,8 @@ pub struct Simulation {
     pub corrupted: u64,
     /// Deliveries that others overtook.
     pub reordered: u64,
-    /// How often another station gave the time than before.
-    pub takeovers: u64,
-    /// Most cycles from the last Synchronisation of one to the first of the other.
-    pub takeover_cycles: u32,
-    /// Most cycles in a row in which two gave the time.
-    pub rival_cycles: u32,
     /// Cycles from the end of the last event until all were locked; none: they never were.
     pub relock_cycles: Option<i64>,
-    /// The first take-overs.
-    pub masters_seen: Vec<Takeover>,
     /// By station, as in `per_station`.
     pub stations: Vec<SimStation>,
     /// What was expected, and what was found.
@@ -157,6 +146,8 @@ struct Run<'a> {
     before: Vec<(u64, u64)>,
     /// When the last event is over.
     over: True,
+    /// When somebody was last seen not to be synchronised.
+    unlocked: True,
 }
 
 impl<'a> Run<'a> {
@@ -189,6 +180,7 @@ impl<'a> Run<'a> {
             anew: vec![false; n],
             before: vec![(0, 0); n],
             over: 0,
+            unlocked: 0,
         })
     }
 
@@ -298,7 +290,6 @@ impl<'a> Run<'a> {
             watch.records.absences.begin(id, Absence::Down, current);
         }
         watch.counting = true;
-        watch.oracle.begin();
         self.world.network.start_over();
         for (id, before) in self.before.iter_mut().enumerate() {
             let refusals = self.world.network.member(id).station.refusals();
@@ -330,7 +321,7 @@ impl<'a> Run<'a> {
             }
             Happening::Stop(stations, _) => self.absent(stations, Absence::Stopped, act.part, now),
             Happening::Unplug(stations, _) => self.absent(stations, Absence::NoCarrier, act.part, now),
-            Happening::Cut(..) => self.watch.borrow_mut().oracle.is_cut = act.part == Part::Begin,
+            Happening::Cut(..) => self.watch.borrow_mut().analysis.masters.is_cut = act.part == Part::Begin,
             _ => {}
         }
         faults::act(&mut self.world.network, self.scenario, what, act.part);
@@ -365,7 +356,7 @@ impl<'a> Run<'a> {
     fn look(&mut self) {
         let all_locked = self.all(Self::is_synchronised);
         let mut watch = self.watch.borrow_mut();
-        let Watch { analysis, records, oracle, .. } = &mut *watch;
+        let Watch { analysis, records, .. } = &mut *watch;
         for id in (0..self.present.len()).filter(|&id| self.present[id]) {
             if let (true, Some(cycle)) =
                 (records.absences.is_open(id, Absence::Down), analysis.heard_again(id))
@@ -374,7 +365,7 @@ impl<'a> Run<'a> {
             }
         }
         if !all_locked {
-            oracle.unlocked = Some(self.world.network.now());
+            self.unlocked = self.world.network.now();
         }
     }
 
@@ -386,7 +377,7 @@ impl<'a> Run<'a> {
         // Its observers go with it.
         self.world.network.forget_watchers();
         let watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
-        let Watch { mut analysis, records, oracle, capture, capture_failed, lines, .. } = watch;
+        let Watch { mut analysis, records, capture, capture_failed, lines, .. } = watch;
         if let Some(error) = capture_failed {
             return Err(error);
         }
@@ -395,10 +386,6 @@ impl<'a> Run<'a> {
             analysis.advance_to(current);
         }
         analysis.finish();
-        let missing = |finding: &&crate::judge::findings::Finding| {
-            finding.kind == crate::judge::findings::FindingKind::SyncGap
-        };
-        let syncs_missing = analysis.findings.iter().filter(missing).count() as u64;
         let findings = analysis.findings.clone();
         let parts = Parts {
             stations: facts,
@@ -418,7 +405,6 @@ impl<'a> Run<'a> {
             virtual_ns: now - UPTIME,
             frames: traffic.frames,
             smallest_gap_ns: traffic.smallest_gap.map(Span::nanos),
-            syncs_missing,
             collisions: traffic.collided,
             queue_full: traffic.queue_full,
             longest_queue: traffic.longest_queue as u64,
@@ -426,11 +412,7 @@ impl<'a> Run<'a> {
             duplicated: traffic.duplicated,
             corrupted: traffic.corrupted,
             reordered: traffic.reordered,
-            takeovers: oracle.takeovers_all,
-            takeover_cycles: oracle.takeover_cycles,
-            rival_cycles: oracle.rival_cycles,
             relock_cycles: relock,
-            masters_seen: oracle.takeovers,
             stations,
             expectations: Vec::new(),
         };
@@ -446,8 +428,7 @@ impl<'a> Run<'a> {
         if !self.all(Self::is_synchronised) {
             return None;
         }
-        let unlocked = self.watch.borrow().oracle.unlocked.unwrap_or(0);
-        Some(unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
+        Some(self.unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
     }
 
     fn station(&self, id: usize) -> SimStation {

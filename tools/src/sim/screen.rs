@@ -1,11 +1,12 @@
 //! What only a simulation knows, as a person reads it.
 
 use super::expect::Checked;
-use super::run::Simulation;
+use super::run::{SimFigures, Simulation};
 use crate::report::text::{about, grouped, list, micros};
 
 /// Lines no longer than `width` columns: what was simulated, what became of it, what was expected.
-pub fn render(simulation: &Simulation, around: &[String], width: usize) -> String {
+pub fn render(figures: &SimFigures, around: &[String], width: usize) -> String {
+    let simulation = &figures.simulation;
     let head = format!(
         "simulated {} with seed {}: {} frames",
         about(simulation.virtual_ns),
@@ -14,11 +15,8 @@ pub fn render(simulation: &Simulation, around: &[String], width: usize) -> Strin
     );
     let mut lines = vec![head];
     lines.extend(list("medium: ", &medium(simulation), width));
-    let masters = masters(simulation);
-    if !masters.is_empty() {
-        lines.extend(list("masters: ", &masters, width));
-    }
-    lines.extend(list("at the end: ", &states(simulation), width));
+    let ends = states(simulation).into_iter().chain(relock(simulation)).collect::<Vec<_>>();
+    lines.extend(list("at the end: ", &ends, width));
     if !simulation.expectations.is_empty() {
         lines.push(String::new());
         lines.extend(simulation.expectations.iter().map(expectation));
@@ -45,24 +43,13 @@ fn medium(simulation: &Simulation) -> Vec<String> {
     gap.into_iter().chain(counted.map(|(n, what)| format!("{} {what}", grouped(*n)))).collect()
 }
 
-fn masters(simulation: &Simulation) -> Vec<String> {
-    let mut items = Vec::new();
-    if simulation.takeovers > 0 {
-        let (n, cycles) = (simulation.takeovers, simulation.takeover_cycles);
-        items.push(format!("{} times another one, within {cycles} cycles", grouped(n)));
-    }
-    if simulation.rival_cycles > 0 {
-        items.push(format!("two at once for {} cycles", simulation.rival_cycles));
-    }
-    if simulation.syncs_missing > 0 {
-        items.push(format!("{} cycles without a sync", grouped(simulation.syncs_missing)));
-    }
+/// How long it took until all were synchronised again.
+fn relock(simulation: &Simulation) -> Option<String> {
     match simulation.relock_cycles {
-        Some(0) => {}
-        Some(cycles) => items.push(format!("all locked {cycles} cycles after the last event")),
-        None => items.push("not all locked again".into()),
+        Some(0) => None,
+        Some(cycles) => Some(format!("all synchronised {cycles} cycles after the last event")),
+        None => Some("not all synchronised".into()),
     }
-    items
 }
 
 fn states(simulation: &Simulation) -> Vec<String> {

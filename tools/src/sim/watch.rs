@@ -4,9 +4,7 @@ use rtmac::tdma::Tdma;
 use rtnet::clock::True;
 use rtnet::discipline::{Cause, Discipline, SyncState};
 use rtnet::sim::{Aired, Member, Moment, StationId};
-use rtnet::wire::ethernet::Header;
 
-use super::oracle::Oracle;
 use super::world::{EPOCH, UPTIME};
 use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
@@ -22,8 +20,6 @@ pub struct Watch {
     pub analysis: Analysis,
     /// What was told.
     pub records: Records,
-    /// What no single frame shows.
-    pub oracle: Oracle,
     /// Estimated - true global time, by station.
     pub sync_error: Vec<SignedHistogram>,
     /// What a reader of the report should know, by station.
@@ -52,7 +48,6 @@ impl Watch {
         Self {
             analysis,
             records,
-            oracle: Oracle::default(),
             sync_error: names.iter().map(|_| SignedHistogram::new()).collect(),
             noteworthy: vec![Noteworthy::default(); names.len()],
             lost_on_purpose: vec![0; names.len()],
@@ -74,7 +69,6 @@ impl Watch {
             (self.capture, self.capture_failed) = (None, Some(error));
         }
         self.analysis.frame(aired.at, aired.bytes);
-        self.oracle.aired(aired, self.analysis.current());
         self.note_around(aired);
     }
 
@@ -135,9 +129,4 @@ impl Watch {
 fn why_late(moment: &Moment, late: i64) -> Cause {
     let last_moment: True = moment.looked.saturating_sub(late.max(0) as u64);
     if moment.woke > last_moment { Cause::TimerLate } else { Cause::Preempted }
-}
-
-/// Whose address a frame says that it is from.
-pub fn source(frame: &[u8]) -> Option<rtnet::wire::ethernet::Address> {
-    Header::parse(frame).map(|(header, _)| header.source)
 }

@@ -133,6 +133,8 @@ fn the_last_line_is_the_verdict() {
     figures.verdict = Verdict::from_reasons(vec!["a reason of five words".into(); 8]);
     assert_eq!(last(&figures), "NOT OK: 8 reasons, above");
     figures.verdict = Verdict::from_reasons(Vec::new());
+    assert_eq!(last(&figures), "OK: as expected, 119 998 of 120 000 frames seen; 1 unexplained");
+    figures.unexplained = 0;
     assert_eq!(last(&figures), "OK: every frame seen in its slot, 119 998 of 120 000; 2 missed");
     (figures.frames_seen, figures.slots_missed) = (120_000, 0);
     assert_eq!(last(&figures), "OK: every frame in its slot, 120 000 of 120 000 seen");

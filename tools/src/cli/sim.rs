@@ -16,7 +16,7 @@ pub enum SimVerb {
     /// with faults, with what happens when, and with what is expected: `rtnet sim example` prints one that says it
     /// all. One seed is one run, to the byte.
     ///
-    /// Exit status: 0 all is as expected, or without [expect] all is well; 1 it is not: the cycle and the frames
+    /// Exit status: 0 all is as expected, or, where nothing is, well; 1 it is not: the cycle and the frames
     /// around it are shown; 2 bad usage, or a scenario that cannot be.
     Run(SimRunArgs),
     /// Print a scenario that says what can be said, and runs

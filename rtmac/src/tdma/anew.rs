@@ -90,7 +90,8 @@ impl Tdma {
         };
         let measures = self.follower().is_some_and(|follower| follower.calibration().measures_anew());
         match turn.cycle / first.period % TURNS {
-            0 if measures => Purpose::Request,
+            // The reply would come where the slot is no more.
+            0 if measures && !self.slots.is_changing(first.id) => Purpose::Request,
             1 | 3 if measures || self.was_asked_for(first.period, turn) => Purpose::Reply,
             _ => Purpose::Data,
         }

@@ -29,7 +29,7 @@ impl Rival {
         let gone = rx - self.last;
         if of != self.of || gone > period * 2 {
             *self = Self::new(of, rx);
-        } else if gone > period / 2 {
+        } else if gone > period * 3 / 4 {
             (self.last, self.cycles) = (rx, self.cycles + 1);
         }
     }
@@ -80,6 +80,15 @@ mod tests {
             "a backup that is not deaf is silent by then"
         );
         assert_eq!(patience(LOW, false, 3), None, "now and then is nobody");
+    }
+
+    #[test]
+    fn who_is_heard_twice_a_cycle_lasts_no_longer_for_that() {
+        let mut rival = Rival::new(HIGH, Instant::default());
+        (1..10).for_each(|half| {
+            rival.heard(HIGH, Instant::default() + PERIOD / 2 * half + Span::from_micros(half), PERIOD)
+        });
+        assert!(!rival.outlasts(OWN, false), "five cycles are not ten");
     }
 
     #[test]

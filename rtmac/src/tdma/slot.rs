@@ -223,6 +223,11 @@ impl Slots {
         self.table[usize::from(id)].sent += 1;
     }
 
+    /// Whether a slot is about to be another one, or gone, once its turn has passed.
+    pub fn is_changing(&self, id: Channel) -> bool {
+        self.table[usize::from(id)].change.is_some()
+    }
+
     /// The first slot: the one that calibration uses.
     pub fn first(&self) -> Option<&SlotConfig> {
         self.defined().next().map(|(config, _)| config)

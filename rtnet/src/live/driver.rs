@@ -187,6 +187,8 @@ impl<D: Discipline> Driver<D> {
             let late = event.kind.is_miss().then(|| self.why_late(event.span));
             self.record(Record::Event(event, event.kind.cause().or(late)));
         }
+        // What is shown then is what is after a command.
+        let commanded = self.obey();
         let time = self.station.discipline().time();
         self.time.publish(&time);
         if self.config.sample_time && sample_time && time.state.is_synchronised() {
@@ -194,7 +196,6 @@ impl<D: Discipline> Driver<D> {
             let global = time.to_global(self.port.clock().local(now));
             global.into_iter().for_each(|global| self.record(Record::Time(now, global)));
         }
-        let commanded = self.obey();
         let changed = time.state != self.shown;
         let due = now >= self.next_snapshot || changed || commanded;
         // A full queue means that nobody looks: it is tried again. Replacing the oldest would wait for a reader that was

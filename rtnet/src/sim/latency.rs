@@ -27,6 +27,9 @@ pub struct Recorded {
     ranges: Vec<(u64, u64, u64)>,
 }
 
+/// An hour: nobody is later.
+const LONGEST: u64 = 3_600_000_000_000;
+
 impl Latency {
     /// No time at all.
     pub const NONE: Latency = Latency::Constant(Span::ZERO);
@@ -55,16 +58,16 @@ impl Default for Latency {
 
 impl Recorded {
     /// From ranges of nanoseconds in ascending order, each with its lowest and highest value and how many there were;
-    /// `None` if there were none at all.
+    /// `None` if there were none at all, or more or longer ones than can be.
     pub fn new(ranges: impl IntoIterator<Item = (u64, u64, u64)>) -> Option<Self> {
-        let mut total = 0;
+        let mut total = 0_u64;
         let filled = ranges.into_iter().filter(|&(.., n)| n > 0);
         let ranges: Vec<_> = filled
             .map(|(low, high, n)| {
-                total += n;
-                (low, high.max(low), total)
+                total = total.checked_add(n)?;
+                (low <= high && high <= LONGEST).then_some((low, high, total))
             })
-            .collect();
+            .collect::<Option<_>>()?;
         (total > 0).then_some(Self { ranges })
     }
 
@@ -118,6 +121,9 @@ mod tests {
         let short = drawn.iter().filter(|&&at| at < 20).count();
         assert!((8_900..9_100).contains(&short), "{short}");
         assert!(drawn[0] >= 10 && drawn[short] >= 1_000 && drawn[9_999] <= 1_999);
-        assert_eq!(Recorded::new([(1, 2, 0)]), None);
+        for cannot_be in [(1, 2, 0), (0, u64::MAX, 1), (2, 1, 1)] {
+            assert_eq!(Recorded::new([cannot_be]), None, "{cannot_be:?}");
+        }
+        assert_eq!(Recorded::new([(1, 2, u64::MAX), (1, 2, 1)]), None);
     }
 }

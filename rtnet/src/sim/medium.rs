@@ -67,9 +67,9 @@ pub struct Traffic {
     pub frames: u64,
     /// Frames that began while another was on the air.
     pub overlaps: u64,
-    /// Shortest time that the medium was free between two frames.
+    /// Shortest time that the medium was free between two frames; below zero, for how long it was not.
     pub smallest_gap: Option<Span>,
-    /// Deliveries that were lost on the way, by intent.
+    /// Deliveries that were lost on the way, by intent: by a wire, or a cut.
     pub lost: u64,
     /// Frames that a hub destroyed.
     pub collided: u64,
@@ -104,8 +104,8 @@ impl Traffic {
         bytes: &'a [u8],
     ) -> Aired<'a> {
         let overlaps = self.frames > 0 && at < self.free_from;
-        if self.frames > 0 && !overlaps {
-            let gap = Span::from_nanos((at - self.free_from) as i64);
+        if self.frames > 0 {
+            let gap = Span::from_nanos(at.wrapping_sub(self.free_from) as i64);
             self.smallest_gap = Some(self.smallest_gap.map_or(gap, |smallest| smallest.min(gap)));
         }
         self.frames += 1;

@@ -17,5 +17,5 @@ pub use host::Host;
 pub use latency::{Latency, Recorded};
 pub use link::Link;
 pub use medium::{Aired, Joint, Medium, Traffic};
-pub use network::{Member, Moment, Network, StationId, Wander};
+pub use network::{Loss, Member, Moment, Network, StationId, Wander};
 pub use random::Random;

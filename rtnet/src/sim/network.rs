@@ -8,7 +8,7 @@ use super::agenda::Agenda;
 use super::host::Host;
 use super::medium::{Aired, Medium, Traffic};
 use super::random::Random;
-use crate::buf::Buf;
+use crate::buf::{Buf, Pool};
 use crate::clock::{EmulatedClock, True};
 use crate::discipline::{Discipline, Sent, Transmission};
 use crate::station::Station;
@@ -17,6 +17,7 @@ use crate::wire::ethernet::Address;
 use carriage::Flight;
 use seat::Seat;
 
+pub use carriage::Loss;
 pub use faults::Wander;
 
 /// Which station, in the order they were added.
@@ -51,10 +52,15 @@ pub struct Network<D: Discipline> {
     cut_off: Vec<StationId>,
     /// Frames that a hub or a switch has not received wholly.
     flights: Vec<Flight>,
+    /// Of frames that no station has queued.
+    foreign: Pool,
 }
 
+/// Frames of nobody's that are on the medium at once; one more is lost.
+const FOREIGN_POOL: usize = 64;
+
 type Observer = Box<dyn FnMut(&Aired<'_>)>;
-type Mourner = Box<dyn FnMut(StationId, &[u8])>;
+type Mourner = Box<dyn FnMut(StationId, &[u8], Loss)>;
 type Attendant<D> = Box<dyn FnMut(&Moment, &mut Member<D>)>;
 
 /// A station has taken its turn, or sent.
@@ -78,7 +84,7 @@ enum Action {
     /// A station has spun up to its frame's instant.
     Send(StationId, u64),
     /// A frame is on the wire.
-    Air { from: StationId, frame: Buf },
+    Air { from: StationId, number: u64, frame: Buf },
     /// A hub or a switch has received a frame wholly.
     Landed(u64),
     /// A clock changes its rate a little.
@@ -101,6 +107,7 @@ impl<D: Discipline> Network<D> {
             mourner: None,
             cut_off: Vec::new(),
             flights: Vec::new(),
+            foreign: Pool::new(FOREIGN_POOL),
         }
     }
 
@@ -125,8 +132,8 @@ impl<D: Discipline> Network<D> {
         self.attendant = Some(Box::new(attendant));
     }
 
-    /// Tells `mourner` of every frame that is lost on its way to a station.
-    pub fn mourn(&mut self, mourner: impl FnMut(StationId, &[u8]) + 'static) {
+    /// Tells `mourner` of every frame that is lost on its way to a station, and why.
+    pub fn mourn(&mut self, mourner: impl FnMut(StationId, &[u8], Loss) + 'static) {
         self.mourner = Some(Box::new(mourner));
     }
 
@@ -142,7 +149,7 @@ impl<D: Discipline> Network<D> {
             match action {
                 Action::Turn(id, number) => self.turn(id, number),
                 Action::Send(id, number) => self.send(id, number),
-                Action::Air { from, frame } => self.air(from, frame),
+                Action::Air { from, number, frame } => self.air_of(from, number, frame),
                 Action::Landed(flight) => self.landed(flight),
                 Action::Wander(id, wander) => self.wander_on(id, wander),
             }
@@ -245,7 +252,8 @@ impl<D: Discipline> Network<D> {
         moment.sent = leaves.is_some();
         self.attend_to(moment);
         if on_wire > now {
-            let air = leaves.map(|frame| Action::Air { from: id, frame });
+            let air = leaves.map(|frame| Action::Air { from: id, number, frame });
+            self.members[id].busy_until = on_wire;
             air.into_iter().for_each(|air| self.agenda.put(on_wire, air));
             return self.agenda.put(on_wire, Action::Turn(id, number));
         }

@@ -72,8 +72,12 @@ impl Lab {
         match what {
             Happening::Kill(stations) => stations.iter().for_each(|&station| self.members[station].kill()),
             Happening::Restart(stations) => {
-                stations.iter().for_each(|&station| self.members[station].kill());
-                self.play.restarting.extend(stations);
+                for &station in stations {
+                    self.members[station].kill();
+                    if !self.play.restarting.contains(&station) {
+                        self.play.restarting.push(station);
+                    }
+                }
             }
             Happening::Stop(stations, _) => {
                 let to = if part == Part::End { Signal::SIGCONT } else { Signal::SIGSTOP };

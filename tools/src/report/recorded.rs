@@ -19,5 +19,5 @@ pub fn load(path: &Path) -> Result<Recorded> {
         format!("{} has no wake_latency: write one with `rtnet lab run --json FILE`", path.display())
     })?;
     Recorded::new(report.wake_latency)
-        .with_context(|| format!("{}: nothing was recorded in it", path.display()))
+        .with_context(|| format!("{}: its wake_latency is empty, or cannot be", path.display()))
 }

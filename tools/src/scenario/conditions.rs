@@ -81,8 +81,10 @@ pub struct Event {
 pub enum Happening {
     /// Stations end at once, and say nothing more.
     Kill(Vec<usize>),
-    /// New processes take the place of stations, dead or not; of stations that were not there yet, the first.
+    /// New processes take the place of stations, dead or not.
     Restart(Vec<usize>),
+    /// Stations that were not there before begin.
+    Start(Vec<usize>),
     /// Stations are stopped for so long, as by SIGSTOP.
     Stop(Vec<usize>, Span),
     /// The next frame of each is held up for so long behind its last look at the clock.
@@ -111,19 +113,49 @@ impl Happening {
             | Happening::Unplug(_, span)
             | Happening::Wires(_, span)
             | Happening::Babble(_, span, _) => span,
-            Happening::Kill(_) | Happening::Restart(_) | Happening::Clock(..) | Happening::Inject(_) => {
-                Span::ZERO
-            }
+            Happening::Kill(_)
+            | Happening::Restart(_)
+            | Happening::Start(_)
+            | Happening::Clock(..)
+            | Happening::Inject(_) => Span::ZERO,
         }
     }
 
     /// The stations that are not there until they are started by this.
     pub fn starts(&self) -> &[usize] {
-        if let Happening::Restart(stations) = self { stations } else { &[] }
+        if let Happening::Start(stations) = self { stations } else { &[] }
+    }
+}
+
+impl Happening {
+    /// Of those that last, which undo each other where they are at once, and whose they are; all stations': none.
+    fn undoes(&self) -> Option<(&'static str, &[usize])> {
+        match self {
+            Happening::Stop(stations, _) => Some(("stop", stations)),
+            Happening::Unplug(stations, _) => Some(("unplug", stations)),
+            Happening::Wires(wire, _) => Some(("wire", &wire.stations)),
+            Happening::Cut(..) => Some(("cut", &[])),
+            _ => None,
+        }
     }
 }
 
 impl Event {
+    /// Whether the end of this one, or of the other, would be the end of both: they are of one kind, at once, and of
+    /// the same station.
+    pub fn clashes_with(&self, other: &Event) -> Option<&'static str> {
+        let ((kind, mine), (of, theirs)) = (self.what.undoes()?, other.what.undoes()?);
+        let share = mine.is_empty() || mine.iter().any(|station| theirs.contains(station));
+        let at_once = |a: Span, b: Span| a < b + other.what.lasts() && b < a + self.what.lasts();
+        // Each is in order and does not overlap itself: only neighbours can meet.
+        let mut others = other.instants().peekable();
+        let meets = self.instants().any(|mine| {
+            while others.next_if(|&theirs| theirs + other.what.lasts() <= mine).is_some() {}
+            others.peek().is_some_and(|&theirs| at_once(mine, theirs))
+        });
+        (kind == of && share && meets).then_some(kind)
+    }
+
     /// Each time that it happens, after the begin of the measurement.
     pub fn instants(&self) -> impl Iterator<Item = Span> {
         (0..self.times).map(|i| self.at + self.every * i64::from(i))
@@ -160,6 +192,7 @@ impl Conditions {
             match &mut event.what {
                 Happening::Kill(stations)
                 | Happening::Restart(stations)
+                | Happening::Start(stations)
                 | Happening::Stop(stations, _)
                 | Happening::Stall(stations, _)
                 | Happening::Clock(stations, ..)

@@ -31,6 +31,7 @@ use rtmac::tdma::schedule::{self, Conflict, Rate};
 use rtmac::tdma::{
     DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle, check_rounds, joint,
 };
+use rtnet::sim::Joint;
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
@@ -39,7 +40,7 @@ use toml::Spanned;
 use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, WanderFile, WireFile};
 
 use super::{
-    Conditions, MAX_STATIONS, MIN_PAYLOAD, Scenario, ServoName, SlotGuard, SlotPlan, StationPlan,
+    Conditions, MAX_STATIONS, MIN_PAYLOAD, Measure, Scenario, ServoName, SlotGuard, SlotPlan, StationPlan,
     default_sync_window, divide,
 };
 use crate::report::figures::Role;
@@ -200,6 +201,7 @@ impl Source<'_> {
             stations,
             conditions: self.conditions(&mut network)?,
         };
+        self.check_events(&scenario)?;
         if divided {
             self.divide(&mut scenario, sync_window, asked)?;
         } else if let Some(first) = network.station.iter().find(without) {
@@ -243,6 +245,44 @@ impl Source<'_> {
         }
         let names = network.station.iter().map(|entry| entry.get_ref().name.get_ref().as_str()).collect();
         Reader { source: self, names }.conditions(sections)
+    }
+
+    /// What happens does so while somebody measures, and no end of one event is the end of another; what is expected can
+    /// be.
+    fn check_events(self, scenario: &Scenario) -> Result<(), FileError> {
+        let Conditions { events, expectations, joint, .. } = &scenario.conditions;
+        let refuse =
+            |line: usize, what: String| Err(FileError::Impossible { file: self.file.into(), line, what });
+        for (place, event) in events.iter().enumerate() {
+            if event.is_over() >= scenario.duration {
+                let (over, duration) = (event.is_over(), scenario.duration);
+                return refuse(
+                    event.line,
+                    format!("over after {over}, and the measurement lasts {duration}: make that longer"),
+                );
+            }
+            for before in &events[..place] {
+                if let Some(kind) = event.clashes_with(before) {
+                    let what = format!(
+                        "at once with the {kind} of line {}: when one of them is over, so is the other; part them",
+                        before.line
+                    );
+                    return refuse(event.line, what);
+                }
+            }
+        }
+        for expected in expectations {
+            let is_measured = match expected.measure {
+                Measure::Collisions => *joint == Joint::Hub,
+                Measure::QueueFull => matches!(joint, Joint::Switch { .. }),
+                _ => true,
+            };
+            if !is_measured {
+                let name = expected.measure.name();
+                return refuse(expected.line, format!("{name}: this medium has none; see joint of [medium]"));
+            }
+        }
+        Ok(())
     }
 
     /// A rate error in parts per billion.

@@ -34,8 +34,11 @@ pub fn act(network: &mut Network<Tdma>, scenario: &Scenario, what: &Happening, p
         Happening::Wires(wire, _) if begins => super::world::set_wire(network, wire),
         Happening::Wires(wire, _) => {
             super::world::set_wire(network, &Wire { link: Link::default(), ..wire.clone() });
-            let always = scenario.conditions.wires.iter();
-            always.for_each(|wire| super::world::set_wire(network, wire));
+            for always in &scenario.conditions.wires {
+                let mut always = always.clone();
+                always.stations.retain(|station| wire.stations.contains(station));
+                super::world::set_wire(network, &always);
+            }
         }
         Happening::Babble(id, ..) if part != Part::End => network.babble(*id, &noise(scenario.address(*id))),
         Happening::Inject(frame) => network.inject(frame),

@@ -3,12 +3,12 @@
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Result, bail};
 use rtmac::tdma::{Mastery, TdmaStatus};
 use rtnet::clock::True;
-use rtnet::counters::{Refusal, Refusals};
 use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::Span;
 use serde::Serialize;
@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::expect::{self, Checked};
 use super::faults;
 use super::watch::Watch;
-use super::world::{UPTIME, World};
+use super::world::{Counted, UPTIME, World};
 use crate::judge::absences::Absence;
 use crate::judge::analysis::Analysis;
 use crate::judge::delivery::Heard;
@@ -142,8 +142,8 @@ struct Run<'a> {
     present: Vec<bool>,
     /// Which have been another process before.
     anew: Vec<bool>,
-    /// What each had counted when the measurement began.
-    before: Vec<(u64, u64)>,
+    /// What each had counted when the measurement began, less what processes before this one had counted since.
+    before: Vec<Counted>,
     /// When the last event is over.
     over: True,
     /// When somebody was last seen not to be synchronised.
@@ -153,12 +153,7 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn new(scenario: &'a Scenario, options: &'a Options) -> Result<Self> {
         let events = &scenario.conditions.events;
-        // Who is started before anything else happened to it was not there.
-        let is_there = |id: usize| {
-            let own = events.iter().filter(|event| concerns(&event.what, id));
-            let first = own.min_by_key(|event| event.at);
-            first.is_none_or(|first| !first.what.starts().contains(&id))
-        };
+        let is_there = |id: usize| !events.iter().any(|event| event.what.starts().contains(&id));
         let mut world = World::new(scenario, is_there)?;
         let names = scenario.stations.iter().map(|station| station.name.clone()).collect();
         let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
@@ -168,7 +163,7 @@ impl<'a> Run<'a> {
         let (seen, told, lost) = (watch.clone(), watch.clone(), watch.clone());
         world.network.observe(move |aired| seen.borrow_mut().aired(aired));
         world.network.attend(move |moment, member| told.borrow_mut().attend(moment, member));
-        world.network.mourn(move |to, frame| lost.borrow_mut().lost(to, frame));
+        world.network.mourn(move |to, frame, why| lost.borrow_mut().lost(to, frame, why));
         let n = scenario.stations.len();
         Ok(Self {
             scenario,
@@ -178,7 +173,7 @@ impl<'a> Run<'a> {
             cycle: scenario.cycle.nanos() as u64,
             present: (0..n).map(is_there).collect(),
             anew: vec![false; n],
-            before: vec![(0, 0); n],
+            before: vec![Counted::default(); n],
             over: 0,
             unlocked: 0,
         })
@@ -252,11 +247,8 @@ impl<'a> Run<'a> {
     fn measure(&mut self) -> Result<()> {
         let Scenario { duration, cycle, .. } = *self.scenario;
         let cycles = (duration.nanos() / cycle.nanos()).clamp(1, i64::from(i32::MAX)) as u32;
-        let begin = self.begin(cycles)?;
-        let mut end = begin + u64::from(cycles) * self.cycle;
-        if let Some(until) = self.options.until {
-            end = end.min(UPTIME + until.nanos() as u64);
-        }
+        let (begin, cycles) = self.begin(cycles)?;
+        let end = begin + u64::from(cycles) * self.cycle;
         self.over = begin + over(&self.scenario.conditions.events).nanos() as u64;
         let mut acts = acts(&self.scenario.conditions.events, begin).into_iter().peekable();
         while self.now() < end {
@@ -276,12 +268,24 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// From here on, for so many cycles, all counts: when the first of them begins.
-    fn begin(&mut self, cycles: u32) -> Result<True> {
+    /// From here on, for so many cycles or as many as there is time for, all counts: when the first of them begins, and how
+    /// many.
+    fn begin(&mut self, cycles: u32) -> Result<(True, u32)> {
         let mut watch = self.watch.borrow_mut();
         let Some((current, start)) = watch.analysis.grid() else { bail!("no Synchronisation was seen") };
-        watch.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
         let begin = watch.analysis.truth().truth(start + self.scenario.cycle * i64::from(SETTLE_CYCLES));
+        let cycles = match self.options.until {
+            None => cycles,
+            Some(until) => {
+                let end = UPTIME + until.nanos() as u64;
+                let room = end.saturating_sub(begin) / self.cycle;
+                u64::from(cycles).min(room.saturating_sub(LINGER_CYCLES)) as u32
+            }
+        };
+        if cycles == 0 {
+            bail!("there is no time to measure once all stations are locked: give it a longer --until");
+        }
+        watch.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
         drop(watch);
         // Everything of the cycle before is over, and nothing of the first has begun.
         self.pass_until(begin.saturating_sub(self.cycle / 20));
@@ -291,11 +295,8 @@ impl<'a> Run<'a> {
         }
         watch.counting = true;
         self.world.network.start_over();
-        for (id, before) in self.before.iter_mut().enumerate() {
-            let refusals = self.world.network.member(id).station.refusals();
-            *before = (bad_payloads(refusals), self.world.counts[id].missing.load(Relaxed));
-        }
-        Ok(begin)
+        self.before = (0..self.present.len()).map(|id| self.world.counted(id)).collect();
+        Ok((begin, cycles))
     }
 
     fn pass_until(&mut self, until: True) {
@@ -314,7 +315,7 @@ impl<'a> Run<'a> {
                     self.watch.borrow_mut().records.absences.begin(id, Absence::Down, now);
                 }
             }
-            Happening::Restart(stations) => {
+            Happening::Restart(stations) | Happening::Start(stations) => {
                 for &id in stations {
                     self.restart(id, now)?;
                 }
@@ -343,10 +344,14 @@ impl<'a> Run<'a> {
         let mut watch = self.watch.borrow_mut();
         let (grid, first) = (watch.analysis.grid(), watch.analysis.stations[id].passed.beyond());
         watch.records.absences.begin(id, Absence::Down, now);
+        watch.records.absences.end(id, Absence::Stopped, now);
         watch.analysis.begins_anew(id);
         watch.analysis.await_again(id, now.wrapping_add(1));
         drop(watch);
         (self.present[id], self.anew[id]) = (true, true);
+        // What the process before has counted goes on from 0 in this one.
+        self.before[id] = self.before[id] - self.world.counted(id);
+        self.world.counts[id] = Arc::default();
         let station = self.world.station(self.scenario, id, grid, first)?;
         self.world.network.restart(id, station);
         Ok(())
@@ -425,7 +430,7 @@ impl<'a> Run<'a> {
     }
 
     fn relock_cycles(&self) -> Option<i64> {
-        if !self.all(Self::is_synchronised) {
+        if !self.all(Self::is_synchronised) || self.over > self.now() {
             return None;
         }
         Some(self.unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
@@ -443,6 +448,7 @@ impl<'a> Run<'a> {
 
     fn facts(&self, id: usize) -> Facts {
         let (status, counts) = (self.status(id), &self.world.counts[id]);
+        let counted = self.world.counted(id) - self.before[id];
         let refusals = self.world.network.member(id).station.refusals();
         let watch = self.watch.borrow();
         let [received, missing, first] =
@@ -453,29 +459,17 @@ impl<'a> Run<'a> {
         Facts {
             guarded: self.scenario.is_guarded(),
             delay_ns: status.delay.map(Span::nanos),
-            payload_errors: bad_payloads(refusals).saturating_sub(self.before[id].0),
+            payload_errors: counted.payload_errors.max(0) as u64,
             sync_error: watch.sync_error[id].clone(),
-            sequence_gaps: missing.saturating_sub(self.before[id].1),
+            sequence_gaps: counted.missing.max(0) as u64,
             heard: Some(Heard { received, range, anew: self.anew[id] }),
             refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
             notes: watch.noteworthy[id].lines().collect(),
-            lost_records: status.events_lost,
+            lost_records: counted.events_lost.max(0) as u64,
             lost_on_purpose: watch.lost_on_purpose[id],
             reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
             ..Facts::default()
         }
-    }
-}
-
-fn bad_payloads(refusals: &Refusals) -> u64 {
-    refusals.get(Refusal::BadPayload)
-}
-
-/// Whether something happens to a station whose process it is: it ends, or begins.
-fn concerns(what: &Happening, id: usize) -> bool {
-    match what {
-        Happening::Kill(stations) | Happening::Restart(stations) => stations.contains(&id),
-        _ => false,
     }
 }
 

@@ -3,14 +3,14 @@
 use rtmac::tdma::Tdma;
 use rtnet::clock::True;
 use rtnet::discipline::{Cause, Discipline, SyncState};
-use rtnet::sim::{Aired, Member, Moment, StationId};
+use rtnet::sim::{Aired, Loss, Member, Moment, StationId};
 
 use super::world::{EPOCH, UPTIME};
 use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::noteworthy::Noteworthy;
-use crate::observe::decode::decode;
+use crate::observe::decode::{What, decode};
 use crate::report::capture::CaptureFile;
 use crate::report::histogram::SignedHistogram;
 
@@ -100,10 +100,9 @@ impl Watch {
     }
 
     /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
-    pub fn lost(&mut self, to: StationId, frame: &[u8]) {
-        use crate::observe::decode::What;
+    pub fn lost(&mut self, to: StationId, frame: &[u8], why: Loss) {
         match decode(frame, frame.len()).what {
-            What::Data(_) if self.counting => self.lost_on_purpose[to] += 1,
+            What::Data(_) if why.is_on_purpose() => self.lost_on_purpose[to] += 1,
             What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
             _ => {}
         }

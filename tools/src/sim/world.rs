@@ -1,6 +1,8 @@
 //! From a scenario to its stations in virtual time.
 
+use std::ops::Sub;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Result, anyhow};
 use rtmac::tdma::schedule;
@@ -9,7 +11,9 @@ use rtmac::tdma::{
     TdmaConfig,
 };
 use rtnet::clock::{EmulatedClock, True};
-use rtnet::sim::{Host, Medium, Member, Network, Wander};
+use rtnet::counters::Refusal;
+use rtnet::discipline::Discipline;
+use rtnet::sim::{Host, Link, Medium, Member, Network, Wander};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
 
@@ -26,6 +30,28 @@ pub const EPOCH: GlobalTime = GlobalTime::from_nanos(1_795_000_000_000_000_000);
 
 /// By how much a kernel guard lets a frame be later than it may.
 const GUARD_TOLERANCE: Span = Span::from_micros(10);
+
+/// What a station has counted, or how much more than at another time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counted {
+    /// Frames that were not what was sent.
+    pub payload_errors: i64,
+    /// Frames missing between those that it received.
+    pub missing: i64,
+    /// Events that it could not tell of.
+    pub events_lost: i64,
+}
+
+impl Sub for Counted {
+    type Output = Counted;
+    fn sub(self, other: Counted) -> Counted {
+        Counted {
+            payload_errors: self.payload_errors - other.payload_errors,
+            missing: self.missing - other.missing,
+            events_lost: self.events_lost - other.events_lost,
+        }
+    }
+}
 
 /// A network and what its stations count.
 pub struct World {
@@ -73,6 +99,16 @@ impl World {
         Ok(world)
     }
 
+    /// What a station's process has counted so far.
+    pub fn counted(&self, id: usize) -> Counted {
+        let station = &self.network.member(id).station;
+        Counted {
+            payload_errors: station.refusals().get(Refusal::BadPayload) as i64,
+            missing: self.counts[id].missing.load(Relaxed) as i64,
+            events_lost: station.discipline().status().events_lost as i64,
+        }
+    }
+
     /// A station with its test traffic, whose first frame has this number; a master goes on with a grid, if there is one.
     pub fn station(
         &self,
@@ -103,11 +139,13 @@ impl World {
 pub fn set_wire(network: &mut Network<Tdma>, wire: &Wire) {
     for &id in &wire.stations {
         let (sends_by, hears_by) = network.wire_mut(id);
+        // A wire that is out stays out.
+        let change = |link: &mut Link| *link = Link { down: link.down, ..wire.link.clone() };
         if wire.direction != Direction::In {
-            *sends_by = wire.link.clone();
+            change(sends_by);
         }
         if wire.direction != Direction::Out {
-            *hears_by = wire.link.clone();
+            change(hears_by);
         }
     }
 }

@@ -208,3 +208,15 @@ fn a_backup_keeps_the_slot_in_which_it_calibrates() {
     assert_eq!(tdma.command(at(2_600), &mut moved(500, 100)), refused);
     assert_eq!(tdma.command(at(2_600), &mut TdmaCommand::RemoveSlot(0)), refused);
 }
+
+#[test]
+fn nobody_asks_in_a_turn_behind_which_the_slot_is_another_one() {
+    let mut slave = locked_slave();
+    hear_syncs(&mut slave, 3..=4);
+    assert_eq!(slave.command(at(4_100), &mut moved(500, 100)), Ok(5));
+    slave.command(at(4_150), &mut calibrate(2)).unwrap();
+    queue(&mut slave, &Pool::new(1), 60);
+    slave.on_timeout(at(4_400));
+    let sent = slave.next_transmission(at(4_400)).expect("its turn as it was");
+    assert!(wire::parse(&sent.frame).is_err(), "data, for a reply would come where the slot is no more");
+}

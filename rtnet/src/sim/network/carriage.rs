@@ -26,7 +26,36 @@ pub struct Flight {
     collided: bool,
 }
 
+/// Why a frame does not reach a station.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// A wire lost it, or the medium, as it was told to.
+    Wire,
+    /// The station is on the other side of a cut.
+    Cut,
+    /// A hub destroyed it.
+    Collision,
+    /// Its port of a switch had no room for it.
+    QueueFull,
+    /// It found the station's receive pool empty.
+    NoBuffer,
+}
+
+impl Loss {
+    /// Whether somebody wanted it so; all else a network brings about itself.
+    pub fn is_on_purpose(self) -> bool {
+        matches!(self, Loss::Wire | Loss::Cut)
+    }
+}
+
 impl<D: Discipline> Network<D> {
+    /// A frame of a process that is gone meanwhile does not leave any more.
+    pub(super) fn air_of(&mut self, from: StationId, number: u64, frame: Buf) {
+        if !self.members[from].is_void(number) {
+            self.air(from, frame);
+        }
+    }
+
     pub(super) fn air(&mut self, from: StationId, frame: Buf) {
         let now = self.now;
         if self.members.get(from).is_some_and(|seat| seat.sends_by.down) {
@@ -45,7 +74,10 @@ impl<D: Discipline> Network<D> {
         let (number, until) = (self.traffic.frames, now + air);
         let mut collided = false;
         if self.medium.joint == Joint::Hub {
-            for other in self.flights.iter_mut().filter(|other| other.until > now) {
+            let cut_off = &self.cut_off;
+            let is_beside = |other: StationId| cut_off.contains(&other) == cut_off.contains(&from);
+            let met = self.flights.iter_mut().filter(|other| other.until > now && is_beside(other.from));
+            for other in met {
                 (other.collided, collided) = (true, true);
             }
         }
@@ -69,16 +101,20 @@ impl<D: Discipline> Network<D> {
         self.count(fate.unwrap_or_default());
         let to_all = header.destination.is_group();
         let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination) };
-        for _ in 0..=u8::from(fate.is_some_and(|fate| fate.comes_twice)) {
-            for place in range.clone() {
-                let to = if to_all { place } else { self.addresses[place].1 };
-                let seat = &self.members[to];
-                if to != from
-                    && !seat.stopped
-                    && !fate.is_some_and(|fate| self.hand_to(to, from, frame, at, fate))
-                {
-                    self.lose(to, frame);
-                }
+        for place in range {
+            let to = if to_all { place } else { self.addresses[place].1 };
+            if to == from || self.members[to].stopped {
+                continue;
+            }
+            let mut lost = Err(if is_destroyed { Loss::Collision } else { Loss::Wire });
+            // Of two copies one is enough.
+            for fate in
+                fate.into_iter().flat_map(|fate| [Some(fate), fate.comes_twice.then_some(fate)]).flatten()
+            {
+                lost = self.hand_to(to, from, frame, at, fate).or(lost);
+            }
+            if let Err(why) = lost {
+                self.lose(to, frame, why);
             }
         }
     }
@@ -90,10 +126,10 @@ impl<D: Discipline> Network<D> {
         first..first + behind
     }
 
-    fn lose(&mut self, to: StationId, frame: &[u8]) {
-        self.traffic.lost += 1;
+    fn lose(&mut self, to: StationId, frame: &[u8], why: Loss) {
+        self.traffic.lost += u64::from(why.is_on_purpose());
         if let Some(mourner) = &mut self.mourner {
-            mourner(to, frame);
+            mourner(to, frame, why);
         }
     }
 
@@ -103,28 +139,38 @@ impl<D: Discipline> Network<D> {
         self.traffic.reordered += u64::from(fate.overtaken);
     }
 
-    /// Whether a frame that left its sender with this fate reaches a station.
-    fn hand_to(&mut self, to: StationId, from: StationId, frame: &[u8], at: True, sent: Fate) -> bool {
-        let is_cut = !self.cut_off.is_empty() && self.cut_off.contains(&to) != self.cut_off.contains(&from);
-        let Medium { lose_control_ppm, lose_data_ppm, .. } = self.medium;
-        let lose = if is_control(frame) { lose_control_ppm } else { lose_data_ppm };
-        if is_cut || self.random.happens(lose) {
-            return false;
+    /// A frame that left its sender with this fate reaches a station, or why it does not.
+    fn hand_to(
+        &mut self,
+        to: StationId,
+        from: StationId,
+        frame: &[u8],
+        at: True,
+        sent: Fate,
+    ) -> Result<(), Loss> {
+        if !self.cut_off.is_empty() && self.cut_off.contains(&to) != self.cut_off.contains(&from) {
+            return Err(Loss::Cut);
         }
-        let Some(heard) = self.members[to].hears_by.carry(frame, &mut self.random) else { return false };
-        let Some(at) = self.through_port(to, frame.len(), at) else { return false };
+        let Medium { lose_control_ppm, lose_data_ppm, .. } = self.medium;
+        if self.random.happens(if is_control(frame) { lose_control_ppm } else { lose_data_ppm }) {
+            return Err(Loss::Wire);
+        }
+        let heard = self.members[to].hears_by.carry(frame, &mut self.random).ok_or(Loss::Wire)?;
+        let at = self.through_port(to, frame.len(), at).ok_or(Loss::QueueFull)?;
         self.count(heard);
         let at = at + sent.later + heard.later;
+        let mut reached = Err(Loss::NoBuffer);
         for _ in 0..=u8::from(heard.comes_twice) {
             let seat = &mut self.members[to];
             let Some(mut copy) = seat.pool.take() else {
                 seat.dropped += 1;
-                return false;
+                continue;
             };
             copy.fill(frame);
             sent.corrupt(&mut copy);
             heard.corrupt(&mut copy);
             seat.receive(at, copy);
+            reached = Ok(());
             if seat.blocked {
                 let wake = at + seat.member.host.wake_delay(&mut self.random);
                 // Its deadline may be nearer.
@@ -132,7 +178,7 @@ impl<D: Discipline> Network<D> {
                 seat.turn_at(&mut self.agenda, to, wake);
             }
         }
-        true
+        reached
     }
 
     /// When a frame that comes to a switch has left it by a station's port; `None`: there was no room for it.

@@ -1,7 +1,6 @@
 //! What can be done to a network while it runs.
 
 use super::{Action, Discipline, Network, StationId};
-use crate::buf::Pool;
 use crate::clock::{EmulatedClock, True};
 use crate::sim::latency::nanos;
 use crate::sim::link::Link;
@@ -29,7 +28,10 @@ impl<D: Discipline> Network<D> {
 
     /// A station's interface sends a frame now, without its station having any part in it.
     pub fn babble(&mut self, id: StationId, bytes: &[u8]) {
-        let mut frame = Pool::new(1).take().expect("a new pool is full");
+        let Some(mut frame) = self.foreign.take() else {
+            self.traffic.lost += 1;
+            return;
+        };
         frame.fill(bytes);
         self.air(id, frame);
     }
@@ -43,7 +45,7 @@ impl<D: Discipline> Network<D> {
     pub fn restart(&mut self, id: StationId, station: Station<D>) {
         let seat = &mut self.members[id];
         seat.clear();
-        (seat.stopped, seat.frozen_until, seat.stall) = (false, 0, 0);
+        (seat.stopped, seat.frozen_until, seat.stall, seat.busy_until) = (false, 0, 0, 0);
         seat.member.station = station;
         seat.turn_at(&mut self.agenda, id, self.now);
     }
@@ -70,11 +72,11 @@ impl<D: Discipline> Network<D> {
         (&mut seat.sends_by, &mut seat.hears_by)
     }
 
-    /// Gives a station another clock from now on. What it waited for it looks for anew.
+    /// Gives a station another clock from now on. What it waited for it looks for anew, once it is out of a send.
     pub fn set_clock(&mut self, id: StationId, clock: EmulatedClock) {
         let seat = &mut self.members[id];
         seat.member.clock = clock;
-        if !seat.stopped && seat.chosen.is_none() && !seat.blocked {
+        if !seat.stopped && seat.chosen.is_none() && !seat.blocked && seat.busy_until < self.now {
             seat.turn_at(&mut self.agenda, id, self.now);
         }
     }

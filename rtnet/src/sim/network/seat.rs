@@ -30,6 +30,8 @@ pub struct Seat<D: Discipline> {
     pub frozen_until: True,
     /// For so long its next frame is held up behind its last look at the clock.
     pub stall: u64,
+    /// It is in a send until then.
+    pub busy_until: True,
     pub dropped: u64,
     /// Its wire: what it sends, and what it hears.
     pub sends_by: Link,
@@ -62,6 +64,7 @@ impl<D: Discipline> Seat<D> {
             stopped: false,
             frozen_until: 0,
             stall: 0,
+            busy_until: 0,
             dropped: 0,
             sends_by: Link::default(),
             hears_by: Link::default(),

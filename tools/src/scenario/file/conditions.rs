@@ -23,7 +23,7 @@
 //!
 //! [[event]]
 //! at = "2s"                 # after the begin of the measurement
-//! kill = "master"           # one of: kill, restart, stop, stall, clock, cut, unplug, wire, babble, inject
+//! kill = "master"           # one of: kill, restart, start, stop, stall, clock, cut, unplug, wire, babble, inject
 //! times = 20                # and every = "100ms"
 //!
 //! [expect]
@@ -49,6 +49,10 @@ use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan, Share, parse_nonnegat
 const REORDER_BY: Span = Span::from_micros(100);
 const QUEUE: usize = 64;
 const WANDER_EVERY: Span = Span::from_millis(100);
+/// An hour, as a clock may be off: no time in a scenario is longer.
+const LONGEST: Span = Span::from_millis(3_600_000);
+/// As much as clocks are off by.
+const WANDER_AT_MOST_PPM: f64 = 1_000.0;
 /// Any one event; more shows nothing that so many do not.
 const TIMES_AT_MOST: u32 = 1_000_000;
 const BABBLE_EVERY: Span = Span::from_micros(100);
@@ -123,7 +127,7 @@ enum DirectionFile {
 
 /// One station, or several.
 #[derive(Clone, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a station's name, or a list of names")]
 enum Names {
     One(String),
     Several(Vec<String>),
@@ -139,6 +143,7 @@ pub struct EventFile {
     lasts: Option<PositiveSpan>,
     kill: Option<Spanned<Names>>,
     restart: Option<Spanned<Names>>,
+    start: Option<Spanned<Names>>,
     stop: Option<Spanned<Names>>,
     stall: Option<Spanned<Names>>,
     clock: Option<Spanned<ClockChange>>,
@@ -169,7 +174,7 @@ pub type ExpectFile = BTreeMap<Spanned<String>, Spanned<Figure>>;
 
 /// A count or a time, behind a relation or not.
 #[derive(Clone, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a count, or a text like \"<= 2\" or \"< 20us\"")]
 pub enum Figure {
     Count(i64),
     Text(String),
@@ -197,14 +202,16 @@ pub struct Reader<'a> {
 
 impl Reader<'_> {
     pub fn conditions(&self, sections: Sections) -> Result<Conditions, FileError> {
-        let hosts = sections.hosts.iter();
+        let (hosts, wanders) = (sections.hosts.iter(), sections.wanders.iter());
         let medium = sections.medium.unwrap_or_default();
         Ok(Conditions {
             joint: self.joint(&medium)?,
             propagation: medium.propagation.map(|span| span.0),
             host: sections.host.as_ref().map_or(Ok(Host::IDEAL), |file| self.host(file))?,
             hosts: hosts.map(|(id, file)| Ok((*id, self.host(file)?))).collect::<Result<_, FileError>>()?,
-            wanders: sections.wanders.into_iter().map(|(id, file)| (id, wandering(file))).collect(),
+            wanders: wanders
+                .map(|(id, file)| Ok((*id, self.wandering(*file)?)))
+                .collect::<Result<_, FileError>>()?,
             wires: sections.wires.iter().map(|wire| self.wire(wire)).collect::<Result<_, _>>()?,
             events: sections.events.iter().map(|event| self.event(event)).collect::<Result<_, _>>()?,
             expectations: self.expectations(&sections.expects)?,
@@ -269,7 +276,11 @@ impl Reader<'_> {
                 )));
             }
         }
-        Ok(match (words[0], &times()?[..]) {
+        let times = times()?;
+        if times.iter().any(|&span| span > LONGEST) {
+            return Err(refuse(format!("nothing takes longer than {LONGEST}")));
+        }
+        Ok(match (words[0], &times[..]) {
             ("uniform", &[from, to]) if from <= to => Latency::Uniform(from, to),
             ("uniform", _) => {
                 return Err(refuse("the first of the two times must be the shorter one".into()));
@@ -313,7 +324,7 @@ impl Reader<'_> {
         let mut all = self.happenings(event, entry.span().start)?;
         let Some((what, lasts)) = all.pop().filter(|_| all.is_empty()) else {
             return Err(refuse(
-                "an event is one thing: kill, restart, stop, stall, clock, cut, unplug, wire, babble or inject",
+                "an event is one thing: kill, restart, start, stop, stall, clock, cut, unplug, wire, babble or inject",
             ));
         };
         if lasts != event.lasts.is_some() {
@@ -330,6 +341,24 @@ impl Reader<'_> {
             ));
         }
         let every = event.every.map_or(Span::ZERO, |every| every.0);
+        let lasts = what.lasts();
+        if [event.at.0, every, lasts].iter().any(|&span| span > LONGEST)
+            || every * i64::from(times - 1) > LONGEST
+        {
+            return Err(refuse(&format!("nothing lasts, or comes later, than {LONGEST}")));
+        }
+        if times > 1 && every < lasts {
+            return Err(refuse(
+                "it would begin again before it is over: say a longer every, or a shorter for",
+            ));
+        }
+        if let Happening::Babble(_, lasts, every) = what
+            && lasts.nanos() / every.nanos() > i64::from(TIMES_AT_MOST / times)
+        {
+            return Err(refuse(&format!(
+                "more than {TIMES_AT_MOST} frames: say a longer every, or a shorter for"
+            )));
+        }
         Ok(Event { at: event.at.0, times, every, what, line: self.source.line(entry.span().start) })
     }
 
@@ -346,6 +375,7 @@ impl Reader<'_> {
             };
         named(&event.kill, |stations, _| Happening::Kill(stations), false)?;
         named(&event.restart, |stations, _| Happening::Restart(stations), false)?;
+        named(&event.start, |stations, _| Happening::Start(stations), false)?;
         named(&event.stop, Happening::Stop, true)?;
         named(&event.stall, Happening::Stall, true)?;
         named(&event.cut, Happening::Cut, true)?;
@@ -357,10 +387,12 @@ impl Reader<'_> {
                 None => (0..self.names.len()).collect(),
             };
             let drift = change.drift_ppm.map(|ppm| self.source.drift(ppm, place)).transpose()?;
-            all.push((
-                Happening::Clock(stations, change.step.map_or(Span::ZERO, |step| step.0), drift),
-                false,
-            ));
+            let step = change.step.map_or(Span::ZERO, |step| step.0);
+            if step.abs() > LONGEST || (step == Span::ZERO && drift.is_none()) {
+                let what = format!("a clock is set by a step of at most {LONGEST}, or a drift_ppm, or both");
+                return Err(self.source.impossible(place, what));
+            }
+            all.push((Happening::Clock(stations, step, drift), false));
         }
         if let Some(wire) = &event.wire {
             all.push((Happening::Wires(self.wire(wire.get_ref())?, lasts), true));
@@ -412,11 +444,19 @@ impl Reader<'_> {
         self.numbers(names.get_ref(), names.span().start)
     }
 
+    /// Each once.
     fn numbers(&self, names: &Names, at: usize) -> Result<Vec<usize>, FileError> {
-        match names {
-            Names::One(name) => Ok(vec![self.number(name, at)?]),
-            Names::Several(names) => names.iter().map(|name| self.number(name, at)).collect(),
+        let names = match names {
+            Names::One(name) => std::slice::from_ref(name),
+            Names::Several(names) => names,
+        };
+        if names.is_empty() {
+            return Err(self.source.impossible(at, "no station is named: name one, or several"));
         }
+        let mut numbers = names.iter().map(|name| self.number(name, at)).collect::<Result<Vec<_>, _>>()?;
+        numbers.sort_unstable();
+        numbers.dedup();
+        Ok(numbers)
     }
 
     fn number(&self, name: &str, at: usize) -> Result<usize, FileError> {
@@ -427,16 +467,23 @@ impl Reader<'_> {
         })
     }
 
+    fn wandering(&self, file: WanderFile) -> Result<Wandering, FileError> {
+        let ppb = |ppm: f64| {
+            let is_sound = (0.0..=WANDER_AT_MOST_PPM).contains(&ppm);
+            let what = || format!("a clock that wanders by {ppm} ppm: from 0 to {WANDER_AT_MOST_PPM}");
+            let at = self.place("wander");
+            is_sound
+                .then_some((ppm * 1_000.0).round() as i64)
+                .ok_or_else(|| self.source.impossible(at, what()))
+        };
+        let every = file.every.map_or(WANDER_EVERY, |every| every.0);
+        Ok(Wandering { every, step_ppb: ppb(file.step_ppm)?, within_ppb: ppb(file.within_ppm)? })
+    }
+
     /// Where a section begins.
     fn place(&self, section: &str) -> usize {
         self.source.text.find(section).unwrap_or(0)
     }
-}
-
-fn wandering(file: WanderFile) -> Wandering {
-    let ppb = |ppm: f64| (ppm.abs() * 1_000.0).round() as i64;
-    let every = file.every.map_or(WANDER_EVERY, |every| every.0);
-    Wandering { every, step_ppb: ppb(file.step_ppm), within_ppb: ppb(file.within_ppm) }
 }
 
 /// Bytes as pairs of hexadecimal digits, with blanks where one likes.

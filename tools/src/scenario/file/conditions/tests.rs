@@ -88,7 +88,7 @@ sync_error = "< 20us"
 fn what_cannot_happen_names_file_line_and_remedy() {
     let event = |what: &str| format!("[[event]]\nat = \"1s\"\n{what}\n");
     refused(&event("kill = \"leg\""), "net.toml:15: there is no station 'leg': there are arm, master");
-    refused(&event(""), "net.toml:13: an event is one thing: kill, restart, stop,");
+    refused(&event(""), "net.toml:13: an event is one thing: kill, restart, start, stop,");
     refused(&event("kill = \"arm\"\nrestart = \"arm\""), "net.toml:13: an event is one thing");
     refused(
         &event("stop = \"arm\""),
@@ -102,7 +102,47 @@ fn what_cannot_happen_names_file_line_and_remedy() {
         "net.toml:15: a clock off by 2000 ppm: at most 1000 ppm",
     );
     refused(&event("explode = \"arm\""), "unknown field `explode`");
+    refused(&event("kill = []"), "net.toml:15: no station is named");
+    refused(&event("kill = 5"), "a station's name, or a list of names");
+    refused(
+        &event("clock = { stations = \"arm\" }"),
+        "a clock is set by a step of at most 3600s, or a drift_ppm",
+    );
+    refused(&event("clock = { step = \"180min\" }"), "a clock is set by a step of at most 3600s");
+    refused(
+        &event("kill = \"arm\"\ntimes = 12\nevery = \"1000000s\""),
+        "nothing lasts, or comes later, than 3600s",
+    );
+    let babble = "babble = { station = \"arm\", every = \"1us\" }\nfor = \"3s\"";
+    refused(&event(babble), "more than 1000000 frames");
+    refused(
+        "[[event]]\nat = \"50s\"\nkill = \"arm\"\n",
+        "net.toml:13: over after 50s, and the measurement lasts 10s",
+    );
     refused("[[event]]\nat = \"soon\"\nkill = \"arm\"\n", "'soon' does not begin with a number");
+}
+
+#[test]
+fn events_of_one_kind_that_would_end_each_other_are_refused() {
+    let events = |first: &str, second: &str| {
+        let event = |at: &str, what: &str| format!("[[event]]\nat = \"{at}\"\n{what}\nfor = \"1s\"\n");
+        event("1s", first) + &event("1500ms", second)
+    };
+    let arm = "unplug = \"arm\"";
+    refused(
+        &events(arm, arm),
+        "net.toml:17: at once with the unplug of line 13: when one of them is over, so is the other",
+    );
+    refused(&events("cut = \"arm\"", "cut = \"master\""), "at once with the cut of line 13");
+    refused(
+        &events("wire = { lose = \"1%\" }", "wire = { stations = \"arm\", lose = \"2%\" }"),
+        "with the wire",
+    );
+    assert!(parse(&events(arm, "unplug = \"master\"")).is_ok(), "of another station");
+    assert!(parse(&events(arm, "wire = { lose = \"1%\" }")).is_ok(), "of another kind");
+    assert!(parse(&events(arm, arm).replace("1500ms", "2s")).is_ok(), "one behind the other");
+    let again = "[[event]]\nat = \"1s\"\nunplug = \"arm\"\nfor = \"300ms\"\ntimes = 5\nevery = \"100ms\"\n";
+    refused(again, "net.toml:13: it would begin again before it is over");
 }
 
 #[test]
@@ -134,6 +174,11 @@ fn what_nobody_measures_is_refused_with_what_can_be_expected() {
         "[expect]\noverlaps = \"few\"\n",
         "net.toml:14: 'few' is no count: write for example 0, \"<= 2\"",
     );
+    refused(
+        "[expect]\ncollisions = 0\n",
+        "net.toml:14: collisions: this medium has none; see joint of [medium]",
+    );
+    refused("[expect]\noverlaps = 0.5\n", "a count, or a text like");
     let of_one = NETWORK.replace("slots_missed = \"<= 3\"", "overlaps = 0");
     let error = Source { file: "net.toml", text: &of_one }.parse().unwrap_err().to_string();
     assert!(

@@ -1,5 +1,8 @@
 mod anew;
+mod first_slot;
+mod joint_slots;
 mod requests;
+mod slept;
 
 use super::*;
 use rtnet::discipline::SyncState;
@@ -167,71 +170,6 @@ fn told(tdma: &mut Tdma) -> Vec<(u32, EventKind, Span)> {
 }
 
 #[test]
-fn a_slot_that_was_silent_because_syncs_came_late_says_so() {
-    let mut slave = locked_slave();
-    assert!(slave.next_transmission(at(4_400)).is_none());
-    let [overrun, silent] = told(&mut slave)[..] else { panic!() };
-    assert_eq!(
-        overrun,
-        (3, EventKind::Overrun, Span::from_micros(980)),
-        "its slot was allowed, but it slept"
-    );
-    assert_eq!(silent, (4, EventKind::SlotSilent, Span::ZERO));
-    hear_syncs(&mut slave, 3..=5);
-    let late = [(3, Span::from_micros(1_400)), (4, Span::from_micros(400))];
-    assert_eq!(told(&mut slave), late.map(|(cycle, by)| (cycle, EventKind::SyncLate, by)));
-    assert_eq!(slave.status().counters.syncs_late, 2, "that of cycle 5 was in time");
-}
-
-#[test]
-fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
-    let mut slave = locked_slave();
-    hear_syncs(&mut slave, 3..=5);
-    // The newest was held up on its way.
-    let sched = GlobalTime::from_nanos(6_000_000);
-    let mut frame = Pool::new(1).take().unwrap();
-    Message::Sync { cycle: 6, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
-    slave.on_frame(Some(at(6_450)), frame);
-    assert!(slave.next_transmission(at(6_500)).is_none());
-    let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
-    let overrun = |cycle| (cycle, EventKind::Overrun);
-    assert_eq!(kinds, [(6, EventKind::TimeStep), overrun(3), overrun(4), overrun(5), overrun(6)]);
-}
-
-#[test]
-fn who_slept_while_the_line_moved_has_overrun_the_slots_of_the_old_one() {
-    let mut slave = locked_slave();
-    // Three syncs that were held up by as much, some cycles apart: a new line begins.
-    for cycle in [3, 5, 7] {
-        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
-        let mut frame = Pool::new(1).take().unwrap();
-        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
-        slave.on_frame(Some(at(u64::from(cycle) * 1_000 + 50)), frame);
-    }
-    slave.next_transmission(at(7_100));
-    let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
-    let overrun = |cycle| (cycle, EventKind::Overrun);
-    let steps = [3, 5].map(|cycle| (cycle, EventKind::TimeStep));
-    let expected = [steps[0], steps[1], overrun(3), overrun(4), overrun(5), overrun(6)];
-    assert_eq!(kinds, expected);
-}
-
-#[test]
-fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none() {
-    let mut slave = locked_slave();
-    slave.on_timeout(at(4_500));
-    assert_eq!(slave.time().state, SyncState::Lost);
-    told(&mut slave);
-    slave.on_timeout(at(1_500_100));
-    assert_eq!(slave.next_deadline(), None);
-    let told = told(&mut slave);
-    assert_eq!(told[0].1, EventKind::LineGivenUp);
-    let overrun =
-        told[1..].iter().filter(|&&(_, kind, _)| kind == EventKind::Overrun).map(|&(cycle, ..)| cycle);
-    assert!(overrun.eq(3..=1_499), "{told:?}");
-}
-
-#[test]
 fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off() {
     let role = RoleConfig::Slave(SlaveConfig { rounds: 5, ..SlaveConfig::default() });
     let mut slave = Tdma::new(&config(role)).unwrap();
@@ -389,49 +327,6 @@ fn with_slots(rounds: u32, slots: &[(u8, u32)]) -> TdmaConfig {
 }
 
 #[test]
-fn a_first_slot_in_which_no_master_would_reply_is_refused() {
-    let request = |reply_cycle| Message::Request { xmit: 0, reply_cycle, reply_offset: 0 };
-    assert!(matches!(hear(&mut active_master(), OTHER, request(MAX_REPLY_AHEAD)), Claimed::Kept));
-    let never = hear(&mut active_master(), OTHER, request(MAX_REPLY_AHEAD + 1));
-    assert!(matches!(never, Claimed::Refused(Refusal::ReplyImplausible)), "a slave would ask for ever");
-
-    let refused = Refused::NeverCalibrated { id: 1, period: 1_025 };
-    assert_eq!(Tdma::new(&with_slots(1, &[(2, 1_024), (1, 1_025)])).err(), Some(refused));
-    for (rounds, slots) in [(0, &[(1, 1_025)][..]), (1, &[(2, 1_024)]), (1, &[(0, 1), (1, 1_025)])] {
-        assert!(Tdma::new(&with_slots(rounds, slots)).is_ok(), "{slots:?}");
-    }
-}
-
-#[test]
-fn no_command_leaves_a_slave_with_a_first_slot_in_which_no_master_would_reply() {
-    let refused = Err(Refused::NeverCalibrated { id: 1, period: 1_025 });
-    let set = TdmaCommand::SetSlot(with_slots(1, &[(1, 1_025)]).slots[0]);
-    let role = RoleConfig::Slave(SlaveConfig { rounds: 1, ..SlaveConfig::default() });
-    let calibrate = TdmaCommand::Become(NewRole::attached(role).unwrap());
-    for (rounds, slots, mut command) in [
-        (1, &[(2, 1_024)][..], set),
-        (1, &[(0, 1), (1, 1_025)], TdmaCommand::RemoveSlot(0)),
-        (0, &[(1, 1_025)], calibrate),
-    ] {
-        let mut slave = Tdma::new(&with_slots(rounds, slots)).unwrap();
-        assert_eq!(slave.command(at(0), &mut command), refused, "{slots:?}");
-    }
-}
-
-#[test]
-fn slots_that_are_about_to_go_do_not_count() {
-    let mut slave = locked_slave();
-    let other =
-        SlotConfig { id: 2, offset: Span::from_micros(600), ..slave.status().slots[0].unwrap().config };
-    slave.command(at(2_650), &mut TdmaCommand::SetSlot(other)).unwrap();
-    hear_syncs(&mut slave, 3..=3);
-    // Both still have their turn in cycle 3.
-    assert_eq!(slave.command(at(3_100), &mut TdmaCommand::RemoveSlot(2)), Ok(4));
-    let error = slave.command(at(3_100), &mut TdmaCommand::RemoveSlot(0)).unwrap_err();
-    assert!(matches!(error, Refused::LastSlot { id: 0 }), "{error}");
-}
-
-#[test]
 fn a_slot_beyond_the_masters_cycle_is_refused_once_that_is_known() {
     let mut slave = locked_slave();
     let error = slave.command(at(2_600), &mut moved(5_000, 100)).unwrap_err();
@@ -552,5 +447,3 @@ fn a_backup_without_a_slot_or_not_calibrated_takes_over_all_the_same() {
         assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { .. }))), "{slots} slots");
     }
 }
-
-mod joint_slots;

@@ -125,43 +125,43 @@ impl Measure {
     /// Whether it can be asked of a single station.
     pub fn is_of_stations(self) -> bool {
         use Measure::*;
-        let of_stations = [
-            SlotsMissed,
-            Overruns,
-            FramesLost,
-            FramesSeen,
-            PayloadErrors,
-            SyncError,
-            SlotError,
-            Locked,
-            Masters,
-            Stray,
-        ];
-        of_stations.contains(&self)
+        matches!(
+            self,
+            SlotsMissed
+                | Overruns
+                | FramesLost
+                | FramesSeen
+                | PayloadErrors
+                | SyncError
+                | SlotError
+                | Locked
+                | Masters
+                | Stray
+        )
     }
 
     /// Whether a lab measures it, too.
     pub fn is_of_labs(self) -> bool {
         use Measure::*;
-        let of_labs = [
-            Overlaps,
-            OutOfSlot,
-            Unexplained,
-            SlotsMissed,
-            Overruns,
-            FramesLost,
-            FramesSeen,
-            PayloadErrors,
-            SyncError,
-            SlotError,
-            LatestFrame,
-            Stray,
-            SyncsMissing,
-            Takeovers,
-            TakeoverCycles,
-            RivalCycles,
-        ];
-        of_labs.contains(&self)
+        matches!(
+            self,
+            Overlaps
+                | OutOfSlot
+                | Unexplained
+                | SlotsMissed
+                | Overruns
+                | FramesLost
+                | FramesSeen
+                | PayloadErrors
+                | SyncError
+                | SlotError
+                | LatestFrame
+                | Stray
+                | SyncsMissing
+                | Takeovers
+                | TakeoverCycles
+                | RivalCycles
+        )
     }
 
     /// Whether it is a time, not a count.

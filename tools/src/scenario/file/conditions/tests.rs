@@ -1,5 +1,5 @@
 use super::*;
-use crate::scenario::{Relation, Scenario};
+use crate::scenario::{Happening, Relation, Scenario};
 
 const NETWORK: &str = r#"cycle = "1ms"
 

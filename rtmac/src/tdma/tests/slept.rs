@@ -1,0 +1,68 @@
+//! Who sleeps through slots, or hears of its Synchronisations too late, tells of each.
+
+use super::*;
+
+#[test]
+fn a_slot_that_was_silent_because_syncs_came_late_says_so() {
+    let mut slave = locked_slave();
+    assert!(slave.next_transmission(at(4_400)).is_none());
+    let [overrun, silent] = told(&mut slave)[..] else { panic!() };
+    assert_eq!(
+        overrun,
+        (3, EventKind::Overrun, Span::from_micros(980)),
+        "its slot was allowed, but it slept"
+    );
+    assert_eq!(silent, (4, EventKind::SlotSilent, Span::ZERO));
+    hear_syncs(&mut slave, 3..=5);
+    let late = [(3, Span::from_micros(1_400)), (4, Span::from_micros(400))];
+    assert_eq!(told(&mut slave), late.map(|(cycle, by)| (cycle, EventKind::SyncLate, by)));
+    assert_eq!(slave.status().counters.syncs_late, 2, "that of cycle 5 was in time");
+}
+
+#[test]
+fn who_slept_through_slots_whose_syncs_came_has_overrun_them() {
+    let mut slave = locked_slave();
+    hear_syncs(&mut slave, 3..=5);
+    // The newest was held up on its way.
+    let sched = GlobalTime::from_nanos(6_000_000);
+    let mut frame = Pool::new(1).take().unwrap();
+    Message::Sync { cycle: 6, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+    slave.on_frame(Some(at(6_450)), frame);
+    assert!(slave.next_transmission(at(6_500)).is_none());
+    let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
+    let overrun = |cycle| (cycle, EventKind::Overrun);
+    assert_eq!(kinds, [(6, EventKind::TimeStep), overrun(3), overrun(4), overrun(5), overrun(6)]);
+}
+
+#[test]
+fn who_slept_while_the_line_moved_has_overrun_the_slots_of_the_old_one() {
+    let mut slave = locked_slave();
+    // Three syncs that were held up by as much, some cycles apart: a new line begins.
+    for cycle in [3, 5, 7] {
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+        slave.on_frame(Some(at(u64::from(cycle) * 1_000 + 50)), frame);
+    }
+    slave.next_transmission(at(7_100));
+    let kinds: Vec<_> = told(&mut slave).iter().map(|&(cycle, kind, _)| (cycle, kind)).collect();
+    let overrun = |cycle| (cycle, EventKind::Overrun);
+    let steps = [3, 5].map(|cycle| (cycle, EventKind::TimeStep));
+    let expected = [steps[0], steps[1], overrun(3), overrun(4), overrun(5), overrun(6)];
+    assert_eq!(kinds, expected);
+}
+
+#[test]
+fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none() {
+    let mut slave = locked_slave();
+    slave.on_timeout(at(4_500));
+    assert_eq!(slave.time().state, SyncState::Lost);
+    told(&mut slave);
+    slave.on_timeout(at(1_500_100));
+    assert_eq!(slave.next_deadline(), None);
+    let told = told(&mut slave);
+    assert_eq!(told[0].1, EventKind::LineGivenUp);
+    let overrun =
+        told[1..].iter().filter(|&&(_, kind, _)| kind == EventKind::Overrun).map(|&(cycle, ..)| cycle);
+    assert!(overrun.eq(3..=1_499), "{told:?}");
+}

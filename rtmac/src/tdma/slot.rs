@@ -7,10 +7,11 @@
 //!               └─ joint ───┘      takes the more urgent of both, what has waited longer first
 //! ```
 
-use arrayvec::ArrayVec;
+mod queues;
+
 use rtnet::buf::Buf;
-use rtnet::discipline::{Channel, EventKind, Returned, SendError};
-use rtnet::queue::{Priority, PriorityQueue};
+use rtnet::discipline::{Channel, EventKind};
+use rtnet::queue::PriorityQueue;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet;
 
@@ -18,7 +19,6 @@ use super::config::Refused;
 use super::events::Events;
 use super::joint;
 use super::line::{TimeLine, next_cycle};
-use crate::wire;
 
 /// Highest slot id unless configured otherwise, as in RTnet.
 pub const DEFAULT_MAX_SLOT_ID: u8 = 7;
@@ -290,70 +290,14 @@ impl Slots {
         }
     }
 
-    pub fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
-        let (queue, limit) = match self.resolve(ch) {
-            Ok(place) => place,
-            Err(error) => return Err((error, frame)),
-        };
-        if !fits(&frame, limit) {
-            return Err((SendError::TooLong { channel: ch, got: payload_of(&frame), limit }, frame));
-        }
-        if wire::is_lethal(&frame) {
-            return Err((SendError::Lethal, frame));
-        }
-        let queue = &mut self.table[usize::from(queue)].queue;
-        queue.push(priority, frame).map_err(|frame| (SendError::QueueFull(ch), frame))
-    }
-
-    /// A frame that was taken for a slot's turn goes back to where it was taken from, as long as the slot takes from
-    /// there and its size allows it; else to where its channel is served now.
-    pub fn put_back(&mut self, Returned { frame, priority, channel }: Returned) -> Result<(), Buf> {
-        let place = self.get(channel).and_then(|config| {
-            let queue = self.table[usize::from(channel)].taken_from;
-            [config.id, config.queue()].contains(&queue).then_some((queue, config.size))
-        });
-        match place.or_else(|| self.resolve(channel).ok()) {
-            Some((queue, size)) if fits(&frame, size) => {
-                self.table[usize::from(queue)].queue.push_front(priority, frame)
+    /// No slot is used before `cycle`.
+    pub fn jump(&mut self, cycle: u32) {
+        for id in 0..=self.max_id {
+            let slot = &self.table[usize::from(id)];
+            if slot.config.is_some() && (cycle.wrapping_sub(slot.next) as i32) > 0 {
+                self.pass_until(id, cycle);
             }
-            _ => Err(frame),
         }
-    }
-
-    /// The most urgent frame of a slot's queue. One that is joined to another may have some that are older than that.
-    pub fn dequeue(&mut self, id: Channel) -> Option<(Priority, Buf)> {
-        let shared = self.get(id)?.queue();
-        let first = |queue: Channel| self.table[usize::from(queue)].queue.first();
-        let is_shared = first(shared).is_some_and(|urgent| first(id).is_none_or(|own| urgent < own));
-        let from = if is_shared { shared } else { id };
-        let frame = self.table[usize::from(from)].queue.pop();
-        let slot = &mut self.table[usize::from(id)];
-        (slot.used, slot.taken_from) = (slot.used | frame.is_some(), from);
-        frame
-    }
-
-    /// Whether a slot that is empty was used in its turn before this one.
-    pub fn was_used(&mut self, id: Channel) -> bool {
-        std::mem::take(&mut self.table[usize::from(id)].used)
-    }
-
-    pub fn payload_limit(&self, ch: Channel) -> Result<usize, SendError> {
-        self.resolve(ch).map(|(_, limit)| limit)
-    }
-
-    /// The queue that serves a channel, and the largest payload that every slot takes that takes from it: while a change
-    /// of joint slots is under way they may differ.
-    fn resolve(&self, ch: Channel) -> Result<(Channel, usize), SendError> {
-        let max = self.max_id.max(NON_RT_SLOT);
-        if ch > max {
-            return Err(SendError::UnknownChannel { channel: ch, max });
-        }
-        let is_alias = ch == NON_RT_SLOT && self.get(ch).is_none();
-        let slot = self.get(if is_alias { RT_SLOT } else { ch }).ok_or(SendError::NoSlot(ch))?;
-        let queue = slot.queue();
-        let own = self.get(queue).ok_or(SendError::NoSlot(ch))?;
-        let sharing = self.defined().map(|(config, _)| config).filter(|config| config.queue() == queue);
-        Ok((queue, sharing.fold(own.size, |limit, config| limit.min(config.size))))
     }
 
     /// Every slot's configuration, and the cycle it is used in next.
@@ -362,32 +306,26 @@ impl Slots {
         slots.filter_map(|slot| Some((slot.config.as_ref()?, slot.next)))
     }
 
-    /// Changes a slot now, to be used from `cycle` on; counts the queued frames that have no place any more.
+    /// Changes a slot now, to be used from `cycle` on; its queued frames go to where they have a place.
     fn apply(&mut self, id: Channel, change: Change, cycle: u32) {
         let slot = &mut self.table[usize::from(id)];
         slot.change = None;
-        let waiting: ArrayVec<_, { QUEUE_CAPACITY as usize }> =
-            core::iter::from_fn(|| slot.queue.pop()).collect();
-        let place = match change {
+        match change {
             Change::Set(config) => {
                 slot.config = Some(config);
                 slot.next = next_cycle(cycle, config.phase, config.period);
                 if let Err(place) = self.in_use.binary_search(&id) {
                     self.in_use.insert(place, id);
                 }
-                Some((id, config.size))
+                self.requeue(id, Some((id, config.size)));
             }
             Change::Remove => {
-                let served_by = slot.config.take().map_or(id, |config| config.queue());
+                let config = slot.config.take();
                 self.in_use.retain(|&of| of != id);
-                self.resolve(served_by).ok()
+                let heir = config.map_or(id, |config| self.heir(&config));
+                self.table[usize::from(id)].taken_from = heir;
+                self.requeue(id, self.resolve(heir).ok());
             }
-        };
-        for (priority, frame) in waiting {
-            let kept = place.is_some_and(|(queue, size)| {
-                fits(&frame, size) && self.table[usize::from(queue)].queue.push(priority, frame).is_ok()
-            });
-            self.dropped += u64::from(!kept);
         }
     }
 }
@@ -401,15 +339,6 @@ impl Slot {
             None => self.config,
         }
     }
-}
-
-/// A frame padded to the Ethernet minimum fits every slot.
-fn fits(frame: &[u8], size: usize) -> bool {
-    payload_of(frame) <= size.max(MIN_SIZE)
-}
-
-fn payload_of(frame: &[u8]) -> usize {
-    frame.len().saturating_sub(ethernet::HEADER_LEN)
 }
 
 #[cfg(test)]

@@ -1,7 +1,12 @@
+mod parted;
+
+use super::queues::{fits, payload_of};
 use super::*;
 use crate::tdma::line::Drift;
 use proptest::prelude::*;
 use rtnet::buf::Pool;
+use rtnet::discipline::{Returned, SendError};
+use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Offset};
 
 fn config(id: u8, offset: i64, phase: u32, period: u32) -> SlotConfig {

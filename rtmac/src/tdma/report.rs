@@ -39,10 +39,16 @@ pub struct Delays {
 }
 
 impl Delays {
-    /// Of rounds by their length, at least one.
-    pub fn of_sorted<T>(rounds: &[T], delay: impl Fn(&T) -> Span) -> Self {
-        let [quartile, median] = [4, 2].map(|part| delay(&rounds[rounds.len() / part]));
-        let outliers = rounds.len() - rounds.partition_point(|round| delay(round) <= median * OUTLIER);
+    /// Of rounds, at least one, in any order; those not longer than the median come first then.
+    pub fn of<T>(rounds: &mut [T], delay: impl Fn(&T) -> Span) -> Self {
+        let at_quartile = rounds.len() / 4;
+        let (quicker, middle, _) = rounds.select_nth_unstable_by_key(rounds.len() / 2, &delay);
+        let median = delay(middle);
+        let quartile = match quicker {
+            [] => median,
+            quicker => delay(quicker.select_nth_unstable_by_key(at_quartile, &delay).1),
+        };
+        let outliers = rounds.iter().filter(|round| delay(round) > median * OUTLIER).count();
         Self { quartile, median, outliers: outliers as u32 }
     }
 }
@@ -82,8 +88,7 @@ mod tests {
         let mut tally = Tally::default();
         let mut delays: Vec<_> = delays.iter().map(|&delay| Span::from_nanos(delay)).collect();
         delays.iter().for_each(|&delay| tally.note(delay));
-        delays.sort_unstable();
-        tally.report(Some(Delays::of_sorted(&delays, |&delay| delay))).unwrap()
+        tally.report(Some(Delays::of(&mut delays, |&delay| delay))).unwrap()
     }
 
     #[test]
@@ -93,6 +98,18 @@ mod tests {
         assert_eq!([report.min, report.max, report.mean].map(Span::nanos), [690, 400_000, 80_561]);
         assert_eq!([whole.quartile, whole.median].map(Span::nanos), [700, 705]);
         assert_eq!((report.rounds, whole.outliers, report.spread().nanos()), (5, 1, 399_310));
+    }
+
+    #[test]
+    fn quartile_median_and_outliers_are_those_of_the_rounds_in_order() {
+        for count in 1..=40 {
+            let mut delays: Vec<_> = (0..count).map(|i| Span::from_nanos(i * 7_919 % 41 * (i % 3))).collect();
+            let mut in_order = delays.clone();
+            in_order.sort_unstable();
+            let [quartile, median] = [4, 2].map(|part| in_order[in_order.len() / part]);
+            let outliers = in_order.iter().filter(|&&delay| delay > median * OUTLIER).count() as u32;
+            assert_eq!(Delays::of(&mut delays, |&delay| delay), Delays { quartile, median, outliers });
+        }
     }
 
     #[test]

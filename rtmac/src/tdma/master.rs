@@ -29,13 +29,15 @@
 //! two primaries, after a parted network is whole again, the one with the lower address stays; one that is not of our
 //! kind does not know that, and outlasts ours.
 
+mod foreign;
+
 use rtnet::counters::Refusal;
 use rtnet::discipline::{EventKind, SyncState};
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::events::Events;
-use super::follow::SlaveConfig;
+use super::follow::{HOLDOVER_CYCLES, SlaveConfig};
 use super::line::{Drift, TimeLine};
 use super::replies::{Replies, Reply};
 use super::rival::Rival;
@@ -51,8 +53,6 @@ const BACKUP_LISTENS_AT_LEAST: Span = Span::from_millis(50);
 pub const BACKUP_LOOKS_BEFORE: Span = Span::from_micros(20);
 /// So many late Synchronisations in a row are a backup's.
 const LATE_OF_BACKUP: u32 = 2;
-/// One that comes by less than this part of a cycle early is of the next.
-const EARLY_PARTS: i64 = 8;
 
 /// What is configured of a master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -195,11 +195,6 @@ impl Master {
         if self.is_active() { None } else { Some(&mut self.follower) }
     }
 
-    /// When it has sent a request that was not answered, also of one that gives the time since.
-    pub fn asked(&self) -> Option<Instant> {
-        self.follower.calibration().asked()
-    }
-
     /// Whether it is to measure the delay from another, now or later.
     pub fn has_to_calibrate(&self) -> bool {
         let follows = self.follower().is_some_and(|follower| follower.line().is_some());
@@ -220,7 +215,9 @@ impl Master {
             Phase::Following { until } => {
                 self.follower.on_timeout(now, events);
                 let is_alone = self.follower.line().is_none() && now >= until;
-                if is_alone || self.follower.state() == SyncState::Lost {
+                // However long its own slots are used without.
+                let is_lost = self.follower.missing() > HOLDOVER_CYCLES.unsigned_abs();
+                if is_alone || is_lost || self.follower.state() == SyncState::Lost {
                     self.phase = Phase::Listening { until: now + listen };
                 } else if self.has_followed(has_slots) {
                     self.take_place(events);
@@ -288,88 +285,6 @@ impl Master {
             self.begin(&line, line.cycle);
             events.note(line.cycle.wrapping_add(1), EventKind::MasterActive, Span::ZERO);
         }
-    }
-
-    /// Another master's Synchronisation, sent `late` after it was scheduled; `true` if it is to be followed.
-    pub fn on_foreign_sync(
-        &mut self,
-        rx: Instant,
-        (from, own): (Address, Address),
-        late: Span,
-        events: &mut Events,
-    ) -> bool {
-        let is_backups = self.config.backups_from.is_some_and(|from| late >= from - BACKUP_LOOKS_BEFORE);
-        self.late_in_row = if is_backups { self.late_in_row.saturating_add(1) } else { 0 };
-        match self.phase {
-            Phase::Yielded { .. } => return false,
-            Phase::Attached | Phase::Listening { .. } => {
-                let is_taken = self.config.backup.is_none() && !is_backups && self.outlasted_by.is_none();
-                if is_taken && self.follower.line().is_none() {
-                    events.note(0, EventKind::OtherMaster, Span::ZERO);
-                    self.phase = Phase::Yielded { to: from };
-                    return false;
-                }
-                self.phase = Phase::Following { until: rx + self.listens() };
-            }
-            Phase::Following { ref mut until } => *until = rx + self.config.cycle * LISTEN_CYCLES,
-            Phase::StandBy { ref mut passed } => {
-                if let Some(line) = self.follower.line() {
-                    let gone = (rx - line.start + line.period / EARLY_PARTS).nanos();
-                    *passed = line.cycle.wrapping_add(gone.div_euclid(line.period.nanos()) as u32);
-                }
-            }
-            Phase::Active { line } if self.config.backup.is_some() => {
-                self.step_down(line);
-                self.phase = Phase::StandBy { passed: line.cycle.wrapping_add(1) };
-                events.note(line.cycle, EventKind::SteppedDown, Span::ZERO);
-            }
-            Phase::Active { line } => {
-                events.note(line.cycle, EventKind::OtherMaster, late);
-                // Who gives the time does not calibrate.
-                self.replies.forget(from);
-                // A backup does what it is for where there was none of this one.
-                if self.sent != Some(line.cycle) {
-                    return false;
-                }
-                let rival = self.rival.get_or_insert_with(|| Rival::new(from, rx));
-                rival.heard(from, rx, line.period);
-                if !rival.outlasts(own, is_backups) {
-                    return false;
-                }
-                events.note(line.cycle, EventKind::Yielded, rival.lasted(rx));
-                self.outlasted_by = Some(from);
-                self.follower.forget();
-                self.replies.clear();
-                self.phase = Phase::Following { until: rx + self.listens() };
-            }
-        }
-        true
-    }
-
-    /// Another line is followed: cycles may be numbered anew.
-    pub fn follows_another_line(&mut self) {
-        if let (Phase::StandBy { passed }, Some(line)) = (&mut self.phase, self.follower.line()) {
-            *passed = line.cycle;
-        }
-    }
-
-    /// What was heard at `rx` was beside the line, and may be of another: a backup sends nothing before the next of that
-    /// would have told. Else it would hear its own line again and again, from itself or the other backups.
-    pub fn doubts_line(&mut self, rx: Instant) {
-        let backup = self.config.backup.unwrap_or(Span::ZERO);
-        if let (Phase::StandBy { passed }, Some(line)) = (&mut self.phase, self.follower.line()) {
-            let gone = (rx + line.period - backup - line.start).nanos().div_euclid(line.period.nanos());
-            let silent = line.cycle.wrapping_add(gone as u32);
-            if silent.wrapping_sub(*passed) as i32 > 0 {
-                *passed = silent;
-            }
-        }
-    }
-
-    /// What others tell is compared with the line on which this one gave the time.
-    fn step_down(&mut self, line: TimeLine) {
-        self.follower.resume(line);
-        self.replies.clear();
     }
 
     /// A calibration request, received at `rx`.

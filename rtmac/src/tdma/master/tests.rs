@@ -309,3 +309,20 @@ fn a_backup_that_has_no_line_any_more_listens_again() {
     }
     assert_eq!(bench.master.mastery(), Mastery::Listening, "its syncs did not leave for a thousand cycles");
 }
+
+#[test]
+fn who_would_bridge_many_cycles_listens_as_soon_as_any_other_when_its_master_is_gone() {
+    let mut bench = Bench::new(Some(BACKUP));
+    let follow = SlaveConfig { rounds: 5, holdover: 500, ..SlaveConfig::default() };
+    bench.master = Master::new(MasterConfig { follow, ..*bench.master.config() });
+    bench.wait_until(at(500));
+    assert!(bench.hear(LOWER, 1, PROMPT) && bench.hear(LOWER, 2, PROMPT));
+    bench.wait_until(at(4_124));
+    assert_eq!(bench.master.mastery(), Mastery::Following, "it has not calibrated, and one is missing");
+    assert_eq!(bench.master.deadline(), Some(at(4_125)));
+    bench.wait_until(at(4_125));
+    assert_eq!(bench.master.mastery(), Mastery::Listening);
+    assert!(!bench.wait_until(at(54_124)), "as long as a backup does");
+    bench.wait_until(at(54_125));
+    assert_eq!(bench.master.mastery(), Mastery::Active);
+}

@@ -51,7 +51,7 @@ fn a_slave_measures_a_longer_way_while_it_keeps_its_slot() {
     assert_eq!(lab.cycles_with(2, EventKind::CalibratedAnew).len(), 1);
     check_nothing_is_disturbed(&lab);
     let data = &lab.judge().data;
-    assert!((50..=56).contains(&data[2]), "every fourth turn is for data: {}", data[2]);
+    assert!((100..=106).contains(&data[2]), "two of four turns are for data: {}", data[2]);
     assert_eq!((data[0], data[1], data[3]), (204, 204, 204), "and nobody else notices");
     assert_eq!(lab.cycles_with(2, EventKind::CalibrationTurn).len() as u64 + data[2], 204, "each is told of");
 }

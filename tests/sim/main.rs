@@ -11,6 +11,7 @@ mod master_dies;
 mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;
+mod promised_replies;
 mod request_backlog;
 mod scenarios;
 mod second_master_refuses;

@@ -206,7 +206,7 @@ pub enum TdmaVerb {
     },
     /// Measure the delay from the master anew, as a slave or a backup that stands by, which stays in the cycle
     ///
-    /// Until that is done, its first slot carries data in every fourth turn only, and the delay that is known stays in
+    /// Until that is done, its first slot carries data in two of four turns at most, and the delay that is known stays in
     /// use. Nothing is changed if too many requests have no answer: `status` tells how far it is, and what came of it.
     Calibrate {
         /// Rounds, at least 1 [default: as many as the first time]

@@ -1,12 +1,12 @@
 //! Measuring the delay anew, by a station that stays in the cycle.
 //!
 //! ```text
-//! turns of its first slot   0         1         2         3                          4
-//!                           request   (reply)   data      (a reply that was late)    request
+//! turns of its first slot   0         1         2      3                                   4
+//!                           request   (reply)   data   data, or (the reply, if it was late)  request
 //! ```
 //!
 //! A round needs two turns of the slot, of which the second is the master's; a master that was late with it answers two
-//! turns later. So of four turns one carries data, and all other slots are as ever. The delay that is known stays in use
+//! turns later (`promise.rs`). So of four turns two carry data, or one, and all other slots are as ever. The delay that is known stays in use
 //! until the last round, which moves the line by the difference.
 
 use super::config::{Refused, check_rounds};
@@ -83,25 +83,21 @@ impl Tdma {
         }
     }
 
-    /// What a turn of a calibrated station is for.
+    /// What a turn is for; of a station that calibrates for the first time, whatever is not left to a reply is a request.
     pub(super) fn purpose(&self, turn: &Turn) -> Purpose {
         let Some(first) = self.slots.first().filter(|first| first.id == turn.id) else {
             return Purpose::Data;
         };
-        let measures = self.follower().is_some_and(|follower| follower.calibration().measures_anew());
-        match turn.cycle / first.period % TURNS {
-            // The reply would come where the slot is no more.
-            0 if measures && !self.slots.is_changing(first.id) => Purpose::Request,
-            1 | 3 if measures || self.was_asked_for(first.period, turn) => Purpose::Reply,
-            _ => Purpose::Data,
+        if self.promises.claim(turn) {
+            return Purpose::Reply;
         }
-    }
-
-    /// Whether this backup has asked shortly before it took over: whom it asked may not know of that, and answer.
-    fn was_asked_for(&self, period: u32, turn: &Turn) -> bool {
-        let Role::Master(master) = &self.role else { return false };
-        let asked = master.asked().filter(|_| master.is_active());
-        let line = master.line();
-        asked.zip(line).is_some_and(|(asked, line)| turn.at - asked < line.period * i64::from(period * TURNS))
+        let measures = self.follower().is_some_and(|follower| follower.calibration().measures_anew());
+        // The reply would come where the slot is no more.
+        let may_ask = measures && !self.slots.is_changing(first.id);
+        if may_ask && (turn.cycle / first.period).is_multiple_of(TURNS) {
+            Purpose::Request
+        } else {
+            Purpose::Data
+        }
     }
 }

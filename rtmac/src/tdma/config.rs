@@ -1,7 +1,7 @@
 //! What is configured of a TDMA station, and what may be asked of it later.
 
 use rtnet::discipline::{Channel, SyncState};
-use rtnet::time::Span;
+use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::joint;
@@ -282,6 +282,19 @@ pub enum Refused {
         /// Where the first may be.
         earliest: Span,
     },
+    /// A slot that would never be used: when its frame is chosen, no Synchronisation of its cycle is there.
+    #[error(
+        "slot {id}: the offset {offset} is too near to the cycle's start for a holdover of 0: when its frame is chosen, no \
+         Synchronisation can be there; begin it at {earliest} or later, or bridge 1 cycle"
+    )]
+    BeforeSync {
+        /// Which slot.
+        id: u8,
+        /// What was asked for.
+        offset: Span,
+        /// Where the first may be.
+        earliest: Span,
+    },
     /// The Synchronisation would have more than the cycle.
     #[error("a sync window that lasts beyond the cycle of {cycle}: shorten it")]
     SyncWindow {
@@ -316,19 +329,21 @@ pub fn check_rounds_of_master(
 
 impl Tdma {
     /// A reply is on its way in the slot that calibration uses: it stays where it is for the while, and stays the first.
-    pub(super) fn not_while_calibrating(&self, id: Channel) -> Result<(), Refused> {
+    pub(super) fn not_while_calibrating(&self, id: Channel, now: Instant) -> Result<(), Refused> {
         let follower = self.follower().filter(|follower| follower.line().is_some());
         let measures = follower.is_some_and(|follower| follower.calibration().is_measuring());
         match self.slots.first() {
-            Some(first) if measures && id <= first.id => Err(Refused::Calibrating { id: first.id }),
+            Some(first) if (measures || self.promises.hold(now)) && id <= first.id => {
+                Err(Refused::Calibrating { id: first.id })
+            }
             _ => Ok(()),
         }
     }
 
     /// What is joined to a slot changes with it, by the same rule.
-    pub(super) fn joined_may_follow(&self, slot: &SlotConfig) -> Result<(), Refused> {
+    pub(super) fn joined_may_follow(&self, slot: &SlotConfig, now: Instant) -> Result<(), Refused> {
         let mut followers = self.slots.planned().filter(|other| joint::follow(other, slot).is_some());
-        followers.try_for_each(|follower| self.not_while_calibrating(follower.id))
+        followers.try_for_each(|follower| self.not_while_calibrating(follower.id, now))
     }
 
     /// Who is still to calibrate, or will again, must be able to with the slots that it would have: slot `id` as `changed`.

@@ -9,12 +9,18 @@ use super::line::{LINE_GOOD_FOR, TimeLine};
 use super::slot::Turn;
 use super::{LatePolicy, Role, Tdma};
 
+/// Who slept for longer tells of so many cycles.
+const TOLD_AT_MOST: i64 = 10_000;
+
 impl Tdma {
     /// The job whose instant is first; at the same instant a Synchronisation before a reply before data.
     pub(super) fn next_job(&self) -> Option<Job> {
         let line = self.line()?;
         let turns = || match self.slots.first().filter(|_| self.calibrates()) {
-            Some(first) => self.slots.next_turn(line, Some(first.id)).map(Job::Request),
+            Some(first) => self.slots.next_turn(line, Some(first.id)).map(|turn| match self.purpose(&turn) {
+                Purpose::Request | Purpose::Data => Job::Request(turn),
+                Purpose::Reply => Job::Data(turn),
+            }),
             None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
                 Purpose::Request => Job::Request(turn),
                 Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
@@ -62,14 +68,16 @@ impl Tdma {
             if job.chosen_at(self.lead) > now {
                 return None;
             }
-            // Who slept through a slot missed it for that, whatever was heard meanwhile.
-            if now > job.latest() {
+            let is_left = matches!(job, Job::Data(turn) if self.purpose(&turn) == Purpose::Reply);
+            // Who slept through a slot missed it for that, whatever was heard meanwhile; not what it had left to a reply.
+            let is_late = now > job.latest();
+            if is_late && !is_left {
                 self.missed(&job, now - job.latest());
-            } else if !self.may_do(&job) {
+            } else if !is_late && !self.may_do(&job) {
                 self.silent = Some((job.cycle(), job.at()));
                 self.counters.slots_silent += 1;
                 self.events.note_job(&job, EventKind::SlotSilent, Span::ZERO);
-            } else if matches!(job, Job::Data(turn) if self.purpose(&turn) == Purpose::Reply) {
+            } else if is_left {
                 self.calibrates_in(&job);
             } else {
                 return Some(job);
@@ -79,8 +87,12 @@ impl Tdma {
         }
     }
 
-    /// A turn that carries no data, since the delay is measured anew.
+    /// A turn that carries no data, since the delay is measured anew, or a reply may still come. Who calibrates for the first
+    /// time has no turns yet.
     pub(super) fn calibrates_in(&mut self, job: &Job) {
+        if self.calibrates() {
+            return;
+        }
         self.counters.slots_calibrating += 1;
         self.events.note_job(job, EventKind::CalibrationTurn, Span::ZERO);
     }
@@ -88,6 +100,7 @@ impl Tdma {
     /// Another line is followed from `until` on: the turns that it does not have any more are missed. Where its cycles
     /// are numbered on, those are the ones that begin before; else those of the old line that were slept through.
     pub(super) fn leave(&mut self, left: &TimeLine, line: &TimeLine, until: Instant) {
+        let until = until.min(left.start + left.period * TOLD_AT_MOST);
         while let Some(turn) = self.slots.next_turn(left, None) {
             let offset = turn.at - left.start_of(turn.cycle);
             let numbered_on = line.ahead(turn.cycle).unsigned_abs() <= LINE_GOOD_FOR.unsigned_abs();
@@ -97,7 +110,9 @@ impl Tdma {
             }
             let job = Job::Data(turn);
             // What it slept through it was late for, whatever the line.
-            if until > turn.latest {
+            if self.purpose(&turn) == Purpose::Reply {
+                self.calibrates_in(&job);
+            } else if until > turn.latest {
                 self.missed(&job, until - turn.latest);
             } else {
                 self.counters.slots_silent += 1;
@@ -108,9 +123,15 @@ impl Tdma {
     }
 
     /// Nothing is sent any more in the role that there is: the turns that are still to come up to `cycle` are none of the
-    /// next one's.
+    /// next one's. Who calibrates has had none since that began.
     pub(super) fn leave_until(&mut self, cycle: u32) {
         let Some(line) = self.line().copied() else { return };
+        let told_from = if self.calibrates() {
+            cycle.wrapping_add(1)
+        } else {
+            cycle.wrapping_sub(TOLD_AT_MOST as u32 - 1)
+        };
+        self.slots.jump(told_from);
         while let Some(turn) = self.slots.next_turn(&line, None) {
             if cycle.wrapping_sub(turn.cycle) as i32 >= 0 {
                 self.counters.slots_silent += 1;

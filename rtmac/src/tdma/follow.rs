@@ -5,11 +5,15 @@ use rtnet::time::Span;
 use super::calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 use super::config::Refused;
 use super::line::LINE_GOOD_FOR;
+use super::slot::SlotConfig;
 
 /// Cycles without a Synchronisation that are bridged, unless configured otherwise.
 pub const HOLDOVER_CYCLES: i32 = 1;
 /// Most that can be: a line that is bridged for longer would be given up before the loss is told of.
 pub const MAX_HOLDOVER: u32 = LINE_GOOD_FOR as u32 - 1;
+
+/// A Synchronisation is hardly there sooner after its cycle's start: at 100 Mbit/s the wire alone takes 7 us.
+const SYNC_TAKES: Span = Span::from_micros(10);
 
 /// How Synchronisations become a time line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -80,5 +84,19 @@ impl SlaveConfig {
             return Err(Refused::Holdover { cycles: holdover });
         }
         Ok(())
+    }
+
+    /// Whether these slots can be used: where nothing is bridged, only behind their cycle's Synchronisation, and what is sent
+    /// is chosen a `lead` before.
+    pub fn check_slots<'a>(
+        &self,
+        lead: Span,
+        slots: impl IntoIterator<Item = &'a SlotConfig>,
+    ) -> Result<(), Refused> {
+        let earliest = lead + SYNC_TAKES;
+        match slots.into_iter().find(|slot| self.holdover == 0 && slot.offset < earliest) {
+            Some(&SlotConfig { id, offset, .. }) => Err(Refused::BeforeSync { id, offset, earliest }),
+            None => Ok(()),
+        }
     }
 }

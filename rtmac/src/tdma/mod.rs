@@ -28,6 +28,7 @@ pub mod joint;
 pub mod line;
 mod mark;
 mod master;
+mod promise;
 mod rate;
 mod receive;
 mod replies;
@@ -35,6 +36,7 @@ mod report;
 mod rival;
 mod round;
 pub mod schedule;
+mod send;
 mod slave;
 mod slot;
 mod status;
@@ -46,7 +48,7 @@ use rtnet::discipline::{
     TimeView, Transmission,
 };
 use rtnet::queue::Priority;
-use rtnet::time::{GlobalTime, Instant, Span};
+use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use anew::NewRounds;
@@ -63,6 +65,7 @@ pub use line::TimeLine;
 pub use mark::held_up_at_most;
 use master::Master;
 pub use master::{BACKUP_LOOKS_BEFORE, MasterConfig, Mastery};
+use promise::Promises;
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
 pub use report::{CalibrationReport, Delays};
 use slave::Slave;
@@ -70,7 +73,7 @@ use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig, SlotStatus};
 pub use status::{Counters, RoleName, SLOTS_SHOWN, TdmaStatus};
 
-use crate::wire::{self, Message, Rtmac};
+use crate::wire::{self, Rtmac};
 
 /// A station of a TDMA network.
 pub struct Tdma {
@@ -82,6 +85,7 @@ pub struct Tdma {
     /// Synchronisations, requests and replies are sent from here.
     pool: Pool,
     pending: Option<Pending>,
+    promises: Promises,
     /// When time was last told of.
     looked: Instant,
     /// The last slot that was silent: its cycle, and when it was.
@@ -115,6 +119,20 @@ impl Role {
             Role::Detached => None,
         }
     }
+
+    /// Whether these slots can be used as it follows others, if it is told that there may be some.
+    fn can_use<'a>(
+        &self,
+        lead: Span,
+        slots: impl IntoIterator<Item = &'a SlotConfig>,
+    ) -> Result<(), Refused> {
+        let follow = match self {
+            Role::Master(master) if master.config().knows_of_others() => master.config().follow,
+            Role::Slave(slave) => *slave.config(),
+            Role::Master(_) | Role::Detached => return Ok(()),
+        };
+        follow.check_slots(lead, slots)
+    }
 }
 
 impl Tdma {
@@ -140,6 +158,7 @@ impl Tdma {
             }
         }
         let NewRole(role) = NewRole::attached(config.role)?;
+        role.can_use(config.lead, &config.slots)?;
         Ok(Self {
             address: config.address,
             lead: config.lead,
@@ -149,6 +168,7 @@ impl Tdma {
             // All pending replies are built when their instant comes, one frame at a time.
             pool: Pool::new(2),
             pending: None,
+            promises: Promises::default(),
             looked: Instant::default(),
             silent: None,
             events,
@@ -175,67 +195,7 @@ impl Tdma {
             line.cycle.wrapping_add(gone as u32)
         })
     }
-
-    /// Builds the frame of a job that is due; `None` when there is nothing to send after all.
-    fn build(&mut self, job: Job) -> Option<Transmission> {
-        let (frame, stamp, priority) = match job {
-            Job::Data(turn) => {
-                let Some((priority, frame)) = self.slots.dequeue(turn.id) else {
-                    self.counters.slots_empty += 1;
-                    if self.slots.was_used(turn.id) {
-                        self.events.note_job(&job, EventKind::SlotEmpty, Span::ZERO);
-                    }
-                    return None;
-                };
-                (frame, None, priority)
-            }
-            control => {
-                let (message, to, add) = self.control_message(control)?;
-                let mut frame = self.pool.take()?;
-                message.write(to, self.address, &mut frame);
-                (frame, Some(message.stamp(add)), Priority::FIRST)
-            }
-        };
-        self.pending = Some(Pending { job, priority });
-        Some(Transmission { frame, at: job.at(), latest: job.latest(), stamp })
-    }
-
-    /// A control job's message with its transmit stamp left open, whom it is for, and the stamp's addend.
-    fn control_message(&mut self, job: Job) -> Option<(Message, Address, u64)> {
-        match (job, &mut self.role) {
-            (Job::Sync { cycle, sched, .. }, Role::Master(master)) => {
-                let sync = Message::Sync { cycle, xmit: GlobalTime::default(), sched };
-                Some((sync, Address::BROADCAST, master.epoch().nanos()))
-            }
-            (Job::Reply { .. }, Role::Master(master)) => {
-                let asked = master.replies().next()?;
-                // By the clock of its Synchronisations, as a real master's are: slaves compare the two.
-                let epoch = master.epoch();
-                let (request_xmit, reception) = (asked.request_xmit, epoch.global(asked.reception).nanos());
-                Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, epoch.nanos()))
-            }
-            (Job::Request(turn), _) => {
-                if !self.calibrates() {
-                    self.calibrates_in(&job);
-                }
-                let slave = self.role.follower_mut()?;
-                if !slave.calibration_mut().begin_round() {
-                    self.counters.calibration_timeouts += 1;
-                    self.events.note(turn.cycle, EventKind::CalibrationTimeout, Span::ZERO);
-                    return None;
-                }
-                let slot = self.slots.get(turn.id)?;
-                let reply_cycle = turn.cycle.wrapping_add(slot.period);
-                let reply_offset = slot.offset.nanos() as u64;
-                Some((Message::Request { xmit: 0, reply_cycle, reply_offset }, slave.master(), 0))
-            }
-            _ => None,
-        }
-    }
 }
-
-/// Who slept for longer tells of so many cycles.
-const TOLD_AT_MOST: i64 = 10_000;
 
 impl Discipline for Tdma {
     type Command = TdmaCommand;
@@ -278,7 +238,7 @@ impl Discipline for Tdma {
                 // Who calibrates has no slots yet.
                 let is_calibrated = slave.calibration().delay().is_some();
                 if let (Some(left), None, true) = (left, slave.line(), is_calibrated) {
-                    self.leave(&left, &left, now.min(left.start + left.period * TOLD_AT_MOST));
+                    self.leave(&left, &left, now);
                 }
             }
             Role::Detached => {}
@@ -391,9 +351,10 @@ impl Discipline for Tdma {
                 if let Role::Master(master) = &self.role {
                     checked(*master.config(), &[*slot])?;
                 }
-                self.not_while_calibrating(slot.id)?;
-                self.joined_may_follow(slot)?;
+                self.not_while_calibrating(slot.id, now)?;
+                self.joined_may_follow(slot, now)?;
                 self.can_calibrate(slot.id, Some(slot))?;
+                self.role.can_use(self.lead, [&*slot])?;
                 if let Some(&TimeLine { period: cycle, .. }) = self.line()
                     && slot.offset >= cycle
                 {
@@ -402,7 +363,7 @@ impl Discipline for Tdma {
                 self.slots.set(*slot, cycle, &mut self.events)?;
             }
             TdmaCommand::RemoveSlot(id) => {
-                self.not_while_calibrating(*id)?;
+                self.not_while_calibrating(*id, now)?;
                 let others = self.slots.planned().any(|slot| slot.id != *id);
                 if matches!(self.role, Role::Slave(_)) && !others {
                     return Err(Refused::LastSlot { id: *id });
@@ -421,6 +382,7 @@ impl Discipline for Tdma {
                     Role::Slave(slave) => check_rounds(slave.calibration().rounds(), slots())?,
                     Role::Detached => {}
                 }
+                self.slots.planned().try_for_each(|slot| role.can_use(self.lead, [&slot]))?;
                 self.leave_until(cycle);
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;
@@ -432,31 +394,6 @@ impl Discipline for Tdma {
 
     fn status(&self) -> TdmaStatus {
         TdmaStatus::of(self)
-    }
-}
-
-impl Tdma {
-    fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
-        match (job, &mut self.role) {
-            (Job::Sync { cycle, .. }, role) => {
-                self.counters.syncs_sent += 1;
-                if let Role::Master(master) = role {
-                    master.sent(*cycle, stamped.is_some(), &mut self.events);
-                }
-            }
-            (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
-            (Job::Data(turn), _) => {
-                self.counters.frames_sent += 1;
-                self.slots.count_sent(turn.id);
-            }
-            (Job::Request(_), role) => {
-                self.counters.requests_sent += 1;
-                // A request that was held up would measure the hold-up: its reply is not awaited.
-                if let (Some(slave), Some(stamped)) = (role.follower_mut(), stamped) {
-                    slave.calibration_mut().sent(stamped);
-                }
-            }
-        }
     }
 }
 

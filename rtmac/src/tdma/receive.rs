@@ -31,6 +31,7 @@ impl Tdma {
             (Message::Reply { .. }, _) if header.destination != self.address => Err(Refusal::UnexpectedReply),
             (Message::Reply { request_xmit, reception, xmit }, _) => {
                 self.leave_turn_to_reply(rx);
+                self.promises.is_kept(request_xmit);
                 let Some(follower) = self.role.follower_mut() else { return Err(Refusal::UnexpectedReply) };
                 let done = follower.on_reply(rx, request_xmit, reception, xmit, &mut self.events)?;
                 if let (true, Some(line)) = (done, follower.line()) {

@@ -14,6 +14,8 @@ pub const MAX_REQUESTS: usize = 256;
 pub const MAX_REPLY_AHEAD: u32 = 1024;
 /// Times that a late reply is put off. Real stations never ask again: they wait for ever.
 const PUT_OFF_AT_MOST: u8 = 8;
+/// In this use of the slave's slot after the one that asked the last of them is due.
+pub const LAST_USE: i64 = 1 + 2 * PUT_OFF_AT_MOST as i64;
 
 /// A reply that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

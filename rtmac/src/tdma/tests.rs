@@ -1,11 +1,15 @@
 mod anew;
+mod doubts;
 mod first_slot;
 mod joint_slots;
+mod promised;
 mod requests;
 mod slept;
+mod without_holdover;
 
 use super::*;
-use rtnet::discipline::SyncState;
+use crate::wire::Message;
+use rtnet::time::GlobalTime;
 
 const OWN: Address = Address([2, 0, 0, 0, 0, 1]);
 const OTHER: Address = Address([2, 0, 0, 0, 0, 2]);

@@ -380,9 +380,9 @@ fn expected(happening: Happening, place: Place) -> Outcome {
             Idle | Outstanding | LastOutstanding | Exhausted => other_line,
             // Whose slot had a turn on the line that was left.
             Done => (phase, (samples, attempts, repeats), Answer::Kept, Some(EventKind::Overrun)),
-            Anew | AnewOutstanding | AnewLastOutstanding | AnewExhausted => {
-                (idle, (samples, 0, repeats), Answer::Kept, Some(EventKind::Overrun))
-            }
+            Anew => (idle, (samples, 0, repeats), Answer::Kept, Some(EventKind::Overrun)),
+            // That one was left to the reply.
+            AnewOutstanding | AnewLastOutstanding | AnewExhausted => other_line,
         },
         Happening::MasterChanged => match place {
             NoLine | Done => stays(Answer::Kept),

@@ -66,3 +66,36 @@ fn who_slept_until_its_line_was_too_old_tells_of_every_slot_and_that_it_has_none
         told[1..].iter().filter(|&&(_, kind, _)| kind == EventKind::Overrun).map(|&(cycle, ..)| cycle);
     assert!(overrun.eq(3..=1_499), "{told:?}");
 }
+
+#[test]
+fn who_becomes_something_else_while_it_calibrates_has_missed_no_turns() {
+    let mut slave = Tdma::new(&with_slots(5, &[(0, 1), (2, 1)])).unwrap();
+    hear_syncs(&mut slave, 1..=500);
+    told(&mut slave);
+    slave.command(at(500_100), &mut TdmaCommand::Become(NewRole::detached())).unwrap();
+    assert_eq!((slave.status().counters.slots_silent, told(&mut slave)), (0, vec![]));
+}
+
+#[test]
+fn who_becomes_something_else_after_a_long_sleep_tells_of_the_last_turns_only() {
+    let mut slave = locked_slave();
+    slave.command(at(100_000_100), &mut TdmaCommand::Become(NewRole::detached())).unwrap();
+    let turns = slave.status().counters.slots_silent;
+    assert_eq!(turns, 10_000, "of 100 000, each of which takes its time");
+}
+
+#[test]
+fn who_finds_another_line_after_a_long_sleep_tells_of_the_first_turns_only() {
+    let mut slave = locked_slave();
+    for cycle in 1..=2 {
+        let sched = GlobalTime::from_nanos(100_000_000_000 + cycle * 1_000_000);
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle: 7_000_000 + cycle as u32, xmit: sched, sched }.write(
+            Address::BROADCAST,
+            OTHER,
+            &mut frame,
+        );
+        slave.on_frame(Some(at(100_000_000 + cycle * 1_000)), frame);
+    }
+    assert_eq!(slave.status().counters.overruns, 9_999, "of 100 000");
+}

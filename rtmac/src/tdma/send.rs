@@ -1,0 +1,92 @@
+//! The frames of jobs: what they carry, and what is counted once they have left.
+
+use rtnet::discipline::{EventKind, Transmission};
+use rtnet::queue::Priority;
+use rtnet::time::{GlobalTime, Instant, Span};
+use rtnet::wire::ethernet::Address;
+
+use super::job::{Job, Pending};
+use super::{Role, Tdma};
+use crate::wire::Message;
+
+impl Tdma {
+    /// Builds the frame of a job that is due; `None` when there is nothing to send after all.
+    pub(super) fn build(&mut self, job: Job) -> Option<Transmission> {
+        let (frame, stamp, priority) = match job {
+            Job::Data(turn) => {
+                let Some((priority, frame)) = self.slots.dequeue(turn.id) else {
+                    self.counters.slots_empty += 1;
+                    if self.slots.was_used(turn.id) {
+                        self.events.note_job(&job, EventKind::SlotEmpty, Span::ZERO);
+                    }
+                    return None;
+                };
+                (frame, None, priority)
+            }
+            control => {
+                let (message, to, add) = self.control_message(control)?;
+                let mut frame = self.pool.take()?;
+                message.write(to, self.address, &mut frame);
+                (frame, Some(message.stamp(add)), Priority::FIRST)
+            }
+        };
+        self.pending = Some(Pending { job, priority });
+        Some(Transmission { frame, at: job.at(), latest: job.latest(), stamp })
+    }
+
+    /// A control job's message with its transmit stamp left open, whom it is for, and the stamp's addend.
+    fn control_message(&mut self, job: Job) -> Option<(Message, Address, u64)> {
+        match (job, &mut self.role) {
+            (Job::Sync { cycle, sched, .. }, Role::Master(master)) => {
+                let sync = Message::Sync { cycle, xmit: GlobalTime::default(), sched };
+                Some((sync, Address::BROADCAST, master.epoch().nanos()))
+            }
+            (Job::Reply { .. }, Role::Master(master)) => {
+                let asked = master.replies().next()?;
+                // By the clock of its Synchronisations, as a real master's are: slaves compare the two.
+                let epoch = master.epoch();
+                let (request_xmit, reception) = (asked.request_xmit, epoch.global(asked.reception).nanos());
+                Some((Message::Reply { request_xmit, reception, xmit: 0 }, asked.to, epoch.nanos()))
+            }
+            (Job::Request(turn), _) => {
+                self.calibrates_in(&job);
+                let slave = self.role.follower_mut()?;
+                if !slave.calibration_mut().begin_round() {
+                    self.counters.calibration_timeouts += 1;
+                    self.events.note(turn.cycle, EventKind::CalibrationTimeout, Span::ZERO);
+                    return None;
+                }
+                let slot = self.slots.get(turn.id)?;
+                let reply_cycle = turn.cycle.wrapping_add(slot.period);
+                let reply_offset = slot.offset.nanos() as u64;
+                Some((Message::Request { xmit: 0, reply_cycle, reply_offset }, slave.master(), 0))
+            }
+            _ => None,
+        }
+    }
+
+    /// A job's frame has left, with this stamp unless it was held up.
+    pub(super) fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
+        match (job, &mut self.role) {
+            (Job::Sync { cycle, .. }, role) => {
+                self.counters.syncs_sent += 1;
+                if let Role::Master(master) = role {
+                    master.sent(*cycle, stamped.is_some(), &mut self.events);
+                }
+            }
+            (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
+            (Job::Data(turn), _) => {
+                self.counters.frames_sent += 1;
+                self.slots.count_sent(turn.id);
+            }
+            (Job::Request(turn), _) => {
+                self.counters.requests_sent += 1;
+                self.await_reply(turn, stamped);
+                // A request that was held up would measure the hold-up: its reply is not awaited.
+                if let (Some(slave), Some(stamped)) = (self.role.follower_mut(), stamped) {
+                    slave.calibration_mut().sent(stamped);
+                }
+            }
+        }
+    }
+}

@@ -61,3 +61,31 @@ fn a_scenarios_servo_is_that_of_its_stations_in_virtual_time() {
         assert_eq!(slave.servo, servo);
     }
 }
+
+/// By how much slots are off where every frame is held up by anything up to so long: the mean, and from least to most.
+fn held_up_evenly(servo: ServoName, longest: Span) -> (Span, Span) {
+    let even = Host { stall_ppm: 1_000_000, longest_stall: longest, ..Host::IDEAL };
+    let mut plan = Plan::lab(4).on(even);
+    plan.scenario.servo = servo;
+    let mut lab = plan.build();
+    lab.run_until_locked();
+    lab.run_cycles(2_000);
+    let mut off = Vec::new();
+    for _ in 0..500 {
+        lab.run_cycles(1);
+        off.push(lab.line_error(2));
+    }
+    let [least, most] = [off.iter().min(), off.iter().max()].map(|of| *of.expect("there are some"));
+    (off.iter().fold(Span::ZERO, |sum, off| sum + off.abs()) / 500, most - least)
+}
+
+#[test]
+fn where_every_frame_is_held_up_evenly_a_filter_is_steadier_but_no_nearer_than_none() {
+    for longest in [10, 20, 40].map(Span::from_micros) {
+        let [(linear, moves), (none, jumps)] =
+            [ServoName::Linear, ServoName::None].map(|servo| held_up_evenly(servo, longest));
+        assert!(moves * 10 < jumps, "{longest}: {moves} with a filter, {jumps} without");
+        assert!((longest / 5..longest / 3).contains(&linear), "{longest}: {linear} early with a filter");
+        assert!(none < longest / 3, "{longest}: {none} without");
+    }
+}

@@ -1,5 +1,5 @@
 mod anew;
-mod doubts;
+mod backups;
 mod first_slot;
 mod joint_slots;
 mod promised;
@@ -410,44 +410,4 @@ fn a_calibration_reply_that_the_guard_drops_is_put_off() {
         is_reply.then_some(next.at)
     });
     assert_eq!(again, Some(at(9_100)), "two uses of the slot later");
-}
-
-#[test]
-fn what_cannot_be_of_a_backup_is_refused() {
-    let refused = |backup: u64, offset: u64| {
-        let backup = MasterConfig { backup: Some(Span::from_micros(backup as i64)), ..master_config() };
-        let mut config = config(RoleConfig::Master(backup));
-        config.slots[0].offset = Span::from_micros(offset as i64);
-        Tdma::new(&config).err()
-    };
-    assert_eq!(refused(100, 140), None);
-    assert!(matches!(refused(100, 139), Some(Refused::BeforeBackup { id: 0, .. })));
-    assert!(matches!(refused(40, 400), Some(Refused::Backup { .. })), "the primary may still send");
-    assert!(matches!(refused(960, 400), Some(Refused::Backup { .. })), "of the next cycle");
-}
-
-#[test]
-fn a_backup_without_a_slot_or_not_calibrated_takes_over_all_the_same() {
-    for slots in [0, 1] {
-        let follow = SlaveConfig { rounds: 20, ..SlaveConfig::default() };
-        let backup = MasterConfig { backup: Some(Span::from_micros(100)), follow, ..master_config() };
-        let mut config = config(RoleConfig::Master(backup));
-        config.slots.truncate(slots);
-        let mut tdma = Tdma::new(&config).unwrap();
-        // It speaks, hears a primary in its second cycle, and stands by without ever having calibrated.
-        for ms in 0..53 {
-            tdma.on_timeout(at(ms * 1_000));
-        }
-        let TimeView { cycle, .. } = tdma.time();
-        let (start, sched) =
-            tdma.line().map(|line| (line.start_of(cycle + 1), line.sched_of(cycle + 1))).unwrap();
-        let mut frame = Pool::new(1).take().unwrap();
-        Message::Sync { cycle: cycle + 1, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
-        tdma.on_frame(Some(start), frame);
-        assert_eq!(tdma.status().mastery, Some(Mastery::StandBy));
-        let missing = start + Span::from_micros(1_090);
-        tdma.on_timeout(missing);
-        let sync = tdma.next_transmission(missing).expect("the next one is missing");
-        assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { .. }))), "{slots} slots");
-    }
 }

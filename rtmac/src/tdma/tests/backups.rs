@@ -1,0 +1,77 @@
+//! A backup: what it must be like, when it takes over, and what it does when it hears a Synchronisation beside its line.
+
+use super::*;
+
+/// One that has heard cycles 1 to 3, on which cycle n begins at n ms.
+fn stand_by(servo: Servo) -> Tdma {
+    let follow = SlaveConfig { rounds: 0, servo, ..SlaveConfig::default() };
+    let backup = MasterConfig { backup: Some(Span::from_micros(100)), follow, ..master_config() };
+    let mut tdma = Tdma::new(&config(RoleConfig::Master(backup))).unwrap();
+    tdma.on_timeout(at(500));
+    hear_syncs(&mut tdma, 1..=3);
+    tdma.on_timeout(at(3_300));
+    assert_eq!(tdma.status().mastery, Some(Mastery::StandBy));
+    tdma
+}
+
+/// The Synchronisation of a cycle, held up or of another line.
+fn hear_beside(tdma: &mut Tdma, cycle: u32, rx: Instant) {
+    let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
+    let mut frame = Pool::new(1).take().unwrap();
+    Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+    assert!(matches!(tdma.on_frame(Some(rx), frame), Claimed::Kept));
+}
+
+#[test]
+fn a_backup_sends_nothing_before_the_next_of_what_it_heard_would_have_come_with_a_filter_or_without() {
+    for servo in [Servo::Linear, Servo::None] {
+        for rx in [3_600, 3_900, 4_090, 4_240, 4_600] {
+            let mut tdma = stand_by(servo);
+            hear_beside(&mut tdma, 4, at(rx));
+            let Role::Master(master) = &tdma.role else { panic!("it is a master") };
+            let (_, at_earliest, _) = master.next_sync().unwrap();
+            let next = at(rx) + Span::from_millis(1);
+            assert!(at_earliest > next, "{servo:?}, heard at {rx}: {at_earliest:?} is before {next:?}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_of_a_backup_is_refused() {
+    let refused = |backup: u64, offset: u64| {
+        let backup = MasterConfig { backup: Some(Span::from_micros(backup as i64)), ..master_config() };
+        let mut config = config(RoleConfig::Master(backup));
+        config.slots[0].offset = Span::from_micros(offset as i64);
+        Tdma::new(&config).err()
+    };
+    assert_eq!(refused(100, 140), None);
+    assert!(matches!(refused(100, 139), Some(Refused::BeforeBackup { id: 0, .. })));
+    assert!(matches!(refused(40, 400), Some(Refused::Backup { .. })), "the primary may still send");
+    assert!(matches!(refused(960, 400), Some(Refused::Backup { .. })), "of the next cycle");
+}
+
+#[test]
+fn a_backup_without_a_slot_or_not_calibrated_takes_over_all_the_same() {
+    for slots in [0, 1] {
+        let follow = SlaveConfig { rounds: 20, ..SlaveConfig::default() };
+        let backup = MasterConfig { backup: Some(Span::from_micros(100)), follow, ..master_config() };
+        let mut config = config(RoleConfig::Master(backup));
+        config.slots.truncate(slots);
+        let mut tdma = Tdma::new(&config).unwrap();
+        // It speaks, hears a primary in its second cycle, and stands by without ever having calibrated.
+        for ms in 0..53 {
+            tdma.on_timeout(at(ms * 1_000));
+        }
+        let TimeView { cycle, .. } = tdma.time();
+        let (start, sched) =
+            tdma.line().map(|line| (line.start_of(cycle + 1), line.sched_of(cycle + 1))).unwrap();
+        let mut frame = Pool::new(1).take().unwrap();
+        Message::Sync { cycle: cycle + 1, xmit: sched, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+        tdma.on_frame(Some(start), frame);
+        assert_eq!(tdma.status().mastery, Some(Mastery::StandBy));
+        let missing = start + Span::from_micros(1_090);
+        tdma.on_timeout(missing);
+        let sync = tdma.next_transmission(missing).expect("the next one is missing");
+        assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { .. }))), "{slots} slots");
+    }
+}

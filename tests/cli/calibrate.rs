@@ -64,6 +64,6 @@ fn a_lab_knows_why_a_station_that_calibrates_anew_misses_slots() {
         assert!(refused.contains("a lab judges its stations by a holdover of 1 cycle"), "{refused}");
         let account = cell.down();
         assert_eq!((&account["unexplained"], &account["overlaps"]), (&0.into(), &0.into()), "{account:#}");
-        assert!(account["causes"]["calibrating"].as_u64() >= Some(140), "three of four turns: {account:#}");
+        assert!(account["causes"]["calibrating"].as_u64() >= Some(95), "two of four turns: {account:#}");
     });
 }

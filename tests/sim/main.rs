@@ -12,6 +12,7 @@ mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;
 mod promised_replies;
+mod receive_pool;
 mod request_backlog;
 mod scenarios;
 mod second_master_refuses;

@@ -2,6 +2,7 @@
 
 mod carriage;
 mod faults;
+mod frames;
 mod seat;
 
 use super::agenda::Agenda;
@@ -15,6 +16,7 @@ use crate::station::Station;
 use crate::wire::ethernet::Address;
 
 use carriage::Flight;
+use frames::Frames;
 use seat::Seat;
 
 pub use carriage::Loss;
@@ -52,6 +54,10 @@ pub struct Network<D: Discipline> {
     cut_off: Vec<StationId>,
     /// Frames that a hub or a switch has not received wholly.
     flights: Vec<Flight>,
+    /// Which clocks change their rates, and how.
+    wanders: Vec<(StationId, Wander)>,
+    /// Frames that stations are still to hear.
+    frames: Frames,
     /// Of frames that no station has queued.
     foreign: Pool,
 }
@@ -87,8 +93,8 @@ enum Action {
     Air { from: StationId, number: u64, frame: Buf },
     /// A hub or a switch has received a frame wholly.
     Landed(u64),
-    /// A clock changes its rate a little.
-    Wander(StationId, Wander),
+    /// A clock changes its rate a little, as this one of `wanders` says.
+    Wander(usize),
 }
 
 impl<D: Discipline> Network<D> {
@@ -107,6 +113,8 @@ impl<D: Discipline> Network<D> {
             mourner: None,
             cut_off: Vec::new(),
             flights: Vec::new(),
+            wanders: Vec::new(),
+            frames: Frames::new(),
             foreign: Pool::new(FOREIGN_POOL),
         }
     }
@@ -151,7 +159,7 @@ impl<D: Discipline> Network<D> {
                 Action::Send(id, number) => self.send(id, number),
                 Action::Air { from, number, frame } => self.air_of(from, number, frame),
                 Action::Landed(flight) => self.landed(flight),
-                Action::Wander(id, wander) => self.wander_on(id, wander),
+                Action::Wander(place) => self.wander_on(place),
             }
         }
         self.now = until;
@@ -194,8 +202,8 @@ impl<D: Discipline> Network<D> {
         }
         seat.note_progress(now);
         seat.blocked = false;
-        seat.drain(now);
-        let Member { clock, station, host, .. } = &mut seat.member;
+        seat.drain(now, &mut self.frames);
+        let Member { clock, station, host, .. } = &mut *seat.member;
         let local = clock.local(now);
         station.on_timeout(local);
         if let Some(chosen) = station.next_transmission(local) {
@@ -223,7 +231,7 @@ impl<D: Discipline> Network<D> {
         if seat.is_void(number) || seat.is_frozen(&mut self.agenda, Action::Send(id, number), now) {
             return;
         }
-        let Member { clock, station, host, .. } = &mut seat.member;
+        let Member { clock, station, host, .. } = &mut *seat.member;
         let before = clock.local(now);
         let Some(chosen) = seat.chosen.take_if(|chosen| chosen.at <= before) else {
             // The clock was set back meanwhile.

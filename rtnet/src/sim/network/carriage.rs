@@ -7,6 +7,7 @@
 
 use std::ops::Range;
 
+use super::frames::Kept;
 use super::seat::Port;
 use super::{Action, Network, StationId};
 use crate::buf::Buf;
@@ -100,6 +101,7 @@ impl<D: Discipline> Network<D> {
         let fate = carried.unwrap_or((!is_destroyed).then(Fate::default));
         self.count(fate.unwrap_or_default());
         let to_all = header.destination.is_group();
+        let kept = self.frames.keep(frame);
         let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination) };
         for place in range {
             let to = if to_all { place } else { self.addresses[place].1 };
@@ -111,12 +113,13 @@ impl<D: Discipline> Network<D> {
             for fate in
                 fate.into_iter().flat_map(|fate| [Some(fate), fate.comes_twice.then_some(fate)]).flatten()
             {
-                lost = self.hand_to(to, from, frame, at, fate).or(lost);
+                lost = self.hand_to(to, from, &kept, at, fate).or(lost);
             }
             if let Err(why) = lost {
                 self.lose(to, frame, why);
             }
         }
+        self.frames.leave(kept);
     }
 
     /// The places in the order of addresses of those with this one.
@@ -144,7 +147,7 @@ impl<D: Discipline> Network<D> {
         &mut self,
         to: StationId,
         from: StationId,
-        frame: &[u8],
+        frame: &Kept,
         at: True,
         sent: Fate,
     ) -> Result<(), Loss> {
@@ -152,24 +155,26 @@ impl<D: Discipline> Network<D> {
             return Err(Loss::Cut);
         }
         let Medium { lose_control_ppm, lose_data_ppm, .. } = self.medium;
-        if self.random.happens(if is_control(frame) { lose_control_ppm } else { lose_data_ppm }) {
+        let bytes = self.frames.bytes(frame);
+        if self.random.happens(if is_control(bytes) { lose_control_ppm } else { lose_data_ppm }) {
             return Err(Loss::Wire);
         }
-        let heard = self.members[to].hears_by.carry(frame, &mut self.random).ok_or(Loss::Wire)?;
-        let at = self.through_port(to, frame.len(), at).ok_or(Loss::QueueFull)?;
+        let heard = self.members[to].hears_by.carry(bytes, &mut self.random).ok_or(Loss::Wire)?;
+        let len = bytes.len();
+        let at = self.through_port(to, len, at).ok_or(Loss::QueueFull)?;
         self.count(heard);
         let at = at + sent.later + heard.later;
         let mut reached = Err(Loss::NoBuffer);
         for _ in 0..=u8::from(heard.comes_twice) {
             let seat = &mut self.members[to];
-            let Some(mut copy) = seat.pool.take() else {
+            if seat.is_full() {
                 seat.dropped += 1;
                 continue;
-            };
-            copy.fill(frame);
-            sent.corrupt(&mut copy);
-            heard.corrupt(&mut copy);
-            seat.receive(at, copy);
+            }
+            let is_changed = sent.corrupt.or(heard.corrupt).is_some();
+            let frame = if is_changed { self.frames.copy(frame) } else { self.frames.share(frame) };
+            [sent, heard].iter().for_each(|fate| fate.corrupt(self.frames.bytes_mut(&frame)));
+            seat.receive(at, frame);
             reached = Ok(());
             if seat.blocked {
                 let wake = at + seat.member.host.wake_delay(&mut self.random);

@@ -44,7 +44,7 @@ impl<D: Discipline> Network<D> {
     /// Puts a new station in the place of one that was stopped, or not: it starts now.
     pub fn restart(&mut self, id: StationId, station: Station<D>) {
         let seat = &mut self.members[id];
-        seat.clear();
+        seat.clear(&mut self.frames);
         (seat.stopped, seat.frozen_until, seat.stall, seat.busy_until) = (false, 0, 0, 0);
         seat.member.station = station;
         seat.turn_at(&mut self.agenda, id, self.now);
@@ -83,16 +83,17 @@ impl<D: Discipline> Network<D> {
 
     /// Lets a station's clock wander from now on.
     pub fn wander(&mut self, id: StationId, wander: Wander) {
-        self.agenda.put(self.now + nanos(wander.every), Action::Wander(id, wander));
+        self.agenda.put(self.now + nanos(wander.every), Action::Wander(self.wanders.len()));
+        self.wanders.push((id, wander));
     }
 
-    pub(super) fn wander_on(&mut self, id: StationId, wander: Wander) {
+    pub(super) fn wander_on(&mut self, place: usize) {
         let now: True = self.now;
-        let Wander { every, step_ppb, within_ppb, around_ppb } = wander;
+        let (id, Wander { every, step_ppb, within_ppb, around_ppb }) = self.wanders[place];
         let clock = &mut self.members[id].member.clock;
         let drift = clock.drift_ppb + self.random.between(-step_ppb, step_ppb);
         // What it waits for is off by no more than this rate makes of one wait.
         *clock = clock.at_rate(now, drift.clamp(around_ppb - within_ppb, around_ppb + within_ppb));
-        self.agenda.put(now + nanos(every), Action::Wander(id, wander));
+        self.agenda.put(now + nanos(every), Action::Wander(place));
     }
 }

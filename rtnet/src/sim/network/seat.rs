@@ -2,22 +2,23 @@
 
 use std::collections::VecDeque;
 
+use super::frames::{Frames, Kept};
 use super::{Action, Agenda, Member, StationId};
-use crate::buf::{Buf, Pool};
 use crate::clock::True;
 use crate::discipline::{Discipline, Transmission};
 use crate::sim::link::Link;
 
-/// Buffers of a station's network card, as RTnet's receive ring and transmit descriptors.
-const NIC_POOL: usize = 32;
+/// Frames that wait for a station at the most: as many buffers as its network card has, as RTnet's receive ring and
+/// transmit descriptors.
+pub const RECEIVE_POOL: usize = 32;
 /// Turns without any time passing after which a station is taken to be stuck.
 const STUCK: u32 = 10_000;
 
 pub struct Seat<D: Discipline> {
-    pub member: Member<D>,
-    pub pool: Pool,
+    /// In a box: who only hears a frame touches nothing of it.
+    pub member: Box<Member<D>>,
     /// What has arrived, or is about to, in the order of its arrival.
-    inbox: VecDeque<(True, Buf)>,
+    inbox: VecDeque<(True, Kept)>,
     pub chosen: Option<Transmission>,
     /// When it had woken to choose that.
     pub woke: True,
@@ -54,9 +55,8 @@ pub struct Port {
 impl<D: Discipline> Seat<D> {
     pub fn new(member: Member<D>) -> Self {
         Self {
-            member,
-            pool: Pool::new(NIC_POOL),
-            inbox: VecDeque::with_capacity(NIC_POOL),
+            member: Box::new(member),
+            inbox: VecDeque::with_capacity(RECEIVE_POOL),
             chosen: None,
             woke: 0,
             blocked: false,
@@ -95,22 +95,34 @@ impl<D: Discipline> Seat<D> {
     }
 
     /// Forgets what has arrived and what was chosen.
-    pub fn clear(&mut self) {
-        self.inbox.clear();
+    pub fn clear(&mut self, frames: &mut Frames) {
+        self.inbox.drain(..).for_each(|(_, frame)| frames.leave(frame));
         self.chosen = None;
     }
 
+    /// Whether its receive pool is empty: all buffers have a frame that waits.
+    pub fn is_full(&self) -> bool {
+        self.inbox.len() == RECEIVE_POOL
+    }
+
     /// A frame arrives at a time, mostly behind all others.
-    pub fn receive(&mut self, at: True, frame: Buf) {
+    pub fn receive(&mut self, at: True, frame: Kept) {
         let place = self.inbox.iter().rposition(|&(before, _)| before <= at).map_or(0, |last| last + 1);
         self.inbox.insert(place, (at, frame));
     }
 
     /// Gives the station what has arrived by now.
-    pub fn drain(&mut self, now: True) {
-        let Member { clock, station, .. } = &mut self.member;
+    pub fn drain(&mut self, now: True, frames: &mut Frames) {
+        let Member { clock, station, .. } = &mut *self.member;
         while let Some((at, frame)) = self.inbox.pop_front_if(|&mut (at, _)| at <= now) {
-            station.on_frame(Some(clock.local(at)), frame);
+            match frames.hear(frame) {
+                Some(frame) => station.on_frame(Some(clock.local(at)), frame),
+                None => self.dropped += 1,
+            }
+        }
+        if self.inbox.is_empty() {
+            // It begins at its place of old: nobody goes through memory that others have no use for.
+            self.inbox.clear();
         }
     }
 

@@ -7,7 +7,7 @@
 //!
 //! Every buffer has a place of its own in its home, so going home is one atomic exchange with nobody to
 //! compete with, and taking is one more at the place that was filled last. A buffer knows its home by plain
-//! reference, without a count: for that a pool's places (9 bytes a buffer) stay for the life of the process;
+//! reference, without a count: for that a pool's places (16 bytes a buffer) stay for the life of the process;
 //! the buffers themselves are released with the pool.
 
 use core::fmt;
@@ -31,15 +31,20 @@ pub struct Buf {
 }
 
 struct Home {
-    places: Box<[AtomicCell<Option<Box<Storage>>>]>,
-    /// Where it is worth to look: set before a place is filled, cleared after it was emptied, both by the one
-    /// who owns the buffer then. So an empty place may seem filled for a moment; the reverse holds for nobody
-    /// who comes after the owner.
-    filled: Box<[AtomicBool]>,
+    places: Box<[Place]>,
     /// Where to look first: the place that somebody filled or emptied last.
     hint: AtomicUsize,
     /// The pool is gone: buffers that come home now are released.
     closed: AtomicBool,
+}
+
+/// Of one buffer.
+struct Place {
+    buffer: AtomicCell<Option<Box<Storage>>>,
+    /// Whether it is worth to look: set before the place is filled, cleared after it was emptied, both by the one
+    /// who owns the buffer then. So an empty place may seem filled for a moment; the reverse holds for nobody
+    /// who comes after the owner.
+    is_filled: AtomicBool,
 }
 
 struct Storage {
@@ -54,14 +59,15 @@ impl Pool {
     pub fn new(capacity: usize) -> Self {
         assert!(capacity > 0, "a pool owns at least one buffer");
         let home: &'static Home = Box::leak(Box::new(Home {
-            places: (0..capacity).map(|_| AtomicCell::new(None)).collect(),
-            filled: (0..capacity).map(|_| AtomicBool::new(false)).collect(),
+            places: (0..capacity).map(|_| Place::empty()).collect(),
             hint: AtomicUsize::new(0),
             closed: AtomicBool::new(false),
         }));
-        for place in (0..capacity).rev() {
+        for place in 0..capacity {
             home.keep(Box::new(Storage { home, place, len: 0, bytes: [0; ROOM] }));
         }
+        // The first is beside what all look at.
+        home.hint.store(0, Relaxed);
         Self { home }
     }
 
@@ -77,7 +83,7 @@ impl Pool {
 
     /// How many buffers are in the pool right now.
     pub fn available(&self) -> usize {
-        self.home.filled.iter().filter(|filled| filled.load(Relaxed)).count()
+        self.home.places.iter().filter(|place| place.is_filled.load(Relaxed)).count()
     }
 
     /// How many buffers the pool owns.
@@ -95,6 +101,12 @@ impl Drop for Pool {
     }
 }
 
+impl Place {
+    fn empty() -> Self {
+        Self { buffer: AtomicCell::new(None), is_filled: AtomicBool::new(false) }
+    }
+}
+
 impl Home {
     /// Nobody else fills this place, and it is empty: its only buffer is here.
     #[inline]
@@ -102,21 +114,23 @@ impl Home {
         if self.closed.load(Relaxed) {
             return;
         }
-        let place = storage.place;
-        self.filled[place].store(true, Relaxed);
-        let before = self.places[place].swap(Some(storage));
+        let number = storage.place;
+        let place = &self.places[number];
+        place.is_filled.store(true, Relaxed);
+        let before = place.buffer.swap(Some(storage));
         debug_assert!(before.is_none(), "two buffers with one place");
-        self.hint.store(place, Relaxed);
+        self.hint.store(number, Relaxed);
     }
 
     /// The buffer of a place, if it is at home.
     #[inline]
-    fn empty(&self, place: usize) -> Option<Box<Storage>> {
-        if !self.filled[place].load(Relaxed) {
+    fn empty(&self, number: usize) -> Option<Box<Storage>> {
+        let place = &self.places[number];
+        if !place.is_filled.load(Relaxed) {
             return None;
         }
-        let storage = self.places[place].swap(None)?;
-        self.filled[place].store(false, Relaxed);
+        let storage = place.buffer.swap(None)?;
+        place.is_filled.store(false, Relaxed);
         Some(storage)
     }
 

@@ -74,13 +74,24 @@ impl<T> PriorityQueue<T> {
         assert!(capacity > 0, "a queue needs room for at least one item");
         let last = capacity - 1;
         let next = |i| if i == last { NIL } else { i + 1 };
+        let nodes = (0..capacity).map(|i| Node { item: None, next: next(i) }).collect();
+        Self { nodes, free: 0, ..Self::without_room() }
+    }
+
+    /// A queue that gives every item back, in the place of one that is still to come; it takes no memory of its own.
+    pub fn without_room() -> Self {
         Self {
             occupied: 0,
             levels: [Level { head: NIL, tail: NIL }; Priority::LEVELS],
-            nodes: (0..capacity).map(|i| Node { item: None, next: next(i) }).collect(),
-            free: 0,
+            nodes: Box::default(),
+            free: NIL,
             len: 0,
         }
+    }
+
+    /// How many items it has room for.
+    pub fn capacity(&self) -> usize {
+        self.nodes.len()
     }
 
     /// Appends behind everything of the same priority; a full queue gives the item back.
@@ -181,6 +192,13 @@ mod tests {
         assert_eq!(queue.push(p(0), 'b'), Err('b'));
         assert_eq!(queue.pop(), Some((p(3), 'a')));
         assert_eq!(queue.push(p(0), 'b'), Ok(()));
+    }
+
+    #[test]
+    fn a_queue_without_room_gives_every_item_back() {
+        let mut queue = PriorityQueue::without_room();
+        assert_eq!((queue.push(p(3), 'a'), queue.push_front(p(3), 'b')), (Err('a'), Err('b')));
+        assert_eq!((queue.pop(), queue.capacity()), (None, 0));
     }
 
     #[test]

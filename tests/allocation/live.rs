@@ -95,10 +95,10 @@ fn every_command() -> Vec<TdmaCommand> {
     let slot = slot(1);
     let attached = NewRole::attached(role(1)).unwrap();
     vec![
-        TdmaCommand::SetSlot(SlotConfig { offset: slot.offset + Span::from_micros(50), ..slot }),
-        TdmaCommand::SetSlot(SlotConfig { id: 2, offset: Span::from_micros(1_900), joint: Some(0), ..slot }),
-        TdmaCommand::SetSlot(SlotConfig { size: 80, ..slot }),
-        TdmaCommand::SetSlot(slot),
+        TdmaCommand::set_slot(SlotConfig { offset: slot.offset + Span::from_micros(50), ..slot }),
+        TdmaCommand::set_slot(SlotConfig { id: 2, offset: Span::from_micros(1_900), joint: Some(0), ..slot }),
+        TdmaCommand::set_slot(SlotConfig { size: 80, ..slot }),
+        TdmaCommand::set_slot(slot),
         TdmaCommand::RemoveSlot(2),
         TdmaCommand::Become(NewRole::detached()),
         TdmaCommand::Become(attached),

@@ -65,11 +65,11 @@ fn slot() -> SlotConfig {
 fn changes_of_slots() -> Vec<TdmaCommand> {
     let at = |id, micros| SlotConfig { id, offset: Span::from_micros(micros), ..slot() };
     vec![
-        TdmaCommand::SetSlot(SlotConfig { joint: Some(0), ..at(2, 200) }),
-        TdmaCommand::SetSlot(SlotConfig { joint: Some(2), ..at(3, 500) }),
-        TdmaCommand::SetSlot(SlotConfig { size: 60, ..slot() }),
-        TdmaCommand::SetSlot(at(1, 700)),
-        TdmaCommand::SetSlot(slot()),
+        TdmaCommand::set_slot(SlotConfig { joint: Some(0), ..at(2, 200) }),
+        TdmaCommand::set_slot(SlotConfig { joint: Some(2), ..at(3, 500) }),
+        TdmaCommand::set_slot(SlotConfig { size: 60, ..slot() }),
+        TdmaCommand::set_slot(at(1, 700)),
+        TdmaCommand::set_slot(slot()),
         TdmaCommand::RemoveSlot(1),
         TdmaCommand::RemoveSlot(2),
     ]

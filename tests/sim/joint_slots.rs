@@ -88,7 +88,7 @@ fn slots_that_are_parted_resized_and_joined_while_they_run_lose_no_frame() {
         let now = lab.network.now();
         let member = lab.network.member_mut(AXIS);
         let now = member.clock.local(now);
-        member.station.discipline_mut().command(now, &mut TdmaCommand::SetSlot(change)).unwrap();
+        member.station.discipline_mut().command(now, &mut TdmaCommand::set_slot(change)).unwrap();
         lab.run_cycles(50);
         assert_eq!(of(&lab).map(|slot| (slot.size, slot.joint)), expected);
         assert_eq!(axis(&lab).counters.frames_sent - before, 100, "in every turn of both");

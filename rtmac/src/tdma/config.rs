@@ -1,6 +1,8 @@
 //! What is configured of a TDMA station, and what may be asked of it later.
 
+use rtnet::buf::Buf;
 use rtnet::discipline::{Channel, SyncState};
+use rtnet::queue::PriorityQueue;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::Address;
 
@@ -8,7 +10,7 @@ use super::joint;
 use super::line::PERIODS;
 use super::master::BACKUP_LOOKS_BEFORE;
 use super::replies::MAX_REPLY_AHEAD;
-use super::slot::MIN_SIZE;
+use super::slot::{MIN_SIZE, QUEUE_CAPACITY};
 use super::{
     MAX_HOLDOVER, MAX_REQUESTS, MAX_ROUNDS, Master, MasterConfig, NewRounds, Role, Slave, SlaveConfig,
     SlotConfig, Tdma,
@@ -59,7 +61,7 @@ pub struct TdmaConfig {
 #[allow(clippy::large_enum_variant)]
 pub enum TdmaCommand {
     /// Define or change a slot, from the next cycle on.
-    SetSlot(SlotConfig),
+    SetSlot(NewSlot),
     /// Remove a slot, from the next cycle on. What is queued in it is dropped and counted, but of slot 1, whose channel
     /// is slot 0's again then, and of a joint slot.
     RemoveSlot(Channel),
@@ -67,6 +69,27 @@ pub enum TdmaCommand {
     Become(NewRole),
     /// Measure the delay from the master anew, from the next cycle on.
     Calibrate(NewRounds),
+}
+
+impl TdmaCommand {
+    /// Define or change a slot, which takes memory.
+    pub fn set_slot(slot: SlotConfig) -> Self {
+        Self::SetSlot(NewSlot::of(slot))
+    }
+}
+
+/// A slot, with room for the frames that wait in it: made by the control thread, since that takes memory.
+pub struct NewSlot {
+    pub(super) config: SlotConfig,
+    /// What is left of it goes back: where a slot was before, the queue is there.
+    pub(super) queue: PriorityQueue<Buf>,
+}
+
+impl NewSlot {
+    /// With as much room as every slot has.
+    pub fn of(config: SlotConfig) -> Self {
+        Self { config, queue: PriorityQueue::new(QUEUE_CAPACITY) }
+    }
 }
 
 /// A role that is ready to be taken: made by the control thread, since making it takes memory.

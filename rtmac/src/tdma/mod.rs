@@ -54,7 +54,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 pub use anew::NewRounds;
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 pub use config::{
-    DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
+    DEFAULT_LEAD, LatePolicy, NewRole, NewSlot, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
     check_rounds,
 };
 use config::{check_rounds_of_master, checked};
@@ -146,7 +146,7 @@ impl Tdma {
             if slots.get(slot.id).is_some() {
                 return Err(Refused::DefinedTwice { id: slot.id });
             }
-            slots.set(slot, 0, &mut events)?;
+            slots.set(&mut NewSlot::of(slot), 0, &mut events)?;
         }
         match config.role {
             RoleConfig::Master(master) => {
@@ -347,20 +347,21 @@ impl Discipline for Tdma {
     fn command(&mut self, now: Instant, command: &mut TdmaCommand) -> Result<u32, Refused> {
         let cycle = self.cycle_at(now);
         match command {
-            TdmaCommand::SetSlot(slot) => {
+            TdmaCommand::SetSlot(new) => {
+                let slot = new.config;
                 if let Role::Master(master) = &self.role {
-                    checked(*master.config(), &[*slot])?;
+                    checked(*master.config(), &[slot])?;
                 }
                 self.not_while_calibrating(slot.id, now)?;
-                self.joined_may_follow(slot, now)?;
-                self.can_calibrate(slot.id, Some(slot))?;
-                self.role.can_use(self.lead, [&*slot])?;
+                self.joined_may_follow(&slot, now)?;
+                self.can_calibrate(slot.id, Some(&slot))?;
+                self.role.can_use(self.lead, [&slot])?;
                 if let Some(&TimeLine { period: cycle, .. }) = self.line()
                     && slot.offset >= cycle
                 {
                     return Err(Refused::BeyondCycle { id: slot.id, offset: slot.offset, cycle });
                 }
-                self.slots.set(*slot, cycle, &mut self.events)?;
+                self.slots.set(new, cycle, &mut self.events)?;
             }
             TdmaCommand::RemoveSlot(id) => {
                 self.not_while_calibrating(*id, now)?;

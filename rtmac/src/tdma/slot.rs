@@ -15,7 +15,7 @@ use rtnet::queue::PriorityQueue;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet;
 
-use super::config::Refused;
+use super::config::{NewSlot, Refused};
 use super::events::Events;
 use super::joint;
 use super::line::{TimeLine, next_cycle};
@@ -29,7 +29,7 @@ pub const NON_RT_SLOT: Channel = 1;
 /// Smallest slot: the payload of the smallest frame.
 pub const MIN_SIZE: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
 /// Frames that wait in a slot at the most: as many as RTnet's socket pool holds, twice.
-const QUEUE_CAPACITY: u16 = 32;
+pub const QUEUE_CAPACITY: u16 = 32;
 
 /// What is configured of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +75,7 @@ impl SlotConfig {
     }
 }
 
-/// A place for a slot. Its queue is there from the start, so that a slot can be defined while others are used.
+/// A place for a slot. Its queue comes with the first that is defined here, and stays.
 struct Slot {
     /// `None`: not defined.
     config: Option<SlotConfig>,
@@ -134,7 +134,7 @@ impl Slots {
     pub fn new(max_id: u8) -> Self {
         let place = |id| Slot {
             config: None,
-            queue: PriorityQueue::new(QUEUE_CAPACITY),
+            queue: PriorityQueue::without_room(),
             next: 0,
             change: None,
             sent: 0,
@@ -149,10 +149,15 @@ impl Slots {
 
     /// Defines or changes a slot, from the cycle after `cycle` on; a turn that it still has in `cycle` it
     /// takes as it was. Queued frames that still fit stay. What is joined to it follows, or is told of.
-    pub fn set(&mut self, slot: SlotConfig, cycle: u32, events: &mut Events) -> Result<(), Refused> {
+    pub fn set(&mut self, new: &mut NewSlot, cycle: u32, events: &mut Events) -> Result<(), Refused> {
+        let slot = new.config;
         slot.check(self.max_id)?;
         let joint = joint::owner(&slot, |id| self.plan_of(id))?;
         let slot = SlotConfig { joint, ..slot };
+        let place = &mut self.table[usize::from(slot.id)];
+        if place.queue.capacity() == 0 {
+            core::mem::swap(&mut place.queue, &mut new.queue);
+        }
         self.change(slot.id, Change::Set(slot), cycle);
         for id in 0..=self.max_id {
             let follows = self.plan_of(id).and_then(|other| joint::follow(&other, &slot));

@@ -139,9 +139,9 @@ fn slots_change_by_command_and_a_masters_must_be_in_its_cycle() {
     let mut master = active_master();
     let slot = config(RoleConfig::Master(master_config())).slots[0];
     let beyond = SlotConfig { id: 2, offset: Span::from_millis(1), ..slot };
-    let refused = master.command(at(3_500), &mut TdmaCommand::SetSlot(beyond)).unwrap_err();
+    let refused = master.command(at(3_500), &mut TdmaCommand::set_slot(beyond)).unwrap_err();
     assert!(refused.to_string().contains("beyond the cycle of 1ms"), "{refused}");
-    master.command(at(3_500), &mut TdmaCommand::SetSlot(SlotConfig { id: 2, ..slot })).unwrap();
+    master.command(at(3_500), &mut TdmaCommand::set_slot(SlotConfig { id: 2, ..slot })).unwrap();
     assert_eq!(master.payload_limit(2), Ok(100));
     master.command(at(3_500), &mut TdmaCommand::RemoveSlot(2)).unwrap();
     assert_eq!(master.payload_limit(2), Err(SendError::NoSlot(2)));
@@ -270,7 +270,7 @@ fn at_one_instant_a_sync_goes_first_and_a_reply_before_data() {
 /// Its slot 0, moved or of another size.
 fn moved(offset: i64, size: usize) -> TdmaCommand {
     let slot = config(RoleConfig::Master(master_config())).slots[0];
-    TdmaCommand::SetSlot(SlotConfig { offset: Span::from_micros(offset), size, ..slot })
+    TdmaCommand::set_slot(SlotConfig { offset: Span::from_micros(offset), size, ..slot })
 }
 
 #[test]
@@ -318,7 +318,7 @@ fn a_slave_keeps_the_slot_it_calibrates_in() {
     let error = slave.command(at(2_600), &mut TdmaCommand::RemoveSlot(0)).unwrap_err();
     assert!(error.to_string().contains("only one of a slave"), "{error}");
     let other = SlotConfig { id: 2, ..slave.status().slots[0].unwrap().config };
-    slave.command(at(2_600), &mut TdmaCommand::SetSlot(other)).unwrap();
+    slave.command(at(2_600), &mut TdmaCommand::set_slot(other)).unwrap();
     slave.command(at(2_600), &mut TdmaCommand::RemoveSlot(0)).unwrap();
     assert_eq!(slave.status().slots.iter().flatten().count(), 1);
 }

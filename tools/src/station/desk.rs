@@ -174,7 +174,7 @@ impl Desk {
     fn set_slot(&mut self, change: &SlotChange) -> Reply {
         let before = self.own_slots.as_ref().and_then(|own| own.get(change.id)).map(|&slot| slot.into());
         let slot = change.over(before.as_ref()).config(self.latest);
-        self.change(TdmaCommand::SetSlot(slot), |own, heard| {
+        self.change(TdmaCommand::set_slot(slot), |own, heard| {
             let own = own.with(slot)?;
             own.check_slot(slot.id, heard).map(|()| own)
         })

@@ -15,7 +15,7 @@ fn config(id: u8, offset: i64, phase: u32, period: u32) -> SlotConfig {
 }
 
 fn set(slots: &mut Slots, slot: SlotConfig) -> Result<(), Refused> {
-    slots.set(slot, 0, &mut Events::new())
+    slots.set(&mut NewSlot::of(slot), 0, &mut Events::new())
 }
 
 fn line() -> TimeLine {
@@ -44,6 +44,25 @@ fn slots_take_turns_by_time_and_phase() {
         })
         .collect();
     assert_eq!(order, [(1, 2, 1100), (1, 0, 1300), (2, 0, 2300), (2, 3, 2300), (3, 2, 3100), (3, 0, 3300)]);
+}
+
+#[test]
+fn a_slot_brings_its_queue_and_one_that_is_there_already_goes_back() {
+    let mut slots = Slots::new(7);
+    let mut left = |slot: SlotConfig| {
+        let mut new = NewSlot::of(slot);
+        let answer = slots.set(&mut new, 0, &mut Events::new());
+        (answer, new.queue.capacity())
+    };
+    let queue = usize::from(QUEUE_CAPACITY);
+    let refused = Refused::JointUndefined { id: 2, joint: 0 };
+    assert_eq!(left(SlotConfig { joint: Some(0), ..config(2, 100, 0, 1) }), (Err(refused), queue));
+    assert_eq!(left(config(2, 100, 0, 1)), (Ok(()), 0));
+    assert_eq!(left(config(2, 200, 0, 1)), (Ok(()), queue), "only its place in the cycle is another");
+    slots.remove(2, 0).unwrap();
+    let mut again = NewSlot::of(config(2, 100, 0, 1));
+    slots.set(&mut again, 1, &mut Events::new()).unwrap();
+    assert_eq!(again.queue.capacity(), queue, "who takes a slot away frees nothing");
 }
 
 #[test]
@@ -233,7 +252,7 @@ fn a_slot_that_grows_leaves_those_joined_to_it_behind_and_says_so() {
     let mut slots = with(&[config(0, 100, 0, 1), joined(2, 300, 0), joined(3, 500, 0)]);
     (1..=2).for_each(|mark| frames.queue(&mut slots, mark, mark));
     let mut events = Events::new();
-    slots.set(SlotConfig { size: 101, ..config(0, 100, 0, 1) }, 6, &mut events).unwrap();
+    slots.set(&mut NewSlot::of(SlotConfig { size: 101, ..config(0, 100, 0, 1) }), 6, &mut events).unwrap();
     let told: Vec<_> = core::iter::from_fn(|| events.take()).map(|e| (e.cycle, e.kind, e.slot)).collect();
     assert_eq!(told, [2, 3].map(|id| (7, EventKind::JointDetached, Some(id))));
     // They still have their turn in cycle 6.
@@ -338,7 +357,7 @@ proptest! {
                 Step::Set { id, size, joint, phase } => {
                     let slot = SlotConfig { size, joint, ..config(id, i64::from(id) * 100, phase % 2, 1 + phase) };
                     // What cannot be is refused, and changes nothing.
-                    let _ = slots.set(slot, cycle, &mut events);
+                    let _ = slots.set(&mut NewSlot::of(slot), cycle, &mut events);
                 }
                 Step::Remove(id) => drop(slots.remove(id, cycle)),
                 Step::Enqueue { channel, level, payload } => {

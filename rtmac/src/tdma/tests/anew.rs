@@ -111,7 +111,7 @@ fn other_slots_are_used_as_ever_meanwhile() {
     let mut slave = locked_slave();
     let slot =
         SlotConfig { id: 2, offset: Span::from_micros(600), ..slave.status().slots[0].unwrap().config };
-    slave.command(at(2_650), &mut TdmaCommand::SetSlot(slot)).unwrap();
+    slave.command(at(2_650), &mut TdmaCommand::set_slot(slot)).unwrap();
     hear_syncs(&mut slave, 3..=3);
     assert!(slave.next_transmission(at(3_600)).is_none(), "nothing was queued");
     slave.command(at(3_700), &mut calibrate(50)).unwrap();
@@ -132,15 +132,15 @@ fn other_slots_are_used_as_ever_meanwhile() {
 fn the_slot_in_which_it_is_measured_anew_stays_the_first() {
     let mut slave = locked_slave();
     let slot = SlotConfig { id: 2, ..slave.status().slots[0].unwrap().config };
-    slave.command(at(2_600), &mut TdmaCommand::SetSlot(slot)).unwrap();
+    slave.command(at(2_600), &mut TdmaCommand::set_slot(slot)).unwrap();
     slave.command(at(2_600), &mut TdmaCommand::RemoveSlot(0)).unwrap();
     slave.command(at(2_600), &mut calibrate(2)).unwrap();
     for id in [1, 2] {
-        let refused = slave.command(at(2_600), &mut TdmaCommand::SetSlot(SlotConfig { id, ..slot }));
+        let refused = slave.command(at(2_600), &mut TdmaCommand::set_slot(SlotConfig { id, ..slot }));
         assert_eq!(refused, Err(Refused::Calibrating { id: 2 }));
     }
     assert_eq!(
-        slave.command(at(2_600), &mut TdmaCommand::SetSlot(SlotConfig { id: 3, ..slot })),
+        slave.command(at(2_600), &mut TdmaCommand::set_slot(SlotConfig { id: 3, ..slot })),
         Ok(3),
         "one behind it may come"
     );
@@ -194,7 +194,7 @@ fn a_master_that_will_follow_others_is_judged_by_its_slots_as_a_slave_is() {
     assert!(matches!(refused, Refused::BeforeBackup { id: 0, .. }), "{refused}");
     let mut tdma =
         Tdma::new(&TdmaConfig { role: RoleConfig::Master(backup), ..with_slots(0, &[(0, 1)]) }).unwrap();
-    let set = TdmaCommand::SetSlot(with_slots(0, &[(0, 1_025)]).slots[0]);
+    let set = TdmaCommand::set_slot(with_slots(0, &[(0, 1_025)]).slots[0]);
     assert_eq!(tdma.command(at(0), &mut { set }).map(drop), never);
 }
 

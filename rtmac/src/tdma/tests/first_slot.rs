@@ -19,7 +19,7 @@ fn a_first_slot_in_which_no_master_would_reply_is_refused() {
 #[test]
 fn no_command_leaves_a_slave_with_a_first_slot_in_which_no_master_would_reply() {
     let refused = Err(Refused::NeverCalibrated { id: 1, period: 1_025 });
-    let set = TdmaCommand::SetSlot(with_slots(1, &[(1, 1_025)]).slots[0]);
+    let set = TdmaCommand::set_slot(with_slots(1, &[(1, 1_025)]).slots[0]);
     let role = RoleConfig::Slave(SlaveConfig { rounds: 1, ..SlaveConfig::default() });
     let calibrate = TdmaCommand::Become(NewRole::attached(role).unwrap());
     for (rounds, slots, mut command) in [
@@ -37,7 +37,7 @@ fn slots_that_are_about_to_go_do_not_count() {
     let mut slave = locked_slave();
     let other =
         SlotConfig { id: 2, offset: Span::from_micros(600), ..slave.status().slots[0].unwrap().config };
-    slave.command(at(2_650), &mut TdmaCommand::SetSlot(other)).unwrap();
+    slave.command(at(2_650), &mut TdmaCommand::set_slot(other)).unwrap();
     hear_syncs(&mut slave, 3..=3);
     // Both still have their turn in cycle 3.
     assert_eq!(slave.command(at(3_100), &mut TdmaCommand::RemoveSlot(2)), Ok(4));

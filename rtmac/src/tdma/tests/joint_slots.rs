@@ -53,7 +53,7 @@ fn a_slot_that_others_are_joined_to_changes_with_them_once_their_turns_have_pass
     let mut slave = locked();
     (0..4).for_each(|_| queue(&mut slave, &pool, 60));
     let grown = SlotConfig { size: 200, ..slots()[1] };
-    assert_eq!(slave.command(at(2_100), &mut TdmaCommand::SetSlot(grown)), Ok(3));
+    assert_eq!(slave.command(at(2_100), &mut TdmaCommand::set_slot(grown)), Ok(3));
     assert_eq!([sent_next(&mut slave), sent_next(&mut slave)], [at(2_400), at(2_700)], "as they were");
     hear_syncs(&mut slave, 3..=4);
     assert_eq!(
@@ -76,13 +76,16 @@ fn what_cannot_be_joined_or_removed_is_refused_and_nothing_changes() {
     for (mut command, refused) in [
         (TdmaCommand::RemoveSlot(0), Refused::JoinedTo { id: 0, by: 2 }),
         (TdmaCommand::RemoveSlot(1), Refused::Alias),
-        (TdmaCommand::SetSlot(SlotConfig { joint: Some(2), ..own }), Refused::JointRound { id: 0, joint: 2 }),
         (
-            TdmaCommand::SetSlot(SlotConfig { joint: Some(1), ..joint }),
+            TdmaCommand::set_slot(SlotConfig { joint: Some(2), ..own }),
+            Refused::JointRound { id: 0, joint: 2 },
+        ),
+        (
+            TdmaCommand::set_slot(SlotConfig { joint: Some(1), ..joint }),
             Refused::JointUndefined { id: 2, joint: 1 },
         ),
         (
-            TdmaCommand::SetSlot(SlotConfig { size: 99, ..joint }),
+            TdmaCommand::set_slot(SlotConfig { size: 99, ..joint }),
             Refused::JointSize { id: 2, size: 99, joint: 0, other: 100 },
         ),
     ] {
@@ -103,8 +106,8 @@ fn a_slot_that_would_take_the_one_along_in_which_a_slave_calibrates_stays_for_th
     hear_syncs(&mut slave, 1..=2);
     assert_eq!(slave.time().state, SyncState::Calibrating);
     let smaller = SlotConfig { size: 60, ..slots[1] };
-    let refused = slave.command(at(2_100), &mut TdmaCommand::SetSlot(smaller));
+    let refused = slave.command(at(2_100), &mut TdmaCommand::set_slot(smaller));
     assert_eq!(refused, Err(Refused::Calibrating { id: 0 }));
     let moved = SlotConfig { offset: Span::from_micros(800), ..slots[1] };
-    assert!(slave.command(at(2_100), &mut TdmaCommand::SetSlot(moved)).is_ok(), "slot 0 stays what it is");
+    assert!(slave.command(at(2_100), &mut TdmaCommand::set_slot(moved)).is_ok(), "slot 0 stays what it is");
 }

@@ -11,7 +11,7 @@
 
 use super::config::{Refused, check_rounds};
 use super::job::Job;
-use super::round::Round;
+use super::round::Room;
 use super::slot::Turn;
 use super::{MAX_ROUNDS, Role, Tdma};
 use rtnet::discipline::SyncState;
@@ -24,7 +24,7 @@ const TURNS: u32 = 4;
 #[derive(Debug)]
 pub struct NewRounds {
     rounds: u32,
-    room: Vec<Round>,
+    room: Room,
 }
 
 impl NewRounds {
@@ -32,7 +32,7 @@ impl NewRounds {
     pub fn of(rounds: u32) -> Result<Self, Refused> {
         match rounds {
             0 => Err(Refused::NoRounds),
-            1..=MAX_ROUNDS => Ok(Self { rounds, room: Vec::with_capacity(rounds as usize) }),
+            1..=MAX_ROUNDS => Ok(Self { rounds, room: Room::of(rounds) }),
             _ => Err(Refused::TooManyRounds { rounds }),
         }
     }

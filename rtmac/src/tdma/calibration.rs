@@ -26,7 +26,7 @@ use rtnet::time::{Instant, Span};
 use super::line::TimeLine;
 use super::rate::Rate;
 use super::report::{CalibrationReport, Tally};
-use super::round::{self, Begun, Round};
+use super::round::{self, Begun, Room, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
 pub const DEFAULT_ROUNDS: u32 = 100;
@@ -44,7 +44,8 @@ pub struct Calibration {
     /// Of the one under way, or of the last.
     wanted: u32,
     is_measuring: bool,
-    samples: Vec<Round>,
+    /// For the rounds of the one under way, and the quicker ones of the last that are of the line that is followed.
+    room: Room,
     /// The request's stamp on this station's clock, while its reply is awaited.
     outstanding: Option<Instant>,
     attempts: u32,
@@ -57,8 +58,7 @@ pub struct Calibration {
     /// By how much the line was late that was followed meanwhile, were there no delay.
     of_line: Span,
     rate: Option<Rate>,
-    /// The quicker rounds of the line that is followed, and in which cycle the last was, while they say something of it.
-    kept: Vec<Round>,
+    /// In which cycle the last round was, while the rounds that are kept say something of the line.
     done: Option<u32>,
     report: Option<CalibrationReport>,
     repeats: u64,
@@ -72,7 +72,7 @@ impl Calibration {
             rounds,
             wanted: rounds,
             is_measuring: rounds > 0,
-            samples: Vec::with_capacity(rounds as usize),
+            room: Room::of(rounds),
             outstanding: None,
             attempts: 0,
             tally: Tally::default(),
@@ -81,7 +81,6 @@ impl Calibration {
             delay: (rounds == 0).then_some(Span::ZERO),
             of_line: Span::ZERO,
             rate: None,
-            kept: Vec::with_capacity(round::KEPT),
             done: None,
             report: None,
             repeats: 0,
@@ -116,7 +115,7 @@ impl Calibration {
 
     /// Of the measuring under way: rounds so far, of how many.
     pub fn progress(&self) -> Option<(u32, u32)> {
-        self.is_measuring.then_some((self.samples.len() as u32, self.wanted))
+        self.is_measuring.then_some((self.room.samples.len() as u32, self.wanted))
     }
 
     /// What the last calibration has shown, or the first so far.
@@ -137,11 +136,9 @@ impl Calibration {
 
     /// Measures anew, at least one round. A delay that is known stays until the last. Rounds that do not fit what is
     /// there take the place of `room`, which is left with what they do not need.
-    pub fn measure_anew(&mut self, rounds: u32, room: &mut Vec<Round>) {
-        if self.samples.capacity() < rounds as usize {
-            core::mem::swap(&mut self.samples, room);
-        }
-        self.wanted = rounds.min(self.samples.capacity() as u32);
+    pub fn measure_anew(&mut self, rounds: u32, room: &mut Room) {
+        self.room.widen(rounds, room);
+        self.wanted = rounds.min(self.room.samples.capacity() as u32);
         self.is_measuring = true;
         self.start_over();
     }
@@ -149,13 +146,13 @@ impl Calibration {
     /// The same in as many rounds as are configured, for which there is always room.
     pub fn repeat(&mut self) {
         if self.rounds > 0 {
-            self.measure_anew(self.rounds, &mut Vec::new());
+            self.measure_anew(self.rounds, &mut Room::default());
         }
     }
 
     /// The rounds so far count no more.
     fn start_over(&mut self) {
-        self.samples.clear();
+        self.room.samples.clear();
         self.tally = Tally::default();
         (self.outstanding, self.attempts) = (None, 0);
     }
@@ -201,8 +198,8 @@ impl Calibration {
             return Err(Refusal::ImplausibleReply);
         }
         self.tally.note(round.delay);
-        self.samples.push(round);
-        let is_last = self.samples.len() == self.wanted as usize;
+        self.room.samples.push(round);
+        let is_last = self.room.samples.len() == self.wanted as usize;
         if is_last {
             self.conclude(line);
         }
@@ -211,21 +208,21 @@ impl Calibration {
 
     /// What all rounds say. Those on another line measured the delay as well, but tell nothing of this one.
     fn conclude(&mut self, line: &TimeLine) {
-        let delays = round::keep_quicker(&mut self.samples);
+        let delays = round::keep_quicker(&mut self.room.samples);
         self.report = self.tally.report(Some(delays));
         self.one = delays.quartile;
-        self.kept.clear();
-        self.kept.extend(self.samples.iter().filter(|round| round.line == self.line));
-        if self.kept.len() * 2 < self.samples.len() {
-            self.kept.clear();
+        self.room.kept.clear();
+        self.room.kept.extend(self.room.samples.iter().filter(|round| round.line == self.line));
+        if self.room.kept.len() * 2 < self.room.samples.len() {
+            self.room.kept.clear();
         }
         let of_syncs = |round: &Round| round.ahead_of(round.begun(), 0.0).abs() < line.period;
-        self.rate = round::rate(&self.kept).filter(|_| self.kept.first().is_some_and(of_syncs));
+        self.rate = round::rate(&self.room.kept).filter(|_| self.room.kept.first().is_some_and(of_syncs));
         let apart = self.rate.map_or(0.0, |rate| -rate.gains);
         let late = |round: &Round| round.ahead_of(round.begun(), apart);
-        let later = round::later(&mut self.kept, self.one, line.period, late);
+        let later = round::later(&mut self.room.kept, self.one, line.period, late);
         let delay = self.one + later.unwrap_or(Span::ZERO);
-        self.of_line = later.and_then(|_| round::of_line(&mut self.kept, late)).unwrap_or(delay);
+        self.of_line = later.and_then(|_| round::of_line(&mut self.room.kept, late)).unwrap_or(delay);
         self.delay = Some(delay);
         self.done = Some(line.cycle);
         self.is_measuring = false;
@@ -244,7 +241,7 @@ impl Calibration {
     ) -> Span {
         let (Some(before), Some(_)) = (self.delay, self.done) else { return Span::ZERO };
         let late = |round: &Round| before + round.ahead_of(begun(round.begun().cycle), apart);
-        let later = round::later(&mut self.kept, self.one, period, late);
+        let later = round::later(&mut self.room.kept, self.one, period, late);
         let delay = later.map_or(before, |later| self.one + later);
         if (delay - before).abs() <= unsure / 2 {
             return Span::ZERO;

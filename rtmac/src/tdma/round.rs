@@ -26,9 +26,18 @@ const LATER_AT_MOST: i64 = 12;
 const LATER_PARTS: i64 = 16;
 
 /// The quicker half of the rounds is kept, but no more than so many.
-pub const KEPT: usize = 128;
+const KEPT: usize = 128;
 /// From the first round to the last a busy host may make one way longer than the other by twice this much: measured.
 const ASKEW: Span = Span::from_micros(1);
+
+/// Room for rounds, as many as are to be measured.
+#[derive(Debug, Default)]
+pub struct Room {
+    /// For those that are being measured.
+    pub samples: Vec<Round>,
+    /// For the quicker ones of the last calibration.
+    pub kept: Vec<Round>,
+}
 
 /// A round.
 #[derive(Clone, Copy, Debug)]
@@ -54,6 +63,22 @@ pub struct Begun {
     pub start: Instant,
     /// From this clock to the master's.
     pub offset: Offset,
+}
+
+impl Room {
+    pub fn of(rounds: u32) -> Self {
+        let rounds = rounds as usize;
+        Self { samples: Vec::with_capacity(rounds), kept: Vec::with_capacity(kept_of(rounds)) }
+    }
+
+    /// Is the other from now on if it is too small for so many rounds, and the other what it was.
+    pub fn widen(&mut self, rounds: u32, other: &mut Room) {
+        if self.samples.capacity() < rounds as usize {
+            core::mem::swap(self, other);
+            // What the last calibration has kept is of use until this one is done.
+            self.kept.append(&mut other.kept);
+        }
+    }
 }
 
 impl Round {
@@ -90,12 +115,17 @@ impl Round {
 pub fn keep_quicker(rounds: &mut Vec<Round>) -> Delays {
     let delays = Delays::of(rounds, |round| round.delay);
     // They are among those that are not longer than the median.
-    let kept = rounds.len().div_ceil(2).min(KEPT);
+    let kept = kept_of(rounds.len());
     rounds.truncate(rounds.len() / 2 + 1);
     rounds.select_nth_unstable_by_key(kept - 1, |round| round.delay);
     rounds.truncate(kept);
     rounds.sort_unstable_by_key(|round| round.delay);
     delays
+}
+
+/// How many of so many rounds are kept.
+fn kept_of(rounds: usize) -> usize {
+    rounds.div_ceil(2).min(KEPT)
 }
 
 /// How much later than a frame for `one` station Synchronisations are, by how `late` each of the quicker rounds shows
@@ -196,6 +226,17 @@ mod tests {
             in_order.truncate(in_order.len().div_ceil(2).min(KEPT));
             assert!(rounds.iter().map(|round| round.delay).eq(in_order), "of {count}");
         }
+    }
+
+    #[test]
+    fn what_was_kept_moves_along_to_a_larger_room() {
+        let (mut room, mut brought) = (Room::of(20), Room::of(60));
+        room.kept.extend(rounds(0, 0, |_| 0).into_iter().take(10));
+        room.widen(20, &mut brought);
+        assert_eq!((room.samples.capacity(), brought.samples.capacity()), (20, 60), "it is large enough");
+        room.widen(21, &mut brought);
+        assert_eq!((room.samples.capacity(), brought.samples.capacity()), (60, 20));
+        assert_eq!((room.kept.len(), room.kept.capacity(), brought.kept.len()), (10, 30, 0));
     }
 
     #[test]

@@ -215,7 +215,7 @@ impl Seat {
             (false, None, Some(_)) => Phase::Outstanding,
             (false, None, None) => Phase::Idle,
         };
-        (phase, (calibration.samples.len(), calibration.attempts, calibration.repeats()))
+        (phase, (calibration.room.samples.len(), calibration.attempts, calibration.repeats()))
     }
 
     fn hear(&mut self, from: Address, to: Address, rx: Instant, message: Message) -> Answer {

@@ -3,6 +3,7 @@ mod holdover;
 mod servo;
 mod transitions;
 
+use super::super::round::Room;
 use super::*;
 use crate::tdma::OnMasterChange;
 

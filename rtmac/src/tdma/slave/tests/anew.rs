@@ -54,7 +54,7 @@ fn a_delay_that_is_measured_anew_replaces_the_old_one_after_the_last_round() {
     // The way has become longer: cycles begin late by as much, until that is known.
     (5..60).for_each(|cycle| bench.hear_of(MASTER, cycle, 1_700));
     assert_eq!(bench.slave.line().unwrap().start.nanos(), 59 * PERIOD + 1_000);
-    bench.slave.calibration_mut().measure_anew(3, &mut Vec::with_capacity(3));
+    bench.slave.calibration_mut().measure_anew(3, &mut Room::of(3));
     for (cycle, measured) in [(60, 1), (61, 2)] {
         bench.hear_of(MASTER, cycle, 1_700);
         assert_eq!(bench.round(cycle, 1_700), Ok(false));
@@ -92,7 +92,7 @@ fn a_sync_that_takes_longer_than_a_round_is_known_to_when_it_is_measured_anew_to
 #[test]
 fn a_delay_that_nobody_answers_for_stays_and_is_not_asked_for_any_more() {
     let mut bench = calibrated(OnMasterChange::Keep);
-    bench.slave.calibration_mut().measure_anew(1, &mut Vec::new());
+    bench.slave.calibration_mut().measure_anew(1, &mut Room::default());
     let requests = (0..100).take_while(|_| bench.slave.calibration_mut().begin_round()).count();
     assert_eq!((requests, bench.slave.calibration().is_measuring(), bench.delay()), (23, false, Some(700)));
 }
@@ -100,11 +100,11 @@ fn a_delay_that_nobody_answers_for_stays_and_is_not_asked_for_any_more() {
 #[test]
 fn more_rounds_than_there_is_room_for_take_the_room_that_is_brought() {
     let mut calibration = Calibration::new(2);
-    let mut room = Vec::with_capacity(9);
+    let mut room = Room::of(9);
     calibration.measure_anew(9, &mut room);
-    assert_eq!((calibration.progress(), room.capacity()), (Some((0, 9)), 2), "the old one goes back");
+    assert_eq!((calibration.progress(), room.samples.capacity()), (Some((0, 9)), 2), "the old one goes back");
     calibration.measure_anew(4, &mut room);
-    assert_eq!((calibration.progress(), room.capacity()), (Some((0, 4)), 2), "there is room already");
+    assert_eq!((calibration.progress(), room.samples.capacity()), (Some((0, 4)), 2), "there is room already");
 }
 
 #[test]

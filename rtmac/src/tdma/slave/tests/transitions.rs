@@ -155,7 +155,7 @@ impl Place {
                 (2, 3)
             }
             Place::Anew => {
-                bench.slave.calibration_mut().measure_anew(1, &mut Vec::with_capacity(1));
+                bench.slave.calibration_mut().measure_anew(1, &mut Room::of(1));
                 (2, 3)
             }
             Place::Doubled => {

@@ -49,11 +49,13 @@ scenarios! {
     parted_network_is_whole_again
     primary_dies_and_the_backups_take_over
     primary_dies_twenty_times_on_a_lossy_medium
+    queued_frames_on_late_hosts_leave_nothing_unexplained
     station_babbles_on_a_hub
     station_joins_a_running_network
     stopped_stations_send_nothing_late
     switch_delays_every_frame
     ten_megabits_on_a_hub
+    urgent_frames_overtake_a_backlog
     wires_are_out_and_back
 }
 
@@ -82,6 +84,27 @@ fn one_seed_is_one_run_to_the_byte_and_another_is_another() {
     let (first, second, other) = (run(7, "a"), run(7, "b"), run(8, "c"));
     assert!(first == second && first.0 != other.0);
     assert!(first.0.len() > 500_000, "{}", first.0.len());
+}
+
+#[test]
+fn a_queued_frame_waits_for_as_long_as_can_be_worked_out_at_the_most() {
+    let figures = run("urgent_frames_overtake_a_backlog.toml").figures.figures;
+    let longest: Vec<_> = figures.queueing.iter().map(|of| (of.priority, of.delay_ns.max.unwrap())).collect();
+    let (lead, cycle) = (50_000, 1_000_000);
+    let near = |(priority, longest): (u8, i64), cycles: i64| {
+        let worst = lead + cycles * cycle;
+        assert!(
+            (worst - 4_000..worst + 1_000).contains(&longest),
+            "priority {priority}: {longest} of {worst}"
+        );
+    };
+    let [urgent, backlog] = longest[..] else { panic!("{longest:?}") };
+    assert_eq!((urgent.0, backlog.0), (3, 20));
+    near(urgent, 1);
+    near(backlog, 8 + 2);
+    assert_eq!(figures.per_station[1].queueing, figures.queueing, "nobody else queues anything");
+    let shortest = figures.queueing[0].delay_ns.min.unwrap();
+    assert!((lead - 1_000..lead + 3_000).contains(&shortest), "{shortest}: it just came in time");
 }
 
 #[test]

@@ -166,6 +166,7 @@ fn station(random: &mut Random, id: StationId, payload: usize, backups: &[(Stati
         // Of fewer than four the lower quartile is the lowest: one reply that is held up would count.
         rounds: if random.happens(100_000) { 0 } else { random.between(4, 8) as u32 },
         slots: Vec::new(),
+        flows: Vec::new(),
     }
 }
 

@@ -6,7 +6,8 @@ use super::{Failure, screen_width, writable, write_json};
 use crate::cli::SimRunArgs;
 use crate::report::screen;
 use crate::scenario::{self, Scenario};
-use crate::sim::{self, Checked, Ended, Options, screen as sim_screen};
+use crate::sim::screen::{self as sim_screen, Around};
+use crate::sim::{self, Checked, Ended, Options};
 
 /// Prints a scenario that runs.
 pub fn example() -> Result<u8, Failure> {
@@ -28,7 +29,7 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let width = screen_width();
     let around =
         frames_around(&scenario, &options, &figures.simulation.expectations).map_err(Failure::Run)?;
-    let text = sim_screen::render(&figures, &around, width)
+    let text = sim_screen::render(&figures, around.as_ref(), width)
         + "\n"
         + &screen::render(&figures.figures, width, &slot_error_abs);
     let _ = std::io::stdout().write_all(text.as_bytes());
@@ -46,8 +47,14 @@ fn scenario(args: &SimRunArgs) -> anyhow::Result<Scenario> {
 
 /// The frames around the first place where something was not as expected. The run is repeated for them: it is the same
 /// to the byte, and none has to be kept of one in which all is well.
-fn frames_around(scenario: &Scenario, options: &Options, checked: &[Checked]) -> anyhow::Result<Vec<String>> {
-    let Some(cycle) = checked.iter().find_map(|checked| checked.cycle) else { return Ok(Vec::new()) };
+fn frames_around(
+    scenario: &Scenario,
+    options: &Options,
+    checked: &[Checked],
+) -> anyhow::Result<Option<Around>> {
+    let first = checked.iter().find_map(|checked| Some((checked.line, checked.cycle?)));
+    let Some((line, cycle)) = first else { return Ok(None) };
     let around = Some((cycle.saturating_sub(1), cycle.saturating_add(1)));
-    Ok(sim::run(scenario, &Options { pcap: None, around, ..options.clone() })?.lines)
+    let frames = sim::run(scenario, &Options { pcap: None, around, ..options.clone() })?.lines;
+    Ok(Some(Around { line, cycle, frames }))
 }

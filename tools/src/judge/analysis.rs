@@ -16,9 +16,12 @@ use super::givers::{Givers, TrueMaster};
 use super::masters::Masters;
 use super::sight::Sight;
 use super::timetable::{Timetable, before};
+use super::worst::Worst;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
 use crate::station::traffic::Tag;
+
+pub use queueing::Queueing;
 
 /// Findings that are kept one by one; the rest is counted, and counts as unexplained.
 const FINDINGS_MAX: usize = 1_000_000;
@@ -31,8 +34,14 @@ pub struct Seen {
     pub slot_error: SignedHistogram,
     /// Which of its frames were on the medium.
     pub passed: Passed,
+    /// The largest of those, early or late.
+    pub worst_slot_error: Worst,
+    /// Its program's frames, by priority.
+    pub queueing: BTreeMap<u8, Queueing>,
     /// Its frames outside its slots, of whatever kind.
     pub stray: u64,
+    /// In which cycle the first of them was.
+    pub strayed: Option<u32>,
     last: BTreeMap<u8, u32>,
     /// The newest cycle with a frame of it, and how many.
     newest: (u32, u64),
@@ -65,7 +74,7 @@ pub struct Analysis {
     /// Who gave the time when.
     pub masters: Masters,
     /// The frame in the window that ended latest, by how much after its slot's end, or before it.
-    pub latest: Option<Span>,
+    pub latest: Worst,
     /// Synchronisations seen in the window.
     pub syncs: u64,
     /// Actual - scheduled transmit of Synchronisations.
@@ -80,14 +89,25 @@ pub struct Analysis {
     pub stations: Vec<Seen>,
 }
 
+impl Seen {
+    /// A frame of it is outside its slots.
+    fn strays(&mut self, cycle: u32) {
+        self.stray += 1;
+        self.strayed.get_or_insert(cycle);
+    }
+}
+
 impl Analysis {
     /// An analysis of a scenario whose master has this clock. Nothing counts before [`Analysis::begin`].
     pub fn new(scenario: &Scenario, master: TrueMaster) -> Self {
-        let seen = || Seen {
+        let seen = |plan| Seen {
             frames: 0,
             slot_error: SignedHistogram::new(),
+            worst_slot_error: Worst::default(),
+            queueing: queueing::of_station(plan),
             passed: Passed::default(),
             stray: 0,
+            strayed: None,
             last: BTreeMap::new(),
             newest: (0, 0),
             awaited: None,
@@ -109,13 +129,13 @@ impl Analysis {
             heard: None,
             sight: Sight::default(),
             masters: Masters::default(),
-            latest: None,
+            latest: Worst::default(),
             syncs: 0,
             sync_slot_error: SignedHistogram::new(),
             sync_period_jitter: SignedHistogram::new(),
             findings: Vec::new(),
             findings_dropped: 0,
-            stations: scenario.stations.iter().map(|_| seen()).collect(),
+            stations: scenario.stations.iter().map(seen).collect(),
         }
     }
 
@@ -160,6 +180,18 @@ impl Analysis {
     pub fn grid(&self) -> Option<(u32, GlobalTime)> {
         let current = self.current?;
         Some((current, self.start_of(current)?))
+    }
+
+    /// The cycle of a true moment, and how long after its start that is.
+    pub fn place(&self, at: True) -> Option<(u32, Span)> {
+        let cycle = self.cycle_at(at)?;
+        Some((cycle, self.error(at, self.start_of(cycle)?)))
+    }
+
+    /// How long after the begin of its slot a frame is on the medium.
+    pub fn slot_error(&self, at: True, of: Author) -> Option<Span> {
+        let slot = self.timetable.at(of.station, of.slot?, of.cycle)?;
+        Some(self.error(at, self.start_of(of.cycle)? + slot.offset))
     }
 
     /// A cycle's start on the master's clock.
@@ -222,10 +254,9 @@ impl Analysis {
                 self.sync(at, author, (from, sched), air);
             }
         } else if let Some((tag, _)) = Tag::read(bytes)
-            && tag.station() < self.stations.len()
+            && let Some(author) = self.author_of(at, tag, bytes.len())
         {
-            let author = Author { station: tag.station(), cycle: tag.cycle(), slot: Some(tag.slot) };
-            self.occupy(at, air, Some(tag.cycle()), Some(author));
+            self.occupy(at, air, Some(author.cycle), Some(author));
             self.data(at, tag, author, air);
         } else {
             // Somebody else's, or nobody's: whom it hits, it hits.
@@ -324,7 +355,7 @@ impl Analysis {
         if self.counts(cycle) {
             self.syncs += 1;
             self.sync_slot_error.record(error.nanos());
-            self.ends(error + air - self.sync_window);
+            self.latest.note((error + air - self.sync_window).nanos(), cycle);
         }
         if error < -self.clock_share || error > self.sync_window - air {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
@@ -347,15 +378,19 @@ impl Analysis {
     }
 
     fn data(&mut self, at: True, tag: &Tag, author: Author, air: Span) {
-        let Author { station, cycle, .. } = author;
+        let Author { station, cycle, slot } = author;
+        let id = slot.unwrap_or(tag.slot);
         self.heard(station, cycle);
         let counts = self.counts(cycle);
-        self.stations[station].passed.note(tag.sequence(), counts);
+        match tag.priority() {
+            None => self.stations[station].passed.note(tag.sequence(), counts),
+            Some(_) => self.note_queued(at, tag, author),
+        }
         if !counts {
             return;
         }
-        self.timetable.sent(station, tag.slot, cycle);
-        let Some(&slot) = self.timetable.at(station, tag.slot, cycle) else {
+        self.timetable.sent(station, id, cycle);
+        let Some(&slot) = self.timetable.at(station, id, cycle) else {
             return self.find(Finding::of(author, FindingKind::OutOfSlot, Span::ZERO));
         };
         // What the frame says of its instant is what its station believes.
@@ -368,7 +403,7 @@ impl Analysis {
         // A frame may begin early by the clocks' share of its neighbour's guard band, and must leave
         // the same share of its own.
         let end = self.length(slot.size);
-        self.ends(error + air - end);
+        self.latest.note((error + air - end).nanos(), cycle);
         if error < -self.clock_share || error + air > end - self.clock_share {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
@@ -382,6 +417,7 @@ impl Analysis {
         seen.frames += 1;
         seen.newest = (cycle, if seen.newest.0 == cycle { seen.newest.1 + 1 } else { 1 });
         seen.slot_error.record(error.nanos());
+        seen.worst_slot_error.note(error.nanos().saturating_abs(), cycle);
     }
 
     /// A frame of a station that may have been waited for.
@@ -391,11 +427,6 @@ impl Analysis {
         {
             *again = Some(cycle);
         }
-    }
-
-    /// A frame has left the air so long after its slot's end.
-    fn ends(&mut self, late: Span) {
-        self.latest = self.latest.max(Some(late));
     }
 
     /// A frame that is no test traffic is in a slot of the station whose address it bears, or that one babbles.
@@ -409,7 +440,9 @@ impl Analysis {
             -self.clock_share <= error && error + air <= self.length(slot.size) - self.clock_share
         };
         let is_stray = !self.timetable.ids(station).into_iter().any(is_in);
-        self.stations[station].stray += u64::from(is_stray);
+        if is_stray {
+            self.stations[station].strays(cycle);
+        }
     }
 
     /// From a slot's begin to the end of its guard band.
@@ -417,7 +450,8 @@ impl Analysis {
         self.rate.air_time(size + rtnet::wire::ethernet::HEADER_LEN) + self.guard
     }
 
-    fn error(&self, at: True, scheduled: GlobalTime) -> Span {
+    /// How much later than at a moment of global time that is.
+    pub fn error(&self, at: True, scheduled: GlobalTime) -> Span {
         Span::from_nanos(at.wrapping_sub(self.truth().truth(scheduled)) as i64)
     }
 
@@ -426,7 +460,7 @@ impl Analysis {
             return;
         }
         if let (FindingKind::OutOfSlot, [Some(author), _]) = (finding.kind, finding.authors) {
-            self.stations[author.station].stray += 1;
+            self.stations[author.station].strays(finding.cycle);
         }
         if self.findings.len() < FINDINGS_MAX {
             self.findings.push(finding);
@@ -437,5 +471,6 @@ impl Analysis {
 }
 
 mod gaps;
+mod queueing;
 #[cfg(test)]
 mod tests;

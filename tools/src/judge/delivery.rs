@@ -6,7 +6,7 @@ use crate::station::traffic::step;
 /// Gaps that are kept; what is missing in later ones counts as lost.
 const GAPS_MAX: usize = 1_000_000;
 /// More than a sender sends within what a capture ring holds back.
-const BEYOND: u64 = 10_000;
+pub const BEYOND: u64 = 10_000;
 
 /// What a receiver heard of its sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -32,6 +32,8 @@ pub struct Masters {
     rivals: Option<(u32, u32)>,
     /// Most such cycles in a row.
     pub rival_cycles: u32,
+    /// The last of those.
+    pub rivals_in: Option<u32>,
     /// Whether the medium has fallen apart: then each part may have its master.
     pub is_cut: bool,
 }
@@ -72,7 +74,9 @@ impl Masters {
             _ => 1,
         };
         self.rivals = Some((cycle, run));
-        self.rival_cycles = self.rival_cycles.max(run);
+        if run > self.rival_cycles {
+            (self.rival_cycles, self.rivals_in) = (run, Some(cycle));
+        }
     }
 }
 

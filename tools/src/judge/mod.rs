@@ -17,3 +17,4 @@ pub mod noteworthy;
 pub mod outcome;
 mod sight;
 pub mod timetable;
+pub mod worst;

@@ -1,16 +1,16 @@
 //! From what was seen and told to the figures of a report.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use rtnet::discipline::EventKind;
-use rtnet::time::Span;
 
 use super::absences::Absence;
 use super::analysis::Analysis;
 use super::delivery::Heard;
 use super::explain::Records;
 use super::findings::{Finding, FindingKind};
-use crate::report::figures::{Figures, Miss, MissKind, Role, StationFigures, Verdict};
+use crate::report::figures::{Figures, Miss, MissKind, QueueingFigures, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
@@ -78,6 +78,8 @@ pub struct Facts {
     pub clock_steps: u64,
     /// Events that it could not tell of.
     pub lost_records: u64,
+    /// Frames that its program queued and for which there was no room, by priority.
+    pub queue_refused: BTreeMap<u8, u64>,
     /// Frames for it that a simulation lost on purpose, or a cut wire.
     pub lost_on_purpose: u64,
     /// What is wrong with it, a sentence without a full stop.
@@ -99,7 +101,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         overruns: own(EventKind::Overrun).count() as u64,
         stalled_in_send: (own(EventKind::StalledInSend).chain(own(EventKind::ReplyStalled))).count() as u64,
         guard_drops: own(EventKind::GuardDropped).chain(own(EventKind::SyncDropped)).count() as u64,
-        latest_frame_ns: analysis.latest.map(Span::nanos),
+        latest_frame_ns: analysis.latest.value(),
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
         rt_cpu_percent: stations.iter().map(|station| station.rt_cpu_share).sum::<f64>() * 100.0,
@@ -126,6 +128,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.slot_error_abs_ns = all.slot_error_abs.summary();
     figures.sync_error_ns = all.sync_error.summary();
     figures.wake_latency = wake_latency(&parts.stations);
+    figures.queueing = queueing(&parts, 0..stations.len());
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     figures.unexplained = analysis.findings_dropped;
     use EventKind::{ReplyFailed, SendFailed, SlotEmpty, SlotSilent, TurnLeft};
@@ -231,7 +234,26 @@ fn station_figures(
         frames_lost: frames_lost(scenario, parts, station),
         refusals: facts.refusals.clone(),
         notes,
+        queueing: queueing(parts, station..station + 1),
     }
+}
+
+/// What the programs of these stations queued, by priority.
+fn queueing(parts: &Parts, stations: Range<usize>) -> Vec<QueueingFigures> {
+    let mut delays: BTreeMap<u8, SignedHistogram> = BTreeMap::new();
+    for (&priority, seen) in parts.analysis.stations[stations.clone()].iter().flat_map(|seen| &seen.queueing)
+    {
+        delays.entry(priority).or_default().merge(&seen.delay);
+    }
+    let facts = &parts.stations[stations];
+    let refused = |priority: &u8| facts.iter().filter_map(|facts| facts.queue_refused.get(priority)).sum();
+    let figures = |(priority, delay): (&u8, &SignedHistogram)| QueueingFigures {
+        priority: *priority,
+        frames_seen: delay.len(),
+        refused: refused(priority),
+        delay_ns: delay.summary(),
+    };
+    delays.iter().map(figures).collect()
 }
 
 /// Of what its sender had on the medium. What a lost station heard last is not known.

@@ -259,7 +259,7 @@ impl Keeper {
             out_of_slot: self.tally.out_of_slot,
             syncs_missing: self.tally.syncs_missing,
             time_by: self.scenario.stations[analysis.giver()].name.clone(),
-            latest_frame_ns: analysis.latest.map(Span::nanos),
+            latest_frame_ns: analysis.latest.value(),
             unexplained: self.tally.unexplained,
             unexplained_last: self.tally.shown.iter().map(|finding| self.words(finding)).collect(),
             causes: self.tally.causes.clone(),

@@ -209,6 +209,14 @@ impl Member {
         count(&self.standing_at_end).saturating_sub(count(&self.standing_at_begin))
     }
 
+    /// Frames of its program that found no room in their queue, by priority, since the begin.
+    fn queue_refused(&self) -> BTreeMap<u8, u64> {
+        let Some(end) = &self.standing_at_end else { return BTreeMap::new() };
+        let before = |priority: &u8| self.standing_at_begin.as_ref()?.queue_refused.get(priority).copied();
+        let since = |(priority, n): (&u8, &u64)| (*priority, n.saturating_sub(before(priority).unwrap_or(0)));
+        end.queue_refused.iter().map(since).collect()
+    }
+
     /// Test traffic that it has heard altogether.
     pub fn heard(&self) -> Heard {
         let anew = self.restarts > 0;
@@ -255,6 +263,7 @@ impl Member {
             notes: self.refused.iter().cloned().chain(self.noteworthy.lines()).collect(),
             clock_steps: standing.map_or(0, |standing| standing.clock_steps),
             lost_records: standing.map_or(0, |standing| standing.lost_records),
+            queue_refused: self.queue_refused(),
             // While a wire is cut nobody knows what would have been heard.
             lost_on_purpose: if self.cuts > 0 { u64::MAX } else { 0 },
             reproach: self.reproach(name, is_judged),
@@ -415,6 +424,7 @@ pub fn arguments(
         step_limit_ns: schedule::step_limit(scenario.guard).nanos(),
         resume: resume.grid.map(|(cycle, sched)| (cycle, sched.nanos())),
         first: resume.first,
+        flows: scenario.flow_plan(station),
     };
     add("--lab", serde_json::to_string(&lab)?);
     add("--rounds", plan.rounds.to_string());

@@ -70,7 +70,7 @@ impl What {
     pub fn scheduled(&self) -> Option<(u32, GlobalTime)> {
         match self {
             What::Tdma(Message::Sync { cycle, sched, .. }) => Some((*cycle, *sched)),
-            What::Data(tag) => Some((tag.cycle(), tag.scheduled())),
+            What::Data(tag) if tag.priority().is_none() => Some((tag.cycle(), tag.scheduled())),
             _ => None,
         }
     }
@@ -94,13 +94,17 @@ impl fmt::Display for What {
             }
             What::Tunnel(inner, bytes) => write!(f, "tunnel {inner:?}, {bytes} bytes"),
             What::Data(tag) => {
-                let (station, slot) = (tag.station(), tag.slot);
-                write!(
-                    f,
-                    "data station {station} slot {slot} cycle {} sequence {}",
-                    tag.cycle(),
-                    tag.sequence()
-                )
+                let (station, slot, sequence) = (tag.station(), tag.slot, tag.sequence());
+                match tag.priority() {
+                    None => write!(
+                        f,
+                        "data station {station} slot {slot} cycle {} sequence {sequence}",
+                        tag.cycle()
+                    ),
+                    Some(priority) => {
+                        write!(f, "data station {station} priority {priority} sequence {sequence}")
+                    }
+                }
             }
             What::Other(ether_type, bytes) => write!(f, "ethertype {ether_type:?}, {bytes} bytes"),
             What::Refused(why) => write!(f, "refused: {}", why.name()),

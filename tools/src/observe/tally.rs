@@ -205,6 +205,8 @@ impl Turns {
 fn which(what: &What) -> Option<Which> {
     match what {
         What::Tdma(Message::Sync { .. }) => Some(Which::Sync),
+        // In which slot it left it does not say.
+        What::Data(tag) if tag.priority().is_some() => Some(Which::Sporadic("queued")),
         What::Data(tag) => Some(Which::Slot { station: tag.station(), slot: tag.slot }),
         What::Other(ether_type, _) => Some(Which::Foreign(*ether_type)),
         What::Refused(_) => None,

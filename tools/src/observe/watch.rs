@@ -24,6 +24,8 @@ pub struct Sight {
     pub decoded: Decoded,
     /// Its cycle: the one it tells, else the one in which it was on the medium.
     pub cycle: Option<u32>,
+    /// Its slot, of test traffic, if that is known.
+    pub slot: Option<u8>,
     /// When it was.
     pub when: When,
 }
@@ -43,10 +45,14 @@ impl Watch {
     /// Takes a frame of `wire_len` bytes. Without a moment, nothing is concluded from when it came.
     pub fn frame(&mut self, at: Option<True>, bytes: &[u8], wire_len: usize) -> Sight {
         let decoded = decode(bytes, wire_len);
+        let slot = match decoded.what {
+            What::Data(tag) if tag.priority().is_none() => Some(tag.slot),
+            _ => None,
+        };
         let Some(at) = at else {
             self.line.forget();
             let cycle = decoded.what.scheduled().map(|(cycle, _)| cycle);
-            return Sight { decoded, cycle, when: When::Unknown };
+            return Sight { decoded, cycle, slot, when: When::Unknown };
         };
         if let What::Tdma(Message::Sync { cycle, sched, xmit }) = decoded.what {
             self.line.sync(at, cycle, sched, xmit);
@@ -54,12 +60,12 @@ impl Watch {
         match decoded.what.scheduled() {
             Some((cycle, scheduled)) => {
                 let when = self.line.error(at, scheduled).map_or(When::Unknown, When::SlotError);
-                Sight { decoded, cycle: Some(cycle), when }
+                Sight { decoded, cycle: Some(cycle), slot, when }
             }
             None => {
                 let place = self.line.place(at);
                 let when = place.map_or(When::Unknown, |(_, span)| When::Place(span));
-                Sight { decoded, cycle: place.map(|(cycle, _)| cycle), when }
+                Sight { decoded, cycle: place.map(|(cycle, _)| cycle), slot, when }
             }
         }
     }
@@ -82,7 +88,11 @@ impl Sight {
         let mut text = self.cycle.map_or_else(|| "no cycle".to_owned(), |cycle| format!("cycle {cycle}"));
         // Writing to a string does not fail.
         let _ = match self.decoded.what {
-            What::Data(tag) => write!(text, ", slot {} of station {}", tag.slot, tag.station()),
+            What::Data(tag) => {
+                let slot = self.slot.map_or(String::new(), |slot| format!(" slot {slot} of"));
+                let queued = tag.priority().map_or(String::new(), |of| format!(", priority {of}"));
+                write!(text, ",{slot} station {}{queued}", tag.station())
+            }
             What::Refused(why) => write!(text, ", refused: {}", why.name()),
             ref what => write!(text, ", {}", what.kind()),
         };

@@ -94,6 +94,9 @@ pub struct Figures {
     /// nanoseconds, lowest and highest, and how many. A simulation's hosts draw from it: `late = "recorded FILE"`.
     #[serde(default)]
     pub wake_latency: Vec<(u64, u64, u64)>,
+    /// What programs queued, by priority.
+    #[serde(default)]
+    pub queueing: Vec<QueueingFigures>,
 }
 
 impl Figures {
@@ -164,6 +167,22 @@ pub struct StationFigures {
     pub refusals: BTreeMap<String, u64>,
     /// What a reader should know, such as `SCHED_FIFO refused: ...`.
     pub notes: Vec<String>,
+    /// What its program queued, by priority.
+    #[serde(default)]
+    pub queueing: Vec<QueueingFigures>,
+}
+
+/// What became of frames of one priority that programs queued.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+pub struct QueueingFigures {
+    /// 0 is the most urgent.
+    pub priority: u8,
+    /// Frames seen on the medium.
+    pub frames_seen: u64,
+    /// Frames that found no room in their queue.
+    pub refused: u64,
+    /// From when a frame was queued until it was on the wire.
+    pub delay_ns: Summary,
 }
 
 /// The part that a station plays in the cycle.

@@ -8,7 +8,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use super::figures::{Figures, GuardName, Miss, StationFigures};
+use super::figures::{Figures, GuardName, Miss, QueueingFigures, StationFigures};
 use super::histogram::{SignedHistogram, Summary};
 use super::host::HostFacts;
 use super::text::{
@@ -38,6 +38,7 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         stations(&figures.per_station, width),
         bars(histogram, width),
         jitter(figures, width),
+        queueing(&figures.queueing, width),
         misses(figures, width),
         notes(figures, width),
         host_lines(&figures.host, Some(slot_guard(&figures.per_station)), width),
@@ -166,6 +167,25 @@ fn jitter(figures: &Figures, width: usize) -> Vec<String> {
     ];
     let definitions = rows.iter().map(|(name, definition, _)| format!("  {name:<18} = {definition}"));
     table(&columns, width).into_iter().chain(definitions).collect()
+}
+
+/// How long what programs queued has waited, by priority.
+fn queueing(queueing: &[QueueingFigures], width: usize) -> Vec<String> {
+    if queueing.is_empty() {
+        return Vec::new();
+    }
+    let right =
+        |head, cell: fn(&QueueingFigures) -> String| Column::right(["", head], queueing.iter().map(cell));
+    let columns = [
+        Column::left(["", "queueing in us"], queueing.iter().map(|of| format!("priority {}", of.priority))),
+        right("n", |of| grouped(of.frames_seen)),
+        right("p50", |of| micros_or_dash(of.delay_ns.p50)),
+        right("p99", |of| micros_or_dash(of.delay_ns.p99)),
+        right("max", |of| micros_or_dash(of.delay_ns.max)),
+        right("refused", |of| grouped(of.refused)),
+    ];
+    let definition = "  queueing           = frame on the wire - queued by its program".to_owned();
+    table(&columns, width).into_iter().chain([definition]).collect()
 }
 
 fn misses(figures: &Figures, width: usize) -> Vec<String> {

@@ -13,6 +13,8 @@ pub struct Expectation {
     pub measure: Measure,
     /// Of which station alone; none: of all.
     pub station: Option<usize>,
+    /// And of its traffic of which priority alone.
+    pub priority: Option<u8>,
     /// How it is compared, and with what: a count, or nanoseconds.
     pub relation: Relation,
     /// See `relation`.
@@ -83,11 +85,17 @@ pub enum Measure {
     SmallestGap,
     /// Frames of a station outside its slots, as others see them: see `babbling` in the report.
     Stray,
+    /// Longest time from when a program queued a frame until it was on the wire.
+    QueueingDelay,
+    /// What 99 of 100 of those do not exceed.
+    QueueingP99,
+    /// Frames of programs that found no room in their queue.
+    QueueRefused,
 }
 
 impl Measure {
     /// Every one, with its name in files.
-    pub const ALL: [(Measure, &'static str); 22] = [
+    pub const ALL: [(Measure, &'static str); 25] = [
         (Measure::Overlaps, "overlaps"),
         (Measure::OutOfSlot, "out_of_slot"),
         (Measure::Unexplained, "unexplained"),
@@ -110,6 +118,9 @@ impl Measure {
         (Measure::LatestFrame, "latest_frame"),
         (Measure::SmallestGap, "smallest_gap"),
         (Measure::Stray, "stray"),
+        (Measure::QueueingDelay, "queueing_delay"),
+        (Measure::QueueingP99, "queueing_p99"),
+        (Measure::QueueRefused, "queue_refused"),
     ];
 
     /// Its name in files and reports.
@@ -137,7 +148,16 @@ impl Measure {
                 | Locked
                 | Masters
                 | Stray
+                | QueueingDelay
+                | QueueingP99
+                | QueueRefused
         )
+    }
+
+    /// Whether it can be asked of a station's traffic of one priority.
+    pub fn is_of_traffic(self) -> bool {
+        use Measure::*;
+        matches!(self, FramesSeen | QueueingDelay | QueueingP99 | QueueRefused)
     }
 
     /// Whether a lab measures it, too.
@@ -161,13 +181,16 @@ impl Measure {
                 | Takeovers
                 | TakeoverCycles
                 | RivalCycles
+                | QueueingDelay
+                | QueueingP99
+                | QueueRefused
         )
     }
 
     /// Whether it is a time, not a count.
     pub fn is_time(self) -> bool {
         use Measure::*;
-        matches!(self, SyncError | SlotError | LatestFrame | SmallestGap)
+        matches!(self, SyncError | SlotError | LatestFrame | SmallestGap | QueueingDelay | QueueingP99)
     }
 
     /// A value of it in words.
@@ -237,7 +260,7 @@ mod tests {
     #[track_caller]
     fn check(measure: Measure, text: &str, figure: i64, holds: bool) {
         let (relation, limit) = Expectation::parse(measure, text).unwrap();
-        let expected = Expectation { measure, station: None, relation, limit, line: 1 };
+        let expected = Expectation { measure, station: None, priority: None, relation, limit, line: 1 };
         assert_eq!(expected.holds(figure), holds, "{expected}, {figure}");
     }
 

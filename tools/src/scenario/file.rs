@@ -19,32 +19,38 @@
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 },
 //!          { id = 2, offset = "500us", joint = 0 }]          # takes from slot 0's queue; of one size
+//!
+//! [[station.traffic]]       # what its program sends besides; its usual frame has what slots are left
+//! priority = 3              # 0, the most urgent, to 29
+//! every = "4ms"             # of global time
+//! burst = 2                 # so many at a time
+//! payload = 100
+//! slot = 0                  # default: its first
+//! expect = { queueing_delay = "<= 1050us" }
 //! ```
 //!
 //! What a network goes through, and what is expected of it, stands in sections of its own: see [`conditions`].
 
 mod conditions;
+mod stations;
 
 use std::path::Path;
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
-use rtmac::tdma::{
-    DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, LatePolicy, MAX_ROUNDS, check_cycle, check_rounds, joint,
-};
+use rtmac::tdma::{LatePolicy, check_cycle, check_rounds};
 use rtnet::sim::Joint;
 use rtnet::time::Span;
-use rtnet::wire::ethernet;
 use serde::Deserialize;
 use toml::Spanned;
 
-use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, WanderFile, WireFile};
+use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, Whose, WireFile};
+use stations::StationFile;
 
 use super::{
-    Conditions, MAX_STATIONS, MIN_PAYLOAD, Measure, Scenario, ServoName, SlotGuard, SlotPlan, StationPlan,
-    default_sync_window, divide,
+    Conditions, Measure, Scenario, ServoName, SlotGuard, SlotPlan, StationPlan, default_sync_window, divide,
 };
 use crate::report::figures::Role;
-use crate::units::{AnySpan, FileRate, GuardBand, NonNegativeSpan, PositiveSpan};
+use crate::units::{FileRate, GuardBand, PositiveSpan};
 
 const DEFAULT_RATE: Rate = Rate::from_bits_per_second(1_000_000_000);
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
@@ -120,56 +126,6 @@ enum Late {
     Send,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct StationFile {
-    name: Spanned<String>,
-    role: FileRole,
-    backup: Option<PositiveSpan>,
-    payload: Option<Spanned<usize>>,
-    rounds: Option<u32>,
-    clock: Option<ClockFile>,
-    host: Option<HostFile>,
-    expect: Option<ExpectFile>,
-    slots: Option<Vec<Spanned<SlotFile>>>,
-}
-
-#[derive(Clone, Copy, Deserialize, PartialEq)]
-#[serde(rename_all = "lowercase")]
-enum FileRole {
-    Master,
-    Backup,
-    Slave,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ClockFile {
-    offset: Option<AnySpan>,
-    drift_ppm: Option<f64>,
-    wander: Option<WanderFile>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SlotFile {
-    id: u8,
-    offset: NonNegativeSpan,
-    phase: Option<String>,
-    size: Option<usize>,
-    joint: Option<u8>,
-}
-
-impl From<FileRole> for Role {
-    fn from(role: FileRole) -> Self {
-        match role {
-            FileRole::Master => Role::Master,
-            FileRole::Backup => Role::Backup,
-            FileRole::Slave => Role::Slave,
-        }
-    }
-}
-
 impl Source<'_> {
     /// Reads the network.
     pub fn parse(self) -> Result<Scenario, FileError> {
@@ -234,12 +190,17 @@ impl Source<'_> {
             host: network.host.take(),
             wires: std::mem::take(&mut network.wire),
             events: std::mem::take(&mut network.event),
-            expects: network.expect.take().map(|expect| (None, expect)).into_iter().collect(),
+            expects: network.expect.take().map(|expect| (Whose::default(), expect)).into_iter().collect(),
             ..Sections::default()
         };
         for (id, entry) in network.station.iter().enumerate() {
-            let StationFile { host, clock, expect, .. } = entry.get_ref();
-            sections.expects.extend(expect.clone().map(|expect| (Some(id), expect)));
+            let StationFile { host, clock, expect, traffic, .. } = entry.get_ref();
+            let whose = Whose { station: Some(id), priority: None };
+            sections.expects.extend(expect.clone().map(|expect| (whose, expect)));
+            for flow in traffic.iter().map(Spanned::get_ref) {
+                let whose = Whose { priority: Some(flow.priority), ..whose };
+                sections.expects.extend(flow.expect.clone().map(|expect| (whose, expect)));
+            }
             sections.hosts.extend(host.clone().map(|host| (id, host)));
             sections.wanders.extend(clock.as_ref().and_then(|clock| clock.wander).map(|wander| (id, wander)));
         }
@@ -291,108 +252,6 @@ impl Source<'_> {
         (ppm.abs() <= MAX_DRIFT_PPM).then_some((ppm * 1_000.0).round() as i64).ok_or_else(refuse)
     }
 
-    fn check_stations(&self, stations: &[Spanned<StationFile>]) -> Result<(), FileError> {
-        let first = stations.first().map_or(0, |entry| entry.span().start);
-        if !(2..=MAX_STATIONS).contains(&stations.len()) {
-            let what = format!("{} stations: there must be 2 to {MAX_STATIONS}", stations.len());
-            return Err(self.impossible(first, what));
-        }
-        for (i, entry) in stations.iter().enumerate() {
-            let name = &entry.get_ref().name;
-            if stations[..i].iter().any(|other| other.get_ref().name.get_ref() == name.get_ref()) {
-                let what = format!("the name '{}' is taken by another station", name.get_ref());
-                return Err(self.impossible(name.span().start, what));
-            }
-        }
-        let mut masters = stations.iter().filter(|entry| entry.get_ref().role == FileRole::Master);
-        match (masters.next(), masters.next()) {
-            (Some(_), None) => Ok(()),
-            (None, _) => Err(self.impossible(first, "no station has the role \"master\": exactly one must")),
-            (Some(a), Some(b)) => {
-                let names = (a.get_ref().name.get_ref(), b.get_ref().name.get_ref());
-                let what =
-                    format!("'{}' is a second master beside '{}': exactly one must be", names.1, names.0);
-                Err(self.impossible(b.span().start, what))
-            }
-        }
-    }
-
-    fn station(&self, entry: &Spanned<StationFile>) -> Result<StationPlan, FileError> {
-        let station = entry.get_ref();
-        let payload = station.payload.as_ref().map_or(DEFAULT_PAYLOAD, |payload| *payload.get_ref());
-        if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
-            let at = station.payload.as_ref().map_or(entry.span().start, |payload| payload.span().start);
-            let what = format!("a payload of {payload} bytes: it must be {MIN_PAYLOAD} to {}", ethernet::MTU);
-            return Err(self.impossible(at, what));
-        }
-        let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload));
-        let mut slots = slots.collect::<Result<Vec<_>, _>>()?;
-        for (i, slot) in slots.iter().enumerate() {
-            if slots[..i].iter().any(|other| other.id == slot.id) {
-                let at = station.slots.as_ref().map_or(entry.span().start, |slots| slots[i].span().start);
-                return Err(self.impossible(at, format!("slot {} is defined twice", slot.id)));
-            }
-        }
-        self.join(&mut slots, station)?;
-        if (station.role == FileRole::Backup) != station.backup.is_some() {
-            let what = "a backup says when it sends, as in backup = \"100us\", and nobody else does";
-            return Err(self.impossible(entry.span().start, what));
-        }
-        if let Some(rounds) = station.rounds.filter(|&rounds| rounds > MAX_ROUNDS) {
-            let what = format!("{rounds} calibration rounds: at most {MAX_ROUNDS}");
-            return Err(self.impossible(entry.span().start, what));
-        }
-        let clock = station.clock.as_ref();
-        let drift = clock.and_then(|clock| clock.drift_ppm).unwrap_or(0.0);
-        let offset = clock.and_then(|clock| clock.offset).map_or(Span::ZERO, |offset| offset.0);
-        if drift.is_nan() || drift.abs() > MAX_DRIFT_PPM || offset.abs() > MAX_OFFSET {
-            let what = format!(
-                "a clock off by {offset} and {drift} ppm: at most {MAX_OFFSET} and {MAX_DRIFT_PPM} ppm"
-            );
-            return Err(self.impossible(entry.span().start, what));
-        }
-        Ok(StationPlan {
-            name: station.name.get_ref().clone(),
-            role: station.role.into(),
-            backup: station.backup.map(|backup| backup.0),
-            clock: clock.map(|_| (offset, (drift * 1_000.0).round() as i64)),
-            clock_offset: Span::ZERO,
-            clock_drift_ppb: 0,
-            payload,
-            rounds: station.rounds.unwrap_or(DEFAULT_ROUNDS),
-            slots,
-        })
-    }
-
-    fn slot(&self, entry: &Spanned<SlotFile>, payload: usize) -> Result<SlotPlan, FileError> {
-        let slot = entry.get_ref();
-        let refuse = |what: String| Err(self.impossible(entry.span().start, what));
-        let (phase, period) = match slot.phase.as_deref().map(parse_phase) {
-            None => (0, 1),
-            Some(Ok(phase)) => phase,
-            Some(Err(what)) => return refuse(what),
-        };
-        let size = slot.size.unwrap_or(payload);
-        if size < payload || size > ethernet::MTU {
-            return refuse(format!("a size of {size} must hold the payload of {payload}, and at most 1500"));
-        }
-        if slot.id > DEFAULT_MAX_SLOT_ID {
-            return refuse(format!("slot {}: ids go from 0 to {DEFAULT_MAX_SLOT_ID}", slot.id));
-        }
-        Ok(SlotPlan { id: slot.id, offset: slot.offset.0, phase, period, size, joint: slot.joint })
-    }
-
-    /// Lets every joint slot take from a queue that there is.
-    fn join(&self, slots: &mut [SlotPlan], station: &StationFile) -> Result<(), FileError> {
-        let plans = slots.to_vec();
-        let get = |id| plans.iter().find(|plan| plan.id == id).map(|plan| plan.config(Span::ZERO));
-        for (slot, entry) in slots.iter_mut().zip(station.slots.iter().flatten()) {
-            let owner = joint::owner(&slot.config(Span::ZERO), get);
-            slot.joint = owner.map_err(|refused| self.impossible(entry.span().start, refused))?;
-        }
-        Ok(())
-    }
-
     /// No station says where its slots are: the cycle is divided evenly, in the order of the file.
     fn divide(
         &self,
@@ -400,7 +259,8 @@ impl Source<'_> {
         window: Option<Span>,
         guard: Option<Span>,
     ) -> Result<(), FileError> {
-        let size = scenario.stations.iter().map(|station| station.payload).max().unwrap_or(DEFAULT_PAYLOAD);
+        let size =
+            scenario.stations.iter().map(StationPlan::largest_payload).max().unwrap_or(DEFAULT_PAYLOAD);
         let Scenario { cycle, rate, .. } = *scenario;
         // Slots begin when the last backup may send no more; a window that is longer than need be is in its way.
         let last = scenario.stations.iter().filter_map(|station| station.backup).max();
@@ -411,7 +271,7 @@ impl Source<'_> {
         scenario.sync_window = start;
         for (k, station) in scenario.stations.iter_mut().enumerate() {
             let offset = last + start + length * k as i64;
-            let size = station.payload;
+            let size = station.largest_payload();
             station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size, joint: None }];
         }
         Ok(())

@@ -17,6 +17,7 @@ use rtnet::wire::ethernet::{self, Address};
 use serde::Deserialize;
 
 use crate::report::figures::Role;
+use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
 pub use conditions::{Conditions, Direction, Event, Happening, Wandering, Wire};
@@ -90,6 +91,15 @@ pub struct StationPlan {
     pub rounds: u32,
     /// Its slots.
     pub slots: Vec<SlotPlan>,
+    /// What its program sends besides, most urgent first.
+    pub flows: Vec<Flow>,
+}
+
+impl StationPlan {
+    /// Bytes behind the Ethernet header of the largest frame that it sends.
+    pub fn largest_payload(&self) -> usize {
+        self.flows.iter().map(|flow| flow.payload).fold(self.payload, usize::max)
+    }
 }
 
 /// One slot.
@@ -225,6 +235,7 @@ impl Uniform {
                     size: payload,
                     joint: None,
                 }],
+                flows: Vec::new(),
             })
             .collect();
         let guard = guard.unwrap_or(length - air);
@@ -305,6 +316,16 @@ impl Scenario {
     /// Whose frames a station receives: the one's before it.
     pub fn sender(&self, station: usize) -> usize {
         (station + self.stations.len() - 1) % self.stations.len()
+    }
+
+    /// What a station's program sends besides, and what comes to it of that kind.
+    pub fn flow_plan(&self, station: usize) -> FlowPlan {
+        let StationPlan { slots, flows, .. } = &self.stations[station];
+        FlowPlan {
+            flows: flows.clone(),
+            joint: slots.iter().filter_map(|slot| Some((slot.id, slot.joint?))).collect(),
+            from: self.stations[self.sender(station)].flows.clone(),
+        }
     }
 
     /// How long after its begin a slot may still be used.

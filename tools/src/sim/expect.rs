@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use super::run::{SimFigures, Simulation};
-use crate::judge::findings::{Finding, FindingKind};
-use crate::report::figures::Figures;
+use super::figures::{SimFigures, Simulation};
+use super::places::Places;
+use crate::report::figures::{Figures, QueueingFigures};
 use crate::scenario::{Expectation, Measure, Scenario};
 
 /// What "never" is as a figure.
@@ -14,7 +14,8 @@ impl Checked {
     /// Why a run is not as expected.
     pub fn reason(&self) -> String {
         let of = self.station.as_ref().map_or(String::new(), |name| format!(" of '{name}'"));
-        format!("line {}: expected {}{of}, found {}", self.line, self.expected, self.found)
+        let at = self.priority.map_or(String::new(), |priority| format!(" at priority {priority}"));
+        format!("line {}: expected {}{of}{at}, found {}", self.line, self.expected, self.found)
     }
 }
 
@@ -27,6 +28,8 @@ pub struct Checked {
     pub expected: String,
     /// Of which station, if not of all.
     pub station: Option<String>,
+    /// Of its traffic of which priority, if not of all that it sends.
+    pub priority: Option<u8>,
     /// What was found.
     pub found: String,
     /// Whether that is as expected.
@@ -39,40 +42,42 @@ pub struct Checked {
 pub fn of_lab(scenario: &Scenario, figures: &Figures) -> Vec<Checked> {
     let run = SimFigures { figures: figures.clone(), simulation: Simulation::default() };
     let shown = |expected: &&Expectation| expected.measure.is_of_labs();
-    check_those(scenario, &run, &[], scenario.conditions.expectations.iter().filter(shown))
+    check_those(scenario, &run, &Places::default(), scenario.conditions.expectations.iter().filter(shown))
 }
 
 /// All expectations of a scenario, in the order of its file.
-pub fn check(scenario: &Scenario, figures: &SimFigures, findings: &[Finding]) -> Vec<Checked> {
-    check_those(scenario, figures, findings, scenario.conditions.expectations.iter())
+pub fn check(scenario: &Scenario, figures: &SimFigures, places: &Places) -> Vec<Checked> {
+    check_those(scenario, figures, places, scenario.conditions.expectations.iter())
 }
 
 fn check_those<'a>(
     scenario: &Scenario,
     figures: &SimFigures,
-    findings: &[Finding],
+    places: &Places,
     expectations: impl Iterator<Item = &'a Expectation>,
 ) -> Vec<Checked> {
     let check = |expected: &Expectation| {
-        let found = figure(figures, expected.measure, expected.station);
+        let found = figure(figures, expected);
         let holds = found.is_some_and(|found| expected.holds(found));
         Checked {
             line: expected.line,
             expected: expected.to_string(),
             station: expected.station.map(|station| scenario.stations[station].name.clone()),
+            priority: expected.priority,
             found: found.map_or("nothing".into(), |found| match found {
                 NEVER => "never".into(),
                 found => expected.measure.show(found),
             }),
             holds,
-            cycle: if holds { None } else { place(figures, findings, expected) },
+            cycle: if holds { None } else { places.of_measure(expected) },
         }
     };
     expectations.map(check).collect()
 }
 
 /// A figure of a run; none if there was nothing to measure.
-fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Option<i64> {
+fn figure(figures: &SimFigures, expected: &Expectation) -> Option<i64> {
+    let &Expectation { measure, station, priority, .. } = expected;
     let run = &figures.figures;
     let count = |n: u64| Some(i64::try_from(n).unwrap_or(i64::MAX));
     let extreme = |summary: &crate::report::histogram::Summary| {
@@ -80,7 +85,12 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
     };
     if let Some(of) = station {
         let (seen, own) = (&run.per_station[of], figures.simulation.stations.get(of));
+        let queueing = || seen.queueing.iter().filter(|of| priority.is_none_or(|only| of.priority == only));
         return match measure {
+            Measure::FramesSeen if priority.is_some() => count(queueing().map(|of| of.frames_seen).sum()),
+            Measure::QueueingDelay | Measure::QueueingP99 | Measure::QueueRefused => {
+                of_queueing(measure, queueing())
+            }
             Measure::SlotsMissed => count(seen.slots_missed),
             Measure::Overruns => count(seen.overruns),
             Measure::FramesLost => count(seen.frames_lost),
@@ -118,29 +128,20 @@ fn figure(figures: &SimFigures, measure: Measure, station: Option<usize>) -> Opt
         Measure::LatestFrame => run.latest_frame_ns,
         Measure::SmallestGap => simulation.smallest_gap_ns,
         Measure::Stray => count(run.per_station.iter().map(|seen| seen.stray).sum()),
+        Measure::QueueingDelay | Measure::QueueingP99 | Measure::QueueRefused => {
+            of_queueing(measure, run.queueing.iter())
+        }
     }
 }
 
-/// The first cycle in which there was something of this kind.
-fn place(figures: &SimFigures, findings: &[Finding], expected: &Expectation) -> Option<u32> {
-    let of = |finding: &&Finding| {
-        expected.station.is_none_or(|station| finding.authors.iter().flatten().any(|a| a.station == station))
-    };
-    let first = |kind: FindingKind| {
-        findings.iter().filter(of).find(|finding| finding.kind == kind).map(|finding| finding.cycle)
-    };
-    match expected.measure {
-        Measure::Overlaps | Measure::Collisions => first(FindingKind::Overlap),
-        Measure::OutOfSlot | Measure::LatestFrame | Measure::SlotError | Measure::Stray => {
-            first(FindingKind::OutOfSlot)
+/// Over these priorities: the longest, or how many were refused.
+fn of_queueing<'a>(measure: Measure, mut queueing: impl Iterator<Item = &'a QueueingFigures>) -> Option<i64> {
+    match measure {
+        Measure::QueueingDelay => queueing.filter_map(|of| of.delay_ns.max).max(),
+        Measure::QueueingP99 => queueing.filter_map(|of| of.delay_ns.p99).max(),
+        _ => {
+            let first = queueing.next()?.refused;
+            i64::try_from(queueing.fold(first, |all, of| all + of.refused)).ok()
         }
-        Measure::SlotsMissed | Measure::Overruns | Measure::FramesSeen => first(FindingKind::SlotMissed),
-        Measure::SyncsMissing => first(FindingKind::SyncGap),
-        Measure::Unexplained => figures.figures.misses.first().map(|miss| miss.cycle as u32),
-        Measure::Takeovers | Measure::TakeoverCycles => {
-            let longest = figures.figures.masters_seen.iter().max_by_key(|takeover| takeover.cycles);
-            longest.map(|takeover| takeover.cycle)
-        }
-        _ => None,
     }
 }

@@ -9,13 +9,17 @@
 
 mod expect;
 mod faults;
+mod figures;
+mod places;
 mod run;
 pub mod screen;
+mod sight;
 mod watch;
 mod world;
 
 pub use expect::{Checked, of_lab};
-pub use run::{Ended, Options, SimFigures, Simulation, run};
+pub use figures::{SimFigures, Simulation};
+pub use run::{Ended, Options, run};
 pub use world::{World, discipline};
 
 /// A scenario that says what can be said, and runs.

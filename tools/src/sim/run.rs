@@ -11,10 +11,11 @@ use rtmac::tdma::{Mastery, TdmaStatus};
 use rtnet::clock::True;
 use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::Span;
-use serde::Serialize;
 
 use super::expect::{self, Checked};
 use super::faults;
+use super::figures::{SimFigures, SimStation, Simulation};
+use super::places::Places;
 use super::watch::Watch;
 use super::world::{Counted, UPTIME, World};
 use crate::judge::absences::Absence;
@@ -23,7 +24,7 @@ use crate::judge::delivery::Heard;
 use crate::judge::explain::Records;
 use crate::judge::outcome::{self, Facts, Outcome, Parts};
 use crate::report::capture::CaptureFile;
-use crate::report::figures::{Figures, Verdict};
+use crate::report::figures::Verdict;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::{Act, Happening, Part, Scenario, acts, over};
@@ -58,69 +59,6 @@ pub struct Ended {
     pub slot_error_abs: SignedHistogram,
     /// The frames that were to be kept as text.
     pub lines: Vec<String>,
-}
-
-/// The report of a run: that of a lab, and what only a simulation knows.
-#[derive(Clone, Debug, Serialize)]
-pub struct SimFigures {
-    /// As of a lab.
-    #[serde(flatten)]
-    pub figures: Figures,
-    /// What only a simulation knows.
-    pub simulation: Simulation,
-}
-
-/// What only a simulation knows.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct Simulation {
-    /// Everything random followed from it.
-    pub seed: u64,
-    /// Virtual time from the begin of the network to its end.
-    pub virtual_ns: u64,
-    /// Frames on the medium, of the measurement.
-    pub frames: u64,
-    /// Shortest time that the medium was free between two frames.
-    pub smallest_gap_ns: Option<i64>,
-    /// Frames that a hub destroyed.
-    pub collisions: u64,
-    /// Deliveries for which a port of a switch had no room.
-    pub queue_full: u64,
-    /// Most frames that waited for a port of a switch at once.
-    pub longest_queue: u64,
-    /// Deliveries that were lost on the way.
-    pub lost: u64,
-    /// Deliveries that came twice.
-    pub duplicated: u64,
-    /// Deliveries of which a bit was changed.
-    pub corrupted: u64,
-    /// Deliveries that others overtook.
-    pub reordered: u64,
-    /// Cycles from the end of the last event until all were locked; none: they never were.
-    pub relock_cycles: Option<i64>,
-    /// By station, as in `per_station`.
-    pub stations: Vec<SimStation>,
-    /// What was expected, and what was found.
-    pub expectations: Vec<Checked>,
-}
-
-/// How a station ended.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct SimStation {
-    /// Its name.
-    pub name: String,
-    /// `locked`, `lost`, ...; `down` if it was not there.
-    pub state: String,
-    /// Whether it gave the time.
-    pub gives_time: bool,
-    /// Frames that found its receive pool empty.
-    pub dropped: u64,
-}
-
-impl SimStation {
-    /// Whether it was synchronised: locked, or bridging a cycle.
-    pub fn is_locked(&self) -> bool {
-        [SyncState::Locked, SyncState::Holdover].iter().any(|state| state.name() == self.state)
-    }
 }
 
 /// Runs a scenario from its begin to its end.
@@ -342,7 +280,7 @@ impl<'a> Run<'a> {
     /// A new process in the place of a station's; a master goes on with the grid, if there is one.
     fn restart(&mut self, id: usize, now: u32) -> Result<()> {
         let mut watch = self.watch.borrow_mut();
-        let (grid, first) = (watch.analysis.grid(), watch.analysis.stations[id].passed.beyond());
+        let (grid, first) = (watch.analysis.grid(), watch.analysis.stations[id].beyond());
         watch.records.absences.begin(id, Absence::Down, now);
         watch.records.absences.end(id, Absence::Stopped, now);
         watch.analysis.begins_anew(id);
@@ -382,7 +320,7 @@ impl<'a> Run<'a> {
         // Its observers go with it.
         self.world.network.forget_watchers();
         let watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
-        let Watch { mut analysis, records, capture, capture_failed, lines, .. } = watch;
+        let Watch { mut analysis, records, capture, capture_failed, lines, seen, .. } = watch;
         if let Some(error) = capture_failed {
             return Err(error);
         }
@@ -391,7 +329,8 @@ impl<'a> Run<'a> {
             analysis.advance_to(current);
         }
         analysis.finish();
-        let findings = analysis.findings.clone();
+        let unlocked = analysis.cycle_at(self.unlocked.max(self.over));
+        let places = Places::of(&analysis, &records, seen, unlocked);
         let parts = Parts {
             stations: facts,
             analysis,
@@ -422,7 +361,7 @@ impl<'a> Run<'a> {
             expectations: Vec::new(),
         };
         let mut figures = SimFigures { figures, simulation };
-        figures.simulation.expectations = expect::check(self.scenario, &figures, &findings);
+        figures.simulation.expectations = expect::check(self.scenario, &figures, &places);
         if !figures.simulation.expectations.is_empty() {
             figures.figures.verdict = verdict(&figures.simulation.expectations);
         }
@@ -466,6 +405,7 @@ impl<'a> Run<'a> {
             refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
             notes: watch.noteworthy[id].lines().collect(),
             lost_records: counted.events_lost.max(0) as u64,
+            queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
             lost_on_purpose: watch.lost_on_purpose[id],
             reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
             ..Facts::default()

@@ -1,11 +1,22 @@
 //! What only a simulation knows, as a person reads it.
 
 use super::expect::Checked;
-use super::run::{SimFigures, Simulation};
+use super::figures::{SimFigures, Simulation};
 use crate::report::text::{about, grouped, list, micros};
 
+/// The frames around a place where something was not as expected.
+#[derive(Default)]
+pub struct Around {
+    /// The line of the file that expects it.
+    pub line: usize,
+    /// The cycle.
+    pub cycle: u32,
+    /// The frames.
+    pub frames: Vec<String>,
+}
+
 /// Lines no longer than `width` columns: what was simulated, what became of it, what was expected.
-pub fn render(figures: &SimFigures, around: &[String], width: usize) -> String {
+pub fn render(figures: &SimFigures, around: Option<&Around>, width: usize) -> String {
     let simulation = &figures.simulation;
     let head = format!(
         "simulated {} with seed {}: {} frames",
@@ -21,10 +32,10 @@ pub fn render(figures: &SimFigures, around: &[String], width: usize) -> String {
         lines.push(String::new());
         lines.extend(simulation.expectations.iter().map(expectation));
     }
-    if !around.is_empty() {
+    if let Some(Around { line, cycle, frames }) = around {
         lines.push(String::new());
-        lines.push("the frames around the first of them:".into());
-        lines.extend(around.iter().map(|line| format!("  {line}")));
+        lines.push(format!("the frames around cycle {cycle}, for line {line}:"));
+        lines.extend(frames.iter().map(|line| format!("  {line}")));
     }
     lines.join("\n") + "\n"
 }
@@ -65,9 +76,13 @@ fn states(simulation: &Simulation) -> Vec<String> {
 }
 
 fn expectation(checked: &Checked) -> String {
-    let Checked { line, expected, station, found, holds, cycle } = checked;
+    let Checked { line, expected, station, priority, found, holds, cycle } = checked;
     let of = station.as_ref().map_or(String::new(), |name| format!(" of {name}"));
-    let place = cycle.map_or(String::new(), |cycle| format!(", first in cycle {cycle}"));
-    let verdict = if *holds { "as expected" } else { "NOT AS EXPECTED" };
-    format!("line {line:>3}: {expected}{of}: {found}{place}: {verdict}")
+    let at = priority.map_or(String::new(), |priority| format!(" at priority {priority}"));
+    let verdict = match (holds, cycle) {
+        (true, _) => "as expected".to_owned(),
+        (false, Some(cycle)) => format!("NOT AS EXPECTED, see cycle {cycle}"),
+        (false, None) => "NOT AS EXPECTED, in no cycle that could be shown".to_owned(),
+    };
+    format!("line {line:>3}: {expected}{of}{at}: {found}: {verdict}")
 }

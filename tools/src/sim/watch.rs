@@ -5,6 +5,8 @@ use rtnet::clock::True;
 use rtnet::discipline::{Cause, Discipline, SyncState};
 use rtnet::sim::{Aired, Loss, Member, Moment, StationId};
 
+use super::places::Seen;
+use super::sight::sight;
 use super::world::{EPOCH, UPTIME};
 use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
@@ -36,6 +38,10 @@ pub struct Watch {
     pub lines: Vec<String>,
     /// From here on times count.
     pub counting: bool,
+    /// What is seen of the network while they do.
+    pub seen: Seen,
+    /// When the medium is free again.
+    free_from: Option<True>,
     names: Vec<String>,
 }
 
@@ -56,6 +62,8 @@ impl Watch {
             around: None,
             lines: Vec::new(),
             counting: false,
+            seen: Seen::of(names.len()),
+            free_from: None,
             names,
         }
     }
@@ -63,13 +71,24 @@ impl Watch {
     /// A frame goes on the air.
     pub fn aired(&mut self, aired: &Aired<'_>) {
         let realtime = EPOCH.nanos() + (aired.at - UPTIME);
-        if let Some(file) = &mut self.capture
-            && let Err(error) = file.frame(realtime, aired.bytes, None)
+        let sight = self.capture.as_ref().map(|_| sight(&self.analysis, aired.at, aired.bytes));
+        if let (Some(file), Some(sight)) = (&mut self.capture, sight)
+            && let Err(error) = file.frame(realtime, aired.bytes, Some(&sight.comment()))
         {
             (self.capture, self.capture_failed) = (None, Some(error));
         }
         self.analysis.frame(aired.at, aired.bytes);
+        self.note_gap(aired);
         self.note_around(aired);
+    }
+
+    fn note_gap(&mut self, aired: &Aired<'_>) {
+        if let (true, Some(free_from), Some(cycle)) =
+            (self.counting, self.free_from, self.analysis.cycle_at(aired.at))
+        {
+            self.seen.least_gap.note(free_from.wrapping_sub(aired.at) as i64, cycle);
+        }
+        self.free_from = self.free_from.max(Some(aired.until));
     }
 
     /// A station has taken its turn.
@@ -95,13 +114,18 @@ impl Watch {
             if self.counting && station != 0 {
                 let error = global - self.analysis.truth().global(at);
                 self.sync_error[station].record(error.nanos());
+                self.seen.sync_error[station].note(error.nanos().saturating_abs(), time.cycle);
             }
         }
     }
 
     /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
     pub fn lost(&mut self, to: StationId, frame: &[u8], why: Loss) {
-        match decode(frame, frame.len()).what {
+        let what = decode(frame, frame.len()).what;
+        if let (true, Some(cycle)) = (self.counting, self.analysis.current()) {
+            self.seen.note_lost(to, why, matches!(what, What::Data(_)), cycle);
+        }
+        match what {
             What::Data(_) if why.is_on_purpose() => self.lost_on_purpose[to] += 1,
             What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
             _ => {}

@@ -13,6 +13,7 @@ use rtmac::tdma::{
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::counters::Refusal;
 use rtnet::discipline::Discipline;
+use rtnet::queue::Priority;
 use rtnet::sim::{Host, Link, Medium, Member, Network, Wander};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
@@ -40,6 +41,8 @@ pub struct Counted {
     pub missing: i64,
     /// Events that it could not tell of.
     pub events_lost: i64,
+    /// Frames of its program that found no room in their queue, by priority.
+    pub queue_refused: [i64; Priority::LEVELS],
 }
 
 impl Sub for Counted {
@@ -49,6 +52,7 @@ impl Sub for Counted {
             payload_errors: self.payload_errors - other.payload_errors,
             missing: self.missing - other.missing,
             events_lost: self.events_lost - other.events_lost,
+            queue_refused: std::array::from_fn(|i| self.queue_refused[i] - other.queue_refused[i]),
         }
     }
 }
@@ -106,6 +110,7 @@ impl World {
             payload_errors: station.refusals().get(Refusal::BadPayload) as i64,
             missing: self.counts[id].missing.load(Relaxed) as i64,
             events_lost: station.discipline().status().events_lost as i64,
+            queue_refused: self.counts[id].refused.each_ref().map(|count| count.load(Relaxed) as i64),
         }
     }
 
@@ -131,7 +136,8 @@ impl World {
             from_payload: scenario.stations[sender].payload,
             first,
         };
-        Ok(Station::new(tdma, vec![Box::new(Traffic::new(plan, self.counts[id].clone()))]))
+        let traffic = Traffic::new(plan, self.counts[id].clone()).with_flows(scenario.flow_plan(id));
+        Ok(Station::new(tdma, vec![Box::new(traffic)]))
     }
 }
 

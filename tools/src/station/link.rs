@@ -13,7 +13,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use serde::{Deserialize, Serialize};
 
 use super::access::AccessStatus;
-use super::traffic::TrafficCounts;
+use super::traffic::{FlowPlan, TrafficCounts};
 use super::wire::LinkState;
 
 /// What a lab adds to a station's own options.
@@ -47,6 +47,8 @@ pub struct LabOptions {
     pub resume: Option<(u32, u64)>,
     /// The number of its first frame of test traffic.
     pub first: u64,
+    /// What its program sends besides.
+    pub flows: FlowPlan,
 }
 
 impl LabOptions {
@@ -142,6 +144,8 @@ pub struct Standing {
     pub clock_steps: u64,
     /// Events and records that found their queue full.
     pub lost_records: u64,
+    /// Frames of its program that found no room in their queue, by priority.
+    pub queue_refused: BTreeMap<u8, u64>,
 }
 
 impl Standing {
@@ -177,6 +181,7 @@ impl Standing {
             refusals: refusals.collect(),
             clock_steps: snapshot.port.clock_steps,
             lost_records: snapshot.records_lost + status.events_lost(),
+            queue_refused: traffic.refused().collect(),
         }
     }
 

@@ -258,7 +258,7 @@ fn driver(
             from_payload: lab.from_payload,
             first: lab.first,
         };
-        services.push(Box::new(Traffic::new(plan, counts)));
+        services.push(Box::new(Traffic::new(plan, counts).with_flows(lab.flows.clone())));
     }
     Ok(Driver::new(Station::new(discipline, services), port, config))
 }

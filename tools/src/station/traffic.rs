@@ -3,16 +3,22 @@
 //! ```text
 //! 0          14        16     17      18      22         30          38
 //! +----------+---------+------+-------+-------+----------+-----------+------+--------+--------+-----
-//! | Ethernet | station | slot | 0     | cycle | sequence | scheduled | seed | seed+1 | seed+2 | ...
+//! | Ethernet | station | slot | queue | cycle | sequence | scheduled | seed | seed+1 | seed+2 | ...
 //! | 0x88B5   |         |      |       |       |          | global, ns|      |        |        |
 //! +----------+---------+------+-------+-------+----------+-----------+------+--------+--------+-----
 //!  \___________________________ head ________________________________/ \________ pattern _________/
 //! ```
 //!
+//! `queue` is 0. Of a frame of a [`Flow`], which leaves in whatever slot its priority brings it to, it is that priority and
+//! 1; `slot`, `cycle` and `scheduled` are then for which slot, in which cycle and when it was queued, and each flow has its
+//! own `sequence`.
+//!
 //! All fields big-endian. The pattern is words of eight bytes, the last one cut off where the frame ends. Its
 //! seed is folded from all of the head: whichever byte is changed on the way, head and pattern no longer go
-//! together. A frame that misses its slot is worthless: the next slot gets a fresh one, and the gap in the
+//! together. A usual frame that misses its slot is worthless: the next slot gets a fresh one, and the gap in the
 //! sequence shows the loss.
+
+mod flows;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -25,6 +31,9 @@ use rtnet::time::{GlobalTime, Instant};
 use rtnet::wire::ethernet::{self, Address, EtherType, Header};
 use zerocopy::byteorder::network_endian::{U16, U32, U64};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
+pub use flows::{Flow, FlowPlan};
+use flows::{Flows, Queued};
 
 /// Frames being sent or queued at a time: one per slot id.
 const POOL: usize = 8;
@@ -54,7 +63,7 @@ pub struct Tag {
     station: U16,
     /// The slot's id.
     pub slot: u8,
-    zero: u8,
+    queue: u8,
     cycle: U32,
     sequence: U64,
     scheduled: U64,
@@ -73,6 +82,10 @@ impl Tag {
     pub fn station(&self) -> usize {
         usize::from(self.station.get())
     }
+    /// Of which priority a frame of a flow is; none of the usual ones.
+    pub fn priority(&self) -> Option<u8> {
+        self.queue.checked_sub(1)
+    }
     /// In which cycle.
     pub fn cycle(&self) -> u32 {
         self.cycle.get()
@@ -81,7 +94,7 @@ impl Tag {
     pub fn sequence(&self) -> u64 {
         self.sequence.get()
     }
-    /// When its slot was to begin, on the master's clock.
+    /// When its slot was to begin, on the master's clock; of a frame of a flow, when it was queued.
     pub fn scheduled(&self) -> GlobalTime {
         GlobalTime::from_nanos(self.scheduled.get())
     }
@@ -131,6 +144,7 @@ pub struct Traffic {
     heard: Option<u64>,
     /// For which slot of which cycle it has sent last. Who has no slots is asked more often.
     sent: Option<(u32, Channel)>,
+    flows: Flows,
     counts: Arc<TrafficCounts>,
 }
 
@@ -162,30 +176,29 @@ pub struct TrafficCounts {
     pub missing: AtomicU64,
     /// The sequence number of the first frame received.
     pub first: AtomicU64,
+    /// Frames of flows that found no room in their queue, by priority.
+    pub refused: [AtomicU64; Priority::LEVELS],
+}
+
+impl TrafficCounts {
+    /// Frames of flows that found no room in their queue: each priority of which there were any, and how many.
+    pub fn refused(&self) -> impl Iterator<Item = (u8, u64)> {
+        let counts = self.refused.iter().map(|count| count.load(Ordering::Relaxed));
+        (0..).zip(counts).filter(|&(_, n)| n > 0)
+    }
 }
 
 impl Traffic {
     /// Traffic by this plan, counted into `counts`.
     pub fn new(plan: TrafficPlan, counts: Arc<TrafficCounts>) -> Self {
-        Self { plan, pool: Pool::new(POOL), sequence: plan.first, heard: None, sent: None, counts }
+        let flows = Flows::new(FlowPlan::default(), plan.first);
+        Self { plan, pool: Pool::new(POOL), sequence: plan.first, heard: None, sent: None, flows, counts }
     }
 
-    fn write(&mut self, slot: &Opportunity, frame: &mut Buf) {
-        let TrafficPlan { station, source, destination, payload, .. } = self.plan;
-        let tag = Tag {
-            station: U16::new(station),
-            slot: slot.channel,
-            zero: 0,
-            cycle: U32::new(slot.cycle),
-            sequence: U64::new(self.sequence),
-            scheduled: U64::new(slot.scheduled.nanos()),
-        };
-        let header = Header::new(destination, source, EtherType::EXPERIMENTAL);
-        frame.set_len(ethernet::HEADER_LEN + payload);
-        let (head, pattern) = frame.split_at_mut(HEAD);
-        head[..ethernet::HEADER_LEN].copy_from_slice(header.as_bytes());
-        head[ethernet::HEADER_LEN..].copy_from_slice(tag.as_bytes());
-        write_pattern(seed(head), pattern);
+    /// The same with flows.
+    pub fn with_flows(self, flows: FlowPlan) -> Self {
+        let flows = Flows::new(flows, self.plan.first);
+        Self { flows, ..self }
     }
 
     fn check(&mut self, frame: &[u8]) -> Option<()> {
@@ -195,8 +208,12 @@ impl Traffic {
         let (head, pattern) = frame.split_at_checked(HEAD)?;
         let intact = is_pattern(seed(head), pattern);
         let expected = tag.station() == usize::from(from) && header.destination == source;
-        (intact && expected && payload.len() == from_payload).then_some(())?;
-        let sequence = tag.sequence.get();
+        (intact && expected).then_some(())?;
+        let sequence = tag.sequence();
+        if let Some(priority) = tag.priority() {
+            return self.flows.check(priority, sequence, payload.len());
+        }
+        (payload.len() == from_payload).then_some(())?;
         let missing = step(self.heard, sequence)? - 1;
         self.counts.missing.fetch_add(missing, Ordering::Relaxed);
         if self.heard.is_none() {
@@ -205,6 +222,40 @@ impl Traffic {
         self.heard = Some(sequence);
         self.counts.received.fetch_add(1, Ordering::Relaxed);
         Some(())
+    }
+}
+
+impl TrafficPlan {
+    /// A frame of so many bytes behind the Ethernet header.
+    fn write(&self, tag: Tag, payload: usize, frame: &mut Buf) {
+        let header = Header::new(self.destination, self.source, EtherType::EXPERIMENTAL);
+        frame.set_len(ethernet::HEADER_LEN + payload);
+        let (head, pattern) = frame.split_at_mut(HEAD);
+        head[..ethernet::HEADER_LEN].copy_from_slice(header.as_bytes());
+        head[ethernet::HEADER_LEN..].copy_from_slice(tag.as_bytes());
+        write_pattern(seed(head), pattern);
+    }
+
+    /// What the usual frame of a slot says of itself.
+    fn usual(&self, slot: &Opportunity, sequence: u64) -> Tag {
+        Tag {
+            station: U16::new(self.station),
+            slot: slot.channel,
+            queue: 0,
+            cycle: U32::new(slot.cycle),
+            sequence: U64::new(sequence),
+            scheduled: U64::new(slot.scheduled.nanos()),
+        }
+    }
+
+    /// The same of a frame of a flow.
+    fn queued(&self, slot: &Opportunity, queued: &Queued) -> Tag {
+        Tag {
+            slot: queued.flow.slot,
+            queue: queued.flow.priority + 1,
+            scheduled: U64::new(queued.at.nanos()),
+            ..self.usual(slot, queued.sequence)
+        }
     }
 }
 
@@ -222,15 +273,30 @@ impl Service for Traffic {
         if std::mem::replace(&mut self.sent, turn) == turn {
             return;
         }
+        let Self { plan, flows, counts, .. } = self;
+        let write = |queued: &Queued, frame: &mut Buf| {
+            plan.write(plan.queued(slot, queued), queued.flow.payload, frame)
+        };
+        let refused = |flow: &Flow, n| {
+            counts.refused[usize::from(flow.priority)].fetch_add(n, Ordering::Relaxed);
+        };
+        if flows.poll(slot, out, write, refused) {
+            return;
+        }
         let Some(mut frame) = self.pool.take() else { return };
-        self.write(slot, &mut frame);
+        plan.write(plan.usual(slot, self.sequence), plan.payload, &mut frame);
         // A slot that takes no frame shows as a gap in the sequence and in the capture.
-        let _ = out(frame, Priority::DEFAULT, slot.channel);
+        let _ = out(frame, Priority::LAST_REAL_TIME, slot.channel);
         self.sequence += 1;
     }
 
     fn still_wanted(&mut self, frame: &[u8]) -> bool {
-        Tag::read(frame).is_none()
+        let Some((tag, _)) = Tag::read(frame) else { return true };
+        let is_queued = tag.priority().is_some();
+        if is_queued {
+            self.flows.waits_again(tag);
+        }
+        is_queued
     }
 }
 

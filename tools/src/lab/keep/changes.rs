@@ -49,7 +49,7 @@ impl Keeper {
         let slot = change.over(before.as_ref());
         let SlotRequest { size, phase, period, .. } = slot;
         ensure!(phase < period, "phase {} of {period} does not exist", u64::from(phase) + 1);
-        let payload = plan.payload;
+        let payload = plan.largest_payload();
         ensure!(
             (payload..=MTU).contains(&size),
             "a size of {size} is not within {payload}, the payload of '{name}', and {MTU}"

@@ -155,8 +155,35 @@ pub struct Sections {
     pub wanders: Vec<(usize, WanderFile)>,
     pub wires: Vec<WireFile>,
     pub events: Vec<Spanned<EventFile>>,
-    /// Of all, and of single stations.
-    pub expects: Vec<(Option<usize>, ExpectFile)>,
+    /// Of all, of single stations, and of their traffic.
+    pub expects: Vec<(Whose, ExpectFile)>,
+}
+
+/// Of what something is expected: of which station, and of its traffic of which priority; of all, if not said.
+#[derive(Clone, Copy, Default)]
+pub struct Whose {
+    pub station: Option<usize>,
+    pub priority: Option<u8>,
+}
+
+impl Whose {
+    /// Whether that has such a figure.
+    fn has(self, measure: Measure) -> bool {
+        match self {
+            Whose { priority: Some(_), .. } => measure.is_of_traffic(),
+            Whose { station: Some(_), .. } => measure.is_of_stations(),
+            _ => true,
+        }
+    }
+
+    /// As in "nothing of a station is called".
+    fn words(self) -> &'static str {
+        match self {
+            Whose { priority: Some(_), .. } => "of traffic ",
+            Whose { station: Some(_), .. } => "of a station ",
+            _ => "",
+        }
+    }
 }
 
 /// Reads them; stations are numbered as in the file.
@@ -283,9 +310,9 @@ impl Reader<'_> {
         })
     }
 
-    fn expectations(&self, files: &[(Option<usize>, ExpectFile)]) -> Result<Vec<Expectation>, FileError> {
-        let lines = files.iter().flat_map(|(station, file)| file.iter().map(move |line| (*station, line)));
-        let read = lines.map(|(station, (name, figure))| self.expectation(name.get_ref(), figure, station));
+    fn expectations(&self, files: &[(Whose, ExpectFile)]) -> Result<Vec<Expectation>, FileError> {
+        let lines = files.iter().flat_map(|(whose, file)| file.iter().map(move |line| (*whose, line)));
+        let read = lines.map(|(whose, (name, figure))| self.expectation(name.get_ref(), figure, whose));
         let mut all = read.collect::<Result<Vec<_>, _>>()?;
         all.sort_by_key(|expected| expected.line);
         Ok(all)
@@ -295,15 +322,14 @@ impl Reader<'_> {
         &self,
         name: &str,
         figure: &Spanned<Figure>,
-        station: Option<usize>,
+        whose: Whose,
     ) -> Result<Expectation, FileError> {
         let at = figure.span().start;
         let refuse = |what: String| self.source.impossible(at, what);
-        let known = Measure::by_name(name).filter(|measure| station.is_none() || measure.is_of_stations());
-        let Some(measure) = known else {
-            let of = if station.is_some() { "of a station " } else { "" };
-            let names = Measure::ALL.iter().filter(|(of, _)| station.is_none() || of.is_of_stations());
+        let Some(measure) = Measure::by_name(name).filter(|&measure| whose.has(measure)) else {
+            let names = Measure::ALL.iter().filter(|(of, _)| whose.has(*of));
             let names: Vec<_> = names.map(|&(_, name)| name).collect();
+            let of = whose.words();
             return Err(refuse(format!("nothing {of}is called '{name}': expect {}", names.join(", "))));
         };
         let text = match figure.get_ref() {
@@ -311,7 +337,8 @@ impl Reader<'_> {
             Figure::Text(text) => text.clone(),
         };
         let (relation, limit) = Expectation::parse(measure, &text).map_err(refuse)?;
-        Ok(Expectation { measure, station, relation, limit, line: self.source.line(at) })
+        let (Whose { station, priority }, line) = (whose, self.source.line(at));
+        Ok(Expectation { measure, station, priority, relation, limit, line })
     }
 
     fn stations(&self, names: &Spanned<Names>) -> Result<Vec<usize>, FileError> {

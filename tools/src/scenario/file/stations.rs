@@ -1,0 +1,245 @@
+//! The part of it that says what the stations are: their roles, clocks and slots, and what they send.
+
+use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, MAX_ROUNDS, joint};
+use rtnet::time::Span;
+use rtnet::wire::ethernet;
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::conditions::{ExpectFile, HostFile, WanderFile};
+use super::{DEFAULT_PAYLOAD, FileError, MAX_DRIFT_PPM, MAX_OFFSET, Source, parse_phase};
+use crate::report::figures::Role;
+use crate::scenario::{MAX_STATIONS, MIN_PAYLOAD, SlotPlan, StationPlan};
+use crate::station::traffic::Flow;
+use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan};
+
+/// A program queues frames no more often than any cycle begins, and no more seldom than anything happens.
+const SHORTEST: Span = Span::from_micros(1);
+const LONGEST: Span = Span::from_millis(3_600_000);
+/// Many times what a slot's queue holds.
+const MAX_BURST: u32 = 1_000;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StationFile {
+    pub name: Spanned<String>,
+    pub role: FileRole,
+    backup: Option<PositiveSpan>,
+    pub payload: Option<Spanned<usize>>,
+    rounds: Option<u32>,
+    pub clock: Option<ClockFile>,
+    pub host: Option<HostFile>,
+    pub expect: Option<ExpectFile>,
+    #[serde(default)]
+    pub traffic: Vec<Spanned<TrafficFile>>,
+    pub slots: Option<Vec<Spanned<SlotFile>>>,
+}
+
+#[derive(Clone, Copy, Deserialize, PartialEq)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum FileRole {
+    Master,
+    Backup,
+    Slave,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ClockFile {
+    offset: Option<AnySpan>,
+    drift_ppm: Option<f64>,
+    pub wander: Option<WanderFile>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SlotFile {
+    pub id: u8,
+    offset: NonNegativeSpan,
+    phase: Option<String>,
+    size: Option<usize>,
+    joint: Option<u8>,
+}
+
+/// What a station's program sends besides.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TrafficFile {
+    pub priority: u8,
+    every: PositiveSpan,
+    burst: Option<u32>,
+    payload: Option<usize>,
+    slot: Option<u8>,
+    pub expect: Option<ExpectFile>,
+}
+
+impl From<FileRole> for Role {
+    fn from(role: FileRole) -> Self {
+        match role {
+            FileRole::Master => Role::Master,
+            FileRole::Backup => Role::Backup,
+            FileRole::Slave => Role::Slave,
+        }
+    }
+}
+
+impl Source<'_> {
+    pub(super) fn check_stations(&self, stations: &[Spanned<StationFile>]) -> Result<(), FileError> {
+        let first = stations.first().map_or(0, |entry| entry.span().start);
+        if !(2..=MAX_STATIONS).contains(&stations.len()) {
+            let what = format!("{} stations: there must be 2 to {MAX_STATIONS}", stations.len());
+            return Err(self.impossible(first, what));
+        }
+        for (i, entry) in stations.iter().enumerate() {
+            let name = &entry.get_ref().name;
+            if stations[..i].iter().any(|other| other.get_ref().name.get_ref() == name.get_ref()) {
+                let what = format!("the name '{}' is taken by another station", name.get_ref());
+                return Err(self.impossible(name.span().start, what));
+            }
+        }
+        let mut masters = stations.iter().filter(|entry| entry.get_ref().role == FileRole::Master);
+        match (masters.next(), masters.next()) {
+            (Some(_), None) => Ok(()),
+            (None, _) => Err(self.impossible(first, "no station has the role \"master\": exactly one must")),
+            (Some(a), Some(b)) => {
+                let names = (a.get_ref().name.get_ref(), b.get_ref().name.get_ref());
+                let what =
+                    format!("'{}' is a second master beside '{}': exactly one must be", names.1, names.0);
+                Err(self.impossible(b.span().start, what))
+            }
+        }
+    }
+
+    pub(super) fn station(&self, entry: &Spanned<StationFile>) -> Result<StationPlan, FileError> {
+        let station = entry.get_ref();
+        let payload = station.payload.as_ref().map_or(DEFAULT_PAYLOAD, |payload| *payload.get_ref());
+        if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
+            let at = station.payload.as_ref().map_or(entry.span().start, |payload| payload.span().start);
+            let what = format!("a payload of {payload} bytes: it must be {MIN_PAYLOAD} to {}", ethernet::MTU);
+            return Err(self.impossible(at, what));
+        }
+        let flows = station.traffic.iter().filter_map(|flow| flow.get_ref().payload);
+        let widest = flows.fold(payload, usize::max);
+        let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload, widest));
+        let mut slots = slots.collect::<Result<Vec<_>, _>>()?;
+        for (i, slot) in slots.iter().enumerate() {
+            if slots[..i].iter().any(|other| other.id == slot.id) {
+                let at = station.slots.as_ref().map_or(entry.span().start, |slots| slots[i].span().start);
+                return Err(self.impossible(at, format!("slot {} is defined twice", slot.id)));
+            }
+        }
+        self.join(&mut slots, station)?;
+        if (station.role == FileRole::Backup) != station.backup.is_some() {
+            let what = "a backup says when it sends, as in backup = \"100us\", and nobody else does";
+            return Err(self.impossible(entry.span().start, what));
+        }
+        if let Some(rounds) = station.rounds.filter(|&rounds| rounds > MAX_ROUNDS) {
+            let what = format!("{rounds} calibration rounds: at most {MAX_ROUNDS}");
+            return Err(self.impossible(entry.span().start, what));
+        }
+        let clock = station.clock.as_ref();
+        let drift = clock.and_then(|clock| clock.drift_ppm).unwrap_or(0.0);
+        let offset = clock.and_then(|clock| clock.offset).map_or(Span::ZERO, |offset| offset.0);
+        if drift.is_nan() || drift.abs() > MAX_DRIFT_PPM || offset.abs() > MAX_OFFSET {
+            let what = format!(
+                "a clock off by {offset} and {drift} ppm: at most {MAX_OFFSET} and {MAX_DRIFT_PPM} ppm"
+            );
+            return Err(self.impossible(entry.span().start, what));
+        }
+        Ok(StationPlan {
+            name: station.name.get_ref().clone(),
+            role: station.role.into(),
+            backup: station.backup.map(|backup| backup.0),
+            clock: clock.map(|_| (offset, (drift * 1_000.0).round() as i64)),
+            clock_offset: Span::ZERO,
+            clock_drift_ppb: 0,
+            payload,
+            rounds: station.rounds.unwrap_or(DEFAULT_ROUNDS),
+            flows: self.flows(station, payload, &slots)?,
+            slots,
+        })
+    }
+
+    /// What its program sends besides, most urgent first.
+    fn flows(&self, station: &StationFile, usual: usize, slots: &[SlotPlan]) -> Result<Vec<Flow>, FileError> {
+        let flow = |entry: &Spanned<TrafficFile>| self.flow(entry, usual, slots);
+        let mut flows = station.traffic.iter().map(flow).collect::<Result<Vec<_>, _>>()?;
+        for (i, flow) in flows.iter().enumerate() {
+            if flows[..i].iter().any(|other| other.priority == flow.priority) {
+                let what =
+                    format!("a second traffic of priority {}: a station has one of each", flow.priority);
+                return Err(self.impossible(station.traffic[i].span().start, what));
+            }
+        }
+        flows.sort_by_key(|flow| flow.priority);
+        Ok(flows)
+    }
+
+    fn flow(
+        &self,
+        entry: &Spanned<TrafficFile>,
+        usual: usize,
+        slots: &[SlotPlan],
+    ) -> Result<Flow, FileError> {
+        let file = entry.get_ref();
+        let refuse = |what: String| Err(self.impossible(entry.span().start, what));
+        let (priority, every, last) = (file.priority, file.every.0, Flow::LAST_PRIORITY);
+        if priority > last {
+            return refuse(format!(
+                "priority {priority}: they go from 0, the most urgent, to {last}; behind that come the usual frames"
+            ));
+        }
+        let burst = file.burst.unwrap_or(1);
+        if !(SHORTEST..=LONGEST).contains(&every) || !(1..=MAX_BURST).contains(&burst) {
+            return refuse(format!(
+                "{burst} frames every {every}: 1 to {MAX_BURST} are queued at a time, every {SHORTEST} to {LONGEST}"
+            ));
+        }
+        let payload = file.payload.unwrap_or(usual);
+        if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
+            return refuse(format!(
+                "a payload of {payload} bytes: it must be {MIN_PAYLOAD} to {}",
+                ethernet::MTU
+            ));
+        }
+        let slot = file.slot.unwrap_or(slots.iter().map(|slot| slot.id).min().unwrap_or(0));
+        let size = slots.iter().find(|of| of.id == slot).map(|of| of.size);
+        // Where the cycle is divided evenly every station has slot 0, as large as need be.
+        match size.or((slots.is_empty() && slot == 0).then_some(ethernet::MTU)) {
+            None => refuse(format!("the station has no slot {slot}: give it one, or leave out slot")),
+            Some(size) if size < payload => refuse(format!(
+                "a payload of {payload} does not fit slot {slot}: give that a size of {payload}"
+            )),
+            Some(_) => Ok(Flow { priority, every_ns: every.nanos().unsigned_abs(), burst, payload, slot }),
+        }
+    }
+
+    fn slot(&self, entry: &Spanned<SlotFile>, payload: usize, widest: usize) -> Result<SlotPlan, FileError> {
+        let slot = entry.get_ref();
+        let refuse = |what: String| Err(self.impossible(entry.span().start, what));
+        let (phase, period) = match slot.phase.as_deref().map(parse_phase) {
+            None => (0, 1),
+            Some(Ok(phase)) => phase,
+            Some(Err(what)) => return refuse(what),
+        };
+        let size = slot.size.unwrap_or(widest);
+        if size < payload || size > ethernet::MTU {
+            return refuse(format!("a size of {size} must hold the payload of {payload}, and at most 1500"));
+        }
+        if slot.id > DEFAULT_MAX_SLOT_ID {
+            return refuse(format!("slot {}: ids go from 0 to {DEFAULT_MAX_SLOT_ID}", slot.id));
+        }
+        Ok(SlotPlan { id: slot.id, offset: slot.offset.0, phase, period, size, joint: slot.joint })
+    }
+
+    /// Lets every joint slot take from a queue that there is.
+    fn join(&self, slots: &mut [SlotPlan], station: &StationFile) -> Result<(), FileError> {
+        let plans = slots.to_vec();
+        let get = |id| plans.iter().find(|plan| plan.id == id).map(|plan| plan.config(Span::ZERO));
+        for (slot, entry) in slots.iter_mut().zip(station.slots.iter().flatten()) {
+            let owner = joint::owner(&slot.config(Span::ZERO), get);
+            slot.joint = owner.map_err(|refused| self.impossible(entry.span().start, refused))?;
+        }
+        Ok(())
+    }
+}

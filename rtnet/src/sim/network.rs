@@ -16,7 +16,7 @@ use crate::station::Station;
 use crate::wire::ethernet::Address;
 
 use carriage::Flight;
-use frames::Frames;
+use frames::{Frames, Kept};
 use seat::Seat;
 
 pub use carriage::Loss;
@@ -54,8 +54,6 @@ pub struct Network<D: Discipline> {
     cut_off: Vec<StationId>,
     /// Frames that a hub or a switch has not received wholly.
     flights: Vec<Flight>,
-    /// Which clocks change their rates, and how.
-    wanders: Vec<(StationId, Wander)>,
     /// Frames that stations are still to hear.
     frames: Frames,
     /// Of frames that no station has queued.
@@ -93,8 +91,10 @@ enum Action {
     Air { from: StationId, number: u64, frame: Buf },
     /// A hub or a switch has received a frame wholly.
     Landed(u64),
-    /// A clock changes its rate a little, as this one of `wanders` says.
-    Wander(usize),
+    /// A frame that was long on its way is at a station.
+    Arrived(StationId, Kept),
+    /// A clock changes its rate a little; one that was told otherwise since does not, by its number.
+    Wander(StationId, u32),
 }
 
 impl<D: Discipline> Network<D> {
@@ -113,7 +113,6 @@ impl<D: Discipline> Network<D> {
             mourner: None,
             cut_off: Vec::new(),
             flights: Vec::new(),
-            wanders: Vec::new(),
             frames: Frames::new(),
             foreign: Pool::new(FOREIGN_POOL),
         }
@@ -159,7 +158,8 @@ impl<D: Discipline> Network<D> {
                 Action::Send(id, number) => self.send(id, number),
                 Action::Air { from, number, frame } => self.air_of(from, number, frame),
                 Action::Landed(flight) => self.landed(flight),
-                Action::Wander(place) => self.wander_on(place),
+                Action::Arrived(to, frame) => self.arrived(to, frame),
+                Action::Wander(id, number) => self.wander_on(id, number),
             }
         }
         self.now = until;
@@ -215,10 +215,14 @@ impl<D: Discipline> Network<D> {
         } else {
             let deadline = station.next_deadline().map(|deadline| clock.truth(deadline).max(now));
             let wakes = deadline.map(|at| at + host.wake_delay(&mut self.random));
-            seat.blocked = wakes.is_none() || station.discipline().wakes_on_frames();
-            seat.wakes = wakes;
             if let Some(at) = wakes {
                 self.agenda.put(at, Action::Turn(id, number));
+            }
+            if (wakes.is_none() || station.discipline().wakes_on_frames())
+                && let Some(at) = seat.block(wakes)
+            {
+                let wake = at + seat.member.host.wake_delay(&mut self.random);
+                seat.wake_for(&mut self.agenda, id, at, wake);
             }
         }
         self.attend_to(Moment { id, at: now, looked: now, woke: now, sent: false });
@@ -278,3 +282,6 @@ impl<D: Discipline> Network<D> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

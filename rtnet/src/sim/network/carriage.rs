@@ -1,8 +1,9 @@
 //! How a frame gets from its sender to those that hear it.
 //!
 //! ```text
-//!   air ──bridge─────────────────────────────► deliver ──► receive, for each that is addressed and lucky
-//!    └───hub, switch──► Landed ──not collided──►┘   └─switch──► behind what waits for the port
+//!   air ──bridge─────────────────────────────► deliver ──► arrive, for each that is addressed and lucky
+//!    └───hub, switch──► Landed ──not collided──►┘   │  └─switch──► behind what waits for the port ─┐
+//!         (its sender's wire first)                 └─a slow wire──► Arrived ◄──────────────────────┘
 //! ```
 
 use std::ops::Range;
@@ -25,7 +26,12 @@ pub struct Flight {
     frame: Buf,
     until: True,
     collided: bool,
+    /// What its sender's wire has made of it.
+    sent: Result<Fate, Loss>,
 }
+
+/// What arrives so soon arrives at once: meanwhile nobody gives a buffer back.
+const SOON: u64 = 1_000;
 
 /// Why a frame does not reach a station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,10 +75,16 @@ impl<D: Discipline> Network<D> {
             observer(&aired);
         }
         let propagation = nanos(self.medium.propagation);
+        let mut sent = self.leave(from, &frame);
         if self.medium.joint == Joint::Bridge {
-            return self.deliver(from, &frame, now + propagation, false);
+            return self.deliver(from, &frame, now + propagation, sent);
         }
         let (number, until) = (self.traffic.frames, now + air);
+        let mut lands = until + propagation;
+        // What comes to a switch later waits behind what has come to it by then.
+        if let (Joint::Switch { .. }, Ok(fate)) = (self.medium.joint, &mut sent) {
+            lands += std::mem::take(&mut fate.later);
+        }
         let mut collided = false;
         if self.medium.joint == Joint::Hub {
             let cut_off = &self.cut_off;
@@ -82,44 +94,46 @@ impl<D: Discipline> Network<D> {
                 (other.collided, collided) = (true, true);
             }
         }
-        self.flights.push(Flight { number, from, frame, until, collided });
-        self.agenda.put(until + propagation, Action::Landed(number));
+        self.flights.push(Flight { number, from, frame, until, collided, sent });
+        self.agenda.put(lands, Action::Landed(number));
+    }
+
+    /// What its own wire does to a frame that a station sends.
+    fn leave(&mut self, from: StationId, frame: &[u8]) -> Result<Fate, Loss> {
+        let Some(seat) = self.members.get(from) else { return Ok(Fate::default()) };
+        seat.sends_by.carry(frame, &mut self.random).ok_or(Loss::Wire)
     }
 
     pub(super) fn landed(&mut self, number: u64) {
         let Some(place) = self.flights.iter().position(|flight| flight.number == number) else { return };
-        let Flight { from, frame, collided, .. } = self.flights.swap_remove(place);
+        let Flight { from, frame, collided, sent, .. } = self.flights.swap_remove(place);
         self.traffic.collided += u64::from(collided);
-        self.deliver(from, &frame, self.now, collided);
+        let sent = if collided { Err(Loss::Collision) } else { sent };
+        self.deliver(from, &frame, self.now, sent);
     }
 
     /// A frame reaches those that it is for at a time, or as much later as their wires want it, or never.
-    fn deliver(&mut self, from: StationId, frame: &[u8], at: True, is_destroyed: bool) {
+    fn deliver(&mut self, from: StationId, frame: &[u8], at: True, sent: Result<Fate, Loss>) {
         let Some((header, _)) = Header::parse(frame) else { return };
-        let seat = self.members.get(from).filter(|_| !is_destroyed);
-        let carried = seat.map(|seat| seat.sends_by.carry(frame, &mut self.random));
-        let fate = carried.unwrap_or((!is_destroyed).then(Fate::default));
-        self.count(fate.unwrap_or_default());
+        self.count(sent.unwrap_or_default());
         let to_all = header.destination.is_group();
-        let kept = self.frames.keep(frame);
+        let frame = self.frames.keep(frame);
         let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination) };
         for place in range {
             let to = if to_all { place } else { self.addresses[place].1 };
             if to == from || self.members[to].stopped {
                 continue;
             }
-            let mut lost = Err(if is_destroyed { Loss::Collision } else { Loss::Wire });
+            let mut reached = sent.and_then(|fate| self.hand_to(to, from, &frame, at, fate));
             // Of two copies one is enough.
-            for fate in
-                fate.into_iter().flat_map(|fate| [Some(fate), fate.comes_twice.then_some(fate)]).flatten()
-            {
-                lost = self.hand_to(to, from, &kept, at, fate).or(lost);
+            if let Some(fate) = sent.ok().filter(|fate| fate.comes_twice) {
+                reached = self.hand_to(to, from, &frame, at, fate).or(reached);
             }
-            if let Err(why) = lost {
-                self.lose(to, frame, why);
+            if let Err(why) = reached {
+                self.lose(to, &frame, why);
             }
         }
-        self.frames.leave(kept);
+        self.frames.leave(frame);
     }
 
     /// The places in the order of addresses of those with this one.
@@ -129,10 +143,10 @@ impl<D: Discipline> Network<D> {
         first..first + behind
     }
 
-    fn lose(&mut self, to: StationId, frame: &[u8], why: Loss) {
+    fn lose(&mut self, to: StationId, frame: &Kept, why: Loss) {
         self.traffic.lost += u64::from(why.is_on_purpose());
         if let Some(mourner) = &mut self.mourner {
-            mourner(to, frame, why);
+            mourner(to, self.frames.bytes(frame), why);
         }
     }
 
@@ -166,24 +180,48 @@ impl<D: Discipline> Network<D> {
         let at = at + sent.later + heard.later;
         let mut reached = Err(Loss::NoBuffer);
         for _ in 0..=u8::from(heard.comes_twice) {
-            let seat = &mut self.members[to];
-            if seat.is_full() {
-                seat.dropped += 1;
-                continue;
-            }
-            let is_changed = sent.corrupt.or(heard.corrupt).is_some();
-            let frame = if is_changed { self.frames.copy(frame) } else { self.frames.share(frame) };
-            [sent, heard].iter().for_each(|fate| fate.corrupt(self.frames.bytes_mut(&frame)));
-            seat.receive(at, frame);
-            reached = Ok(());
-            if seat.blocked {
-                let wake = at + seat.member.host.wake_delay(&mut self.random);
-                // Its deadline may be nearer.
-                let wake = seat.wakes.map_or(wake, |deadline| deadline.min(wake));
-                seat.turn_at(&mut self.agenda, to, wake);
-            }
+            reached = self.on_its_way(to, frame, at, [sent, heard]).or(reached);
         }
         reached
+    }
+
+    /// A frame is about to arrive at a station, with what has become of it on the way.
+    fn on_its_way(&mut self, to: StationId, frame: &Kept, at: True, fates: [Fate; 2]) -> Result<(), Loss> {
+        let is_changed = fates.iter().any(|fate| fate.corrupt.is_some());
+        let frame = if is_changed { self.frames.copy(frame) } else { self.frames.share(frame) };
+        fates.iter().for_each(|fate| fate.corrupt(self.frames.bytes_mut(&frame)));
+        if at <= self.now + SOON {
+            return self.arrive(to, frame, at);
+        }
+        self.agenda.put(at, Action::Arrived(to, frame));
+        Ok(())
+    }
+
+    /// A frame that was long on its way is there.
+    pub(super) fn arrived(&mut self, to: StationId, frame: Kept) {
+        if !self.members[to].stopped {
+            let taken = self.frames.share(&frame);
+            if let Err(why) = self.arrive(to, taken, self.now) {
+                self.lose(to, &frame, why);
+            }
+        }
+        self.frames.leave(frame);
+    }
+
+    /// A frame takes a buffer of a station's card, and wakes the station if it waits for one.
+    fn arrive(&mut self, to: StationId, frame: Kept, at: True) -> Result<(), Loss> {
+        let seat = &mut self.members[to];
+        if seat.is_full() {
+            seat.dropped += 1;
+            self.frames.leave(frame);
+            return Err(Loss::NoBuffer);
+        }
+        seat.receive(at, frame);
+        if seat.is_woken_by(at) {
+            let wake = at + seat.member.host.wake_delay(&mut self.random);
+            seat.wake_for(&mut self.agenda, to, at, wake);
+        }
+        Ok(())
     }
 
     /// When a frame that comes to a switch has left it by a station's port; `None`: there was no room for it.

@@ -1,7 +1,7 @@
 //! What can be done to a network while it runs.
 
 use super::{Action, Discipline, Network, StationId};
-use crate::clock::{EmulatedClock, True};
+use crate::clock::EmulatedClock;
 use crate::sim::latency::nanos;
 use crate::sim::link::Link;
 use crate::station::Station;
@@ -14,9 +14,9 @@ pub struct Wander {
     pub every: Span,
     /// By how much at most, in parts per billion, either way.
     pub step_ppb: i64,
-    /// How far its rate may be from the one it began with, in parts per billion.
+    /// How far its rate may be from `around_ppb`, in parts per billion.
     pub within_ppb: i64,
-    /// The rate error it began with.
+    /// The rate error that it wanders around.
     pub around_ppb: i64,
 }
 
@@ -81,19 +81,34 @@ impl<D: Discipline> Network<D> {
         }
     }
 
-    /// Lets a station's clock wander from now on.
+    /// Lets a station's clock wander from now on, and no longer as before.
     pub fn wander(&mut self, id: StationId, wander: Wander) {
-        self.agenda.put(self.now + nanos(wander.every), Action::Wander(self.wanders.len()));
-        self.wanders.push((id, wander));
+        let seat = &mut self.members[id];
+        (seat.wander, seat.wanders) = (Some(wander), seat.wanders + 1);
+        self.agenda.put(self.now + nanos(wander.every), Action::Wander(id, seat.wanders));
     }
 
-    pub(super) fn wander_on(&mut self, place: usize) {
-        let now: True = self.now;
-        let (id, Wander { every, step_ppb, within_ppb, around_ppb }) = self.wanders[place];
-        let clock = &mut self.members[id].member.clock;
+    /// The rate error of a station's clock, or the one that it wanders around, in parts per billion.
+    pub fn rate_around(&self, id: StationId) -> i64 {
+        let seat = &self.members[id];
+        seat.wander.map_or(seat.member.clock.drift_ppb, |wander| wander.around_ppb)
+    }
+
+    /// If a station's clock wanders, it does so around this rate error from now on.
+    pub fn wander_around(&mut self, id: StationId, ppb: i64) {
+        if let Some(wander) = &mut self.members[id].wander {
+            wander.around_ppb = ppb;
+        }
+    }
+
+    pub(super) fn wander_on(&mut self, id: StationId, number: u32) {
+        let (now, seat) = (self.now, &mut self.members[id]);
+        let Some(wander) = seat.wander.filter(|_| number == seat.wanders) else { return };
+        let Wander { every, step_ppb, within_ppb, around_ppb } = wander;
+        let clock = &mut seat.member.clock;
         let drift = clock.drift_ppb + self.random.between(-step_ppb, step_ppb);
         // What it waits for is off by no more than this rate makes of one wait.
         *clock = clock.at_rate(now, drift.clamp(around_ppb - within_ppb, around_ppb + within_ppb));
-        self.agenda.put(now + nanos(every), Action::Wander(place));
+        self.agenda.put(now + nanos(every), Action::Wander(id, number));
     }
 }

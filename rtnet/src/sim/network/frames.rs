@@ -7,7 +7,7 @@ use crate::buf::{Buf, Pool, ROOM};
 #[derive(Debug, PartialEq, Eq)]
 pub struct Kept(usize);
 
-/// All that are on their way, no more than what all receive pools together have room for.
+/// All that are on their way: on slow wires, or in receive pools, which hold no more than so many each.
 pub struct Frames {
     places: Vec<Place>,
     /// Places without a frame, the one that was left last at the end.

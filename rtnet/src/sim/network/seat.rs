@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::frames::{Frames, Kept};
-use super::{Action, Agenda, Member, StationId};
+use super::{Action, Agenda, Member, StationId, Wander};
 use crate::clock::True;
 use crate::discipline::{Discipline, Transmission};
 use crate::sim::link::Link;
@@ -22,10 +22,12 @@ pub struct Seat<D: Discipline> {
     pub chosen: Option<Transmission>,
     /// When it had woken to choose that.
     pub woke: True,
-    /// Sleeps until a frame arrives, at the latest until then.
+    /// Sleeps until a frame arrives, at the latest until `wakes`.
     pub blocked: bool,
-    /// See `blocked`.
+    /// When it wakes, as far as that is known.
     pub wakes: Option<True>,
+    /// When the frame arrives that wakes it, if one is on its way.
+    woken_by: Option<True>,
     pub stopped: bool,
     /// Its thread does not run before this.
     pub frozen_until: True,
@@ -39,6 +41,9 @@ pub struct Seat<D: Discipline> {
     pub hears_by: Link,
     /// Its port of a switch.
     pub port: Port,
+    /// How its clock wanders, if it does, and which time that was said.
+    pub wander: Option<Wander>,
+    pub wanders: u32,
     /// The number of what it does next: what was put down before under another one is void.
     number: u64,
     turns_now: (True, u32),
@@ -61,6 +66,7 @@ impl<D: Discipline> Seat<D> {
             woke: 0,
             blocked: false,
             wakes: None,
+            woken_by: None,
             stopped: false,
             frozen_until: 0,
             stall: 0,
@@ -69,6 +75,8 @@ impl<D: Discipline> Seat<D> {
             sends_by: Link::default(),
             hears_by: Link::default(),
             port: Port::default(),
+            wander: None,
+            wanders: 0,
             number: 0,
             turns_now: (0, 0),
         }
@@ -79,6 +87,27 @@ impl<D: Discipline> Seat<D> {
         self.number += 1;
         self.blocked = false;
         agenda.put(at, Action::Turn(id, self.number));
+    }
+
+    /// Sleeps until a frame arrives, at the latest until then. When the next one arrives that is on its way, if one is: it
+    /// wakes the station.
+    pub fn block(&mut self, until: Option<True>) -> Option<True> {
+        (self.blocked, self.wakes, self.woken_by) = (true, until, None);
+        self.inbox.front().map(|&(at, _)| at)
+    }
+
+    /// Whether a frame that arrives then wakes it: none before it does.
+    pub fn is_woken_by(&self, at: True) -> bool {
+        self.blocked && self.woken_by.is_none_or(|by| at < by)
+    }
+
+    /// The frame that arrives at a time lets it run at another, unless it does so before.
+    pub fn wake_for(&mut self, agenda: &mut Agenda<Action>, id: StationId, at: True, wake: True) {
+        self.woken_by = Some(at);
+        if self.wakes.is_none_or(|planned| wake < planned) {
+            self.turn_at(agenda, id, wake);
+            (self.blocked, self.wakes) = (true, Some(wake));
+        }
     }
 
     pub fn is_void(&self, number: u64) -> bool {

@@ -89,8 +89,8 @@ pub enum Happening {
     Stop(Vec<usize>, Span),
     /// The next frame of each is held up for so long behind its last look at the clock.
     Stall(Vec<usize>, Span),
-    /// Clocks show so much more from now on, and run at another rate, parts per billion.
-    Clock(Vec<usize>, Span, Option<i64>),
+    /// Clocks show so much more from now on, run at another rate, parts per billion, and wander.
+    Clock(Vec<usize>, Span, Option<i64>, Option<Wandering>),
     /// The medium falls apart for so long: these on one side, the others on the other.
     Cut(Vec<usize>, Span),
     /// Wires are out for so long.

@@ -20,7 +20,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
-use crate::scenario::{Direction, Scenario, Wire};
+use crate::scenario::{Direction, Scenario, Wandering, Wire};
 use crate::station::sync_latest;
 use crate::station::traffic::{Traffic, TrafficCounts, TrafficPlan};
 
@@ -96,9 +96,7 @@ impl World {
             set_wire(&mut world.network, wire);
         }
         for &(id, wandering) in &conditions.wanders {
-            let around_ppb = clock_drift(scenario, id);
-            let (every, step_ppb, within_ppb) = (wandering.every, wandering.step_ppb, wandering.within_ppb);
-            world.network.wander(id, Wander { every, step_ppb, within_ppb, around_ppb });
+            world.network.wander(id, wander(&wandering, clock_drift(scenario, id)));
         }
         Ok(world)
     }
@@ -154,6 +152,11 @@ pub fn set_wire(network: &mut Network<Tdma>, wire: &Wire) {
             change(hears_by);
         }
     }
+}
+
+/// How a clock wanders around a rate error in parts per billion.
+pub fn wander(&Wandering { every, step_ppb, within_ppb }: &Wandering, around_ppb: i64) -> Wander {
+    Wander { every, step_ppb, within_ppb, around_ppb }
 }
 
 /// A station's clock as it begins.

@@ -23,7 +23,8 @@
 //!
 //! [[event]]
 //! at = "2s"                 # after the begin of the measurement
-//! kill = "master"           # one of: kill, restart, start, stop, stall, clock, cut, unplug, wire, babble, inject
+//! kill = "master"           # or clock = { stations = "arm", step = "5ms", drift_ppm = 20.0, wander = { ... } };
+//!                           # one of: kill, restart, start, stop, stall, clock, cut, unplug, wire, babble, inject
 //! times = 20                # and every = "100ms"
 //!
 //! [expect]
@@ -202,7 +203,7 @@ impl Reader<'_> {
             host: sections.host.as_ref().map_or(Ok(Host::IDEAL), |file| self.host(file))?,
             hosts: hosts.map(|(id, file)| Ok((*id, self.host(file)?))).collect::<Result<_, FileError>>()?,
             wanders: wanders
-                .map(|(id, file)| Ok((*id, self.wandering(*file)?)))
+                .map(|(id, file)| Ok((*id, self.wandering(*file, self.place("wander"))?)))
                 .collect::<Result<_, FileError>>()?,
             wires: sections.wires.iter().map(|wire| self.wire(wire)).collect::<Result<_, _>>()?,
             events: sections.events.iter().map(|event| self.event(event)).collect::<Result<_, _>>()?,
@@ -368,11 +369,10 @@ impl Reader<'_> {
         })
     }
 
-    fn wandering(&self, file: WanderFile) -> Result<Wandering, FileError> {
+    fn wandering(&self, file: WanderFile, at: usize) -> Result<Wandering, FileError> {
         let ppb = |ppm: f64| {
             let is_sound = (0.0..=WANDER_AT_MOST_PPM).contains(&ppm);
             let what = || format!("a clock that wanders by {ppm} ppm: from 0 to {WANDER_AT_MOST_PPM}");
-            let at = self.place("wander");
             is_sound
                 .then_some((ppm * 1_000.0).round() as i64)
                 .ok_or_else(|| self.source.impossible(at, what()))

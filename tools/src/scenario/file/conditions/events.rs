@@ -4,7 +4,7 @@ use rtnet::time::Span;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{LONGEST, Names, Reader, WireFile};
+use super::{LONGEST, Names, Reader, WanderFile, WireFile};
 use crate::scenario::file::FileError;
 use crate::scenario::{Event, Happening};
 use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan};
@@ -40,6 +40,7 @@ struct ClockChange {
     stations: Option<Names>,
     step: Option<AnySpan>,
     drift_ppm: Option<f64>,
+    wander: Option<WanderFile>,
 }
 
 #[derive(Deserialize)]
@@ -120,11 +121,14 @@ impl Reader<'_> {
             };
             let drift = change.drift_ppm.map(|ppm| self.source.drift(ppm, place)).transpose()?;
             let step = change.step.map_or(Span::ZERO, |step| step.0);
-            if step.abs() > LONGEST || (step == Span::ZERO && drift.is_none()) {
-                let what = format!("a clock is set by a step of at most {LONGEST}, or a drift_ppm, or both");
+            let wander = change.wander.map(|wander| self.wandering(wander, place)).transpose()?;
+            if step.abs() > LONGEST || (step == Span::ZERO && drift.is_none() && wander.is_none()) {
+                let what = format!(
+                    "a clock is set by a step of at most {LONGEST}, a drift_ppm or a wander, or several"
+                );
                 return Err(self.source.impossible(place, what));
             }
-            all.push((Happening::Clock(stations, step, drift), false));
+            all.push((Happening::Clock(stations, step, drift, wander), false));
         }
         if let Some(wire) = &event.wire {
             all.push((Happening::Wires(self.wire(wire.get_ref())?, lasts), true));

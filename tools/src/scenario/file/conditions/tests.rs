@@ -48,7 +48,7 @@ stop = ["arm", "master"]
 for = "50ms"
 [[event]]
 at = "1s"
-clock = { stations = "arm", step = "-5ms", drift_ppm = 20.0 }
+clock = { stations = "arm", step = "-5ms", drift_ppm = 20.0, wander = { step_ppm = 0.1, within_ppm = 2.0 } }
 [expect]
 overlaps = 0
 sync_error = "< 20us"
@@ -73,7 +73,7 @@ sync_error = "< 20us"
     let [stop, clock] = &conditions.events[..] else { panic!() };
     assert_eq!(stop.what, Happening::Stop(vec![arm, 0], Span::from_millis(50)));
     assert_eq!((stop.times, stop.every, stop.line), (3, Span::from_millis(100), 24));
-    assert_eq!(clock.what, Happening::Clock(vec![arm], Span::from_millis(-5), Some(20_000)));
+    assert_eq!(clock.what, Happening::Clock(vec![arm], Span::from_millis(-5), Some(20_000), Some(wandering)));
     let read: Vec<_> =
         conditions.expectations.iter().map(|e| (e.measure, e.station, e.relation, e.limit)).collect();
     let expected = [
@@ -106,7 +106,11 @@ fn what_cannot_happen_names_file_line_and_remedy() {
     refused(&event("kill = 5"), "a station's name, or a list of names");
     refused(
         &event("clock = { stations = \"arm\" }"),
-        "a clock is set by a step of at most 3600s, or a drift_ppm",
+        "a clock is set by a step of at most 3600s, a drift_ppm or a wander",
+    );
+    refused(
+        &event("clock = { wander = { step_ppm = 0.1, within_ppm = 2000.0 } }"),
+        "net.toml:15: a clock that wanders by 2000 ppm: from 0 to 1000",
     );
     refused(&event("clock = { step = \"180min\" }"), "a clock is set by a step of at most 3600s");
     refused(

@@ -2,7 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use tools::scenario::{self, Measure};
+use pcap_file::pcapng::blocks::enhanced_packet::EnhancedPacketOption;
+use pcap_file::pcapng::blocks::opt_common::CommonOption;
+use pcap_file::pcapng::{Block, PcapNgReader};
+use tools::report::figures::MissKind;
+use tools::scenario::{self, Expectation, Measure, Relation};
 use tools::sim::{self, EXAMPLE, Ended, Options};
 
 fn directory() -> PathBuf {
@@ -105,6 +109,96 @@ fn a_queued_frame_waits_for_as_long_as_can_be_worked_out_at_the_most() {
     assert_eq!(figures.per_station[1].queueing, figures.queueing, "nobody else queues anything");
     let shortest = figures.queueing[0].delay_ns.min.unwrap();
     assert!((lead - 1_000..lead + 3_000).contains(&shortest), "{shortest}: it just came in time");
+}
+
+#[test]
+fn a_capture_tells_of_each_frame_which_cycle_and_slot_it_is_of_and_how_late() {
+    let mut scenario = scenario::load(&directory().join("urgent_frames_overtake_a_backlog.toml")).unwrap();
+    scenario.duration = rtnet::time::Span::from_millis(100);
+    let directory = tempfile::tempdir().unwrap();
+    let pcap = directory.path().join("frames.pcapng");
+    let ended = sim::run(&scenario, &Options { pcap: Some(pcap.clone()), ..Options::default() }).unwrap();
+    let comments = comments(&pcap);
+    assert!(comments.len() as u64 > ended.figures.simulation.frames, "all since the begin");
+    let first_sync = comments.iter().position(|text| text.ends_with("sync, slot error +0.000us")).unwrap();
+    assert!(comments[first_sync + 1..].iter().all(|text| text.starts_with("cycle ")), "{comments:#?}");
+    let of = |what: &str| comments.iter().filter(|text| text.contains(what)).collect::<Vec<_>>();
+    assert!(of(", request, +").iter().all(|text| text.ends_with("us from its start")));
+    let usual = of(", slot 0 of station 2, slot error ");
+    assert!(usual.len() > 100, "{comments:#?}");
+    // As a dump of a lab, but that which slot a queued frame is in is known here.
+    let queued = of(", slot 0 of station 1, priority 20, slot error ");
+    assert!(queued.len() > 35, "{queued:#?}");
+    let cycle = |text: &&String| text.split([' ', ',']).nth(1).unwrap().parse::<u32>().unwrap();
+    let gaps: Vec<u32> = queued.windows(2).map(|two| cycle(&two[1]) - cycle(&two[0])).collect();
+    assert!(gaps.iter().all(|&gap| gap > 0) && gaps.contains(&1), "each in a cycle of its own: {gaps:?}");
+}
+
+/// The comments of all frames in a capture.
+fn comments(pcap: &Path) -> Vec<String> {
+    let mut reader = PcapNgReader::new(std::fs::File::open(pcap).unwrap()).unwrap();
+    let mut comments = Vec::new();
+    while let Some(block) = reader.next_block() {
+        let Block::EnhancedPacket(packet) = block.unwrap().0 else { continue };
+        let comment = packet.options.iter().find_map(|option| match option {
+            EnhancedPacketOption::Common(CommonOption::Comment(text)) => Some(text.to_string()),
+            _ => None,
+        });
+        comments.push(comment.expect("every frame has one"));
+    }
+    comments
+}
+
+#[test]
+fn whatever_is_not_as_expected_has_the_cycle_in_which_it_was_worst_or_is_said_to_have_none() {
+    let failed = |file: &str, measures: &[Measure]| {
+        let mut scenario = scenario::load(&directory().join(file)).unwrap();
+        scenario.duration = scenario.duration.min(rtnet::time::Span::from_millis(4_000));
+        scenario.conditions.events.clear();
+        let line = |&measure| Expectation {
+            measure,
+            station: None,
+            priority: None,
+            // More than there can be.
+            relation: Relation::Equal,
+            limit: i64::MAX - 1,
+            line: 1,
+        };
+        scenario.conditions.expectations = measures.iter().map(line).collect();
+        let ended = sim::run(&scenario, &Options::default()).unwrap();
+        let text = sim::screen::render(&ended.figures, None, 80);
+        let checked = ended.figures.simulation.expectations;
+        let none =
+            text.lines().filter(|line| line.ends_with("NOT AS EXPECTED, in no cycle that could be shown"));
+        assert_eq!(none.count(), checked.iter().filter(|of| of.cycle.is_none()).count(), "{text}");
+        checked.into_iter().map(|of| of.cycle).collect::<Vec<_>>()
+    };
+    use Measure::*;
+    let lossy = "frames_are_lost_doubled_late_and_changed.toml";
+    let shown = [SyncError, SlotError, LatestFrame, SmallestGap, FramesLost, Locked, Masters, RelockCycles];
+    let cycles = failed(lossy, &shown);
+    assert!(cycles.iter().all(Option::is_some), "{shown:?}: {cycles:?}");
+    assert_ne!(cycles[0], cycles[5], "not simply the last one");
+    assert_eq!(failed(lossy, &[PayloadErrors, QueueRefused]), [None, None]);
+    let queueing = failed("urgent_frames_overtake_a_backlog.toml", &[QueueingDelay, QueueingP99]);
+    assert!(queueing.iter().all(Option::is_some), "{queueing:?}");
+    let babble = failed("station_babbles_on_a_hub.toml", &[Collisions, Stray]);
+    assert_eq!(babble, [None, None], "nobody babbles now");
+}
+
+#[test]
+fn the_cycle_that_is_shown_is_the_one_of_the_worst_frame() {
+    let mut scenario =
+        scenario::load(&directory().join("late_frames_without_a_guard_are_told_of.toml")).unwrap();
+    let expected = &mut scenario.conditions.expectations[0];
+    (expected.measure, expected.relation, expected.limit) = (Measure::LatestFrame, Relation::Less, i64::MIN);
+    let ended = sim::run(&scenario, &Options::default()).unwrap();
+    let worst =
+        ended.figures.simulation.expectations.iter().find(|of| of.expected.starts_with("latest_frame"));
+    let cycle = worst.unwrap().cycle.unwrap();
+    let misses = &ended.figures.figures.misses;
+    let of_this = misses.iter().filter(|miss| miss.cycle == u64::from(cycle));
+    assert_eq!(of_this.map(|miss| miss.kind).collect::<Vec<_>>(), [MissKind::StalledInSend], "{misses:#?}");
 }
 
 #[test]

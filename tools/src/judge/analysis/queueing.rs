@@ -92,3 +92,147 @@ impl Analysis {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rtmac::wire::Message;
+    use rtnet::buf::Pool;
+    use rtnet::clock::EmulatedClock;
+    use rtnet::discipline::{Opportunity, Service};
+    use rtnet::time::{GlobalTime, Instant, Offset};
+    use rtnet::wire::ethernet::Address;
+
+    use super::*;
+    use crate::judge::findings::FindingKind;
+    use crate::judge::givers::TrueMaster;
+    use crate::scenario::{Scenario, Source};
+    use crate::station::traffic::{Traffic, TrafficPlan};
+
+    const NETWORK: &str = r#"
+cycle = "1ms"
+rate = "100M"
+[[station]]
+name = "master"
+role = "master"
+slots = [{ id = 0, offset = "100us" }]
+[[station]]
+name = "arm"
+role = "slave"
+slots = [{ id = 0, offset = "500us", size = 64 }]
+[[station.traffic]]
+priority = 3
+every = "2ms"
+"#;
+    const ARM: usize = 1;
+    const SLOT: u64 = 500_000;
+
+    /// The frames of an arm whose clock is the true one, in cycles 10 to 14; in cycle 12 there is one that was queued, this
+    /// much late.
+    fn seen(late: u64) -> (Scenario, Analysis) {
+        let scenario = Source { file: "net.toml", text: NETWORK }.parse().unwrap().with_ideal_clocks();
+        let master = TrueMaster { clock: EmulatedClock::default(), epoch: Offset::default() };
+        let mut analysis = Analysis::new(&scenario, master);
+        analysis.begin(10, 5);
+        let nobody = Address::default();
+        let plan = TrafficPlan {
+            station: ARM as u16,
+            source: nobody,
+            destination: nobody,
+            from: 0,
+            payload: 64,
+            from_payload: 64,
+            first: 0,
+        };
+        let mut traffic = Traffic::new(plan, Default::default()).with_flows(scenario.flow_plan(ARM));
+        let mut held_up: Option<(u64, Vec<u8>)> = None;
+        for cycle in 9..=15_u32 {
+            let start = u64::from(cycle) * 1_000_000;
+            let (begin, scheduled) =
+                (Instant::from_nanos(start + SLOT), GlobalTime::from_nanos(start + SLOT));
+            let mut frame = None;
+            traffic.poll(&Opportunity { channel: 0, cycle, begin, scheduled }, &mut |made, _, _| {
+                frame = Some(made);
+                Ok(())
+            });
+            if let Some((at, frame)) = held_up.take_if(|(at, _)| *at < start) {
+                analysis.frame(at, &frame);
+            }
+            let (sched, mut sync) = (GlobalTime::from_nanos(start), Pool::new(1).take().unwrap());
+            Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, nobody, &mut sync);
+            analysis.frame(start, &sync);
+            if let (12, Some(frame)) = (cycle, &frame) {
+                assert_eq!(Tag::read(frame).unwrap().0.priority(), Some(3));
+                held_up = Some((start + SLOT + late, frame.to_vec()));
+            } else if let Some(frame) = frame {
+                let held_up = held_up.take_if(|(at, _)| *at < start + SLOT);
+                held_up.into_iter().for_each(|(at, frame)| analysis.frame(at, &frame));
+                analysis.frame(start + SLOT, &frame);
+            }
+        }
+        analysis.finish();
+        (scenario, analysis)
+    }
+
+    fn of_the_arm(analysis: &Analysis) -> Vec<(FindingKind, u32, Span)> {
+        let of = analysis.findings.iter().filter(|of| of.authors[0].is_some_and(|a| a.station == ARM));
+        of.map(|of| (of.kind, of.cycle, of.span)).collect()
+    }
+
+    #[test]
+    fn a_slot_that_a_queued_frame_takes_is_not_missed_and_its_delay_is_known() {
+        let (_, analysis) = seen(0);
+        let arm = &analysis.stations[ARM];
+        assert_eq!((of_the_arm(&analysis), arm.frames, analysis.expected(ARM)), (vec![], 5, 5));
+        let [(3, queueing)] = &arm.queueing.iter().map(|(p, of)| (*p, of)).collect::<Vec<_>>()[..] else {
+            panic!()
+        };
+        // Those of cycles 10, 12 and 14 are queued at their starts.
+        assert_eq!((queueing.delay.len(), queueing.delay.min(), queueing.delay.max()), (3, 500_000, 500_000));
+        assert_eq!((queueing.worst.cycle(), queueing.newest), (Some(10), Some(2)));
+    }
+
+    #[test]
+    fn a_queued_frame_that_is_held_up_is_of_the_turn_that_it_was_chosen_for() {
+        for late in [430_000, 700_000] {
+            let (_, analysis) = seen(late);
+            let span = Span::from_nanos(late as i64);
+            assert_eq!(of_the_arm(&analysis), [(FindingKind::OutOfSlot, 12, span)], "{late}");
+            let worst = &analysis.stations[ARM].queueing[&3].worst;
+            assert_eq!((worst.cycle(), worst.value()), (Some(12), Some(500_000 + late as i64)));
+        }
+    }
+
+    #[test]
+    fn traffic_of_a_priority_that_nobody_has_is_nobodys() {
+        let (scenario, analysis) = seen(0);
+        let mut plan = scenario.flow_plan(ARM);
+        plan.flows[0].priority = 4;
+        let of = |flows| {
+            let address = Address::default();
+            let plan = TrafficPlan {
+                station: ARM as u16,
+                source: address,
+                destination: address,
+                from: 0,
+                payload: 64,
+                from_payload: 64,
+                first: 0,
+            };
+            let mut made = None;
+            let mut traffic = Traffic::new(plan, Default::default()).with_flows(flows);
+            for cycle in [10_u32, 12] {
+                let at = u64::from(cycle) * 1_000_000 + SLOT;
+                let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
+                traffic.poll(&Opportunity { channel: 0, cycle, begin, scheduled }, &mut |frame, _, _| {
+                    made = Some(frame.to_vec());
+                    Ok(())
+                });
+            }
+            let frame = made.unwrap();
+            analysis.author_of(12_500_000, Tag::read(&frame).unwrap().0, frame.len())
+        };
+        assert_eq!(of(plan), None);
+        let author = Author { station: ARM, cycle: 12, slot: Some(0) };
+        assert_eq!(of(scenario.flow_plan(ARM)), Some(author));
+    }
+}

@@ -159,3 +159,27 @@ fn numbers_are_short() {
     );
     assert_eq!([0, 5, -12_300, 2_000_000_000].map(signed_time), ["0", "+0.01us", "-12.3us", "+2.00s"]);
 }
+
+#[test]
+fn what_programs_queued_is_told_by_priority_if_there_is_any() {
+    let (mut figures, histogram) = fixed();
+    assert!(!render(&figures, 80, &histogram).contains("queueing"));
+    let mut delay = SignedHistogram::new();
+    (1..=100).for_each(|delayed| delay.record(delayed * 10_000));
+    let of = |priority, refused| QueueingFigures {
+        priority,
+        frames_seen: 100,
+        refused,
+        delay_ns: delay.summary(),
+    };
+    figures.queueing = vec![of(3, 0), of(20, 1_234)];
+    let screen = render(&figures, 80, &histogram);
+    for line in [
+        "queueing in us   n p50 p99   max refused",
+        "priority 3     100 500 990 1 000       0",
+        "priority 20    100 500 990 1 000   1 234",
+        "  queueing           = frame on the wire - queued by its program",
+    ] {
+        assert!(screen.lines().any(|of| of == line), "{line}\n{screen}");
+    }
+}

@@ -1,4 +1,5 @@
 use super::*;
+use crate::station::traffic::Flow;
 
 const GOOD: &str = r#"
 cycle = "1ms"
@@ -78,6 +79,49 @@ fn what_cannot_be_names_file_line_and_remedy() {
         let error = refused(from, to);
         assert!(error.contains(expected), "{to}: {error}");
     }
+}
+
+#[test]
+fn traffic_is_read_most_urgent_first_and_what_cannot_be_of_it_is_refused_where_it_stands() {
+    let with =
+        |more: &str| {
+            parse(&GOOD.replace(
+                "[[station]]\nname = \"master\"",
+                &format!("{more}\n[[station]]\nname = \"master\""),
+            ))
+        };
+    let traffic = |what: &str| format!("[[station.traffic]]\nevery = \"4ms\"\n{what}\n");
+    let backlog = traffic("priority = 20\nburst = 8\npayload = 100\nexpect = { queueing_p99 = \"< 9ms\" }");
+    let network = with(&(backlog + &traffic("priority = 3"))).unwrap();
+    let flow = |priority, burst, payload| Flow { priority, every_ns: 4_000_000, burst, payload, slot: 0 };
+    assert_eq!(network.stations[1].flows, [flow(3, 1, 64), flow(20, 8, 100)]);
+    let expected = &network.conditions.expectations[0];
+    assert_eq!(
+        (expected.measure, expected.station, expected.priority),
+        (Measure::QueueingP99, Some(1), Some(20))
+    );
+    let plan = network.flow_plan(network.receiver(1));
+    assert_eq!((plan.flows, plan.from), (vec![], network.stations[1].flows.clone()));
+    for (what, why) in [
+        ("priority = 30", "net.toml:10: priority 30: they go from 0, the most urgent, to 29"),
+        ("priority = 3\nburst = 0", "net.toml:10: 0 frames every 4ms: 1 to 1000 are queued at a time"),
+        ("priority = 3\npayload = 101", "a payload of 101 does not fit slot 0: give that a size of 101"),
+        ("priority = 3\nslot = 2", "net.toml:10: the station has no slot 2"),
+        (
+            "priority = 3\nexpect = { overlaps = 0 }",
+            "nothing of traffic is called 'overlaps': expect frames_seen, queueing",
+        ),
+        ("priority = 3\noften = 2", "unknown field `often`"),
+    ] {
+        let error = with(&traffic(what)).unwrap_err().to_string();
+        assert!(error.contains(why), "{what}: {error}");
+    }
+    let twice = with(&(traffic("priority = 3") + &traffic("priority = 3"))).unwrap_err().to_string();
+    assert!(twice.contains("net.toml:13: a second traffic of priority 3"), "{twice}");
+    let divided: String =
+        GOOD.lines().filter(|line| !line.starts_with("slots")).map(|line| line.to_owned() + "\n").collect();
+    let divided = parse(&(divided + &traffic("priority = 3\npayload = 700"))).unwrap();
+    assert_eq!(divided.stations[0].slots[0].size, 700, "as large as need be");
 }
 
 #[test]

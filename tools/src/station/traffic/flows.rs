@@ -158,3 +158,160 @@ fn queue_of(plan: &FlowPlan, slot: Channel) -> usize {
     let joint = plan.joint.iter().find(|(of, _)| *of == slot);
     usize::from(joint.map_or(slot, |&(_, queue)| queue)) % QUEUES
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use rtnet::discipline::{SendError, Service};
+    use rtnet::time::Instant;
+    use rtnet::wire::ethernet::Address;
+
+    use super::super::{Traffic, TrafficCounts, TrafficPlan};
+    use super::*;
+
+    const FLOW: Flow = Flow { priority: 3, every_ns: 3_000_000, burst: 2, payload: 100, slot: 0 };
+
+    /// A station with slots 0 and 2, of which the second takes from the first one's queue; all that it queued is kept.
+    struct Bench {
+        traffic: Traffic,
+        counts: Arc<TrafficCounts>,
+        queued: Vec<Buf>,
+        room: usize,
+    }
+
+    impl Bench {
+        fn new(flows: &[Flow]) -> Self {
+            let counts = Arc::new(TrafficCounts::default());
+            let (source, destination) = (Address([2, 0, 0, 0, 0, 1]), Address([2, 0, 0, 0, 0, 2]));
+            let plan = TrafficPlan {
+                station: 0,
+                source,
+                destination,
+                from: 1,
+                payload: 64,
+                from_payload: 64,
+                first: 0,
+            };
+            let flows = FlowPlan { flows: flows.to_vec(), joint: vec![(2, 0)], from: Vec::new() };
+            let traffic = Traffic::new(plan, counts.clone()).with_flows(flows);
+            Self { traffic, counts, queued: Vec::new(), room: usize::MAX }
+        }
+
+        /// What is queued for slot 0 of a cycle of 1 ms, 100 us behind its start: priority, number, and at which
+        /// microsecond a program queued it.
+        fn poll(&mut self, cycle: u32) -> Vec<(u8, u64, u64)> {
+            self.poll_slot(cycle, 0)
+        }
+
+        fn poll_slot(&mut self, cycle: u32, channel: Channel) -> Vec<(u8, u64, u64)> {
+            let at = u64::from(cycle) * 1_000_000 + 100_000 + u64::from(channel) * 100_000;
+            let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
+            let before = self.queued.len();
+            let Self { traffic, queued, room, .. } = self;
+            traffic.poll(&Opportunity { channel, cycle, begin, scheduled }, &mut |frame, priority, _| {
+                let (tag, _) = Tag::read(&frame).unwrap();
+                assert_eq!(tag.priority().unwrap_or(30), priority.level());
+                if queued.len() - before == *room {
+                    return Err((SendError::QueueFull(0), frame));
+                }
+                queued.push(frame);
+                Ok(())
+            });
+            let tag = |frame: &Buf| *Tag::read(frame).unwrap().0;
+            let all = self.queued[before..].iter().map(tag);
+            all.map(|tag| (tag.priority().unwrap_or(30), tag.sequence(), tag.scheduled().nanos() / 1_000))
+                .collect()
+        }
+    }
+
+    #[test]
+    fn usual_frames_have_what_slots_are_left() {
+        let mut bench = Bench::new(&[FLOW]);
+        assert_eq!(bench.poll(1), [(30, 0, 1_100)]);
+        assert_eq!(bench.poll(2), [(30, 1, 2_100)]);
+        assert_eq!(bench.poll(3), [(3, 0, 3_000), (3, 1, 3_000)], "the first of them takes this slot");
+        assert_eq!(bench.poll(4), [], "the second one waits");
+        assert_eq!(bench.poll(5), [(30, 2, 5_100)]);
+        assert_eq!(bench.poll(6), [(3, 2, 6_000), (3, 3, 6_000)]);
+        assert_eq!(bench.poll_slot(6, 2), [], "a slot that is joined takes the second one");
+        assert_eq!(bench.poll(7), [(30, 3, 7_100)]);
+    }
+
+    #[test]
+    fn a_queued_frame_that_missed_its_slot_waits_for_the_next_and_a_usual_one_is_not_wanted() {
+        let mut bench = Bench::new(&[FLOW]);
+        bench.poll(2);
+        bench.poll(3);
+        assert!(!bench.traffic.still_wanted(&bench.queued[0]));
+        assert!(bench.traffic.still_wanted(&bench.queued[1]));
+        assert_eq!([bench.poll(4), bench.poll(5)], [vec![], vec![]], "both wait");
+        assert_eq!(bench.poll(6).len(), 2);
+    }
+
+    #[test]
+    fn what_finds_no_room_is_counted_and_gone() {
+        let mut bench = Bench::new(&[Flow { burst: 5, ..FLOW }]);
+        bench.poll(2);
+        bench.room = 3;
+        assert_eq!(bench.poll(3).len(), 3);
+        assert_eq!(bench.counts.refused().collect::<Vec<_>>(), [(3, 2)]);
+        bench.room = usize::MAX;
+        assert_eq!(bench.poll(6)[0], (3, 3, 6_000), "it has no number");
+        // For ten minutes there was no slot: the oldest are queued, as many as there is room for.
+        bench.queued.clear();
+        let late = bench.poll(600_006);
+        assert_eq!((late.len(), late[0]), (POOL, (3, 8, 9_000)));
+        assert_eq!(bench.counts.refused().collect::<Vec<_>>(), [(3, 2 + 200_000 * 5 - POOL as u64)]);
+    }
+
+    #[test]
+    fn queued_frames_that_are_gone_leave_their_slots_to_the_usual_ones() {
+        let mut bench = Bench::new(&[FLOW]);
+        bench.poll(2);
+        assert_eq!(bench.poll(3).len(), 2);
+        bench.queued.clear();
+        assert_eq!(bench.poll(4), [(30, 1, 4_100)]);
+    }
+
+    #[test]
+    fn a_time_that_is_set_back_queues_nothing_of_before() {
+        let mut bench = Bench::new(&[FLOW]);
+        bench.poll(300);
+        assert_eq!(bench.poll(10), [(30, 1, 10_100)]);
+        assert_eq!(bench.poll(12), [(3, 0, 12_000), (3, 1, 12_000)]);
+    }
+
+    #[test]
+    fn a_receiver_takes_what_its_sender_queues_in_the_order_of_each_priority() {
+        let mut bench = Bench::new(&[FLOW]);
+        bench.poll(2);
+        bench.poll(3);
+        let plan = TrafficPlan {
+            station: 1,
+            source: Address([2, 0, 0, 0, 0, 2]),
+            destination: Address([2, 0, 0, 0, 0, 1]),
+            from: 0,
+            payload: 64,
+            from_payload: 64,
+            first: 0,
+        };
+        let receiver = |from: Vec<Flow>| {
+            Traffic::new(plan, Arc::default()).with_flows(FlowPlan { from, ..FlowPlan::default() })
+        };
+        let pool = Pool::new(4);
+        let copy = |frame: &Buf| {
+            let mut copy = pool.take().unwrap();
+            copy.fill(frame);
+            copy
+        };
+        let mut knows = receiver(vec![FLOW]);
+        for frame in &bench.queued {
+            assert_eq!(knows.on_frame(None, copy(frame)), Ok(()));
+        }
+        assert!(knows.on_frame(None, copy(&bench.queued[1])).is_err(), "twice");
+        assert!(receiver(Vec::new()).on_frame(None, copy(&bench.queued[1])).is_err(), "nobody said so");
+        let other = Flow { payload: 60, ..FLOW };
+        assert!(receiver(vec![other]).on_frame(None, copy(&bench.queued[1])).is_err(), "of another size");
+    }
+}

@@ -164,9 +164,14 @@ every = "2ms"
                 assert_eq!(Tag::read(frame).unwrap().0.priority(), Some(3));
                 held_up = Some((start + SLOT + late, frame.to_vec()));
             } else if let Some(frame) = frame {
-                let held_up = held_up.take_if(|(at, _)| *at < start + SLOT);
-                held_up.into_iter().for_each(|(at, frame)| analysis.frame(at, &frame));
-                analysis.frame(start + SLOT, &frame);
+                // Who is held up sends nothing else.
+                let is_held_up = held_up.as_ref().is_some_and(|(at, _)| *at > start + SLOT);
+                if let Some((at, frame)) = held_up.take_if(|_| !is_held_up) {
+                    analysis.frame(at, &frame);
+                }
+                if !is_held_up {
+                    analysis.frame(start + SLOT, &frame);
+                }
             }
         }
         analysis.finish();
@@ -193,10 +198,12 @@ every = "2ms"
 
     #[test]
     fn a_queued_frame_that_is_held_up_is_of_the_turn_that_it_was_chosen_for() {
-        for late in [430_000, 700_000] {
+        let missed = (FindingKind::SlotMissed, 13, Span::ZERO);
+        for (late, missed) in [(430_000, None), (700_000, None), (1_430_000, Some(missed))] {
             let (_, analysis) = seen(late);
-            let span = Span::from_nanos(late as i64);
-            assert_eq!(of_the_arm(&analysis), [(FindingKind::OutOfSlot, 12, span)], "{late}");
+            let held_up = (FindingKind::OutOfSlot, 12, Span::from_nanos(late as i64));
+            let expected: Vec<_> = [Some(held_up), missed].into_iter().flatten().collect();
+            assert_eq!(of_the_arm(&analysis), expected, "{late}");
             let worst = &analysis.stations[ARM].queueing[&3].worst;
             assert_eq!((worst.cycle(), worst.value()), (Some(12), Some(500_000 + late as i64)));
         }

@@ -106,8 +106,9 @@ impl Flows {
         }
         for (flow, going) in self.plan.flows.iter().zip(&mut self.going) {
             let queue = queue_of(&self.plan, flow.slot);
-            let (first, mut left) = going.due(flow, slot.scheduled - DEFAULT_LEAD);
-            for n in 0..left {
+            let (first, due) = going.due(flow, slot.scheduled - DEFAULT_LEAD);
+            let mut queued = 0;
+            for n in 0..due {
                 let at = GlobalTime::from_nanos((first + n / u64::from(flow.burst)) * flow.every_ns);
                 let Some(mut frame) = pool.take() else { break };
                 write(&Queued { flow: *flow, sequence: going.sequence, at }, &mut frame);
@@ -115,11 +116,11 @@ impl Flows {
                 if out(frame, priority, flow.slot).is_err() {
                     break;
                 }
-                (going.sequence, left) = (going.sequence + 1, left - 1);
+                (going.sequence, queued) = (going.sequence + 1, queued + 1);
                 self.waiting[queue] += 1;
             }
             // Where one finds no room the next one does not, either.
-            refused(flow, left);
+            refused(flow, due - queued);
         }
         let waiting = &mut self.waiting[queue_of(&self.plan, slot.channel)];
         let is_taken = *waiting > 0;

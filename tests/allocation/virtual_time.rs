@@ -8,13 +8,13 @@ use rtmac::tdma::{
     SlaveConfig, SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use rtnet::buf::{Buf, Pool};
-use rtnet::discipline::{Discipline, Sent, SyncState, Transmission};
+use rtnet::discipline::{Discipline, Opportunity, Sent, Service, SyncState, Transmission};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 use tests::chance::Case;
 use tests::traffic;
-use tools::station::traffic::TrafficCounts;
+use tools::station::traffic::{Flow, FlowPlan, TrafficCounts};
 
 use crate::calls;
 
@@ -92,6 +92,33 @@ fn networks_by_chance_allocate_nothing_once_they_run() {
         assert!(lab.network.traffic().frames > sent + 500, "seed {seed}: they were at work");
         assert_eq!(allocations, 0, "seed {seed}");
     }
+}
+
+#[test]
+fn what_a_program_queues_allocates_nothing() {
+    let flow = Flow { priority: 3, every_ns: 3_000_000, burst: 40, payload: 100, slot: 0 };
+    let flows = FlowPlan { flows: vec![flow, Flow { priority: 9, ..flow }], ..FlowPlan::default() };
+    let counts = Arc::new(TrafficCounts::default());
+    let address = Address([2, 0, 0, 0, 0, 1]);
+    let mut traffic = traffic::of_a_lab((0, address), address, 1, counts.clone()).with_flows(flows);
+    let (mut queued, mut waiting) = (0, Vec::with_capacity(100));
+
+    let before = calls();
+    for cycle in 0..1_000 {
+        let at = u64::from(cycle) * 1_000_000 + 100_000;
+        let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
+        traffic.poll(&Opportunity { channel: 0, cycle, begin, scheduled }, &mut |frame, _, _| {
+            queued += 1;
+            waiting.push(frame);
+            Ok(())
+        });
+        waiting.truncate(if cycle % 10 == 0 { 0 } else { 90 });
+    }
+    let allocations = calls() - before;
+
+    assert!(queued > 5_000, "{queued}");
+    assert!(counts.refused().count() == 2, "its pool was empty at times, too");
+    assert_eq!(allocations, 0);
 }
 
 #[test]

@@ -16,7 +16,6 @@
 //! dropped, too. That holds for frames with [`MARK`], which sockets of guarded ports set, whoever sends
 //! them; all others pass, so that an interface can be shared with ordinary traffic.
 
-mod bpf;
 mod clsact;
 mod program;
 
@@ -24,9 +23,12 @@ use core::sync::atomic::{AtomicU64, Ordering};
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
 
+use super::bpf::{self, assembler};
 use crate::clock::True;
 
 pub use program::MARK;
+
+const NAME: bpf::Name = *b"rtnet_guard\0\0\0\0\0";
 
 /// What stalls after its check by no more than this may leave: 10 us, or a twelfth of a long time...
 const STALL: True = 10_000;
@@ -121,7 +123,7 @@ pub struct GuardCounters {
 /// A guard at an interface, until it is dropped or its process ends. (A clsact filter stays if the process is
 /// killed, or has given up CAP_NET_ADMIN: it drops marked frames until the next guard there replaces it.)
 pub struct Guard {
-    mapping: bpf::Mapping,
+    mapping: bpf::Mapping<Page>,
     _hook: Hook,
 }
 
@@ -158,18 +160,18 @@ impl Guard {
     fn attach_by(hook: Attach, interface: u32) -> Result<Self, GuardRefused> {
         let refused = |step| move |error| GuardRefused::new(step, error);
         the_kernels_clock().map_err(refused(Step::Clock))?;
-        let map = bpf::create_map().map_err(refused(Step::Map))?;
-        let mapping = bpf::Mapping::new(&map).map_err(refused(Step::Mapping))?;
-        mapping.page().verdict.store(program::NEXT as u64, Ordering::Relaxed);
+        let map = bpf::create_map::<Page>(NAME).map_err(refused(Step::Map))?;
+        let mapping = bpf::Mapping::<Page>::new(&map).map_err(refused(Step::Mapping))?;
+        mapping.page().verdict.store(assembler::NEXT as u64, Ordering::Relaxed);
         let program = program::assemble(map.as_raw_fd());
-        let program = bpf::load(&program).map_err(refused(Step::Program))?;
+        let program = bpf::load(&program, NAME).map_err(refused(Step::Program))?;
         let hook = hook(&program, interface).map_err(refused(Step::Hook))?;
         Ok(Self { mapping, _hook: hook })
     }
 
     /// From here on no frame of other programs leaves this interface.
     pub fn keep_others_off(&self) {
-        self.mapping.page().verdict.store(program::DROP as u64, Ordering::Relaxed);
+        self.mapping.page().verdict.store(assembler::DROP as u64, Ordering::Relaxed);
     }
 
     /// From here on a frame may leave from `begin` to `end`.
@@ -204,7 +206,7 @@ impl Guard {
 }
 
 fn tcx(program: &OwnedFd, interface: u32) -> io::Result<Hook> {
-    Ok(Hook::Tcx { _link: bpf::attach(program, interface)? })
+    Ok(Hook::Tcx { _link: bpf::attach(program, interface, bpf::Hook::Egress)? })
 }
 
 fn clsact(program: &OwnedFd, interface: u32) -> io::Result<Hook> {

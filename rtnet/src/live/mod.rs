@@ -13,11 +13,13 @@
 #![allow(unsafe_code)]
 #![allow(clippy::disallowed_methods)]
 
+mod bpf;
 pub mod clock;
 mod driver;
 mod errands;
 mod filter;
 pub mod guard;
+mod impair;
 pub mod interface;
 mod packet;
 mod port;
@@ -29,6 +31,7 @@ mod wait;
 pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};
+pub use impair::{Chances, Impaired, Impairment, LOGGED};
 pub use port::{OpenError, Port, PortCounters};
 pub use time_board::{TimeBoard, TimePublisher};
 pub use wait::{Cycle, WaitError, Waiter};

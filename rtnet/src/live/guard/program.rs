@@ -21,6 +21,7 @@
 use core::mem::offset_of;
 
 use super::Page;
+use crate::live::bpf::assembler::*;
 
 /// What the frames of a guarded socket are marked with (SO_MARK): all others are others'. Positive as an `i32`,
 /// as which a comparison takes it.
@@ -31,34 +32,6 @@ pub const SLOTS: usize = 25;
 const OTHERS: usize = 13;
 const LATE: usize = 17;
 const EARLY: usize = 21;
-
-/// Offset of `mark` in `__sk_buff`.
-const SKB_MARK: usize = 8;
-const HELPER_KTIME_GET_NS: i32 = 5;
-/// TCX_NEXT, which is TC_ACT_UNSPEC.
-pub const NEXT: i32 = -1;
-/// TCX_DROP, which is TC_ACT_SHOT.
-pub const DROP: i32 = 2;
-
-/// One slot of a program.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Instruction {
-    code: u8,
-    /// Destination in the lower four bits, source in the upper.
-    registers: u8,
-    offset: i16,
-    immediate: i32,
-}
-
-/// A register: r0 is what a function returns, r1 its first argument, r6 outlives calls.
-#[derive(Clone, Copy)]
-struct Register(u8);
-
-const R0: Register = Register(0);
-const R1: Register = Register(1);
-const R2: Register = Register(2);
-const R6: Register = Register(6);
 
 /// The program, for the map behind this descriptor.
 pub fn assemble(map: i32) -> [Instruction; SLOTS] {
@@ -98,61 +71,6 @@ pub fn assemble(map: i32) -> [Instruction; SLOTS] {
 /// What a jump in slot `from` adds to reach `label`: it counts from the slot after it.
 fn ahead(from: usize, label: usize) -> i16 {
     (label - from - 1) as i16
-}
-
-fn instruction(code: u8, to: Register, from: Register, offset: i16, immediate: i32) -> Instruction {
-    Instruction { code, registers: to.0 | from.0 << 4, offset, immediate }
-}
-
-/// BPF_LDX | BPF_MEM | BPF_W
-fn load_word(to: Register, from: Register, offset: usize) -> Instruction {
-    instruction(0x61, to, from, offset as i16, 0)
-}
-
-/// BPF_LDX | BPF_MEM | BPF_DW
-fn load(to: Register, from: Register, offset: usize) -> Instruction {
-    instruction(0x79, to, from, offset as i16, 0)
-}
-
-/// BPF_LD | BPF_IMM | BPF_DW with BPF_PSEUDO_MAP_VALUE: the address of an array map's first value.
-fn load_address(to: Register, map: i32) -> [Instruction; 2] {
-    const PSEUDO_MAP_VALUE: Register = Register(2);
-    [instruction(0x18, to, PSEUDO_MAP_VALUE, 0, map), instruction(0, R0, R0, 0, 0)]
-}
-
-/// BPF_JMP | BPF_JNE | BPF_K
-fn jump_unless_equal(left: Register, right: i32, ahead: i16) -> Instruction {
-    instruction(0x55, left, R0, ahead, right)
-}
-
-/// BPF_JMP | BPF_JLT | BPF_X, unsigned
-fn jump_if_less(left: Register, right: Register, ahead: i16) -> Instruction {
-    instruction(0xad, left, right, ahead, 0)
-}
-
-/// BPF_JMP | BPF_JGT | BPF_X, unsigned
-fn jump_if_greater(left: Register, right: Register, ahead: i16) -> Instruction {
-    instruction(0x2d, left, right, ahead, 0)
-}
-
-/// BPF_ALU64 | BPF_MOV | BPF_K
-fn set(to: Register, value: i32) -> Instruction {
-    instruction(0xb7, to, R0, 0, value)
-}
-
-/// BPF_STX | BPF_ATOMIC | BPF_DW with BPF_ADD
-fn add_atomically(to: Register, offset: usize, what: Register) -> Instruction {
-    instruction(0xdb, to, what, offset as i16, 0)
-}
-
-/// BPF_JMP | BPF_CALL
-fn call(helper: i32) -> Instruction {
-    instruction(0x85, R0, R0, 0, helper)
-}
-
-/// BPF_JMP | BPF_EXIT
-fn exit() -> Instruction {
-    instruction(0x95, R0, R0, 0, 0)
 }
 
 /// A program that ends the chain with TCX_PASS, so that nothing behind it runs.

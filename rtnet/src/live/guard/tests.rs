@@ -123,7 +123,8 @@ fn an_interface_that_is_not_there_is_refused_in_one_line() {
 fn a_program_that_was_there_before_and_passes_everything_does_not_help() {
     in_a_namespace(|| {
         let lo = nix::net::if_::if_nametoindex("lo").unwrap();
-        let other = bpf::load(&program::pass_everything()).and_then(|program| bpf::attach(&program, lo));
+        let other = bpf::load(&program::pass_everything(), NAME)
+            .and_then(|program| bpf::attach(&program, lo, bpf::Hook::Egress));
         let (Ok(_other), Ok(guard)) = (other, Guard::attach_by(tcx, lo)) else {
             let _ = io::Write::write_all(&mut io::stderr(), b"SKIP: no tcx\n");
             return;

@@ -1,12 +1,13 @@
-//! bpf(2), as far as the guard needs it: a map in shared memory, a program, a link.
+//! bpf(2), as far as programs at an interface need it: a map in shared memory, a program, a link.
+
+pub mod assembler;
 
 use std::ffi::CStr;
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::ptr::{self, NonNull};
 
-use super::Page;
-use super::program::Instruction;
+use assembler::Instruction;
 
 const MAP_CREATE: libc::c_long = 0;
 const PROG_LOAD: libc::c_long = 5;
@@ -15,12 +16,21 @@ const LINK_CREATE: libc::c_long = 28;
 const MAP_TYPE_ARRAY: u32 = 2;
 const MAP_MMAPABLE: u32 = 1 << 10;
 const PROG_TYPE_SCHED_CLS: u32 = 3;
-const TCX_EGRESS: u32 = 47;
 /// Ahead of every other program: one that ends the chain would skip ours.
 const BEFORE: u32 = 1 << 3;
 
 /// What `bpftool` shows.
-const NAME: [u8; 16] = *b"rtnet_guard\0\0\0\0\0";
+pub type Name = [u8; 16];
+
+/// What goes which way at an interface a program sees.
+#[derive(Clone, Copy, Debug)]
+pub enum Hook {
+    /// What comes in by it.
+    Ingress = 46,
+    /// What leaves by it.
+    Egress = 47,
+}
+
 /// Nothing here is asked of the kernel that it gives only to GPL programs.
 const LICENCE: &CStr = c"MIT OR Apache-2.0";
 
@@ -58,8 +68,8 @@ struct LinkCreate {
     flags: u32,
 }
 
-/// An array map of one [`Page`], all zero.
-pub fn create_map() -> io::Result<OwnedFd> {
+/// An array map of one `Page`, all zero.
+pub fn create_map<Page>(name: Name) -> io::Result<OwnedFd> {
     let map = MapCreate {
         map_type: MAP_TYPE_ARRAY,
         key_size: size_of::<u32>() as u32,
@@ -68,14 +78,14 @@ pub fn create_map() -> io::Result<OwnedFd> {
         map_flags: MAP_MMAPABLE,
         inner_map: 0,
         numa_node: 0,
-        name: NAME,
+        name,
     };
     // SAFETY: no field is a pointer.
     unsafe { bpf(MAP_CREATE, &map) }
 }
 
 /// Has the kernel verify and compile a program.
-pub fn load(program: &[Instruction]) -> io::Result<OwnedFd> {
+pub fn load(program: &[Instruction], name: Name) -> io::Result<OwnedFd> {
     let load = ProgLoad {
         prog_type: PROG_TYPE_SCHED_CLS,
         instruction_count: program.len() as u32,
@@ -86,16 +96,16 @@ pub fn load(program: &[Instruction]) -> io::Result<OwnedFd> {
         log: 0,
         kernel_version: 0,
         flags: 0,
-        name: NAME,
+        name,
     };
     // SAFETY: the instructions, as many as told, and the licence outlive the call; there is no log.
     unsafe { bpf(PROG_LOAD, &load) }
 }
 
-/// Runs a program ahead of all others on what leaves an interface, until the link is closed.
-pub fn attach(program: &OwnedFd, interface: u32) -> io::Result<OwnedFd> {
+/// Runs a program ahead of all others on what passes an interface there, until the link is closed.
+pub fn attach(program: &OwnedFd, interface: u32, hook: Hook) -> io::Result<OwnedFd> {
     let program = program.as_raw_fd() as u32;
-    let link = LinkCreate { program, interface, attach_type: TCX_EGRESS, flags: BEFORE };
+    let link = LinkCreate { program, interface, attach_type: hook as u32, flags: BEFORE };
     // SAFETY: no field is a pointer.
     unsafe { bpf(LINK_CREATE, &link) }
 }
@@ -116,14 +126,14 @@ unsafe fn bpf<T>(command: libc::c_long, attributes: &T) -> io::Result<OwnedFd> {
     Ok(unsafe { OwnedFd::from_raw_fd(fd as i32) })
 }
 
-/// The map's value in this process's memory.
-pub struct Mapping(NonNull<Page>);
+/// The map's value in this process's memory: all atomics, for which zeroes are a value.
+pub struct Mapping<Page>(NonNull<Page>);
 
 // SAFETY: the mapping belongs to the process, not to a thread, and a page is all atomics.
-unsafe impl Send for Mapping {}
+unsafe impl<Page: Sync> Send for Mapping<Page> {}
 
-impl Mapping {
-    /// Maps the one value of a map of [`create_map`].
+impl<Page> Mapping<Page> {
+    /// Maps the one value of a map of [`create_map`] of the same page.
     pub fn new(map: &OwnedFd) -> io::Result<Self> {
         let (access, fd) = (libc::PROT_READ | libc::PROT_WRITE, map.as_raw_fd());
         // SAFETY: the kernel chooses the address, so that no other mapping is replaced.
@@ -144,7 +154,7 @@ impl Mapping {
     }
 }
 
-impl Drop for Mapping {
+impl<Page> Drop for Mapping<Page> {
     fn drop(&mut self) {
         // SAFETY: mapped by `new` with this length, and nothing borrowed from it is left.
         unsafe { libc::munmap(self.0.as_ptr().cast(), size_of::<Page>()) };

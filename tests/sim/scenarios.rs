@@ -20,10 +20,12 @@ fn run(file: &str) -> Ended {
 
 #[track_caller]
 fn check(file: &str) {
-    let simulation = run(file).figures.simulation;
+    let ended = run(file);
+    let simulation = &ended.figures.simulation;
     assert!(!simulation.expectations.is_empty(), "{file} expects nothing");
     let failed: Vec<_> = simulation.expectations.iter().filter(|checked| !checked.holds).collect();
     assert!(failed.is_empty(), "rtnet sim run tests/sim/{file}: {failed:#?}");
+    assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new(), "rtnet sim run tests/sim/{file}");
 }
 
 macro_rules! scenarios {
@@ -68,6 +70,23 @@ fn the_example_runs_and_is_as_it_says() {
     let scenario = scenario::Source { file: "example.toml", text: EXAMPLE }.parse().unwrap();
     let ended = sim::run(&scenario, &Options::default()).unwrap();
     assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new());
+}
+
+#[test]
+fn what_is_expected_counts_besides_what_is_wrong_with_any_run() {
+    let mut scenario =
+        scenario::load(&directory().join("frames_are_lost_doubled_late_and_changed.toml")).unwrap();
+    let reasons = |scenario: &_| {
+        sim::run(scenario, &Options::default()).unwrap().figures.figures.verdict.reasons.join("; ")
+    };
+    assert_eq!(reasons(&scenario), "", "the file says what it puts up with");
+    scenario.conditions.expectations.retain(|expected| expected.measure == Measure::Overlaps);
+    let left_open = reasons(&scenario);
+    for what in ["payload errors", "unexplained misses", "did not receive"] {
+        assert!(left_open.contains(what), "{what}: {left_open}");
+    }
+    scenario.conditions.expectations[0].limit = 1;
+    assert!(reasons(&scenario).contains("expected overlaps = 1, found 0"));
 }
 
 #[test]

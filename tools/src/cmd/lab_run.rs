@@ -26,10 +26,7 @@ pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
     let mut outcome = lab.run(&scenario).map_err(Failure::Run)?;
     let expected = sim::of_lab(&scenario, &outcome.figures);
-    let failed = expected.iter().filter(|checked| !checked.holds).map(sim::Checked::reason);
-    let verdict = &mut outcome.figures.verdict;
-    verdict.reasons.extend(failed);
-    verdict.ok = verdict.reasons.is_empty();
+    sim::add(&mut outcome.figures.verdict, &expected);
     if let Some(path) = &args.json {
         write_json(path, &outcome.figures).map_err(Failure::Run)?;
     }

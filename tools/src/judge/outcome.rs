@@ -13,7 +13,7 @@ use super::findings::{Finding, FindingKind};
 use crate::report::figures::{Figures, Miss, MissKind, QueueingFigures, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
-use crate::scenario::Scenario;
+use crate::scenario::{Measure, Scenario};
 
 /// What a run has shown.
 pub struct Outcome {
@@ -80,7 +80,7 @@ pub struct Facts {
     pub lost_records: u64,
     /// Frames that its program queued and for which there was no room, by priority.
     pub queue_refused: BTreeMap<u8, u64>,
-    /// Frames for it that a simulation lost on purpose, or a cut wire.
+    /// Frames for it that were lost as its scenario says, or by a cut wire.
     pub lost_on_purpose: u64,
     /// What is wrong with it, a sentence without a full stop.
     pub reproach: Option<String>,
@@ -122,6 +122,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         figures.slots_missed += one.slots_missed;
         figures.payload_errors += one.payload_errors;
         figures.frames_lost += one.frames_lost;
+        figures.lost_on_purpose += one.lost_on_purpose;
         figures.per_station.push(one);
     }
     figures.slot_error_ns = all.slot_error.summary();
@@ -204,6 +205,7 @@ fn station_figures(
     let own = |kind| {
         parts.records.of_kind(kind, from, cycles).filter(|record| record.station == station).count() as u64
     };
+    let frames_lost = frames_lost(scenario, parts, station);
     let mut notes = facts.notes.clone();
     if station == 0 {
         notes.extend(parts.notes.clone());
@@ -231,7 +233,8 @@ fn station_figures(
         rss_bytes: facts.resident,
         cpu_percent: percent(facts.cpu_seconds, cycles, scenario),
         sequence_gaps: facts.sequence_gaps,
-        frames_lost: frames_lost(scenario, parts, station),
+        frames_lost,
+        lost_on_purpose: frames_lost.min(facts.lost_on_purpose),
         refusals: facts.refusals.clone(),
         notes,
         queueing: queueing(parts, station..station + 1),
@@ -290,7 +293,13 @@ fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: 
     figures.note_miss(Miss { cycle, station, kind, span_ns, cause, found });
 }
 
+/// Why a run is not as it ought to be. Of what its scenario expects something, that decides.
 fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {
+    let expectations = &scenario.conditions.expectations;
+    let is_left_open = |measure, station: Option<usize>| {
+        let decides = |of: Option<usize>| of.is_none() || of == station;
+        !expectations.iter().any(|expected| expected.measure == measure && decides(expected.station))
+    };
     let mut reasons = Vec::new();
     for (station, plan) in parts.stations.iter().zip(&scenario.stations) {
         reasons.extend(station.reproach.clone());
@@ -300,18 +309,21 @@ fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String>
         }
     }
     let plural = |n: u64| if n == 1 { "" } else { "s" };
-    if figures.unexplained > 0 {
+    if figures.unexplained > 0 && is_left_open(Measure::Unexplained, None) {
         reasons.push(format!(
             "{} unexplained miss{}",
             figures.unexplained,
             if figures.unexplained == 1 { "" } else { "es" }
         ));
     }
-    if figures.payload_errors > 0 {
-        reasons.push(format!("{} payload error{}", figures.payload_errors, plural(figures.payload_errors)));
+    let all = || figures.per_station.iter().enumerate();
+    let wrong = all().filter(|(of, _)| is_left_open(Measure::PayloadErrors, Some(*of)));
+    let wrong = wrong.map(|(_, station)| station.payload_errors).sum::<u64>();
+    if wrong > 0 {
+        reasons.push(format!("{wrong} payload error{}", plural(wrong)));
     }
-    for (station, facts) in figures.per_station.iter().zip(&parts.stations) {
-        let (name, n) = (&station.name, station.frames_lost.saturating_sub(facts.lost_on_purpose));
+    for (_, station) in all().filter(|(of, _)| is_left_open(Measure::FramesLost, Some(*of))) {
+        let (name, n) = (&station.name, station.frames_lost - station.lost_on_purpose);
         if n == 0 {
             continue;
         }

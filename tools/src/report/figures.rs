@@ -71,6 +71,9 @@ pub struct Figures {
     pub capture_dropped: u64,
     /// Frames that were on the medium and did not reach their receiver.
     pub frames_lost: u64,
+    /// Those of them that the scenario meant to be lost.
+    #[serde(default)]
+    pub lost_on_purpose: u64,
     /// Slots, Synchronisations and frames that were missed or late, by cause.
     pub causes: BTreeMap<String, u64>,
     /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
@@ -163,6 +166,9 @@ pub struct StationFigures {
     pub sequence_gaps: u64,
     /// Frames for it that were on the medium and that it did not receive.
     pub frames_lost: u64,
+    /// Those of them that the scenario meant to be lost.
+    #[serde(default)]
+    pub lost_on_purpose: u64,
     /// What the station's stack refused, by name of the refusal.
     pub refusals: BTreeMap<String, u64>,
     /// What a reader should know, such as `SCHED_FIFO refused: ...`.

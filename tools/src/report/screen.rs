@@ -203,7 +203,9 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         (figures.capture_dropped, "lost by the capture"),
         (figures.frames_lost, "lost on the way"),
     ];
-    let counts = causes.map(|(count, cause)| format!("{cause} {}", grouped(count)));
+    let on_purpose = Some((figures.lost_on_purpose, "of them on purpose")).filter(|(n, _)| *n > 0);
+    let causes = causes.into_iter().chain(on_purpose);
+    let counts: Vec<_> = causes.map(|(count, cause)| format!("{cause} {}", grouped(count))).collect();
     let mut lines = list("misses: ", &counts, width);
     if !figures.causes.is_empty() {
         let causes = figures.causes.iter().map(|(name, n)| format!("{} {}", words(name), grouped(*n)));

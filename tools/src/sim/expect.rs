@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::figures::{SimFigures, Simulation};
 use super::places::Places;
-use crate::report::figures::{Figures, QueueingFigures};
+use crate::report::figures::{Figures, QueueingFigures, Verdict};
 use crate::scenario::{Expectation, Measure, Scenario};
 
 /// What "never" is as a figure.
@@ -73,6 +73,12 @@ fn check_those<'a>(
         }
     };
     expectations.map(check).collect()
+}
+
+/// What is not as expected counts against a run besides what does so in any.
+pub fn add(verdict: &mut Verdict, checked: &[Checked]) {
+    verdict.reasons.extend(checked.iter().filter(|checked| !checked.holds).map(Checked::reason));
+    verdict.ok = verdict.reasons.is_empty();
 }
 
 /// A figure of a run; none if there was nothing to measure.

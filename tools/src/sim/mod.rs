@@ -17,7 +17,7 @@ mod sight;
 mod watch;
 mod world;
 
-pub use expect::{Checked, of_lab};
+pub use expect::{Checked, add, of_lab};
 pub use figures::{SimFigures, Simulation};
 pub use run::{Ended, Options, run};
 pub use world::{World, discipline};

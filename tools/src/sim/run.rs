@@ -12,7 +12,7 @@ use rtnet::clock::True;
 use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::Span;
 
-use super::expect::{self, Checked};
+use super::expect;
 use super::faults;
 use super::figures::{SimFigures, SimStation, Simulation};
 use super::places::Places;
@@ -24,7 +24,6 @@ use crate::judge::delivery::Heard;
 use crate::judge::explain::Records;
 use crate::judge::outcome::{self, Facts, Outcome, Parts};
 use crate::report::capture::CaptureFile;
-use crate::report::figures::Verdict;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::{Act, Happening, Part, Scenario, acts, over};
@@ -362,9 +361,7 @@ impl<'a> Run<'a> {
         };
         let mut figures = SimFigures { figures, simulation };
         figures.simulation.expectations = expect::check(self.scenario, &figures, &places);
-        if !figures.simulation.expectations.is_empty() {
-            figures.figures.verdict = verdict(&figures.simulation.expectations);
-        }
+        expect::add(&mut figures.figures.verdict, &figures.simulation.expectations);
         Ok(Ended { figures, slot_error_abs, lines })
     }
 
@@ -401,7 +398,8 @@ impl<'a> Run<'a> {
             payload_errors: counted.payload_errors.max(0) as u64,
             sync_error: watch.sync_error[id].clone(),
             sequence_gaps: counted.missing.max(0) as u64,
-            heard: Some(Heard { received, range, anew: self.anew[id] }),
+            // As of a process that was ended: what it would have heard since, nobody knows.
+            heard: self.present[id].then_some(Heard { received, range, anew: self.anew[id] }),
             refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
             notes: watch.noteworthy[id].lines().collect(),
             lost_records: counted.events_lost.max(0) as u64,
@@ -411,9 +409,4 @@ impl<'a> Run<'a> {
             ..Facts::default()
         }
     }
-}
-
-/// By what was expected, and nothing else.
-fn verdict(expectations: &[Checked]) -> Verdict {
-    Verdict::from_reasons(expectations.iter().filter(|checked| !checked.holds).map(Checked::reason).collect())
 }

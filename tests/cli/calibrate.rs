@@ -62,6 +62,11 @@ fn a_lab_knows_why_a_station_that_calibrates_anew_misses_slots() {
         });
         let refused = asked(&["tdma", "-S", &place, "slave", "--holdover", "5"]).unwrap_err();
         assert!(refused.contains("a lab judges its stations by a holdover of 1 cycle"), "{refused}");
+        let refused = asked(&["tdma", "-S", &place, "slave", "--servo", "none"]).unwrap_err();
+        assert!(
+            refused.contains("follow as its file says") && refused.contains("leave --servo out"),
+            "{refused}"
+        );
         let account = cell.down();
         assert_eq!((&account["unexplained"], &account["overlaps"]), (&0.into(), &0.into()), "{account:#}");
         assert!(account["causes"]["calibrating"].as_u64() >= Some(95), "two of four turns: {account:#}");

@@ -308,19 +308,19 @@ pub struct StationArgs {
     /// Follow the master
     #[arg(long)]
     pub slave: bool,
-    /// Calibration rounds, of a master when it follows another; 0: none
-    #[arg(long, default_value_t = rtmac::tdma::DEFAULT_ROUNDS, value_name = "N")]
-    pub rounds: u32,
-    /// How syncs become its time line, of a master when it follows another
-    #[arg(long, default_value = "linear")]
-    pub servo: ServoName,
+    /// Calibration rounds, of a master when it follows another; 0: none [default: 100]
+    #[arg(long, value_name = "N")]
+    pub rounds: Option<u32>,
+    /// How syncs become its time line, of a master when it follows another [default: linear]
+    #[arg(long)]
+    pub servo: Option<ServoName>,
     /// Cycles without a sync that are bridged before it is silent. How far its time may be off meanwhile,
-    /// `rtnet tdma status` tells
-    #[arg(long, default_value_t = rtmac::tdma::HOLDOVER_CYCLES.unsigned_abs(), value_name = "N")]
-    pub holdover: u32,
-    /// What becomes of the measured delay when another master gives the time
-    #[arg(long, default_value = "keep", value_name = "WHAT")]
-    pub on_master_change: DelayPolicy,
+    /// `rtnet tdma status` tells [default: 1]
+    #[arg(long, value_name = "N")]
+    pub holdover: Option<u32>,
+    /// What becomes of the measured delay when another master gives the time [default: keep]
+    #[arg(long, value_name = "WHAT")]
+    pub on_master_change: Option<DelayPolicy>,
     /// Calibration requests that a master answers at a time; more are refused, and counted as `reply_backlog`
     #[arg(long, default_value_t = rtmac::tdma::DEFAULT_MAX_REQUESTS, value_name = "N", conflicts_with = "slave")]
     pub max_requests: usize,
@@ -342,9 +342,9 @@ pub struct StationArgs {
     /// How long after a slot's begin its frame may still be sent
     #[arg(long, default_value = "50us", value_parser = parse_nonnegative_span)]
     pub latest: Span,
-    /// What to do with a slot that has passed: skip it, or send late as RTnet does
-    #[arg(long, default_value = "skip")]
-    pub late: Late,
+    /// What to do with a slot that has passed: skip it, or send late as RTnet does [default: skip]
+    #[arg(long)]
+    pub late: Option<Late>,
     /// What keeps the station from sending later than that. The kernel's guard drops its late frames at the
     /// interface; it takes root, or CAP_BPF and CAP_NET_ADMIN
     #[arg(long, default_value = "auto")]

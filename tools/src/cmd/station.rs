@@ -3,7 +3,9 @@
 use std::str::FromStr;
 
 use anyhow::{Context, anyhow, bail};
-use rtmac::tdma::{LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig};
+use rtmac::tdma::{
+    DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
+};
 use rtnet::clock::EmulatedClock;
 use rtnet::live::GuardMode;
 use rtnet::time::Span;
@@ -111,6 +113,11 @@ fn without_slots(args: &StationArgs) -> anyhow::Result<()> {
         ("--slot", !args.slots.is_empty()),
         ("--slot-guard kernel", args.slot_guard == SlotGuard::Kernel),
         ("--exclusive", args.exclusive),
+        ("--rounds", args.rounds.is_some()),
+        ("--servo", args.servo.is_some()),
+        ("--holdover", args.holdover.is_some()),
+        ("--on-master-change", args.on_master_change.is_some()),
+        ("--late", args.late.is_some()),
     ];
     match said.iter().find(|(_, is_said)| *is_said) {
         Some((option, _)) => bail!(
@@ -127,11 +134,11 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
     }
     let step_limit = lab.map(|lab| Span::from_nanos(lab.step_limit_ns));
     let follow = SlaveConfig {
-        rounds: args.rounds,
+        rounds: args.rounds.unwrap_or(DEFAULT_ROUNDS),
         step_limit,
-        servo: args.servo.servo(),
-        holdover: args.holdover,
-        on_master_change: args.on_master_change.on_master_change(),
+        servo: args.servo.unwrap_or_default().servo(),
+        holdover: args.holdover.unwrap_or(HOLDOVER_CYCLES.unsigned_abs()),
+        on_master_change: args.on_master_change.unwrap_or_default().on_master_change(),
     };
     let role = match args.cycle.filter(|_| args.master) {
         Some(cycle) => {
@@ -160,7 +167,7 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
         slots: slots.collect(),
         max_slot_id: args.max_slot_id,
         lead: args.lead,
-        late: if args.late == Late::Send { LatePolicy::Send } else { LatePolicy::Skip },
+        late: if args.late == Some(Late::Send) { LatePolicy::Send } else { LatePolicy::Skip },
     };
     // What cannot be is refused before anything is opened.
     Tdma::new(&tdma).map_err(|refused| anyhow!(refused))?;

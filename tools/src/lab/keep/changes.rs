@@ -110,6 +110,9 @@ impl Keeper {
                     "a lab judges its stations by a holdover of {HOLDOVER_CYCLES} cycle: leave --holdover out"
                 )
             }
+            RoleRequest::Slave { servo: Some(_), .. } => {
+                bail!("a lab's stations all follow as its file says (servo = \"...\"): leave --servo out")
+            }
             RoleRequest::Slave { .. } => Change::Return,
         };
         // Who is away and is to return need not know the cycle.

@@ -286,11 +286,16 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
         for cause in ["station_down", "no_carrier"] {
             assert!(causes[cause].as_u64() > Some(0), "{causes}");
         }
+        let held_up = |kind: &str| report["per_station"][2][kind].as_u64().unwrap();
+        assert!(
+            held_up("guard_drops") + held_up("stalled_in_send") >= 1,
+            "a frame was held up behind the last look"
+        );
         let missed = |station: usize| report["per_station"][station]["slots_missed"].as_u64().unwrap();
         assert!(missed(0) >= 120, "dead for 125 cycles and more, until it has calibrated: {}", missed(0));
         assert!(missed(2) >= 24 + 120, "stopped for 25 cycles, and dead for the last 125: {}", missed(2));
         assert!(missed(3) >= 45, "without a carrier for 50: {}", missed(3));
-        for only in ["locked of line 58", "the event of line 44"] {
+        for only in ["locked of line 62", "the event of line 49"] {
             assert!(
                 text.contains(&format!("only in a simulation (rtnet sim run), and not here: {only}")),
                 "{text}"
@@ -301,6 +306,45 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
         let wakes = report["wake_latency"].as_array().unwrap();
         let recorded: u64 = wakes.iter().map(|range| range[2].as_u64().unwrap()).sum();
         assert!(recorded >= 3_500, "one for each frame and sync: {recorded}");
+
+        let simulated = rtnet().args(["sim", "run"]).arg(&scenario).output().unwrap();
+        assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stdout));
+    });
+}
+
+#[test]
+fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
+    network("a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why", || {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/lossy.toml");
+        let directory = tempfile::tempdir().unwrap();
+        let json = directory.path().join("report.json");
+        let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+        if text.contains("wires lose nothing, and none is cut off") {
+            crate::host::skip("a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why", &text);
+            return;
+        }
+        assert_eq!(output.status.code(), Some(0), "{} {text}", report["verdict"]["reasons"]);
+        assert_eq!((&report["unexplained"], &report["overlaps"]), (&0.into(), &0.into()), "{text}");
+        let of = |station: usize, what: &str| report["per_station"][station][what].as_u64().unwrap();
+        for station in 0..4 {
+            let (lost, meant) = (of(station, "frames_lost"), of(station, "lost_on_purpose"));
+            assert_eq!(lost, meant, "station {station} lost nothing else: {text}");
+        }
+        // 5 % of 1500, and of what came before; six standard deviations of 8 around the least of it.
+        assert!((24..300).contains(&of(1, "frames_lost")), "{}", of(1, "frames_lost"));
+        assert_eq!(of(2, "frames_lost"), 0, "its wire loses only what it sends");
+        // Half of the 250 that slave2 sent meanwhile, and the 125 of the cut.
+        assert!((170..=330).contains(&of(3, "frames_lost")), "{}", of(3, "frames_lost"));
+        assert!(of(3, "slots_missed") >= 100 + 60, "cut off, and without two syncs in a row: {text}");
+        let causes = &report["causes"];
+        assert!(causes["sync_lost_or_late"].as_u64() >= Some(150), "{causes}");
+        let note = report["per_station"][3]["notes"].to_string();
+        assert!(
+            note.contains("on the way to it, as the scenario says: ") && note.contains("control frames lost"),
+            "{note}"
+        );
 
         let simulated = rtnet().args(["sim", "run"]).arg(&scenario).output().unwrap();
         assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stdout));

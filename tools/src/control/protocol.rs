@@ -357,7 +357,7 @@ pub struct LabStatus {
     pub worst: Vec<(String, Miss)>,
     /// Frames that the observer lost, or whose stamps a step of the wall clock made worthless.
     pub not_judged: u64,
-    /// Frames on the medium that did not reach their receiver; known at the end only.
+    /// Frames on the medium that did not reach their receiver, though they were not to be lost; known at the end only.
     pub frames_lost: u64,
     /// Its stations.
     pub stations: Vec<MemberStatus>,
@@ -386,7 +386,7 @@ pub struct MemberStatus {
     pub stray: u64,
     /// Test traffic that was not what was sent.
     pub payload_errors: u64,
-    /// Frames on the medium that it did not receive; known at the end only.
+    /// Frames on the medium that it did not receive, though they were not to be lost; known at the end only.
     pub frames_lost: u64,
     /// Actual - scheduled transmit.
     pub slot_error_ns: Summary,

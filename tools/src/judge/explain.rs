@@ -97,6 +97,7 @@ impl Records {
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
         self.absences.forget_before(cycle);
+        self.lost_syncs.retain(|&(of, _)| !before(of, cycle));
         keep_newest(&mut self.lines, cycle);
         keep_newest(&mut self.reigns, cycle);
     }

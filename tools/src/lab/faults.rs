@@ -1,4 +1,5 @@
-//! The events of a scenario, as far as a host can play them: it ends, stops and starts processes, and cuts wires.
+//! The events of a scenario, as far as a host can play them: it ends, stops and starts processes, has them held up before
+//! they send, cuts wires, and has its kernel lose, change and double frames.
 
 use std::collections::VecDeque;
 
@@ -9,7 +10,9 @@ use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
 
 use super::run::{Lab, port_name};
+use super::wires::is_held_back;
 use crate::scenario::{Act, Conditions, Happening, Part, Scenario, acts};
+use crate::station::link::Order;
 
 /// What is still to be played.
 #[derive(Default)]
@@ -21,7 +24,8 @@ pub struct Play {
 
 /// Whether a host can do this to its stations.
 fn can_play(what: &Happening) -> bool {
-    matches!(what, Happening::Kill(_) | Happening::Restart(_) | Happening::Stop(..) | Happening::Unplug(..))
+    use Happening::*;
+    matches!(what, Kill(_) | Restart(_) | Stop(..) | Stall(..) | Unplug(..) | Wires(..) | Cut(..))
 }
 
 /// What of a scenario only a simulation has; each in a line for the reader.
@@ -31,13 +35,17 @@ pub fn only_simulated(conditions: &Conditions) -> Vec<String> {
     let sections = [
         ("[medium]", *joint != default.joint || propagation.is_some()),
         ("[host]", *host != default.host || !hosts.is_empty()),
-        ("[[wire]]", !wires.is_empty()),
+        ("delay and reorder of a [[wire]]", wires.iter().any(|wire| is_held_back(&wire.link))),
         ("wander", !wanders.is_empty()),
     ];
     let sections = sections.iter().filter(|(_, is_said)| *is_said).map(|(name, _)| (*name).to_owned());
-    let events = events.iter().filter(|event| !can_play(&event.what));
     let mut names: Vec<String> = sections.collect();
-    names.extend(events.map(|event| format!("the event of line {}", event.line)));
+    names.extend(events.iter().filter_map(|event| match &event.what {
+        Happening::Wires(wire, _) if is_held_back(&wire.link) => {
+            Some(format!("delay and reorder of the event of line {}", event.line))
+        }
+        what => (!can_play(what)).then(|| format!("the event of line {}", event.line)),
+    }));
     let unmeasured = expectations.iter().filter(|expected| !expected.measure.is_of_labs());
     names.extend(unmeasured.map(|expected| format!("{} of line {}", expected.measure.name(), expected.line)));
     let line = |name| format!("only in a simulation (rtnet sim run), and not here: {name}");
@@ -57,7 +65,8 @@ impl Lab {
         let now = monotonic();
         while let Some(act) = self.play.acts.pop_front_if(|act| act.at <= now) {
             let event = &scenario.conditions.events[act.event];
-            self.act(&event.what, act.part).with_context(|| format!("the event of line {}", event.line))?;
+            self.act(scenario, &event.what, act.part)
+                .with_context(|| format!("the event of line {}", event.line))?;
         }
         let ended = |&mut station: &mut usize| self.members[station].silent;
         let ready: Vec<usize> = self.play.restarting.extract_if(.., ended).collect();
@@ -68,7 +77,8 @@ impl Lab {
         Ok(())
     }
 
-    fn act(&mut self, what: &Happening, part: Part) -> Result<()> {
+    fn act(&mut self, scenario: &Scenario, what: &Happening, part: Part) -> Result<()> {
+        let begins = part == Part::Begin;
         match what {
             Happening::Kill(stations) => stations.iter().for_each(|&station| self.members[station].kill()),
             Happening::Restart(stations) => {
@@ -80,7 +90,7 @@ impl Lab {
                 }
             }
             Happening::Stop(stations, _) => {
-                let to = if part == Part::End { Signal::SIGCONT } else { Signal::SIGSTOP };
+                let to = if begins { Signal::SIGSTOP } else { Signal::SIGCONT };
                 for &station in stations {
                     let member = &self.members[station];
                     // Who has ended meanwhile is neither stopped nor let go on.
@@ -89,12 +99,24 @@ impl Lab {
                     }
                 }
             }
+            Happening::Stall(stations, span) if begins => {
+                let order = Order::Stall(span.nanos().max(0) as u64);
+                stations.iter().for_each(|&station| self.members[station].order(order));
+            }
             Happening::Unplug(stations, _) => {
                 let mut netlink = self.segment.namespace().netlink()?;
                 for &station in stations {
                     let port = netlink.link_index(&port_name(station))?;
-                    if part == Part::End { netlink.set_up(port)? } else { netlink.set_down(port)? }
+                    if begins { netlink.set_down(port)? } else { netlink.set_up(port)? }
                 }
+            }
+            Happening::Wires(wire, _) if begins => self.wires.set(wire),
+            Happening::Wires(wire, _) => {
+                scenario.conditions.wires_of(&wire.stations).for_each(|wire| self.wires.set(&wire));
+            }
+            Happening::Cut(stations, _) => {
+                self.analysis.masters.is_cut = begins;
+                self.wires.cut_off(if begins { stations } else { &[] });
             }
             _ => {}
         }

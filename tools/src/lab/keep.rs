@@ -47,6 +47,9 @@ pub fn keep(
     scenario.stations.iter().try_for_each(|station| check_name(&station.name))?;
     let _held = home.directory.take_lab(&home.lab)?;
     let mut lab = Lab::set_up(&scenario, options)?;
+    if !scenario.conditions.events.is_empty() {
+        lab.notes.push("a lab that stays plays no [[event]]: `rtnet lab run` does".into());
+    }
     for note in &lab.notes {
         tell(note);
     }
@@ -308,6 +311,7 @@ impl Keeper {
         // How much a receiver has heard is known only once it has told of its end.
         let passed = &self.lab.analysis.stations[self.scenario.sender(station)].passed;
         let lost = if member.silent && !member.ended { passed.lost(&member.heard()) } else { 0 };
+        let lost = lost.saturating_sub(self.lab.wires.counts(station).lost_data);
         MemberStatus {
             name: plan.name.clone(),
             role: plan.role.to_string(),

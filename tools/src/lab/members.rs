@@ -6,8 +6,8 @@ use std::time::Duration;
 use rtmac::tdma::LatePolicy;
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Cause, Event};
-use rtnet::live::Record;
 use rtnet::live::clock::monotonic;
+use rtnet::live::{Impaired, Record};
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::namespace::Namespace;
@@ -22,8 +22,8 @@ use crate::judge::noteworthy::Noteworthy;
 use crate::judge::outcome::Facts;
 use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
-use crate::scenario::{Scenario, ServoName};
-use crate::station::link::{self, LabOptions, Report, Standing};
+use crate::scenario::{Happening, Scenario, ServoName};
+use crate::station::link::{self, LabOptions, Order, Report, Standing};
 use crate::station::misses::Misses;
 use rtmac::tdma::schedule;
 
@@ -167,6 +167,13 @@ impl Member {
         }
     }
 
+    /// Does to it what its scenario says. Who has ended meanwhile cannot.
+    pub fn order(&mut self, order: Order) {
+        if let Some(process) = &mut self.process {
+            process.order(order);
+        }
+    }
+
     pub fn tell_to_end(&mut self) {
         self.told_to_end = true;
         if let Some(process) = &mut self.process {
@@ -244,8 +251,8 @@ impl Member {
         if passed == 0 { 0.0 } else { used as f64 / passed as f64 }
     }
 
-    /// What the report says of it, if it was judged to the end.
-    pub fn facts(&self, name: &str, is_judged: bool) -> Facts {
+    /// What the report says of it, if it was judged to the end; its wire did this to the frames for it.
+    pub fn facts(&self, name: &str, is_judged: bool, wire: Impaired) -> Facts {
         let standing = self.standing.as_ref();
         Facts {
             pid: self.pid(),
@@ -260,12 +267,18 @@ impl Member {
             sequence_gaps: self.sequence_gaps(),
             heard: (!self.ended && !self.is_meant_to_end).then(|| self.heard()),
             refusals: standing.map(|standing| standing.refusals.clone()).unwrap_or_default(),
-            notes: self.refused.iter().cloned().chain(self.noteworthy.lines()).collect(),
+            notes: self
+                .refused
+                .iter()
+                .cloned()
+                .chain(self.noteworthy.lines())
+                .chain(wire_note(&wire))
+                .collect(),
             clock_steps: standing.map_or(0, |standing| standing.clock_steps),
             lost_records: standing.map_or(0, |standing| standing.lost_records),
             queue_refused: self.queue_refused(),
             // While a wire is cut nobody knows what would have been heard.
-            lost_on_purpose: if self.cuts > 0 { u64::MAX } else { 0 },
+            lost_on_purpose: if self.cuts > 0 { u64::MAX } else { wire.lost_data },
             reproach: self.reproach(name, is_judged),
         }
     }
@@ -337,6 +350,19 @@ impl Member {
         }
         self.noteworthy.note(kind, cycle);
     }
+}
+
+/// What became of frames for a station because its scenario says so, since they were first sent.
+fn wire_note(&Impaired { lost_control, lost_data, corrupted, duplicated }: &Impaired) -> Option<String> {
+    let counts = [
+        (lost_data, "data frames lost"),
+        (lost_control, "control frames lost"),
+        (corrupted, "frames changed"),
+        (duplicated, "frames doubled"),
+    ];
+    let counts = counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}"));
+    let counts = counts.collect::<Vec<_>>().join(", ");
+    (!counts.is_empty()).then(|| format!("on the way to it, as the scenario says: {counts}"))
 }
 
 /// Locked, or bridging one cycle.
@@ -425,6 +451,7 @@ pub fn arguments(
         resume: resume.grid.map(|(cycle, sched)| (cycle, sched.nanos())),
         first: resume.first,
         flows: scenario.flow_plan(station),
+        may_stall: scenario.conditions.events.iter().any(|event| matches!(event.what, Happening::Stall(..))),
     };
     add("--lab", serde_json::to_string(&lab)?);
     add("--rounds", plan.rounds.to_string());

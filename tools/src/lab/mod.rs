@@ -25,6 +25,7 @@ mod returns;
 mod run;
 mod tally;
 pub mod userns;
+mod wires;
 
 pub use keep::keep;
 pub use processes::this_program;

@@ -1,6 +1,6 @@
 //! The stations' processes.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::Sender;
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 
 use super::namespace::Namespace;
-use crate::station::link::Report;
+use crate::station::link::{Order, Report};
 
 /// How long a station may take to end when it is told to.
 pub const END_WITHIN: Duration = Duration::from_secs(2);
@@ -106,6 +106,13 @@ impl Process {
         // It was told and did not: it is ours to end.
         self.kill();
         Err("it did not end when it was told to, and was killed".into())
+    }
+
+    /// Tells it what is to happen to it. Fails only if it has ended.
+    pub fn order(&mut self, order: Order) {
+        if let (Some(input), Ok(line)) = (&mut self.child.stdin, serde_json::to_string(&order)) {
+            let _ = writeln!(input, "{line}");
+        }
     }
 
     /// Tells it to end, without waiting.

@@ -137,6 +137,7 @@ impl Lab {
                 INTERFACE,
                 scenario.address(station).0,
             )?;
+            self.wires.mend(scenario, &self.segment, station)?;
         }
         let process = Process::start(&member.namespace, station, &arguments, self.teller.clone())?;
         member.restart(process);

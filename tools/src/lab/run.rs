@@ -19,6 +19,7 @@ use super::load::{load, too_much};
 use super::members::{Launch, Member, Resume, arguments, lost_at_most};
 use super::namespace::{Namespace, Segment};
 use super::processes::{Process, Told};
+use super::wires::Wires;
 use crate::control::{Directory, Home, Load};
 use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
@@ -92,6 +93,8 @@ pub struct Lab {
     pub(super) analysis: Analysis,
     pub(super) records: Records,
     _warm: Option<WarmCore>,
+    /// What becomes of frames at the ports of its bridge.
+    pub(super) wires: Wires,
     pub(super) segment: Segment,
     pub(super) notes: Vec<String>,
     /// The core of its real-time threads.
@@ -158,6 +161,8 @@ impl Lab {
             segment.attach(&namespace, &port_name(station), INTERFACE, scenario.address(station).0)?;
             members.push(Member::new(namespace));
         }
+        let (wires, unimpaired) = Wires::of(scenario, &segment)?;
+        notes.extend(unimpaired);
         let clock = super::members::clock(scenario, 0, anchor);
         let epoch = Offset::between(clock.local(anchor), GlobalTime::from_nanos(realtime()));
         let master = TrueMaster { clock, epoch };
@@ -188,6 +193,7 @@ impl Lab {
             analysis: Analysis::new(scenario, master),
             records: Records::new(scenario),
             _warm: warm,
+            wires,
             segment,
             notes,
             cpu,
@@ -348,6 +354,8 @@ impl Lab {
             }
             self.members[station].take(station, report, &mut self.records, self.analysis.truth());
         }
+        let Self { wires, records, .. } = self;
+        wires.take_lost_syncs(|station, cycle| records.note_sync_lost(station, cycle));
         self.note_returns();
     }
 
@@ -394,8 +402,10 @@ impl Lab {
     fn parts(mut self, scenario: &Scenario) -> Parts {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let is_judged = !interrupted && self.analysis.cycles() > 0;
-        let stations = self.members.iter().zip(&scenario.stations);
-        let stations = stations.map(|(member, plan)| member.facts(&plan.name, is_judged)).collect();
+        let stations = self.members.iter().zip(&scenario.stations).enumerate();
+        let stations = stations
+            .map(|(station, (member, plan))| member.facts(&plan.name, is_judged, self.wires.counts(station)))
+            .collect();
         Parts {
             stations,
             dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),

@@ -173,6 +173,16 @@ impl Conditions {
         self.hosts.iter().find(|(of, _)| *of == station).map_or(&self.host, |(_, host)| host)
     }
 
+    /// What the wires of these stations do throughout, in the order in which it holds.
+    pub fn wires_of(&self, stations: &[usize]) -> impl Iterator<Item = Wire> {
+        let nothing = Wire { stations: stations.to_vec(), direction: Direction::Both, link: Link::default() };
+        let always = self.wires.iter().map(|wire| {
+            let stations = wire.stations.iter().filter(|of| stations.contains(of)).copied().collect();
+            Wire { stations, ..wire.clone() }
+        });
+        std::iter::once(nothing).chain(always)
+    }
+
     /// Whether anything is asked for that only a simulation does.
     pub fn is_default(&self) -> bool {
         *self == Conditions::default()

@@ -1,11 +1,11 @@
 //! The events of a scenario, played in virtual time.
 
 use rtmac::tdma::Tdma;
-use rtnet::sim::{Link, Network};
+use rtnet::sim::Network;
 use rtnet::wire::ethernet::{Address, EtherType, Header, MIN_FRAME};
 use zerocopy::IntoBytes;
 
-use crate::scenario::{Happening, Part, Scenario, Wire};
+use crate::scenario::{Happening, Part, Scenario};
 
 /// Does what concerns only the network; what stations there are is somebody else's.
 pub fn act(network: &mut Network<Tdma>, scenario: &Scenario, what: &Happening, part: Part) {
@@ -38,12 +38,10 @@ pub fn act(network: &mut Network<Tdma>, scenario: &Scenario, what: &Happening, p
         }
         Happening::Wires(wire, _) if begins => super::world::set_wire(network, wire),
         Happening::Wires(wire, _) => {
-            super::world::set_wire(network, &Wire { link: Link::default(), ..wire.clone() });
-            for always in &scenario.conditions.wires {
-                let mut always = always.clone();
-                always.stations.retain(|station| wire.stations.contains(station));
-                super::world::set_wire(network, &always);
-            }
+            scenario
+                .conditions
+                .wires_of(&wire.stations)
+                .for_each(|wire| super::world::set_wire(network, &wire));
         }
         Happening::Babble(id, ..) if part != Part::End => network.babble(*id, &noise(scenario.address(*id))),
         Happening::Inject(frame) => network.inject(frame),

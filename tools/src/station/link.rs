@@ -1,4 +1,4 @@
-//! What a lab and its stations tell each other: options in one JSON argument, reports as JSON lines.
+//! What a lab and its stations tell each other: options in one JSON argument, orders and reports as JSON lines.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -49,6 +49,8 @@ pub struct LabOptions {
     pub first: u64,
     /// What its program sends besides.
     pub flows: FlowPlan,
+    /// Whether its lab may hold frames of it up.
+    pub may_stall: bool,
 }
 
 impl LabOptions {
@@ -62,6 +64,14 @@ impl LabOptions {
     pub fn resume(&self) -> Option<(u32, GlobalTime)> {
         self.resume.map(|(cycle, sched)| (cycle, GlobalTime::from_nanos(sched)))
     }
+}
+
+/// A line to a station: what its lab's scenario does to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Order {
+    /// Its next frame is held up for so many nanoseconds behind its last look at the clock.
+    Stall(u64),
 }
 
 /// A line from a station.

@@ -11,7 +11,7 @@ mod teller;
 pub mod traffic;
 mod wire;
 
-use std::io::Read;
+use std::io::BufRead;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -34,7 +34,7 @@ use crate::control::{Directory, Held, Place, Server};
 use access::{Access, AccessConfig};
 use desk::Desk;
 pub use desk::epoch;
-use link::LabOptions;
+use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
@@ -136,7 +136,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
-    halt::arm(&mut port)?;
+    halt::arm(&mut port, options.lab.as_ref().is_some_and(|lab| lab.may_stall))?;
     // Who may not run a station leaves no directory of names behind.
     let mut reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));
     let (guarded, guard_refused) = (port.is_guarded(), port.guard_refused().map(str::to_owned));
@@ -297,7 +297,7 @@ fn drop_capabilities() -> Option<String> {
     dropped.err().map(|error| format!("capabilities: {error}: the station keeps all that it was given"))
 }
 
-/// A lab closes our input when it ends or dies; a person presses Ctrl-C.
+/// A lab closes our input when it ends or dies, and has its orders there; a person presses Ctrl-C.
 fn stop_when_told(stop: &Arc<AtomicBool>, in_lab: bool) -> Result<()> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     signal_hook::flag::register(SIGTERM, stop.clone())?;
@@ -309,8 +309,12 @@ fn stop_when_told(stop: &Arc<AtomicBool>, in_lab: bool) -> Result<()> {
     signal_hook::flag::register(SIGINT, Arc::new(AtomicBool::new(false)))?;
     let stop = stop.clone();
     std::thread::Builder::new().name("lab".into()).stack_size(STACK / 2).spawn(move || {
-        let mut byte = [0];
-        while !matches!(std::io::stdin().read(&mut byte), Ok(0) | Err(_)) {}
+        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            // A lab is this very program: it says nothing else.
+            if let Ok(Order::Stall(nanos)) = serde_json::from_str(&line) {
+                halt::stall_next(nanos);
+            }
+        }
         stop.store(true, Ordering::Relaxed);
     })?;
     Ok(())

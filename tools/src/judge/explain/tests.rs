@@ -197,3 +197,19 @@ fn who_has_given_its_line_up_is_silent_until_it_follows_again() {
     assert_eq!(why(&records, 6_001), None);
     assert_eq!(records.explain(&finding(103, FindingKind::SlotMissed, 2)), None, "another");
 }
+
+#[test]
+fn syncs_that_were_lost_on_the_way_explain_who_was_silent_for_two_of_them_and_are_forgotten() {
+    let mut records = Records::default();
+    for cycle in [7, 8] {
+        records.note(author(cycle, 2), EventKind::SlotSilent, Span::ZERO, None);
+    }
+    let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
+    records.note_sync_lost(2, 7);
+    assert_eq!(why(&records, 7), None, "one is bridged");
+    records.note_sync_lost(2, 8);
+    records.note_sync_lost(3, 6);
+    assert_eq!((why(&records, 7), why(&records, 8)), (None, Some("slot_silent")), "its own, not another's");
+    records.forget_before(8);
+    assert_eq!(records.lost_syncs.len(), 1);
+}

@@ -1,0 +1,102 @@
+//! What the wires of a lab do to frames, as its scenario says: by programs at the ports of its bridge.
+
+use anyhow::Result;
+use rtmac::wire::{self, Message, Rtmac};
+use rtnet::live::{Chances, Impaired, Impairment};
+use rtnet::sim::{Latency, Link};
+
+use super::namespace::Segment;
+use super::run::port_name;
+use crate::scenario::{Conditions, Direction, Happening, Scenario, Wire};
+
+/// One for each station; none at all where nothing is to become of any frame, or the host does not let us.
+#[derive(Default)]
+pub struct Wires(Vec<Impairment>);
+
+impl Wires {
+    /// As a scenario begins; with a line that says so if the host does not let us.
+    pub fn of(scenario: &Scenario, segment: &Segment) -> Result<(Self, Option<String>)> {
+        if !are_impaired(&scenario.conditions) {
+            return Ok((Self::default(), None));
+        }
+        let mut wires = Self::default();
+        for station in 0..scenario.stations.len() {
+            match attach(segment, station)? {
+                Ok(wire) => wires.0.push(wire),
+                Err(line) => return Ok((Self::default(), Some(line))),
+            }
+        }
+        scenario.conditions.wires.iter().for_each(|wire| wires.set(wire));
+        Ok((wires, None))
+    }
+
+    /// A station has another port: its wire is as it is to be throughout.
+    pub fn mend(&mut self, scenario: &Scenario, segment: &Segment, station: usize) -> Result<()> {
+        if let Some(wire) = self.0.get_mut(station)
+            && let Ok(new) = attach(segment, station)?
+        {
+            *wire = new;
+            scenario.conditions.wires_of(&[station]).for_each(|wire| self.set(&wire));
+        }
+        Ok(())
+    }
+
+    /// What wires do from now on, as far as this says so.
+    pub fn set(&self, Wire { stations, direction, link }: &Wire) {
+        for wire in stations.iter().filter_map(|&station| self.0.get(station)) {
+            if *direction != Direction::In {
+                wire.sends(&chances(link));
+            }
+            if *direction != Direction::Out {
+                wire.hears(&chances(link));
+            }
+        }
+    }
+
+    /// These stations hear each other only, and the others each other; none: all do.
+    pub fn cut_off(&self, stations: &[usize]) {
+        for (station, wire) in self.0.iter().enumerate() {
+            wire.cut_off(stations.contains(&station));
+        }
+    }
+
+    /// What became of the frames for a station.
+    pub fn counts(&self, station: usize) -> Impaired {
+        self.0.get(station).map_or(Impaired::default(), Impairment::counts)
+    }
+
+    /// Hands over which Synchronisations stations did not get since the last time: the station and the cycle.
+    pub fn take_lost_syncs(&mut self, mut to: impl FnMut(usize, u32)) {
+        for (station, wire) in self.0.iter_mut().enumerate() {
+            wire.take_lost_control(|frame| {
+                if let Ok(Rtmac::Tdma(Message::Sync { cycle, .. })) = wire::parse(&frame) {
+                    to(station, cycle);
+                }
+            });
+        }
+    }
+}
+
+/// Whether a wire does what only a simulation's does: it takes a queue that knows time.
+pub fn is_held_back(link: &Link) -> bool {
+    link.reorder_ppm > 0 || link.delay != Latency::default()
+}
+
+fn are_impaired(conditions: &Conditions) -> bool {
+    let is_of_wires = |what: &Happening| matches!(what, Happening::Wires(..) | Happening::Cut(..));
+    !conditions.wires.is_empty() || conditions.events.iter().any(|event| is_of_wires(&event.what))
+}
+
+/// A station's wire, or the line that says why there is none.
+fn attach(segment: &Segment, station: usize) -> Result<Result<Impairment, String>> {
+    let port = segment.namespace().netlink()?.link_index(&port_name(station))?;
+    let attached = segment.namespace().run(|| Impairment::attach(port))?;
+    Ok(attached.map_err(|refused| {
+        format!("wires lose nothing, and none is cut off: {refused} ({})", refused.remedy())
+    }))
+}
+
+fn chances(link: &Link) -> Chances {
+    let &Link { lose_control_ppm, lose_data_ppm, corrupt_ppm, duplicate_ppm, .. } = link;
+    Chances { lose_control_ppm, lose_data_ppm, corrupt_ppm, duplicate_ppm }
+}

@@ -350,3 +350,25 @@ fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
         assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stdout));
     });
 }
+
+#[test]
+fn clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs() {
+    network("clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs", || {
+        let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/clocks.toml");
+        let directory = tempfile::tempdir().unwrap();
+        let json = directory.path().join("report.json");
+        let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{} {text}", report["verdict"]["reasons"]);
+        assert!(!text.contains("only in a simulation"), "{text}");
+        let of = |station: usize| &report["per_station"][station];
+        // Five and six in virtual time, while it does not believe its clock.
+        assert!(of(1)["slots_missed"].as_u64() >= Some(8), "{text}");
+        let worst = of(2)["sync_error_ns"]["max"].as_i64().unwrap();
+        assert!(worst > 8_000, "20 ppm of 4 ms are 80 ns a cycle, until the line has them: {worst}");
+
+        let simulated = rtnet().args(["sim", "run"]).arg(&scenario).output().unwrap();
+        assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stdout));
+    });
+}

@@ -13,6 +13,7 @@ use crate::station::Station;
 use crate::time::{GlobalTime, Span};
 
 use super::clock::{monotonic, thread_cpu_time};
+use super::clock_order::ClockOrder;
 use super::errands::Errands;
 use super::port::{Port, PortCounters};
 use super::time_board::{TimeBoard, TimePublisher};
@@ -76,6 +77,7 @@ pub struct Driver<D: Discipline> {
     snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
     errands: Arc<Errands<D::Command, D::Refused>>,
     time: TimePublisher,
+    clock_order: Arc<ClockOrder>,
     records_lost: u64,
     next_snapshot: True,
     /// The state in the last snapshot.
@@ -97,6 +99,7 @@ impl<D: Discipline> Driver<D> {
             snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
             errands: Arc::new(Errands::new()),
             time,
+            clock_order: Arc::default(),
             records_lost: 0,
             next_snapshot: 0,
             shown: SyncState::Waiting,
@@ -125,6 +128,11 @@ impl<D: Discipline> Driver<D> {
         self.time.board()
     }
 
+    /// The way to another clock, for whoever plays what happens to a station's clock.
+    pub fn clock_order(&self) -> Arc<ClockOrder> {
+        self.clock_order.clone()
+    }
+
     /// Runs until told to stop, then leaves a last snapshot.
     pub fn run(&mut self) {
         while !self.config.stop.load(Ordering::Relaxed) {
@@ -143,6 +151,10 @@ impl<D: Discipline> Driver<D> {
     fn turn(&mut self) {
         let Self { station, port, .. } = self;
         port.drain_control(|rx, frame| station.on_frame(rx, frame));
+        if let Some(clock) = self.clock_order.take() {
+            port.set_clock(clock);
+            self.time.set_clock(clock);
+        }
         let wakes_on_frames = station.discipline().wakes_on_frames();
         if wakes_on_frames {
             // No slot waits: what has come may be answered in this turn.

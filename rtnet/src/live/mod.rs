@@ -15,6 +15,7 @@
 
 mod bpf;
 pub mod clock;
+mod clock_order;
 mod driver;
 mod errands;
 mod filter;
@@ -28,6 +29,7 @@ pub mod ring;
 mod time_board;
 mod wait;
 
+pub use clock_order::ClockOrder;
 pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};

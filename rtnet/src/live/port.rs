@@ -192,6 +192,11 @@ impl Port {
         &self.clock
     }
 
+    /// Gives the station another clock: what comes from now on is stamped by it.
+    pub(super) fn set_clock(&mut self, clock: EmulatedClock) {
+        self.clock = clock;
+    }
+
     /// What was counted so far. Asks the kernel, too.
     pub fn counters(&mut self) -> PortCounters {
         let sockets = core::iter::once(&self.control).chain(&self.data);

@@ -25,10 +25,13 @@ use crate::discipline::{SyncState, TimeView};
 use crate::time::{GlobalTime, Instant, Offset, Span};
 
 use super::clock::monotonic;
+use super::clock_order::{self, CLOCK_WORDS};
 use super::wait::Waiter;
 
 /// State, holdover and cycle, start, offset, period, drift.
-const WORDS: usize = 5;
+const VIEW_WORDS: usize = 5;
+/// The same, and the clock by which it is so.
+const WORDS: usize = VIEW_WORDS + CLOCK_WORDS;
 
 /// What a station shows of the master's time, to the threads of its process.
 ///
@@ -61,22 +64,22 @@ pub struct TimeBoard {
     shown: AtomicU64,
     faces: [[AtomicU64; WORDS]; 2],
     ended: AtomicBool,
-    clock: EmulatedClock,
 }
 
 /// The real-time thread's end of a [`TimeBoard`]. Once it is dropped the station has ended.
 pub struct TimePublisher {
     board: Arc<TimeBoard>,
     last: TimeView,
+    clock: EmulatedClock,
 }
 
 impl TimePublisher {
     /// The board of a station with this clock, which knows no time yet.
     pub fn new(clock: EmulatedClock) -> Self {
-        let face = || std::array::from_fn(|_| AtomicU64::new(0));
+        let face = || pack(&TimeView::default(), &clock).map(AtomicU64::new);
         let (shown, ended) = (AtomicU64::new(0), AtomicBool::new(false));
-        let board = Arc::new(TimeBoard { shown, faces: [face(), face()], ended, clock });
-        Self { board, last: TimeView::default() }
+        let board = Arc::new(TimeBoard { shown, faces: [face(), face()], ended });
+        Self { board, last: TimeView::default(), clock }
     }
 
     /// What others read.
@@ -89,8 +92,14 @@ impl TimePublisher {
     pub fn publish(&mut self, view: &TimeView) {
         if *view != self.last {
             self.last = *view;
-            self.board.show(view);
+            self.board.show(view, &self.clock);
         }
+    }
+
+    /// The station has another clock: what is known of the time is taken to be so by that, until something else is.
+    pub fn set_clock(&mut self, clock: EmulatedClock) {
+        self.clock = clock;
+        self.board.show(&self.last, &clock);
     }
 }
 
@@ -103,9 +112,7 @@ impl Drop for TimePublisher {
 impl TimeBoard {
     /// What is known of the master's time. Of a station that has ended, or that is held up, it is lost.
     pub fn view(&self) -> TimeView {
-        let mut view = self.read();
-        view.state = if self.has_ended() { SyncState::Lost } else { view.state_at(self.now()) };
-        view
+        self.view_now().0
     }
 
     /// How far the station is with the master's time.
@@ -120,14 +127,14 @@ impl TimeBoard {
 
     /// What the station's clock shows now.
     pub fn now(&self) -> Instant {
-        self.clock.local(monotonic())
+        self.clock().local(monotonic())
     }
 
     /// What the master's clock shows now, and how far it can be believed: only synchronised stations correct it.
     /// `None` before there is any time line.
     pub fn global_now(&self) -> Option<(GlobalTime, SyncState)> {
-        let view = self.view();
-        view.to_global(self.now()).map(|global| (global, view.state))
+        let (view, now) = self.view_now();
+        view.to_global(now).map(|global| (global, view.state))
     }
 
     /// What the master's clock shows at a moment of the station's; `None` before there is any time line. For more
@@ -147,16 +154,24 @@ impl TimeBoard {
     }
 
     /// The station's clock.
-    pub(super) fn clock(&self) -> &EmulatedClock {
-        &self.clock
+    pub(super) fn clock(&self) -> EmulatedClock {
+        self.read_both().1
+    }
+
+    /// What is known now, and what the clock shows by which it is so.
+    fn view_now(&self) -> (TimeView, Instant) {
+        let (mut view, clock) = self.read_both();
+        let now = clock.local(monotonic());
+        view.state = if self.has_ended() { SyncState::Lost } else { view.state_at(now) };
+        (view, now)
     }
 
     /// For the one thread that has the publisher.
-    fn show(&self, view: &TimeView) {
+    fn show(&self, view: &TimeView, clock: &EmulatedClock) {
         let next = self.shown.load(Ordering::Relaxed) + 1;
         // What follows is not seen by anybody who does not see that the view before is shown.
         fence(Ordering::Release);
-        let words = pack(view);
+        let words = pack(view, clock);
         for (place, word) in self.face(next).iter().zip(words) {
             place.store(word, Ordering::Relaxed);
         }
@@ -164,6 +179,10 @@ impl TimeBoard {
     }
 
     fn read(&self) -> TimeView {
+        self.read_both().0
+    }
+
+    fn read_both(&self) -> (TimeView, EmulatedClock) {
         loop {
             let shown = self.shown.load(Ordering::Acquire);
             let face = self.face(shown);
@@ -184,17 +203,19 @@ impl TimeBoard {
 const STATES: [SyncState; 5] =
     [SyncState::Waiting, SyncState::Calibrating, SyncState::Locked, SyncState::Holdover, SyncState::Lost];
 
-fn pack(view: &TimeView) -> [u64; WORDS] {
+fn pack(view: &TimeView, clock: &EmulatedClock) -> [u64; WORDS] {
     let &TimeView { state, cycle, start, offset, period, drift_ppb, holdover } = view;
     let state_and_cycle = (state as u64) << 48 | u64::from(holdover) << 32 | u64::from(cycle);
     // No period is 0.
     let period = period.map_or(0, Span::nanos) as u64;
-    [state_and_cycle, start.nanos(), offset.nanos(), period, drift_ppb as u64]
+    let [anchor, ahead, runs] = clock_order::pack(clock);
+    [state_and_cycle, start.nanos(), offset.nanos(), period, drift_ppb as u64, anchor, ahead, runs]
 }
 
-fn unpack([state_and_cycle, start, offset, period, drift]: [u64; WORDS]) -> TimeView {
+fn unpack(words: [u64; WORDS]) -> (TimeView, EmulatedClock) {
+    let [state_and_cycle, start, offset, period, drift, clock @ ..] = words;
     let state = STATES.get((state_and_cycle >> 48) as usize);
-    TimeView {
+    let view = TimeView {
         state: state.copied().unwrap_or_default(),
         cycle: state_and_cycle as u32,
         start: Instant::from_nanos(start),
@@ -202,7 +223,8 @@ fn unpack([state_and_cycle, start, offset, period, drift]: [u64; WORDS]) -> Time
         period: (period > 0).then_some(Span::from_nanos(period as i64)),
         drift_ppb: drift as i64,
         holdover: (state_and_cycle >> 32) as u16,
-    }
+    };
+    (view, clock_order::unpack(clock))
 }
 
 #[cfg(test)]
@@ -302,6 +324,18 @@ mod tests {
         let later = start + Span::from_nanos(1_000_050_000);
         assert_eq!(board.to_global(later).unwrap() - global, Span::from_millis(1_000));
         assert_eq!(board.to_local(global + Span::from_millis(1_000)), Some(later));
+    }
+
+    #[test]
+    fn a_station_whose_clock_is_set_shows_its_time_by_that() {
+        let mut publisher = TimePublisher::new(EmulatedClock::default());
+        let board = publisher.board();
+        publisher.publish(&view(2));
+        let before = board.now();
+        publisher.set_clock(EmulatedClock::default().stepped(Span::from_millis(60_000)));
+        let gone = board.now() - before;
+        assert!((60_000..70_000).contains(&(gone.nanos() / 1_000_000)), "{gone}");
+        assert_eq!(board.read(), view(2), "what it takes the time for");
     }
 
     #[test]

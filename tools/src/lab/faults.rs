@@ -6,9 +6,10 @@ use std::collections::VecDeque;
 use anyhow::{Context, Result};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use rtnet::clock::True;
+use rtnet::clock::{EmulatedClock, True};
 use rtnet::live::clock::monotonic;
 
+use super::members::clock;
 use super::run::{Lab, port_name};
 use super::wires::is_held_back;
 use crate::scenario::{Act, Conditions, Happening, Part, Scenario, acts};
@@ -25,7 +26,7 @@ pub struct Play {
 /// Whether a host can do this to its stations.
 fn can_play(what: &Happening) -> bool {
     use Happening::*;
-    matches!(what, Kill(_) | Restart(_) | Stop(..) | Stall(..) | Unplug(..) | Wires(..) | Cut(..))
+    matches!(what, Kill(_) | Restart(_) | Stop(..) | Stall(..) | Unplug(..) | Wires(..) | Cut(..) | Clock(..))
 }
 
 /// What of a scenario only a simulation has; each in a line for the reader.
@@ -102,6 +103,16 @@ impl Lab {
             Happening::Stall(stations, span) if begins => {
                 let order = Order::Stall(span.nanos().max(0) as u64);
                 stations.iter().for_each(|&station| self.members[station].order(order));
+            }
+            Happening::Clock(stations, step, drift_ppb) => {
+                for &station in stations {
+                    let (now, member) = (monotonic(), &mut self.members[station]);
+                    let before = member.clock.unwrap_or_else(|| clock(scenario, station, self.launch.anchor));
+                    let set = before.at_rate(now, drift_ppb.unwrap_or(before.drift_ppb)).stepped(*step);
+                    member.clock = Some(set);
+                    let EmulatedClock { anchor, offset, drift_ppb } = set;
+                    member.order(Order::Clock { anchor, offset_ns: offset.nanos(), drift_ppb });
+                }
             }
             Happening::Unplug(stations, _) => {
                 let mut netlink = self.segment.namespace().netlink()?;

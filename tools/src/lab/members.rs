@@ -63,6 +63,8 @@ pub struct Member {
     pub misses: Misses,
     /// Processes that it has had before this one.
     pub restarts: u32,
+    /// Its clock, if its scenario has changed it.
+    pub clock: Option<EmulatedClock>,
     /// How often its wire was cut.
     pub cuts: u32,
     /// In which cycle its process was last seen not to be stopped.
@@ -101,6 +103,7 @@ impl Member {
             events: BTreeMap::new(),
             misses: Misses::default(),
             restarts: 0,
+            clock: None,
             cuts: 0,
             seen_running: None,
             synchronised_at: None,
@@ -398,6 +401,8 @@ pub struct Resume {
     pub grid: Option<(u32, GlobalTime)>,
     /// The number of its first frame of test traffic.
     pub first: u64,
+    /// Its clock, if that is not as it was at first.
+    pub clock: Option<EmulatedClock>,
 }
 
 /// The command line of a station's process, behind the verb.
@@ -409,7 +414,8 @@ pub fn arguments(
 ) -> anyhow::Result<Vec<String>> {
     let Launch { anchor, cpu, fifo, .. } = *launch;
     let master = TrueMaster { clock: clock(scenario, 0, anchor), epoch: launch.epoch };
-    let epoch = same_time(&master, &clock(scenario, station, anchor));
+    let own = resume.clock.unwrap_or_else(|| clock(scenario, station, anchor));
+    let epoch = same_time(&master, &own);
     let plan = &scenario.stations[station];
     let mut line: Vec<String> = Vec::new();
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
@@ -439,9 +445,9 @@ pub fn arguments(
         station: station as u16,
         name: plan.name.clone(),
         control: launch.home.as_ref().map(|home| home.station(&plan.name)),
-        anchor,
-        offset_ns: plan.clock_offset.nanos(),
-        drift_ppb: plan.clock_drift_ppb,
+        anchor: own.anchor,
+        offset_ns: own.offset.nanos(),
+        drift_ppb: own.drift_ppb,
         epoch: epoch.nanos(),
         destination: scenario.address(scenario.receiver(station)).0,
         from: scenario.sender(station) as u16,

@@ -123,7 +123,7 @@ impl Lab {
     /// Starts a station anew whose process has ended. A master goes on with its predecessor's grid.
     pub(super) fn restart(&mut self, scenario: &Scenario, station: usize) -> Result<()> {
         let first = self.analysis.stations[station].beyond();
-        let resume = Resume { grid: self.analysis.grid(), first };
+        let resume = Resume { grid: self.analysis.grid(), first, clock: self.members[station].clock };
         self.analysis.begins_anew(station);
         let arguments = arguments(scenario, station, &self.launch, &resume)?;
         let member = &mut self.members[station];

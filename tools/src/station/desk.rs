@@ -41,7 +41,6 @@ pub struct Desk {
     name: String,
     address: String,
     wire: Wire,
-    clock: EmulatedClock,
     /// How long after its begin a slot may still be used, unless a lab says otherwise.
     latest: Span,
     /// How it follows, and answers, unless it is told otherwise.
@@ -82,7 +81,6 @@ impl Desk {
             name: named.unwrap_or(&options.interface).clone(),
             address: address.to_string(),
             wire,
-            clock: options.clock(),
             latest: options.latest,
             follow: options.follow(),
             max_requests: options.max_requests(),
@@ -291,7 +289,7 @@ impl Desk {
         self.look();
         let newest = self.newest.as_ref().and_then(|newest| newest.status.tdma());
         let known = newest.and_then(|status| status.offset);
-        known.unwrap_or_else(|| epoch(&self.clock))
+        known.unwrap_or_else(|| Offset::between(self.time.now(), GlobalTime::from_nanos(realtime())))
     }
 
     fn status(&mut self, traffic: Traffic) -> Reply {

@@ -4,8 +4,6 @@
 //! A lab that is started with `RTNET_STOP_BEFORE_SEND=SIGUSR1` has stations that, once they are sent that signal,
 //! stop (SIGSTOP) before their next `send`. Whoever asked for it continues them.
 
-#![allow(clippy::disallowed_methods)] // to be held up is what it is for
-
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;

@@ -72,6 +72,15 @@ impl LabOptions {
 pub enum Order {
     /// Its next frame is held up for so many nanoseconds behind its last look at the clock.
     Stall(u64),
+    /// It has another clock.
+    Clock {
+        /// CLOCK_MONOTONIC at which only its offset applies.
+        anchor: u64,
+        /// Its lead at the anchor, nanoseconds.
+        offset_ns: i64,
+        /// Its rate error.
+        drift_ppb: i64,
+    },
 }
 
 /// A line from a station.

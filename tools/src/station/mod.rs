@@ -25,7 +25,7 @@ use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime, SLAVE_PRIORITY};
-use rtnet::live::{Driver, DriverConfig, GuardMode, Port, TimeBoard};
+use rtnet::live::{ClockOrder, Driver, DriverConfig, GuardMode, Port, TimeBoard};
 use rtnet::station::Station;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
@@ -46,6 +46,8 @@ const SYNC_LATEST_PARTS: (i64, i64) = (3, 4);
 const STACK: usize = 256 * 1024;
 /// How often the control thread looks at what the real-time thread left, and at the interface.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// How often to look whether the loop has taken what it was ordered before.
+const LOOK_AT_ORDER_EVERY: Duration = Duration::from_millis(1);
 
 /// What a station is to be.
 #[derive(Clone, Debug)]
@@ -178,12 +180,13 @@ impl Ready {
 
     /// Runs until told to stop, or until the station cannot go on.
     pub fn run(mut self) -> Result<()> {
+        let clocks = self.in_lab.then(|| self.driver.clock_order());
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
         refused.extend(self.reach.refused);
         // What this thread may still do is what those that it starts may do. The other one may have said the same.
         refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
-        stop_when_told(&self.stop, self.in_lab)?;
+        stop_when_told(&self.stop, clocks)?;
         self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;
         let mut told = Instant::now();
@@ -298,24 +301,36 @@ fn drop_capabilities() -> Option<String> {
 }
 
 /// A lab closes our input when it ends or dies, and has its orders there; a person presses Ctrl-C.
-fn stop_when_told(stop: &Arc<AtomicBool>, in_lab: bool) -> Result<()> {
+fn stop_when_told(stop: &Arc<AtomicBool>, lab: Option<Arc<ClockOrder>>) -> Result<()> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     signal_hook::flag::register(SIGTERM, stop.clone())?;
-    if !in_lab {
+    let Some(clocks) = lab else {
         signal_hook::flag::register(SIGINT, stop.clone())?;
         return Ok(());
-    }
+    };
     // Ctrl-C goes to the whole group; the lab decides when its stations end.
     signal_hook::flag::register(SIGINT, Arc::new(AtomicBool::new(false)))?;
     let stop = stop.clone();
     std::thread::Builder::new().name("lab".into()).stack_size(STACK / 2).spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
             // A lab is this very program: it says nothing else.
-            if let Ok(Order::Stall(nanos)) = serde_json::from_str(&line) {
-                halt::stall_next(nanos);
+            match serde_json::from_str(&line) {
+                Ok(Order::Stall(nanos)) => halt::stall_next(nanos),
+                Ok(Order::Clock { anchor, offset_ns, drift_ppb }) => {
+                    let offset = Span::from_nanos(offset_ns);
+                    set_clock(&clocks, &stop, &EmulatedClock { anchor, offset, drift_ppb });
+                }
+                Err(_) => {}
             }
         }
         stop.store(true, Ordering::Relaxed);
     })?;
     Ok(())
+}
+
+/// The loop takes a clock once in a turn, as long as it runs.
+fn set_clock(clocks: &ClockOrder, stop: &AtomicBool, clock: &EmulatedClock) {
+    while !clocks.give(clock) && !stop.load(Ordering::Relaxed) {
+        std::thread::sleep(LOOK_AT_ORDER_EVERY);
+    }
 }

@@ -45,6 +45,7 @@ pub fn only_simulated(conditions: &Conditions) -> Vec<String> {
         Happening::Wires(wire, _) if is_held_back(&wire.link) => {
             Some(format!("delay and reorder of the event of line {}", event.line))
         }
+        Happening::Clock(.., Some(_)) => Some(format!("wander of the event of line {}", event.line)),
         what => (!can_play(what)).then(|| format!("the event of line {}", event.line)),
     }));
     let unmeasured = expectations.iter().filter(|expected| !expected.measure.is_of_labs());
@@ -104,7 +105,7 @@ impl Lab {
                 let order = Order::Stall(span.nanos().max(0) as u64);
                 stations.iter().for_each(|&station| self.members[station].order(order));
             }
-            Happening::Clock(stations, step, drift_ppb) => {
+            Happening::Clock(stations, step, drift_ppb, _) => {
                 for &station in stations {
                     let (now, member) = (monotonic(), &mut self.members[station]);
                     let before = member.clock.unwrap_or_else(|| clock(scenario, station, self.launch.anchor));

@@ -61,8 +61,8 @@ pub trait Discipline: Send {
     fn payload_limit(&self, channel: Channel) -> Result<usize, SendError>;
     /// When to wake next. `None`: nothing to do until a frame arrives.
     fn next_deadline(&self) -> Option<Instant>;
-    /// Whether a frame that arrives wakes the station before its deadline. Where there are slots it does not: it would be
-    /// for nothing, and all stations would wake at once.
+    /// Whether a frame that arrives wakes the station before its deadline. Who waits for a slot is not: it would be for
+    /// nothing, and all stations would wake at once.
     fn wakes_on_frames(&self) -> bool {
         false
     }

@@ -185,6 +185,15 @@ impl Master {
         matches!(self.phase, Phase::Active { .. })
     }
 
+    /// Whether it waits for what another master sends, and sends nothing itself meanwhile.
+    pub fn only_listens(&self) -> bool {
+        match self.phase {
+            Phase::Attached | Phase::Listening { .. } => true,
+            Phase::Following { .. } => self.follower.line().is_none(),
+            Phase::StandBy { .. } | Phase::Active { .. } | Phase::Yielded { .. } => false,
+        }
+    }
+
     /// How it follows another, unless it gives the time itself.
     pub fn follower(&self) -> Option<&Slave> {
         (!self.is_active()).then_some(&self.follower)

@@ -322,6 +322,11 @@ impl Discipline for Tdma {
         role.into_iter().chain(job).min()
     }
 
+    /// A master that only listens for another has no slot to wait for, and may have heard enough long before its deadline.
+    fn wakes_on_frames(&self) -> bool {
+        matches!(&self.role, Role::Master(master) if master.only_listens())
+    }
+
     fn time(&self) -> TimeView {
         let state = match &self.role {
             Role::Master(master) => master.state(),

@@ -123,8 +123,9 @@ impl<D: Discipline> Network<D> {
         let id = self.members.len();
         let place = self.addresses.partition_point(|entry| *entry < (member.address, id));
         self.addresses.insert(place, (member.address, id));
-        let mut seat = Seat::new(member);
-        seat.turn_at(&mut self.agenda, id, at.max(self.now));
+        let at = at.max(self.now);
+        let mut seat = Seat::new(member, at);
+        seat.turn_at(&mut self.agenda, id, at);
         self.members.push(seat);
         id
     }

@@ -37,6 +37,24 @@ fn a_backup_sends_nothing_before_the_next_of_what_it_heard_would_have_come_with_
 }
 
 #[test]
+fn a_backup_wakes_on_frames_as_long_as_it_only_listens() {
+    let backup = MasterConfig { backup: Some(Span::from_micros(100)), ..master_config() };
+    let mut tdma = Tdma::new(&config(RoleConfig::Master(backup))).unwrap();
+    tdma.on_timeout(at(500));
+    assert!(tdma.wakes_on_frames(), "it listens");
+    hear_syncs(&mut tdma, 1..=1);
+    tdma.on_timeout(at(1_300));
+    assert_eq!(
+        (tdma.status().mastery, tdma.wakes_on_frames()),
+        (Some(Mastery::Following), true),
+        "no line yet"
+    );
+    hear_syncs(&mut tdma, 2..=3);
+    tdma.on_timeout(at(3_300));
+    assert!(!tdma.wakes_on_frames(), "it has slots to wait for");
+}
+
+#[test]
 fn what_cannot_be_of_a_backup_is_refused() {
     let refused = |backup: u64, offset: u64| {
         let backup = MasterConfig { backup: Some(Span::from_micros(backup as i64)), ..master_config() };

@@ -121,7 +121,7 @@ impl<D: Discipline> Network<D> {
         let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination) };
         for place in range {
             let to = if to_all { place } else { self.addresses[place].1 };
-            if to == from || self.members[to].stopped {
+            if to == from || !self.members[to].is_there(self.now) {
                 continue;
             }
             let mut reached = sent.and_then(|fate| self.hand_to(to, from, &frame, at, fate));
@@ -199,7 +199,7 @@ impl<D: Discipline> Network<D> {
 
     /// A frame that was long on its way is there.
     pub(super) fn arrived(&mut self, to: StationId, frame: Kept) {
-        if !self.members[to].stopped {
+        if self.members[to].is_there(self.now) {
             let taken = self.frames.share(&frame);
             if let Err(why) = self.arrive(to, taken, self.now) {
                 self.lose(to, &frame, why);

@@ -29,6 +29,8 @@ pub struct Seat<D: Discipline> {
     /// When the frame arrives that wakes it, if one is on its way.
     woken_by: Option<True>,
     pub stopped: bool,
+    /// When it was started first.
+    begins: True,
     /// Its thread does not run before this.
     pub frozen_until: True,
     /// For so long its next frame is held up behind its last look at the clock.
@@ -58,7 +60,7 @@ pub struct Port {
 }
 
 impl<D: Discipline> Seat<D> {
-    pub fn new(member: Member<D>) -> Self {
+    pub fn new(member: Member<D>, begins: True) -> Self {
         Self {
             member: Box::new(member),
             inbox: VecDeque::with_capacity(RECEIVE_POOL),
@@ -68,6 +70,7 @@ impl<D: Discipline> Seat<D> {
             wakes: None,
             woken_by: None,
             stopped: false,
+            begins,
             frozen_until: 0,
             stall: 0,
             busy_until: 0,
@@ -108,6 +111,11 @@ impl<D: Discipline> Seat<D> {
             self.turn_at(agenda, id, wake);
             (self.blocked, self.wakes) = (true, Some(wake));
         }
+    }
+
+    /// Whether there is a process that frames can reach.
+    pub fn is_there(&self, now: True) -> bool {
+        !self.stopped && now >= self.begins
     }
 
     pub fn is_void(&self, number: u64) -> bool {

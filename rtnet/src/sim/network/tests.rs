@@ -46,6 +46,11 @@ fn address(id: StationId) -> Address {
 
 impl Bench {
     fn new(joint: Joint) -> Self {
+        Self::with_ear_from(joint, 0)
+    }
+
+    /// The one that listens is started so late.
+    fn with_ear_from(joint: Joint, begins: True) -> Self {
         let mut network = Network::new(Medium { joint, ..Medium::default() }, 1);
         let (came, had): (Arc<Mutex<Vec<Instant>>>, Arc<Mutex<Vec<_>>>) = Default::default();
         for id in 0..=EAR {
@@ -56,7 +61,10 @@ impl Bench {
                 EmulatedClock::default(),
                 Station::new(Direct::new(DEFAULT_ASK_EVERY), services),
             );
-            network.add(Member { address, clock, host: Host::IDEAL, station }, 0);
+            network.add(
+                Member { address, clock, host: Host::IDEAL, station },
+                if id == EAR { begins } else { 0 },
+            );
         }
         let (so_far, seen) = (came.clone(), had.clone());
         network.attend(move |moment, _| {
@@ -134,6 +142,14 @@ fn a_card_has_buffers_for_32_frames_that_nobody_takes_also_from_a_slow_wire() {
     (0..40).for_each(|n| bench.send(0, n * 20 * US));
     assert_eq!((bench.came().len(), bench.network.dropped(EAR)), (32, 8));
     assert_eq!(*lost.lock().unwrap(), [(EAR, Loss::NoBuffer); 8]);
+}
+
+#[test]
+fn who_is_not_started_yet_hears_nothing_and_loses_nothing() {
+    let mut bench = Bench::with_ear_from(Joint::Bridge, BEGIN + 900 * US);
+    (0..50).for_each(|n| bench.send(0, n * 20 * US));
+    assert_eq!((bench.came()[0], bench.came().len()), (900 * US + PROPAGATION, 5));
+    assert_eq!(bench.network.dropped(EAR), 0);
 }
 
 #[test]

@@ -188,8 +188,8 @@ impl Master {
     /// Whether it waits for what another master sends, and sends nothing itself meanwhile.
     pub fn only_listens(&self) -> bool {
         match self.phase {
-            Phase::Attached | Phase::Listening { .. } => true,
-            Phase::Following { .. } => self.follower.line().is_none(),
+            Phase::Attached => true,
+            Phase::Listening { .. } | Phase::Following { .. } => self.follower.line().is_none(),
             Phase::StandBy { .. } | Phase::Active { .. } | Phase::Yielded { .. } => false,
         }
     }

@@ -40,8 +40,9 @@ impl Promise {
         (1..=LAST_USE).contains(&uses) && uses % 2 == 1
     }
 
+    /// Nor does it last on a clock that was set back behind it: no use of the slot is known for the reply any more.
     fn is_over(&self, now: Instant) -> bool {
-        now > self.asked + self.every * (LAST_USE + 1)
+        now > self.asked + self.every * (LAST_USE + 1) || now < self.asked - self.every
     }
 }
 
@@ -82,5 +83,19 @@ impl Tdma {
         if let Some(by) = self.follower().map(|follower| follower.master()) {
             self.promises.add(Promise { by, asked: turn.at, xmit, every });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_promise_lasts_until_the_last_use_that_it_may_be_kept_in_or_the_clock_is_set_back_behind_it() {
+        let at = |millis: u64| Instant::from_nanos(millis * 1_000_000);
+        let promise =
+            Promise { by: Address::default(), asked: at(100), xmit: None, every: Span::from_millis(1) };
+        let is_over = [98, 99, 100, 117, 118, 119].map(|millis| promise.is_over(at(millis)));
+        assert_eq!(is_over, [true, false, false, false, false, true]);
     }
 }

@@ -102,7 +102,8 @@ impl GuardRefused {
             (Step::Hook, _) => "the interface needs tcx, Linux 6.6, or clsact",
             (_, Some(libc::ENOSYS)) => "the kernel must be built with CONFIG_BPF_SYSCALL",
             // A map that can be shared with a process came last of what the program needs.
-            (Step::Map | Step::Mapping | Step::Program, _) => "the kernel must be Linux 5.5 or later",
+            (Step::Map | Step::Mapping, _) => "the kernel must be Linux 5.5 or later",
+            (Step::Program, _) => "the kernel must be Linux 5.5 or later; 5.12 for what a lab's wires do",
         }
     }
 }

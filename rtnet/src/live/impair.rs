@@ -61,13 +61,14 @@ struct Page {
     sends: Thresholds,
     hears: Thresholds,
     side: AtomicU64,
+    lost_control: AtomicU64,
     lost_data: AtomicU64,
     corrupted: AtomicU64,
     duplicated: AtomicU64,
-    /// Control frames that began to be written down...
+    /// Lost frames that began to be written down...
     begun: AtomicU64,
     /// ... and that were.
-    lost_control: AtomicU64,
+    written: AtomicU64,
     log: [[AtomicU8; LOG_ENTRY]; LOG],
 }
 
@@ -95,7 +96,7 @@ impl Thresholds {
 /// The wire behind a port of a bridge. At first it does nothing to any frame.
 pub struct Impairment {
     mapping: Mapping<Page>,
-    /// Lost control frames that were taken.
+    /// Lost frames that were taken.
     taken: u64,
     _hooks: [OwnedFd; 2],
 }
@@ -139,16 +140,16 @@ impl Impairment {
         Impaired { lost_control, lost_data, corrupted, duplicated }
     }
 
-    /// Hands over the beginning of each control frame that was lost since the last time: of more than half a thousand
-    /// the newest.
-    pub fn take_lost_control(&mut self, mut to: impl FnMut([u8; LOGGED])) {
+    /// Hands over the beginning of each frame that was lost since the last time: of more than half a thousand the newest.
+    pub fn take_lost(&mut self, mut to: impl FnMut([u8; LOGGED])) {
         let page = self.mapping.page();
-        let written = page.lost_control.load(Ordering::Acquire);
+        let written = page.written.load(Ordering::Acquire);
         // One that is being written now comes with the next.
         if page.begun.load(Ordering::Acquire) != written {
             return;
         }
-        for number in self.taken.max(written.saturating_sub(LOG as u64))..written {
+        // The next one may be on its way to the place of the oldest.
+        for number in self.taken.max(written.saturating_sub(LOG as u64 - 1))..written {
             let entry = &page.log[number as usize % LOG];
             to(core::array::from_fn(|byte| entry[byte].load(Ordering::Relaxed)));
         }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::schedule::Rate;
 use rtmac::wire::{self, Message, Rtmac};
-use rtnet::clock::True;
+use rtnet::clock::{EmulatedClock, True};
 use rtnet::time::{GlobalTime, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 
@@ -152,6 +152,11 @@ impl Analysis {
     /// What a station took global time for at a true moment.
     pub fn told_time(&mut self, station: usize, at: True, global: GlobalTime) {
         self.givers.told(station, at, global);
+    }
+
+    /// A station has another clock from now on.
+    pub fn set_clock(&mut self, station: usize, clock: EmulatedClock) {
+        self.givers.set_clock(station, clock);
     }
 
     /// Which station gives the time.

@@ -123,6 +123,12 @@ impl Givers {
         its.for_each(|giver| giver.has_given = false);
     }
 
+    /// A station has another clock from now on: a master's global time goes on by it, or jumps with it.
+    pub fn set_clock(&mut self, station: usize, clock: EmulatedClock) {
+        let its = self.all.iter_mut().filter(|giver| giver.station == station);
+        its.for_each(|giver| giver.truth.clock = clock);
+    }
+
     /// What a station took global time for at a true moment: that of who gives it is right.
     pub fn told(&mut self, station: usize, at: True, global: GlobalTime) {
         let giver = &mut self.all[self.now];
@@ -166,6 +172,18 @@ mod tests {
         assert_eq!((givers.station(backup), givers.after(backup)), (1, Span::from_micros(100)));
         assert_eq!(givers.truth().global(SECOND), global(SECOND), "without a jump");
         assert_eq!(givers.truth().global(2 * SECOND), global(2 * SECOND + 100_000), "but faster");
+    }
+
+    #[test]
+    fn the_time_goes_on_by_the_clock_that_a_master_is_given() {
+        let (mut givers, master, _) = givers();
+        givers.heard(master, 0);
+        let faster = givers.truth().clock.at_rate(SECOND, 100_000);
+        givers.set_clock(0, faster);
+        assert_eq!(givers.truth().global(SECOND), global(SECOND), "without a jump");
+        assert_eq!(givers.truth().global(2 * SECOND), global(2 * SECOND + 100_000), "but faster");
+        givers.set_clock(0, faster.stepped(Span::from_millis(5)));
+        assert_eq!(givers.truth().global(SECOND), global(SECOND + 5_000_000));
     }
 
     #[test]

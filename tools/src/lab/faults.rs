@@ -111,6 +111,7 @@ impl Lab {
                     let before = member.clock.unwrap_or_else(|| clock(scenario, station, self.launch.anchor));
                     let set = before.at_rate(now, drift_ppb.unwrap_or(before.drift_ppb)).stepped(*step);
                     member.clock = Some(set);
+                    self.analysis.set_clock(station, set);
                     let EmulatedClock { anchor, offset, drift_ppb } = set;
                     member.order(Order::Clock { anchor, offset_ns: offset.nanos(), drift_ppb });
                 }
@@ -127,7 +128,7 @@ impl Lab {
                 scenario.conditions.wires_of(&wire.stations).for_each(|wire| self.wires.set(&wire));
             }
             Happening::Cut(stations, _) => {
-                self.analysis.masters.is_cut = begins;
+                self.analysis.masters.is_cut = begins && self.wires.are_there();
                 self.wires.cut_off(if begins { stations } else { &[] });
             }
             _ => {}

@@ -311,7 +311,7 @@ impl Keeper {
         // How much a receiver has heard is known only once it has told of its end.
         let passed = &self.lab.analysis.stations[self.scenario.sender(station)].passed;
         let lost = if member.silent && !member.ended { passed.lost(&member.heard()) } else { 0 };
-        let lost = lost.saturating_sub(self.lab.wires.counts(station).lost_data);
+        let lost = lost.saturating_sub(self.lab.wires.lost_usual(station));
         MemberStatus {
             name: plan.name.clone(),
             role: plan.role.to_string(),

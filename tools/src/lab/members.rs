@@ -13,6 +13,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
 use super::run::INTERFACE;
+use super::wires::Wires;
 use crate::control::Home;
 use crate::judge::delivery::Heard;
 use crate::judge::explain::Records;
@@ -172,8 +173,13 @@ impl Member {
 
     /// Does to it what its scenario says. Who has ended meanwhile cannot.
     pub fn order(&mut self, order: Order) {
-        if let Some(process) = &mut self.process {
-            process.order(order);
+        if let Some(process) = &mut self.process
+            && !process.order(order)
+        {
+            let line = "it was told of more events than it could take: some did not happen";
+            if !self.refused.iter().any(|other| other == line) {
+                self.refused.push(line.into());
+            }
         }
     }
 
@@ -254,8 +260,9 @@ impl Member {
         if passed == 0 { 0.0 } else { used as f64 / passed as f64 }
     }
 
-    /// What the report says of it, if it was judged to the end; its wire did this to the frames for it.
-    pub fn facts(&self, name: &str, is_judged: bool, wire: Impaired) -> Facts {
+    /// What the report says of it, if it was judged to the end, and of what these wires did to the frames for it: it is
+    /// the station of this number.
+    pub fn facts(&self, name: &str, is_judged: bool, wires: &Wires, station: usize) -> Facts {
         let standing = self.standing.as_ref();
         Facts {
             pid: self.pid(),
@@ -275,13 +282,13 @@ impl Member {
                 .iter()
                 .cloned()
                 .chain(self.noteworthy.lines())
-                .chain(wire_note(&wire))
+                .chain(wire_note(&wires.counts(station)))
                 .collect(),
             clock_steps: standing.map_or(0, |standing| standing.clock_steps),
             lost_records: standing.map_or(0, |standing| standing.lost_records),
             queue_refused: self.queue_refused(),
             // While a wire is cut nobody knows what would have been heard.
-            lost_on_purpose: if self.cuts > 0 { u64::MAX } else { wire.lost_data },
+            lost_on_purpose: if self.cuts > 0 { u64::MAX } else { wires.lost_usual(station) },
             reproach: self.reproach(name, is_judged),
         }
     }

@@ -1,12 +1,13 @@
 //! The stations' processes.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
 
 use super::namespace::Namespace;
 use crate::station::link::{Order, Report};
@@ -42,6 +43,9 @@ impl Process {
         command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = namespace.run(move || command.spawn())?.context("a station cannot be started")?;
         let output = child.stdout.take().context("a station without output")?;
+        // A station that is stopped reads no orders, and its lab goes on.
+        let input = child.stdin.as_ref().context("a station without input")?;
+        fcntl(input, FcntlArg::F_SETFL(OFlag::O_NONBLOCK))?;
         std::thread::Builder::new().name("listener".into()).spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 let report = serde_json::from_str(&line)
@@ -108,11 +112,14 @@ impl Process {
         Err("it did not end when it was told to, and was killed".into())
     }
 
-    /// Tells it what is to happen to it. Fails only if it has ended.
-    pub fn order(&mut self, order: Order) {
-        if let (Some(input), Ok(line)) = (&mut self.child.stdin, serde_json::to_string(&order)) {
-            let _ = writeln!(input, "{line}");
-        }
+    /// Tells it what is to happen to it; whether there was room for that. Who has ended is told nothing.
+    pub fn order(&mut self, order: Order) -> bool {
+        let (Some(input), Ok(line)) = (&mut self.child.stdin, serde_json::to_string(&order)) else {
+            return true;
+        };
+        // A pipe takes a line as a whole, or nothing of it.
+        let told = input.write_all(format!("{line}\n").as_bytes());
+        !matches!(told, Err(error) if error.kind() == ErrorKind::WouldBlock)
     }
 
     /// Tells it to end, without waiting.

@@ -355,7 +355,7 @@ impl Lab {
             self.members[station].take(station, report, &mut self.records, self.analysis.truth());
         }
         let Self { wires, records, .. } = self;
-        wires.take_lost_syncs(|station, cycle| records.note_sync_lost(station, cycle));
+        wires.take_lost(|station, cycle| records.note_sync_lost(station, cycle));
         self.note_returns();
     }
 
@@ -404,7 +404,7 @@ impl Lab {
         let is_judged = !interrupted && self.analysis.cycles() > 0;
         let stations = self.members.iter().zip(&scenario.stations).enumerate();
         let stations = stations
-            .map(|(station, (member, plan))| member.facts(&plan.name, is_judged, self.wires.counts(station)))
+            .map(|(station, (member, plan))| member.facts(&plan.name, is_judged, &self.wires, station))
             .collect();
         Parts {
             stations,

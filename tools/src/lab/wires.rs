@@ -8,10 +8,15 @@ use rtnet::sim::{Latency, Link};
 use super::namespace::Segment;
 use super::run::port_name;
 use crate::scenario::{Conditions, Direction, Happening, Scenario, Wire};
+use crate::station::traffic::Tag;
 
 /// One for each station; none at all where nothing is to become of any frame, or the host does not let us.
 #[derive(Default)]
-pub struct Wires(Vec<Impairment>);
+pub struct Wires {
+    all: Vec<Impairment>,
+    /// Usual frames of test traffic that were lost on the way to each station since its process began.
+    lost_usual: Vec<u64>,
+}
 
 impl Wires {
     /// As a scenario begins; with a line that says so if the host does not let us.
@@ -22,17 +27,18 @@ impl Wires {
         let mut wires = Self::default();
         for station in 0..scenario.stations.len() {
             match attach(segment, station)? {
-                Ok(wire) => wires.0.push(wire),
+                Ok(wire) => wires.all.push(wire),
                 Err(line) => return Ok((Self::default(), Some(line))),
             }
         }
+        wires.lost_usual = vec![0; scenario.stations.len()];
         scenario.conditions.wires.iter().for_each(|wire| wires.set(wire));
         Ok((wires, None))
     }
 
     /// A station has another port: its wire is as it is to be throughout.
     pub fn mend(&mut self, scenario: &Scenario, segment: &Segment, station: usize) -> Result<()> {
-        if let Some(wire) = self.0.get_mut(station)
+        if let Some(wire) = self.all.get_mut(station)
             && let Ok(new) = attach(segment, station)?
         {
             *wire = new;
@@ -43,7 +49,7 @@ impl Wires {
 
     /// What wires do from now on, as far as this says so.
     pub fn set(&self, Wire { stations, direction, link }: &Wire) {
-        for wire in stations.iter().filter_map(|&station| self.0.get(station)) {
+        for wire in stations.iter().filter_map(|&station| self.all.get(station)) {
             if *direction != Direction::In {
                 wire.sends(&chances(link));
             }
@@ -55,21 +61,41 @@ impl Wires {
 
     /// These stations hear each other only, and the others each other; none: all do.
     pub fn cut_off(&self, stations: &[usize]) {
-        for (station, wire) in self.0.iter().enumerate() {
+        for (station, wire) in self.all.iter().enumerate() {
             wire.cut_off(stations.contains(&station));
         }
     }
 
     /// What became of the frames for a station.
     pub fn counts(&self, station: usize) -> Impaired {
-        self.0.get(station).map_or(Impaired::default(), Impairment::counts)
+        self.all.get(station).map_or(Impaired::default(), Impairment::counts)
     }
 
-    /// Hands over which Synchronisations stations did not get since the last time: the station and the cycle.
-    pub fn take_lost_syncs(&mut self, mut to: impl FnMut(usize, u32)) {
-        for (station, wire) in self.0.iter_mut().enumerate() {
-            wire.take_lost_control(|frame| {
-                if let Ok(Rtmac::Tdma(Message::Sync { cycle, .. })) = wire::parse(&frame) {
+    /// Whether the kernel does to frames what a scenario says.
+    pub fn are_there(&self) -> bool {
+        !self.all.is_empty()
+    }
+
+    /// How many usual frames of test traffic did not get to a station since its process began: a judge counts no others.
+    pub fn lost_usual(&self, station: usize) -> u64 {
+        self.lost_usual.get(station).copied().unwrap_or_default()
+    }
+
+    /// A station's process begins anew, and has heard nothing.
+    pub fn begins_anew(&mut self, station: usize) {
+        if let Some(lost) = self.lost_usual.get_mut(station) {
+            *lost = 0;
+        }
+    }
+
+    /// Takes down what was lost since the last time; hands over which Synchronisations stations did not get: the station
+    /// and the cycle.
+    pub fn take_lost(&mut self, mut to: impl FnMut(usize, u32)) {
+        for (station, (wire, lost_usual)) in self.all.iter_mut().zip(&mut self.lost_usual).enumerate() {
+            wire.take_lost(|frame| {
+                if let Some((tag, _)) = Tag::read(&frame) {
+                    *lost_usual += u64::from(tag.priority().is_none());
+                } else if let Ok(Rtmac::Tdma(Message::Sync { cycle, .. })) = wire::parse(&frame) {
                     to(station, cycle);
                 }
             });

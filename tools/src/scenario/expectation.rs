@@ -87,7 +87,7 @@ pub enum Measure {
     Stray,
     /// Longest time from when a program queued a frame until it was on the wire.
     QueueingDelay,
-    /// What 99 of 100 of those do not exceed.
+    /// What 99 of 100 of those do not exceed; of several priorities, the worst one's.
     QueueingP99,
     /// Frames of programs that found no room in their queue.
     QueueRefused,

@@ -263,6 +263,10 @@ impl<'a> Run<'a> {
             _ => {}
         }
         faults::act(&mut self.world.network, self.scenario, what, act.part);
+        if let Happening::Clock(stations, ..) = what {
+            let analysis = &mut self.watch.borrow_mut().analysis;
+            stations.iter().for_each(|&id| analysis.set_clock(id, self.world.network.member(id).clock));
+        }
         Ok(())
     }
 

@@ -122,11 +122,13 @@ impl Watch {
     /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
     pub fn lost(&mut self, to: StationId, frame: &[u8], why: Loss) {
         let what = decode(frame, frame.len()).what;
+        // Frames that programs queue besides are not counted at their receivers.
+        let is_usual = matches!(&what, What::Data(tag) if tag.priority().is_none());
         if let (true, Some(cycle)) = (self.counting, self.analysis.current()) {
-            self.seen.note_lost(to, why, matches!(what, What::Data(_)), cycle);
+            self.seen.note_lost(to, why, is_usual, cycle);
         }
         match what {
-            What::Data(_) if why.is_on_purpose() => self.lost_on_purpose[to] += 1,
+            What::Data(_) if is_usual && why.is_on_purpose() => self.lost_on_purpose[to] += 1,
             What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
             _ => {}
         }

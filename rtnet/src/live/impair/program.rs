@@ -4,7 +4,7 @@
 //! ingress   what the station sends: mark = its side of a cut | what is to become of it, by `page.sends`
 //! egress    what it is to hear:     fate = mark | LOST if the side is another's | by `page.hears`
 //!             AGAIN                 a copy that was made here: it passes
-//!             LOST                  counted, if it is RTmac's written down, dropped
+//!             LOST                  written down, counted, dropped
 //!             CORRUPT               a bit is turned, any
 //!             TWICE                 a copy is sent by the same port
 //! ```
@@ -95,10 +95,9 @@ fn when(bit: i32, then: &[Instruction]) -> Vec<Instruction> {
     [&test, then].concat()
 }
 
-/// Counts the frame and drops it. Of RTmac's, who judges needs to know which.
+/// Writes down which frame it is, for who judges needs to know; counts it, and drops it.
 fn lose() -> Vec<Instruction> {
-    let count = |counter| [set(R1, 1), add_atomically(R7, counter, R1)];
-    let mut write_down = vec![
+    vec![
         set(R9, 1),
         fetch_and_add(R7, offset_of!(Page, begun), R9),
         and(R9, LOG as i32 - 1),
@@ -110,15 +109,16 @@ fn lose() -> Vec<Instruction> {
         add(R3, offset_of!(Page, log) as i32),
         set(R4, LOGGED as i32),
         call(HELPER_LOAD_BYTES),
-    ];
-    write_down.extend(count(offset_of!(Page, lost_control)));
-    write_down.extend([set(R0, DROP), exit()]);
-    let ahead = write_down.len() as i16;
-    let mut lose = vec![load_word(R1, R6, SKB_PROTOCOL), jump_unless_equal(R1, control(), ahead)];
-    lose.extend(write_down);
-    lose.extend(count(offset_of!(Page, lost_data)));
-    lose.extend([set(R0, DROP), exit()]);
-    lose
+        set(R1, 1),
+        load_word(R2, R6, SKB_PROTOCOL),
+        jump_unless_equal(R2, control(), 1),
+        add_atomically(R7, offset_of!(Page, lost_control), R1),
+        jump_if_equal(R2, control(), 1),
+        add_atomically(R7, offset_of!(Page, lost_data), R1),
+        add_atomically(R7, offset_of!(Page, written), R1),
+        set(R0, DROP),
+        exit(),
+    ]
 }
 
 /// Turns one bit, any.
@@ -167,6 +167,7 @@ fn double() -> Vec<Instruction> {
         load_word(R2, R6, SKB_INTERFACE),
         set(R3, 0),
         call(HELPER_CLONE_REDIRECT),
+        jump_unless_equal(R0, 0, 2),
         set(R1, 1),
         add_atomically(R7, offset_of!(Page, duplicated), R1),
     ]

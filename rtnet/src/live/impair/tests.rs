@@ -140,18 +140,19 @@ fn about_as_many_are_lost_as_was_said() {
 }
 
 #[test]
-fn a_lost_control_frame_is_written_down_and_of_too_many_the_newest_are() {
+fn a_lost_frame_is_written_down_and_of_too_many_the_newest_are() {
     on_a_loopback(|wire| {
-        hears(wire, |chances| chances.lose_control_ppm = ALWAYS);
+        hears(wire, |chances| (chances.lose_control_ppm, chances.lose_data_ppm) = (ALWAYS, ALWAYS));
         let mut taken = Vec::new();
-        wire.send(CONTROL, 2);
-        wire.impairment.take_lost_control(|bytes| taken.push(bytes));
-        assert_eq!(taken, [&frame(CONTROL)[..LOGGED]; 2]);
-        wire.impairment.take_lost_control(|_| unreachable!("each once"));
+        wire.send(CONTROL, 1);
+        wire.send(DATA, 1);
+        wire.impairment.take_lost(|bytes| taken.push(bytes));
+        assert_eq!(taken, [&frame(CONTROL)[..LOGGED], &frame(DATA)[..LOGGED]]);
+        wire.impairment.take_lost(|_| unreachable!("each once"));
         wire.send(CONTROL, LOG + 5);
         let mut n = 0;
-        wire.impairment.take_lost_control(|_| n += 1);
-        assert_eq!(n, LOG);
+        wire.impairment.take_lost(|_| n += 1);
+        assert_eq!(n, LOG - 1);
     });
 }
 

@@ -76,7 +76,8 @@ impl<D: Discipline> Network<D> {
     pub fn set_clock(&mut self, id: StationId, clock: EmulatedClock) {
         let seat = &mut self.members[id];
         seat.member.clock = clock;
-        if !seat.stopped && seat.chosen.is_none() && !seat.blocked && seat.busy_until < self.now {
+        let waits = !seat.blocked || seat.wakes.is_some();
+        if !seat.stopped && seat.chosen.is_none() && waits && seat.busy_until < self.now {
             seat.turn_at(&mut self.agenda, id, self.now);
         }
     }

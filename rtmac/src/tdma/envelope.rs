@@ -71,8 +71,8 @@ const SLOWER: i64 = 4;
 const SLOWER_PARTS: i64 = 16;
 /// What clocks do at most.
 const GAINS_AT_MOST: f64 = 1.0 / DRIFT_PARTS as f64;
-/// So many windows that are sure of another rate are right.
-const AGAINST_AT_MOST: usize = 64;
+/// So many windows that are sure of another rate are right, or as many times fewer as they are surer than what is known.
+const AGAINST_AT_MOST: f64 = 64.0;
 /// So many windows that are all clearly later than the line are not a busy host.
 const LEFT: usize = 32;
 
@@ -98,8 +98,8 @@ struct Known {
     rate: Rate,
     /// So long a Synchronisation is on its way.
     delay: Span,
-    /// So many edges were sure of another rate since the last that agreed.
-    against: usize,
+    /// So much, in edges that are as sure as it is, has been against it since the last that agreed.
+    against: f64,
 }
 
 impl Envelope {
@@ -154,7 +154,7 @@ impl Envelope {
 
     /// What calibration has shown by now: the clocks' rate, and that a Synchronisation is on its way for `delay`.
     pub fn know(&mut self, at: Instant, rate: Rate, delay: Span, period: Span) {
-        let known = Known { at, rate, delay, against: 0 };
+        let known = Known { at, rate, delay, against: 0.0 };
         let windows = (period * WINDOW as i64 * 2).nanos() as f64;
         let is_known = rate.unsure <= KNOWN_WELL
             && rate.unsure * windows <= NOISE.nanos() as f64
@@ -256,10 +256,12 @@ impl Envelope {
     fn learn(&mut self, at: Instant, rate: Rate, edge: Option<Edge>) -> Rate {
         let (Some(shown), Some(known)) = (edge.map(|edge| edge.rate()), &mut self.known) else { return rate };
         if !shown.agrees_with(rate) {
-            known.against += usize::from(shown.unsure <= CLEAR);
+            if shown.unsure <= CLEAR {
+                known.against += (rate.unsure / shown.unsure).max(1.0);
+            }
             return rate;
         }
-        known.against = 0;
+        known.against = 0.0;
         if shown.unsure < rate.unsure * CLEARLY_SURER {
             *known = Known { at, rate: shown, ..*known };
         }

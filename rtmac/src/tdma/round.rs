@@ -25,8 +25,13 @@ const LATER_AT_LEAST: Span = Span::from_nanos(250);
 const LATER_AT_MOST: i64 = 12;
 const LATER_PARTS: i64 = 16;
 
-/// The quicker half of the rounds is kept, but no more than so many.
+/// The quicker half of the rounds is kept, but no more than so many...
 const KEPT: usize = 128;
+/// ... and none that took longer than the quicker quarter by more than this, or by more than this part of it. What holds up
+/// one way in more than half of them (a tick of the host's that falls into the slot) moves their middles by as much, and if
+/// only from some time on, that looks like a rate.
+const ALIKE: Span = Span::from_micros(2);
+const ALIKE_PARTS: i64 = 4;
 /// From the first round to the last a busy host may make one way longer than the other by twice this much: measured.
 const ASKEW: Span = Span::from_micros(1);
 
@@ -109,7 +114,7 @@ impl Round {
     }
 }
 
-/// Keeps the quicker rounds, in order; what all of them say. The delay of a frame for one station: hold-ups only ever make
+/// Keeps the quicker rounds that are alike, in order; what all of them say. The delay of a frame for one station: hold-ups only ever make
 /// a round longer, so the lower quartile of all counts. All this is done at once when the last reply comes, so only what is
 /// kept is sorted: the time that it takes grows as the rounds do.
 pub fn keep_quicker(rounds: &mut Vec<Round>) -> Delays {
@@ -120,10 +125,12 @@ pub fn keep_quicker(rounds: &mut Vec<Round>) -> Delays {
     rounds.select_nth_unstable_by_key(kept - 1, |round| round.delay);
     rounds.truncate(kept);
     rounds.sort_unstable_by_key(|round| round.delay);
+    let longest = delays.quartile + ALIKE.max(delays.quartile / ALIKE_PARTS);
+    rounds.truncate(rounds.partition_point(|round| round.delay <= longest));
     delays
 }
 
-/// How many of so many rounds are kept.
+/// How many of so many rounds are kept at most.
 fn kept_of(rounds: usize) -> usize {
     rounds.div_ceil(2).min(KEPT)
 }
@@ -214,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quicker_half_is_kept_in_order_and_no_more_than_there_is_room_for() {
+    fn of_the_quicker_half_those_that_are_alike_are_kept_in_order_and_no_more_than_there_is_room_for() {
         for count in [1, 2, 3, 100, 255, 256, 257, 10_000] {
             let delays = (0..count).map(|i| Span::from_nanos(i * 7_919 % 10_007));
             let mut rounds: Vec<_> =
@@ -224,8 +231,19 @@ mod tests {
             let said = keep_quicker(&mut rounds);
             assert_eq!(said.median, in_order[in_order.len() / 2]);
             in_order.truncate(in_order.len().div_ceil(2).min(KEPT));
+            in_order.retain(|&delay| delay <= said.quartile + ALIKE);
             assert!(rounds.iter().map(|round| round.delay).eq(in_order), "of {count}");
         }
+    }
+
+    #[test]
+    fn a_host_that_holds_up_one_way_of_most_rounds_from_some_time_on_shows_no_rate() {
+        let held_up = |i: u64| if i > 12 && !i.is_multiple_of(4) { 26_000 } else { i % 2 * 400 };
+        let mut rounds = rounds(30, 0, held_up);
+        let one = keep_quicker(&mut rounds).quartile;
+        assert!(rounds.len() >= 20 && rounds.iter().all(|round| round.delay < one + ALIKE), "{}", rounds.len());
+        let rate = rate(&rounds).unwrap();
+        assert!((rate.gains + 30e-6).abs() < 3e-6, "{rate:?}");
     }
 
     #[test]

@@ -273,6 +273,21 @@ fn a_rate_that_changes_a_little_behind_many_ports_is_found_out_in_time() {
 }
 
 #[test]
+fn a_rate_that_a_calibration_was_wrong_about_is_left_the_sooner_the_surer_syncs_show_another() {
+    for wrong in [-10e-6, 10e-6] {
+        let mut envelope = Envelope::new();
+        let rate = Rate { gains: 22e-6 + wrong, unsure: 6.5e-6 };
+        envelope.know(truth(0, 0), rate, Span::from_micros(22), PERIOD);
+        hear(&mut envelope, 0..3_000, 22_000, |cycle| i64::from(cycle * 7_919 % 1_001));
+        for cycle in 3_000..6_000 {
+            hear(&mut envelope, cycle..cycle + 1, 22_000, |cycle| i64::from(cycle * 7_919 % 1_001));
+            let error = error(&envelope, cycle, 22_000);
+            assert!((-1_000..1_000).contains(&error), "{wrong}, cycle {cycle}: {error}");
+        }
+    }
+}
+
+#[test]
 fn where_a_rate_is_little_sure_only_what_is_young_counts() {
     // Of every sixteen windows one is in time: too few for an edge to be sure of another rate.
     let late = |cycle: u32| match cycle / 64 {

@@ -112,7 +112,7 @@ impl Drop for TimePublisher {
 impl TimeBoard {
     /// What is known of the master's time. Of a station that has ended, or that is held up, it is lost.
     pub fn view(&self) -> TimeView {
-        self.view_now().0
+        self.view_and_clock().0
     }
 
     /// How far the station is with the master's time.
@@ -133,8 +133,8 @@ impl TimeBoard {
     /// What the master's clock shows now, and how far it can be believed: only synchronised stations correct it.
     /// `None` before there is any time line.
     pub fn global_now(&self) -> Option<(GlobalTime, SyncState)> {
-        let (view, now) = self.view_now();
-        view.to_global(now).map(|global| (global, view.state))
+        let (view, clock) = self.view_and_clock();
+        view.to_global(clock.local(monotonic())).map(|global| (global, view.state))
     }
 
     /// What the master's clock shows at a moment of the station's; `None` before there is any time line. For more
@@ -158,12 +158,12 @@ impl TimeBoard {
         self.read_both().1
     }
 
-    /// What is known now, and what the clock shows by which it is so.
-    fn view_now(&self) -> (TimeView, Instant) {
+    /// What is known now, and the clock by which it is so.
+    pub(super) fn view_and_clock(&self) -> (TimeView, EmulatedClock) {
         let (mut view, clock) = self.read_both();
         let now = clock.local(monotonic());
         view.state = if self.has_ended() { SyncState::Lost } else { view.state_at(now) };
-        (view, now)
+        (view, clock)
     }
 
     /// For the one thread that has the publisher.

@@ -41,7 +41,8 @@ pub enum WaitError {
     Ended,
 }
 
-/// One thread's way of waiting for cycles; see [`TimeBoard::waiter`]. It never returns the same moment twice.
+/// One thread's way of waiting for cycles; see [`TimeBoard::waiter`]. It never returns the same moment twice, unless the
+/// station's clock is set back in between: until the station notices, it takes cycles that are over for those to come.
 ///
 /// How late it wakes is up to its thread: the host's timers, and the thread's scheduling
 /// ([`RealTime`](super::realtime::RealTime) sets that up).
@@ -72,10 +73,9 @@ impl Waiter {
     pub fn wait_slot(&mut self, offset: Span, timeout: Duration) -> Result<Cycle, WaitError> {
         let begun = monotonic();
         let deadline = begun.saturating_add(nanos(timeout));
-        let from = self.board.clock().local(begun);
         loop {
-            let (cycle, at) = self.next(from, offset)?;
-            let (at, now) = (self.board.clock().truth(at), monotonic());
+            let (cycle, at) = self.next(begun, offset)?;
+            let now = monotonic();
             if at <= now {
                 self.last = Some((cycle.number, offset));
                 return Ok(cycle);
@@ -105,17 +105,19 @@ impl Waiter {
         }
     }
 
-    /// The cycle whose moment is the first from `from` on, and that moment, by what is known now.
-    fn next(&self, from: Instant, offset: Span) -> Result<(Cycle, Instant), WaitError> {
-        let view = self.board.view();
+    /// The cycle whose moment is the first from `begun` on, and that moment, by what is known now: the station's clock may
+    /// have been set since, and its line is by the clock that it has.
+    fn next(&self, begun: True, offset: Span) -> Result<(Cycle, True), WaitError> {
+        let (view, clock) = self.board.view_and_clock();
         if self.board.has_ended() {
             return Err(WaitError::Ended);
         }
-        let next = view.next_moment(from, offset, self.last).filter(|_| view.state.is_synchronised());
+        let next = view.next_moment(clock.local(begun), offset, self.last);
+        let next = next.filter(|_| view.state.is_synchronised());
         let (number, at) = next.ok_or(WaitError::NotSynchronised(view.state))?;
         let start = at - offset;
         let global = view.to_global(start).ok_or(WaitError::NotSynchronised(view.state))?;
-        Ok((Cycle { number, start, offset: Offset::between(start, global) }, at))
+        Ok((Cycle { number, start, offset: Offset::between(start, global) }, clock.truth(at)))
     }
 }
 

@@ -166,3 +166,27 @@ fn who_waits_while_the_line_moves_wakes_by_the_new_one() {
     });
     assert!(matches!(outcome, Ok(Cycle { number: 7_000, .. })), "{outcome:?}");
 }
+
+/// What becomes of somebody who waits while the station's clock is set, by so much, and the station follows the master by
+/// that: cycle 7000 begins in a moment, and another 100 s later.
+fn while_the_clock_is_set(by: Span) -> Result<Cycle, WaitError> {
+    let mut kept = None;
+    disturbed(|mut publisher, view| {
+        let board = publisher.board();
+        publisher.set_clock(board.clock().stepped(by));
+        publisher.publish(&TimeView { cycle: 7_000, start: board.now() + CYCLE, ..view });
+        kept = Some(publisher);
+    })
+}
+
+#[test]
+fn who_waits_while_the_clock_is_set_back_does_not_wait_until_it_shows_that_time_again() {
+    let outcome = while_the_clock_is_set(Span::from_millis(-250_000));
+    assert!(matches!(outcome, Ok(Cycle { number: 7_000, .. })), "{outcome:?}");
+}
+
+#[test]
+fn who_waits_while_the_clock_is_set_ahead_is_not_told_of_a_cycle_that_was_before() {
+    let outcome = while_the_clock_is_set(Span::from_millis(250_000));
+    assert!(matches!(outcome, Ok(Cycle { number: 7_000, .. })), "{outcome:?}");
+}

@@ -4,10 +4,12 @@ pub mod assembler;
 
 use std::ffi::CStr;
 use std::io;
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::marker::PhantomData;
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
 use std::ptr::{self, NonNull};
 
 use assembler::Instruction;
+use zerocopy::FromBytes;
 
 const MAP_CREATE: libc::c_long = 0;
 const PROG_LOAD: libc::c_long = 5;
@@ -68,20 +70,39 @@ struct LinkCreate {
     flags: u32,
 }
 
-/// An array map of one `Page`, all zero.
-pub fn create_map<Page>(name: Name) -> io::Result<OwnedFd> {
-    let map = MapCreate {
-        map_type: MAP_TYPE_ARRAY,
-        key_size: size_of::<u32>() as u32,
-        value_size: size_of::<Page>() as u32,
-        max_entries: 1,
-        map_flags: MAP_MMAPABLE,
-        inner_map: 0,
-        numa_node: 0,
-        name,
-    };
-    // SAFETY: no field is a pointer.
-    unsafe { bpf(MAP_CREATE, &map) }
+/// What may be in a map: any bytes are a value of it.
+///
+/// # Safety
+/// The kernel changes it while this process looks at it: all of it is atomics.
+pub unsafe trait Page: FromBytes + Sync {}
+
+/// An array map of one page, all zero.
+pub struct Map<P>(OwnedFd, PhantomData<P>);
+
+impl<P: Page> Map<P> {
+    /// Asks the kernel for one.
+    pub fn create(name: Name) -> io::Result<Self> {
+        // Memory that is mapped begins at a multiple of this.
+        const { assert!(align_of::<P>() <= 4096 && 0 < size_of::<P>() && size_of::<P>() <= 1 << 30) };
+        let map = MapCreate {
+            map_type: MAP_TYPE_ARRAY,
+            key_size: size_of::<u32>() as u32,
+            value_size: size_of::<P>() as u32,
+            max_entries: 1,
+            map_flags: MAP_MMAPABLE,
+            inner_map: 0,
+            numa_node: 0,
+            name,
+        };
+        // SAFETY: no field is a pointer.
+        Ok(Self(unsafe { bpf(MAP_CREATE, &map) }?, PhantomData))
+    }
+}
+
+impl<P> AsRawFd for Map<P> {
+    fn as_raw_fd(&self) -> RawFd {
+        self.0.as_raw_fd()
+    }
 }
 
 /// Has the kernel verify and compile a program.
@@ -126,19 +147,18 @@ unsafe fn bpf<T>(command: libc::c_long, attributes: &T) -> io::Result<OwnedFd> {
     Ok(unsafe { OwnedFd::from_raw_fd(fd as i32) })
 }
 
-/// The map's value in this process's memory: all atomics, for which zeroes are a value.
-pub struct Mapping<Page>(NonNull<Page>);
+/// A map's page in this process's memory.
+pub struct Mapping<P>(NonNull<P>);
 
-// SAFETY: the mapping belongs to the process, not to a thread, and a page is all atomics.
-unsafe impl<Page: Sync> Send for Mapping<Page> {}
+// SAFETY: the mapping belongs to the process, not to a thread, and all may look at a page at once.
+unsafe impl<P: Page> Send for Mapping<P> {}
 
-impl<Page> Mapping<Page> {
-    /// Maps the one value of a map of [`create_map`] of the same page.
-    pub fn new(map: &OwnedFd) -> io::Result<Self> {
+impl<P: Page> Mapping<P> {
+    /// Maps it.
+    pub fn new(map: &Map<P>) -> io::Result<Self> {
         let (access, fd) = (libc::PROT_READ | libc::PROT_WRITE, map.as_raw_fd());
         // SAFETY: the kernel chooses the address, so that no other mapping is replaced.
-        let start =
-            unsafe { libc::mmap(ptr::null_mut(), size_of::<Page>(), access, libc::MAP_SHARED, fd, 0) };
+        let start = unsafe { libc::mmap(ptr::null_mut(), size_of::<P>(), access, libc::MAP_SHARED, fd, 0) };
         if start == libc::MAP_FAILED {
             return Err(io::Error::last_os_error());
         }
@@ -147,16 +167,16 @@ impl<Page> Mapping<Page> {
 
     /// What is mapped.
     #[inline]
-    pub fn page(&self) -> &Page {
-        // SAFETY: the mapping is page-aligned, as long as a `Page` at least, initialised by the kernel,
-        // and lives as long as `self`. Whoever else writes there, the kernel, does so by whole words.
+    pub fn page(&self) -> &P {
+        // SAFETY: a `Map<P>` has a value as long as a `P`, which is mapped as a whole, aligned as `create` has it, and
+        // lives as long as `self`. Whatever the kernel has written there is a `P`, and all of it atomics.
         unsafe { self.0.as_ref() }
     }
 }
 
-impl<Page> Drop for Mapping<Page> {
+impl<P> Drop for Mapping<P> {
     fn drop(&mut self) {
         // SAFETY: mapped by `new` with this length, and nothing borrowed from it is left.
-        unsafe { libc::munmap(self.0.as_ptr().cast(), size_of::<Page>()) };
+        unsafe { libc::munmap(self.0.as_ptr().cast(), size_of::<P>()) };
     }
 }

@@ -23,6 +23,8 @@ use core::sync::atomic::{AtomicU64, Ordering};
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
 
+use zerocopy::FromBytes;
+
 use super::bpf::{self, assembler};
 use crate::clock::True;
 
@@ -130,6 +132,7 @@ pub struct Guard {
 
 /// What the station and the program share.
 #[repr(C)]
+#[derive(FromBytes)]
 struct Page {
     begin: AtomicU64,
     end: AtomicU64,
@@ -140,6 +143,9 @@ struct Page {
     /// What becomes of others' frames, as the program returns it.
     verdict: AtomicU64,
 }
+
+// SAFETY: atomics only.
+unsafe impl bpf::Page for Page {}
 
 /// What holds the program in place.
 enum Hook {
@@ -161,8 +167,8 @@ impl Guard {
     fn attach_by(hook: Attach, interface: u32) -> Result<Self, GuardRefused> {
         let refused = |step| move |error| GuardRefused::new(step, error);
         the_kernels_clock().map_err(refused(Step::Clock))?;
-        let map = bpf::create_map::<Page>(NAME).map_err(refused(Step::Map))?;
-        let mapping = bpf::Mapping::<Page>::new(&map).map_err(refused(Step::Mapping))?;
+        let map = bpf::Map::<Page>::create(NAME).map_err(refused(Step::Map))?;
+        let mapping = bpf::Mapping::new(&map).map_err(refused(Step::Mapping))?;
         mapping.page().verdict.store(assembler::NEXT as u64, Ordering::Relaxed);
         let program = program::assemble(map.as_raw_fd());
         let program = bpf::load(&program, NAME).map_err(refused(Step::Program))?;

@@ -14,9 +14,12 @@ mod program;
 mod tests;
 
 use core::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
 
-use super::bpf::{self, Hook, Mapping};
+use zerocopy::FromBytes;
+
+use super::bpf::{self, Hook, Map, Mapping};
 use super::guard::{GuardRefused, Step};
 
 const NAME: bpf::Name = *b"rtnet_impair\0\0\0\0";
@@ -57,6 +60,7 @@ pub struct Impaired {
 
 /// What the process and the programs of a port share.
 #[repr(C)]
+#[derive(FromBytes)]
 struct Page {
     sends: Thresholds,
     hears: Thresholds,
@@ -72,8 +76,12 @@ struct Page {
     log: [[AtomicU8; LOG_ENTRY]; LOG],
 }
 
+// SAFETY: atomics only.
+unsafe impl bpf::Page for Page {}
+
 /// What a random number of 32 bits is less than if it happens.
 #[repr(C)]
+#[derive(FromBytes)]
 struct Thresholds {
     lose_control: AtomicU64,
     lose_data: AtomicU64,
@@ -95,26 +103,28 @@ impl Thresholds {
 
 /// The wire behind a port of a bridge. At first it does nothing to any frame.
 pub struct Impairment {
+    map: Map<Page>,
     mapping: Mapping<Page>,
     /// Lost frames that were taken.
     taken: u64,
-    _hooks: [OwnedFd; 2],
+    hooks: [OwnedFd; 2],
 }
 
 impl Impairment {
     /// Attaches to a port in the calling thread's namespace. Of a cut, and of what senders' wires do, every port of the
     /// bridge must know. Needs CAP_BPF and CAP_NET_ADMIN, and Linux 6.6.
     pub fn attach(port: u32) -> Result<Self, GuardRefused> {
-        let refused = |step| move |error| GuardRefused::new(step, error);
-        let map = bpf::create_map::<Page>(NAME).map_err(refused(Step::Map))?;
+        let map = Map::create(NAME).map_err(refused(Step::Map))?;
         let mapping = Mapping::new(&map).map_err(refused(Step::Mapping))?;
-        let map = map.as_raw_fd();
-        let hook = |program: Vec<_>, hook| {
-            let program = bpf::load(&program, NAME).map_err(refused(Step::Program))?;
-            bpf::attach(&program, port, hook).map_err(refused(Step::Hook))
-        };
-        let hooks = [hook(program::sends(map), Hook::Ingress)?, hook(program::hears(map), Hook::Egress)?];
-        Ok(Self { mapping, taken: 0, _hooks: hooks })
+        let hooks = hooks(&map, port)?;
+        Ok(Self { map, mapping, taken: 0, hooks })
+    }
+
+    /// Attaches to the port that is in the place of the one before: what happens to frames, what was counted, and what
+    /// was written down, stays as it is.
+    pub fn attach_anew(&mut self, port: u32) -> Result<(), GuardRefused> {
+        self.hooks = hooks(&self.map, port)?;
+        Ok(())
     }
 
     /// What becomes of what the station sends, from now on: the same for all who hear it, but which bit is changed.
@@ -155,4 +165,18 @@ impl Impairment {
         }
         self.taken = written;
     }
+}
+
+/// Both programs at a port, with one map.
+fn hooks(map: &Map<Page>, port: u32) -> Result<[OwnedFd; 2], GuardRefused> {
+    let map = map.as_raw_fd();
+    let hook = |program: Vec<_>, hook| {
+        let program = bpf::load(&program, NAME).map_err(refused(Step::Program))?;
+        bpf::attach(&program, port, hook).map_err(refused(Step::Hook))
+    };
+    Ok([hook(program::sends(map), Hook::Ingress)?, hook(program::hears(map), Hook::Egress)?])
+}
+
+fn refused(step: Step) -> impl Fn(io::Error) -> GuardRefused {
+    move |error| GuardRefused::new(step, error)
 }

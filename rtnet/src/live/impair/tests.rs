@@ -193,6 +193,27 @@ fn one_bit_is_changed_and_a_frame_comes_twice() {
 }
 
 #[test]
+fn at_the_next_port_a_wire_does_what_it_did_and_counts_on() {
+    on_a_loopback(|wire| {
+        hears(wire, |chances| chances.lose_data_ppm = ALWAYS);
+        wire.impairment.cut_off(true);
+        wire.send(CONTROL, 1);
+        wire.send_marked(DATA, OTHER_SIDE as u32);
+        wire.impairment.take_lost(|_| ());
+        wire.impairment.attach_anew(wire.interface).unwrap();
+        wire.send(CONTROL, 1);
+        wire.send_marked(DATA, OTHER_SIDE as u32);
+        wire.send_marked(CONTROL, OTHER_SIDE as u32);
+        assert_eq!(wire.receive(), [frame(CONTROL)], "of its side of the cut");
+        let expected = Impaired { lost_control: 2, lost_data: 2, ..Impaired::default() };
+        assert_eq!(wire.impairment.counts(), expected, "each by one program");
+        let mut taken = Vec::new();
+        wire.impairment.take_lost(|bytes| taken.push(bytes));
+        assert_eq!(taken, [&frame(CONTROL)[..LOGGED], &frame(DATA)[..LOGGED]], "what was lost since");
+    });
+}
+
+#[test]
 fn nothing_is_left_of_it_once_it_is_dropped() {
     on_a_loopback(|wire| {
         hears(wire, |chances| chances.lose_data_ppm = ALWAYS);

@@ -9,7 +9,7 @@ use nix::unistd::Pid;
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::live::clock::monotonic;
 
-use super::members::clock;
+use super::launch::clock;
 use super::run::{Lab, port_name};
 use super::wires::is_held_back;
 use crate::scenario::{Act, Conditions, Happening, Part, Scenario, acts};

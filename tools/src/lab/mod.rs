@@ -16,6 +16,7 @@
 pub mod enter;
 mod faults;
 mod keep;
+mod launch;
 mod load;
 mod members;
 pub mod namespace;

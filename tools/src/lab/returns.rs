@@ -6,7 +6,7 @@ use rtnet::clock::True;
 use rtnet::discipline::Cause;
 use rtnet::live::clock::monotonic;
 
-use super::members::{Resume, arguments};
+use super::launch::{Resume, arguments};
 use super::processes::Process;
 use super::run::{INTERFACE, Lab, port_name};
 use super::tally::Tally;

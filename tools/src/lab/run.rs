@@ -15,8 +15,9 @@ use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::faults::{Play, only_simulated};
+use super::launch::{Launch, Resume, arguments};
 use super::load::{load, too_much};
-use super::members::{Launch, Member, Resume, arguments, lost_at_most};
+use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
 use super::processes::{Process, Told};
 use super::wires::Wires;
@@ -163,7 +164,7 @@ impl Lab {
         }
         let (wires, unimpaired) = Wires::of(scenario, &segment)?;
         notes.extend(unimpaired);
-        let clock = super::members::clock(scenario, 0, anchor);
+        let clock = super::launch::clock(scenario, 0, anchor);
         let epoch = Offset::between(clock.local(anchor), GlobalTime::from_nanos(realtime()));
         let master = TrueMaster { clock, epoch };
         let warm = match options.warm_core.then(|| WarmCore::start(cpu)) {

@@ -1,0 +1,115 @@
+//! How a lab starts its stations: the command lines of their processes.
+
+use rtmac::tdma::{LatePolicy, schedule};
+use rtnet::clock::{EmulatedClock, True};
+use rtnet::time::{GlobalTime, Offset};
+
+use super::run::INTERFACE;
+use crate::control::Home;
+use crate::judge::givers::{TrueMaster, same_time};
+use crate::report::figures::Role;
+use crate::scenario::{Happening, Scenario, ServoName};
+use crate::station::link::LabOptions;
+
+/// What all stations of a lab are started with.
+#[derive(Clone, Debug)]
+pub struct Launch {
+    /// CLOCK_MONOTONIC at which only their clocks' offsets apply.
+    pub anchor: True,
+    /// From the master's clock to global time.
+    pub epoch: Offset,
+    /// The core of their real-time threads.
+    pub cpu: usize,
+    /// Whether those ask for SCHED_FIFO.
+    pub fifo: bool,
+    /// Where they are to be asked, if they are to be.
+    pub home: Option<Home>,
+}
+
+/// Where a station goes on that comes after another process of its.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Resume {
+    /// A cycle of the master's grid, and its scheduled start.
+    pub grid: Option<(u32, GlobalTime)>,
+    /// The number of its first frame of test traffic.
+    pub first: u64,
+    /// Its clock, if that is not as it was at first.
+    pub clock: Option<EmulatedClock>,
+}
+
+/// The command line of a station's process, behind the verb.
+pub fn arguments(
+    scenario: &Scenario,
+    station: usize,
+    launch: &Launch,
+    resume: &Resume,
+) -> anyhow::Result<Vec<String>> {
+    let Launch { anchor, cpu, fifo, .. } = *launch;
+    let master = TrueMaster { clock: clock(scenario, 0, anchor), epoch: launch.epoch };
+    let own = resume.clock.unwrap_or_else(|| clock(scenario, station, anchor));
+    let epoch = same_time(&master, &own);
+    let plan = &scenario.stations[station];
+    let mut line: Vec<String> = Vec::new();
+    let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
+    add("--interface", INTERFACE.into());
+    add("--cpu", cpu.to_string());
+    add("--latest", scenario.latest().to_string());
+    if !fifo {
+        add("--scheduling", "other".into());
+    }
+    if scenario.late == LatePolicy::Send {
+        add("--late", "send".into());
+    }
+    add("--slot-guard", scenario.slot_guard.name().into());
+    if scenario.servo == ServoName::None {
+        add("--servo", "none".into());
+    }
+    // Without a value.
+    line.push("--exclusive".into());
+    let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
+    for slot in &plan.slots {
+        let (id, offset, size) = (slot.id, slot.offset, slot.size);
+        let phase = format!("phase={}/{}", slot.phase + 1, slot.period);
+        let joint = slot.joint.map_or(String::new(), |joint| format!(",joint={joint}"));
+        add("--slot", format!("{id}={offset},{phase},size={size}{joint}"));
+    }
+    let lab = LabOptions {
+        station: station as u16,
+        name: plan.name.clone(),
+        control: launch.home.as_ref().map(|home| home.station(&plan.name)),
+        anchor: own.anchor,
+        offset_ns: own.offset.nanos(),
+        drift_ppb: own.drift_ppb,
+        epoch: epoch.nanos(),
+        destination: scenario.address(scenario.receiver(station)).0,
+        from: scenario.sender(station) as u16,
+        payload: plan.payload,
+        from_payload: scenario.stations[scenario.sender(station)].payload,
+        step_limit_ns: schedule::step_limit(scenario.guard).nanos(),
+        resume: resume.grid.map(|(cycle, sched)| (cycle, sched.nanos())),
+        first: resume.first,
+        flows: scenario.flow_plan(station),
+        may_stall: scenario.conditions.events.iter().any(|event| matches!(event.what, Happening::Stall(..))),
+    };
+    add("--lab", serde_json::to_string(&lab)?);
+    add("--rounds", plan.rounds.to_string());
+    if plan.role == Role::Slave {
+        line.push("--slave".into());
+        return Ok(line);
+    }
+    add("--cycle", scenario.cycle.to_string());
+    add("--sync-window", scenario.sync_window.to_string());
+    match (plan.backup, scenario.stations.iter().filter_map(|station| station.backup).min()) {
+        (Some(backup), _) => add("--backup", backup.to_string()),
+        (None, Some(first)) => add("--backups-from", first.to_string()),
+        (None, None) => {}
+    }
+    line.push("--master".into());
+    Ok(line)
+}
+
+/// The clock of a station, as its scenario begins.
+pub fn clock(scenario: &Scenario, station: usize, anchor: True) -> EmulatedClock {
+    let plan = &scenario.stations[station];
+    EmulatedClock { anchor, offset: plan.clock_offset, drift_ppb: plan.clock_drift_ppb }
+}

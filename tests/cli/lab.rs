@@ -23,7 +23,7 @@ fn lab(stations: &str, duration: &str) -> Command {
     command
 }
 
-fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
+pub fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
     let deadline = Instant::now() + PATIENCE;
     while !holds() {
         assert!(Instant::now() < deadline, "in vain: {what}");
@@ -41,7 +41,7 @@ fn stations_of(lab: u32) -> Vec<i32> {
         .collect()
 }
 
-fn is_there(pid: i32) -> bool {
+pub fn is_there(pid: i32) -> bool {
     // A killed process may stay as a zombie until somebody looks after it.
     fs::read_to_string(format!("/proc/{pid}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
 }
@@ -51,7 +51,7 @@ fn veths() -> usize {
 }
 
 /// Waits until the lab measures, which its progress tells, and returns its stations.
-fn running(lab: &mut Child, stations: usize) -> Vec<i32> {
+pub fn running(lab: &mut Child, stations: usize) -> Vec<i32> {
     let mut progress = BufReader::new(lab.stderr.take().unwrap()).lines().map_while(Result::ok);
     assert!(progress.any(|line| line.starts_with("rtnet: cycle")), "the network comes up");
     // It goes on to tell, and is not to wait for us.

@@ -17,6 +17,7 @@ mod observe;
 mod requests;
 mod rights;
 mod station;
+mod wires;
 
 use std::path::Path;
 use std::process::Command;

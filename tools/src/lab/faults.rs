@@ -21,6 +21,8 @@ pub struct Play {
     acts: VecDeque<Act>,
     /// Stations that are started anew as soon as their processes have ended.
     restarting: Vec<usize>,
+    /// Stations whose wire is out now.
+    unplugged: Vec<usize>,
 }
 
 /// Whether a host can do this to its stations.
@@ -59,7 +61,7 @@ impl Lab {
     pub(super) fn prepare(&mut self, scenario: &Scenario, begin: True) {
         let events = &scenario.conditions.events;
         let acts = acts(events, begin).into_iter().filter(|act| can_play(&events[act.event].what));
-        self.play = Play { acts: acts.collect(), restarting: Vec::new() };
+        self.play = Play { acts: acts.collect(), ..Play::default() };
     }
 
     /// Plays what is due.
@@ -117,11 +119,11 @@ impl Lab {
                 }
             }
             Happening::Unplug(stations, _) => {
-                let mut netlink = self.segment.namespace().netlink()?;
-                for &station in stations {
-                    let port = netlink.link_index(&port_name(station))?;
-                    if begins { netlink.set_down(port)? } else { netlink.set_up(port)? }
+                self.play.unplugged.retain(|station| !stations.contains(station));
+                if begins {
+                    self.play.unplugged.extend(stations);
                 }
+                stations.iter().try_for_each(|&station| self.plug(station))?;
             }
             Happening::Wires(wire, _) if begins => self.wires.set(wire),
             Happening::Wires(wire, _) => {
@@ -134,5 +136,13 @@ impl Lab {
             _ => {}
         }
         Ok(())
+    }
+
+    /// Has a station's wire in or out, as it is to be now.
+    pub(super) fn plug(&self, station: usize) -> Result<()> {
+        let mut netlink = self.segment.namespace().netlink()?;
+        // Without a port there is none: the next is as it is to be by then.
+        let Ok(port) = netlink.link_index(&port_name(station)) else { return Ok(()) };
+        if self.play.unplugged.contains(&station) { netlink.set_down(port) } else { netlink.set_up(port) }
     }
 }

@@ -127,7 +127,7 @@ impl Lab {
         self.analysis.begins_anew(station);
         self.wires.begins_anew(station);
         let arguments = arguments(scenario, station, &self.launch, &resume)?;
-        let member = &mut self.members[station];
+        let member = &self.members[station];
         // Somebody may have taken its interface away, or renamed it.
         if member.namespace.netlink()?.link_index(INTERFACE).is_err() {
             // Mostly the port went with it.
@@ -138,10 +138,11 @@ impl Lab {
                 INTERFACE,
                 scenario.address(station).0,
             )?;
-            self.wires.mend(scenario, &self.segment, station)?;
+            self.wires.mend(&self.segment, station)?;
+            self.plug(station)?;
         }
         let process = Process::start(&member.namespace, station, &arguments, self.teller.clone())?;
-        member.restart(process);
+        self.members[station].restart(process);
         // Of the wire it tells anew.
         self.note_absence(station, Some(&Report::Link { at: 0, carrier: true }));
         if let Some(now) = self.analysis.cycle_at(monotonic()) {

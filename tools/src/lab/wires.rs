@@ -1,6 +1,6 @@
 //! What the wires of a lab do to frames, as its scenario says: by programs at the ports of its bridge.
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::live::{Chances, Impaired, Impairment};
 use rtnet::sim::{Latency, Link};
@@ -36,15 +36,12 @@ impl Wires {
         Ok((wires, None))
     }
 
-    /// A station has another port: its wire is as it is to be throughout.
-    pub fn mend(&mut self, scenario: &Scenario, segment: &Segment, station: usize) -> Result<()> {
-        if let Some(wire) = self.all.get_mut(station)
-            && let Ok(new) = attach(segment, station)?
-        {
-            *wire = new;
-            scenario.conditions.wires_of(&[station]).for_each(|wire| self.set(&wire));
-        }
-        Ok(())
+    /// A station has another port: its wire does there what it did, and counts on.
+    pub fn mend(&mut self, segment: &Segment, station: usize) -> Result<()> {
+        let Some(wire) = self.all.get_mut(station) else { return Ok(()) };
+        let port = port(segment, station)?;
+        let attached = segment.namespace().run(|| wire.attach_anew(port))?;
+        attached.map_err(|refused| anyhow!("its new wire loses nothing: {refused} ({})", refused.remedy()))
     }
 
     /// What wires do from now on, as far as this says so.
@@ -115,14 +112,21 @@ fn are_impaired(conditions: &Conditions) -> bool {
 
 /// A station's wire, or the line that says why there is none.
 fn attach(segment: &Segment, station: usize) -> Result<Result<Impairment, String>> {
-    let port = segment.namespace().netlink()?.link_index(&port_name(station))?;
+    let port = port(segment, station)?;
     let attached = segment.namespace().run(|| Impairment::attach(port))?;
     Ok(attached.map_err(|refused| {
         format!("wires lose nothing, and none is cut off: {refused} ({})", refused.remedy())
     }))
 }
 
+fn port(segment: &Segment, station: usize) -> Result<u32> {
+    segment.namespace().netlink()?.link_index(&port_name(station))
+}
+
 fn chances(link: &Link) -> Chances {
     let &Link { lose_control_ppm, lose_data_ppm, corrupt_ppm, duplicate_ppm, .. } = link;
     Chances { lose_control_ppm, lose_data_ppm, corrupt_ppm, duplicate_ppm }
 }
+
+#[cfg(test)]
+mod tests;

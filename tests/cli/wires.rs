@@ -1,0 +1,94 @@
+//! The wires of a lab, to which something happens while a station is away.
+
+use std::fs::{self, File};
+use std::process::Stdio;
+
+use nix::sched::{CloneFlags, setns};
+use serde_json::Value;
+use tools::lab::netlink::Netlink;
+
+use crate::host::network;
+use crate::lab::{eventually, is_there, running};
+use crate::rtnet;
+
+const LOSSY_AND_UNPLUGGED: &str = r#"
+cycle = "4ms"
+duration = "7s"
+[[station]]
+name = "master"
+role = "master"
+rounds = 10
+[[station]]
+name = "slave1"
+role = "slave"
+rounds = 10
+[[station]]
+name = "slave2"
+role = "slave"
+rounds = 10
+[[event]]
+at = "500ms"
+wire = { stations = "slave2", direction = "in", lose_data = "50%" }
+for = "5500ms"
+[[event]]
+at = "1s"
+kill = "slave2"
+[[event]]
+at = "2s"
+unplug = "slave2"
+for = "2500ms"
+[[event]]
+at = "3s"
+restart = "slave2"
+[expect]
+overlaps = 0
+unexplained = 0
+"#;
+
+/// Takes an interface away from a namespace.
+fn remove(interface: &str, namespace: &File) {
+    let remove = || {
+        setns(namespace, CloneFlags::CLONE_NEWNET).unwrap();
+        let mut netlink = Netlink::open().unwrap();
+        let index = netlink.link_index(interface).unwrap();
+        netlink.delete_link(index).unwrap();
+    };
+    // It never comes back.
+    std::thread::scope(|scope| scope.spawn(remove).join().unwrap());
+}
+
+#[test]
+fn a_station_whose_interface_went_while_it_was_dead_comes_back_to_its_wire_as_it_is_by_then() {
+    let name = "a_station_whose_interface_went_while_it_was_dead_comes_back_to_its_wire_as_it_is_by_then";
+    network(name, || {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, json) = (dir.path().join("network.toml"), dir.path().join("report.json"));
+        fs::write(&file, LOSSY_AND_UNPLUGGED).unwrap();
+        let mut command = rtnet();
+        command.args(["lab", "run"]).arg(&file).arg("--json").arg(&json);
+        let mut lab = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let is_slave2 = |pid: &i32| {
+            let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap();
+            line.contains(r#""name":"slave2""#)
+        };
+        let slave2 = running(&mut lab, 3).into_iter().find(is_slave2).unwrap();
+        let namespace = File::open(format!("/proc/{slave2}/ns/net")).unwrap();
+        eventually("it is killed", || !is_there(slave2));
+        remove("rt0", &namespace);
+
+        let output = lab.wait_with_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+        if text.contains("wires lose nothing, and none is cut off") {
+            crate::host::skip(name, &text);
+            return;
+        }
+        assert_eq!(output.status.code(), Some(0), "{} {text}", report["verdict"]["reasons"]);
+        let of_slave2 = |what: &str| report["per_station"][2][what].as_u64().unwrap();
+        let missed = of_slave2("slots_missed");
+        assert!(missed >= 860, "dead, and then without a carrier, for 875 cycles: {missed}");
+        // Half of 300, for it has to calibrate first; and it counts from its first frame on.
+        let lost = of_slave2("frames_lost");
+        assert!(lost >= 80, "its wire still loses half of what comes: {lost} {text}");
+    });
+}

@@ -55,6 +55,10 @@ pub trait Discipline: Send {
     fn on_sent(&mut self, outcome: Sent) -> Option<Returned>;
     /// Queues a frame for the slot `channel`.
     fn enqueue(&mut self, frame: Buf, priority: Priority, channel: Channel) -> Result<(), (SendError, Buf)>;
+    /// Whether a real-time frame waits that the slot `channel` would take. Without slots none takes another's turn.
+    fn is_waiting(&self, _channel: Channel) -> bool {
+        false
+    }
     /// Puts a frame that missed its slot back before the others of its priority.
     fn put_back(&mut self, frame: Returned);
     /// Largest payload behind the Ethernet header that fits the slot.
@@ -87,6 +91,10 @@ pub trait Service: Send {
     fn on_sync_state(&mut self, _view: &TimeView) {}
     /// A slot is about to come: the last moment to queue a frame for it.
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>);
+    /// All have been asked, and nothing real-time waits for the slot: it is empty unless there is a frame now.
+    fn fill(&mut self, _slot: &Opportunity, _out: &mut Outlet<'_>) {}
+    /// A frame of its own was chosen for the slot: the last moment to say so in it. It stays as long as it is.
+    fn leaves(&mut self, _slot: &Opportunity, _frame: &mut [u8]) {}
     /// Whether a frame of its own that missed its slot is still worth sending in the next.
     fn still_wanted(&mut self, _frame: &[u8]) -> bool {
         true

@@ -2,7 +2,7 @@
 
 use crate::buf::Buf;
 use crate::counters::{Refusal, Refusals};
-use crate::discipline::{Claimed, Discipline, Sent, Service, SyncState, Transmission};
+use crate::discipline::{Claimed, Discipline, Opportunity, Sent, Service, SyncState, Transmission};
 use crate::time::Instant;
 use crate::wire::ethernet::Header;
 
@@ -37,16 +37,12 @@ impl<D: Discipline> Station<D> {
     /// The next frame to send. Every [`Transmission`] is answered by [`Station::on_sent`].
     pub fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
         while let Some(slot) = self.discipline.opportunity(now) {
-            let discipline = &mut self.discipline;
-            for service in &mut self.services {
-                service.poll(&slot, &mut |frame, priority, channel| {
-                    discipline.enqueue(frame, priority, channel)
-                });
-            }
+            self.ask(&slot);
             let chosen = self.discipline.next_transmission(now);
             self.announce_sync_state();
-            if chosen.is_some() {
-                return chosen;
+            if let Some(mut chosen) = chosen {
+                self.leaves(&slot, &mut chosen.frame);
+                return Some(chosen);
             }
         }
         let chosen = self.discipline.next_transmission(now);
@@ -98,6 +94,29 @@ impl<D: Discipline> Station<D> {
         let ether_type = header.ether_type();
         let service = self.services.iter_mut().find(|service| service.claims(ether_type));
         service.ok_or(Refusal::UnclaimedEtherType)?.on_frame(rx, frame)
+    }
+
+    /// Lets services queue what they have for a slot, and fill it if there is nothing.
+    fn ask(&mut self, slot: &Opportunity) {
+        let Self { discipline, services, .. } = self;
+        for service in services.iter_mut() {
+            service.poll(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
+        }
+        for service in services {
+            if !discipline.is_waiting(slot.channel) {
+                service
+                    .fill(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
+            }
+        }
+    }
+
+    /// Tells whose frame it is that it was chosen for a slot.
+    fn leaves(&mut self, slot: &Opportunity, frame: &mut [u8]) {
+        let Some((header, _)) = Header::parse(frame) else { return };
+        let ether_type = header.ether_type();
+        if let Some(service) = self.services.iter_mut().find(|service| service.claims(ether_type)) {
+            service.leaves(slot, frame);
+        }
     }
 
     fn announce_sync_state(&mut self) {

@@ -1,7 +1,6 @@
 //! Two slaves and their master, driven by hand in virtual time, with the traffic of a lab.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRounds, RoleConfig,
@@ -49,7 +48,7 @@ fn stations_allocate_nothing_from_their_first_turn_on() {
     assert_eq!(locked, [SyncState::Locked; STATIONS]);
     assert_eq!(sent_unchanged, 1_000 * (STATIONS as u64 + 1), "they were at work");
     for seat in &network.seats {
-        assert!(seat.counts.received.load(Ordering::Relaxed) >= 1_300, "and checked what they heard");
+        assert!(seat.counts.arrived(None).received >= 1_300, "and checked what they heard");
         assert_eq!(seat.station.refusals().total(), 0);
     }
     assert_eq!(allocations, 0);
@@ -107,11 +106,15 @@ fn what_a_program_queues_allocates_nothing() {
     for cycle in 0..1_000 {
         let at = u64::from(cycle) * 1_000_000 + 100_000;
         let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
-        traffic.poll(&Opportunity { channel: 0, cycle, begin, scheduled }, &mut |frame, _, _| {
+        let slot = Opportunity { channel: 0, cycle, begin, scheduled };
+        traffic.poll(&slot, &mut |frame, _, _| {
             queued += 1;
             waiting.push(frame);
             Ok(())
         });
+        if let Some(frame) = waiting.last_mut() {
+            traffic.leaves(&slot, frame);
+        }
         waiting.truncate(if cycle % 10 == 0 { 0 } else { 90 });
     }
     let allocations = calls() - before;

@@ -45,7 +45,7 @@ fn stations_without_slots_allocate_nothing_from_their_first_turn_on() {
         let allocations = calls() - before;
 
         assert!(now - Instant::from_nanos(1) >= DEFAULT_ASK_EVERY * TURNS as i64);
-        assert_eq!(counts.received.load(Ordering::Relaxed), TURNS, "it was at work");
+        assert_eq!(counts.usual.received.load(Ordering::Relaxed), TURNS, "it was at work");
         assert_eq!(allocations, 0);
     }
 }

@@ -1,7 +1,6 @@
 //! The traffic of a lab's stations, and bytes that it has not sent.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use proptest::prelude::*;
 use rtnet::buf::{Buf, Pool};
@@ -10,7 +9,7 @@ use rtnet::discipline::{Opportunity, Service};
 use rtnet::time::{GlobalTime, Instant};
 use rtnet::wire::ethernet::{Address, EtherType};
 use tests::{traffic, vectors};
-use tools::station::traffic::{Traffic, TrafficCounts};
+use tools::station::traffic::{Arrived, Traffic, TrafficCounts};
 
 use super::{MASTER, SLAVE, hostile_frame};
 
@@ -37,8 +36,7 @@ impl Receiver {
     /// It is refused by its reason, and leaves no trace in the counts.
     fn refuses(&mut self, bytes: &[u8]) {
         assert_eq!(self.hear(bytes), Err(Refusal::BadPayload), "{bytes:02x?}");
-        let counts = [&self.counts.received, &self.counts.missing, &self.counts.first];
-        assert_eq!(counts.map(|count| count.load(Ordering::Relaxed)), [0, 0, 0], "{bytes:02x?}");
+        assert_eq!(self.counts.arrived(None), Arrived::default(), "{bytes:02x?}");
     }
 }
 
@@ -48,7 +46,7 @@ fn genuine() -> Vec<u8> {
     let scheduled = GlobalTime::from_nanos(1_000_100_400_000);
     let slot = Opportunity { channel: 0, cycle: 100, begin: Instant::default(), scheduled };
     let mut sent = Vec::new();
-    sender.poll(&slot, &mut |frame, _, _| {
+    sender.fill(&slot, &mut |frame, _, _| {
         sent = frame.to_vec();
         Ok(())
     });

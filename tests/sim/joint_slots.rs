@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use rtmac::tdma::{Counters, SlotConfig, TdmaCommand, TdmaStatus};
+use rtmac::tdma::{Counters, SlotConfig, TdmaStatus};
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
 use rtnet::discipline::{Discipline, Opportunity, Outlet, Service};
@@ -44,7 +44,7 @@ fn a_station_with_a_joint_slot_sends_twice_as_often_and_nothing_is_unexplained()
     let cycles = u64::from(CYCLES);
     assert_eq!(seen, [cycles, 2 * cycles, cycles + cycles / 2]);
     for (id, counts) in lab.received.iter().enumerate() {
-        let (received, missing) = (&counts.received, &counts.missing);
+        let (received, missing) = (&counts.usual.received, &counts.usual.missing);
         assert_eq!(missing.load(Ordering::Relaxed), 0, "in the order in which they were queued");
         assert!(received.load(Ordering::Relaxed) >= seen[lab.plan.scenario.sender(id)]);
         assert_eq!(lab.network.member(id).station.refusals().total(), 0);
@@ -85,17 +85,39 @@ fn slots_that_are_parted_resized_and_joined_while_they_run_lose_no_frame() {
         (own, [(64, None), (64, Some(0))]),
     ] {
         let before = axis(&lab).counters.frames_sent;
-        let now = lab.network.now();
-        let member = lab.network.member_mut(AXIS);
-        let now = member.clock.local(now);
-        member.station.discipline_mut().command(now, &mut TdmaCommand::set_slot(change)).unwrap();
+        lab.set_slot(AXIS, change);
         lab.run_cycles(50);
         assert_eq!(of(&lab).map(|slot| (slot.size, slot.joint)), expected);
         assert_eq!(axis(&lab).counters.frames_sent - before, 100, "in every turn of both");
     }
     let Counters { returned_dropped, joints_detached, .. } = axis(&lab).counters;
     assert_eq!((returned_dropped, joints_detached), (0, 1));
-    assert!(lab.received.iter().all(|counts| counts.missing.load(Ordering::Relaxed) == 0));
+    assert!(lab.received.iter().all(|counts| counts.usual.missing.load(Ordering::Relaxed) == 0));
+}
+
+/// What waits stays where it waits: frames of one priority may overtake others then, but not be lost, and every turn that
+/// nothing waits for has its usual frame.
+#[test]
+fn slots_with_queued_traffic_are_joined_and_parted_while_it_waits_and_every_turn_has_its_frame() {
+    let traffic = r#"name = "axis"
+traffic = [{ priority = 5, every = "9ms", burst = 5 }, { priority = 9, every = "9ms", burst = 9, slot = 2 }]"#;
+    let mut lab = Observed::lab(&LAB.replace(r#"name = "axis""#, traffic), Host::IDEAL);
+    lab.judge_while(600, |lab| {
+        let joint = axis(lab).slots[1].unwrap().config;
+        lab.run_cycles(15);
+        for turn in 0..60 {
+            lab.set_slot(AXIS, SlotConfig { joint: Some(0).filter(|_| turn % 2 == 1), ..joint });
+            lab.run_cycles(10);
+        }
+    });
+    assert_eq!(lab.findings(), (0, vec![]));
+    assert_eq!(lab.analysis().stations[AXIS].frames, 1_200);
+    let receiver = lab.plan.scenario.receiver(AXIS);
+    for priority in [5, 9] {
+        let arrived = lab.received[receiver].arrived(Some(priority));
+        assert!(arrived.received > 300 && arrived.missing == 0, "priority {priority}: {arrived:?}");
+    }
+    assert_eq!(lab.network.member(receiver).station.refusals().total(), 0);
 }
 
 fn axis(lab: &Observed) -> TdmaStatus {

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use pcap_file::pcapng::blocks::enhanced_packet::EnhancedPacketOption;
 use pcap_file::pcapng::blocks::opt_common::CommonOption;
 use pcap_file::pcapng::{Block, PcapNgReader};
+use rtnet::time::Span;
 use tools::report::figures::MissKind;
-use tools::scenario::{self, Expectation, Measure, Relation};
+use tools::scenario::{self, Event, Expectation, Happening, Measure, Relation};
 use tools::sim::{self, EXAMPLE, Ended, Options};
 
 fn directory() -> PathBuf {
@@ -56,6 +57,7 @@ scenarios! {
     primary_dies_and_the_backups_take_over
     primary_dies_twenty_times_on_a_lossy_medium
     queued_frames_on_late_hosts_leave_nothing_unexplained
+    queued_frames_that_are_lost_are_counted
     station_babbles_on_a_hub
     station_joins_a_running_network
     stopped_stations_send_nothing_late
@@ -95,7 +97,7 @@ fn one_seed_is_one_run_to_the_byte_and_another_is_another() {
     let scenario = |seed| {
         let mut scenario = scenario::Source { file: "example.toml", text: EXAMPLE }.parse().unwrap();
         scenario.seed = seed;
-        scenario.duration = rtnet::time::Span::from_millis(3_000);
+        scenario.duration = Span::from_millis(3_000);
         scenario.with_random_clocks()
     };
     let run = |seed, name: &str| {
@@ -131,9 +133,45 @@ fn a_queued_frame_waits_for_as_long_as_can_be_worked_out_at_the_most() {
 }
 
 #[test]
+fn what_is_lost_of_queued_frames_is_told_by_priority_and_counts_unless_it_is_lost_on_purpose() {
+    let file = directory().join("queued_frames_that_are_lost_are_counted.toml");
+    let mut scenario = scenario::load(&file).unwrap();
+    scenario.conditions.expectations.clear();
+    let run = |scenario: &_| sim::run(scenario, &Options::default()).unwrap().figures.figures;
+    let (arm, camera) = (1, 2);
+    let figures = run(&scenario);
+    assert_eq!(figures.verdict.reasons, Vec::<String>::new(), "its wire loses them");
+    for of in &figures.per_station[arm].queueing {
+        let (least, most) = (of.frames_seen / 100, of.frames_seen * 3 / 100);
+        assert!((least..most).contains(&of.lost) && of.lost_on_purpose == of.lost, "{of:?}");
+    }
+    let lost: u64 = figures.queueing.iter().map(|of| of.lost).sum();
+    let of_camera = &figures.per_station[camera];
+    assert!(of_camera.frames_lost > lost + 100, "usual ones, too: {} and {lost}", of_camera.frames_lost);
+    assert_eq!(
+        (of_camera.lost_on_purpose, figures.frames_lost),
+        (of_camera.frames_lost, of_camera.frames_lost)
+    );
+
+    // What there is no room for while it is stopped is not lost on purpose.
+    scenario.conditions.wires.clear();
+    let what = Happening::Stop(vec![camera], Span::from_millis(500));
+    let (at, every) = (Span::from_millis(1_000), Span::ZERO);
+    scenario.conditions.events = vec![Event { at, times: 1, every, what, line: 1 }];
+    let figures = run(&scenario);
+    assert!(
+        figures.queueing.iter().all(|of| of.lost > 50 && of.lost_on_purpose == 0),
+        "{:?}",
+        figures.queueing
+    );
+    let reasons = figures.verdict.reasons.join("; ");
+    assert!(reasons.starts_with("station 'camera' did not receive"), "{reasons}");
+}
+
+#[test]
 fn a_capture_tells_of_each_frame_which_cycle_and_slot_it_is_of_and_how_late() {
     let mut scenario = scenario::load(&directory().join("urgent_frames_overtake_a_backlog.toml")).unwrap();
-    scenario.duration = rtnet::time::Span::from_millis(100);
+    scenario.duration = Span::from_millis(100);
     let directory = tempfile::tempdir().unwrap();
     let pcap = directory.path().join("frames.pcapng");
     let ended = sim::run(&scenario, &Options { pcap: Some(pcap.clone()), ..Options::default() }).unwrap();
@@ -172,7 +210,7 @@ fn comments(pcap: &Path) -> Vec<String> {
 fn whatever_is_not_as_expected_has_the_cycle_in_which_it_was_worst_or_is_said_to_have_none() {
     let failed = |file: &str, measures: &[Measure]| {
         let mut scenario = scenario::load(&directory().join(file)).unwrap();
-        scenario.duration = scenario.duration.min(rtnet::time::Span::from_millis(4_000));
+        scenario.duration = scenario.duration.min(Span::from_millis(4_000));
         scenario.conditions.events.clear();
         let line = |&measure| Expectation {
             measure,
@@ -223,7 +261,7 @@ fn the_cycle_that_is_shown_is_the_one_of_the_worst_frame() {
 #[test]
 fn a_run_ends_when_its_time_is_up() {
     let scenario = scenario::load(&directory().join("ten_megabits_on_a_hub.toml")).unwrap();
-    let until = Some(rtnet::time::Span::from_millis(10_000));
+    let until = Some(Span::from_millis(10_000));
     let figures = sim::run(&scenario, &Options { until, ..Options::default() }).unwrap().figures;
     assert!(figures.simulation.virtual_ns <= 10_100_000_000, "{}", figures.simulation.virtual_ns);
     assert!((100..900).contains(&figures.figures.cycles), "what came before was joining");

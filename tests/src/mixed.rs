@@ -65,6 +65,9 @@ impl Discipline for Mixed {
     fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
         either!(self, d => d.enqueue(frame, priority, ch))
     }
+    fn is_waiting(&self, channel: Channel) -> bool {
+        either!(self, d => d.is_waiting(channel))
+    }
     fn put_back(&mut self, frame: Returned) {
         either!(self, d => d.put_back(frame))
     }

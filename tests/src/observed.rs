@@ -5,6 +5,7 @@ use std::cell::{Ref, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
+use rtmac::tdma::{SlotConfig, TdmaCommand};
 use rtnet::discipline::{Discipline, Service, SyncState};
 use rtnet::sim::{Host, Member, Network, StationId};
 use rtnet::station::Station;
@@ -39,7 +40,8 @@ impl Observed {
     pub fn lab(text: &str, host: Host) -> Self {
         Self::with(text, host, |plan, id, counts| {
             let (to, from) = (plan.scenario.receiver(id), plan.scenario.sender(id));
-            Box::new(of_a_lab((id as u16, plan.address(id)), plan.address(to), from as u16, counts))
+            let traffic = of_a_lab((id as u16, plan.address(id)), plan.address(to), from as u16, counts);
+            Box::new(traffic.with_flows(plan.scenario.flow_plan(id)))
         })
     }
 
@@ -85,6 +87,11 @@ impl Observed {
 
     /// Waits until all are locked, then counts so many cycles and what is found in them.
     pub fn judge(&mut self, cycles: u32) {
+        self.judge_while(cycles, |lab| lab.run_cycles(u64::from(cycles) + 15));
+    }
+
+    /// The same while something happens, which takes as many cycles and 15.
+    pub fn judge_while(&mut self, cycles: u32, happens: impl FnOnce(&mut Self)) {
         let locked =
             |of: &Self, id| of.network.member(id).station.discipline().time().state == SyncState::Locked;
         for _ in 0..10_000 {
@@ -95,9 +102,19 @@ impl Observed {
         }
         let current = self.analysis.borrow().current().expect("a master that speaks");
         self.analysis.borrow_mut().begin(current + 10, cycles);
-        self.run_cycles(u64::from(cycles) + 15);
+        happens(self);
         assert!(self.analysis.borrow().is_complete(), "somebody was not locked");
         self.analysis.borrow_mut().finish();
+    }
+
+    /// Changes a slot of a station of ours, which is expected to be so from the cycle on that the station tells.
+    pub fn set_slot(&mut self, station: StationId, slot: SlotConfig) {
+        let now = self.network.now();
+        let member = self.network.member_mut(station);
+        let now = member.clock.local(now);
+        let from = member.station.discipline_mut().command(now, &mut TdmaCommand::set_slot(slot));
+        let from = from.expect("a slot that can be");
+        self.analysis.borrow_mut().timetable.change(station, slot.id, Some(slot.into()), from);
     }
 
     /// What was seen.

@@ -302,6 +302,10 @@ impl Discipline for Tdma {
         self.slots.enqueue(frame, priority, ch)
     }
 
+    fn is_waiting(&self, channel: Channel) -> bool {
+        self.slots.first_for(channel).is_some_and(|priority| priority <= Priority::LAST_REAL_TIME)
+    }
+
     fn put_back(&mut self, frame: Returned) {
         if self.slots.put_back(frame).is_err() {
             self.counters.returned_dropped += 1;

@@ -196,7 +196,7 @@ impl Analysis {
                 self.sync(at, author, (from, sched), air);
             }
         } else if let Some((tag, _)) = Tag::read(bytes)
-            && let Some(author) = self.author_of(at, tag, bytes.len())
+            && let Some(author) = self.author_of(tag)
         {
             self.occupy(at, air, Some(author.cycle), Some(author));
             self.data(at, tag, author, air);

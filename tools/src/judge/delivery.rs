@@ -1,14 +1,14 @@
 //! What was on the medium and never reached its receiver. Senders number their frames; the observer knows
 //! which numbers passed, a receiver knows from where to where it heard how many.
 
-use crate::station::traffic::step;
+use crate::station::traffic::{Arrived, Came, Newest};
 
 /// Gaps that are kept; what is missing in later ones counts as lost.
 const GAPS_MAX: usize = 1_000_000;
 /// More than a sender sends within what a capture ring holds back.
 pub const BEYOND: u64 = 10_000;
 
-/// What a receiver heard of its sender.
+/// What a receiver heard of its sender: of the usual frames, or of those that it queues at one priority.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Heard {
     /// How many frames.
@@ -19,9 +19,27 @@ pub struct Heard {
     pub anew: bool,
 }
 
-/// What the observer saw of one sender.
+/// What is known of such frames at their receiver.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Delivery {
+    /// Those that came.
+    pub heard: Heard,
+    /// How many were lost as the scenario says, or by a cut wire.
+    pub lost_on_purpose: u64,
+}
+
+impl Heard {
+    /// What has arrived.
+    pub fn of(Arrived { received, missing, first }: Arrived, anew: bool) -> Self {
+        let range = (received > 0).then(|| (first, first + received + missing - 1));
+        Self { received, range, anew }
+    }
+}
+
+/// What the observer saw of one sender, or of what it queues at one priority.
 #[derive(Debug, Default)]
 pub struct Passed {
+    newest: Newest,
     range: Option<(u64, u64)>,
     /// Numbers between, that were not seen: first and how many, in order.
     gaps: Vec<(u64, u64)>,
@@ -33,14 +51,29 @@ impl Passed {
     /// A frame passed, in a cycle that counts or not.
     pub fn note(&mut self, number: u64, counts: bool) {
         // What a receiver does not believe is not believed here.
-        let Some(step) = step(self.range.map(|(_, last)| last), number) else { return };
-        if step > 1 && self.gaps.len() < GAPS_MAX {
-            self.gaps.push((number - step + 1, step - 1));
+        match self.newest.note(number) {
+            None => return,
+            Some(Came::Behind(step)) => {
+                if step > 1 && self.gaps.len() < GAPS_MAX {
+                    self.gaps.push((number - step + 1, step - 1));
+                }
+                self.range = Some((self.range.map_or(number, |(first, _)| first), number));
+            }
+            Some(Came::Late) => self.close_gap(number),
         }
-        self.range = Some((self.range.map_or(number, |(first, _)| first), number));
         if counts {
-            self.counted = Some((self.counted.map_or(number, |(from, _)| from), number));
+            let (from, to) = self.counted.unwrap_or((number, number));
+            self.counted = Some((from.min(number), to.max(number)));
         }
+    }
+
+    /// A number that others have overtaken is not missing any more. It is one of the newest.
+    fn close_gap(&mut self, number: u64) {
+        let around = |&(begin, n): &(u64, u64)| (begin..begin + n).contains(&number);
+        let Some(place) = self.gaps.iter().rposition(around) else { return };
+        let (begin, n) = self.gaps[place];
+        let parts = [(begin, number - begin), (number + 1, begin + n - number - 1)];
+        self.gaps.splice(place..=place, parts.into_iter().filter(|&(_, n)| n > 0));
     }
 
     /// How many frames the receiver did not get: of those that count, and of all within what it heard.
@@ -108,6 +141,16 @@ mod tests {
         assert_eq!(lost(27, Some((50, 79))), 2, "30 numbers, one of which was never sent");
         assert_eq!(lost(19, Some((50, 69))), 10, "the last ten never came");
         assert_eq!(lost(0, None), 0, "nobody knows since when it listens");
+    }
+
+    #[test]
+    fn what_was_overtaken_is_not_lost_if_it_came() {
+        let mut passed = Passed::default();
+        for number in [0, 1, 5, 6, 3, 2, 7, 4, 9, 4] {
+            passed.note(number, number != 9);
+        }
+        let lost = |received, range| passed.lost(&Heard { received, range, anew: false });
+        assert_eq!((lost(9, Some((0, 9))), lost(8, Some((0, 9))), lost(5, Some((3, 7)))), (0, 1, 3));
     }
 
     #[test]

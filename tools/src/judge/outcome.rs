@@ -7,7 +7,7 @@ use rtnet::discipline::EventKind;
 
 use super::absences::Absence;
 use super::analysis::Analysis;
-use super::delivery::Heard;
+use super::delivery::Delivery;
 use super::explain::Records;
 use super::findings::{Finding, FindingKind};
 use crate::report::figures::{Figures, Miss, MissKind, QueueingFigures, Role, StationFigures, Verdict};
@@ -68,8 +68,8 @@ pub struct Facts {
     pub rt_cpu_share: f64,
     /// Frames missing between those that it received.
     pub sequence_gaps: u64,
-    /// What it received; of one that was lost it is not known.
-    pub heard: Option<Heard>,
+    /// What came of each kind of its sender's frames, see [`Scenario::streams`]; of a station that was lost it is not known.
+    pub deliveries: BTreeMap<Option<u8>, Delivery>,
     /// What its stack refused, by name of the refusal.
     pub refusals: BTreeMap<String, u64>,
     /// What a reader should know.
@@ -80,8 +80,6 @@ pub struct Facts {
     pub lost_records: u64,
     /// Frames that its program queued and for which there was no room, by priority.
     pub queue_refused: BTreeMap<u8, u64>,
-    /// Frames for it that were lost as its scenario says, or by a cut wire.
-    pub lost_on_purpose: u64,
     /// What is wrong with it, a sentence without a full stop.
     pub reproach: Option<String>,
 }
@@ -129,7 +127,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.slot_error_abs_ns = all.slot_error_abs.summary();
     figures.sync_error_ns = all.sync_error.summary();
     figures.wake_latency = wake_latency(&parts.stations);
-    figures.queueing = queueing(&parts, 0..stations.len());
+    figures.queueing = queueing(scenario, &parts, 0..stations.len());
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     figures.unexplained = analysis.findings_dropped;
     use EventKind::{ReplyFailed, SendFailed, SlotEmpty, SlotSilent, TurnLeft};
@@ -205,7 +203,7 @@ fn station_figures(
     let own = |kind| {
         parts.records.of_kind(kind, from, cycles).filter(|record| record.station == station).count() as u64
     };
-    let frames_lost = frames_lost(scenario, parts, station);
+    let lost: Vec<Lost> = lost(scenario, parts, station).collect();
     let mut notes = facts.notes.clone();
     if station == 0 {
         notes.extend(parts.notes.clone());
@@ -233,36 +231,55 @@ fn station_figures(
         rss_bytes: facts.resident,
         cpu_percent: percent(facts.cpu_seconds, cycles, scenario),
         sequence_gaps: facts.sequence_gaps,
-        frames_lost,
-        lost_on_purpose: frames_lost.min(facts.lost_on_purpose),
+        frames_lost: lost.iter().map(|lost| lost.frames).sum(),
+        lost_on_purpose: lost.iter().map(|lost| lost.on_purpose).sum(),
         refusals: facts.refusals.clone(),
         notes,
-        queueing: queueing(parts, station..station + 1),
+        queueing: queueing(scenario, parts, station..station + 1),
     }
 }
 
 /// What the programs of these stations queued, by priority.
-fn queueing(parts: &Parts, stations: Range<usize>) -> Vec<QueueingFigures> {
+fn queueing(scenario: &Scenario, parts: &Parts, stations: Range<usize>) -> Vec<QueueingFigures> {
     let mut delays: BTreeMap<u8, SignedHistogram> = BTreeMap::new();
     for (&priority, seen) in parts.analysis.stations[stations.clone()].iter().flat_map(|seen| &seen.queueing)
     {
         delays.entry(priority).or_default().merge(&seen.delay);
     }
-    let facts = &parts.stations[stations];
+    let facts = &parts.stations[stations.clone()];
     let refused = |priority: &u8| facts.iter().filter_map(|facts| facts.queue_refused.get(priority)).sum();
-    let figures = |(priority, delay): (&u8, &SignedHistogram)| QueueingFigures {
-        priority: *priority,
-        frames_seen: delay.len(),
-        refused: refused(priority),
-        delay_ns: delay.summary(),
+    let lost: Vec<Lost> =
+        stations.flat_map(|station| lost(scenario, parts, scenario.receiver(station))).collect();
+    let figures = |(&priority, delay): (&u8, &SignedHistogram)| {
+        let lost = || lost.iter().filter(|lost| lost.of == Some(priority));
+        QueueingFigures {
+            priority,
+            frames_seen: delay.len(),
+            refused: refused(&priority),
+            delay_ns: delay.summary(),
+            lost: lost().map(|lost| lost.frames).sum(),
+            lost_on_purpose: lost().map(|lost| lost.on_purpose).sum(),
+        }
     };
     delays.iter().map(figures).collect()
 }
 
-/// Of what its sender had on the medium. What a lost station heard last is not known.
-fn frames_lost(scenario: &Scenario, parts: &Parts, station: usize) -> u64 {
-    let passed = &parts.analysis.stations[scenario.sender(station)].passed;
-    parts.stations[station].heard.map_or(0, |heard| passed.lost(&heard))
+/// Frames of one kind that were on the medium and did not reach their receiver.
+struct Lost {
+    /// Of a priority that programs queue; none: the usual frames.
+    of: Option<u8>,
+    frames: u64,
+    on_purpose: u64,
+}
+
+/// What a station did not receive of what its sender had on the medium, for each kind of frames. What a lost station heard
+/// last is not known.
+fn lost(scenario: &Scenario, parts: &Parts, station: usize) -> impl Iterator<Item = Lost> {
+    let sender = &parts.analysis.stations[scenario.sender(station)];
+    parts.stations[station].deliveries.iter().filter_map(|(&of, delivery)| {
+        let frames = sender.passed(of)?.lost(&delivery.heard);
+        Some(Lost { of, frames, on_purpose: frames.min(delivery.lost_on_purpose) })
+    })
 }
 
 fn percent(cpu_seconds: f64, cycles: u32, scenario: &Scenario) -> f64 {

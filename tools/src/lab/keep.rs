@@ -309,9 +309,14 @@ impl Keeper {
         let (plan, member) = (&self.scenario.stations[station], &self.lab.members[station]);
         let seen = &self.lab.analysis.stations[station];
         // How much a receiver has heard is known only once it has told of its end.
-        let passed = &self.lab.analysis.stations[self.scenario.sender(station)].passed;
-        let lost = if member.silent && !member.ended { passed.lost(&member.heard()) } else { 0 };
-        let lost = lost.saturating_sub(self.lab.wires.lost_usual(station));
+        let sender = self.scenario.sender(station);
+        let lost_of = |of| {
+            let passed = self.lab.analysis.stations[sender].passed(of);
+            let lost = passed.map_or(0, |passed| passed.lost(&member.heard(of)));
+            lost.saturating_sub(self.lab.wires.lost(station, of))
+        };
+        let has_told = member.silent && !member.ended;
+        let lost = self.scenario.streams(sender).filter(|_| has_told).map(lost_of).sum();
         MemberStatus {
             name: plan.name.clone(),
             role: plan.role.to_string(),

@@ -12,7 +12,7 @@ use rtnet::time::{GlobalTime, Span};
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
 use super::wires::Wires;
-use crate::judge::delivery::Heard;
+use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::givers::TrueMaster;
@@ -215,7 +215,7 @@ impl Member {
 
     /// Test traffic missing between frames that it received, since the begin.
     pub fn sequence_gaps(&self) -> u64 {
-        let count = |standing: &Option<Standing>| standing.as_ref().map_or(0, |standing| standing.missing);
+        let count = |standing: &Option<Standing>| standing.as_ref().map_or(0, Standing::missing);
         count(&self.standing_at_end).saturating_sub(count(&self.standing_at_begin))
     }
 
@@ -227,13 +227,26 @@ impl Member {
         end.queue_refused.iter().map(since).collect()
     }
 
-    /// Test traffic that it has heard altogether.
-    pub fn heard(&self) -> Heard {
-        let anew = self.restarts > 0;
-        let Some(standing) = &self.standing else { return Heard { anew, ..Heard::default() } };
-        let Standing { received, missing, first, .. } = *standing;
-        let range = (received > 0).then(|| (first, first + received + missing - 1));
-        Heard { received, range, anew }
+    /// Test traffic that it has heard altogether: usual frames, or of a priority.
+    pub fn heard(&self, of: Option<u8>) -> Heard {
+        let arrived = self.standing.as_ref().map(|standing| standing.arrived(of));
+        Heard::of(arrived.unwrap_or_default(), self.restarts > 0)
+    }
+
+    /// What came of each kind of its sender's frames, as long as it can tell. While a wire is cut nobody knows what would
+    /// have been heard.
+    fn deliveries(
+        &self,
+        scenario: &Scenario,
+        wires: &Wires,
+        station: usize,
+    ) -> BTreeMap<Option<u8>, Delivery> {
+        let delivery = |of| {
+            let lost_on_purpose = if self.cuts > 0 { u64::MAX } else { wires.lost(station, of) };
+            (of, Delivery { heard: self.heard(of), lost_on_purpose })
+        };
+        let can_tell = !self.ended && !self.is_meant_to_end;
+        scenario.streams(scenario.sender(station)).filter(|_| can_tell).map(delivery).collect()
     }
 
     /// Whether it has not been synchronised for longer than that, or was not when it counted last.
@@ -256,7 +269,7 @@ impl Member {
 
     /// What the report says of it, if it was judged to the end, and of what these wires did to the frames for it: it is
     /// the station of this number.
-    pub fn facts(&self, name: &str, is_judged: bool, wires: &Wires, station: usize) -> Facts {
+    pub fn facts(&self, scenario: &Scenario, is_judged: bool, wires: &Wires, station: usize) -> Facts {
         let standing = self.standing.as_ref();
         Facts {
             pid: self.pid(),
@@ -269,7 +282,7 @@ impl Member {
             cpu_seconds: self.cpu_seconds,
             rt_cpu_share: self.rt_cpu_share(),
             sequence_gaps: self.sequence_gaps(),
-            heard: (!self.ended && !self.is_meant_to_end).then(|| self.heard()),
+            deliveries: self.deliveries(scenario, wires, station),
             refusals: standing.map(|standing| standing.refusals.clone()).unwrap_or_default(),
             notes: self
                 .refused
@@ -281,9 +294,7 @@ impl Member {
             clock_steps: standing.map_or(0, |standing| standing.clock_steps),
             lost_records: standing.map_or(0, |standing| standing.lost_records),
             queue_refused: self.queue_refused(),
-            // While a wire is cut nobody knows what would have been heard.
-            lost_on_purpose: if self.cuts > 0 { u64::MAX } else { wires.lost_usual(station) },
-            reproach: self.reproach(name, is_judged),
+            reproach: self.reproach(&scenario.stations[station].name, is_judged),
         }
     }
 

@@ -403,10 +403,9 @@ impl Lab {
     fn parts(mut self, scenario: &Scenario) -> Parts {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let is_judged = !interrupted && self.analysis.cycles() > 0;
-        let stations = self.members.iter().zip(&scenario.stations).enumerate();
-        let stations = stations
-            .map(|(station, (member, plan))| member.facts(&plan.name, is_judged, &self.wires, station))
-            .collect();
+        let stations = self.members.iter().enumerate();
+        let stations =
+            stations.map(|(id, member)| member.facts(scenario, is_judged, &self.wires, id)).collect();
         Parts {
             stations,
             dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),

@@ -1,5 +1,7 @@
 //! What the wires of a lab do to frames, as its scenario says: by programs at the ports of its bridge.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Result, anyhow};
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::live::{Chances, Impaired, Impairment};
@@ -14,8 +16,9 @@ use crate::station::traffic::Tag;
 #[derive(Default)]
 pub struct Wires {
     all: Vec<Impairment>,
-    /// Usual frames of test traffic that were lost on the way to each station since its process began.
-    lost_usual: Vec<u64>,
+    /// Test traffic that was lost on the way to each station since its process began: usual frames, and by priority what
+    /// programs queue.
+    lost: Vec<BTreeMap<Option<u8>, u64>>,
 }
 
 impl Wires {
@@ -31,7 +34,7 @@ impl Wires {
                 Err(line) => return Ok((Self::default(), Some(line))),
             }
         }
-        wires.lost_usual = vec![0; scenario.stations.len()];
+        wires.lost = vec![BTreeMap::new(); scenario.stations.len()];
         scenario.conditions.wires.iter().for_each(|wire| wires.set(wire));
         Ok((wires, None))
     }
@@ -73,25 +76,26 @@ impl Wires {
         !self.all.is_empty()
     }
 
-    /// How many usual frames of test traffic did not get to a station since its process began: a judge counts no others.
-    pub fn lost_usual(&self, station: usize) -> u64 {
-        self.lost_usual.get(station).copied().unwrap_or_default()
+    /// How many usual frames of test traffic, or of a priority, did not get to a station since its process began: a judge
+    /// counts no others.
+    pub fn lost(&self, station: usize, of: Option<u8>) -> u64 {
+        self.lost.get(station).and_then(|lost| lost.get(&of).copied()).unwrap_or_default()
     }
 
     /// A station's process begins anew, and has heard nothing.
     pub fn begins_anew(&mut self, station: usize) {
-        if let Some(lost) = self.lost_usual.get_mut(station) {
-            *lost = 0;
+        if let Some(lost) = self.lost.get_mut(station) {
+            lost.clear();
         }
     }
 
     /// Takes down what was lost since the last time; hands over which Synchronisations stations did not get: the station
     /// and the cycle.
     pub fn take_lost(&mut self, mut to: impl FnMut(usize, u32)) {
-        for (station, (wire, lost_usual)) in self.all.iter_mut().zip(&mut self.lost_usual).enumerate() {
+        for (station, (wire, lost)) in self.all.iter_mut().zip(&mut self.lost).enumerate() {
             wire.take_lost(|frame| {
                 if let Some((tag, _)) = Tag::read(&frame) {
-                    *lost_usual += u64::from(tag.priority().is_none());
+                    *lost.entry(tag.priority()).or_default() += 1;
                 } else if let Ok(Rtmac::Tdma(Message::Sync { cycle, .. })) = wire::parse(&frame) {
                     to(station, cycle);
                 }

@@ -189,6 +189,12 @@ pub struct QueueingFigures {
     pub refused: u64,
     /// From when a frame was queued until it was on the wire.
     pub delay_ns: Summary,
+    /// Frames that were on the medium and did not reach their receiver, as they are in its `frames_lost`.
+    #[serde(default)]
+    pub lost: u64,
+    /// Those of them that the scenario meant to be lost.
+    #[serde(default)]
+    pub lost_on_purpose: u64,
 }
 
 /// The part that a station plays in the cycle.

@@ -183,6 +183,7 @@ fn queueing(queueing: &[QueueingFigures], width: usize) -> Vec<String> {
         right("p99", |of| micros_or_dash(of.delay_ns.p99)),
         right("max", |of| micros_or_dash(of.delay_ns.max)),
         right("refused", |of| grouped(of.refused)),
+        right("lost", |of| grouped(of.lost)),
     ];
     let definition = "  queueing           = frame on the wire - queued by its program".to_owned();
     table(&columns, width).into_iter().chain([definition]).collect()

@@ -229,12 +229,16 @@ impl Scenario {
 
     /// What a station's program sends besides, and what comes to it of that kind.
     pub fn flow_plan(&self, station: usize) -> FlowPlan {
-        let StationPlan { slots, flows, .. } = &self.stations[station];
         FlowPlan {
-            flows: flows.clone(),
-            joint: slots.iter().filter_map(|slot| Some((slot.id, slot.joint?))).collect(),
+            flows: self.stations[station].flows.clone(),
             from: self.stations[self.sender(station)].flows.clone(),
         }
+    }
+
+    /// What kinds of test traffic a station sends, each with numbers of its own: its usual frames, and by priority what
+    /// its program queues.
+    pub fn streams(&self, station: usize) -> impl Iterator<Item = Option<u8>> {
+        [None].into_iter().chain(self.stations[station].flows.iter().map(|flow| Some(flow.priority)))
     }
 
     /// How long after its begin a slot may still be used.

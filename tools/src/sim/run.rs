@@ -4,7 +4,6 @@ use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Result, bail};
 use rtmac::tdma::{Mastery, TdmaStatus};
@@ -20,7 +19,7 @@ use super::watch::Watch;
 use super::world::{Counted, UPTIME, World};
 use crate::judge::absences::Absence;
 use crate::judge::analysis::Analysis;
-use crate::judge::delivery::Heard;
+use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::explain::Records;
 use crate::judge::outcome::{self, Facts, Outcome, Parts};
 use crate::report::capture::CaptureFile;
@@ -287,6 +286,7 @@ impl<'a> Run<'a> {
         watch.records.absences.begin(id, Absence::Down, now);
         watch.records.absences.end(id, Absence::Stopped, now);
         watch.analysis.begins_anew(id);
+        watch.lost_on_purpose[id].clear();
         watch.analysis.await_again(id, now.wrapping_add(1));
         drop(watch);
         (self.present[id], self.anew[id]) = (true, true);
@@ -391,9 +391,13 @@ impl<'a> Run<'a> {
         let counted = self.world.counted(id) - self.before[id];
         let refusals = self.world.network.member(id).station.refusals();
         let watch = self.watch.borrow();
-        let [received, missing, first] =
-            [&counts.received, &counts.missing, &counts.first].map(|count| count.load(Relaxed));
-        let range = (received > 0).then(|| (first, first + received + missing - 1));
+        let delivery = |of| {
+            let heard = Heard::of(counts.arrived(of), self.anew[id]);
+            let lost_on_purpose = watch.lost_on_purpose[id].get(&of).copied().unwrap_or_default();
+            (of, Delivery { heard, lost_on_purpose })
+        };
+        // What a process that was ended would have heard since, nobody knows.
+        let streams = self.scenario.streams(self.scenario.sender(id)).filter(|_| self.present[id]);
         let name = &self.scenario.stations[id].name;
         let is_lost = self.present[id] && !self.is_synchronised(id);
         Facts {
@@ -402,13 +406,11 @@ impl<'a> Run<'a> {
             payload_errors: counted.payload_errors.max(0) as u64,
             sync_error: watch.sync_error[id].clone(),
             sequence_gaps: counted.missing.max(0) as u64,
-            // As of a process that was ended: what it would have heard since, nobody knows.
-            heard: self.present[id].then_some(Heard { received, range, anew: self.anew[id] }),
+            deliveries: streams.map(delivery).collect(),
             refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
             notes: watch.noteworthy[id].lines().collect(),
             lost_records: counted.events_lost.max(0) as u64,
             queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
-            lost_on_purpose: watch.lost_on_purpose[id],
             reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
             ..Facts::default()
         }

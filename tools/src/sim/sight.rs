@@ -11,7 +11,7 @@ use crate::observe::watch::{Sight, When};
 pub fn sight(analysis: &Analysis, at: True, bytes: &[u8]) -> Sight {
     let decoded = decode(bytes, bytes.len());
     let of = match decoded.what {
-        What::Data(tag) => analysis.author_of(at, &tag, bytes.len()),
+        What::Data(tag) => analysis.author_of(&tag),
         _ => None,
     };
     if let Some(author) = of

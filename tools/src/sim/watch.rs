@@ -1,5 +1,7 @@
 //! Who watches a network in virtual time: sees every frame, and hears what every station tells.
 
+use std::collections::BTreeMap;
+
 use rtmac::tdma::Tdma;
 use rtnet::clock::True;
 use rtnet::discipline::{Cause, Discipline, SyncState};
@@ -26,8 +28,8 @@ pub struct Watch {
     pub sync_error: Vec<SignedHistogram>,
     /// What a reader of the report should know, by station.
     pub noteworthy: Vec<Noteworthy>,
-    /// Deliveries of test traffic that were lost on purpose, by receiver.
-    pub lost_on_purpose: Vec<u64>,
+    /// Deliveries of test traffic that were lost on purpose, by receiver: of usual frames, and of each priority.
+    pub lost_on_purpose: Vec<BTreeMap<Option<u8>, u64>>,
     /// Where to write every frame, and why that failed.
     pub capture: Option<CaptureFile>,
     /// See `capture`.
@@ -56,7 +58,7 @@ impl Watch {
             records,
             sync_error: names.iter().map(|_| SignedHistogram::new()).collect(),
             noteworthy: vec![Noteworthy::default(); names.len()],
-            lost_on_purpose: vec![0; names.len()],
+            lost_on_purpose: vec![BTreeMap::new(); names.len()],
             capture: None,
             capture_failed: None,
             around: None,
@@ -122,13 +124,13 @@ impl Watch {
     /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
     pub fn lost(&mut self, to: StationId, frame: &[u8], why: Loss) {
         let what = decode(frame, frame.len()).what;
-        // Frames that programs queue besides are not counted at their receivers.
-        let is_usual = matches!(&what, What::Data(tag) if tag.priority().is_none());
         if let (true, Some(cycle)) = (self.counting, self.analysis.current()) {
-            self.seen.note_lost(to, why, is_usual, cycle);
+            self.seen.note_lost(to, why, matches!(what, What::Data(_)), cycle);
         }
         match what {
-            What::Data(_) if is_usual && why.is_on_purpose() => self.lost_on_purpose[to] += 1,
+            What::Data(tag) if why.is_on_purpose() => {
+                *self.lost_on_purpose[to].entry(tag.priority()).or_default() += 1;
+            }
             What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
             _ => {}
         }

@@ -103,12 +103,14 @@ impl World {
 
     /// What a station's process has counted so far.
     pub fn counted(&self, id: usize) -> Counted {
-        let station = &self.network.member(id).station;
+        let (station, counts) = (&self.network.member(id).station, &self.counts[id]);
+        let queued = counts.arrived_queued().map(|(_, arrived)| arrived.missing);
+        let missing = counts.arrived(None).missing + queued.sum::<u64>();
         Counted {
             payload_errors: station.refusals().get(Refusal::BadPayload) as i64,
-            missing: self.counts[id].missing.load(Relaxed) as i64,
+            missing: missing as i64,
             events_lost: station.discipline().status().events_lost as i64,
-            queue_refused: self.counts[id].refused.each_ref().map(|count| count.load(Relaxed) as i64),
+            queue_refused: counts.refused.each_ref().map(|count| count.load(Relaxed) as i64),
         }
     }
 

@@ -176,6 +176,9 @@ impl Discipline for Access {
     fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
         any!(self, d => d.enqueue(frame, priority, ch))
     }
+    fn is_waiting(&self, channel: Channel) -> bool {
+        any!(self, d => d.is_waiting(channel))
+    }
     fn put_back(&mut self, frame: Returned) {
         any!(self, d => d.put_back(frame))
     }

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
-use std::sync::atomic::Ordering::Relaxed;
 
 use rtmac::tdma::{Mastery, RoleName};
 use rtnet::clock::EmulatedClock;
@@ -13,7 +12,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use serde::{Deserialize, Serialize};
 
 use super::access::AccessStatus;
-use super::traffic::{FlowPlan, TrafficCounts};
+use super::traffic::{Arrived, FlowPlan, TrafficCounts};
 use super::wire::LinkState;
 
 /// What a lab adds to a station's own options.
@@ -151,12 +150,11 @@ pub struct Standing {
     pub cpu_ns: u64,
     /// Frames sent in its slots.
     pub frames_sent: u64,
-    /// Test traffic received as it was sent.
-    pub received: u64,
-    /// Test traffic missing between two frames that were received.
-    pub missing: u64,
-    /// The sequence number of the first of them.
-    pub first: u64,
+    /// What came of the usual frames of test traffic.
+    #[serde(flatten)]
+    pub arrived: Arrived,
+    /// The same of what the sender's program queues, by priority.
+    pub arrived_queued: BTreeMap<u8, Arrived>,
     /// Frames refused, by reason.
     pub refusals: BTreeMap<String, u64>,
     /// Steps of the wall clock.
@@ -194,14 +192,23 @@ impl Standing {
             yielded_to: tdma.and_then(|tdma| tdma.yielded_to).map(|address| address.to_string()),
             cpu_ns: snapshot.cpu,
             frames_sent: status.frames_sent(),
-            received: traffic.received.load(Relaxed),
-            missing: traffic.missing.load(Relaxed),
-            first: traffic.first.load(Relaxed),
+            arrived: traffic.arrived(None),
+            arrived_queued: traffic.arrived_queued().collect(),
             refusals: refusals.collect(),
             clock_steps: snapshot.port.clock_steps,
             lost_records: snapshot.records_lost + status.events_lost(),
             queue_refused: traffic.refused().collect(),
         }
+    }
+
+    /// What came of the frames with this priority, or of the usual ones.
+    pub fn arrived(&self, of: Option<u8>) -> Arrived {
+        of.map_or(self.arrived, |priority| self.arrived_queued.get(&priority).copied().unwrap_or_default())
+    }
+
+    /// Test traffic missing between frames that were received.
+    pub fn missing(&self) -> u64 {
+        self.arrived.missing + self.arrived_queued.values().map(|arrived| arrived.missing).sum::<u64>()
     }
 
     /// Synchronised and calibrated.

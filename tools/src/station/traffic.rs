@@ -1,24 +1,11 @@
 //! The lab's test traffic: one frame in each slot of a cycle, checked by its receiver.
 //!
-//! ```text
-//! 0          14        16     17      18      22         30          38
-//! +----------+---------+------+-------+-------+----------+-----------+------+--------+--------+-----
-//! | Ethernet | station | slot | queue | cycle | sequence | scheduled | seed | seed+1 | seed+2 | ...
-//! | 0x88B5   |         |      |       |       |          | global, ns|      |        |        |
-//! +----------+---------+------+-------+-------+----------+-----------+------+--------+--------+-----
-//!  \___________________________ head ________________________________/ \________ pattern _________/
-//! ```
-//!
-//! `queue` is 0. Of a frame of a [`Flow`], which leaves in whatever slot its priority brings it to, it is that priority and
-//! 1; `slot`, `cycle` and `scheduled` are then for which slot, in which cycle and when it was queued, and each flow has its
-//! own `sequence`.
-//!
-//! All fields big-endian. The pattern is words of eight bytes, the last one cut off where the frame ends. Its
-//! seed is folded from all of the head: whichever byte is changed on the way, head and pattern no longer go
-//! together. A usual frame that misses its slot is worthless: the next slot gets a fresh one, and the gap in the
-//! sequence shows the loss.
+//! A usual frame that misses its slot is worthless: the next slot gets a fresh one, and the gap in the sequence shows the
+//! loss. What a program queues besides waits for the next.
 
+mod arrivals;
 mod flows;
+mod frame;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -27,121 +14,26 @@ use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
 use rtnet::discipline::{Channel, Opportunity, Outlet, Service};
 use rtnet::queue::Priority;
-use rtnet::time::{GlobalTime, Instant};
+use rtnet::time::Instant;
 use rtnet::wire::ethernet::{self, Address, EtherType, Header};
+use zerocopy::IntoBytes;
 use zerocopy::byteorder::network_endian::{U16, U32, U64};
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
+pub use arrivals::{Arrivals, Arrived, Came, Newest};
 pub use flows::{Flow, FlowPlan};
 use flows::{Flows, Queued};
+pub use frame::Tag;
+use frame::{HEAD, finish, is_intact};
 
 /// Frames being sent or queued at a time: one per slot id.
 const POOL: usize = 8;
-
-/// Bytes in a word of the pattern.
-const WORD: usize = size_of::<u64>();
-
-/// A larger gap in the sequence is not one, but a forged frame: days of frames at 1 ms.
-const MISSING_AT_MOST: u64 = 1 << 30;
-/// Nor is a number that nobody can have come to.
-const SEQUENCE_AT_MOST: u64 = 1 << 60;
-
-/// How far a sender's frame is from the last one that was believed; none if it cannot be genuine: twice, or
-/// numbered as nobody numbers who was silent for less than days.
-pub fn step(last: Option<u64>, number: u64) -> Option<u64> {
-    let step = match last {
-        Some(last) => number.checked_sub(last).filter(|&step| step > 0)?,
-        None => 1,
-    };
-    (step <= MISSING_AT_MOST && number <= SEQUENCE_AT_MOST).then_some(step)
-}
-
-/// What a frame says of itself, behind the Ethernet header.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
-#[repr(C)]
-pub struct Tag {
-    station: U16,
-    /// The slot's id.
-    pub slot: u8,
-    queue: u8,
-    cycle: U32,
-    sequence: U64,
-    scheduled: U64,
-}
-
-const _: () = assert!(size_of::<Tag>() == 24);
-
-impl Tag {
-    /// Reads the tag of a frame of test traffic; `None` if it is none.
-    pub fn read(frame: &[u8]) -> Option<(&Tag, &[u8])> {
-        let (header, payload) = Header::parse(frame)?;
-        (header.ether_type() == EtherType::EXPERIMENTAL).then_some(())?;
-        Tag::ref_from_prefix(payload).ok()
-    }
-    /// Who sent it, by number in the lab.
-    pub fn station(&self) -> usize {
-        usize::from(self.station.get())
-    }
-    /// Of which priority a frame of a flow is; none of the usual ones.
-    pub fn priority(&self) -> Option<u8> {
-        self.queue.checked_sub(1)
-    }
-    /// In which cycle.
-    pub fn cycle(&self) -> u32 {
-        self.cycle.get()
-    }
-    /// The sender's number of the frame.
-    pub fn sequence(&self) -> u64 {
-        self.sequence.get()
-    }
-    /// When its slot was to begin, on the master's clock; of a frame of a flow, when it was queued.
-    pub fn scheduled(&self) -> GlobalTime {
-        GlobalTime::from_nanos(self.scheduled.get())
-    }
-}
-
-/// Bytes before the pattern.
-const HEAD: usize = ethernet::HEADER_LEN + size_of::<Tag>();
-/// 2^64 divided by the golden ratio: odd, so that multiplying by it can be undone, and its bits are well mixed.
-const FACTOR: u64 = 0x9e37_79b9_7f4a_7c15;
-
-/// Where the pattern of a frame with this head begins: from 0 on, `seed = (seed ^ word) * FACTOR` with its halves
-/// exchanged, for every word of the head, the last one filled up with zeros. Each step can be undone: two heads
-/// that differ in one word never have one seed.
-fn seed(head: &[u8]) -> u64 {
-    let (words, rest) = head.as_chunks();
-    let mut last = [0; WORD];
-    last[..rest.len()].copy_from_slice(rest);
-    let step = |seed: u64, word: &[u8; WORD]| {
-        (seed ^ u64::from_be_bytes(*word)).wrapping_mul(FACTOR).rotate_left(32)
-    };
-    words.iter().chain([&last]).fold(0, step)
-}
-
-/// A word of the pattern. The head decides all of them: 30 ns for a small frame, 0.3 us for the largest.
-fn word(seed: u64, i: usize) -> [u8; WORD] {
-    seed.wrapping_add(i as u64).to_be_bytes()
-}
-
-fn write_pattern(seed: u64, pattern: &mut [u8]) {
-    let (words, rest) = pattern.as_chunks_mut();
-    let last = word(seed, words.len());
-    words.iter_mut().enumerate().for_each(|(i, bytes)| *bytes = word(seed, i));
-    rest.copy_from_slice(&last[..rest.len()]);
-}
-
-fn is_pattern(seed: u64, bytes: &[u8]) -> bool {
-    let (words, rest) = bytes.as_chunks();
-    let last = word(seed, words.len());
-    words.iter().enumerate().all(|(i, bytes)| *bytes == word(seed, i)) && *rest == last[..rest.len()]
-}
 
 /// Sends in every slot, and checks what comes from one other station.
 pub struct Traffic {
     plan: TrafficPlan,
     pool: Pool,
     sequence: u64,
-    heard: Option<u64>,
+    heard: Newest,
     /// For which slot of which cycle it has sent last. Who has no slots is asked more often.
     sent: Option<(u32, Channel)>,
     flows: Flows,
@@ -170,12 +62,10 @@ pub struct TrafficPlan {
 /// What the control thread may look at while the real-time thread counts.
 #[derive(Debug, Default)]
 pub struct TrafficCounts {
-    /// Frames received that are what was sent.
-    pub received: AtomicU64,
-    /// Frames missing between two that were received.
-    pub missing: AtomicU64,
-    /// The sequence number of the first frame received.
-    pub first: AtomicU64,
+    /// What came of the sender's usual frames.
+    pub usual: Arrivals,
+    /// The same of its flows, by priority.
+    pub queued: [Arrivals; Priority::LEVELS],
     /// Frames of flows that found no room in their queue, by priority.
     pub refused: [AtomicU64; Priority::LEVELS],
 }
@@ -186,13 +76,26 @@ impl TrafficCounts {
         let counts = self.refused.iter().map(|count| count.load(Ordering::Relaxed));
         (0..).zip(counts).filter(|&(_, n)| n > 0)
     }
+
+    /// What came of the frames with this [`Tag::priority`].
+    pub fn arrived(&self, of: Option<u8>) -> Arrived {
+        let queued = |priority| self.queued.get(usize::from(priority)).map(Arrivals::now);
+        of.map_or_else(|| self.usual.now(), |priority| queued(priority).unwrap_or_default())
+    }
+
+    /// The same of each flow of which something came, by priority.
+    pub fn arrived_queued(&self) -> impl Iterator<Item = (u8, Arrived)> {
+        let all = (0..).zip(self.queued.iter().map(Arrivals::now));
+        all.filter(|(_, arrived)| arrived.received > 0)
+    }
 }
 
 impl Traffic {
     /// Traffic by this plan, counted into `counts`.
     pub fn new(plan: TrafficPlan, counts: Arc<TrafficCounts>) -> Self {
         let flows = Flows::new(FlowPlan::default(), plan.first);
-        Self { plan, pool: Pool::new(POOL), sequence: plan.first, heard: None, sent: None, flows, counts }
+        let (sequence, heard) = (plan.first, Newest::default());
+        Self { plan, pool: Pool::new(POOL), sequence, heard, sent: None, flows, counts }
     }
 
     /// The same with flows.
@@ -205,23 +108,15 @@ impl Traffic {
         let (tag, _) = Tag::read(frame)?;
         let TrafficPlan { from, source, from_payload, .. } = self.plan;
         let (header, payload) = Header::parse(frame)?;
-        let (head, pattern) = frame.split_at_checked(HEAD)?;
-        let intact = is_pattern(seed(head), pattern);
         let expected = tag.station() == usize::from(from) && header.destination == source;
-        (intact && expected).then_some(())?;
+        (is_intact(frame) && expected).then_some(())?;
         let sequence = tag.sequence();
         if let Some(priority) = tag.priority() {
-            return self.flows.check(priority, sequence, payload.len());
+            let counts = self.counts.queued.get(usize::from(priority))?;
+            return counts.note(self.flows.heard(priority, payload.len())?, sequence);
         }
         (payload.len() == from_payload).then_some(())?;
-        let missing = step(self.heard, sequence)? - 1;
-        self.counts.missing.fetch_add(missing, Ordering::Relaxed);
-        if self.heard.is_none() {
-            self.counts.first.store(sequence, Ordering::Relaxed);
-        }
-        self.heard = Some(sequence);
-        self.counts.received.fetch_add(1, Ordering::Relaxed);
-        Some(())
+        self.counts.usual.note(&mut self.heard, sequence)
     }
 }
 
@@ -230,10 +125,10 @@ impl TrafficPlan {
     fn write(&self, tag: Tag, payload: usize, frame: &mut Buf) {
         let header = Header::new(self.destination, self.source, EtherType::EXPERIMENTAL);
         frame.set_len(ethernet::HEADER_LEN + payload);
-        let (head, pattern) = frame.split_at_mut(HEAD);
+        let head = &mut frame[..HEAD];
         head[..ethernet::HEADER_LEN].copy_from_slice(header.as_bytes());
         head[ethernet::HEADER_LEN..].copy_from_slice(tag.as_bytes());
-        write_pattern(seed(head), pattern);
+        finish(frame);
     }
 
     /// What the usual frame of a slot says of itself.
@@ -248,10 +143,9 @@ impl TrafficPlan {
         }
     }
 
-    /// The same of a frame of a flow.
+    /// The same of a frame of a flow, as if it left in this one.
     fn queued(&self, slot: &Opportunity, queued: &Queued) -> Tag {
         Tag {
-            slot: queued.flow.slot,
             queue: queued.flow.priority + 1,
             scheduled: U64::new(queued.at.nanos()),
             ..self.usual(slot, queued.sequence)
@@ -269,10 +163,6 @@ impl Service for Traffic {
     }
 
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
-        let turn = Some((slot.cycle, slot.channel));
-        if std::mem::replace(&mut self.sent, turn) == turn {
-            return;
-        }
         let Self { plan, flows, counts, .. } = self;
         let write = |queued: &Queued, frame: &mut Buf| {
             plan.write(plan.queued(slot, queued), queued.flow.payload, frame)
@@ -280,28 +170,41 @@ impl Service for Traffic {
         let refused = |flow: &Flow, n| {
             counts.refused[usize::from(flow.priority)].fetch_add(n, Ordering::Relaxed);
         };
-        if flows.poll(slot, out, write, refused) {
+        flows.poll(slot, out, write, refused);
+    }
+
+    fn fill(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
+        let turn = Some((slot.cycle, slot.channel));
+        if std::mem::replace(&mut self.sent, turn) == turn {
             return;
         }
         let Some(mut frame) = self.pool.take() else { return };
-        plan.write(plan.usual(slot, self.sequence), plan.payload, &mut frame);
+        self.plan.write(self.plan.usual(slot, self.sequence), self.plan.payload, &mut frame);
         // A slot that takes no frame shows as a gap in the sequence and in the capture.
         let _ = out(frame, Priority::LAST_REAL_TIME, slot.channel);
         self.sequence += 1;
     }
 
-    fn still_wanted(&mut self, frame: &[u8]) -> bool {
-        let Some((tag, _)) = Tag::read(frame) else { return true };
-        let is_queued = tag.priority().is_some();
-        if is_queued {
-            self.flows.waits_again(tag);
+    /// A usual frame says so from the begin.
+    fn leaves(&mut self, slot: &Opportunity, frame: &mut [u8]) {
+        let Some((tag, _)) = Tag::read(frame) else { return };
+        if tag.priority().is_some() {
+            let tag = Tag { slot: slot.channel, cycle: U32::new(slot.cycle), ..*tag };
+            frame[ethernet::HEADER_LEN..HEAD].copy_from_slice(tag.as_bytes());
+            finish(frame);
         }
-        is_queued
+    }
+
+    /// The next slot has a usual frame of its own.
+    fn still_wanted(&mut self, frame: &[u8]) -> bool {
+        Tag::read(frame).is_none_or(|(tag, _)| tag.priority().is_some())
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use rtnet::time::GlobalTime;
+
     use super::*;
 
     const A: Address = Address([2, 0, 0, 0, 0, 1]);
@@ -318,7 +221,7 @@ mod tests {
     fn sent(by: &mut Traffic, cycle: u32) -> Buf {
         let (begin, scheduled) = (Instant::default(), GlobalTime::from_nanos(77));
         let mut taken = None;
-        by.poll(&Opportunity { channel: 2, cycle, begin, scheduled }, &mut |frame, _, channel| {
+        by.fill(&Opportunity { channel: 2, cycle, begin, scheduled }, &mut |frame, _, channel| {
             assert_eq!(channel, 2);
             taken = Some(frame);
             Ok(())
@@ -336,8 +239,8 @@ mod tests {
         assert_eq!(b.on_frame(None, frame), Ok(()));
         drop(sent(&mut a, 6));
         assert_eq!(b.on_frame(None, sent(&mut a, 7)), Ok(()));
-        let seen = [&counts.received, &counts.missing, &counts.first].map(|n| n.load(Ordering::Relaxed));
-        assert_eq!(seen, [2, 1, 0], "the frame of cycle 6 is missing");
+        let seen = Arrived { received: 2, missing: 1, first: 0 };
+        assert_eq!(counts.arrived(None), seen, "the frame of cycle 6 is missing");
     }
 
     #[test]
@@ -369,7 +272,7 @@ mod tests {
                 assert_eq!(b.on_frame(None, changed), Err(Refusal::BadPayload), "byte {at} ^ {change:#x}");
             }
         }
-        assert_eq!(counts.received.load(Ordering::Relaxed), 0);
+        assert_eq!(counts.arrived(None), Arrived::default());
         assert_eq!(b.on_frame(None, genuine), Ok(()), "and none of them has left a trace");
     }
 

@@ -55,6 +55,12 @@ impl Slots {
         frame
     }
 
+    /// The priority of the frame that a slot would take.
+    pub fn first_for(&self, id: Channel) -> Option<Priority> {
+        let shared = self.get(id)?.queue();
+        [id, shared].iter().filter_map(|&queue| self.table[usize::from(queue)].queue.first()).min()
+    }
+
     /// Whether a slot that is empty was used in its turn before this one.
     pub fn was_used(&mut self, id: Channel) -> bool {
         std::mem::take(&mut self.table[usize::from(id)].used)

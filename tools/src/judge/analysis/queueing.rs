@@ -1,17 +1,16 @@
-//! Frames that programs queue: in which slot each left, and how long it had waited.
+//! Frames that programs queue: which there were, and how long each had waited.
 
 use std::collections::BTreeMap;
 
 use rtnet::clock::True;
-use rtnet::time::Span;
 
 use super::{Analysis, Seen};
-use crate::judge::delivery::BEYOND;
+use crate::judge::delivery::Passed;
 use crate::judge::findings::Author;
 use crate::judge::worst::Worst;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::StationPlan;
-use crate::station::traffic::{Tag, step};
+use crate::station::traffic::Tag;
 
 /// What was seen of a station's traffic of one priority.
 #[derive(Default)]
@@ -20,8 +19,8 @@ pub struct Queueing {
     pub delay: SignedHistogram,
     /// The longest.
     pub worst: Worst,
-    /// The number of its newest frame, in a cycle that counts or not.
-    newest: Option<u64>,
+    /// Which of its frames were on the medium.
+    pub passed: Passed,
 }
 
 /// Of each priority that a station has traffic of, nothing yet.
@@ -32,49 +31,21 @@ pub(super) fn of_station(plan: &StationPlan) -> BTreeMap<u8, Queueing> {
 impl Seen {
     /// A number that the station has not come to in any of its traffic, however much of it has not been seen yet.
     pub fn beyond(&self) -> u64 {
-        let newest = self.queueing.values().filter_map(|seen| seen.newest);
-        newest.map(|number| number + BEYOND).fold(self.passed.beyond(), u64::max)
+        self.queueing.values().map(|seen| seen.passed.beyond()).fold(self.passed.beyond(), u64::max)
+    }
+
+    /// Which of its frames with this [`Tag::priority`] were on the medium; none if it has no such frames.
+    pub fn passed(&self, of: Option<u8>) -> Option<&Passed> {
+        of.map_or(Some(&self.passed), |priority| Some(&self.queueing.get(&priority)?.passed))
     }
 }
 
 impl Analysis {
-    /// Whose frame it is, and of which slot of which cycle: it says so, unless it was queued for whatever slot its
-    /// priority brings it to. None if its station queues none of that priority.
-    pub fn author_of(&self, at: True, tag: &Tag, len: usize) -> Option<Author> {
-        let (station, air) = (tag.station(), self.rate.air_time(len));
-        let seen = self.stations.get(station)?;
-        let Some(priority) = tag.priority() else {
-            return Some(Author { station, cycle: tag.cycle(), slot: Some(tag.slot) });
-        };
-        seen.queueing.contains_key(&priority).then_some(())?;
-        let (cycle, slot) = self.turn_of(station, at, air).unwrap_or((tag.cycle(), tag.slot));
-        Some(Author { station, cycle, slot: Some(slot) })
-    }
-
-    /// The turn of a station to which a frame belongs that is on the medium then: the newest, if it is within its slot;
-    /// else it was held up, in the oldest of which no frame was seen.
-    fn turn_of(&self, station: usize, at: True, air: Span) -> Option<(u32, u8)> {
-        let cycle = self.cycle_at(at + self.clock_share.nanos() as u64)?;
-        let ids = self.timetable.ids(station);
-        let error = |(cycle, id)| self.slot_error(at, Author { station, cycle, slot: Some(id) });
-        let begun = |&turn: &(u32, u8)| error(turn).is_some_and(|error| error >= -self.clock_share);
-        let newest = ids.iter().filter_map(|&id| {
-            let back = self.timetable.at(station, id, cycle)?.period;
-            let turns = self.timetable.turns(station, id, cycle.wrapping_sub(back), cycle.wrapping_add(1));
-            turns.map(|cycle| (cycle, id)).filter(begun).last()
-        });
-        let newest = newest.min_by_key(|&turn| error(turn))?;
-        let length = self.length(self.timetable.at(station, newest.1, newest.0)?.size);
-        if error(newest).is_some_and(|error| error + air <= length - self.clock_share) {
-            return Some(newest);
-        }
-        let from = self.window.map_or(cycle, |(from, _)| from);
-        let unseen = ids.iter().filter_map(|&id| {
-            let next = self.next_turn(station, id, from);
-            let mut turns = self.timetable.turns(station, id, next, cycle.wrapping_add(1));
-            turns.next().map(|cycle| (cycle, id)).filter(begun)
-        });
-        unseen.max_by_key(|&turn| error(turn)).or(Some(newest))
+    /// Whose frame it is, and of which slot of which cycle, as it says. None if its station queues none of its priority.
+    pub fn author_of(&self, tag: &Tag) -> Option<Author> {
+        let station = tag.station();
+        self.stations.get(station)?.passed(tag.priority())?;
+        Some(Author { station, cycle: tag.cycle(), slot: Some(tag.slot) })
     }
 
     /// A queued frame is on the wire, in a cycle that counts or not.
@@ -82,10 +53,7 @@ impl Analysis {
         let (waited, counts) = (self.error(at, tag.scheduled()), self.counts(author.cycle));
         let queueing = &mut self.stations[author.station].queueing;
         let Some(seen) = tag.priority().and_then(|priority| queueing.get_mut(&priority)) else { return };
-        // What a receiver does not believe is not believed here.
-        if step(seen.newest, tag.sequence()).is_some() {
-            seen.newest = Some(tag.sequence());
-        }
+        seen.passed.note(tag.sequence(), counts);
         if counts {
             seen.delay.record(waited.nanos());
             seen.worst.note(waited.nanos(), author.cycle);
@@ -99,10 +67,11 @@ mod tests {
     use rtnet::buf::Pool;
     use rtnet::clock::EmulatedClock;
     use rtnet::discipline::{Opportunity, Service};
-    use rtnet::time::{GlobalTime, Instant, Offset};
+    use rtnet::time::{GlobalTime, Instant, Offset, Span};
     use rtnet::wire::ethernet::Address;
 
     use super::*;
+    use crate::judge::delivery::BEYOND;
     use crate::judge::findings::FindingKind;
     use crate::judge::givers::TrueMaster;
     use crate::scenario::{Scenario, Source};
@@ -126,9 +95,9 @@ every = "2ms"
     const ARM: usize = 1;
     const SLOT: u64 = 500_000;
 
-    /// The frames of an arm whose clock is the true one, in cycles 10 to 14; in cycle 12 there is one that was queued, this
-    /// much late.
-    fn seen(late: u64) -> (Scenario, Analysis) {
+    /// The frames of an arm whose clock is the true one, in cycles 10 to 14, but in one that it missed; in cycle 12 there is
+    /// one that was queued, this much late.
+    fn seen(late: u64, missed: Option<u32>) -> (Scenario, Analysis) {
         let scenario = Source { file: "net.toml", text: NETWORK }.parse().unwrap().with_ideal_clocks();
         let master = TrueMaster { clock: EmulatedClock::default(), epoch: Offset::default() };
         let mut analysis = Analysis::new(&scenario, master);
@@ -149,11 +118,22 @@ every = "2ms"
             let start = u64::from(cycle) * 1_000_000;
             let (begin, scheduled) =
                 (Instant::from_nanos(start + SLOT), GlobalTime::from_nanos(start + SLOT));
+            let slot = Opportunity { channel: 0, cycle, begin, scheduled };
             let mut frame = None;
-            traffic.poll(&Opportunity { channel: 0, cycle, begin, scheduled }, &mut |made, _, _| {
+            traffic.poll(&slot, &mut |made, _, _| {
                 frame = Some(made);
                 Ok(())
             });
+            if frame.is_none() {
+                traffic.fill(&slot, &mut |made, _, _| {
+                    frame = Some(made);
+                    Ok(())
+                });
+            }
+            let mut frame = frame.filter(|_| missed != Some(cycle));
+            if let Some(frame) = &mut frame {
+                traffic.leaves(&slot, frame);
+            }
             if let Some((at, frame)) = held_up.take_if(|(at, _)| *at < start) {
                 analysis.frame(at, &frame);
             }
@@ -185,7 +165,7 @@ every = "2ms"
 
     #[test]
     fn a_slot_that_a_queued_frame_takes_is_not_missed_and_its_delay_is_known() {
-        let (_, analysis) = seen(0);
+        let (_, analysis) = seen(0, None);
         let arm = &analysis.stations[ARM];
         assert_eq!((of_the_arm(&analysis), arm.frames, analysis.expected(ARM)), (vec![], 5, 5));
         let [(3, queueing)] = &arm.queueing.iter().map(|(p, of)| (*p, of)).collect::<Vec<_>>()[..] else {
@@ -193,14 +173,17 @@ every = "2ms"
         };
         // Those of cycles 10, 12 and 14 are queued at their starts.
         assert_eq!((queueing.delay.len(), queueing.delay.min(), queueing.delay.max()), (3, 500_000, 500_000));
-        assert_eq!((queueing.worst.cycle(), queueing.newest), (Some(10), Some(2)));
+        assert_eq!((queueing.worst.cycle(), queueing.passed.beyond()), (Some(10), BEYOND + 2));
     }
 
     #[test]
     fn a_queued_frame_that_is_held_up_is_of_the_turn_that_it_was_chosen_for() {
         let missed = (FindingKind::SlotMissed, 13, Span::ZERO);
-        for (late, missed) in [(430_000, None), (700_000, None), (1_430_000, Some(missed))] {
-            let (_, analysis) = seen(late);
+        // The third one is where that of cycle 13 was to be.
+        for (late, missed) in
+            [(430_000, None), (700_000, None), (1_000_500, Some(missed)), (1_430_000, Some(missed))]
+        {
+            let (_, analysis) = seen(late, None);
             let held_up = (FindingKind::OutOfSlot, 12, Span::from_nanos(late as i64));
             let expected: Vec<_> = [Some(held_up), missed].into_iter().flatten().collect();
             assert_eq!(of_the_arm(&analysis), expected, "{late}");
@@ -210,8 +193,15 @@ every = "2ms"
     }
 
     #[test]
+    fn a_queued_frame_that_is_held_up_right_behind_a_missed_turn_is_of_its_own() {
+        let (_, analysis) = seen(700_000, Some(11));
+        let held_up = (FindingKind::OutOfSlot, 12, Span::from_nanos(700_000));
+        assert_eq!(of_the_arm(&analysis), [held_up, (FindingKind::SlotMissed, 11, Span::ZERO)]);
+    }
+
+    #[test]
     fn traffic_of_a_priority_that_nobody_has_is_nobodys() {
-        let (scenario, analysis) = seen(0);
+        let (scenario, analysis) = seen(0, None);
         let mut plan = scenario.flow_plan(ARM);
         plan.flows[0].priority = 4;
         let of = |flows| {
@@ -236,7 +226,7 @@ every = "2ms"
                 });
             }
             let frame = made.unwrap();
-            analysis.author_of(12_500_000, Tag::read(&frame).unwrap().0, frame.len())
+            analysis.author_of(Tag::read(&frame).unwrap().0)
         };
         assert_eq!(of(plan), None);
         let author = Author { station: ARM, cycle: 12, slot: Some(0) };

@@ -75,7 +75,7 @@ impl Bench {
             scheduled: GlobalTime::from_nanos(begin),
         };
         let mut made: Option<Buf> = None;
-        self.traffic[station].poll(&slot, &mut |frame, _, _| {
+        self.traffic[station].fill(&slot, &mut |frame, _, _| {
             made = Some(frame);
             Ok(())
         });

@@ -166,18 +166,20 @@ fn what_programs_queued_is_told_by_priority_if_there_is_any() {
     assert!(!render(&figures, 80, &histogram).contains("queueing"));
     let mut delay = SignedHistogram::new();
     (1..=100).for_each(|delayed| delay.record(delayed * 10_000));
-    let of = |priority, refused| QueueingFigures {
+    let of = |priority, refused, lost| QueueingFigures {
         priority,
         frames_seen: 100,
         refused,
         delay_ns: delay.summary(),
+        lost,
+        lost_on_purpose: 0,
     };
-    figures.queueing = vec![of(3, 0), of(20, 1_234)];
+    figures.queueing = vec![of(3, 0, 12), of(20, 1_234, 0)];
     let screen = render(&figures, 80, &histogram);
     for line in [
-        "queueing in us   n p50 p99   max refused",
-        "priority 3     100 500 990 1 000       0",
-        "priority 20    100 500 990 1 000   1 234",
+        "queueing in us   n p50 p99   max refused lost",
+        "priority 3     100 500 990 1 000       0   12",
+        "priority 20    100 500 990 1 000   1 234    0",
         "  queueing           = frame on the wire - queued by its program",
     ] {
         assert!(screen.lines().any(|of| of == line), "{line}\n{screen}");

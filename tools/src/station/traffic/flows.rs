@@ -11,19 +11,17 @@
 //! A queue is looked at only when a slot is chosen for: what was queued since the last time may be put into it then,
 //! as if it had been waiting there.
 
-use rtmac::tdma::{DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID};
+use rtmac::tdma::DEFAULT_LEAD;
 use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Channel, Opportunity, Outlet};
 use rtnet::queue::Priority;
 use rtnet::time::GlobalTime;
 use serde::{Deserialize, Serialize};
 
-use super::{Tag, step};
+use super::Newest;
 
 /// Frames of flows that wait, or are being sent: as many as two slots' queues hold.
 const POOL: usize = 64;
-/// The queues that a station can have.
-const QUEUES: usize = DEFAULT_MAX_SLOT_ID as usize + 1;
 
 /// Frames of one priority, queued again and again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -50,8 +48,6 @@ impl Flow {
 pub struct FlowPlan {
     /// What it sends, most urgent first.
     pub flows: Vec<Flow>,
-    /// Its slots that take from the queue of another one, and which.
-    pub joint: Vec<(Channel, Channel)>,
     /// What is sent to it.
     pub from: Vec<Flow>,
 }
@@ -61,10 +57,8 @@ pub(super) struct Flows {
     plan: FlowPlan,
     going: Vec<Going>,
     pool: Option<Pool>,
-    /// Frames that wait, by queue.
-    waiting: [usize; QUEUES],
-    /// The number of the last frame that came, by priority.
-    heard: [Option<u64>; Priority::LEVELS],
+    /// The numbers of the last frames that came, by priority.
+    heard: [Newest; Priority::LEVELS],
 }
 
 #[derive(Clone, Copy)]
@@ -87,25 +81,19 @@ impl Flows {
     pub fn new(plan: FlowPlan, first: u64) -> Self {
         let going = vec![Going { sequence: first, next: None }; plan.flows.len()];
         let pool = (!going.is_empty()).then(|| Pool::new(POOL));
-        Self { plan, going, pool, waiting: [0; QUEUES], heard: [None; Priority::LEVELS] }
+        Self { plan, going, pool, heard: [Newest::default(); Priority::LEVELS] }
     }
 
-    /// Queues all that are due; whether one of them, or one that has waited, takes this slot. `write` makes a frame, and
-    /// `refused` is told of those for which there was no room.
+    /// Queues all that are due. `write` makes a frame, and `refused` is told of those for which there was no room.
     pub fn poll(
         &mut self,
         slot: &Opportunity,
         out: &mut Outlet<'_>,
         mut write: impl FnMut(&Queued, &mut Buf),
         mut refused: impl FnMut(&Flow, u64),
-    ) -> bool {
-        let Some(pool) = &self.pool else { return false };
-        if pool.available() == pool.capacity() {
-            // Those of a slot that was taken away will not come any more.
-            self.waiting = [0; QUEUES];
-        }
+    ) {
+        let Some(pool) = &self.pool else { return };
         for (flow, going) in self.plan.flows.iter().zip(&mut self.going) {
-            let queue = queue_of(&self.plan, flow.slot);
             let (first, due) = going.due(flow, slot.scheduled - DEFAULT_LEAD);
             let mut queued = 0;
             for n in 0..due {
@@ -117,29 +105,16 @@ impl Flows {
                     break;
                 }
                 (going.sequence, queued) = (going.sequence + 1, queued + 1);
-                self.waiting[queue] += 1;
             }
             // Where one finds no room the next one does not, either.
             refused(flow, due - queued);
         }
-        let waiting = &mut self.waiting[queue_of(&self.plan, slot.channel)];
-        let is_taken = *waiting > 0;
-        *waiting -= usize::from(is_taken);
-        is_taken
     }
 
-    /// One has missed its slot: it waits for the next.
-    pub fn waits_again(&mut self, tag: &Tag) {
-        self.waiting[queue_of(&self.plan, tag.slot)] += 1;
-    }
-
-    /// Whether a frame that came is one of the sender's, and not of old.
-    pub fn check(&mut self, priority: u8, sequence: u64, payload: usize) -> Option<()> {
+    /// The numbers that came of a priority, if the sender has frames of that and of this size.
+    pub fn heard(&mut self, priority: u8, payload: usize) -> Option<&mut Newest> {
         let flow = self.plan.from.iter().find(|flow| flow.priority == priority)?;
-        let heard = self.heard.get_mut(usize::from(priority)).filter(|_| flow.payload == payload)?;
-        step(*heard, sequence)?;
-        *heard = Some(sequence);
-        Some(())
+        self.heard.get_mut(usize::from(priority)).filter(|_| flow.payload == payload)
     }
 }
 
@@ -154,12 +129,6 @@ impl Going {
     }
 }
 
-/// Where a slot takes its frames from.
-fn queue_of(plan: &FlowPlan, slot: Channel) -> usize {
-    let joint = plan.joint.iter().find(|(of, _)| *of == slot);
-    usize::from(joint.map_or(slot, |&(_, queue)| queue)) % QUEUES
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
@@ -168,17 +137,22 @@ mod tests {
     use rtnet::time::Instant;
     use rtnet::wire::ethernet::Address;
 
-    use super::super::{Traffic, TrafficCounts, TrafficPlan};
+    use super::super::{Tag, Traffic, TrafficCounts, TrafficPlan};
     use super::*;
 
     const FLOW: Flow = Flow { priority: 3, every_ns: 3_000_000, burst: 2, payload: 100, slot: 0 };
 
-    /// A station with slots 0 and 2, of which the second takes from the first one's queue; all that it queued is kept.
+    /// A station whose slots take from one queue; all that has left is kept.
     struct Bench {
         traffic: Traffic,
         counts: Arc<TrafficCounts>,
-        queued: Vec<Buf>,
+        waiting: Vec<Buf>,
+        left: Vec<Buf>,
         room: usize,
+    }
+
+    fn priority(frame: &Buf) -> u8 {
+        Tag::read(frame).unwrap().0.priority().unwrap_or(Priority::LAST_REAL_TIME.level())
     }
 
     impl Bench {
@@ -194,13 +168,13 @@ mod tests {
                 from_payload: 64,
                 first: 0,
             };
-            let flows = FlowPlan { flows: flows.to_vec(), joint: vec![(2, 0)], from: Vec::new() };
+            let flows = FlowPlan { flows: flows.to_vec(), from: Vec::new() };
             let traffic = Traffic::new(plan, counts.clone()).with_flows(flows);
-            Self { traffic, counts, queued: Vec::new(), room: usize::MAX }
+            Self { traffic, counts, waiting: Vec::new(), left: Vec::new(), room: usize::MAX }
         }
 
         /// What is queued for slot 0 of a cycle of 1 ms, 100 us behind its start: priority, number, and at which
-        /// microsecond a program queued it.
+        /// microsecond a program queued it. The most urgent of all that waits leaves.
         fn poll(&mut self, cycle: u32) -> Vec<(u8, u64, u64)> {
             self.poll_slot(cycle, 0)
         }
@@ -208,21 +182,36 @@ mod tests {
         fn poll_slot(&mut self, cycle: u32, channel: Channel) -> Vec<(u8, u64, u64)> {
             let at = u64::from(cycle) * 1_000_000 + 100_000 + u64::from(channel) * 100_000;
             let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
-            let before = self.queued.len();
-            let Self { traffic, queued, room, .. } = self;
-            traffic.poll(&Opportunity { channel, cycle, begin, scheduled }, &mut |frame, priority, _| {
-                let (tag, _) = Tag::read(&frame).unwrap();
-                assert_eq!(tag.priority().unwrap_or(30), priority.level());
-                if queued.len() - before == *room {
+            let slot = Opportunity { channel, cycle, begin, scheduled };
+            let mut queued = Vec::new();
+            let Self { traffic, waiting, left, room, .. } = self;
+            let mut out = |frame: Buf, of: Priority, _| {
+                assert_eq!(priority(&frame), of.level());
+                if queued.len() == *room {
                     return Err((SendError::QueueFull(0), frame));
                 }
-                queued.push(frame);
+                let (tag, _) = Tag::read(&frame).unwrap();
+                queued.push((priority(&frame), tag.sequence(), tag.scheduled().nanos() / 1_000));
+                waiting.push(frame);
                 Ok(())
-            });
-            let tag = |frame: &Buf| *Tag::read(frame).unwrap().0;
-            let all = self.queued[before..].iter().map(tag);
-            all.map(|tag| (tag.priority().unwrap_or(30), tag.sequence(), tag.scheduled().nanos() / 1_000))
-                .collect()
+            };
+            traffic.poll(&slot, &mut out);
+            if waiting.is_empty() {
+                traffic.fill(&slot, &mut |frame, of, channel| {
+                    assert_eq!((of, channel), (Priority::LAST_REAL_TIME, slot.channel));
+                    let (tag, _) = Tag::read(&frame).unwrap();
+                    queued.push((priority(&frame), tag.sequence(), tag.scheduled().nanos() / 1_000));
+                    waiting.push(frame);
+                    Ok(())
+                });
+            }
+            waiting.sort_by_key(priority);
+            let mut frame = waiting.remove(0);
+            traffic.leaves(&slot, &mut frame);
+            let (tag, _) = Tag::read(&frame).unwrap();
+            assert_eq!((tag.cycle(), tag.slot), (cycle, channel), "it says in which turn it leaves");
+            left.push(frame);
+            queued
         }
     }
 
@@ -244,8 +233,9 @@ mod tests {
         let mut bench = Bench::new(&[FLOW]);
         bench.poll(2);
         bench.poll(3);
-        assert!(!bench.traffic.still_wanted(&bench.queued[0]));
-        assert!(bench.traffic.still_wanted(&bench.queued[1]));
+        assert!(!bench.traffic.still_wanted(&bench.left[0]));
+        assert!(bench.traffic.still_wanted(&bench.left[1]));
+        bench.waiting.insert(0, bench.left.remove(1));
         assert_eq!([bench.poll(4), bench.poll(5)], [vec![], vec![]], "both wait");
         assert_eq!(bench.poll(6).len(), 2);
     }
@@ -260,7 +250,7 @@ mod tests {
         bench.room = usize::MAX;
         assert_eq!(bench.poll(6)[0], (3, 3, 6_000), "it has no number");
         // For ten minutes there was no slot: the oldest are queued, as many as there is room for.
-        bench.queued.clear();
+        (bench.waiting, bench.left) = Default::default();
         let late = bench.poll(600_006);
         assert_eq!((late.len(), late[0]), (POOL, (3, 8, 9_000)));
         assert_eq!(bench.counts.refused().collect::<Vec<_>>(), [(3, 2 + 200_000 * 5 - POOL as u64)]);
@@ -271,7 +261,7 @@ mod tests {
         let mut bench = Bench::new(&[FLOW]);
         bench.poll(2);
         assert_eq!(bench.poll(3).len(), 2);
-        bench.queued.clear();
+        bench.waiting.clear();
         assert_eq!(bench.poll(4), [(30, 1, 4_100)]);
     }
 
@@ -286,8 +276,7 @@ mod tests {
     #[test]
     fn a_receiver_takes_what_its_sender_queues_in_the_order_of_each_priority() {
         let mut bench = Bench::new(&[FLOW]);
-        bench.poll(2);
-        bench.poll(3);
+        (2..=4).for_each(|cycle| drop(bench.poll(cycle)));
         let plan = TrafficPlan {
             station: 1,
             source: Address([2, 0, 0, 0, 0, 2]),
@@ -307,12 +296,12 @@ mod tests {
             copy
         };
         let mut knows = receiver(vec![FLOW]);
-        for frame in &bench.queued {
+        for frame in &bench.left {
             assert_eq!(knows.on_frame(None, copy(frame)), Ok(()));
         }
-        assert!(knows.on_frame(None, copy(&bench.queued[1])).is_err(), "twice");
-        assert!(receiver(Vec::new()).on_frame(None, copy(&bench.queued[1])).is_err(), "nobody said so");
+        assert!(knows.on_frame(None, copy(&bench.left[1])).is_err(), "twice");
+        assert!(receiver(Vec::new()).on_frame(None, copy(&bench.left[1])).is_err(), "nobody said so");
         let other = Flow { payload: 60, ..FLOW };
-        assert!(receiver(vec![other]).on_frame(None, copy(&bench.queued[1])).is_err(), "of another size");
+        assert!(receiver(vec![other]).on_frame(None, copy(&bench.left[1])).is_err(), "of another size");
     }
 }

@@ -1,0 +1,135 @@
+//! What comes of a sender's numbered frames: which number is news, and how many are missing.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use serde::{Deserialize, Serialize};
+
+/// A larger gap in the sequence is not one, but a forged frame: days of frames at 1 ms.
+const MISSING_AT_MOST: u64 = 1 << 30;
+/// Nor is a number that nobody can have come to.
+const SEQUENCE_AT_MOST: u64 = 1 << 60;
+
+/// The newest numbers that came. What is queued comes in order, unless its slots are joined or parted meanwhile: what waits
+/// stays where it waits, and the next ones may be sooner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Newest {
+    last: Option<u64>,
+    /// Bit n: the number n before the last has come; four times what a queue holds.
+    came: u128,
+}
+
+/// How a frame came that is none of before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Came {
+    /// So far behind the last one; 1 is the next.
+    Behind(u64),
+    /// Later than some that were sent after it: it is not missing any more.
+    Late,
+}
+
+impl Newest {
+    /// The last number that came.
+    pub fn last(&self) -> Option<u64> {
+        self.last
+    }
+
+    /// A number comes; none if it cannot be genuine: twice, or numbered as nobody numbers who was silent for less than
+    /// days.
+    pub fn note(&mut self, number: u64) -> Option<Came> {
+        (number <= SEQUENCE_AT_MOST).then_some(())?;
+        let Some(last) = self.last else {
+            // What was before the first one is not missing.
+            *self = Self { last: Some(number), came: u128::MAX };
+            return Some(Came::Behind(1));
+        };
+        if let Some(step) = number.checked_sub(last) {
+            (1..=MISSING_AT_MOST).contains(&step).then_some(())?;
+            let came = self.came.checked_shl(step.min(u32::MAX.into()) as u32).unwrap_or(0);
+            *self = Self { last: Some(number), came: came | 1 };
+            return Some(Came::Behind(step));
+        }
+        let bit = 1_u128.checked_shl((last - number).min(u32::MAX.into()) as u32)?;
+        (self.came & bit == 0).then_some(())?;
+        self.came |= bit;
+        Some(Came::Late)
+    }
+}
+
+/// What the control thread may look at while the real-time thread counts.
+#[derive(Debug, Default)]
+pub struct Arrivals {
+    /// Frames received that are what was sent.
+    pub received: AtomicU64,
+    /// Frames missing between two that were received.
+    pub missing: AtomicU64,
+    /// The sequence number of the first frame received.
+    pub first: AtomicU64,
+}
+
+/// The same at a moment.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
+pub struct Arrived {
+    /// Frames received that are what was sent.
+    pub received: u64,
+    /// Frames missing between two that were received.
+    pub missing: u64,
+    /// The sequence number of the first frame received.
+    pub first: u64,
+}
+
+impl Arrivals {
+    /// A frame that is what was sent, behind those that came; none if it cannot be genuine.
+    pub(super) fn note(&self, before: &mut Newest, number: u64) -> Option<()> {
+        let is_first = before.last().is_none();
+        let came = before.note(number)?;
+        if is_first {
+            self.first.store(number, Ordering::Relaxed);
+        }
+        match came {
+            Came::Behind(step) => _ = self.missing.fetch_add(step - 1, Ordering::Relaxed),
+            Came::Late => _ = self.missing.fetch_sub(1, Ordering::Relaxed),
+        }
+        self.received.fetch_add(1, Ordering::Relaxed);
+        Some(())
+    }
+
+    /// As it is now.
+    pub fn now(&self) -> Arrived {
+        let [received, missing, first] =
+            [&self.received, &self.missing, &self.first].map(|count| count.load(Ordering::Relaxed));
+        Arrived { received, missing, first }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn arrived(numbers: &[u64]) -> (Arrived, Vec<u64>) {
+        let (arrivals, mut newest) = (Arrivals::default(), Newest::default());
+        let refused = numbers.iter().filter(|&&number| arrivals.note(&mut newest, number).is_none());
+        let refused = refused.copied().collect();
+        (arrivals.now(), refused)
+    }
+
+    #[test]
+    fn what_was_overtaken_is_missing_until_it_comes_and_comes_once() {
+        let of = |received, missing| Arrived { received, missing, first: 5 };
+        assert_eq!(arrived(&[5, 6, 9, 10]), (of(4, 2), vec![]));
+        assert_eq!(arrived(&[5, 6, 9, 10, 7, 8]), (of(6, 0), vec![]));
+        assert_eq!(arrived(&[5, 9, 7, 7, 9, 5]), (of(3, 2), vec![7, 9, 5]));
+        assert_eq!(arrived(&[5, 7, 4, 0]), (of(2, 1), vec![4, 0]), "nobody listened then");
+        assert_eq!(
+            arrived(&[5, 5 + 130, 7, 8]),
+            (of(3, 128), vec![7]),
+            "127 ago is as long as is remembered"
+        );
+    }
+
+    #[test]
+    fn numbers_that_nobody_has_come_to_are_refused() {
+        let far = 5 + MISSING_AT_MOST;
+        let expected = Arrived { received: 3, missing: MISSING_AT_MOST - 1, first: 5 };
+        assert_eq!(arrived(&[u64::MAX, 5, far + 1, far, far + 1]), (expected, vec![u64::MAX, far + 1]));
+    }
+}

@@ -81,7 +81,9 @@ fn joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained() {
     network("joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained", || {
         let cell = Cell::with("joint", |file| {
             let joint = r#"{ id = 2, offset = "2500us", size = 200, joint = 0 }"#;
-            file.replace(r#""1600us" }"#, &format!(r#""1600us", size = 200 }}, {joint}"#))
+            let file = file.replace(r#""1600us" }"#, &format!(r#""1600us", size = 200 }}, {joint}"#));
+            let traffic = r#"traffic = [{ priority = 3, every = "10ms", burst = 2, slot = 2 }]"#;
+            file.replace(r#"name = "slave2""#, &format!("name = \"slave2\"\n{traffic}"))
         });
         let slots = || {
             let slots = cell.station("slave2")["slots"].clone();

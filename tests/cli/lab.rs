@@ -341,6 +341,9 @@ fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
         assert_eq!(of(2, "frames_lost"), 0, "its wire loses only what it sends");
         // Half of the 250 that slave2 sent meanwhile, and the 125 of the cut.
         assert!((170..=330).contains(&of(3, "frames_lost")), "{}", of(3, "frames_lost"));
+        let queued = &report["per_station"][2]["queueing"][0];
+        assert_eq!(queued["lost"], queued["lost_on_purpose"], "{queued}");
+        assert!((50..=150).contains(&queued["lost"].as_u64().unwrap()), "two of five of them: {queued}");
         assert!(of(3, "slots_missed") >= 100 + 60, "cut off, and without two syncs in a row: {text}");
         let causes = &report["causes"];
         assert!(causes["sync_lost_or_late"].as_u64() >= Some(150), "{causes}");

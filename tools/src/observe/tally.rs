@@ -121,6 +121,14 @@ impl Tally {
         if let Some(which) = which(what) {
             self.enter(Stream { source: sight.decoded.source, which }, sight);
         }
+        if let What::Data(tag) = what
+            && tag.priority().is_some()
+        {
+            let which = Which::Slot { station: tag.station(), slot: tag.slot };
+            let slot = self.streams.get_mut(&Stream { source: sight.decoded.source, which });
+            // The usual frame has not missed this turn.
+            slot.into_iter().for_each(|seen| seen.turns.note(tag.cycle()));
+        }
     }
 
     fn occupy(&mut self, at: Option<True>, wire_len: usize) {
@@ -205,7 +213,7 @@ impl Turns {
 fn which(what: &What) -> Option<Which> {
     match what {
         What::Tdma(Message::Sync { .. }) => Some(Which::Sync),
-        // In which slot it left it does not say.
+        // When its slot was to begin it does not say.
         What::Data(tag) if tag.priority().is_some() => Some(Which::Sporadic("queued")),
         What::Data(tag) => Some(Which::Slot { station: tag.station(), slot: tag.slot }),
         What::Other(ether_type, _) => Some(Which::Foreign(*ether_type)),
@@ -306,6 +314,27 @@ pub(super) mod tests {
         // With 21 there are three.
         assert_eq!((medium.seen(DATA).frames, medium.seen(DATA).missed()), (48, 3));
         assert_eq!((medium.1.sync_gaps, medium.seen(Which::Sync).missed()), (2, 2));
+    }
+
+    #[test]
+    fn a_turn_that_a_queued_frame_takes_is_not_missed() {
+        let mut medium = Medium::new();
+        for cycle in 1..=100 {
+            medium.sync(cycle, 0);
+            let queued_at = sched(cycle);
+            let mut frame = data(2, 0, cycle, queued_at);
+            match cycle % 4 {
+                0 => {
+                    // Of priority 3.
+                    frame[17] = 4;
+                    medium.pass(queued_at.nanos() + 300_500, &frame);
+                }
+                _ if cycle != 50 => medium.data(cycle, 500),
+                _ => {}
+            }
+        }
+        assert_eq!((medium.seen(DATA).frames, medium.seen(DATA).missed()), (74, 1));
+        assert_eq!(medium.seen(Which::Sporadic("queued")).frames, 25);
     }
 
     #[test]

@@ -241,7 +241,11 @@ mod tests {
         let held_up = |i: u64| if i > 12 && !i.is_multiple_of(4) { 26_000 } else { i % 2 * 400 };
         let mut rounds = rounds(30, 0, held_up);
         let one = keep_quicker(&mut rounds).quartile;
-        assert!(rounds.len() >= 20 && rounds.iter().all(|round| round.delay < one + ALIKE), "{}", rounds.len());
+        assert!(
+            rounds.len() >= 20 && rounds.iter().all(|round| round.delay < one + ALIKE),
+            "{}",
+            rounds.len()
+        );
         let rate = rate(&rounds).unwrap();
         assert!((rate.gains + 30e-6).abs() < 3e-6, "{rate:?}");
     }

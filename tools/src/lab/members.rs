@@ -19,6 +19,7 @@ use crate::judge::givers::TrueMaster;
 use crate::judge::noteworthy::Noteworthy;
 use crate::judge::outcome::Facts;
 use crate::report::histogram::SignedHistogram;
+use crate::scenario::Scenario;
 use crate::station::link::{self, Order, Report, Standing};
 use crate::station::misses::Misses;
 

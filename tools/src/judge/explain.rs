@@ -142,7 +142,10 @@ impl Records {
                 let reigns = self.reigns(author.station, author.cycle).then_some(Cause::NoSync.name());
                 self.told(author, EventKind::StalledInSend).or(reigns)
             }),
-            FindingKind::WithoutSync => None,
+            // Who gives the time needs no sync, though nobody heard its own while another's was the last.
+            FindingKind::WithoutSync => authors.find_map(|author| {
+                self.told_of(of_cycle(author), &[EventKind::SyncSkipped, EventKind::SyncDropped])
+            }),
         }
     }
 

@@ -183,6 +183,17 @@ fn without_a_master_there_are_no_syncs_and_all_are_silent() {
 }
 
 #[test]
+fn a_master_whose_own_sync_was_skipped_while_a_backups_was_the_last_may_send() {
+    let mut records = Records::default();
+    records.note(told_of(7, MASTER), EventKind::SyncSkipped, Span::ZERO, Some(Cause::Preempted));
+    let why = |cycle, station| {
+        let author = Author { station, cycle, slot: Some(0) };
+        records.explain(&Finding::of(author, FindingKind::WithoutSync, Span::ZERO))
+    };
+    assert_eq!([why(7, MASTER), why(8, MASTER), why(7, 3)], [Some("preempted"), None, None]);
+}
+
+#[test]
 fn who_has_given_its_line_up_is_silent_until_it_follows_again() {
     let mut records = Records::default();
     records.note(told_of(100, 3), EventKind::LineGivenUp, Span::ZERO, None);

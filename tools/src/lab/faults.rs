@@ -8,12 +8,16 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::live::clock::monotonic;
+use rtnet::time::Span;
 
 use super::launch::clock;
 use super::run::{Lab, port_name};
 use super::wires::is_held_back;
 use crate::scenario::{Act, Conditions, Happening, Part, Scenario, acts};
 use crate::station::link::Order;
+
+/// An act is told of that is later than this: it waits for the next look, and a moment for the kernel.
+const LATE: Span = Span::from_millis(20);
 
 /// What is still to be played.
 #[derive(Default)]
@@ -23,6 +27,8 @@ pub struct Play {
     restarting: Vec<usize>,
     /// Stations whose wire is out now.
     unplugged: Vec<usize>,
+    /// By how much an act was late at the worst, and the line of its event.
+    latest: (Span, usize),
 }
 
 /// Whether a host can do this to its stations.
@@ -71,6 +77,8 @@ impl Lab {
             let event = &scenario.conditions.events[act.event];
             self.act(scenario, &event.what, act.part)
                 .with_context(|| format!("the event of line {}", event.line))?;
+            let late = Span::from_nanos(monotonic().saturating_sub(act.at) as i64);
+            self.play.latest = self.play.latest.max((late, event.line));
         }
         let ended = |&mut station: &mut usize| self.members[station].silent;
         let ready: Vec<usize> = self.play.restarting.extract_if(.., ended).collect();
@@ -79,6 +87,15 @@ impl Lab {
             self.note_stopped();
         }
         Ok(())
+    }
+
+    /// Whoever reads how long something took is to know that it was not as long as the scenario says.
+    pub(super) fn note_late_events(&mut self) {
+        let (late, line) = self.play.latest;
+        if late > LATE {
+            self.notes
+                .push(format!("this host was busy: events began or ended up to {late} late (line {line})"));
+        }
     }
 
     fn act(&mut self, scenario: &Scenario, what: &Happening, part: Part) -> Result<()> {

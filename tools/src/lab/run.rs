@@ -280,6 +280,7 @@ impl Lab {
             let findings = self.analysis.findings.len();
             self.show_progress(|| format!("cycle {done} of {cycles}, {findings} misses"));
         }
+        self.note_late_events();
         self.note_end_without_master();
         self.analysis.end();
         for member in &mut self.members {

@@ -131,6 +131,16 @@ pub fn attach(program: &OwnedFd, interface: u32, hook: Hook) -> io::Result<Owned
     unsafe { bpf(LINK_CREATE, &link) }
 }
 
+/// What to do about an answer that means the same whatever a program is for.
+pub fn remedy(error: &io::Error) -> Option<&'static str> {
+    match error.raw_os_error()? {
+        libc::EPERM | libc::EACCES => Some("run as root, or give CAP_BPF and CAP_NET_ADMIN"),
+        libc::ENOMEM | libc::EAGAIN => Some("free memory, or raise RLIMIT_MEMLOCK (`ulimit -l`)"),
+        libc::ENOSYS => Some("the kernel must be built with CONFIG_BPF_SYSCALL"),
+        _ => None,
+    }
+}
+
 /// A system call that makes a descriptor, which the kernel closes on exec.
 ///
 /// # Safety

@@ -95,17 +95,16 @@ impl GuardRefused {
 
     /// What to do about it: the same answer means another thing at another step.
     pub fn remedy(&self) -> &'static str {
-        match (self.step, self.error.raw_os_error()) {
-            (Step::Clock, _) => "run it in the host's time namespace",
-            (Step::Mark, _) => "run as root, or give CAP_NET_ADMIN",
-            (_, Some(libc::EPERM | libc::EACCES)) => "run as root, or give CAP_BPF and CAP_NET_ADMIN",
-            (_, Some(libc::ENOMEM | libc::EAGAIN)) => "free memory, or raise RLIMIT_MEMLOCK (`ulimit -l`)",
+        let own = || match (self.step, self.error.raw_os_error()) {
             (Step::Hook, Some(libc::ENODEV)) => "the interface is gone: look with `ip link`",
             (Step::Hook, _) => "the interface needs tcx, Linux 6.6, or clsact",
-            (_, Some(libc::ENOSYS)) => "the kernel must be built with CONFIG_BPF_SYSCALL",
             // A map that can be shared with a process came last of what the program needs.
-            (Step::Map | Step::Mapping, _) => "the kernel must be Linux 5.5 or later",
-            (Step::Program, _) => "the kernel must be Linux 5.5 or later; 5.12 for what a lab's wires do",
+            _ => "the kernel must be Linux 5.5 or later",
+        };
+        match self.step {
+            Step::Clock => "run it in the host's time namespace",
+            Step::Mark => "run as root, or give CAP_NET_ADMIN",
+            _ => bpf::remedy(&self.error).unwrap_or_else(own),
         }
     }
 }

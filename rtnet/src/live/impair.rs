@@ -20,7 +20,6 @@ use std::os::fd::{AsRawFd, OwnedFd};
 use zerocopy::FromBytes;
 
 use super::bpf::{self, Hook, Map, Mapping};
-use super::guard::{GuardRefused, Step};
 
 const NAME: bpf::Name = *b"rtnet_impair\0\0\0\0";
 /// Lost control frames that are kept until they are taken: a second of many at one port.
@@ -43,6 +42,30 @@ pub struct Chances {
     pub corrupt_ppm: u32,
     /// Frames that come twice.
     pub duplicate_ppm: u32,
+}
+
+/// Why a wire cannot be impaired: what was asked of the kernel, and its answer.
+#[derive(Debug, thiserror::Error)]
+#[error("impaired wire, {step}: {error}")]
+pub struct ImpairmentRefused {
+    step: &'static str,
+    error: io::Error,
+}
+
+/// The last step of all: the programs are there.
+const ATTACHED: &str = "tcx";
+
+impl ImpairmentRefused {
+    /// What to do about it.
+    pub fn remedy(&self) -> &'static str {
+        let is_gone = self.step == ATTACHED && self.error.raw_os_error() == Some(libc::ENODEV);
+        let own = || match is_gone {
+            true => "the bridge's port is gone: somebody took it away; run the lab again",
+            // That came last of what the programs need.
+            false => "it needs tcx: the kernel must be Linux 6.6 or later",
+        };
+        bpf::remedy(&self.error).unwrap_or_else(own)
+    }
 }
 
 /// What became of frames on their way to a station.
@@ -113,16 +136,16 @@ pub struct Impairment {
 impl Impairment {
     /// Attaches to a port in the calling thread's namespace. Of a cut, and of what senders' wires do, every port of the
     /// bridge must know. Needs CAP_BPF and CAP_NET_ADMIN, and Linux 6.6.
-    pub fn attach(port: u32) -> Result<Self, GuardRefused> {
-        let map = Map::create(NAME).map_err(refused(Step::Map))?;
-        let mapping = Mapping::new(&map).map_err(refused(Step::Mapping))?;
+    pub fn attach(port: u32) -> Result<Self, ImpairmentRefused> {
+        let map = Map::create(NAME).map_err(refused("bpf map"))?;
+        let mapping = Mapping::new(&map).map_err(refused("bpf map in memory"))?;
         let hooks = hooks(&map, port)?;
         Ok(Self { map, mapping, taken: 0, hooks })
     }
 
     /// Attaches to the port that is in the place of the one before: what happens to frames, what was counted, and what
     /// was written down, stays as it is.
-    pub fn attach_anew(&mut self, port: u32) -> Result<(), GuardRefused> {
+    pub fn attach_anew(&mut self, port: u32) -> Result<(), ImpairmentRefused> {
         self.hooks = hooks(&self.map, port)?;
         Ok(())
     }
@@ -168,15 +191,15 @@ impl Impairment {
 }
 
 /// Both programs at a port, with one map.
-fn hooks(map: &Map<Page>, port: u32) -> Result<[OwnedFd; 2], GuardRefused> {
+fn hooks(map: &Map<Page>, port: u32) -> Result<[OwnedFd; 2], ImpairmentRefused> {
     let map = map.as_raw_fd();
     let hook = |program: Vec<_>, hook| {
-        let program = bpf::load(&program, NAME).map_err(refused(Step::Program))?;
-        bpf::attach(&program, port, hook).map_err(refused(Step::Hook))
+        let program = bpf::load(&program, NAME).map_err(refused("bpf program"))?;
+        bpf::attach(&program, port, hook).map_err(refused(ATTACHED))
     };
     Ok([hook(program::sends(map), Hook::Ingress)?, hook(program::hears(map), Hook::Egress)?])
 }
 
-fn refused(step: Step) -> impl Fn(io::Error) -> GuardRefused {
-    move |error| GuardRefused::new(step, error)
+fn refused(step: &'static str) -> impl Fn(io::Error) -> ImpairmentRefused {
+    move |error| ImpairmentRefused { step, error }
 }

@@ -33,7 +33,7 @@ pub use clock_order::ClockOrder;
 pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};
-pub use impair::{Chances, Impaired, Impairment, LOGGED};
+pub use impair::{Chances, Impaired, Impairment, ImpairmentRefused, LOGGED};
 pub use port::{OpenError, Port, PortCounters};
 pub use time_board::{TimeBoard, TimePublisher};
 pub use wait::{Cycle, WaitError, Waiter};

@@ -224,3 +224,31 @@ fn nothing_is_left_of_it_once_it_is_dropped() {
         assert_eq!(wire.receive().len(), 1);
     });
 }
+
+#[test]
+fn what_fails_is_a_wire_and_the_remedy_is_a_wires() {
+    let refused = |step, errno| {
+        let refused = ImpairmentRefused { step, error: io::Error::from_raw_os_error(errno) };
+        (refused.to_string(), refused.remedy())
+    };
+    for (step, errno, expected) in [
+        ("bpf map", libc::EPERM, "run as root, or give CAP_BPF"),
+        ("bpf program", libc::EINVAL, "Linux 6.6"),
+        (ATTACHED, libc::EINVAL, "needs tcx"),
+        (ATTACHED, libc::ENODEV, "the bridge's port is gone"),
+    ] {
+        let (line, remedy) = refused(step, errno);
+        assert!(line.starts_with(&format!("impaired wire, {step}: ")), "{line}");
+        assert!(remedy.contains(expected) && !remedy.contains("clsact"), "{step}, {errno}: {remedy}");
+    }
+}
+
+#[test]
+fn a_port_that_is_not_there_is_told_of_as_such() {
+    in_a_namespace(|| {
+        let Err(refused) = Impairment::attach(4_711) else { panic!("there is none") };
+        // Where the kernel takes no programs at all, it says so first.
+        let is_expected = refused.step != ATTACHED || refused.remedy().contains("port is gone");
+        assert!(is_expected, "{refused}: {}", refused.remedy());
+    });
+}

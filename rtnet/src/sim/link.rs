@@ -58,6 +58,11 @@ impl Link {
 }
 
 impl Fate {
+    /// The byte with the bit that is not what it was.
+    pub(super) fn changed_from(&self) -> Option<usize> {
+        self.corrupt.map(|bit| bit / 8)
+    }
+
     /// Changes the bit that is not what it was.
     pub(super) fn corrupt(&self, frame: &mut [u8]) {
         if let Some(bit) = self.corrupt {

@@ -1,6 +1,7 @@
 //! Stations on a medium, driven through virtual time as `live` drives them through real time.
 
 mod carriage;
+mod copies;
 mod faults;
 mod frames;
 mod seat;
@@ -16,6 +17,7 @@ use crate::station::Station;
 use crate::wire::ethernet::Address;
 
 use carriage::Flight;
+use copies::Later;
 use frames::{Frames, Kept};
 use seat::Seat;
 
@@ -56,6 +58,8 @@ pub struct Network<D: Discipline> {
     flights: Vec<Flight>,
     /// Frames that stations are still to hear.
     frames: Frames,
+    /// Of which copies take longer than others.
+    later: Later,
     /// Of frames that no station has queued.
     foreign: Pool,
 }
@@ -91,8 +95,8 @@ enum Action {
     Air { from: StationId, number: u64, frame: Buf },
     /// A hub or a switch has received a frame wholly.
     Landed(u64),
-    /// A frame that was long on its way is at a station.
-    Arrived(StationId, Kept),
+    /// A copy of a frame that was long on its way is at a station; its number among those that are to be told of.
+    Arrived { to: StationId, frame: Kept, number: Option<usize> },
     /// A clock changes its rate a little; one that was told otherwise since does not, by its number.
     Wander(StationId, u32),
 }
@@ -114,6 +118,7 @@ impl<D: Discipline> Network<D> {
             cut_off: Vec::new(),
             flights: Vec::new(),
             frames: Frames::new(),
+            later: Later::default(),
             foreign: Pool::new(FOREIGN_POOL),
         }
     }
@@ -140,7 +145,8 @@ impl<D: Discipline> Network<D> {
         self.attendant = Some(Box::new(attendant));
     }
 
-    /// Tells `mourner` of every frame that is lost on its way to a station, and why.
+    /// Tells `mourner` of every frame that is lost on its way to a station, with what was sent, and why: once none of its
+    /// copies can come any more.
     pub fn mourn(&mut self, mourner: impl FnMut(StationId, &[u8], Loss) + 'static) {
         self.mourner = Some(Box::new(mourner));
     }
@@ -159,7 +165,7 @@ impl<D: Discipline> Network<D> {
                 Action::Send(id, number) => self.send(id, number),
                 Action::Air { from, number, frame } => self.air_of(from, number, frame),
                 Action::Landed(flight) => self.landed(flight),
-                Action::Arrived(to, frame) => self.arrived(to, frame),
+                Action::Arrived { to, frame, number } => self.arrived(to, frame, number),
                 Action::Wander(id, number) => self.wander_on(id, number),
             }
         }

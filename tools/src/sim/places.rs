@@ -37,7 +37,7 @@ impl Seen {
         match why {
             Loss::Collision => _ = self.collided.get_or_insert(cycle),
             Loss::QueueFull => _ = self.queue_full.get_or_insert(cycle),
-            Loss::Wire | Loss::Cut | Loss::NoBuffer => {}
+            Loss::Wire | Loss::Cut | Loss::NoBuffer | Loss::Changed(_) => {}
         }
         if is_data {
             self.lost[to].get_or_insert(cycle);

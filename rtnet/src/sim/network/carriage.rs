@@ -8,6 +8,7 @@
 
 use std::ops::Range;
 
+use super::copies::Copies;
 use super::frames::Kept;
 use super::seat::Port;
 use super::{Action, Network, StationId};
@@ -46,10 +47,12 @@ pub enum Loss {
     QueueFull,
     /// It found the station's receive pool empty.
     NoBuffer,
+    /// It came, but not as it was sent: not from this byte on.
+    Changed(usize),
 }
 
 impl Loss {
-    /// Whether somebody wanted it so; all else a network brings about itself.
+    /// Whether somebody wanted it so; all else a network brings about itself, or, of what was changed, its receiver notices.
     pub fn is_on_purpose(self) -> bool {
         matches!(self, Loss::Wire | Loss::Cut)
     }
@@ -124,12 +127,16 @@ impl<D: Discipline> Network<D> {
             if to == from || !self.members[to].is_there(self.now) {
                 continue;
             }
-            let mut reached = sent.and_then(|fate| self.hand_to(to, from, &frame, at, fate));
-            // Of two copies one is enough.
-            if let Some(fate) = sent.ok().filter(|fate| fate.comes_twice) {
-                reached = self.hand_to(to, from, &frame, at, fate).or(reached);
+            let mut copies = Copies::default();
+            match sent {
+                Err(why) => copies.note(Err(why)),
+                Ok(fate) => {
+                    for _ in 0..=u8::from(fate.comes_twice) {
+                        self.hand_to(to, from, &frame, at, fate, &mut copies);
+                    }
+                }
             }
-            if let Err(why) = reached {
+            if let Some(why) = copies.conclude(&mut self.later) {
                 self.lose(to, &frame, why);
             }
         }
@@ -156,7 +163,7 @@ impl<D: Discipline> Network<D> {
         self.traffic.reordered += u64::from(fate.overtaken);
     }
 
-    /// A frame that left its sender with this fate reaches a station, or why it does not.
+    /// A copy of a frame that left its sender with this fate is handed to a station.
     fn hand_to(
         &mut self,
         to: StationId,
@@ -164,7 +171,27 @@ impl<D: Discipline> Network<D> {
         frame: &Kept,
         at: True,
         sent: Fate,
-    ) -> Result<(), Loss> {
+        copies: &mut Copies,
+    ) {
+        match self.carry_to(to, from, frame, at) {
+            Err(why) => copies.note(Err(why)),
+            Ok((at, heard)) => {
+                let at = at + sent.later + heard.later;
+                for _ in 0..=u8::from(heard.comes_twice) {
+                    self.on_its_way(to, frame, at, [sent, heard], copies);
+                }
+            }
+        }
+    }
+
+    /// When it has left the medium for a station, and what that one's wire makes of it; or why it does not get there.
+    fn carry_to(
+        &mut self,
+        to: StationId,
+        from: StationId,
+        frame: &Kept,
+        at: True,
+    ) -> Result<(True, Fate), Loss> {
         if !self.cut_off.is_empty() && self.cut_off.contains(&to) != self.cut_off.contains(&from) {
             return Err(Loss::Cut);
         }
@@ -177,33 +204,40 @@ impl<D: Discipline> Network<D> {
         let len = bytes.len();
         let at = self.through_port(to, len, at).ok_or(Loss::QueueFull)?;
         self.count(heard);
-        let at = at + sent.later + heard.later;
-        let mut reached = Err(Loss::NoBuffer);
-        for _ in 0..=u8::from(heard.comes_twice) {
-            reached = self.on_its_way(to, frame, at, [sent, heard]).or(reached);
-        }
-        reached
+        Ok((at, heard))
     }
 
-    /// A frame is about to arrive at a station, with what has become of it on the way.
-    fn on_its_way(&mut self, to: StationId, frame: &Kept, at: True, fates: [Fate; 2]) -> Result<(), Loss> {
-        let is_changed = fates.iter().any(|fate| fate.corrupt.is_some());
-        let frame = if is_changed { self.frames.copy(frame) } else { self.frames.share(frame) };
+    /// A copy is about to arrive at a station, with what has become of it on the way.
+    fn on_its_way(&mut self, to: StationId, frame: &Kept, at: True, fates: [Fate; 2], copies: &mut Copies) {
+        let changed_from = fates.iter().filter_map(Fate::changed_from).min();
+        let frame = match changed_from {
+            Some(_) => self.frames.copy(frame),
+            None => self.frames.share(frame),
+        };
         fates.iter().for_each(|fate| fate.corrupt(self.frames.bytes_mut(&frame)));
-        if at <= self.now + SOON {
-            return self.arrive(to, frame, at);
+        if let Some(byte) = changed_from {
+            copies.note(Err(Loss::Changed(byte)));
         }
-        self.agenda.put(at, Action::Arrived(to, frame));
-        Ok(())
+        if at <= self.now + SOON {
+            let reached = self.arrive(to, frame, at);
+            if changed_from.is_none() {
+                copies.note(reached);
+            }
+            return;
+        }
+        // Of what it is now nobody is told, whatever becomes of it.
+        let number = changed_from.is_none().then(|| copies.note_later(&mut self.later));
+        self.agenda.put(at, Action::Arrived { to, frame, number });
     }
 
-    /// A frame that was long on its way is there.
-    pub(super) fn arrived(&mut self, to: StationId, frame: Kept) {
-        if self.members[to].is_there(self.now) {
-            let taken = self.frames.share(&frame);
-            if let Err(why) = self.arrive(to, taken, self.now) {
-                self.lose(to, &frame, why);
-            }
+    /// A copy that was long on its way is there.
+    pub(super) fn arrived(&mut self, to: StationId, frame: Kept, number: Option<usize>) {
+        let is_there = self.members[to].is_there(self.now);
+        let taken = is_there.then(|| self.frames.share(&frame));
+        let reached = taken.map(|frame| self.arrive(to, frame, self.now));
+        let is_lost = number.is_some_and(|number| self.later.end_of_one(number, reached == Some(Ok(()))));
+        if let (Some(Err(why)), true) = (reached, is_lost) {
+            self.lose(to, &frame, why);
         }
         self.frames.leave(frame);
     }

@@ -92,6 +92,21 @@ impl Bench {
         self.came.lock().unwrap().iter().map(|at| at.nanos() - BEGIN).collect()
     }
 
+    /// Notes what is lost from now on, whose and why.
+    fn mourn(&mut self) -> Arc<Mutex<Vec<(StationId, Loss)>>> {
+        let lost: Arc<Mutex<Vec<_>>> = Default::default();
+        let told = lost.clone();
+        self.network.mourn(move |to, bytes, why| {
+            assert_eq!(
+                Header::parse(bytes).unwrap().0.ether_type(),
+                EtherType::EXPERIMENTAL,
+                "as it was sent"
+            );
+            told.lock().unwrap().push((to, why));
+        });
+        lost
+    }
+
     /// When the station had one more, or several, after the begin.
     fn had(&mut self) -> Vec<(u64, usize)> {
         self.came();
@@ -135,13 +150,78 @@ fn a_slow_wire_takes_no_buffers_of_the_card_behind_it() {
 fn a_card_has_buffers_for_32_frames_that_nobody_takes_also_from_a_slow_wire() {
     let mut bench = Bench::new(Joint::Bridge);
     *bench.network.wire_mut(EAR).1 = slow(1_000 * US);
-    let lost = Arc::new(Mutex::new(Vec::new()));
-    let told = lost.clone();
-    bench.network.mourn(move |to, _, why| told.lock().unwrap().push((to, why)));
+    let lost = bench.mourn();
     bench.network.freeze(EAR, Span::from_millis(20));
     (0..40).for_each(|n| bench.send(0, n * 20 * US));
     assert_eq!((bench.came().len(), bench.network.dropped(EAR)), (32, 8));
     assert_eq!(*lost.lock().unwrap(), [(EAR, Loss::NoBuffer); 8]);
+}
+
+fn doubles() -> Link {
+    Link { duplicate_ppm: 1_000_000, ..Link::default() }
+}
+
+#[test]
+fn a_doubled_frame_is_not_lost_for_its_second_copy() {
+    let mut bench = Bench::new(Joint::Bridge);
+    *bench.network.wire_mut(EAR).1 = slow(1_000 * US);
+    *bench.network.wire_mut(1).0 = doubles();
+    let lost = bench.mourn();
+    bench.network.freeze(EAR, Span::from_millis(20));
+    (0..31).for_each(|n| bench.send(0, n * 20 * US));
+    bench.send(1, 700 * US);
+    assert_eq!(
+        (bench.came().len(), bench.network.dropped(EAR)),
+        (32, 1),
+        "there was room for one of the two"
+    );
+    assert_eq!(*lost.lock().unwrap(), []);
+}
+
+#[test]
+fn a_doubled_frame_is_not_lost_for_its_first_copy_if_the_second_comes() {
+    let mut bench = Bench::new(Joint::Switch { latency: Span::ZERO, queue: 8 });
+    *bench.network.wire_mut(EAR).1 = slow(1_000 * US);
+    *bench.network.wire_mut(1).0 = doubles();
+    let lost = bench.mourn();
+    let first = 700 * US + 2 * (AIR + PROPAGATION) + 1_000 * US;
+    bench.network.freeze(EAR, Span::from_nanos((first + AIR / 2) as i64));
+    (0..32).for_each(|n| bench.send(0, n * 20 * US));
+    bench.send(1, 700 * US);
+    assert_eq!(bench.came().last(), Some(&(first + AIR)));
+    assert_eq!((bench.came().len(), bench.network.dropped(EAR)), (33, 1));
+    assert_eq!(*lost.lock().unwrap(), []);
+}
+
+#[test]
+fn a_doubled_frame_of_which_no_copy_comes_is_lost_once() {
+    for wire in [slow(1_000 * US), Link::default()] {
+        let mut bench = Bench::new(Joint::Bridge);
+        *bench.network.wire_mut(EAR).1 = wire;
+        *bench.network.wire_mut(1).0 = doubles();
+        let lost = bench.mourn();
+        bench.network.freeze(EAR, Span::from_millis(20));
+        (0..32).for_each(|n| bench.send(0, n * 20 * US));
+        bench.send(1, 700 * US);
+        assert_eq!((bench.came().len(), bench.network.dropped(EAR)), (32, 2));
+        assert_eq!(*lost.lock().unwrap(), [(EAR, Loss::NoBuffer)]);
+    }
+}
+
+#[test]
+fn a_changed_frame_that_comes_is_told_of_with_what_was_sent_and_once() {
+    for by in [0, 1_000 * US] {
+        let mut bench = Bench::new(Joint::Bridge);
+        *bench.network.wire_mut(EAR).1 = Link { corrupt_ppm: 1_000_000, ..slow(by) };
+        *bench.network.wire_mut(1).0 = doubles();
+        let lost = bench.mourn();
+        (0..20).for_each(|n| bench.send(1, n * 20 * US));
+        bench.came();
+        let lost = lost.lock().unwrap();
+        let is_change =
+            |lost: &(StationId, Loss)| matches!(lost, (EAR, Loss::Changed(byte)) if *byte < MIN_FRAME);
+        assert!(lost.len() == 20 && lost.iter().all(is_change), "{lost:?}");
+    }
 }
 
 #[test]

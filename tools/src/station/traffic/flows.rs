@@ -57,8 +57,8 @@ pub(super) struct Flows {
     plan: FlowPlan,
     going: Vec<Going>,
     pool: Option<Pool>,
-    /// The numbers of the last frames that came, by priority.
-    heard: [Newest; Priority::LEVELS],
+    /// The numbers of the last frames that came of each flow of the sender's.
+    heard: Vec<Newest>,
 }
 
 #[derive(Clone, Copy)]
@@ -81,7 +81,8 @@ impl Flows {
     pub fn new(plan: FlowPlan, first: u64) -> Self {
         let going = vec![Going { sequence: first, next: None }; plan.flows.len()];
         let pool = (!going.is_empty()).then(|| Pool::new(POOL));
-        Self { plan, going, pool, heard: [Newest::default(); Priority::LEVELS] }
+        let heard = vec![Newest::default(); plan.from.len()];
+        Self { plan, going, pool, heard }
     }
 
     /// Queues all that are due. `write` makes a frame, and `refused` is told of those for which there was no room.
@@ -113,8 +114,9 @@ impl Flows {
 
     /// The numbers that came of a priority, if the sender has frames of that and of this size.
     pub fn heard(&mut self, priority: u8, payload: usize) -> Option<&mut Newest> {
-        let flow = self.plan.from.iter().find(|flow| flow.priority == priority)?;
-        self.heard.get_mut(usize::from(priority)).filter(|_| flow.payload == payload)
+        let mut flows = self.plan.from.iter().zip(&mut self.heard);
+        let (flow, heard) = flows.find(|(flow, _)| flow.priority == priority)?;
+        (flow.payload == payload).then_some(heard)
     }
 }
 

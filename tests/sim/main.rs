@@ -7,6 +7,7 @@ mod holdover;
 mod ideal_host;
 mod joint_slots;
 mod late_join;
+mod lost_on_purpose;
 mod master_dies;
 mod one_seed_identical_bytes;
 mod peer_backup;

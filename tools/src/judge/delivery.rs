@@ -20,12 +20,12 @@ pub struct Heard {
 }
 
 /// What is known of such frames at their receiver.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default)]
 pub struct Delivery {
     /// Those that came.
     pub heard: Heard,
-    /// How many were lost as the scenario says, or by a cut wire.
-    pub lost_on_purpose: u64,
+    /// Those that were lost as the scenario says, or by a cut wire.
+    pub meant: Meant,
 }
 
 impl Heard {
@@ -33,6 +33,40 @@ impl Heard {
     pub fn of(Arrived { received, missing, first }: Arrived, anew: bool) -> Self {
         let range = (received > 0).then(|| (first, first + received + missing - 1));
         Self { received, range, anew }
+    }
+}
+
+/// Frames that were lost on purpose on their way to a receiver.
+#[derive(Clone, Debug, Default)]
+pub struct Meant {
+    /// Their numbers: first and how many, in order.
+    runs: Vec<(u64, u64)>,
+    /// So many more, whichever they are.
+    others: u64,
+}
+
+impl Meant {
+    /// None is.
+    pub const NONE: Self = Self { runs: Vec::new(), others: 0 };
+    /// Whatever is lost is.
+    pub const ALL: Self = Self { runs: Vec::new(), others: u64::MAX };
+
+    /// One was lost.
+    pub fn note(&mut self, number: u64) {
+        let is_full = self.runs.len() == GAPS_MAX;
+        match self.runs.last_mut() {
+            Some((first, n)) if *first + *n == number => *n += 1,
+            _ if is_full => self.others = self.others.saturating_add(1),
+            // One that was longer on its way may be lost behind later ones.
+            _ => {
+                let place = self.runs.partition_point(|&(first, _)| first < number);
+                self.runs.insert(place, (number, 1));
+            }
+        }
+    }
+
+    fn between(&self, from: u64, to: u64) -> u64 {
+        self.others.saturating_add(self.runs.iter().map(|&run| common(run, from, to)).sum())
     }
 }
 
@@ -78,12 +112,22 @@ impl Passed {
 
     /// How many frames the receiver did not get: of those that count, and of all within what it heard.
     pub fn lost(&self, heard: &Heard) -> u64 {
-        let Some((from, to)) = self.counted else { return 0 };
+        self.judged(heard).map_or(0, |(from, to)| self.passed(from, to).saturating_sub(heard.received))
+    }
+
+    /// How many of them were meant to be lost.
+    pub fn meant(&self, heard: &Heard, meant: &Meant) -> u64 {
+        self.judged(heard).map_or(0, |(from, to)| meant.between(from, to)).min(self.lost(heard))
+    }
+
+    /// The first and the last number that the receiver should have got.
+    fn judged(&self, heard: &Heard) -> Option<(u64, u64)> {
+        let (from, to) = self.counted?;
         // One that has come anew and heard nothing yet cannot say since when it listens.
-        let Some((first, last)) = heard.range.or((!heard.anew).then_some((from, to))) else { return 0 };
+        let (first, last) = heard.range.or((!heard.anew).then_some((from, to)))?;
         // One that has come anew could not hear what passed before its first.
         let from = if heard.anew { first } else { first.min(from) };
-        self.passed(from, last.max(to)).saturating_sub(heard.received)
+        Some((from, last.max(to)))
     }
 
     /// A number that the sender has not come to yet, however much of it has not been seen yet.
@@ -95,12 +139,13 @@ impl Passed {
     fn passed(&self, from: u64, to: u64) -> u64 {
         let Some((first, last)) = self.range else { return 0 };
         let (from, to) = (from.max(first), to.min(last));
-        let missing = |&(begin, n): &(u64, u64)| {
-            let end = begin + n;
-            end.min(to + 1).saturating_sub(begin.max(from))
-        };
-        (to + 1).saturating_sub(from) - self.gaps.iter().map(missing).sum::<u64>()
+        (to + 1).saturating_sub(from) - self.gaps.iter().map(|&gap| common(gap, from, to)).sum::<u64>()
     }
+}
+
+/// How many of so many numbers from a first on are within these.
+fn common((first, n): (u64, u64), from: u64, to: u64) -> u64 {
+    (first + n).min(to + 1).saturating_sub(first.max(from))
 }
 
 #[cfg(test)]
@@ -151,6 +196,21 @@ mod tests {
         }
         let lost = |received, range| passed.lost(&Heard { received, range, anew: false });
         assert_eq!((lost(9, Some((0, 9))), lost(8, Some((0, 9))), lost(5, Some((3, 7)))), (0, 1, 3));
+    }
+
+    #[test]
+    fn only_what_the_receiver_should_have_got_was_meant_to_be_lost() {
+        let mut meant = Meant::default();
+        // All that passed before it came, and two later, of which the first was on its way for longer.
+        (0..50).chain([71, 70]).for_each(|number| meant.note(number));
+        let of = |received, anew, meant: &Meant| {
+            let heard = Heard { received, range: Some((50, 79)), anew };
+            (passed().lost(&heard), passed().meant(&heard, meant))
+        };
+        assert_eq!(of(26, true, &meant), (3, 2), "of 29, three; what was before was not for it");
+        assert_eq!(of(29, true, &meant), (0, 0), "nothing is lost that came");
+        assert_eq!(of(27, false, &meant), (30, 30), "28 of those that count were before its first");
+        assert_eq!(of(26, true, &Meant::ALL), (3, 3));
     }
 
     #[test]

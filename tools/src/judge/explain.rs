@@ -2,14 +2,16 @@
 //! did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
 //! station missed that was not there is explained by its absence only if it could not tell of it later.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most};
 use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
+use rtnet::wire::ethernet::Address;
 
 use super::absences::{Absence, Absences};
 use super::findings::{Author, Finding, FindingKind};
+use super::syncs::{Syncs, sync_of};
 use super::timetable::before;
 use crate::report::figures::Role;
 use crate::scenario::Scenario;
@@ -39,8 +41,10 @@ pub struct Records {
     lines: Vec<(usize, u32, bool)>,
     /// When backups told that they give the time, or do so no more.
     reigns: Vec<(usize, u32, bool)>,
-    /// Synchronisations that were lost on their way to a station, where somebody knows that: cycle and station.
-    lost_syncs: BTreeSet<(u32, usize)>,
+    /// Synchronisations, as far as somebody knows which were lost on their way to a station.
+    syncs: Syncs,
+    /// Whose address is which, by station.
+    addresses: Vec<Address>,
     /// From one cycle's start to the next.
     cycle: Span,
     /// How long after its instant a frame that is not held up is sent, and another behind it.
@@ -73,7 +77,8 @@ impl Records {
         let in_time = scenario.sync_window + scenario.latest();
         let all = scenario.stations.iter().enumerate();
         let backups = all.filter(|(_, plan)| plan.role == Role::Backup).map(|(station, _)| station).collect();
-        Self { cycle: scenario.cycle, in_time, backups, ..Self::default() }
+        let addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
+        Self { cycle: scenario.cycle, in_time, backups, addresses, ..Self::default() }
     }
 
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
@@ -88,16 +93,23 @@ impl Records {
         *longest = (*longest).max((span, cause));
     }
 
-    /// The Synchronisation of a cycle was lost on its way to a station.
-    pub fn note_sync_lost(&mut self, station: usize, cycle: u32) {
-        self.lost_syncs.insert((cycle, station));
+    /// A frame was on the medium: it may be a Synchronisation.
+    pub fn note_frame(&mut self, frame: &[u8]) {
+        if let Some((from, cycle)) = sync_of(frame) {
+            self.syncs.note(from, cycle);
+        }
+    }
+
+    /// A Synchronisation was lost on its way to a station, or since the medium was cut between it and its sender.
+    pub fn note_sync_lost(&mut self, station: usize, (from, cycle): (Address, u32), is_cut: bool) {
+        self.syncs.note_lost(station, from, cycle, is_cut);
     }
 
     /// Forgets what is older than this cycle.
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
         self.absences.forget_before(cycle);
-        self.lost_syncs.retain(|&(of, _)| !before(of, cycle));
+        self.syncs.forget_before(cycle);
         keep_newest(&mut self.lines, cycle);
         keep_newest(&mut self.reigns, cycle);
     }
@@ -117,14 +129,14 @@ impl Records {
         match finding.kind {
             FindingKind::OutOfSlot => authors.find_map(|author| {
                 self.held_up(author, finding.span)
-                    .or_else(|| self.masters(author).find_map(|master| self.held_up(master, finding.span)))
+                    .or_else(|| self.moved_by(author).find_map(|master| self.held_up(master, finding.span)))
                     .or_else(|| self.last_words(author))
             }),
             FindingKind::Overlap => authors
                 .find_map(|author| {
                     self.told(author, EventKind::StalledInSend)
                         .or_else(|| {
-                            self.masters(author)
+                            self.moved_by(author)
                                 .find_map(|master| self.told(master, EventKind::StalledInSend))
                         })
                         .or_else(|| self.last_words(author))
@@ -216,11 +228,21 @@ impl Records {
         station != MASTER && given_up.chain(absent).any(|since| !followed(since))
     }
 
-    /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it.
+    /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it. What one master
+    /// did not send is no reason where another's came.
     fn without_sync(&self, author: Author) -> bool {
-        self.lost_syncs.contains(&(author.cycle, author.station))
-            || self.masters(author).any(|master| self.told_of(master, &NO_SYNC_BY).is_some())
+        let Author { station, cycle, .. } = author;
+        let not_sent = || self.masters(author).any(|master| self.told_of(master, &NO_SYNC_BY).is_some());
+        self.syncs.is_without(station, cycle)
+            || !self.syncs.had(station, cycle) && (not_sent() || self.follows_who_is_away(station, cycle))
             || self.told_of(of_cycle(author), &[EventKind::SyncLate, EventKind::TimeStep]).is_some()
+    }
+
+    /// Whether the one whose Synchronisations a station had is not there.
+    fn follows_who_is_away(&self, station: usize, cycle: u32) -> bool {
+        let of = self.syncs.follows(station, cycle);
+        let of = of.and_then(|of| self.addresses.iter().position(|address| *address == of));
+        of.is_some_and(|of| self.absences.of(of, cycle).is_some())
     }
 
     /// Whether the author told of a time step in this cycle that is not bridged, as one is that was held up.
@@ -244,6 +266,14 @@ impl Records {
             station,
             slot: None,
             ..author
+        })
+    }
+
+    /// The same, but those whose Synchronisation of the cycle did not get to it: they moved nothing there.
+    fn moved_by(&self, author: Author) -> impl Iterator<Item = Author> {
+        self.masters(author).filter(move |master| {
+            let from = self.addresses.get(master.station);
+            !from.is_some_and(|&from| self.syncs.is_lost(author.station, from, author.cycle))
         })
     }
 

@@ -16,5 +16,6 @@ pub mod masters;
 pub mod noteworthy;
 pub mod outcome;
 mod sight;
+pub mod syncs;
 pub mod timetable;
 pub mod worst;

@@ -277,8 +277,9 @@ struct Lost {
 fn lost(scenario: &Scenario, parts: &Parts, station: usize) -> impl Iterator<Item = Lost> {
     let sender = &parts.analysis.stations[scenario.sender(station)];
     parts.stations[station].deliveries.iter().filter_map(|(&of, delivery)| {
-        let frames = sender.passed(of)?.lost(&delivery.heard);
-        Some(Lost { of, frames, on_purpose: frames.min(delivery.lost_on_purpose) })
+        let passed = sender.passed(of)?;
+        let Delivery { heard, meant } = delivery;
+        Some(Lost { of, frames: passed.lost(heard), on_purpose: passed.meant(heard, meant) })
     })
 }
 

@@ -147,6 +147,8 @@ impl Lab {
                 scenario.conditions.wires_of(&wire.stations).for_each(|wire| self.wires.set(&wire));
             }
             Happening::Cut(stations, _) => {
+                // What was lost by now was lost as it was until now.
+                self.take_lost();
                 self.analysis.masters.is_cut = begins && self.wires.are_there();
                 self.wires.cut_off(if begins { stations } else { &[] });
             }

@@ -311,12 +311,12 @@ impl Keeper {
         // How much a receiver has heard is known only once it has told of its end.
         let sender = self.scenario.sender(station);
         let lost_of = |of| {
-            let passed = self.lab.analysis.stations[sender].passed(of);
-            let lost = passed.map_or(0, |passed| passed.lost(&member.heard(of)));
-            lost.saturating_sub(self.lab.wires.lost(station, of))
+            let passed = self.lab.analysis.stations[sender].passed(of)?;
+            let (heard, meant) = (member.heard(of), self.lab.wires.meant(station, of));
+            Some(passed.lost(&heard) - passed.meant(&heard, meant))
         };
         let has_told = member.silent && !member.ended;
-        let lost = self.scenario.streams(sender).filter(|_| has_told).map(lost_of).sum();
+        let lost = self.scenario.streams(sender).filter(|_| has_told).filter_map(lost_of).sum();
         MemberStatus {
             name: plan.name.clone(),
             role: plan.role.to_string(),

@@ -12,7 +12,7 @@ use rtnet::time::{GlobalTime, Span};
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
 use super::wires::Wires;
-use crate::judge::delivery::{Delivery, Heard};
+use crate::judge::delivery::{Delivery, Heard, Meant};
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::givers::TrueMaster;
@@ -243,8 +243,8 @@ impl Member {
         station: usize,
     ) -> BTreeMap<Option<u8>, Delivery> {
         let delivery = |of| {
-            let lost_on_purpose = if self.cuts > 0 { u64::MAX } else { wires.lost(station, of) };
-            (of, Delivery { heard: self.heard(of), lost_on_purpose })
+            let meant = if self.cuts > 0 { Meant::ALL } else { wires.meant(station, of).clone() };
+            (of, Delivery { heard: self.heard(of), meant })
         };
         let can_tell = !self.ended && !self.is_meant_to_end;
         scenario.streams(scenario.sender(station)).filter(|_| can_tell).map(delivery).collect()

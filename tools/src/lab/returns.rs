@@ -125,7 +125,6 @@ impl Lab {
         let first = self.analysis.stations[station].beyond();
         let resume = Resume { grid: self.analysis.grid(), first, clock: self.members[station].clock };
         self.analysis.begins_anew(station);
-        self.wires.begins_anew(station);
         let arguments = arguments(scenario, station, &self.launch, &resume)?;
         let member = &self.members[station];
         // Somebody may have taken its interface away, or renamed it.

@@ -335,12 +335,13 @@ impl Lab {
             self.analysis.lose_sight();
         }
         let trusted = self.distrusted_until.is_none_or(|until| Instant::now() > until);
-        let Self { ring, wall, analysis, capture, distrusted, .. } = self;
+        let Self { ring, wall, analysis, records, capture, distrusted, .. } = self;
         let mut written = Ok(());
         ring.drain(|frame| {
             if let (Some(file), true) = (capture.as_mut(), written.is_ok()) {
                 written = file.frame(frame.realtime_ns, frame.bytes, None);
             }
+            records.note_frame(frame.bytes);
             if trusted {
                 analysis.frame(wall.truth(frame.realtime_ns), frame.bytes);
             } else {
@@ -356,9 +357,14 @@ impl Lab {
             }
             self.members[station].take(station, report, &mut self.records, self.analysis.truth());
         }
-        let Self { wires, records, .. } = self;
-        wires.take_lost(|station, cycle| records.note_sync_lost(station, cycle));
+        self.take_lost();
         self.note_returns();
+    }
+
+    /// Takes what the wires have lost.
+    pub(super) fn take_lost(&mut self) {
+        let Self { wires, records, .. } = self;
+        wires.take_lost(|station, sync, is_cut| records.note_sync_lost(station, sync, is_cut));
     }
 
     /// A capture that cannot be written ends there: the lab does not. Nobody takes it for whole.

@@ -3,12 +3,14 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Result, anyhow};
-use rtmac::wire::{self, Message, Rtmac};
 use rtnet::live::{Chances, Impaired, Impairment};
 use rtnet::sim::{Latency, Link};
+use rtnet::wire::ethernet::Address;
 
 use super::namespace::Segment;
 use super::run::port_name;
+use crate::judge::delivery::Meant;
+use crate::judge::syncs::sync_of;
 use crate::scenario::{Conditions, Direction, Happening, Scenario, Wire};
 use crate::station::traffic::Tag;
 
@@ -16,9 +18,12 @@ use crate::station::traffic::Tag;
 #[derive(Default)]
 pub struct Wires {
     all: Vec<Impairment>,
-    /// Test traffic that was lost on the way to each station since its process began: usual frames, and by priority what
-    /// programs queue.
-    lost: Vec<BTreeMap<Option<u8>, u64>>,
+    /// Test traffic that was lost on the way to each station: usual frames, and by priority what programs queue.
+    meant: Vec<BTreeMap<Option<u8>, Meant>>,
+    /// Whose address is which, by station.
+    addresses: Vec<Address>,
+    /// Who is on the other side of a cut.
+    cut_off: Vec<usize>,
 }
 
 impl Wires {
@@ -34,7 +39,8 @@ impl Wires {
                 Err(line) => return Ok((Self::default(), Some(line))),
             }
         }
-        wires.lost = vec![BTreeMap::new(); scenario.stations.len()];
+        wires.meant = vec![BTreeMap::new(); scenario.stations.len()];
+        wires.addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
         scenario.conditions.wires.iter().for_each(|wire| wires.set(wire));
         Ok((wires, None))
     }
@@ -60,7 +66,8 @@ impl Wires {
     }
 
     /// These stations hear each other only, and the others each other; none: all do.
-    pub fn cut_off(&self, stations: &[usize]) {
+    pub fn cut_off(&mut self, stations: &[usize]) {
+        self.cut_off = stations.to_vec();
         for (station, wire) in self.all.iter().enumerate() {
             wire.cut_off(stations.contains(&station));
         }
@@ -76,28 +83,24 @@ impl Wires {
         !self.all.is_empty()
     }
 
-    /// How many usual frames of test traffic, or of a priority, did not get to a station since its process began: a judge
-    /// counts no others.
-    pub fn lost(&self, station: usize, of: Option<u8>) -> u64 {
-        self.lost.get(station).and_then(|lost| lost.get(&of).copied()).unwrap_or_default()
+    /// Which usual frames of test traffic, or of a priority, did not get to a station.
+    pub fn meant(&self, station: usize, of: Option<u8>) -> &Meant {
+        static NONE: Meant = Meant::NONE;
+        self.meant.get(station).and_then(|meant| meant.get(&of)).unwrap_or(&NONE)
     }
 
-    /// A station's process begins anew, and has heard nothing.
-    pub fn begins_anew(&mut self, station: usize) {
-        if let Some(lost) = self.lost.get_mut(station) {
-            lost.clear();
-        }
-    }
-
-    /// Takes down what was lost since the last time; hands over which Synchronisations stations did not get: the station
-    /// and the cycle.
-    pub fn take_lost(&mut self, mut to: impl FnMut(usize, u32)) {
-        for (station, (wire, lost)) in self.all.iter_mut().zip(&mut self.lost).enumerate() {
+    /// Takes down what was lost since the last time; hands over which Synchronisations stations did not get: the station,
+    /// whose and of which cycle, and whether the medium is cut between the two.
+    pub fn take_lost(&mut self, mut to: impl FnMut(usize, (Address, u32), bool)) {
+        let Self { all, meant, addresses, cut_off } = self;
+        let is_cut_off = |of: Option<usize>| of.is_some_and(|of| cut_off.contains(&of));
+        for (station, (wire, meant)) in all.iter_mut().zip(meant).enumerate() {
             wire.take_lost(|frame| {
                 if let Some((tag, _)) = Tag::read(&frame) {
-                    *lost.entry(tag.priority()).or_default() += 1;
-                } else if let Ok(Rtmac::Tdma(Message::Sync { cycle, .. })) = wire::parse(&frame) {
-                    to(station, cycle);
+                    meant.entry(tag.priority()).or_default().note(tag.sequence());
+                } else if let Some(sync @ (from, _)) = sync_of(&frame) {
+                    let sender = addresses.iter().position(|address| *address == from);
+                    to(station, sync, is_cut_off(sender) != is_cut_off(Some(station)));
                 }
             });
         }

@@ -286,7 +286,6 @@ impl<'a> Run<'a> {
         watch.records.absences.begin(id, Absence::Down, now);
         watch.records.absences.end(id, Absence::Stopped, now);
         watch.analysis.begins_anew(id);
-        watch.lost_on_purpose[id].clear();
         watch.analysis.await_again(id, now.wrapping_add(1));
         drop(watch);
         (self.present[id], self.anew[id]) = (true, true);
@@ -393,8 +392,8 @@ impl<'a> Run<'a> {
         let watch = self.watch.borrow();
         let delivery = |of| {
             let heard = Heard::of(counts.arrived(of), self.anew[id]);
-            let lost_on_purpose = watch.lost_on_purpose[id].get(&of).copied().unwrap_or_default();
-            (of, Delivery { heard, lost_on_purpose })
+            let meant = watch.meant[id].get(&of).cloned().unwrap_or_default();
+            (of, Delivery { heard, meant })
         };
         // What a process that was ended would have heard since, nobody knows.
         let streams = self.scenario.streams(self.scenario.sender(id)).filter(|_| self.present[id]);

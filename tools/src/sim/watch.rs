@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use rtmac::tdma::Tdma;
+use rtmac::wire::Message;
 use rtnet::clock::True;
 use rtnet::discipline::{Cause, Discipline, SyncState};
 use rtnet::sim::{Aired, Loss, Member, Moment, StationId};
@@ -11,10 +12,11 @@ use super::places::Seen;
 use super::sight::sight;
 use super::world::{EPOCH, UPTIME};
 use crate::judge::analysis::Analysis;
+use crate::judge::delivery::Meant;
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::noteworthy::Noteworthy;
-use crate::observe::decode::{What, decode};
+use crate::observe::decode::{Decoded, What, decode};
 use crate::report::capture::CaptureFile;
 use crate::report::histogram::SignedHistogram;
 
@@ -28,8 +30,8 @@ pub struct Watch {
     pub sync_error: Vec<SignedHistogram>,
     /// What a reader of the report should know, by station.
     pub noteworthy: Vec<Noteworthy>,
-    /// Deliveries of test traffic that were lost on purpose, by receiver: of usual frames, and of each priority.
-    pub lost_on_purpose: Vec<BTreeMap<Option<u8>, u64>>,
+    /// Test traffic that was lost on purpose, by receiver: usual frames, and of each priority.
+    pub meant: Vec<BTreeMap<Option<u8>, Meant>>,
     /// Where to write every frame, and why that failed.
     pub capture: Option<CaptureFile>,
     /// See `capture`.
@@ -58,7 +60,7 @@ impl Watch {
             records,
             sync_error: names.iter().map(|_| SignedHistogram::new()).collect(),
             noteworthy: vec![Noteworthy::default(); names.len()],
-            lost_on_purpose: vec![BTreeMap::new(); names.len()],
+            meant: vec![BTreeMap::new(); names.len()],
             capture: None,
             capture_failed: None,
             around: None,
@@ -80,6 +82,7 @@ impl Watch {
             (self.capture, self.capture_failed) = (None, Some(error));
         }
         self.analysis.frame(aired.at, aired.bytes);
+        self.records.note_frame(aired.bytes);
         self.note_gap(aired);
         self.note_around(aired);
     }
@@ -123,15 +126,17 @@ impl Watch {
 
     /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
     pub fn lost(&mut self, to: StationId, frame: &[u8], why: Loss) {
-        let what = decode(frame, frame.len()).what;
+        let Decoded { what, source, .. } = decode(frame, frame.len());
         if let (true, Some(cycle)) = (self.counting, self.analysis.current()) {
             self.seen.note_lost(to, why, matches!(what, What::Data(_)), cycle);
         }
         match what {
             What::Data(tag) if why.is_on_purpose() => {
-                *self.lost_on_purpose[to].entry(tag.priority()).or_default() += 1;
+                self.meant[to].entry(tag.priority()).or_default().note(tag.sequence());
             }
-            What::Tdma(rtmac::wire::Message::Sync { cycle, .. }) => self.records.note_sync_lost(to, cycle),
+            What::Tdma(Message::Sync { cycle, .. }) if !is_intact(frame, what, why) => {
+                self.records.note_sync_lost(to, (source, cycle), why == Loss::Cut);
+            }
             _ => {}
         }
     }
@@ -150,6 +155,11 @@ impl Watch {
         let overlaps = if aired.overlaps { "  overlaps" } else { "" };
         self.lines.push(format!("cycle {cycle} {place:>13}  {who}: {what}{overlaps}"));
     }
+}
+
+/// Whether what has become of a Synchronisation is nothing to it: only what fills the frame was changed.
+fn is_intact(frame: &[u8], what: What, why: Loss) -> bool {
+    matches!(why, Loss::Changed(from) if decode(&frame[..from], frame.len()).what == what)
 }
 
 /// As a live station's loop tells it: it had woken after the last moment already, or only got to it later.

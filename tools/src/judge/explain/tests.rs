@@ -1,4 +1,11 @@
+use rtmac::wire::Message;
+use rtnet::buf::{Buf, Pool};
+use rtnet::time::GlobalTime;
+
 use super::*;
+
+const PRIMARY: Address = Address([2, 0, 0, 0, 0, 1]);
+const BACKUP: Address = Address([2, 0, 0, 0, 0, 2]);
 
 /// In the station's slot 0; the master's Synchronisation.
 fn author(cycle: u32, station: usize) -> Author {
@@ -216,11 +223,93 @@ fn syncs_that_were_lost_on_the_way_explain_who_was_silent_for_two_of_them_and_ar
         records.note(author(cycle, 2), EventKind::SlotSilent, Span::ZERO, None);
     }
     let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
-    records.note_sync_lost(2, 7);
+    records.note_sync_lost(2, (PRIMARY, 7), false);
     assert_eq!(why(&records, 7), None, "one is bridged");
-    records.note_sync_lost(2, 8);
-    records.note_sync_lost(3, 6);
+    records.note_sync_lost(2, (PRIMARY, 8), false);
+    records.note_sync_lost(3, (PRIMARY, 6), false);
     assert_eq!((why(&records, 7), why(&records, 8)), (None, Some("slot_silent")), "its own, not another's");
-    records.forget_before(8);
-    assert_eq!(records.lost_syncs.len(), 1);
+    records.forget_before(9);
+    records.note(author(8, 2), EventKind::SlotSilent, Span::ZERO, None);
+    assert_eq!(why(&records, 8), None);
+}
+
+/// Of a primary, a backup, and two slaves that follow them.
+fn with_a_backup() -> Records {
+    Records { backups: vec![1], addresses: vec![PRIMARY, BACKUP], ..Records::default() }
+}
+
+fn sync(from: Address, cycle: u32) -> Buf {
+    let mut frame = Pool::new(1).take().unwrap();
+    let at = GlobalTime::from_nanos(0);
+    Message::Sync { cycle, xmit: at, sched: at }.write(Address::BROADCAST, from, &mut frame);
+    frame
+}
+
+#[test]
+fn nobody_is_excused_by_syncs_of_the_other_part_of_a_network_that_is_cut() {
+    let mut records = with_a_backup();
+    for cycle in 1..10 {
+        records.note_frame(&sync(PRIMARY, cycle));
+    }
+    // From 5 on the stations 1 and 2 are cut off, where the backup gives the time from 6 on.
+    for cycle in 5..10 {
+        records.note_sync_lost(2, (PRIMARY, cycle), true);
+    }
+    for cycle in [6, 7] {
+        records.note_frame(&sync(BACKUP, cycle));
+    }
+    for cycle in 5..10 {
+        records.note(author(cycle, 2), EventKind::SlotSilent, Span::ZERO, None);
+    }
+    let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
+    assert_eq!([7, 8, 9].map(|cycle| why(&records, cycle)), [None; 3], "it does not follow the primary");
+    records.note_sync_lost(2, (BACKUP, 6), false);
+    assert_eq!(why(&records, 6), Some("slot_silent"), "it had neither's, of 5 and of 6");
+    records.note_frame(&sync(BACKUP, 8));
+    records.note_frame(&sync(BACKUP, 9));
+    [8, 9].iter().for_each(|&cycle| records.note_sync_lost(2, (BACKUP, cycle), false));
+    assert_eq!(why(&records, 9), Some("slot_silent"), "its own master's were lost");
+}
+
+#[test]
+fn nobody_is_excused_by_what_one_master_did_not_send_where_anothers_sync_came() {
+    let mut records = with_a_backup();
+    for cycle in [7, 8] {
+        records.note(author(cycle, 2), EventKind::SlotSilent, Span::ZERO, None);
+        records.note(told_of(cycle, 1), EventKind::SyncSkipped, Span::ZERO, None);
+    }
+    let why = |records: &Records| records.explain(&finding(8, FindingKind::SlotMissed, 2));
+    assert_eq!(why(&records), Some("slot_silent"), "nobody sent any");
+    records.note_frame(&sync(PRIMARY, 8));
+    assert_eq!(why(&records), None, "the primary did, and the backup need not");
+    records.note_sync_lost(2, (PRIMARY, 8), false);
+    assert_eq!(why(&records), Some("slot_silent"));
+}
+
+#[test]
+fn a_sync_that_did_not_get_to_a_station_did_not_move_it() {
+    let mut records = with_a_backup();
+    records.note(told_of(9, 0), EventKind::StalledInSend, Span::from_nanos(5), None);
+    let out_of_slot = Finding { span: Span::from_nanos(5), ..finding(9, FindingKind::OutOfSlot, 2) };
+    assert!(records.explain(&out_of_slot).is_some());
+    records.note_sync_lost(2, (PRIMARY, 9), true);
+    assert!(records.explain(&out_of_slot).is_none());
+    assert!(records.explain(&finding(9, FindingKind::Overlap, 2)).is_none());
+    assert!(records.explain(&finding(9, FindingKind::Overlap, 3)).is_some(), "it got to another");
+}
+
+#[test]
+fn who_follows_one_that_is_not_there_is_silent_for_that_until_another_gives_the_time() {
+    let mut records = with_a_backup();
+    (1..5).for_each(|cycle| records.note_frame(&sync(PRIMARY, cycle)));
+    for cycle in 5..9 {
+        records.note(author(cycle, 2), EventKind::SlotSilent, Span::ZERO, None);
+    }
+    let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
+    assert_eq!(why(&records, 6), None);
+    records.absences.begin(0, Absence::Down, 5);
+    assert_eq!([5, 6].map(|cycle| why(&records, cycle)), [None, Some("slot_silent")], "one is bridged");
+    records.note_frame(&sync(BACKUP, 7));
+    records.note_frame(&sync(BACKUP, 8));
+    assert_eq!([7, 8].map(|cycle| why(&records, cycle)), [None; 2], "it could follow the backup");
 }

@@ -226,9 +226,11 @@ impl Keeper {
     fn state(&self, station: usize) -> String {
         let member = &self.lab.members[station];
         let is_stopped = || member.process.as_ref().is_some_and(Process::is_stopped);
+        let is_ending = || member.process.as_ref().is_some_and(Process::is_ending);
         match member {
             _ if self.restarting[station].is_some() => "restarting".into(),
             Member { ended: true, .. } => "ended".into(),
+            _ if is_ending() => "ended".into(),
             _ if is_stopped() => "stopped".into(),
             _ if self.lab.analysis.timetable.has_left(station) => "detached".into(),
             Member { standing: Some(Standing { link, state, .. }), .. } if link != "up" => {

@@ -84,8 +84,22 @@ impl Process {
 
     /// Whether somebody has stopped it (SIGSTOP).
     pub fn is_stopped(&self) -> bool {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid())).unwrap_or_default();
-        stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('T'))
+        self.stat().is_some_and(|stat| stat.starts_with('T'))
+    }
+
+    /// Whether it is ending, or has: the kernel takes 50 to 100 ms to close what a station had open, and only then tells.
+    pub fn is_ending(&self) -> bool {
+        const EXITING: u32 = 4;
+        let flags = |stat: String| stat.split_whitespace().nth(6)?.parse::<u32>().ok();
+        self.stat()
+            .is_none_or(|stat| stat.starts_with(['Z', 'X']) || flags(stat).is_none_or(|of| of & EXITING != 0))
+    }
+
+    /// What /proc tells of it, from its state on.
+    fn stat(&self) -> Option<String> {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid())).ok()?;
+        // The name in parentheses may hold anything.
+        stat.rsplit_once(") ").map(|(_, state)| state.to_owned())
     }
 
     /// Ends it at once. Fails only if it has ended.
@@ -128,9 +142,8 @@ impl Process {
     }
 
     fn cpu_seconds(&self) -> Option<f64> {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.pid())).ok()?;
-        // The name in parentheses may hold anything; what follows is state and numbers.
-        let numbers: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+        let stat = self.stat()?;
+        let numbers: Vec<&str> = stat.split_whitespace().collect();
         let ticks = numbers.get(11)?.parse::<f64>().ok()? + numbers.get(12)?.parse::<f64>().ok()?;
         let per_second = nix::unistd::sysconf(nix::unistd::SysconfVar::CLK_TCK).ok()??;
         Some(ticks / per_second as f64)

@@ -1,11 +1,13 @@
 //! The control thread's desk: what the real-time thread left is collected here, and requests are answered.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
+use nix::sys::eventfd::EventFd;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, MasterConfig, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig, SlotStatus,
     TdmaCommand, TdmaStatus,
@@ -106,9 +108,19 @@ impl Desk {
         (self.host, self.guard) = (refused.to_vec(), is_guarded.into());
     }
 
-    /// Looks at the interface: what has become of it since the last time.
+    /// Has a thread look at the interface so often, and write to `waker` when something has become of it.
+    pub fn watch_wire(&mut self, every: Duration, waker: Arc<EventFd>) -> io::Result<()> {
+        self.wire.look_every(every, waker)
+    }
+
+    /// What has become of the interface since the last time.
     pub fn look_at_wire(&mut self) -> Vec<Change> {
         self.wire.look()
+    }
+
+    /// Whether something has, since this was last asked.
+    pub fn has_news_of_wire(&self) -> bool {
+        self.wire.has_news()
     }
 
     /// Whether frames could pass at the last look.

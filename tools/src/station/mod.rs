@@ -44,7 +44,7 @@ use wire::Wire;
 const SYNC_LATEST_PARTS: (i64, i64) = (3, 4);
 /// Stack of the real-time thread: locked in memory, so no larger than needed.
 const STACK: usize = 256 * 1024;
-/// How often the control thread looks at what the real-time thread left, and at the interface.
+/// How often the control thread looks at what the real-time thread left, and another at the interface.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// How often to look whether the loop has taken what it was ordered before.
 const LOOK_AT_ORDER_EVERY: Duration = Duration::from_millis(1);
@@ -119,6 +119,8 @@ pub struct Ready {
     teller: Teller,
     desk: Desk,
     reach: Reach,
+    /// Wakes the control thread.
+    changed: Arc<EventFd>,
 }
 
 /// Where a station can be looked at and changed.
@@ -146,8 +148,11 @@ pub fn set_up(options: Options) -> Result<Ready> {
     if let Some(server) = &mut reach.server {
         server.wake_by(changed.clone());
     }
-    let config =
-        DriverConfig { stop: stop.clone(), sample_time: options.lab.is_some(), changed: Some(changed) };
+    let config = DriverConfig {
+        stop: stop.clone(),
+        sample_time: options.lab.is_some(),
+        changed: Some(changed.clone()),
+    };
     let driver = driver(&options, &interface, port, config, counts.clone())?;
     let in_lab = options.lab.is_some();
     let is_master = options.access.is_master();
@@ -169,6 +174,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         teller,
         desk,
         reach,
+        changed,
     })
 }
 
@@ -187,6 +193,7 @@ impl Ready {
         // What this thread may still do is what those that it starts may do. The other one may have said the same.
         refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
         stop_when_told(&self.stop, clocks)?;
+        self.desk.watch_wire(LOOK_EVERY, self.changed)?;
         self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;
         let mut told = Instant::now();
@@ -197,7 +204,8 @@ impl Ready {
                 None => std::thread::sleep(LOOK_EVERY),
             }
             // However many ask, a lab is told at its own pace, but of another state at once.
-            if told.elapsed() < LOOK_EVERY && !ended && !self.desk.has_another_state() {
+            let is_other = self.desk.has_another_state() || self.desk.has_news_of_wire();
+            if told.elapsed() < LOOK_EVERY && !ended && !is_other {
                 continue;
             }
             told = Instant::now();

@@ -1,5 +1,6 @@
-//! What becomes of the interface that a station runs on. The control thread looks: the kernel tells those who
-//! send and receive there little or nothing.
+//! What becomes of the interface that a station runs on. A thread looks: the kernel tells those who send and receive
+//! there little or nothing. It is a thread of its own, as the kernel keeps who looks waiting, for 20 ms while another
+//! station's process dies, and the control thread has to answer meanwhile.
 //!
 //! ```text
 //!          cut            set down
@@ -11,8 +12,13 @@
 //! In all states but the last the station goes on, and needs no restart: its sockets are bound to the interface's
 //! number, whatever its name, and work again as soon as it does.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::time::Duration;
 use std::{fmt, io};
 
+use nix::sys::eventfd::EventFd;
 use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
 use rtnet::live::interface::{Interface, Link, Watch};
@@ -68,9 +74,20 @@ pub enum Change {
     },
 }
 
+/// Looks that wait for the control thread; of more the state shows at the next one.
+const LOOKS: usize = 16;
+/// A thread that looks has little to remember.
+const STACK: usize = 128 * 1024;
+
 /// An interface that is looked at from time to time.
 pub struct Wire {
-    watch: Watch,
+    /// Until somebody looks.
+    watch: Option<Watch>,
+    looks: Receiver<(True, Option<Link>)>,
+    /// Where who looks leaves it.
+    to: SyncSender<(True, Option<Link>)>,
+    /// Whether the last look showed something else than the one before it.
+    news: Arc<AtomicBool>,
     seen: Seen,
 }
 
@@ -92,15 +109,50 @@ impl Wire {
     pub fn open(interface: &Interface) -> io::Result<Self> {
         let link = Link { name: interface.name.clone(), up: true, carrier: true };
         let before = Look { at: monotonic(), link };
-        Ok(Self { watch: Watch::open(interface)?, seen: Seen { before, carrier_lost: 0, renamed: 0 } })
+        let (to, looks) = sync_channel(LOOKS);
+        let seen = Seen { before, carrier_lost: 0, renamed: 0 };
+        Ok(Self { watch: Some(Watch::open(interface)?), looks, to, news: Arc::default(), seen })
     }
 
-    /// What has changed since the last look.
+    /// Has a thread look so often, as long as the process runs; `waker` is written to when it sees something else.
+    pub fn look_every(&mut self, every: Duration, waker: Arc<EventFd>) -> io::Result<()> {
+        let Some(watch) = self.watch.take() else { return Ok(()) };
+        let (to, news) = (self.to.clone(), self.news.clone());
+        let thread = std::thread::Builder::new().name("wire".into()).stack_size(STACK);
+        thread.spawn(move || {
+            let mut before = None;
+            loop {
+                // What changes after this is seen at the next look, so that `before` never lies behind a change.
+                let at = monotonic();
+                // Where the kernel does not tell now, the next look does.
+                if let Ok(link) = watch.look() {
+                    let (is_news, is_gone) = (before.as_ref() != Some(&link), link.is_none());
+                    before = Some(link.clone());
+                    let sent = if is_gone { to.send((at, link)).is_ok() } else { offer(&to, (at, link)) };
+                    if is_news {
+                        news.store(true, Ordering::Release);
+                        // It does not block: one that was not read is readable already.
+                        let _ = waker.write(1);
+                    }
+                    if is_gone || !sent {
+                        return;
+                    }
+                }
+                std::thread::sleep(every);
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Whether a look showed something else since somebody last asked.
+    pub fn has_news(&self) -> bool {
+        self.news.swap(false, Ordering::Acquire)
+    }
+
+    /// What the looks have shown that were made since the last time.
     pub fn look(&mut self) -> Vec<Change> {
-        // What changes after this is seen at the next look, so that `before` never lies behind a change.
-        let at = monotonic();
-        // Where the kernel does not tell now, the next look does.
-        self.watch.look().map_or_else(|_| Vec::new(), |link| self.seen.take(at, link))
+        let Self { looks, seen, .. } = self;
+        looks.try_iter().flat_map(|(at, link)| seen.take(at, link)).collect()
     }
 
     /// The interface's name by the last look.
@@ -117,6 +169,11 @@ impl Wire {
     pub fn counters(&self) -> [(&'static str, u64); 2] {
         [("carrier_lost", self.seen.carrier_lost), ("renamed", self.seen.renamed)]
     }
+}
+
+/// Leaves a look if there is room; whether there is anybody to take it.
+fn offer(to: &SyncSender<(True, Option<Link>)>, look: (True, Option<Link>)) -> bool {
+    !matches!(to.try_send(look), Err(TrySendError::Disconnected(_)))
 }
 
 impl Seen {

@@ -353,6 +353,11 @@ fn a_name_is_taken_once() {
         first.kill();
         let third = Station::start(&medium.b, &options);
         third.wait_for("Ctrl-C ends it");
+        assert_eq!(third.end(), Some(0));
+        let left = std::fs::read_dir("/run/rtnet").unwrap().flatten();
+        let left: Vec<_> =
+            left.filter(|file| file.file_name().to_string_lossy().contains("taken-once")).collect();
+        assert!(left.is_empty(), "{left:?}");
     });
 }
 

@@ -86,15 +86,18 @@ pub fn parse_name(text: &str) -> Result<String, String> {
 #[derive(Debug)]
 pub struct Held {
     _lock: Flock<File>,
-    remove: Option<PathBuf>,
+    /// A station's lock, or all of a lab.
+    remove: PathBuf,
 }
 
 impl Drop for Held {
     fn drop(&mut self) {
-        if let Some(directory) = &self.remove {
-            // What is left behind is found and taken over by the next of this name.
-            let _ = fs::remove_dir_all(directory);
-        }
+        // What is left behind is found and taken over by the next of this name.
+        let _ = if self.remove.is_dir() {
+            fs::remove_dir_all(&self.remove)
+        } else {
+            fs::remove_file(&self.remove)
+        };
     }
 }
 
@@ -168,8 +171,8 @@ impl Directory {
     pub fn take_station(&self, name: &str) -> Result<Held> {
         check_name(name)?;
         self.make()?;
-        let lock = lock(&self.0.join(format!("{name}{LOCK}")), name)?;
-        Ok(Held { _lock: lock, remove: None })
+        let path = self.0.join(format!("{name}{LOCK}"));
+        Ok(Held { _lock: lock(&path, name)?, remove: path })
     }
 
     /// Takes a lab's name; its directory is new and empty, and goes with what is returned.
@@ -184,7 +187,7 @@ impl Directory {
                 format!("{} is left from a dead lab and cannot go", left.path().display())
             })?;
         }
-        Ok(Held { _lock: lock, remove: Some(own) })
+        Ok(Held { _lock: lock, remove: own })
     }
 
     /// Whether anything of this lab is here, be it alive or not.

@@ -135,9 +135,11 @@ struct Reach {
 
 /// Makes a station ready to run; fails if it cannot be what it is to be.
 pub fn set_up(options: Options) -> Result<Ready> {
+    // Whoever is told to end from now on leaves nothing behind.
+    let stop = Arc::new(AtomicBool::new(false));
+    stop_at_signals(&stop, options.lab.is_some())?;
     let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
-    let stop = Arc::new(AtomicBool::new(false));
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
     halt::arm(&mut port, options.lab.as_ref().is_some_and(|lab| lab.may_stall))?;
@@ -192,7 +194,9 @@ impl Ready {
         refused.extend(self.reach.refused);
         // What this thread may still do is what those that it starts may do. The other one may have said the same.
         refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
-        stop_when_told(&self.stop, clocks)?;
+        if let Some(clocks) = clocks {
+            obey_lab(&self.stop, clocks)?;
+        }
         self.desk.watch_wire(LOOK_EVERY, self.changed)?;
         self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;
@@ -308,16 +312,17 @@ fn drop_capabilities() -> Option<String> {
     dropped.err().map(|error| format!("capabilities: {error}: the station keeps all that it was given"))
 }
 
-/// A lab closes our input when it ends or dies, and has its orders there; a person presses Ctrl-C.
-fn stop_when_told(stop: &Arc<AtomicBool>, lab: Option<Arc<ClockOrder>>) -> Result<()> {
+/// A person presses Ctrl-C, which goes to the whole group: of a lab's stations the lab decides when they end.
+fn stop_at_signals(stop: &Arc<AtomicBool>, in_lab: bool) -> Result<()> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     signal_hook::flag::register(SIGTERM, stop.clone())?;
-    let Some(clocks) = lab else {
-        signal_hook::flag::register(SIGINT, stop.clone())?;
-        return Ok(());
-    };
-    // Ctrl-C goes to the whole group; the lab decides when its stations end.
-    signal_hook::flag::register(SIGINT, Arc::new(AtomicBool::new(false)))?;
+    let interrupted = if in_lab { Arc::default() } else { stop.clone() };
+    signal_hook::flag::register(SIGINT, interrupted)?;
+    Ok(())
+}
+
+/// A lab closes our input when it ends or dies, and has its orders there.
+fn obey_lab(stop: &Arc<AtomicBool>, clocks: Arc<ClockOrder>) -> Result<()> {
     let stop = stop.clone();
     std::thread::Builder::new().name("lab".into()).stack_size(STACK / 2).spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {

@@ -27,6 +27,7 @@ fn a_name_is_taken_once_and_free_again_afterwards() {
     let station = directory.take_station("arm").unwrap();
     assert!(directory.take_station("arm").is_err());
     drop(station);
+    assert!(!directory.path().join("arm.lock").exists(), "nothing is left");
     directory.take_station("arm").unwrap();
 }
 
@@ -100,9 +101,9 @@ fn a_station_without_its_lab_is_one_of_its_own_or_of_the_only_lab() {
 fn a_name_can_be_taken_while_others_look_whether_it_is() {
     let scratch = tempfile::tempdir().unwrap();
     let directory = Directory::at(scratch.path());
-    drop(directory.take_station("arm").unwrap());
-    let path = directory.path().join("arm.lock");
-    let looked_at = Flock::lock(File::open(&path).unwrap(), FlockArg::LockSharedNonblock).unwrap();
+    // Whoever had it before was killed.
+    let left = File::create(directory.path().join("arm.lock")).unwrap();
+    let looked_at = Flock::lock(left, FlockArg::LockSharedNonblock).unwrap();
     std::thread::scope(|scope| {
         scope.spawn(move || {
             std::thread::sleep(LOCKED_WITHIN / 10);

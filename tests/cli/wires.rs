@@ -45,6 +45,30 @@ overlaps = 0
 unexplained = 0
 "#;
 
+const CHANGING: &str = r#"
+cycle = "2ms"
+duration = "4s"
+[[station]]
+name = "master"
+role = "master"
+rounds = 10
+[[station]]
+name = "slave1"
+role = "slave"
+rounds = 10
+[[station]]
+name = "slave2"
+role = "slave"
+rounds = 10
+[[event]]
+at = "0s"
+wire = { direction = "in", corrupt = "5%" }
+for = "3500ms"
+[expect]
+overlaps = 0
+unexplained = 0
+"#;
+
 /// Takes an interface away from a namespace.
 fn remove(interface: &str, namespace: &File) {
     let remove = || {
@@ -55,6 +79,30 @@ fn remove(interface: &str, namespace: &File) {
     };
     // It never comes back.
     std::thread::scope(|scope| scope.spawn(remove).join().unwrap());
+}
+
+#[test]
+fn a_sync_that_is_changed_on_its_way_silences_nobody_without_a_cause() {
+    let name = "a_sync_that_is_changed_on_its_way_silences_nobody_without_a_cause";
+    network(name, || {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, json) = (dir.path().join("network.toml"), dir.path().join("report.json"));
+        fs::write(&file, CHANGING).unwrap();
+        let output = rtnet().args(["lab", "run"]).arg(&file).arg("--json").arg(&json).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
+        if text.contains("wires lose nothing, and none is cut off") {
+            crate::host::skip(name, &text);
+            return;
+        }
+        let expected = &report["expected"];
+        assert_eq!(report["unexplained"], 0, "{expected} {text}");
+        // Of 175 syncs that are changed most are refused at once.
+        let refused = |station: usize| report["per_station"][station]["refusals"].as_object().unwrap();
+        let syncs = |station| refused(station)["implausible_sync"].as_u64().unwrap();
+        assert!(syncs(1) + syncs(2) >= 20, "{text}");
+        assert!(report["causes"]["sync_lost_or_late"].as_u64() >= Some(5), "{text}");
+    });
 }
 
 #[test]

@@ -85,6 +85,15 @@ impl Mark {
         self.cycle == line.cycle && self.sched == line.sched && self.deviation_from(line).abs() <= limit
     }
 
+    /// The cycle of the line in which it was received, at `rx`, and in which nothing is sent until it is confirmed: its own,
+    /// if it is a little early, but its number may be what is wrong with it.
+    pub fn silences(&self, line: &TimeLine, rx: Instant) -> u32 {
+        let here = line.cycle_at(rx);
+        let is_early =
+            self.cycle == here.wrapping_add(1) && self.deviation_from(line).abs() <= line.period / 2;
+        if is_early { self.cycle } else { here }
+    }
+
     /// Whether it is likely one of the line's that was long on its way.
     pub fn may_be_held_up(&self, line: &TimeLine) -> bool {
         let late = self.deviation_from(line);

@@ -131,7 +131,7 @@ impl Slave {
         }
         let followed = match self.config.servo {
             Servo::None => self.overwrite(from, mark, age),
-            Servo::Linear => self.filter(from, mark, age, events)?,
+            Servo::Linear => self.filter(from, mark, rx, events)?,
         };
         self.master = from;
         if followed == Followed::Pending {
@@ -143,15 +143,15 @@ impl Slave {
         Ok(followed)
     }
 
-    /// A Synchronisation agrees with the line, confirms another, or waits for the next one to do so.
+    /// A Synchronisation, received at `rx`, agrees with the line, confirms another, or waits for the next one to do so.
     fn filter(
         &mut self,
         from: Address,
         mark: Mark,
-        age: Span,
+        rx: Instant,
         events: &mut Events,
     ) -> Result<Followed, Refusal> {
-        let cycle = mark.cycle;
+        let (cycle, age) = (mark.cycle, (mark.start() - rx).abs());
         let followed = match &mut self.track {
             Track::Nothing => {
                 self.track = Track::First(mark);
@@ -204,7 +204,7 @@ impl Slave {
                         }
                         _ => {
                             *step = Some(Step { mark, seen: agreed.map_or(1, |(seen, _)| seen) });
-                            events.note(cycle, EventKind::TimeStep, self.deviation);
+                            events.note(mark.silences(line, rx), EventKind::TimeStep, self.deviation);
                             Followed::Pending
                         }
                     }

@@ -22,7 +22,7 @@ use zerocopy::FromBytes;
 use super::bpf::{self, Hook, Map, Mapping};
 
 const NAME: bpf::Name = *b"rtnet_impair\0\0\0\0";
-/// Lost control frames that are kept until they are taken: a second of many at one port.
+/// Frames that are kept until they are taken: what is lost in a second of many at one port.
 const LOG: usize = 512;
 /// So much of each: a Synchronisation, Ethernet header included.
 pub const LOGGED: usize = 42;
@@ -92,7 +92,7 @@ struct Page {
     lost_data: AtomicU64,
     corrupted: AtomicU64,
     duplicated: AtomicU64,
-    /// Lost frames that began to be written down...
+    /// Lost frames, and RTmac frames that were changed, that began to be written down...
     begun: AtomicU64,
     /// ... and that were.
     written: AtomicU64,
@@ -128,7 +128,7 @@ impl Thresholds {
 pub struct Impairment {
     map: Map<Page>,
     mapping: Mapping<Page>,
-    /// Lost frames that were taken.
+    /// Of them those that were taken.
     taken: u64,
     hooks: [OwnedFd; 2],
 }
@@ -173,7 +173,8 @@ impl Impairment {
         Impaired { lost_control, lost_data, corrupted, duplicated }
     }
 
-    /// Hands over the beginning of each frame that was lost since the last time: of more than half a thousand the newest.
+    /// Hands over the beginning of each frame that was lost since the last time, and of each RTmac frame that was changed, as
+    /// it was: of more than half a thousand the newest.
     pub fn take_lost(&mut self, mut to: impl FnMut([u8; LOGGED])) {
         let page = self.mapping.page();
         let written = page.written.load(Ordering::Acquire);

@@ -89,8 +89,8 @@ impl Wires {
         self.meant.get(station).and_then(|meant| meant.get(&of)).unwrap_or(&NONE)
     }
 
-    /// Takes down what was lost since the last time; hands over which Synchronisations stations did not get: the station,
-    /// whose and of which cycle, and whether the medium is cut between the two.
+    /// Takes down what was lost since the last time; hands over which Synchronisations stations did not get, or not as they
+    /// were sent: the station, whose and of which cycle, and whether the medium is cut between the two.
     pub fn take_lost(&mut self, mut to: impl FnMut(usize, (Address, u32), bool)) {
         let Self { all, meant, addresses, cut_off } = self;
         let is_cut_off = |of: Option<usize>| of.is_some_and(|of| cut_off.contains(&of));

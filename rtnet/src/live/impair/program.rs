@@ -5,7 +5,7 @@
 //! egress    what it is to hear:     fate = mark | LOST if the side is another's | by `page.hears`
 //!             AGAIN                 a copy that was made here: it passes
 //!             LOST                  written down, counted, dropped
-//!             CORRUPT               a bit is turned, any
+//!             CORRUPT               a bit is turned, any; of an RTmac frame it is written down what it was
 //!             TWICE                 a copy is sent by the same port
 //! ```
 //!
@@ -95,33 +95,41 @@ fn when(bit: i32, then: &[Instruction]) -> Vec<Instruction> {
     [&test, then].concat()
 }
 
-/// Writes down which frame it is, for who judges needs to know; counts it, and drops it.
-fn lose() -> Vec<Instruction> {
+/// Writes down which frame it is, for who judges needs to know.
+fn write_down() -> Vec<Instruction> {
     vec![
-        set(R9, 1),
-        fetch_and_add(R7, offset_of!(Page, begun), R9),
-        and(R9, LOG as i32 - 1),
-        shift_left(R9, LOG_ENTRY.trailing_zeros() as i32),
+        set(R5, 1),
+        fetch_and_add(R7, offset_of!(Page, begun), R5),
+        and(R5, LOG as i32 - 1),
+        shift_left(R5, LOG_ENTRY.trailing_zeros() as i32),
         copy(R1, R6),
         set(R2, 0),
         copy(R3, R7),
-        add_register(R3, R9),
+        add_register(R3, R5),
         add(R3, offset_of!(Page, log) as i32),
         set(R4, LOGGED as i32),
         call(HELPER_LOAD_BYTES),
+        set(R1, 1),
+        add_atomically(R7, offset_of!(Page, written), R1),
+    ]
+}
+
+/// Writes the frame down, counts it, and drops it.
+fn lose() -> Vec<Instruction> {
+    let count_and_drop = vec![
         set(R1, 1),
         load_word(R2, R6, SKB_PROTOCOL),
         jump_unless_equal(R2, control(), 1),
         add_atomically(R7, offset_of!(Page, lost_control), R1),
         jump_if_equal(R2, control(), 1),
         add_atomically(R7, offset_of!(Page, lost_data), R1),
-        add_atomically(R7, offset_of!(Page, written), R1),
         set(R0, DROP),
         exit(),
-    ]
+    ];
+    [write_down(), count_and_drop].concat()
 }
 
-/// Turns one bit, any.
+/// Turns one bit, any. Of an RTmac frame that is no longer what it was, that is written down: it is as good as lost.
 fn corrupt() -> Vec<Instruction> {
     let byte = |helper| {
         [
@@ -146,6 +154,15 @@ fn corrupt() -> Vec<Instruction> {
         load_word(R1, R6, SKB_LEN),
         remainder(R9, R1),
     ];
+    let write_down = write_down();
+    // What fills a frame says nothing.
+    corrupt.extend([
+        load_word(R1, R6, SKB_PROTOCOL),
+        jump_unless_equal(R1, control(), write_down.len() as i16 + 2),
+        set(R1, LOGGED as i32),
+        jump_unless_less(R9, R1, write_down.len() as i16),
+    ]);
+    corrupt.extend(write_down);
     corrupt.extend(byte(HELPER_LOAD_BYTES));
     corrupt.extend([
         load_byte(R1, R10, BYTE),

@@ -193,6 +193,28 @@ fn one_bit_is_changed_and_a_frame_comes_twice() {
 }
 
 #[test]
+fn an_rtmac_frame_that_is_changed_is_written_down_as_it_was_and_no_other() {
+    on_a_loopback(|wire| {
+        hears(wire, |chances| chances.corrupt_ppm = ALWAYS);
+        let (mut changed, mut taken) = (0, 0);
+        for _ in 0..200 {
+            wire.send(DATA, 1);
+            wire.send(CONTROL, 1);
+            let control = &wire.receive()[1];
+            changed += usize::from(control[..LOGGED] != frame(CONTROL)[..LOGGED]);
+            wire.impairment.take_lost(|bytes| {
+                taken += 1;
+                assert_eq!(bytes, frame(CONTROL)[..LOGGED]);
+            });
+        }
+        assert_eq!(taken, changed, "what fills it says nothing");
+        assert!((100..180).contains(&changed), "{changed} of 200, if any bit of 42 bytes of 60");
+        let expected = Impaired { corrupted: 400, ..Impaired::default() };
+        assert_eq!(wire.impairment.counts(), expected);
+    });
+}
+
+#[test]
 fn at_the_next_port_a_wire_does_what_it_did_and_counts_on() {
     on_a_loopback(|wire| {
         hears(wire, |chances| chances.lose_data_ppm = ALWAYS);

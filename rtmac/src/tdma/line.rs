@@ -99,9 +99,11 @@ impl TimeLine {
         let ahead = self.ahead(cycle);
         self.start + self.period * i64::from(ahead) + self.drift.over(ahead)
     }
-    /// The cycle of a moment on this station's clock, shortly after the one known best.
+    /// The cycle of a moment on this station's clock.
     pub fn cycle_at(&self, at: Instant) -> u32 {
-        self.cycle.wrapping_add((at - self.start).nanos().div_euclid(self.period.nanos().max(1)) as u32)
+        let cycles = |since: Span| since.nanos().div_euclid(self.period.nanos().max(1)) as i32;
+        let near = cycles(at - self.start);
+        self.cycle.wrapping_add(cycles(at - self.start - self.drift.over(near)) as u32)
     }
     /// A cycle's start on the master's clock.
     pub fn sched_of(&self, cycle: u32) -> GlobalTime {

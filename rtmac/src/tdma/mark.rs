@@ -85,8 +85,8 @@ impl Mark {
         self.cycle == line.cycle && self.sched == line.sched && self.deviation_from(line).abs() <= limit
     }
 
-    /// The cycle of the line in which it was received, at `rx`, and in which nothing is sent until it is confirmed: its own,
-    /// if it is a little early, but its number may be what is wrong with it.
+    /// The cycle of the line that is silent, if any is, as it was received at `rx` and is beside the line: its own, if it is a
+    /// little early, but its number may be what is wrong with it.
     pub fn silences(&self, line: &TimeLine, rx: Instant) -> u32 {
         let here = line.cycle_at(rx);
         let is_early =

@@ -128,7 +128,7 @@ impl Thresholds {
 pub struct Impairment {
     map: Map<Page>,
     mapping: Mapping<Page>,
-    /// Of them those that were taken.
+    /// Of what was written down, so many were taken.
     taken: u64,
     hooks: [OwnedFd; 2],
 }

@@ -142,7 +142,9 @@ impl Records {
                         .or_else(|| self.last_words(author))
                 })
                 .or_else(|| self.late_reply(finding)),
-            FindingKind::SyncGap => authors.find_map(|author| self.gap(author)),
+            FindingKind::SyncGap => {
+                authors.find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
+            }
             FindingKind::SlotMissed => authors.find_map(|author| {
                 let told = self.told_of(author, &MISSED_BY).or_else(|| self.silence(author));
                 self.missing(author, told)
@@ -205,18 +207,6 @@ impl Records {
         let ago = |cycles| Author { cycle: cycle.wrapping_sub(cycles), ..author };
         let why = has_no_line || absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
         why.then_some(silent)
-    }
-
-    /// Why there was no Synchronisation, by who was to send it: a backup that gives the time, or else the master. That the
-    /// master is not there explains nothing where a backup has taken its place.
-    fn gap(&self, author: Author) -> Option<&'static str> {
-        let told = |author| self.told_of(author, &NO_SYNC_BY);
-        let reigning = self.backups.iter().filter(|&&backup| self.reigns(backup, author.cycle));
-        let mut reigning = reigning.map(|&station| Author { station, ..author }).peekable();
-        match reigning.peek() {
-            None => self.missing(author, told(author)),
-            Some(_) => reigning.find_map(|of| self.missing(of, told(of))).or_else(|| told(author)),
-        }
     }
 
     /// Whether a backup has told that it gives the time from this cycle on, or before it and not since that it does so no
@@ -285,13 +275,6 @@ impl Records {
             let from = self.addresses.get(master.station);
             !from.is_some_and(|&from| self.syncs.is_lost(author.station, from, author.cycle))
         })
-    }
-
-    /// Since when neither the master nor any backup has been there, if none is, and why the last of them went.
-    pub fn nobody_gives_the_time(&self) -> Option<(Absence, u32)> {
-        let gone = core::iter::once(&MASTER).chain(&self.backups).map(|&station| self.absences.now(station));
-        let gone: Option<Vec<_>> = gone.collect();
-        gone?.into_iter().reduce(|a, b| if before(a.1, b.1) { b } else { a })
     }
 
     /// Where nobody takes its place, nobody has a line without it.

@@ -7,16 +7,8 @@ use crate::scenario::{Scenario, SlotPlan};
 /// Every station's slots, with the cycles in which they hold.
 pub struct Timetable {
     stations: Vec<Vec<Entry>>,
-    away: Vec<Option<Away>>,
-}
-
-/// A station that has left.
-struct Away {
-    /// From this cycle on.
-    from: u32,
-    /// The slots that it had, to hold again from its next frame on, if that may come.
-    slots: Vec<SlotPlan>,
-    may_return: bool,
+    /// The slots of those that have left, to hold again from their next frame on, if it may come.
+    away: Vec<Option<(Vec<SlotPlan>, bool)>>,
 }
 
 struct Entry {
@@ -55,11 +47,11 @@ impl Timetable {
             return;
         }
         let open = self.stations[station].iter().filter(|entry| entry.until.is_none());
-        let slots: Vec<SlotPlan> = open.map(|entry| entry.plan).collect();
-        for slot in &slots {
-            self.change(station, slot.id, None, from);
+        let plans: Vec<SlotPlan> = open.map(|entry| entry.plan).collect();
+        for plan in &plans {
+            self.change(station, plan.id, None, from);
         }
-        self.away[station] = Some(Away { from, slots, may_return: false });
+        self.away[station] = Some((plans, false));
     }
 
     /// Whether a station has left and was not heard again.
@@ -69,28 +61,24 @@ impl Timetable {
 
     /// Whether a station has left, and is not about to return.
     pub fn has_left(&self, station: usize) -> bool {
-        self.away[station].as_ref().is_some_and(|away| !away.may_return)
-    }
-
-    /// From which cycle on a station that was not heard again has left.
-    pub fn left_from(&self, station: usize) -> Option<u32> {
-        self.away[station].as_ref().map(|away| away.from)
+        matches!(self.away[station], Some((_, false)))
     }
 
     /// A station that has left may send again.
     pub fn may_return(&mut self, station: usize) {
-        if let Some(away) = &mut self.away[station] {
-            away.may_return = true;
+        if let Some((_, may)) = &mut self.away[station] {
+            *may = true;
         }
     }
 
     /// A station has sent in a slot of a cycle: if it had left, it is back, with its slots from there on.
     pub fn sent(&mut self, station: usize, slot: u8, cycle: u32) {
-        let may_return = self.away[station].as_ref().is_some_and(|away| away.may_return);
-        if !may_return || self.stations[station].iter().any(|entry| entry.holds(cycle)) {
+        if !matches!(self.away[station], Some((_, true)))
+            || self.stations[station].iter().any(|e| e.holds(cycle))
+        {
             return;
         }
-        let plans = self.away[station].take().map(|away| away.slots).unwrap_or_default();
+        let plans = self.away[station].take().map(|(plans, _)| plans).unwrap_or_default();
         let begin = plans.iter().find(|plan| plan.id == slot).map(|plan| plan.offset);
         for plan in plans {
             let has_passed = begin.is_some_and(|begin| plan.offset < begin);
@@ -229,13 +217,11 @@ mod tests {
         timetable.leave(1, 100);
         timetable.sent(1, 0, 110);
         assert_eq!(timetable.count(1, 90, 200), 10, "it may not send yet");
-        assert_eq!(timetable.left_from(1), Some(100));
         timetable.may_return(1);
         timetable.sent(1, 0, 99);
         timetable.sent(1, 0, 120);
         timetable.sent(1, 0, 121);
         assert_eq!(timetable.turns(1, 0, 98, 123).collect::<Vec<_>>(), [98, 99, 120, 121, 122]);
-        assert_eq!(timetable.left_from(1), None);
     }
 
     #[test]

@@ -173,7 +173,7 @@ fn a_master_that_moves_is_followed_from_the_second_synchronisation_on_or_the_thi
 fn a_synchronisation_whose_number_is_wrong_is_told_of_in_the_cycle_that_it_silences() {
     for number in [3 ^ 4, 3 ^ 1 << 9, 3 ^ 1 << 31] {
         let mut bench = Bench::in_state(SyncState::Locked);
-        // Of cycle 3; the last one that is heard besides was of 2.
+        // It was sent as of cycle 3.
         assert_eq!(bench.hear_from_line(number, 3 * PERIOD, 700), Ok(Followed::Pending));
         assert_eq!(bench.told(), [(3, EventKind::TimeStep)], "{number}");
         assert!(!bench.slave.may_send(3));

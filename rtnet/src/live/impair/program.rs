@@ -129,7 +129,7 @@ fn lose() -> Vec<Instruction> {
     [write_down(), count_and_drop].concat()
 }
 
-/// Turns one bit, any. Of an RTmac frame that is no longer what it was, that is written down: it is as good as lost.
+/// Turns one bit, any. What an RTmac frame was before is written down: it is as good as lost.
 fn corrupt() -> Vec<Instruction> {
     let byte = |helper| {
         [

@@ -299,23 +299,6 @@ fn a_sync_that_did_not_get_to_a_station_did_not_move_it() {
 }
 
 #[test]
-fn a_sync_is_missing_for_what_who_gives_the_time_told_and_not_for_a_primary_that_is_gone() {
-    let mut records = with_a_backup();
-    let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SyncGap, MASTER));
-    records.absences.begin(MASTER, Absence::Down, 5);
-    records.note(told_of(6, 1), EventKind::TookOver, Span::ZERO, None);
-    assert_eq!([5, 6, 7].map(|cycle| why(&records, cycle)), [Some("station_down"), None, None]);
-    records.note(told_of(7, 1), EventKind::SyncSkipped, Span::ZERO, Some(Cause::TimerLate));
-    assert_eq!(why(&records, 7), Some("timer_late"));
-    assert_eq!(records.nobody_gives_the_time(), None);
-    records.absences.begin(1, Absence::Stopped, 9);
-    assert_eq!(why(&records, 9), Some("station_stopped"));
-    assert_eq!(records.nobody_gives_the_time(), Some((Absence::Stopped, 9)));
-    records.note(told_of(12, 1), EventKind::SteppedDown, Span::ZERO, None);
-    assert_eq!(why(&records, 13), Some("station_down"), "the primary was to send");
-}
-
-#[test]
 fn who_follows_one_that_is_not_there_is_silent_for_that_until_another_gives_the_time() {
     let mut records = with_a_backup();
     (1..5).for_each(|cycle| records.note_frame(&sync(PRIMARY, cycle)));

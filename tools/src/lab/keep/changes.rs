@@ -11,7 +11,6 @@ use rtnet::wire::ethernet::MTU;
 
 use super::Keeper;
 use crate::control::{self, Place, Question, Reply, Request, RoleRequest, SlotChange, SlotRequest};
-use crate::judge::timetable::before;
 use crate::lab::load::{load, too_much};
 use crate::scenario::SlotPlan;
 
@@ -175,12 +174,11 @@ impl Keeper {
             Reply::Refused(why) => bail!("station '{name}': {why}"),
             Reply::Status(_) => bail!("station '{name}' answers what it was not asked"),
         };
-        // One that was lost for long, or detached, has no idea of the cycle any more, and changed at once.
+        // One that was lost for long has no idea of the cycle any more, and changed at once.
         let current = self.lab.analysis.current().unwrap_or(from);
+        let known = current.wrapping_sub(from) as i32 <= 0;
+        let from = if known { from } else { current.wrapping_add(1) };
         let timetable = &mut self.lab.analysis.timetable;
-        let (next, left) = (current.wrapping_add(1), timetable.left_from(station));
-        let earliest = left.filter(|&left| before(next, left)).unwrap_or(next);
-        let from = if before(from, current) { earliest } else { from };
         match change {
             Change::Slots(after) => {
                 let slots = &mut self.scenario.stations[station].slots;

@@ -85,19 +85,22 @@ pub fn parse_name(text: &str) -> Result<String, String> {
 /// A name that is ours as long as this lives.
 #[derive(Debug)]
 pub struct Held {
-    _lock: Flock<File>,
-    /// A station's lock, or all of a lab.
-    remove: PathBuf,
+    lock: Flock<File>,
+    path: PathBuf,
+    /// A lab's, with all that is in it.
+    directory: Option<PathBuf>,
 }
 
 impl Drop for Held {
     fn drop(&mut self) {
-        // What is left behind is found and taken over by the next of this name.
-        let _ = if self.remove.is_dir() {
-            fs::remove_dir_all(&self.remove)
-        } else {
-            fs::remove_file(&self.remove)
-        };
+        // Somebody may have removed it, and the next of this name have made it anew. What is left behind is found and taken
+        // over by that one.
+        if is_at(&self.lock, &self.path) {
+            let _ = match &self.directory {
+                Some(directory) => fs::remove_dir_all(directory),
+                None => fs::remove_file(&self.path),
+            };
+        }
     }
 }
 
@@ -172,7 +175,7 @@ impl Directory {
         check_name(name)?;
         self.make()?;
         let path = self.0.join(format!("{name}{LOCK}"));
-        Ok(Held { _lock: lock(&path, name)?, remove: path })
+        Ok(Held { lock: lock(&path, name)?, path, directory: None })
     }
 
     /// Takes a lab's name; its directory is new and empty, and goes with what is returned.
@@ -181,13 +184,14 @@ impl Directory {
         self.make()?;
         let own = self.0.join(name);
         make_private(&own)?;
-        let lock = lock(&own.join(LOCK), name)?;
+        let path = own.join(LOCK);
+        let lock = lock(&path, name)?;
         for left in fs::read_dir(&own)?.flatten().filter(|entry| entry.file_name() != LOCK) {
             fs::remove_file(left.path()).with_context(|| {
                 format!("{} is left from a dead lab and cannot go", left.path().display())
             })?;
         }
-        Ok(Held { _lock: lock, remove: own })
+        Ok(Held { lock, path, directory: Some(own) })
     }
 
     /// Whether anything of this lab is here, be it alive or not.
@@ -307,12 +311,17 @@ fn lock(path: &Path, name: &str) -> Result<Flock<File>> {
     loop {
         let lock = lock_once(path, name)?;
         // Its last holder may have removed it between our opening and locking it: then others lock another.
-        let inode = lock.metadata()?.ino();
-        if fs::metadata(path).is_ok_and(|found| found.ino() == inode) {
+        if is_at(&lock, path) {
             return Ok(lock);
         }
         path.parent().map_or(Ok(()), make_private)?;
     }
+}
+
+/// Whether this file is the one that is found by that path.
+fn is_at(file: &File, path: &Path) -> bool {
+    let inodes = (file.metadata().map(|of| of.ino()), fs::metadata(path).map(|of| of.ino()));
+    matches!(inodes, (Ok(own), Ok(found)) if own == found)
 }
 
 fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {

@@ -27,8 +27,15 @@ fn a_name_is_taken_once_and_free_again_afterwards() {
     let station = directory.take_station("arm").unwrap();
     assert!(directory.take_station("arm").is_err());
     drop(station);
-    assert!(!directory.path().join("arm.lock").exists(), "nothing is left");
-    directory.take_station("arm").unwrap();
+    let lock = directory.path().join("arm.lock");
+    assert!(!lock.exists(), "nothing is left");
+    let first = directory.take_station("arm").unwrap();
+    fs::remove_file(&lock).unwrap();
+    let next = directory.take_station("arm").unwrap();
+    drop(first);
+    assert!(lock.exists(), "it is another's by now");
+    drop(next);
+    assert!(!lock.exists());
 }
 
 #[test]

@@ -100,6 +100,12 @@ impl Absences {
         self.list.iter().filter(move |entry| entry.station == station)
     }
 
+    /// Why a station is not there now, if it is not, and since when.
+    pub fn now(&self, station: usize) -> Option<(Absence, u32)> {
+        let its = self.open().filter(|&(of, ..)| of == station).map(|(_, why, from)| (why, from));
+        its.reduce(|a, b| if before(b.1, a.1) { b } else { a })
+    }
+
     /// Those that are not there now, and since when.
     pub fn open(&self) -> impl Iterator<Item = (usize, Absence, u32)> {
         let open = self.list.iter().filter(|entry| entry.until.is_none());

@@ -222,7 +222,7 @@ impl Analysis {
         let Some((from, _)) = self.window else { return };
         let end = from.wrapping_add(self.cycles());
         if let Some((last, _)) = self.last_sync {
-            self.sync_gaps(last.wrapping_add(1), end);
+            self.sync_gaps(self.givers.now(), last.wrapping_add(1), end);
         }
         for station in 0..self.stations.len() {
             self.look_back(station, end);
@@ -274,6 +274,8 @@ impl Analysis {
         }
         self.heard(author.station, cycle);
         self.masters.sync(from, cycle, self.counts(cycle));
+        // Who was to send those that are missing.
+        let before_it = self.givers.now();
         let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
         let has_taken_over = is_newer && self.givers.heard(from, at);
         let due = self.start_of(cycle).unwrap_or(sched);
@@ -301,7 +303,7 @@ impl Analysis {
                     }
                 }
                 ..=0 => self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO)),
-                _ => self.sync_gaps(last.wrapping_add(1), cycle),
+                _ => self.sync_gaps(before_it, last.wrapping_add(1), cycle),
             }
         }
         self.last_sync = Some((cycle, Some(at)));

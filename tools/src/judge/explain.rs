@@ -142,9 +142,10 @@ impl Records {
                         .or_else(|| self.last_words(author))
                 })
                 .or_else(|| self.late_reply(finding)),
-            FindingKind::SyncGap => {
-                authors.find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
-            }
+            // By who gave the time; or the master was to be that again.
+            FindingKind::SyncGap => authors
+                .find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
+                .or_else(|| self.told_of(Author::sync(finding.cycle), &NO_SYNC_BY)),
             FindingKind::SlotMissed => authors.find_map(|author| {
                 let told = self.told_of(author, &MISSED_BY).or_else(|| self.silence(author));
                 self.missing(author, told)

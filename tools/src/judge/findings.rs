@@ -35,7 +35,7 @@ pub struct Author {
 }
 
 impl Author {
-    /// Who sends a cycle's Synchronisation.
+    /// Who sends a cycle's Synchronisation, if no backup does.
     pub fn sync(cycle: u32) -> Self {
         Self { station: 0, cycle, slot: None }
     }

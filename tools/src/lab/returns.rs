@@ -75,13 +75,14 @@ impl Lab {
         let open: Vec<_> = self.records.absences.open().filter(|&(.., from)| before(from, until)).collect();
         for &(station, why, from) in &open {
             tally.add(why.name(), self.analysis.pass_over(station, from, until));
-            if station == 0 {
-                tally.add(why.name(), self.analysis.pass_over_syncs(from, until));
-                // Without a master nobody sends, and after a while nobody tells of it.
-                let lineless = from.wrapping_add(LINE_GOOD_FOR as u32 + 1);
-                for other in 1..self.members.len() {
-                    tally.add(Cause::NoSync.name(), self.analysis.pass_over(other, lineless, until));
-                }
+        }
+        let giver = self.records.absences.now(self.analysis.giver());
+        if let Some((why, from)) = giver.filter(|&(_, from)| before(from, until)) {
+            tally.add(why.name(), self.analysis.pass_over_syncs(from, until));
+            // Where nobody gives the time nobody sends, and after a while nobody tells of it.
+            let lineless = from.wrapping_add(LINE_GOOD_FOR as u32 + 1);
+            for other in 1..self.members.len() {
+                tally.add(Cause::NoSync.name(), self.analysis.pass_over(other, lineless, until));
             }
         }
         // Who is there has told of what it missed by now. The observer may be behind.

@@ -42,8 +42,9 @@ impl Analysis {
         if self.window.is_none() || !before(next, end) {
             return 0;
         }
+        let begin = if before(begin, end) { begin } else { end };
         let first = if before(next, begin) { begin } else { next };
-        self.sync_gaps(next, first);
+        self.sync_gaps(self.givers.now(), next, first);
         self.last_sync = Some((end.wrapping_sub(1), None));
         end.wrapping_sub(first).into()
     }
@@ -62,9 +63,11 @@ impl Analysis {
         self.gaps(turns.into_iter().map(author), FindingKind::SlotMissed, all);
     }
 
-    pub(super) fn sync_gaps(&mut self, next: u32, end: u32) {
+    /// Every Synchronisation from `next` up to `end` was missing, by who gave the time before.
+    pub(super) fn sync_gaps(&mut self, giver: usize, next: u32, end: u32) {
         let Some((next, end)) = self.in_window(next, end) else { return };
-        let missing = turns(next, end, 0, 1).take(self.room()).map(Author::sync);
+        let by = |cycle| Author { station: giver, ..Author::sync(cycle) };
+        let missing = turns(next, end, 0, 1).take(self.room()).map(by);
         self.gaps(missing, FindingKind::SyncGap, end.wrapping_sub(next).into());
     }
 

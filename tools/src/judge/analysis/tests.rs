@@ -6,6 +6,7 @@ use rtnet::wire::ethernet::Address;
 
 use super::*;
 use crate::judge::delivery::Heard;
+use crate::report::figures::Role;
 use crate::scenario::Uniform;
 use crate::station::traffic::{Traffic, TrafficPlan};
 use rtnet::clock::EmulatedClock;
@@ -24,6 +25,10 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
+        Self::of(|_| ())
+    }
+
+    fn of(change: impl FnOnce(&mut Scenario)) -> Self {
         let scenario = Uniform {
             stations: 2,
             cycle: Span::from_millis(1),
@@ -33,7 +38,8 @@ impl Bench {
             guard: None,
             seed: 1,
         };
-        let scenario = scenario.scenario().unwrap().with_ideal_clocks();
+        let mut scenario = scenario.scenario().unwrap().with_ideal_clocks();
+        change(&mut scenario);
         let master = TrueMaster { clock: EmulatedClock::default(), epoch: Offset::default() };
         let mut analysis = Analysis::new(&scenario, master);
         analysis.begin(FIRST, CYCLES);
@@ -53,10 +59,14 @@ impl Bench {
     }
 
     fn sync(&mut self, cycle: u32, late: i64) {
+        self.sync_from(Address::default(), cycle, late);
+    }
+
+    fn sync_from(&mut self, from: Address, cycle: u32, late: i64) {
         let start = u64::from(cycle) * CYCLE;
         let sched = GlobalTime::from_nanos(start);
         let mut frame = Pool::new(1).take().unwrap();
-        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, Address::default(), &mut frame);
+        Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, from, &mut frame);
         self.analysis.frame(start.wrapping_add_signed(late), &frame);
     }
 
@@ -126,6 +136,17 @@ fn what_is_missing_is_found_by_cycle_and_station() {
     let missing = [(12, FindingKind::SyncGap, Some(0)), (12, FindingKind::SlotMissed, Some(1))];
     assert_eq!(found(&analysis), missing);
     assert_eq!((analysis.expected(1), analysis.stations[1].frames), (5, 4));
+}
+
+#[test]
+fn a_sync_that_is_missing_is_of_who_gave_the_time_before() {
+    let mut bench = Bench::of(|scenario| scenario.stations[1].role = Role::Backup);
+    let [primary, backup] = [0, 1].map(|station| bench.scenario.address(station));
+    for (from, cycle) in [(primary, 9), (primary, 10), (backup, 12), (backup, 14), (primary, 15)] {
+        bench.sync_from(from, cycle, 0);
+    }
+    let gaps = found(&bench.analysis).into_iter().filter(|&(_, kind, _)| kind == FindingKind::SyncGap);
+    assert_eq!(gaps.map(|(cycle, _, by)| (cycle, by)).collect::<Vec<_>>(), [(11, Some(0)), (13, Some(1))]);
 }
 
 #[test]

@@ -299,6 +299,21 @@ fn a_sync_that_did_not_get_to_a_station_did_not_move_it() {
 }
 
 #[test]
+fn a_sync_is_missing_for_what_who_gives_the_time_told_and_not_for_a_primary_that_is_gone() {
+    let mut records = with_a_backup();
+    let gap = |cycle, station| Finding::of(told_of(cycle, station), FindingKind::SyncGap, Span::ZERO);
+    records.absences.begin(MASTER, Absence::Down, 5);
+    assert_eq!(records.explain(&gap(5, MASTER)), Some("station_down"));
+    assert_eq!(records.explain(&gap(7, 1)), None);
+    records.note(told_of(7, 1), EventKind::SyncSkipped, Span::ZERO, Some(Cause::TimerLate));
+    assert_eq!(records.explain(&gap(7, 1)), Some("timer_late"));
+    records.note(told_of(8, MASTER), EventKind::SyncSkipped, Span::ZERO, Some(Cause::Preempted));
+    assert_eq!(records.explain(&gap(8, 1)), Some("preempted"), "it has just taken its place");
+    records.absences.begin(1, Absence::Stopped, 9);
+    assert_eq!(records.explain(&gap(9, 1)), Some("station_stopped"));
+}
+
+#[test]
 fn who_follows_one_that_is_not_there_is_silent_for_that_until_another_gives_the_time() {
     let mut records = with_a_backup();
     (1..5).for_each(|cycle| records.note_frame(&sync(PRIMARY, cycle)));

@@ -1,19 +1,19 @@
 //! The wires of a lab, to which something happens while a station is away.
 
 use std::fs::{self, File};
-use std::process::Stdio;
+use std::process::{Child, Stdio};
 
 use nix::sched::{CloneFlags, setns};
 use serde_json::Value;
+use tempfile::TempDir;
 use tools::lab::netlink::Netlink;
 
 use crate::host::network;
 use crate::lab::{eventually, is_there, running};
 use crate::rtnet;
 
-const LOSSY_AND_UNPLUGGED: &str = r#"
-cycle = "4ms"
-duration = "7s"
+/// Three stations that are soon calibrated, and behind them what happens.
+const STATIONS: &str = r#"
 [[station]]
 name = "master"
 role = "master"
@@ -26,6 +26,14 @@ rounds = 10
 name = "slave2"
 role = "slave"
 rounds = 10
+"#;
+
+const LOSSY_AND_UNPLUGGED: [&str; 2] = [
+    r#"
+cycle = "4ms"
+duration = "7s"
+"#,
+    r#"
 [[event]]
 at = "500ms"
 wire = { stations = "slave2", direction = "in", lose_data = "50%" }
@@ -43,23 +51,15 @@ restart = "slave2"
 [expect]
 overlaps = 0
 unexplained = 0
-"#;
+"#,
+];
 
-const CHANGING: &str = r#"
+const CHANGING: [&str; 2] = [
+    r#"
 cycle = "2ms"
 duration = "4s"
-[[station]]
-name = "master"
-role = "master"
-rounds = 10
-[[station]]
-name = "slave1"
-role = "slave"
-rounds = 10
-[[station]]
-name = "slave2"
-role = "slave"
-rounds = 10
+"#,
+    r#"
 [[event]]
 at = "0s"
 wire = { direction = "in", corrupt = "5%" }
@@ -67,7 +67,39 @@ for = "3500ms"
 [expect]
 overlaps = 0
 unexplained = 0
-"#;
+"#,
+];
+
+/// A run of a lab, while something is done to it.
+struct Run {
+    lab: Child,
+    /// For its report.
+    dir: TempDir,
+}
+
+impl Run {
+    fn of([network, events]: [&str; 2]) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("network.toml");
+        fs::write(&file, [network, STATIONS, events].concat()).unwrap();
+        let mut command = rtnet();
+        command.args(["lab", "run"]).arg(&file).arg("--json").arg(dir.path().join("report.json"));
+        let lab = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        Self { lab, dir }
+    }
+
+    /// Its exit status, what it says, and its report; `None` if this host does not let a lab impair its wires.
+    fn end(self, test: &str) -> Option<(Option<i32>, String, Value)> {
+        let output = self.lab.wait_with_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        if text.contains("wires lose nothing, and none is cut off") {
+            crate::host::skip(test, &text);
+            return None;
+        }
+        let report = fs::read(self.dir.path().join("report.json")).unwrap();
+        Some((output.status.code(), text, serde_json::from_slice(&report).unwrap()))
+    }
+}
 
 /// Takes an interface away from a namespace.
 fn remove(interface: &str, namespace: &File) {
@@ -85,18 +117,8 @@ fn remove(interface: &str, namespace: &File) {
 fn a_sync_that_is_changed_on_its_way_silences_nobody_without_a_cause() {
     let name = "a_sync_that_is_changed_on_its_way_silences_nobody_without_a_cause";
     network(name, || {
-        let dir = tempfile::tempdir().unwrap();
-        let (file, json) = (dir.path().join("network.toml"), dir.path().join("report.json"));
-        fs::write(&file, CHANGING).unwrap();
-        let output = rtnet().args(["lab", "run"]).arg(&file).arg("--json").arg(&json).output().unwrap();
-        let text = String::from_utf8_lossy(&output.stdout);
-        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
-        if text.contains("wires lose nothing, and none is cut off") {
-            crate::host::skip(name, &text);
-            return;
-        }
-        let expected = &report["expected"];
-        assert_eq!(report["unexplained"], 0, "{expected} {text}");
+        let Some((_, text, report)) = Run::of(CHANGING).end(name) else { return };
+        assert_eq!(report["unexplained"], 0, "{text}");
         // Of 175 syncs that are changed most are refused at once.
         let refused = |station: usize| report["per_station"][station]["refusals"].as_object().unwrap();
         let syncs = |station| refused(station)["implausible_sync"].as_u64().unwrap();
@@ -109,29 +131,18 @@ fn a_sync_that_is_changed_on_its_way_silences_nobody_without_a_cause() {
 fn a_station_whose_interface_went_while_it_was_dead_comes_back_to_its_wire_as_it_is_by_then() {
     let name = "a_station_whose_interface_went_while_it_was_dead_comes_back_to_its_wire_as_it_is_by_then";
     network(name, || {
-        let dir = tempfile::tempdir().unwrap();
-        let (file, json) = (dir.path().join("network.toml"), dir.path().join("report.json"));
-        fs::write(&file, LOSSY_AND_UNPLUGGED).unwrap();
-        let mut command = rtnet();
-        command.args(["lab", "run"]).arg(&file).arg("--json").arg(&json);
-        let mut lab = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut run = Run::of(LOSSY_AND_UNPLUGGED);
         let is_slave2 = |pid: &i32| {
             let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap();
             line.contains(r#""name":"slave2""#)
         };
-        let slave2 = running(&mut lab, 3).into_iter().find(is_slave2).unwrap();
+        let slave2 = running(&mut run.lab, 3).into_iter().find(is_slave2).unwrap();
         let namespace = File::open(format!("/proc/{slave2}/ns/net")).unwrap();
         eventually("it is killed", || !is_there(slave2));
         remove("rt0", &namespace);
 
-        let output = lab.wait_with_output().unwrap();
-        let text = String::from_utf8_lossy(&output.stdout);
-        let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
-        if text.contains("wires lose nothing, and none is cut off") {
-            crate::host::skip(name, &text);
-            return;
-        }
-        assert_eq!(output.status.code(), Some(0), "{} {text}", report["verdict"]["reasons"]);
+        let Some((status, text, report)) = run.end(name) else { return };
+        assert_eq!(status, Some(0), "{} {text}", report["verdict"]["reasons"]);
         let of_slave2 = |what: &str| report["per_station"][2][what].as_u64().unwrap();
         let missed = of_slave2("slots_missed");
         assert!(missed >= 860, "dead, and then without a carrier, for 875 cycles: {missed}");

@@ -1,11 +1,18 @@
 //! The example frames, byte for byte, and the arithmetic that goes with them.
 
+#[path = "vectors/stack.rs"]
+mod stack;
+
 use pnet_packet::Packet;
 use pnet_packet::ethernet::EthernetPacket;
-use rtmac::tdma::line;
+use rtmac::tdma::{
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, RoleConfig, SlaveConfig, Tdma, TdmaConfig, line,
+};
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::buf::Pool;
 use rtnet::counters::Refusal;
+use rtnet::discipline::{Discipline, SyncState};
+use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header};
 use tests::vectors::{self, vector};
@@ -119,6 +126,8 @@ fn tunnelled_frames_are_rtmac_heads_with_the_frame_inside() {
 
 #[test]
 fn odd_frames_are_refused_by_reason() {
+    // 29 to 37 are TDMA's of version 1, which comes with an RTmac of its own.
+    let old = (29..=37).map(|number| (number, Refusal::RtmacVersion));
     let refused = [
         (38, Refusal::OtherDiscipline),
         (39, Refusal::OtherDiscipline),
@@ -128,10 +137,38 @@ fn odd_frames_are_refused_by_reason() {
         (43, Refusal::Truncated),
         (51, Refusal::RtmacVersion),
     ];
-    for (number, reason) in refused {
+    for (number, reason) in old.chain(refused) {
         let odd = vector(number);
         assert_eq!(wire::parse(&odd.bytes), Err(reason), "{}", odd.name);
     }
+}
+
+/// RTcfg, IP and ARP, and the EtherType under which another family's stations speak TDMA among themselves.
+#[test]
+fn other_ether_types_are_nobodys_whatever_is_behind_them() {
+    let role = RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() });
+    let (max_slot_id, lead, late) = (DEFAULT_MAX_SLOT_ID, DEFAULT_LEAD, LatePolicy::Skip);
+    let config = TdmaConfig { address: SLAVE, role, slots: vec![], max_slot_id, lead, late };
+    let mut slave = Station::new(Tdma::new(&config).unwrap(), vec![]);
+    let pool = Pool::new(1);
+    let hear = |station: &mut Station<Tdma>, bytes: &[u8], ms: u64| {
+        let mut frame = pool.take().unwrap();
+        frame.fill(bytes);
+        station.on_frame(Some(Instant::from_nanos(ms * 1_000_000)), frame);
+        let refused = station.refusals().get(Refusal::UnclaimedEtherType);
+        (refused, station.discipline().status().counters.syncs_received)
+    };
+    for (count, number) in (1..).zip([10, 23, 26]) {
+        assert_eq!(hear(&mut slave, &vector(number).bytes, 0), (count, 0), "frame {number}");
+    }
+    for (ms, number) in [(100, 1), (102, 4)] {
+        let mut sync = vector(number).bytes;
+        sync[12..14].copy_from_slice(&[0x90, 0x23]);
+        assert_eq!(hear(&mut slave, &sync, ms).1, 0);
+    }
+    assert_eq!(slave.refusals().total(), 5);
+    assert_eq!(slave.discipline().time().state, SyncState::Waiting);
+    assert_eq!(hear(&mut slave, &vector(1).bytes, 103), (5, 1), "that of RTmac is taken");
 }
 
 #[test]
@@ -188,5 +225,16 @@ fn the_arithmetic_of_the_scenario_holds() {
     let (xmit, sched) = sync(4);
     let after = line::offset(xmit, delay, local(600_101_924_444));
     assert_eq!(after.nanos(), 400_000_123_456, "the true offset");
-    assert_eq!(line::cycle_start(sched, after), local(600_101_876_544));
+    let start = line::cycle_start(sched, after);
+    assert_eq!(start, local(600_101_876_544));
+
+    // The backup's Synchronisation of cycle 150 is 204.1 us late, and says so.
+    let (xmit, sched) = sync(5);
+    assert_eq!((xmit - sched).nanos(), 204_100);
+    let rx = local(600_150_125_644);
+    let by_backup = line::offset(xmit, delay, rx);
+    assert_eq!(by_backup, after, "its lateness moves no clock");
+    let late = line::cycle_start(sched, by_backup);
+    assert_eq!(late, start + Span::from_millis(48), "nor the grid, 48 cycles later");
+    assert!(rx < late + Span::from_micros(400), "the slave's slot is still to come");
 }

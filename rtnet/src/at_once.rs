@@ -20,8 +20,6 @@ use crate::wire::ethernet::{self, Header};
 /// How often services are asked for frames unless something else wakes the loop: what another thread has left for
 /// sending waits no longer. A core takes a few per cent for it.
 pub const DEFAULT_ASK_EVERY: Span = Span::from_millis(1);
-/// Frames that wait at the most: twice RTnet's pool of a socket, as in a slot of TDMA's.
-const QUEUE_CAPACITY: u16 = 32;
 /// There is no slot that a frame could miss: it is sent after whatever hold-up. An hour, which no clock of ours overflows.
 const NEVER_LATE: Span = Span::from_millis(3_600_000);
 
@@ -41,7 +39,7 @@ pub trait Rules: Send {
 
 /// A station that sends at once, by these rules.
 pub struct AtOnce<R: Rules> {
-    queue: PriorityQueue<Buf>,
+    queue: PriorityQueue,
     ask_every: Span,
     /// When services are asked next, at the latest; none before the first turn.
     next_ask: Option<Instant>,
@@ -73,8 +71,6 @@ pub struct AtOnceStatus {
     pub frames_sent: u64,
     /// Frames that the kernel refused, which are gone.
     pub send_failed: u64,
-    /// Frames that found the queue full.
-    pub queue_full: u64,
     /// Frames that may never leave.
     pub lethal: u64,
     /// Frames that wait now.
@@ -87,7 +83,7 @@ impl<R: Rules> AtOnce<R> {
     /// A station that asks its services this often, at least every nanosecond.
     pub fn new(ask_every: Span) -> Self {
         Self {
-            queue: PriorityQueue::new(QUEUE_CAPACITY),
+            queue: PriorityQueue::new(),
             ask_every: ask_every.max(Span::from_nanos(1)),
             next_ask: None,
             asking: Asking::Waits,
@@ -175,20 +171,17 @@ impl<R: Rules> Discipline for AtOnce<R> {
         }
     }
 
-    fn enqueue(&mut self, frame: Buf, priority: Priority, ch: Channel) -> Result<(), (SendError, Buf)> {
+    fn enqueue(&mut self, frame: Buf, priority: Priority, _ch: Channel) -> Result<(), (SendError, Buf)> {
         if !R::may_leave(&frame) {
             self.status.lethal += 1;
             return Err((SendError::Lethal, frame));
         }
-        let queued = self.queue.push(R::level(priority), frame);
-        self.status.queue_full += u64::from(queued.is_err());
-        queued.map_err(|frame| (SendError::QueueFull(ch), frame))
+        self.queue.push(R::level(priority), frame);
+        Ok(())
     }
 
     fn put_back(&mut self, frame: Returned) {
-        // There is room: it was taken out before, and nothing was queued since.
-        let put = self.queue.push_front(frame.priority, frame.frame);
-        self.status.queue_full += u64::from(put.is_err());
+        self.queue.push_front(frame.priority, frame.frame);
     }
 
     fn payload_limit(&self, _ch: Channel) -> Result<usize, SendError> {

@@ -1,152 +1,54 @@
-//! Buffers and the pools that own them.
+//! Buffers, the pools that own them, and the chains that they form.
 //!
-//! A pool owns a constant number of buffers, all made when it is: nothing is allocated later. A
-//! [`Buf`] goes home when it is dropped, on whichever thread. Who wants to *keep* a filled buffer of
-//! somebody else's pays with an empty one of its own ([`hand_over`]), so that a slow consumer can
-//! lose only its own frames.
+//! A [`Pool`] owns its buffers, all made when it is: nothing is allocated later, unless its owner asks for
+//! more or fewer of them ([`Pool::extend`], [`Pool::shrink`]). A [`Buf`] goes home when it is dropped, on whichever
+//! thread. Who wants to *keep* a filled buffer of somebody else's pays with an empty one of its own
+//! ([`hand_over`]), so that a slow consumer can lose only its own frames.
 //!
 //! Every buffer has a place of its own in its home, so going home is one atomic exchange with nobody to
-//! compete with, and taking is one more at the place that was filled last. A buffer knows its home by plain
-//! reference, without a count: for that a pool's places (16 bytes a buffer) stay for the life of the process;
-//! the buffers themselves are released with the pool.
+//! compete with, and taking is one more at the first place that is filled. A buffer knows its home by plain
+//! reference, without a count: for that a pool's places (16 bytes for each buffer that it may ever own) stay for
+//! the life of the process; the buffers themselves are released with the pool, or when it shrinks.
+//!
+//! Buffers of any pools form a [`Chain`]: the fragments of one datagram, or frames that wait. The links are in the
+//! buffers, so it takes no memory of its own, however long it grows.
+
+mod chain;
+mod pool;
+#[cfg(test)]
+mod tests;
 
 use core::fmt;
 use core::ops::{Deref, DerefMut};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 
-use crossbeam::atomic::AtomicCell;
+use chain::Behind;
+pub use chain::Chain;
+use pool::Home;
+pub use pool::{MOST, Pool, PoolStatistics};
 
 /// Bytes in every buffer: the largest Ethernet frame without its check sequence.
 pub const ROOM: usize = 1514;
 
-/// A constant number of buffers, shared between threads by reference.
-pub struct Pool {
-    home: &'static Home,
-}
-
-/// One buffer, filled up to its length, which dereferences to the filled bytes.
+/// One buffer, filled up to its length, which dereferences to the filled bytes that were not trimmed.
 pub struct Buf {
-    // `Some` until dropped: safe code can move the box home only out of an `Option`.
+    // `Some` until dropped or linked: safe code can move the box on only out of an `Option`.
     storage: Option<Box<Storage>>,
-}
-
-struct Home {
-    places: Box<[Place]>,
-    /// Where to look first: the place that somebody filled or emptied last.
-    hint: AtomicUsize,
-    /// The pool is gone: buffers that come home now are released.
-    closed: AtomicBool,
-}
-
-/// Of one buffer.
-struct Place {
-    buffer: AtomicCell<Option<Box<Storage>>>,
-    /// Whether it is worth to look: set before the place is filled, cleared after it was emptied, both by the one
-    /// who owns the buffer then. So an empty place may seem filled for a moment; the reverse holds for nobody
-    /// who comes after the owner.
-    is_filled: AtomicBool,
 }
 
 struct Storage {
     home: &'static Home,
-    place: usize,
-    len: usize,
+    /// The next in the [`Chain`] that it is part of.
+    behind: Behind,
+    place: u16,
+    /// What is filled and not trimmed: `start..end` of `bytes`.
+    start: u16,
+    end: u16,
     bytes: [u8; ROOM],
 }
 
-impl Pool {
-    /// A pool of `capacity` buffers (at least 1) of [`ROOM`] bytes.
-    pub fn new(capacity: usize) -> Self {
-        assert!(capacity > 0, "a pool owns at least one buffer");
-        let home: &'static Home = Box::leak(Box::new(Home {
-            places: (0..capacity).map(|_| Place::empty()).collect(),
-            hint: AtomicUsize::new(0),
-            closed: AtomicBool::new(false),
-        }));
-        for place in 0..capacity {
-            home.keep(Box::new(Storage { home, place, len: 0, bytes: [0; ROOM] }));
-        }
-        // The first is beside what all look at.
-        home.hint.store(0, Relaxed);
-        Self { home }
-    }
-
-    /// An empty buffer, or `None` when all are in use; where several threads take, possibly also when one comes
-    /// home behind the search. Looks at the last place used, else at each one once.
-    #[inline]
-    pub fn take(&self) -> Option<Buf> {
-        let home = self.home;
-        let mut storage = home.empty(home.hint.load(Relaxed)).or_else(|| home.search())?;
-        storage.len = 0;
-        Some(Buf { storage: Some(storage) })
-    }
-
-    /// How many buffers are in the pool right now.
-    pub fn available(&self) -> usize {
-        self.home.places.iter().filter(|place| place.is_filled.load(Relaxed)).count()
-    }
-
-    /// How many buffers the pool owns.
-    pub fn capacity(&self) -> usize {
-        self.home.places.len()
-    }
-}
-
-impl Drop for Pool {
-    /// Releases the free buffers; those still in use follow when they are dropped (one that comes home in
-    /// this very moment may stay for the life of the process).
-    fn drop(&mut self) {
-        self.home.closed.store(true, Relaxed);
-        (0..self.capacity()).for_each(|place| drop(self.home.empty(place)));
-    }
-}
-
-impl Place {
-    fn empty() -> Self {
-        Self { buffer: AtomicCell::new(None), is_filled: AtomicBool::new(false) }
-    }
-}
-
-impl Home {
-    /// Nobody else fills this place, and it is empty: its only buffer is here.
-    #[inline]
-    fn keep(&self, storage: Box<Storage>) {
-        if self.closed.load(Relaxed) {
-            return;
-        }
-        let number = storage.place;
-        let place = &self.places[number];
-        place.is_filled.store(true, Relaxed);
-        let before = place.buffer.swap(Some(storage));
-        debug_assert!(before.is_none(), "two buffers with one place");
-        self.hint.store(number, Relaxed);
-    }
-
-    /// The buffer of a place, if it is at home.
-    #[inline]
-    fn empty(&self, number: usize) -> Option<Box<Storage>> {
-        let place = &self.places[number];
-        if !place.is_filled.load(Relaxed) {
-            return None;
-        }
-        let storage = place.buffer.swap(None)?;
-        place.is_filled.store(false, Relaxed);
-        Some(storage)
-    }
-
-    /// A buffer from anywhere. The next search begins where this one ended.
-    #[cold]
-    fn search(&self) -> Option<Box<Storage>> {
-        let hint = self.hint.load(Relaxed);
-        let (before, after) = (0..hint, hint..self.places.len());
-        let (place, storage) = after.chain(before).find_map(|place| Some((place, self.empty(place)?)))?;
-        self.hint.store(place, Relaxed);
-        Some(storage)
-    }
-}
-
 /// Makes a filled buffer `consumer`'s, which gives an empty one of its own to the pool it came from.
-/// Nothing is copied. An exhausted consumer gets nothing: the frame comes back as the error.
+/// Nothing is copied, what was trimmed stays so. An exhausted consumer gets nothing: the frame comes back as the
+/// error.
 pub fn hand_over(mut filled: Buf, consumer: &Pool) -> Result<Buf, Buf> {
     let Some(mut empty) = consumer.take() else { return Err(filled) };
     let (full, spare) = (filled.storage_mut(), empty.storage_mut());
@@ -156,41 +58,73 @@ pub fn hand_over(mut filled: Buf, consumer: &Pool) -> Result<Buf, Buf> {
 }
 
 impl Buf {
-    /// All [`ROOM`] bytes, to be filled before [`Buf::set_len`].
+    /// All [`ROOM`] bytes, to be filled before [`Buf::set_len`]; trimmed ones are among them.
     #[inline]
     pub fn room_mut(&mut self) -> &mut [u8; ROOM] {
         &mut self.storage_mut().bytes
     }
 
-    /// Declares the first `len` bytes filled. Panics above [`ROOM`].
+    /// Declares the first `len` bytes of the room filled, and none of them trimmed. Panics above [`ROOM`].
     #[inline]
     pub fn set_len(&mut self, len: usize) {
         assert!(len <= ROOM, "a buffer holds {ROOM} bytes, not {len}");
-        self.storage_mut().len = len;
+        let storage = self.storage_mut();
+        (storage.start, storage.end) = (0, len as u16);
     }
 
-    /// Copies `bytes` in and takes their length. Panics above [`ROOM`].
+    /// Copies `bytes` in and takes their length; nothing is trimmed then. Panics above [`ROOM`].
     pub fn fill(&mut self, bytes: &[u8]) {
         self.room_mut()[..bytes.len()].copy_from_slice(bytes);
         self.set_len(bytes.len());
     }
 
-    /// Appends zeros up to `len`; a longer frame stays as it is.
+    /// Appends zeros up to `len`; a longer frame stays as it is. Panics if that needs more than [`ROOM`], of
+    /// which trimmed bytes are part.
     pub fn pad_to(&mut self, len: usize) {
         let filled = self.len();
         if filled < len {
-            self.room_mut()[filled..len].fill(0);
-            self.set_len(len);
+            let storage = self.storage_mut();
+            let (start, end) = (usize::from(storage.start), usize::from(storage.end));
+            storage.bytes[end..start + len].fill(0);
+            storage.end = (start + len) as u16;
+        }
+    }
+
+    /// Leaves the first `n` filled bytes out from here on, as a header that was parsed. Panics if there are fewer.
+    #[inline]
+    pub fn trim_front(&mut self, n: usize) {
+        let filled = self.len();
+        assert!(n <= filled, "{n} bytes trimmed of {filled}");
+        self.storage_mut().start += n as u16;
+    }
+
+    /// Leaves out what is filled behind the first `n` bytes; a shorter frame stays as it is.
+    #[inline]
+    pub fn truncate(&mut self, n: usize) {
+        if n < self.len() {
+            let storage = self.storage_mut();
+            storage.end = storage.start + n as u16;
         }
     }
 
     #[inline]
     fn storage(&self) -> &Storage {
-        self.storage.as_deref().expect("only drop takes it")
+        self.storage.as_deref().expect("only what ends it takes it")
     }
     #[inline]
     fn storage_mut(&mut self) -> &mut Storage {
-        self.storage.as_deref_mut().expect("only drop takes it")
+        self.storage.as_deref_mut().expect("only what ends it takes it")
+    }
+}
+
+impl Storage {
+    fn new(home: &'static Home, place: u16) -> Self {
+        Self { home, behind: Behind::default(), place, start: 0, end: 0, bytes: [0; ROOM] }
+    }
+
+    #[inline]
+    fn filled(&self) -> &[u8] {
+        &self.bytes[usize::from(self.start)..usize::from(self.end)]
     }
 }
 
@@ -208,8 +142,7 @@ impl Deref for Buf {
     type Target = [u8];
     #[inline]
     fn deref(&self) -> &[u8] {
-        let storage = self.storage();
-        &storage.bytes[..storage.len]
+        self.storage().filled()
     }
 }
 
@@ -217,111 +150,12 @@ impl DerefMut for Buf {
     #[inline]
     fn deref_mut(&mut self) -> &mut [u8] {
         let storage = self.storage_mut();
-        &mut storage.bytes[..storage.len]
+        &mut storage.bytes[usize::from(storage.start)..usize::from(storage.end)]
     }
 }
 
 impl fmt::Debug for Buf {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Buf[{}]", self.len())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_buffer_goes_home_when_it_is_dropped() {
-        let pool = Pool::new(2);
-        let (a, b) = (pool.take().unwrap(), pool.take().unwrap());
-        assert!(pool.take().is_none());
-        drop(a);
-        assert_eq!(pool.available(), 1);
-        drop(b);
-        assert_eq!((pool.available(), pool.capacity()), (2, 2));
-    }
-
-    #[test]
-    fn keeping_a_frame_costs_the_consumer_an_empty_buffer() {
-        let (nic, socket) = (Pool::new(1), Pool::new(1));
-        let mut frame = nic.take().unwrap();
-        frame.fill(b"frame");
-        let kept = hand_over(frame, &socket).unwrap();
-        assert_eq!(&kept[..], b"frame");
-        assert_eq!((nic.available(), socket.available()), (1, 0));
-
-        let mut second = nic.take().unwrap();
-        second.fill(b"lost");
-        let refused = hand_over(second, &socket).unwrap_err();
-        assert_eq!(&refused[..], b"lost");
-        drop(refused);
-        drop(kept);
-        assert_eq!((nic.available(), socket.available()), (1, 1));
-    }
-
-    #[test]
-    fn padding_is_zero_even_in_a_used_buffer() {
-        let pool = Pool::new(1);
-        let mut used = pool.take().unwrap();
-        used.fill(&[0xff; 64]);
-        drop(used);
-        let mut again = pool.take().unwrap();
-        assert!(again.is_empty());
-        again.fill(b"x");
-        again.pad_to(60);
-        assert_eq!(again[1..], [0; 59]);
-    }
-
-    #[test]
-    fn threads_share_a_pool_and_nothing_is_lost() {
-        let pool = Pool::new(8);
-        std::thread::scope(|scope| {
-            for _ in 0..4 {
-                scope.spawn(|| {
-                    for _ in 0..10_000 {
-                        let held: Vec<_> = (0..3).filter_map(|_| pool.take()).collect();
-                        drop(held);
-                    }
-                });
-            }
-        });
-        assert_eq!(pool.available(), 8);
-    }
-
-    #[test]
-    fn frames_handed_from_pool_to_pool_by_several_threads_all_come_home() {
-        let (nic, socket) = (Pool::new(4), Pool::new(3));
-        std::thread::scope(|scope| {
-            for byte in 1..=4u8 {
-                let (nic, socket) = (&nic, &socket);
-                scope.spawn(move || {
-                    for _ in 0..10_000 {
-                        let Some(mut frame) = nic.take() else { continue };
-                        frame.fill(&[byte; 64]);
-                        let kept = hand_over(frame, socket);
-                        let frame = kept.as_ref().unwrap_or_else(|refused| refused);
-                        assert!(frame.iter().all(|&filled| filled == byte), "two owners of one buffer");
-                    }
-                });
-            }
-        });
-        assert_eq!((nic.available(), socket.available()), (4, 3));
-        let all: Vec<_> = std::iter::from_fn(|| nic.take().or_else(|| socket.take())).collect();
-        assert_eq!(all.len(), 7);
-    }
-
-    #[test]
-    fn taking_needs_no_lock() {
-        assert!(AtomicCell::<Option<Box<Storage>>>::is_lock_free());
-    }
-
-    #[test]
-    fn a_buffer_may_outlive_its_pool() {
-        let pool = Pool::new(2);
-        let mut buf = pool.take().unwrap();
-        drop(pool);
-        buf.fill(b"still here");
-        assert_eq!(&buf[..], b"still here");
     }
 }

@@ -43,6 +43,28 @@ refusals! {
     ForgedSource = "forged_source",
     /// Ends before its last field.
     Truncated = "truncated",
+    /// A packet of another IP than version 4.
+    IpVersion = "ip_version",
+    /// An IP header shorter than any, or longer than what is there.
+    IpHeaderLength = "ip_header_length",
+    /// An IP header that was changed on the way.
+    IpChecksum = "ip_checksum",
+    /// A packet whose total length is less than its header's, or more than is there.
+    IpLength = "ip_length",
+    /// A packet that had no hop left.
+    IpTtl = "ip_ttl",
+    /// A fragment that no datagram can be put together with.
+    IpFragment = "ip_fragment",
+    /// A UDP datagram whose length cannot be its own.
+    UdpLength = "udp_length",
+    /// A UDP datagram that was changed on the way.
+    UdpChecksum = "udp_checksum",
+    /// An ICMP message that is neither an echo request nor a reply.
+    IcmpType = "icmp_type",
+    /// An ICMP message that was changed on the way.
+    IcmpChecksum = "icmp_checksum",
+    /// An ARP packet that is not of Ethernet and IPv4, or neither request nor reply.
+    ArpFormat = "arp_format",
     /// A TDMA frame whose version is not 0x0201.
     TdmaVersion = "tdma_version",
     /// A TDMA message identifier that is not defined.
@@ -67,6 +89,36 @@ refusals! {
     ImplausibleReply = "implausible_reply",
     /// A TDMA frame while this station takes no part in the cycle.
     Detached = "detached",
+    /// An IP packet for another address.
+    ForeignAddress = "foreign_address",
+    /// An IP packet of a protocol that nobody here speaks.
+    NoProtocol = "no_protocol",
+    /// A datagram to a port that no socket here listens on for its sender.
+    NoSocket = "no_socket",
+    /// A fragment of a datagram whose begin has not come, or was given up.
+    FragmentOrphan = "fragment_orphan",
+    /// A fragment that is not the next of its datagram, which is given up with it.
+    FragmentOrder = "fragment_order",
+    /// The begin of a datagram for a socket that waits for the rest of as many as it may.
+    FragmentLimit = "fragment_limit",
+    /// An echo, or its answer, in fragments.
+    IcmpFragmented = "icmp_fragmented",
+    /// A question for an echo to all stations at once.
+    IcmpBroadcast = "icmp_broadcast",
+    /// An echo that nobody here asked for, or asks for any more.
+    IcmpUnexpected = "icmp_unexpected",
+    /// An answer is due to an address without a route.
+    NoRoute = "no_route",
+    /// An answer is due, and the discipline does not take it: no slot, or one too small.
+    NotQueued = "not_queued",
+    /// Address resolution that concerns others: gratuitous, or for another address.
+    ArpNotForUs = "arp_not_for_us",
+    /// An address that nobody here asked for.
+    ArpUnsolicited = "arp_unsolicited",
+    /// A station claims an address that is ours, or another's by the table.
+    ArpConflict = "arp_conflict",
+    /// An address that finds the table of host routes full.
+    RoutesFull = "routes_full",
     /// Test traffic whose sequence, addressing or pattern is not what was sent.
     BadPayload = "bad_payload",
 }

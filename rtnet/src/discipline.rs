@@ -213,7 +213,8 @@ pub enum SendError {
         /// What the slot takes.
         limit: usize,
     },
-    /// The queue of the slot is full.
+    /// The queue of the slot is full. Those of TDMA, NoMAC and direct never are: pools bound what waits in them, each
+    /// what its owner sends.
     #[error("the queue of slot {0} is full")]
     QueueFull(Channel),
     /// An RTmac frame that real RTnet stations never free (invariant 8).

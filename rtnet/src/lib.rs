@@ -16,27 +16,30 @@
 //! let kept = hand_over(frame, &socket).expect("the socket has an empty buffer");
 //! assert_eq!((nic.available(), socket.available()), (4, 1));
 //!
-//! let mut queue = PriorityQueue::new(8);
-//! queue.push(Priority::new(15)?, kept).expect("the queue has room");
+//! let mut queue = PriorityQueue::new();
+//! queue.push(Priority::new(15)?, kept);
 //! let (priority, frame) = queue.pop().expect("one is queued");
 //! assert_eq!((priority, &frame[..]), (Priority::DEFAULT, &b"a frame"[..]));
 //! # Ok::<(), rtnet::PriorityOutOfRange>(())
 //! ```
 
+pub mod api;
 pub mod at_once;
 pub mod buf;
 pub mod clock;
 pub mod counters;
 pub mod direct;
 pub mod discipline;
+pub mod ip;
 pub mod live;
 pub mod queue;
 pub mod sim;
+pub mod socket;
 pub mod station;
 pub mod time;
 pub mod wire;
 
-pub use buf::{Buf, Pool, hand_over};
+pub use buf::{Buf, Chain, Pool, PoolStatistics, hand_over};
 pub use counters::{Refusal, Refusals};
 pub use direct::Direct;
 pub use discipline::{Discipline, Service};

@@ -2,11 +2,13 @@
 //!
 //! ```text
 //! occupied  0b…0000_0010_0000_0001      lowest set bit = most urgent level that holds something
-//! levels    [0] head ─► node ─► node    nodes come from one array of `capacity`, linked by index
-//!           [5] head ─► node
+//! levels    [0] frame ─► frame ─► frame   linked through their buffers: it needs no room of its own, and is never full
+//!           [9] frame
 //! ```
 
 use core::fmt;
+
+use crate::buf::{Buf, Chain};
 
 /// An urgency: 0 first, 31 last.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -45,100 +47,43 @@ impl fmt::Debug for Priority {
 #[error("priority {0} is out of range: 0 is the most urgent, 31 the least")]
 pub struct PriorityOutOfRange(pub u8);
 
-/// End of a list: no node has this index.
-const NIL: u16 = u16::MAX;
-
-/// A bounded queue of 32 priorities; every operation takes constant time and allocates nothing.
-pub struct PriorityQueue<T> {
+/// Frames of 32 priorities, as many as there are buffers: what may wait, pools bound, each what its owner sends. Every
+/// operation takes constant time and no memory.
+#[derive(Default)]
+pub struct PriorityQueue {
     occupied: u32,
-    levels: [Level; Priority::LEVELS],
-    nodes: Box<[Node<T>]>,
-    free: u16,
-    len: usize,
+    len: u32,
+    levels: [Chain; Priority::LEVELS],
 }
 
-#[derive(Clone, Copy)]
-struct Level {
-    head: u16,
-    tail: u16,
-}
-
-struct Node<T> {
-    item: Option<T>,
-    next: u16,
-}
-
-impl<T> PriorityQueue<T> {
-    /// An empty queue for at most `capacity` items (1 to 65 535) over all levels together.
-    pub fn new(capacity: u16) -> Self {
-        assert!(capacity > 0, "a queue needs room for at least one item");
-        let last = capacity - 1;
-        let next = |i| if i == last { NIL } else { i + 1 };
-        let nodes = (0..capacity).map(|i| Node { item: None, next: next(i) }).collect();
-        Self { nodes, free: 0, ..Self::without_room() }
+impl PriorityQueue {
+    /// An empty queue.
+    pub fn new() -> Self {
+        Self::default()
     }
 
-    /// A queue that gives every item back, in the place of one that is still to come; it takes no memory of its own.
-    pub fn without_room() -> Self {
-        Self {
-            occupied: 0,
-            levels: [Level { head: NIL, tail: NIL }; Priority::LEVELS],
-            nodes: Box::default(),
-            free: NIL,
-            len: 0,
-        }
-    }
-
-    /// How many items it has room for.
-    pub fn capacity(&self) -> usize {
-        self.nodes.len()
-    }
-
-    /// Appends behind everything of the same priority; a full queue gives the item back.
+    /// Appends behind everything of the same priority.
     #[inline]
-    pub fn push(&mut self, priority: Priority, item: T) -> Result<(), T> {
-        let index = self.fill_free_node(item)?;
-        self.nodes[usize::from(index)].next = NIL;
-        let level = &mut self.levels[usize::from(priority.0)];
-        let tail = core::mem::replace(&mut level.tail, index);
-        if tail == NIL {
-            level.head = index;
-            self.occupied |= 1 << priority.0;
-        } else {
-            self.nodes[usize::from(tail)].next = index;
-        }
-        Ok(())
+    pub fn push(&mut self, priority: Priority, frame: Buf) {
+        self.level(priority).push(frame);
     }
 
-    /// Puts an item that was taken out back before everything of the same priority.
-    pub fn push_front(&mut self, priority: Priority, item: T) -> Result<(), T> {
-        let index = self.fill_free_node(item)?;
-        let level = &mut self.levels[usize::from(priority.0)];
-        let head = core::mem::replace(&mut level.head, index);
-        self.nodes[usize::from(index)].next = head;
-        if head == NIL {
-            level.tail = index;
-            self.occupied |= 1 << priority.0;
-        }
-        Ok(())
+    /// Puts a frame that was taken out back before everything of the same priority.
+    pub fn push_front(&mut self, priority: Priority, frame: Buf) {
+        self.level(priority).push_front(frame);
     }
 
-    /// Takes the oldest item of the most urgent level.
+    /// Takes the oldest frame of the most urgent level.
     #[inline]
-    pub fn pop(&mut self) -> Option<(Priority, T)> {
+    pub fn pop(&mut self) -> Option<(Priority, Buf)> {
         let priority = self.first()?;
         let level = &mut self.levels[usize::from(priority.0)];
-        let index = level.head;
-        let node = &mut self.nodes[usize::from(index)];
-        level.head = node.next;
-        if level.head == NIL {
-            level.tail = NIL;
+        let frame = level.pop_front()?;
+        if level.is_empty() {
             self.occupied &= self.occupied - 1;
         }
-        node.next = self.free;
-        self.free = index;
         self.len -= 1;
-        node.item.take().map(|item| (priority, item))
+        Some((priority, frame))
     }
 
     /// The most urgent level that holds something.
@@ -146,37 +91,43 @@ impl<T> PriorityQueue<T> {
         (self.occupied != 0).then(|| Priority(self.occupied.trailing_zeros() as u8))
     }
 
-    /// How many items wait.
+    /// How many frames wait.
     pub fn len(&self) -> usize {
-        self.len
+        self.len as usize
     }
     /// Whether none waits.
     pub fn is_empty(&self) -> bool {
         self.occupied == 0
     }
 
+    /// The level to which one more comes.
     #[inline]
-    fn fill_free_node(&mut self, item: T) -> Result<u16, T> {
-        if self.free == NIL {
-            return Err(item);
-        }
-        let index = self.free;
-        let node = &mut self.nodes[usize::from(index)];
-        self.free = node.next;
-        node.item = Some(item);
+    fn level(&mut self, priority: Priority) -> &mut Chain {
+        self.occupied |= 1 << priority.0;
         self.len += 1;
-        Ok(index)
+        &mut self.levels[usize::from(priority.0)]
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::buf::Pool;
     use proptest::prelude::*;
     use std::collections::VecDeque;
 
     fn p(level: u8) -> Priority {
         Priority::new(level).unwrap()
+    }
+
+    fn marked(pool: &Pool, mark: u16) -> Buf {
+        let mut buf = pool.take().unwrap();
+        buf.fill(&mark.to_be_bytes());
+        buf
+    }
+
+    fn next(queue: &mut PriorityQueue) -> Option<(Priority, u16)> {
+        queue.pop().map(|(priority, buf)| (priority, u16::from_be_bytes([buf[0], buf[1]])))
     }
 
     #[test]
@@ -186,55 +137,50 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_gives_the_item_back() {
-        let mut queue = PriorityQueue::new(1);
-        assert_eq!(queue.push(p(3), 'a'), Ok(()));
-        assert_eq!(queue.push(p(0), 'b'), Err('b'));
-        assert_eq!(queue.pop(), Some((p(3), 'a')));
-        assert_eq!(queue.push(p(0), 'b'), Ok(()));
-    }
-
-    #[test]
-    fn a_queue_without_room_gives_every_item_back() {
-        let mut queue = PriorityQueue::without_room();
-        assert_eq!((queue.push(p(3), 'a'), queue.push_front(p(3), 'b')), (Err('a'), Err('b')));
-        assert_eq!((queue.pop(), queue.capacity()), (None, 0));
-    }
-
-    #[test]
     fn what_is_put_back_is_the_next_of_its_level() {
-        let mut queue = PriorityQueue::new(4);
-        queue.push(p(7), 2).unwrap();
-        queue.push_front(p(7), 1).unwrap();
-        queue.push_front(p(9), 3).unwrap();
-        let order: Vec<_> = core::iter::from_fn(|| queue.pop()).map(|(_, item)| item).collect();
+        let pool = Pool::new(3);
+        let mut queue = PriorityQueue::new();
+        queue.push(p(7), marked(&pool, 2));
+        queue.push_front(p(7), marked(&pool, 1));
+        queue.push_front(p(9), marked(&pool, 3));
+        let order: Vec<_> = core::iter::from_fn(|| next(&mut queue)).map(|(_, mark)| mark).collect();
         assert_eq!(order, [1, 2, 3]);
+    }
+
+    #[test]
+    fn what_waits_goes_home_with_the_queue() {
+        let pool = Pool::new(100);
+        let mut queue = PriorityQueue::new();
+        (0..100).for_each(|mark| queue.push(p((mark % 32) as u8), marked(&pool, mark)));
+        assert_eq!((pool.available(), queue.len()), (0, 100), "all that a pool has");
+        drop(queue);
+        assert_eq!(pool.available(), 100);
     }
 
     proptest! {
         #[test]
         fn behaves_like_32_lists(steps in prop::collection::vec((0u8..32, 0u8..4), 0..300)) {
-            let mut queue = PriorityQueue::new(40);
-            let mut lists: Vec<VecDeque<usize>> = vec![VecDeque::new(); 32];
-            for (i, (level, step)) in steps.into_iter().enumerate() {
+            let pool = Pool::new(300);
+            let mut queue = PriorityQueue::new();
+            let mut lists: Vec<VecDeque<u16>> = vec![VecDeque::new(); 32];
+            for (mark, (level, step)) in (0..).zip(steps) {
                 let waiting: usize = lists.iter().map(VecDeque::len).sum();
                 prop_assert_eq!(queue.len(), waiting);
+                let list = &mut lists[usize::from(level)];
                 match step {
                     0 | 1 => {
-                        let pushed = queue.push(p(level), i).is_ok();
-                        prop_assert_eq!(pushed, waiting < 40);
-                        if pushed { lists[usize::from(level)].push_back(i); }
+                        queue.push(p(level), marked(&pool, mark));
+                        list.push_back(mark);
                     }
                     2 => {
-                        if queue.push_front(p(level), i).is_ok() {
-                            lists[usize::from(level)].push_front(i);
-                        }
+                        queue.push_front(p(level), marked(&pool, mark));
+                        list.push_front(mark);
                     }
                     _ => {
                         let first = lists.iter().position(|list| !list.is_empty()).map(|level| p(level as u8));
                         prop_assert_eq!(queue.first(), first);
                         let expected = (0..32).find_map(|l| lists[l].pop_front().map(|i| (p(l as u8), i)));
-                        prop_assert_eq!(queue.pop(), expected);
+                        prop_assert_eq!(next(&mut queue), expected);
                     }
                 }
             }

@@ -1,8 +1,9 @@
-//! A station: a discipline, the services beside it, and what was refused.
+//! A station: a discipline, the sockets above it, the services beside them, and what was refused.
 
 use crate::buf::Buf;
 use crate::counters::{Refusal, Refusals};
 use crate::discipline::{Claimed, Discipline, Opportunity, Sent, Service, SyncState, Transmission};
+use crate::ip::{Exit, Stack};
 use crate::time::Instant;
 use crate::wire::ethernet::Header;
 
@@ -10,6 +11,7 @@ use crate::wire::ethernet::Header;
 pub struct Station<D: Discipline> {
     discipline: D,
     services: Vec<Box<dyn Service>>,
+    stack: Option<Box<Stack>>,
     refusals: Refusals,
     stale: u64,
     announced: SyncState,
@@ -18,7 +20,19 @@ pub struct Station<D: Discipline> {
 impl<D: Discipline> Station<D> {
     /// A station that shares the medium by `discipline`.
     pub fn new(discipline: D, services: Vec<Box<dyn Service>>) -> Self {
-        Self { discipline, services, refusals: Refusals::default(), stale: 0, announced: SyncState::Waiting }
+        Self {
+            discipline,
+            services,
+            stack: None,
+            refusals: Refusals::default(),
+            stale: 0,
+            announced: SyncState::Waiting,
+        }
+    }
+
+    /// The same with sockets.
+    pub fn with_stack(self, stack: Stack) -> Self {
+        Self { stack: Some(Box::new(stack)), ..self }
     }
 
     /// A frame has arrived, stamped `rx` on this station's clock.
@@ -60,6 +74,16 @@ impl<D: Discipline> Station<D> {
         }
     }
 
+    /// The slot's frame has left: programs with sockets may do what takes longer.
+    pub fn rest(&mut self) {
+        self.stack.iter_mut().for_each(|stack| stack.rest());
+    }
+
+    /// It is about to wait until it is rung for, or is awake again. Tells whether it should not wait.
+    pub fn sleeps(&mut self, is_asleep: bool) -> bool {
+        self.stack.as_mut().is_some_and(|stack| stack.sleeps(is_asleep))
+    }
+
     /// When to wake next; `None` means on the next frame.
     pub fn next_deadline(&self) -> Option<Instant> {
         self.discipline.next_deadline()
@@ -73,6 +97,14 @@ impl<D: Discipline> Station<D> {
     pub fn discipline_mut(&mut self) -> &mut D {
         &mut self.discipline
     }
+    /// Its sockets, if it has any.
+    pub fn stack(&self) -> Option<&Stack> {
+        self.stack.as_deref()
+    }
+    /// Its sockets, and where their frames leave.
+    pub fn stack_mut(&mut self) -> Option<(&mut Stack, &mut dyn Exit)> {
+        Some((self.stack.as_deref_mut()?, &mut self.discipline))
+    }
     /// Frames that were refused, by reason.
     pub fn refusals(&self) -> &Refusals {
         &self.refusals
@@ -83,24 +115,35 @@ impl<D: Discipline> Station<D> {
     }
 
     fn dispatch(&mut self, rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
+        let Self { discipline, services, stack, .. } = self;
         let (header, _) = Header::parse(&frame).ok_or(Refusal::Runt)?;
-        if self.discipline.claims(header) {
-            return match self.discipline.on_frame(rx, frame) {
+        let ether_type = header.ether_type();
+        let is_disciplines = discipline.claims(header);
+        let service = services.iter_mut().find(|service| service.claims(ether_type));
+        if let Some(stack) = stack {
+            if !is_disciplines && service.is_none() {
+                return stack.on_frame(rx, frame, discipline);
+            }
+            stack.overhear(rx, &frame);
+        }
+        if is_disciplines {
+            return match discipline.on_frame(rx, frame) {
                 Claimed::Kept => Ok(()),
                 Claimed::Tunnel(_) => Err(Refusal::NoTunnel),
                 Claimed::Refused(reason) => Err(reason),
             };
         }
-        let ether_type = header.ether_type();
-        let service = self.services.iter_mut().find(|service| service.claims(ether_type));
         service.ok_or(Refusal::UnclaimedEtherType)?.on_frame(rx, frame)
     }
 
     /// Lets services queue what they have for a slot, and fill it if there is nothing.
     fn ask(&mut self, slot: &Opportunity) {
-        let Self { discipline, services, .. } = self;
+        let Self { discipline, services, stack, .. } = self;
         for service in services.iter_mut() {
             service.poll(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
+        }
+        if let Some(stack) = stack {
+            stack.poll(slot.begin, discipline);
         }
         for service in services {
             if !discipline.is_waiting(slot.channel) {
@@ -116,6 +159,8 @@ impl<D: Discipline> Station<D> {
         let ether_type = header.ether_type();
         if let Some(service) = self.services.iter_mut().find(|service| service.claims(ether_type)) {
             service.leaves(slot, frame);
+        } else if let Some(stack) = &mut self.stack {
+            stack.leaves(slot.begin, frame);
         }
     }
 

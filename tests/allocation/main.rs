@@ -4,7 +4,9 @@
 // Live stations need real time.
 #![allow(clippy::disallowed_methods)]
 
+mod buffers;
 mod live;
+mod sockets;
 mod virtual_time;
 mod without_slots;
 

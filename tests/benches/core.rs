@@ -95,19 +95,23 @@ fn pool(mode: &mut Mode) {
     });
 }
 
-/// What waits are references, which are as small as buffers and cost nothing to drop. The levels take
-/// turns, so that both empty and occupied ones are met.
+/// What waits here are buffers, which are linked through themselves; beside it, references, which cost nothing to drop. The
+/// levels take turns, so that both empty and occupied ones are met.
 fn queue(mode: &mut Mode) {
     let frame = &[0u8; buf::ROOM];
     let levels: [_; BATCH] =
         std::array::from_fn(|turn| Priority::new((turn * 5 % 16) as u8).expect("below 32"));
 
-    let mut queue = PriorityQueue::new(BUFFERS as u16);
-    levels.iter().for_each(|&level| queue.push(level, frame).expect("room for more"));
+    let pool = Pool::new(BATCH + 1);
+    let mut queue = PriorityQueue::new();
+    levels.iter().for_each(|&level| queue.push(level, pool.take().expect("one for each and one more")));
+    let mut held = pool.take();
     mode.subject("queue/rtnet", || {
         for &level in black_box(&levels) {
-            let _ = queue.push(level, black_box(frame));
-            black_box(queue.pop());
+            if let Some(frame) = held.take() {
+                queue.push(level, black_box(frame));
+            }
+            held = black_box(queue.pop()).map(|(_, frame)| frame);
         }
     });
 

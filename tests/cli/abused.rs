@@ -324,7 +324,11 @@ fn a_station_whose_interface_goes_down_or_away_comes_back_beside_the_others() {
         let state = |place: usize| cell.status()["stations"][place]["state"].as_str().unwrap().to_owned();
         to_interface(&cell, "slave2", |netlink, interface| netlink.set_down(interface));
         wait_until("it is seen", || state(2) == "lost, down");
-        assert_eq!(state(1), "locked", "the others go on");
+        let other = state(1);
+        assert!(
+            ["locked", "holdover"].contains(&other.as_str()),
+            "{other}: the others go on, a busy host may skip a sync"
+        );
         to_interface(&cell, "slave2", |netlink, interface| netlink.set_up(interface));
         wait_until("it is locked again", || state(2) == "locked");
 

@@ -18,6 +18,12 @@ fn mastery(cell: &Cell, station: &str) -> String {
     cell.station(station)["mastery"].as_str().unwrap_or_default().to_owned()
 }
 
+/// Whom a station follows, by name.
+fn followed(cell: &Cell, station: &str) -> Option<String> {
+    let status = cell.station(station);
+    status["names"][status["standing"]["time_by"].as_str()?].as_str().map(str::to_owned)
+}
+
 #[test]
 fn a_backup_takes_over_in_the_very_cycle_and_the_master_that_returns_goes_on() {
     let test = "a_backup_takes_over_in_the_very_cycle_and_the_master_that_returns_goes_on";
@@ -40,6 +46,8 @@ fn a_backup_takes_over_in_the_very_cycle_and_the_master_that_returns_goes_on() {
                     && ["backup1", "backup2"].map(|name| mastery(&cell, name)).contains(&"active".into())
             });
             std::thread::sleep(Duration::from_millis(200));
+            let by = followed(&cell, "slave1");
+            assert!(by.as_ref().is_some_and(|by| by.starts_with("backup")), "{by:?}");
             at_once += usize::from(count("syncs_missing") == missing);
             cell.restart("master");
             wait_until("the master has its place back", || {

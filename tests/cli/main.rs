@@ -14,8 +14,10 @@ mod lab;
 mod live;
 mod manual;
 mod observe;
+mod programs;
 mod requests;
 mod rights;
+mod sockets;
 mod station;
 mod wires;
 

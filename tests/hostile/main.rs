@@ -6,6 +6,7 @@
 
 mod calibration;
 mod frames;
+mod stack;
 mod traffic;
 
 use frames::hostile_frame;

@@ -152,8 +152,13 @@ pub fn clock(offset: Span, drift_ppb: i64) -> EmulatedClock {
 
 /// Our master on this clock, with one slot.
 pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma {
+    master_of(CYCLE, address, clock, offset, 100)
+}
+
+/// The same with another cycle, and a slot for frames of another size.
+pub fn master_of(cycle: Span, address: Address, clock: &EmulatedClock, offset: Span, size: usize) -> Tdma {
     let epoch = Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()));
-    let (cycle, late) = (CYCLE, Span::from_millis(1));
+    let late = Span::from_millis(1);
     let follow = SlaveConfig { rounds: 0, ..SlaveConfig::default() };
     let config = MasterConfig {
         cycle,
@@ -166,19 +171,24 @@ pub fn our_master(address: Address, clock: &EmulatedClock, offset: Span) -> Tdma
         max_requests: DEFAULT_MAX_REQUESTS,
         follow,
     };
-    ours(address, offset, RoleConfig::Master(config))
+    ours(address, offset, size, RoleConfig::Master(config))
 }
 
 /// Our slave, with one slot.
 pub fn our_slave(address: Address, rounds: u32, offset: Span) -> Tdma {
     // On a machine that runs other tests, a Synchronisation may be held up by more than 50 us.
     let step_limit = Some(Span::from_micros(500));
-    ours(address, offset, RoleConfig::Slave(SlaveConfig { rounds, step_limit, ..SlaveConfig::default() }))
+    ours(
+        address,
+        offset,
+        100,
+        RoleConfig::Slave(SlaveConfig { rounds, step_limit, ..SlaveConfig::default() }),
+    )
 }
 
-fn ours(address: Address, offset: Span, role: RoleConfig) -> Tdma {
+fn ours(address: Address, offset: Span, size: usize, role: RoleConfig) -> Tdma {
     let latest = Span::from_micros(500);
-    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size: 100, joint: None, latest };
+    let slot = SlotConfig { id: 0, offset, phase: 0, period: 1, size, joint: None, latest };
     let (max_slot_id, lead, late) = (DEFAULT_MAX_SLOT_ID, DEFAULT_LEAD, LatePolicy::Skip);
     Tdma::new(&TdmaConfig { address, role, slots: vec![slot], max_slot_id, lead, late }).unwrap()
 }

@@ -3,10 +3,13 @@
 // Real stations need real time.
 #![allow(clippy::disallowed_methods)]
 
+mod data_between_slots;
 mod kernel_guard;
+mod linux_peer;
 mod live;
 mod not_for_us;
 mod peer_over_veth;
 mod sync_loss;
 mod wait_on_cycle;
+mod with_sockets;
 mod without_slots;

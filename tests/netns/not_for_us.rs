@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use rtnet::clock::EmulatedClock;
 use rtnet::live::interface::Interface;
 use rtnet::live::ring::{CaptureRing, RingConfig};
-use rtnet::live::{GuardMode, Port};
+use rtnet::live::{Data, GuardMode, Port};
 use rtnet::wire::ethernet::EtherType;
 use tests::bare::Bare;
 use tools::lab::namespace::{Namespace, Segment};
@@ -114,4 +114,42 @@ fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
         received += u64::from(wakes);
         assert_eq!(woken(&mut port, if wakes { LONG } else { SHORT }), (wakes, received), "{what}");
     }
+}
+
+#[test]
+fn a_station_with_sockets_hears_every_ether_type_but_rtmac_s_no_vlan_and_not_itself() {
+    if !as_root("a_station_with_sockets_hears_every_ether_type_but_rtmac_s_no_vlan_and_not_itself") {
+        return;
+    }
+    let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
+    let mut segment = Segment::new().unwrap();
+    segment.attach(&here, "port0", "rt0", SENDER).unwrap();
+    segment.attach(&there, "port1", "rt0", STATION).unwrap();
+    let sender = here.run(|| Bare::open(&Interface::find("rt0").unwrap()).unwrap()).unwrap();
+    let open = || {
+        let interface = Interface::find("rt0").unwrap();
+        let port =
+            Port::open(&interface, Data::All, EmulatedClock::default(), 50_000, GuardMode::User).unwrap();
+        (port, Bare::open(&interface).unwrap())
+    };
+    let (mut port, itself) = there.run(open).unwrap();
+    let mut vlan = frame(STATION, EtherType(0x8100));
+    vlan[16..18].copy_from_slice(&EtherType::EXPERIMENTAL.0.to_be_bytes());
+    let mut own = frame(SENDER, EtherType::EXPERIMENTAL);
+    own[6..12].copy_from_slice(&STATION);
+    assert!(itself.send(&own));
+    let others = [vlan, frame(STATION, EtherType::RTMAC), frame(ANOTHER, EtherType::EXPERIMENTAL)];
+    let ours = [EtherType::EXPERIMENTAL, EtherType::ARP, EtherType(0x1234)].map(|of| frame(STATION, of));
+    for frame in others.iter().chain(&ours).chain([&frame(ALL, EtherType::EXPERIMENTAL)]) {
+        assert!(sender.send(frame));
+    }
+    let (deadline, mut heard) = (Instant::now() + LONG, Vec::new());
+    while heard.len() < 4 && Instant::now() < deadline {
+        port.wait_for_frame(SHORT.as_millis() as i32);
+        port.drain_control(|_, _| ());
+        port.drain_data(|_, frame| heard.push([frame[12], frame[13]]));
+    }
+    std::thread::sleep(SHORT);
+    port.drain_data(|_, frame| heard.push([frame[12], frame[13]]));
+    assert_eq!(heard, [[0x88, 0xb5], [8, 6], [0x12, 0x34], [0x88, 0xb5]]);
 }

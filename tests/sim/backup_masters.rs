@@ -136,9 +136,8 @@ fn a_backup_that_misses_a_synchronisation_repeats_it_and_disturbs_nobody() {
 }
 
 #[test]
-fn of_two_primaries_after_a_cut_the_one_with_the_higher_address_makes_way() {
+fn a_backup_that_gave_the_time_in_its_half_makes_way_for_the_primary_after_a_cut() {
     let mut lab = running(&plan());
-    // The second backup's half of the network has a primary of its own meanwhile.
     lab.network.cut_off(&[SECOND, 4]);
     lab.run_cycles(100);
     assert_eq!(lab.status(SECOND).mastery, Some(Mastery::Active), "in its half");

@@ -2,11 +2,15 @@
 
 use tools::report::figures::Figures;
 use tools::scenario::Source;
-use tools::sim::{self, Options};
+use tools::sim::{self, Options, SimFigures};
 
 fn run(text: &str) -> Figures {
-    let scenario = Source { file: "lossy.toml", text }.parse().unwrap();
-    sim::run(&scenario, &Options::default()).unwrap().figures.figures
+    run_to_the_end(text).figures
+}
+
+fn run_to_the_end(text: &str) -> SimFigures {
+    let scenario = Source::new("lossy.toml", text).parse().unwrap();
+    sim::run(&scenario, &Options::default()).unwrap().figures
 }
 
 #[test]
@@ -86,4 +90,64 @@ for = "100ms"
         "{:?}",
         figures.verdict
     );
+}
+
+/// Three stations, one second, and what is said of their wires.
+fn three_stations(wires: &str) -> SimFigures {
+    const STATIONS: &str = r#"
+cycle = "1ms"
+rate = "100M"
+duration = "1s"
+[[station]]
+name = "master"
+role = "master"
+rounds = 20
+slots = [{ id = 0, offset = "800us" }]
+[[station]]
+name = "slave1"
+role = "slave"
+rounds = 20
+slots = [{ id = 0, offset = "300us" }]
+[[station]]
+name = "slave2"
+role = "slave"
+rounds = 20
+slots = [{ id = 0, offset = "500us" }]
+"#;
+    run_to_the_end(&format!("{STATIONS}{wires}"))
+}
+
+#[test]
+fn a_wire_of_which_something_else_is_said_later_loses_as_before() {
+    let lost = |wires: &str| {
+        let figures = three_stations(wires).figures;
+        assert_eq!(figures.frames_lost, figures.lost_on_purpose, "{wires}");
+        figures.per_station.iter().map(|station| station.frames_lost).collect::<Vec<_>>()
+    };
+    let all = "[[wire]]\ndirection = \"in\"\nlose_data = \"100%\"\n";
+    assert_eq!(lost(all), [1_000, 1_000, 1_000]);
+    let slow = "[[wire]]\nstations = \"slave1\"\ndelay = \"constant 1us\"\n";
+    assert_eq!(lost(&format!("{all}{slow}")), [1_000, 1_000, 1_000]);
+    let spared = "[[wire]]\nstations = \"slave1\"\nlose = \"0%\"\n";
+    assert_eq!(lost(&format!("{all}{spared}")), [1_000, 0, 1_000], "the same is said otherwise");
+    let event = |what: &str| format!("[[event]]\nat = \"200ms\"\nwire = {{ {what} }}\nfor = \"500ms\"\n");
+    let slow = event("stations = \"slave1\", delay = \"constant 1us\"");
+    assert_eq!(lost(&format!("{all}{slow}")), [1_000, 1_000, 1_000]);
+    let spared = event("stations = \"slave2\", lose_data = \"0%\"");
+    assert_eq!(lost(&format!("{all}{spared}")), [1_000, 1_000, 500], "until that is over");
+}
+
+#[test]
+fn only_frames_of_the_measurement_count_as_lost() {
+    let half = "[[wire]]\nstations = \"slave1\"\ndirection = \"in\"\nlose_data = \"50%\"\n";
+    // Where frames are long on their way, those of the cycle before come when the measurement has begun.
+    for (wires, is_late) in [(half.to_owned(), false), (format!("{half}delay = \"constant 300us\"\n"), true)]
+    {
+        let SimFigures { figures, simulation } = three_stations(&wires);
+        let slave = &figures.per_station[1];
+        assert_eq!(slave.frames_lost, slave.lost_on_purpose, "{is_late}: {:?}", figures.verdict);
+        // What a wire loses it loses at once, also in the few cycles behind the last.
+        let behind = simulation.lost - slave.frames_lost;
+        assert!((450..550).contains(&slave.frames_lost) && behind <= 4, "{is_late}: {}", slave.frames_lost);
+    }
 }

@@ -1,12 +1,18 @@
 //! Whole networks in virtual time, one situation per file.
 
+mod another_stack;
 mod backup_masters;
 mod calibrated_anew;
+mod causes;
+mod clock_set_back;
+mod datagrams;
 mod drift_and_loss;
 mod holdover;
 mod ideal_host;
+mod isolation;
 mod joint_slots;
 mod late_join;
+mod looks_like_test_traffic;
 mod lost_on_purpose;
 mod master_dies;
 mod one_seed_identical_bytes;
@@ -15,8 +21,10 @@ mod peer_interop;
 mod promised_replies;
 mod receive_pool;
 mod request_backlog;
+mod round_trips;
 mod scenarios;
 mod second_master_refuses;
+mod two_primaries;
 mod virtual_machine;
 mod without_a_filter;
 mod without_slots;

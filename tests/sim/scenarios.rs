@@ -7,14 +7,16 @@ use pcap_file::pcapng::blocks::opt_common::CommonOption;
 use pcap_file::pcapng::{Block, PcapNgReader};
 use rtnet::time::Span;
 use tools::report::figures::MissKind;
-use tools::scenario::{self, Event, Expectation, Happening, Measure, Relation};
+use tools::report::histogram::SignedHistogram;
+use tools::report::screen;
+use tools::scenario::{self, Event, Expectation, Happening, Measure, Place, Relation};
 use tools::sim::{self, EXAMPLE, Ended, Options};
 
 fn directory() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("sim")
 }
 
-fn run(file: &str) -> Ended {
+pub fn run(file: &str) -> Ended {
     let scenario = scenario::load(&directory().join(file)).unwrap();
     sim::run(&scenario, &Options::default()).unwrap()
 }
@@ -48,20 +50,28 @@ macro_rules! scenarios {
 }
 
 scenarios! {
+    backups_whose_lines_are_apart_agree_again
+    clock_changes_its_rate_at_once
     clocks_step_and_wander
+    deaf_backup_outlasts_the_primary
     foreign_frames_change_nothing
     frames_are_lost_doubled_late_and_changed
     hosts_with_outages_explain_every_miss
+    late_backups_lose_each_others_syncs
     late_frames_without_a_guard_are_told_of
+    masters_clock_is_set_alone
     parted_network_is_whole_again
+    parts_of_a_cut_medium_run_apart
     primary_dies_and_the_backups_take_over
     primary_dies_twenty_times_on_a_lossy_medium
     queued_frames_on_late_hosts_leave_nothing_unexplained
     queued_frames_that_are_lost_are_counted
     station_babbles_on_a_hub
     station_joins_a_running_network
+    stopped_stations_are_killed_before_they_tell
     stopped_stations_send_nothing_late
     switch_delays_every_frame
+    syncs_are_overtaken
     ten_megabits_on_a_hub
     urgent_frames_overtake_a_backlog
     wires_are_out_and_back
@@ -69,9 +79,32 @@ scenarios! {
 
 #[test]
 fn the_example_runs_and_is_as_it_says() {
-    let scenario = scenario::Source { file: "example.toml", text: EXAMPLE }.parse().unwrap();
+    let scenario = scenario::Source::new("example.toml", EXAMPLE).parse().unwrap();
     let ended = sim::run(&scenario, &Options::default()).unwrap();
     assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new());
+}
+
+#[test]
+fn who_gave_the_time_at_once_is_named_with_the_one_that_was_silent_then() {
+    let files =
+        [("deaf_backup_outlasts_the_primary", "primary"), ("parted_network_is_whole_again", "backup")];
+    for (file, silent) in files {
+        let figures = run(&format!("{file}.toml")).figures.figures;
+        let [rivals] = &figures.rivals[..] else { panic!("{file}: {:?}", figures.rivals) };
+        let mut between = rivals.between.clone();
+        between.sort();
+        assert_eq!(
+            (&between[..], rivals.silent.as_deref()),
+            (&["backup", "primary"].map(String::from)[..], Some(silent))
+        );
+        assert_eq!(rivals.cycles, figures.rival_cycles);
+        let named = format!("at once for {} cycle", rivals.cycles);
+        let screen = screen::render(&figures, 200, &SignedHistogram::new());
+        assert!(
+            screen.contains(&named) && screen.contains(&format!("until {silent} was silent")),
+            "{screen}"
+        );
+    }
 }
 
 #[test]
@@ -95,7 +128,7 @@ fn what_is_expected_counts_besides_what_is_wrong_with_any_run() {
 fn one_seed_is_one_run_to_the_byte_and_another_is_another() {
     let directory = tempfile::tempdir().unwrap();
     let scenario = |seed| {
-        let mut scenario = scenario::Source { file: "example.toml", text: EXAMPLE }.parse().unwrap();
+        let mut scenario = scenario::Source::new("example.toml", EXAMPLE).parse().unwrap();
         scenario.seed = seed;
         scenario.duration = Span::from_millis(3_000);
         scenario.with_random_clocks()
@@ -157,7 +190,7 @@ fn what_is_lost_of_queued_frames_is_told_by_priority_and_counts_unless_it_is_los
     scenario.conditions.wires.clear();
     let what = Happening::Stop(vec![camera], Span::from_millis(500));
     let (at, every) = (Span::from_millis(1_000), Span::ZERO);
-    scenario.conditions.events = vec![Event { at, times: 1, every, what, line: 1 }];
+    scenario.conditions.events = vec![Event { at, times: 1, every, what, place: Place::default() }];
     let figures = run(&scenario);
     assert!(
         figures.queueing.iter().all(|of| of.lost > 50 && of.lost_on_purpose == 0),
@@ -219,7 +252,7 @@ fn whatever_is_not_as_expected_has_the_cycle_in_which_it_was_worst_or_is_said_to
             // More than there can be.
             relation: Relation::Equal,
             limit: i64::MAX - 1,
-            line: 1,
+            place: Place::default(),
         };
         scenario.conditions.expectations = measures.iter().map(line).collect();
         let ended = sim::run(&scenario, &Options::default()).unwrap();
@@ -282,4 +315,75 @@ fn an_expectation_that_does_not_hold_names_its_cycle_and_the_frames_around_it() 
     let of_slave2 =
         lines.iter().find(|line| line.contains("slave2: data") && line.contains(&cycle.to_string()));
     assert!(of_slave2.is_some(), "{lines:#?}");
+}
+
+pub fn parse(text: &str) -> scenario::Scenario {
+    scenario::Source::new("net.toml", text).parse().unwrap()
+}
+
+#[track_caller]
+fn check_text(text: &str) {
+    let ended = sim::run(&parse(text), &Options::default()).unwrap();
+    assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new());
+}
+
+#[test]
+fn a_station_joins_a_master_that_was_alone() {
+    let text = r#"
+        cycle = "1ms"
+        duration = "1s"
+        [[station]]
+        name = "master"
+        role = "master"
+        [[station]]
+        name = "arm"
+        role = "slave"
+        rounds = 10
+        [[event]]
+        at = "100ms"
+        start = "arm"
+        [expect]
+        locked = 2
+        unexplained = 0
+    "#;
+    check_text(text);
+}
+
+#[test]
+fn a_slow_medium_with_slots_of_ones_own_has_a_window_for_its_syncs() {
+    let text = r#"
+        cycle = "10ms"
+        rate = "10M"
+        duration = "5s"
+        [host]
+        wake = "exponential 13us"
+        [[station]]
+        name = "master"
+        role = "master"
+        slots = [{ id = 0, offset = "1ms" }]
+        [[station]]
+        name = "arm"
+        role = "slave"
+        slots = [{ id = 0, offset = "5ms" }]
+        [expect]
+        out_of_slot = 0
+        unexplained = 0
+    "#;
+    check_text(text);
+}
+
+#[test]
+fn a_run_that_has_too_little_time_leaves_the_capture_of_another_as_it_was() {
+    let directory = tempfile::tempdir().unwrap();
+    let pcap = directory.path().join("frames.pcapng");
+    std::fs::write(&pcap, "another").unwrap();
+    let scenario =
+        scenario::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("cli/two_stations.toml")).unwrap();
+    let until = Some(Span::from_millis(5));
+    let options = Options { pcap: Some(pcap.clone()), until, around: None };
+    let error = sim::run(&scenario, &options).err().unwrap();
+    assert!(error.is::<sim::Hurried>(), "{error:#}");
+    assert_eq!(error.to_string(), "the stations were not all locked after 5ms: give it a longer --until");
+    assert_eq!(std::fs::read_to_string(&pcap).unwrap(), "another");
+    assert_eq!(std::fs::read_dir(&directory).unwrap().count(), 1, "nothing is left beside it");
 }

@@ -5,8 +5,8 @@ use rtnet::discipline::SyncState;
 use rtnet::sim::Host;
 use rtnet::time::{Offset, Span};
 use tests::networks::{Lab, Plan};
-use tools::scenario::{Scenario, ServoName, Uniform};
-use tools::sim::discipline;
+use tools::scenario::{Scenario, ServoName, Source, Uniform};
+use tools::sim::{self, Options, discipline};
 
 /// Hosts that hold one frame in five up, by up to 90 us after its stamp.
 fn run(servo: ServoName, seed: u64) -> (Span, Lab) {
@@ -87,5 +87,42 @@ fn where_every_frame_is_held_up_evenly_a_filter_is_steadier_but_no_nearer_than_n
         assert!(moves * 10 < jumps, "{longest}: {moves} with a filter, {jumps} without");
         assert!((longest / 5..longest / 3).contains(&linear), "{longest}: {linear} early with a filter");
         assert!(none < longest / 3, "{longest}: {none} without");
+    }
+}
+
+#[test]
+fn a_clock_that_steps_behind_a_sync_moves_that_cycles_slot() {
+    for (step, off) in [("7us", -7_000), ("5ms", -5_000_000), ("-7us", 7_000)] {
+        let text = format!(
+            r#"
+cycle = "20ms"
+rate = "100M"
+duration = "2s"
+servo = "none"
+sync_window = "100us"
+[[station]]
+name = "master"
+role = "master"
+clock = {{}}
+slots = [{{ id = 0, offset = "200us" }}]
+[[station]]
+name = "slave"
+role = "slave"
+clock = {{ offset = "100ms" }}
+rounds = 20
+slots = [{{ id = 0, offset = "15ms" }}]
+[[event]]
+at = "1.001s"
+clock = {{ stations = "slave", step = "{step}" }}
+"#
+        );
+        let scenario = Source::new("step.toml", &text).parse().unwrap();
+        let figures = sim::run(&scenario, &Options::default()).unwrap().figures.figures;
+        let error = &figures.per_station[1].slot_error_ns;
+        // The next sync was stamped by the clock as it is since.
+        let once = (error.n, error.min.unwrap() + error.max.unwrap(), error.p50);
+        assert_eq!(once, (100, off, Some(0)), "{step}: {error:?}");
+        let deviation = error.sd.unwrap() as i64;
+        assert!((deviation - off.abs() / 10).abs() <= off.abs() / 100, "in one cycle: {error:?}");
     }
 }

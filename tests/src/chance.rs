@@ -1,9 +1,11 @@
 //! Networks by chance: schedules, clocks, hosts and faults, all of which follow from a seed. What is drawn anew is drawn
 //! last, or known seeds (`tests/property/seeds.txt`) are other networks.
 
+mod more;
+
 use rtmac::tdma::schedule::{Rate, Uncertainty, guard_band};
 use rtmac::tdma::{BACKUP_LOOKS_BEFORE, HOLDOVER_CYCLES, LatePolicy, OnMasterChange};
-use rtnet::sim::{Host, Latency, Medium, Random, StationId};
+use rtnet::sim::{Host, Latency, Medium, Random, StationId, Wander};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::HEADER_LEN;
 use tools::report::figures::Role;
@@ -44,6 +46,13 @@ pub struct Fault {
     pub ends: u64,
 }
 
+impl Fault {
+    /// Whether it is there in a cycle.
+    pub fn is_on(&self, cycle: u64) -> bool {
+        (self.begins..self.ends).contains(&cycle)
+    }
+}
+
 /// What can happen.
 #[derive(Clone, Debug)]
 pub enum Trouble {
@@ -58,6 +67,16 @@ pub enum Trouble {
     Crash(StationId),
     /// These stations and the others do not hear each other.
     Cut(Vec<StationId>),
+    /// A station's clock is set, by so much.
+    Step(StationId, Span),
+    /// A station's clock changes its rate from time to time.
+    Wander(StationId, Wander),
+    /// What a station sends and hears comes twice: so many frames in a million.
+    Doubles(StationId, u32),
+    /// A bit is not what it was: in so many frames in a million that a station sends, and that it hears.
+    Changes(StationId, u32),
+    /// A slave is started anew as a primary, and with it these are cut off from the others, as long as it lasts.
+    Primary(StationId, Vec<StationId>),
 }
 
 /// A part of the cycle that one slot has, or that several have in turns.
@@ -70,6 +89,18 @@ struct Part {
 impl Case {
     /// The case of a seed.
     pub fn of(seed: u64) -> Self {
+        let (mut random, mut case) = Self::drawn(seed);
+        more::configure(&mut random, &mut case.plan, &case.faults);
+        more::happen(&mut random, &case.plan, &mut case.faults);
+        case
+    }
+
+    /// The same as far as it was drawn when the first seeds were found.
+    pub fn as_at_first(seed: u64) -> Self {
+        Self::drawn(seed).1
+    }
+
+    fn drawn(seed: u64) -> (Random, Self) {
         let mut random = Random::new(seed);
         let mut plan = loop {
             if let Some(plan) = plan(&mut random, seed) {
@@ -87,7 +118,18 @@ impl Case {
         if random.happens(300_000) {
             plan.follow.on_master_change = OnMasterChange::Repeat;
         }
-        Self { seed, plan, hosts, faults }
+        (random, Self { seed, plan, hosts, faults })
+    }
+}
+
+/// What a guard band has to absorb where so many cycles are bridged.
+fn uncertainty(cycle: Span, holdover: u32) -> Uncertainty {
+    Uncertainty {
+        drift_ppb: DRIFT_PPB,
+        cycle,
+        holdover,
+        lateness: Span::ZERO,
+        stamp_error: SEND_JITTER + Medium::default().propagation,
     }
 }
 
@@ -105,13 +147,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
     let air = rate.air_time(payload + HEADER_LEN);
     let room = (cycle - begin) / parts.len() as i64 - air;
     // The clocks have a quarter of it at either end, at the most.
-    let least = guard_band(Uncertainty {
-        drift_ppb: DRIFT_PPB,
-        cycle,
-        holdover: HOLDOVER_CYCLES as u32,
-        lateness: Span::ZERO,
-        stamp_error: SEND_JITTER + Medium::default().propagation,
-    }) * 2;
+    let least = guard_band(uncertainty(cycle, HOLDOVER_CYCLES as u32)) * 2;
     if room < least {
         return None;
     }

@@ -5,73 +5,35 @@
 //!  └── no overlap but for a cause ──┘               └── within `settles_within` ──┘ nothing is missing
 //! ```
 
-use core::fmt;
+mod account;
+mod belief;
+mod describe;
+mod excuse;
 
+use rtmac::tdma::BACKUP_LOOKS_BEFORE;
 use rtmac::tdma::schedule::step_limit;
-use rtmac::tdma::{BACKUP_LOOKS_BEFORE, Mastery};
-use rtnet::discipline::{Discipline, EventKind, SyncState};
-use rtnet::sim::{Host, StationId};
+use rtnet::sim::{Host, Link, StationId, Wander};
 use rtnet::time::Span;
 
+pub use account::Account;
+use belief::{Belief, Beliefs};
+use excuse::Parted;
+
 use crate::chance::{Case, LONGEST_HOLD_UP, Trouble};
-use crate::judge::Author;
 use crate::networks::Lab;
 
 /// A number of cycles that every period divides.
 const WATCHED: u64 = 60;
 /// All follow one master once they do so for so many cycles: who comes nearer to its line slowly may tremble.
 const SETTLED_IN_A_ROW: u64 = 10;
-/// Of a case that fails so many of the last events are told.
-const EVENTS_TOLD: usize = 40;
-/// A frame of a turn is known by its cycle, a request's only by its reply's: that is a period later.
-const LONGEST_PERIOD: u32 = 4;
-
-/// What became of a case that went as it must, or of several.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Account {
-    /// Cycles from the end of the last fault until all followed one master.
-    pub settled_after: u64,
-    /// And how many there might have been: of several the case that came nearest to it.
-    pub settles_within: u64,
-    /// Overlaps for which a sender that was held up had told of it.
-    pub explained: u64,
-    /// Overlaps of a station's request with a reply that was put off, in that station's own slot.
-    pub crossed: u64,
-    /// Overlaps while two masters gave the time on lines apart.
-    pub apart: u64,
-    /// Frames on the medium.
-    pub frames: u64,
-}
-
-impl Account {
-    /// Both together.
-    pub fn with(self, other: Account) -> Account {
-        let nearest =
-            if other.settled_after * self.settles_within.max(1) > self.settled_after * other.settles_within {
-                other
-            } else {
-                self
-            };
-        Account {
-            explained: self.explained + other.explained,
-            crossed: self.crossed + other.crossed,
-            apart: self.apart + other.apart,
-            frames: self.frames + other.frames,
-            ..nearest
-        }
-    }
-}
-
-impl fmt::Display for Account {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Account { settled_after, settles_within, explained, crossed, apart, frames } = self;
-        write!(
-            f,
-            "{frames} frames, overlaps: held up {explained}, of a request and its reply {crossed}, while two masters were \
-             apart {apart}, otherwise 0; settled after {settled_after} of {settles_within} cycles at the most"
-        )
-    }
-}
+/// A primary that has heard another in so many cycles makes way.
+const RIVALS_LAST: u64 = 10;
+/// All have been started by then, and had their first turn: nanoseconds.
+const ALL_STARTED: u64 = 11_000_000;
+/// A station's longest sleep.
+const LONGEST_SLEEP: Span = Span::from_millis(100);
+/// A clock that does not wander does so again after a time that does not come.
+const NEVER: Span = Span::from_millis(10_000_000);
 
 /// A case on its way.
 struct Course<'a> {
@@ -79,13 +41,22 @@ struct Course<'a> {
     lab: Lab,
     /// Which member of the network each station is; `None`: it is dead.
     members: Vec<Option<StationId>>,
+    /// Which station each member is, or was.
+    stations: Vec<StationId>,
     /// Who is cut off from the others.
     cut: Vec<StationId>,
     cycle: u64,
-    /// Two masters have given the time on lines apart, and not all follow one again.
-    apart: bool,
+    beliefs: Beliefs,
+    /// On which line time was given last.
+    grid: Option<Belief>,
+    parted: Parted,
+    /// Who is, or was, another primary.
+    second: Option<StationId>,
     judged: usize,
     account: Account,
+    /// Counts what memory is asked for.
+    counter: Option<fn() -> u64>,
+    counted: u64,
 }
 
 impl Case {
@@ -93,9 +64,21 @@ impl Case {
     pub fn run(&self) -> Result<Account, String> {
         let mut course = Course::new(self);
         let gone = course.pass_faults().and_then(|()| course.settle()).and_then(|()| course.watch());
+        let gone = gone.and_then(|()| course.check_excuses());
         gone.map_err(|why| format!("{why}\n{}", course.describe()))?;
         course.account.frames = course.lab.network.traffic().frames;
         Ok(course.account)
+    }
+
+    /// How often memory is asked for or given back, as `calls` counts it, while the network runs: from when all are started,
+    /// through all faults, until all follow one master. What is done to it is not counted, nor who looks on.
+    pub fn calls_while_it_runs(&self, calls: fn() -> u64) -> Result<u64, String> {
+        let mut course = Course::new(self);
+        course.lab.network.observe(|_| ());
+        course.counter = Some(calls);
+        course.pass_faults()?;
+        course.settle()?;
+        Ok(course.counted)
     }
 
     /// The network once all follow one master after the last fault.
@@ -118,6 +101,9 @@ impl Case {
     ///    backup, and by the primary that calibrates with it and returns. Who measures anew is locked meanwhile.
     /// 5. Who followed a line that had drifted from the master's by less than a time step comes to that by what one
     ///    Synchronisation that is late moves a line: a 2400th of the cycle, and a 5000th for drift.
+    /// 6. Of two primaries one has heard the other in ten cycles at the most, and makes way.
+    /// 7. Whose clock is set back wakes after its longest sleep; who gives the time, when its clock shows again what it waits
+    ///    for.
     pub fn settles_within(&self) -> u64 {
         let cycle = self.plan.cycle().nanos() as u64;
         let listens = (50_000_000 / cycle + 1).max(6);
@@ -126,7 +112,31 @@ impl Case {
             stations.iter().map(|station| 2 * u64::from(station.slots[0].period * (station.rounds + 1)));
         let drifted = step_limit(self.plan.scenario.guard).nanos() as u64;
         let slews = drifted / (cycle / 2_400 + cycle / 5_000) + SETTLED_IN_A_ROW;
-        10_000_000 / cycle + 1 + 2 * listens + 1 + 3 + 4 + 3 * calibrates.max().unwrap_or(0) + slews
+        let is_primary = |trouble: &Trouble| matches!(trouble, Trouble::Primary(..));
+        let rivals = if self.faults.iter().any(|f| is_primary(&f.trouble)) { RIVALS_LAST } else { 0 };
+        rivals
+            + self.set_back() / cycle
+            + 10_000_000 / cycle
+            + 1
+            + 2 * listens
+            + 1
+            + 3
+            + 4
+            + 3 * calibrates.max().unwrap_or(0)
+            + slews
+    }
+}
+
+impl Case {
+    /// For how long somebody may wait because a clock was set back.
+    fn set_back(&self) -> u64 {
+        let may_give_time = |id| id == 0 || self.plan.backups.iter().any(|&(of, _)| of == id);
+        let waits = self.faults.iter().filter_map(|fault| match fault.trouble {
+            Trouble::Step(id, by) if may_give_time(id) => Some((-by).max(LONGEST_SLEEP)),
+            Trouble::Step(..) => Some(LONGEST_SLEEP),
+            _ => None,
+        });
+        waits.max().map_or(0, |wait| wait.nanos() as u64)
     }
 }
 
@@ -137,8 +147,25 @@ impl<'a> Course<'a> {
         for (id, host) in case.hosts.iter().enumerate() {
             lab.network.member_mut(id).host = host.clone();
         }
-        let account = Account { settles_within: case.settles_within(), ..Account::default() };
-        Self { case, lab, members, cut: Vec::new(), cycle: 0, apart: false, judged: 0, account }
+        let (settles_within, apart_within) = (case.settles_within(), case.apart_within());
+        let account = Account { settles_within, apart_within, ..Account::default() };
+        let share = case.plan.scenario.clock_share().min(BACKUP_LOOKS_BEFORE);
+        Self {
+            case,
+            lab,
+            stations: (0..members.len()).collect(),
+            beliefs: Beliefs::new(members.len(), share),
+            members,
+            cut: Vec::new(),
+            cycle: 0,
+            grid: None,
+            parted: Parted::default(),
+            second: None,
+            judged: 0,
+            account,
+            counter: None,
+            counted: 0,
+        }
     }
 
     fn pass_faults(&mut self) -> Result<(), String> {
@@ -174,12 +201,23 @@ impl<'a> Course<'a> {
                 let (stall_ppm, longest_stall) = (*stall_ppm, *longest_stall);
                 self.move_to(*id, Host { stall_ppm, longest_stall, ..host(id) });
             }
-            Trouble::Crash(id) => {
-                if let Some(member) = self.members[*id].take() {
-                    self.lab.network.stop(member);
-                }
-            }
+            Trouble::Crash(id) => self.stop(*id),
             Trouble::Cut(stations) => self.cut_off(stations),
+            Trouble::Step(id, by) => self.set_clock(*id, *by),
+            Trouble::Wander(id, wander) => self.wander(*id, *wander),
+            Trouble::Doubles(id, duplicate_ppm) => {
+                self.wire(*id, &Link { duplicate_ppm: *duplicate_ppm, ..Link::default() });
+            }
+            Trouble::Changes(id, corrupt_ppm) => {
+                self.parted.changed = true;
+                self.wire(*id, &Link { corrupt_ppm: *corrupt_ppm, ..Link::default() });
+            }
+            Trouble::Primary(id, part) => {
+                self.stop(*id);
+                self.cut_off(part);
+                self.start(*id, true);
+                self.second = Some(*id);
+            }
         }
     }
 
@@ -190,7 +228,14 @@ impl<'a> Course<'a> {
                 self.move_to(*id, self.case.hosts[*id].clone())
             }
             Trouble::Crash(id) => self.restart(*id),
-            Trouble::Cut(_) => self.cut_off(&[]),
+            Trouble::Cut(_) | Trouble::Primary(..) => self.cut_off(&[]),
+            Trouble::Step(..) => {}
+            Trouble::Wander(id, wander) => {
+                let around_ppb = self.members[*id]
+                    .map_or(wander.around_ppb, |member| self.lab.network.member(member).clock.drift_ppb);
+                self.wander(*id, Wander { every: NEVER, step_ppb: 0, within_ppb: 0, around_ppb });
+            }
+            Trouble::Doubles(id, _) | Trouble::Changes(id, _) => self.wire(*id, &Link::default()),
         }
     }
 
@@ -211,95 +256,100 @@ impl<'a> Course<'a> {
         }
     }
 
+    fn stop(&mut self, id: StationId) {
+        if let Some(member) = self.members[id].take() {
+            // Its clock runs on.
+            self.lab.clocks[id] = self.lab.network.member(member).clock;
+            self.lab.network.stop(member);
+        }
+    }
+
     /// Unless it runs: two crashes of one station may have come together.
     fn restart(&mut self, id: StationId) {
         if self.members[id].is_none() {
-            let master = (id == 0).then_some(self.case.plan.cycle());
-            let now = self.lab.network.now();
-            self.members[id] = Some(self.lab.add(id, master, now));
-            self.move_to(id, self.case.hosts[id].clone());
-            self.cut_off(&self.cut.clone());
+            self.start(id, id == 0);
+        }
+    }
+
+    fn start(&mut self, id: StationId, as_primary: bool) {
+        let now = self.lab.network.now();
+        let member = self.lab.add(id, as_primary.then_some(self.case.plan.cycle()), now);
+        self.members[id] = Some(member);
+        self.stations.push(id);
+        self.move_to(id, self.case.hosts[id].clone());
+        self.cut_off(&self.cut.clone());
+    }
+
+    fn set_clock(&mut self, id: StationId, by: Span) {
+        match self.members[id] {
+            Some(member) => {
+                let clock = self.lab.network.member(member).clock.stepped(by);
+                self.lab.network.set_clock(member, clock);
+            }
+            None => self.lab.clocks[id] = self.lab.clocks[id].stepped(by),
+        }
+        self.parted.set.push(id);
+    }
+
+    fn wander(&mut self, id: StationId, wander: Wander) {
+        if let Some(member) = self.members[id] {
+            self.lab.network.wander(member, wander);
+        }
+    }
+
+    fn wire(&mut self, id: StationId, link: &Link) {
+        if let Some(member) = self.members[id] {
+            let (sends_by, hears_by) = self.lab.network.wire_mut(member);
+            (*sends_by, *hears_by) = (link.clone(), link.clone());
         }
     }
 
     /// A cycle.
     fn pass(&mut self) -> Result<(), String> {
-        self.apart |= self.lines_are_apart();
-        self.lab.run_cycles(1);
-        self.apart |= self.lines_are_apart();
+        self.look();
+        self.run_cycle();
+        self.look();
         self.cycle += 1;
         self.judge()?;
         if self.has_settled() {
-            self.apart = false;
+            let changes = |trouble: &Trouble| matches!(trouble, Trouble::Changes(..));
+            let faults = &mut self.case.faults.iter();
+            let changed = faults.any(|fault| changes(&fault.trouble) && fault.is_on(self.cycle));
+            self.parted = Parted { changed, ..Parted::default() };
         }
         Ok(())
     }
 
-    fn judge(&mut self) -> Result<(), String> {
-        let judge = self.lab.judge();
-        let new = &judge.overlaps[self.judged..];
-        self.judged = judge.overlaps.len();
-        for &(a, b) in new {
-            if self.apart {
-                self.account.apart += 1;
-            } else if judge.crossed.contains(&(a, b)) {
-                self.account.crossed += 1;
-            } else if self.was_held_up(a) || self.was_held_up(b) {
-                self.account.explained += 1;
-            } else {
-                let now = self.cycle;
-                return Err(format!("cycle {now}: {a:?} and {b:?} overlap, and nobody was held up"));
-            }
-        }
-        Ok(())
+    fn run_cycle(&mut self) {
+        let Some(calls) = self.counter else { return self.lab.run_cycles(1) };
+        let cycle = self.case.plan.cycle().nanos() as u64;
+        let all_run = self.cycle * cycle > ALL_STARTED;
+        let before = calls();
+        self.lab.network.run_until(self.lab.network.now() + cycle);
+        self.counted += if all_run { calls() - before } else { 0 };
+        self.lab.take_events();
     }
 
-    /// Whether it told that it was, in that turn.
-    fn was_held_up(&self, of: Author) -> bool {
-        self.lab.events.iter().any(|(id, event)| {
-            let stalled = matches!(event.kind, EventKind::StalledInSend | EventKind::ReplyStalled);
-            stalled && *id == of.from && event.cycle.abs_diff(of.cycle) <= LONGEST_PERIOD
-        })
+    /// What all take for the time, and whether it is given on another line than before, or on two.
+    fn look(&mut self) {
+        self.beliefs.look(&self.lab, &self.members);
+        let Some(first) = self.beliefs.masters().next().copied() else { return };
+        let before = self.grid.replace(first);
+        let goes_on = before.is_none_or(|before| self.beliefs.agree(&first, &before));
+        let one = self.beliefs.masters().all(|other| self.beliefs.agree(&first, other));
+        self.parted.grids |= !(goes_on && one);
     }
 
     fn there(&self) -> impl Iterator<Item = (StationId, StationId)> + '_ {
         self.members.iter().enumerate().filter_map(|(id, member)| Some((id, (*member)?)))
     }
 
-    fn masters(&self) -> impl Iterator<Item = (StationId, StationId)> + '_ {
-        self.there().filter(|&(_, member)| self.lab.status(member).mastery == Some(Mastery::Active))
-    }
-
-    /// By how much a station's cycles begin later than those of the same number of another, in true time.
-    fn later(&self, one: (StationId, StationId), other: (StationId, StationId)) -> Span {
-        let begun = |(id, member): (StationId, StationId)| {
-            let time = self.lab.network.member(member).station.discipline().time();
-            (time.cycle, self.lab.clocks[id].truth(time.start) as i64)
-        };
-        let ((number, begin), (others_number, others_begin)) = (begun(one), begun(other));
-        let cycles = i64::from(number.wrapping_sub(others_number) as i32);
-        Span::from_nanos(begin - others_begin - cycles * self.case.plan.cycle().nanos())
-    }
-
-    /// Whether that is nothing but for the clocks' share of a guard band, and for what lies between one master's sync window
-    /// and the next one's.
-    fn agree(&self, one: (StationId, StationId), other: (StationId, StationId)) -> bool {
-        self.later(one, other).abs() <= self.case.plan.scenario.clock_share().min(BACKUP_LOOKS_BEFORE)
-    }
-
-    /// Whether two give the time, on lines that do not agree.
-    fn lines_are_apart(&self) -> bool {
-        let Some(first) = self.masters().next() else { return false };
-        self.masters().any(|other| !self.agree(first, other))
-    }
-
     /// Whether all are locked to one master.
     fn has_settled(&self) -> bool {
-        let mut masters = self.masters();
+        let mut masters = self.beliefs.masters();
         let (Some(master), None) = (masters.next(), masters.next()) else { return false };
-        let follows =
-            |of: (StationId, StationId)| self.lab.state(of.1) == SyncState::Locked && self.agree(of, master);
-        self.there().count() == self.members.len() && self.there().all(follows)
+        let follows = |of: &Belief| of.is_locked_to(master) && self.beliefs.agree(of, master);
+        (0..self.members.len()).all(|id| self.beliefs.of(id).is_some_and(follows))
     }
 
     /// From now on nothing is lost or late.
@@ -326,9 +376,12 @@ impl<'a> Course<'a> {
 
     /// Every slot has its frame.
     fn watch(&mut self) -> Result<(), String> {
-        let before = self.turns_used();
+        let (before, overlaps) = (self.turns_used(), self.judged);
         for _ in 0..WATCHED {
             self.pass()?;
+            if self.judged > overlaps {
+                return Err(format!("cycle {}: frames overlap while all are locked", self.cycle));
+            }
             if !self.has_settled() {
                 return Err(format!("cycle {}: no longer all follow one master", self.cycle));
             }
@@ -348,40 +401,5 @@ impl<'a> Course<'a> {
     fn turns_used(&self) -> Vec<u64> {
         let anew = |member| self.lab.status(member).counters.slots_calibrating;
         self.there().map(|(id, member)| self.lab.judge().data[id] + anew(member)).collect()
-    }
-
-    /// What it is, what happened to it, and what the stations told of last.
-    fn describe(&self) -> String {
-        let scenario = &self.case.plan.scenario;
-        let mut text = format!(
-            "  cycle {}, sync window {}, guard band {}, backups {:?}, another master's delay: {:?}\n",
-            scenario.cycle,
-            scenario.sync_window,
-            scenario.guard,
-            self.case.plan.backups,
-            self.case.plan.follow.on_master_change
-        );
-        for (id, station) in scenario.stations.iter().enumerate() {
-            let slots: Vec<_> = station.slots.iter().map(|s| (s.id, s.offset, s.phase, s.period)).collect();
-            let (rounds, drift, host) = (station.rounds, station.clock_drift_ppb, &self.case.hosts[id].wake);
-            let member = self.members[id];
-            text += &format!(
-                "  {id}, now {member:?}: {rounds} rounds, {drift} ppb, wakes in {host:?}, {slots:?}\n"
-            );
-        }
-        for fault in &self.case.faults {
-            text += &format!("  {fault:?}\n");
-        }
-        let master = self.masters().next();
-        for (id, member) in self.there() {
-            let (state, mastery) = (self.lab.state(member), self.lab.status(member).mastery);
-            let later = master.map(|master| self.later((id, member), master));
-            text += &format!("  {id}: {state:?}, {mastery:?}, later than the master by {later:?}\n");
-        }
-        let events = &self.lab.events;
-        for (member, event) in &events[events.len().saturating_sub(EVENTS_TOLD)..] {
-            text += &format!("  {member}: {event:?}\n");
-        }
-        text
     }
 }

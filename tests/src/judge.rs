@@ -21,6 +21,8 @@ pub struct Layout {
     pub tolerance: Span,
     /// Begin of each station's slot.
     pub offsets: Vec<Span>,
+    /// In every so many cycles that is used.
+    pub periods: Vec<u32>,
     /// Each station's address.
     pub addresses: Vec<Address>,
     /// The master's clock.
@@ -38,19 +40,55 @@ pub struct Author {
     pub cycle: u32,
 }
 
+/// What kind of frame it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A Synchronisation.
+    Sync,
+    /// A calibration request of a station.
+    Request(Address),
+    /// A reply to one.
+    Reply {
+        /// To whom.
+        to: Address,
+        /// Who asked, under that address; `None`: nobody did so.
+        asked_by: Option<StationId>,
+        /// It is later than in the use of the slot that was asked for.
+        put_off: bool,
+        /// It is later than any that was put off: who asked, and who promised, numbered cycles otherwise.
+        outlived: bool,
+        /// It is in no use of that slot, or nobody has asked for it: the request was changed on its way.
+        astray: bool,
+    },
+    /// Data.
+    Data,
+}
+
+/// A frame, and what it was.
+pub type Frame = (Author, Kind);
+
+/// A request that is not answered.
+struct Asked {
+    of: Address,
+    by: StationId,
+    xmit: u64,
+    reply_cycle: u32,
+    at: True,
+}
+
 /// What was seen.
 pub struct Judge {
     layout: Layout,
     grid: Option<(u32, GlobalTime)>,
     last_sync: Option<u32>,
-    requests: Vec<(Address, u64, u32)>,
-    on_air: Option<(Author, True)>,
-    /// Whose calibration that is of.
-    calibrates: Option<Address>,
+    requests: Vec<Asked>,
+    on_air: Option<(Frame, True)>,
     /// Synchronisations.
     pub syncs: u64,
     /// Calibration requests and replies.
     pub calibration: u64,
+    /// Replies that were put off.
+    pub put_off: u64,
     /// Data frames of each station.
     pub data: Vec<u64>,
     /// Actual less scheduled instant of every data frame.
@@ -59,8 +97,8 @@ pub struct Judge {
     pub sync_error: Spread,
     /// Frames that began while another was on the air: both.
     pub overlaps: Vec<(Author, Author)>,
-    /// Of them, a station's request with a reply to it, in its own slot.
-    pub crossed: Vec<(Author, Author)>,
+    /// What kinds of frames those were, one for one.
+    pub kinds: Vec<(Kind, Kind)>,
     /// Frames that were not wholly within their slot or window.
     pub out_of_slot: Vec<Author>,
     /// Everything that must not be, in words; at most a few.
@@ -79,6 +117,8 @@ pub struct Spread {
 }
 
 const MAX_FAULTS: usize = 20;
+/// A reply is put off eight times, by two uses of its slot, and then given up.
+const LAST_USE: i64 = 17;
 
 impl Judge {
     /// A judge who has seen nothing.
@@ -90,13 +130,13 @@ impl Judge {
             last_sync: None,
             requests: Vec::new(),
             on_air: None,
-            calibrates: None,
             syncs: 0,
             calibration: 0,
+            put_off: 0,
             slot_error: Spread::default(),
             sync_error: Spread::default(),
             overlaps: Vec::new(),
-            crossed: Vec::new(),
+            kinds: Vec::new(),
             out_of_slot: Vec::new(),
             faults: Vec::new(),
         }
@@ -115,61 +155,78 @@ impl Judge {
             self.fault(format!("a lethal frame from station {}", aired.from));
         }
         let Some((header, _)) = Header::parse(aired.bytes) else { return };
-        let author = match header.ether_type() {
+        let frame = match header.ether_type() {
             EtherType::RTMAC => self.control(aired, header),
-            _ => self.payload(aired),
+            _ => self.payload(aired).map(|author| (author, Kind::Data)),
         };
-        let Some(author) = author else {
+        let Some(frame) = frame else {
             return self.fault(format!("a frame of no known kind from station {}", aired.from));
-        };
-        let calibrates = match wire::parse(aired.bytes) {
-            Ok(Rtmac::Tdma(Message::Request { .. })) => Some(header.source),
-            Ok(Rtmac::Tdma(Message::Reply { .. })) => Some(header.destination),
-            _ => None,
         };
         if let Some((before, until)) = self.on_air
             && aired.at < until
         {
-            self.overlaps.push((before, author));
-            if before.from != author.from && calibrates.is_some() && calibrates == self.calibrates {
-                self.crossed.push((before, author));
-            }
+            self.overlaps.push((before.0, frame.0));
+            self.kinds.push((before.1, frame.1));
         }
         if self.on_air.is_none_or(|(_, until)| until < aired.until) {
-            (self.on_air, self.calibrates) = (Some((author, aired.until)), calibrates);
+            self.on_air = Some((frame, aired.until));
         }
     }
 
-    fn control(&mut self, aired: &Aired<'_>, header: &Header) -> Option<Author> {
+    fn control(&mut self, aired: &Aired<'_>, header: &Header) -> Option<Frame> {
         let Ok(Rtmac::Tdma(message)) = wire::parse(aired.bytes) else { return None };
-        let cycle = match message {
+        let author = |cycle| Author { from: aired.from, cycle };
+        match message {
             Message::Sync { cycle, sched, .. } => {
                 self.sync(aired, cycle, sched);
-                cycle
+                Some((author(cycle), Kind::Sync))
             }
             Message::Request { xmit, reply_cycle, .. } => {
                 self.calibration += 1;
-                self.requests.push((header.source, xmit, reply_cycle));
-                let cycle = reply_cycle.wrapping_sub(1);
-                self.check_slot(aired, Author { from: aired.from, cycle }, header.source);
-                cycle
+                self.requests.push(Asked {
+                    of: header.source,
+                    by: aired.from,
+                    xmit,
+                    reply_cycle,
+                    at: aired.at,
+                });
+                let author = author(reply_cycle.wrapping_sub(1));
+                self.check_slot(aired, author, header.source);
+                Some((author, Kind::Request(header.source)))
             }
             Message::Reply { request_xmit, .. } => {
                 self.calibration += 1;
-                let asked = self
-                    .requests
-                    .iter()
-                    .position(|(of, xmit, _)| (*of, *xmit) == (header.destination, request_xmit));
+                let to = header.destination;
+                let asked =
+                    self.requests.iter().position(|asked| (asked.of, asked.xmit) == (to, request_xmit));
                 let Some(asked) = asked else {
-                    self.fault(format!("a reply that {} did not ask for", header.destination));
-                    return None;
+                    self.fault(format!("a reply that {to} did not ask for"));
+                    let cycle = self.last_sync.unwrap_or(0);
+                    let nobodys =
+                        Kind::Reply { to, asked_by: None, put_off: false, outlived: false, astray: true };
+                    return Some((author(cycle), nobodys));
                 };
-                let (_, _, cycle) = self.requests.swap_remove(asked);
-                self.check_slot(aired, Author { from: aired.from, cycle }, header.destination);
-                cycle
+                let asked = self.requests.swap_remove(asked);
+                let author = author(asked.reply_cycle);
+                self.check_slot(aired, author, to);
+                Some((author, self.reply(aired.at, &asked)))
             }
-        };
-        Some(Author { from: aired.from, cycle })
+        }
+    }
+
+    /// In which use of the slot a reply is that was asked for in another, in the next one.
+    fn reply(&mut self, at: True, asked: &Asked) -> Kind {
+        let &Layout { cycle, slot, ref addresses, ref periods, .. } = &self.layout;
+        let id = addresses.iter().position(|address| *address == asked.of);
+        let every = cycle.nanos() * i64::from(id.map_or(1, |id| periods[id]));
+        let gone = at.wrapping_sub(asked.at) as i64;
+        let uses = (gone + every / 2).div_euclid(every);
+        // Who asked may have been held up for some cycles.
+        let is_past = self.last_sync.is_some_and(|last| last.wrapping_sub(asked.reply_cycle) as i32 > 0);
+        let put_off = uses > 1 || is_past;
+        self.put_off += u64::from(put_off);
+        let (outlived, astray) = (uses > LAST_USE, (gone - uses * every).abs() > slot.nanos());
+        Kind::Reply { to: asked.of, asked_by: Some(asked.by), put_off, outlived, astray }
     }
 
     fn sync(&mut self, aired: &Aired<'_>, cycle: u32, sched: GlobalTime) {

@@ -7,7 +7,9 @@
 //! chance     networks that follow from a seed: schedules, clocks, hosts, faults
 //! course     what happens to one of them, and what must be true of it all the while
 //! bench      one station by hand: frames in at their stamps, transmissions out at their instants
+//! ends       stacks by hand: frames in, calls of programs, and where every buffer is
 //! peer       an independent TDMA station with the habits of real RTnet's
+//! stacks     stations with sockets, and programs that use them
 //! ```
 
 pub mod bare;
@@ -15,11 +17,13 @@ pub mod bench;
 pub mod captures;
 pub mod chance;
 pub mod course;
+pub mod ends;
 pub mod judge;
 pub mod mixed;
 pub mod networks;
 pub mod observed;
 pub mod peer;
+pub mod stacks;
 pub mod traffic;
 pub mod vectors;
 

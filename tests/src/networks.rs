@@ -8,8 +8,8 @@ use std::sync::atomic::Ordering::Relaxed;
 use clap::Parser;
 use rtmac::tdma::schedule;
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, SlaveConfig, Tdma,
-    TdmaCommand, TdmaConfig, TdmaStatus,
+    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, Servo, SlaveConfig,
+    Tdma, TdmaCommand, TdmaConfig, TdmaStatus,
 };
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Discipline, Event, EventKind, SyncState};
@@ -45,6 +45,11 @@ pub struct Plan {
     pub follow: SlaveConfig,
     /// How many calibration requests ours answer at a time.
     pub max_requests: usize,
+    /// Who follows without a filter, whatever the scenario says.
+    pub without_filter: Vec<StationId>,
+    /// What cycle it is when station 0 is started; also when it is started anew, later by as much as was between. `None`:
+    /// each time a new grid begins.
+    pub first_cycle: Option<u32>,
 }
 
 /// A network, and what is known of it from outside.
@@ -93,8 +98,19 @@ impl Plan {
         let medium = Medium { rate: scenario.rate.bits_per_second(), ..Medium::default() };
         let (tolerance, host) = (Span::ZERO, Host::IDEAL);
         let (peers, backups, follow) = (Vec::new(), Vec::new(), SlaveConfig::default());
-        let max_requests = DEFAULT_MAX_REQUESTS;
-        Plan { scenario, medium, tolerance, host, peers, backups, follow, max_requests }
+        let (max_requests, without_filter, first_cycle) = (DEFAULT_MAX_REQUESTS, Vec::new(), None);
+        Plan {
+            scenario,
+            medium,
+            tolerance,
+            host,
+            peers,
+            backups,
+            follow,
+            max_requests,
+            without_filter,
+            first_cycle,
+        }
     }
 
     /// The same with clocks that run at these rates, in parts per billion; how far apart they begin stays.
@@ -183,6 +199,7 @@ impl Plan {
             slot: rate.air_time(stations[0].payload + HEADER_LEN) + *guard,
             tolerance: self.tolerance,
             offsets: stations.iter().map(|station| station.slots[0].offset).collect(),
+            periods: stations.iter().map(|station| station.slots[0].period).collect(),
             addresses: (0..self.stations()).map(|id| self.address(id)).collect(),
             clock: master,
             epoch: if self.peers.contains(&0) { Offset::default() } else { epoch() },
@@ -218,11 +235,16 @@ impl Lab {
         let end = self.network.now() + cycles * cycle;
         while self.network.now() < end {
             self.network.run_until(end.min(self.network.now() + 100 * cycle));
-            for id in 0..self.tallies.len() {
-                let discipline = self.network.member_mut(id).station.discipline_mut();
-                while let Some(event) = discipline.next_event() {
-                    self.events.push((id, event));
-                }
+            self.take_events();
+        }
+    }
+
+    /// Takes what stations tell.
+    pub fn take_events(&mut self) {
+        for id in 0..self.tallies.len() {
+            let discipline = self.network.member_mut(id).station.discipline_mut();
+            while let Some(event) = discipline.next_event() {
+                self.events.push((id, event));
             }
         }
     }
@@ -302,14 +324,16 @@ impl Plan {
         let slots = scenario.stations[id].slots.iter().map(|slot| scenario.slot_config(slot));
         let rounds = scenario.stations[id].rounds;
         let step_limit = Some(schedule::step_limit(scenario.guard));
-        let follow = SlaveConfig { rounds, step_limit, servo: scenario.servo.servo(), ..self.follow };
+        let servo = if self.without_filter.contains(&id) { Servo::None } else { scenario.servo.servo() };
+        let follow = SlaveConfig { rounds, step_limit, servo, ..self.follow };
+        let begins = |cycle| (cycle, epoch().global(self.clock(id).local(UPTIME)));
         let role = match master.or(self.backup(id).map(|_| self.cycle())) {
             Some(cycle) => RoleConfig::Master(MasterConfig {
                 cycle,
                 sync_latest: sync_latest(scenario.sync_window),
                 reply_latest: scenario.latest(),
                 epoch: epoch(),
-                resume: None,
+                resume: self.first_cycle.filter(|_| id == 0).map(begins),
                 backup: self.backup(id),
                 backups_from: self.backups.iter().map(|&(_, after)| after).min(),
                 max_requests: self.max_requests,

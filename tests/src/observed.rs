@@ -51,7 +51,7 @@ impl Observed {
         host: Host,
         traffic: impl Fn(&Plan, StationId, Arc<TrafficCounts>) -> Box<dyn Service>,
     ) -> Self {
-        let scenario = Source { file: "lab.toml", text }.parse().expect("a network");
+        let scenario = Source::new("lab.toml", text).parse().expect("a network");
         let plan = Plan::of_scenario(scenario).on(host.clone());
         let master = TrueMaster { clock: plan.clock(0), epoch: epoch() };
         let analysis = Rc::new(RefCell::new(Analysis::new(&plan.scenario, master)));

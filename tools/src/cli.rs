@@ -1,7 +1,9 @@
 //! The command line: the one source of its help.
 
 mod lab;
+mod listen;
 mod sim;
+mod stack;
 
 use std::path::PathBuf;
 
@@ -10,14 +12,15 @@ use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
 use crate::control::{Place, parse_name};
-use crate::observe::ear::Spot;
 use crate::scenario::{DelayPolicy, ServoName, SlotGuard};
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 pub use lab::{
     DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
 };
+pub use listen::{DumpArgs, JitterArgs, ListenArgs};
 pub use sim::{SimRunArgs, SimVerb};
+pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
 #[derive(Debug, Parser)]
@@ -64,6 +67,28 @@ pub enum Verb {
     /// follows when it is made smaller; when it is made larger, it has a queue of its own from then on. In a lab, a slot that overlaps another station's is refused; a station of its own
     /// refuses what overlaps its own slots, or as master its sync window, and trusts that you know the others'.
     Slot(SlotArgs),
+    /// Show the address of a running station, what its slots take, and what its interface has counted
+    ///
+    /// For a station that was started with an address (`rtnet station --ip`), as are `route`, `ping`, `pool` and `stat`.
+    If(ShowArgs),
+    /// Look at the routes of a running station, or change them
+    ///
+    /// Nothing is asked of the network unless you do: who has which address is said by hand, or asked for by
+    /// hand with `solicit`.
+    ///
+    /// Exit status: 0; 1 nobody answered, or there is no route; 2 bad usage, or a route that cannot be.
+    Route(RouteArgs),
+    /// Ask a station for echoes, from a running station, and tell how long they took
+    ///
+    /// The time of an echo is from when the station was asked until the answer came; how much of it the
+    /// question waited for its slot is told, too.
+    ///
+    /// Exit status: 0; 1 nothing came back, or nothing could be sent; 2 bad usage.
+    Ping(PingArgs),
+    /// Show the buffers of a running station: how many each of its pools has, and what was lost for want of one
+    Pool(ShowArgs),
+    /// Show everything that a running station counts, by reason
+    Stat(ShowArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants
     ///
     /// Nothing is sent. Of a lab it listens on the bridge, as the user who owns the lab; on an interface as
@@ -94,61 +119,6 @@ pub enum Verb {
         #[arg(default_value = ".", value_name = "DIRECTORY")]
         directory: PathBuf,
     },
-}
-
-/// Where to listen.
-#[derive(Debug, Args)]
-pub struct ListenArgs {
-    /// On this interface of this network namespace
-    #[arg(long, value_name = "IF", conflicts_with = "lab")]
-    pub interface: Option<String>,
-    /// On the bridge of this lab [default: the lab named 'lab']
-    #[arg(long, value_name = "NAME", value_parser = parse_name)]
-    pub lab: Option<String>,
-}
-
-impl ListenArgs {
-    /// The one place that is meant.
-    pub fn spot(&self) -> Spot {
-        match &self.interface {
-            Some(interface) => Spot::Interface(interface.clone()),
-            None => Spot::Lab(self.lab.clone().unwrap_or_else(|| DEFAULT_LAB.into())),
-        }
-    }
-}
-
-/// Arguments of `jitter`.
-#[derive(Debug, Args)]
-pub struct JitterArgs {
-    /// Where.
-    #[command(flatten)]
-    pub at: ListenArgs,
-    /// How long
-    #[arg(long, default_value = "10s", value_parser = parse_positive_span)]
-    pub duration: Span,
-    /// Line rate at which overlaps are computed
-    #[arg(long, default_value = "1G", value_parser = parse_rate)]
-    pub rate: Rate,
-    /// Write the figures as JSON, too
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-}
-
-/// Arguments of `dump`.
-#[derive(Debug, Args)]
-pub struct DumpArgs {
-    /// Where.
-    #[command(flatten)]
-    pub at: ListenArgs,
-    /// Write the frames into this file, as pcapng, instead of showing them
-    #[arg(short, long, value_name = "FILE.pcapng")]
-    pub write: Option<PathBuf>,
-    /// End after so many frames
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    pub count: Option<u64>,
-    /// End after so long [default: go on until Ctrl-C]
-    #[arg(long, value_parser = parse_positive_span)]
-    pub duration: Option<Span>,
 }
 
 /// Which running station.
@@ -363,6 +333,9 @@ pub struct StationArgs {
     /// The core of the real-time thread [default: any]
     #[arg(long, value_name = "N")]
     pub cpu: Option<usize>,
+    /// Its address and its sockets.
+    #[command(flatten)]
+    pub stack: StackArgs,
     /// What a lab adds, in JSON
     #[arg(long, hide = true)]
     pub lab: Option<String>,

@@ -24,18 +24,44 @@ pub enum UnitError {
     #[error("'{0}' is no share: write for example 1% or 50ppm, at most 100%")]
     Share(String),
     /// More than can be counted, or less than nothing where that makes no sense.
-    #[error("'{0}' is out of range")]
-    Range(String),
+    #[error("'{0}' is out of range: {1}")]
+    Range(String, &'static str),
+    /// Not nothing, but none that is counted.
+    #[error("'{0}' is less than 1ppm, the least there is: write 0% or 1ppm")]
+    TooSmall(String),
 }
 
 const SPAN_EXAMPLE: &str = "250us";
 const SPAN_UNITS: &str = "ns, us, ms, s or min, as in 250us";
 const RATE_EXAMPLE: &str = "100M";
+/// What a duration can be, in words.
+const SPANS: &str = "it must be from -1000000000s to 1000000000s";
+const POSITIVE: &str = "it must be more than 0s, and at most 1000000000s";
+const NONNEGATIVE: &str = "it must be 0s or more, and at most 1000000000s";
+const RATES: &str = "it must be at least 1 bit per second, and at most 1000000G";
 const SHARE_EXAMPLE: &str = "1%";
 const RATE_UNITS: &str = "k, M or G (bits per second), as in 100M";
 
 /// A duration, `250us`; a leading minus is allowed.
 pub fn parse_span(text: &str) -> Result<Span, UnitError> {
+    parse_span_of(text, SPANS, |_| true)
+}
+
+/// A duration longer than nothing.
+pub fn parse_positive_span(text: &str) -> Result<Span, UnitError> {
+    parse_span_of(text, POSITIVE, |span| span > Span::ZERO)
+}
+
+/// A duration of any length but not before zero.
+pub fn parse_nonnegative_span(text: &str) -> Result<Span, UnitError> {
+    parse_span_of(text, NONNEGATIVE, |span| span >= Span::ZERO)
+}
+
+fn parse_span_of(
+    text: &str,
+    range: &'static str,
+    is_in_range: impl Fn(Span) -> bool,
+) -> Result<Span, UnitError> {
     let (number, unit) = split(text, SPAN_EXAMPLE)?;
     let scale = match unit {
         "ns" => 1.0,
@@ -46,19 +72,9 @@ pub fn parse_span(text: &str) -> Result<Span, UnitError> {
         _ => return Err(UnitError::Unit(text.into(), SPAN_UNITS)),
     };
     let nanos = (number * scale).round();
-    if nanos.abs() > 1e18 { Err(UnitError::Range(text.into())) } else { Ok(Span::from_nanos(nanos as i64)) }
-}
-
-/// A duration longer than nothing.
-pub fn parse_positive_span(text: &str) -> Result<Span, UnitError> {
-    parse_span(text)
-        .and_then(|span| if span > Span::ZERO { Ok(span) } else { Err(UnitError::Range(text.into())) })
-}
-
-/// A duration of any length but not before zero.
-pub fn parse_nonnegative_span(text: &str) -> Result<Span, UnitError> {
-    parse_span(text)
-        .and_then(|span| if span >= Span::ZERO { Ok(span) } else { Err(UnitError::Range(text.into())) })
+    let span = Span::from_nanos(nanos as i64);
+    let refuse = || UnitError::Range(text.into(), range);
+    (nanos.abs() <= 1e18 && is_in_range(span)).then_some(span).ok_or_else(refuse)
 }
 
 /// A guard band, `20us`: not what keeps slots, which others call so, too.
@@ -82,7 +98,7 @@ pub fn parse_rate(text: &str) -> Result<Rate, UnitError> {
     if (1.0..=1e15).contains(&bits) {
         Ok(Rate::from_bits_per_second(bits as u64))
     } else {
-        Err(UnitError::Range(text.into()))
+        Err(UnitError::Range(text.into(), RATES))
     }
 }
 
@@ -95,6 +111,9 @@ pub fn parse_share(text: &str) -> Result<u32, UnitError> {
         _ => return Err(UnitError::Share(text.into())),
     };
     let ppm = (number * scale).round();
+    if number > 0.0 && ppm == 0.0 {
+        return Err(UnitError::TooSmall(text.into()));
+    }
     if (0.0..=1e6).contains(&ppm) { Ok(ppm as u32) } else { Err(UnitError::Share(text.into())) }
 }
 
@@ -172,7 +191,7 @@ mod tests {
             error("1parsec"),
             "'1parsec' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
         );
-        assert_eq!(error("-1ms"), "'-1ms' is out of range");
+        assert_eq!(error("-1ms"), "'-1ms' is out of range: it must be more than 0s, and at most 1000000000s");
         let kernel = parse_guard_band("kernel").unwrap_err().to_string();
         assert!(kernel.ends_with("what keeps the slots is slot_guard = \"kernel\""), "{kernel}");
         assert_eq!(

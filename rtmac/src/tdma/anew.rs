@@ -11,6 +11,7 @@
 
 use super::config::{Refused, check_rounds};
 use super::job::Job;
+use super::replies::LAST_USE;
 use super::round::Room;
 use super::slot::Turn;
 use super::{MAX_ROUNDS, Role, Tdma};
@@ -91,13 +92,23 @@ impl Tdma {
         if self.promises.claim(turn) {
             return Purpose::Reply;
         }
+        let meets_others = is_broken_off(turn.cycle, first.period);
+        if meets_others && self.calibrates() {
+            return Purpose::Reply;
+        }
         let measures = self.follower().is_some_and(|follower| follower.calibration().measures_anew());
         // The reply would come where the slot is no more.
-        let may_ask = measures && !self.slots.is_changing(first.id);
+        let may_ask = measures && !meets_others && !self.slots.is_changing(first.id);
         if may_ask && (turn.cycle / first.period).is_multiple_of(TURNS) {
             Purpose::Request
         } else {
             Purpose::Data
         }
     }
+}
+
+/// Whether numbers start over before the last reply to a request in this cycle, and phases with them: where the period is no
+/// part of 2^32, a period later is another station's turn then.
+fn is_broken_off(cycle: u32, period: u32) -> bool {
+    !period.is_power_of_two() && i64::from(cycle) + LAST_USE * i64::from(period) > i64::from(u32::MAX)
 }

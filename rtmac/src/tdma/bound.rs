@@ -4,15 +4,15 @@
 //! bound = delay + place + rate x time
 //!
 //! delay   half of a round trip, since nothing tells which way took longer
-//! place   of the line: where it lies below the Synchronisations, half of the windows' early ones are later by so much or
-//!         more, and none is earlier; where there are few of them, or none, what lately disagreed with it
+//! place   of the line: where it lies below the Synchronisations, half of the windows' early ones, or the last one's, are
+//!         later by so much or more, and none is earlier; where there are few of them, or none, what lately disagreed with it
 //! rate    by which the clocks may run apart otherwise than believed: what is known of it, and what crystals change
 //!         since; 200 ppm where nothing is known
 //! time    since the cycle in which the line is known, or the last Synchronisation
 //! ```
 //!
 //! It holds for when cycles start, as long as one in eight Synchronisations of one window in two was not held up by more
-//! than the others show, and no clock is faster than another by more than 200 ppm.
+//! than the others show, no clock is faster than another by more than 200 ppm, and none was set within this window.
 
 use rtnet::time::{Instant, Span};
 

@@ -3,10 +3,11 @@
 //! ```text
 //!            request sent                   reply matches
 //!  idle ──────────────────► outstanding ──────────────────► idle (one sample more), or done (the last)
-//!   │ ▲                          │
-//!   └─┤ late, held up,           │ no reply by the next turn: repeated
-//!     │ dropped, failed          │ one whose stamps cannot be: refused
-//!     └──────────────────────────┘ another line, another master: the samples are forgotten
+//!   │ ▲                          │                                                     │
+//!   └─┤ late, held up,           │ no reply by the next turn: repeated                 │ a command; another master, if
+//!     │ dropped, failed          │ one whose stamps cannot be: refused                 │ that is configured
+//!     ├──────────────────────────┘ another line, another master: not waited for        │
+//!     └────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
 //! Three requests for each round, and 20 more, may be sent; instead of the next one that is told of, and everything starts
@@ -14,15 +15,18 @@
 //! every state against everything that can happen.
 //!
 //! A delay that is known can be measured anew: it stays in use until the last round, or for good if the limit is reached.
-//! Rounds with a master before this one count for the delay, which would be kept for this one, too.
+//! Rounds with a master before this one count for the delay, which would be kept for this one, too; where each master's own
+//! is to be measured, nothing stays of what is under way.
 //!
-//! RTnet takes the mean of all rounds and never repeats a lost one. Here the lower quartile counts: one stamp
+//! RTnet takes the mean of all rounds, as a station does that follows as RTnet's do (`servo = "none"`), and never repeats a
+//! lost one. Here the lower quartile counts: one stamp
 //! that the host held up by a millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever
 //! make a round longer. And where Synchronisations take longer than that, it is their delay that counts.
 
 use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
 
+use super::follow::Servo;
 use super::line::TimeLine;
 use super::rate::Rate;
 use super::report::{CalibrationReport, Tally};
@@ -41,6 +45,8 @@ const ATTEMPTS_EXTRA: u32 = 20;
 pub struct Calibration {
     /// Of a first calibration, and of one that another master asks for.
     rounds: u32,
+    /// Whether syncs are filtered, and rounds, too.
+    servo: Servo,
     /// Of the one under way, or of the last.
     wanted: u32,
     is_measuring: bool,
@@ -65,11 +71,12 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// `rounds` of measuring; 0: no measuring, and a delay of 0.
-    pub fn new(rounds: u32) -> Self {
+    /// `rounds` of measuring, for who follows by this servo; 0: no measuring, and a delay of 0.
+    pub fn new(rounds: u32, servo: Servo) -> Self {
         let rounds = rounds.min(MAX_ROUNDS);
         Self {
             rounds,
+            servo,
             wanted: rounds,
             is_measuring: rounds > 0,
             room: Room::of(rounds),
@@ -206,11 +213,23 @@ impl Calibration {
         Ok(self.delay.filter(|_| is_last))
     }
 
-    /// What all rounds say. Those on another line measured the delay as well, but tell nothing of this one.
+    /// What all rounds say.
     fn conclude(&mut self, line: &TimeLine) {
         let delays = round::keep_quicker(&mut self.room.samples);
         self.report = self.tally.report(Some(delays));
-        self.one = delays.quartile;
+        match (self.servo, self.report) {
+            (Servo::None, Some(CalibrationReport { mean, .. })) => {
+                (self.delay, self.of_line) = (Some(mean), mean);
+            }
+            _ => self.take_quicker(delays.quartile, line),
+        }
+        self.is_measuring = false;
+        self.start_over();
+    }
+
+    /// What the quicker ones say. Those on another line measured the delay as well, but tell nothing of this one.
+    fn take_quicker(&mut self, quartile: Span, line: &TimeLine) {
+        self.one = quartile;
         self.room.kept.clear();
         self.room.kept.extend(self.room.samples.iter().filter(|round| round.line == self.line));
         if self.room.kept.len() * 2 < self.room.samples.len() {
@@ -225,8 +244,6 @@ impl Calibration {
         self.of_line = later.and_then(|_| round::of_line(&mut self.room.kept, late)).unwrap_or(delay);
         self.delay = Some(delay);
         self.done = Some(line.cycle);
-        self.is_measuring = false;
-        self.start_over();
     }
 
     /// The line of the time of calibration is known better now than it was then: by how much the delay is longer than
@@ -301,19 +318,30 @@ mod tests {
         of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), &LINE, Span::ZERO)
     }
 
-    #[test]
-    fn one_held_up_stamp_does_not_move_the_delay() {
-        let mut calibration = Calibration::new(5);
+    /// The delay of five rounds, of which one was held up.
+    fn measured(servo: Servo) -> Option<i64> {
+        let mut calibration = Calibration::new(5, servo);
         for (i, delay) in [700, 710, 400_000, 690].into_iter().enumerate() {
             assert_eq!(round(&mut calibration, 1_000 * i as u64, delay), Ok(None));
         }
-        assert_eq!(round(&mut calibration, 9_000, 705), Ok(Some(Span::from_nanos(700))));
-        assert_eq!(calibration.delay(), Some(Span::from_nanos(700)));
+        let last = round(&mut calibration, 9_000, 705);
+        assert_eq!(last, Ok(calibration.delay()));
+        calibration.delay().map(Span::nanos)
+    }
+
+    #[test]
+    fn one_held_up_stamp_does_not_move_the_delay() {
+        assert_eq!(measured(Servo::Linear), Some(700));
+    }
+
+    #[test]
+    fn without_a_filter_the_delay_is_the_mean_of_all_rounds() {
+        assert_eq!(measured(Servo::None), Some((700 + 710 + 400_000 + 690 + 705) / 5));
     }
 
     #[test]
     fn a_lost_reply_is_repeated_and_counted() {
-        let mut calibration = Calibration::new(1);
+        let mut calibration = Calibration::new(1, Servo::Linear);
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(10));
         assert!(calibration.begin_round(), "the reply never came");
@@ -335,7 +363,7 @@ mod tests {
 
     #[test]
     fn a_round_that_began_on_a_line_that_was_left_is_no_sample_of_the_next() {
-        let mut calibration = Calibration::new(1);
+        let mut calibration = Calibration::new(1, Servo::Linear);
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(10));
         calibration.leave_line();
@@ -345,7 +373,7 @@ mod tests {
 
     #[test]
     fn a_master_that_never_answers_ends_the_attempt() {
-        let mut calibration = Calibration::new(2);
+        let mut calibration = Calibration::new(2, Servo::Linear);
         let attempts = (0..).take_while(|_| calibration.begin_round()).count();
         assert_eq!(attempts, 26);
         assert!(calibration.begin_round(), "and it starts over");
@@ -353,7 +381,7 @@ mod tests {
 
     #[test]
     fn lying_stamps_are_refused() {
-        let mut calibration = Calibration::new(1);
+        let mut calibration = Calibration::new(1, Servo::Linear);
         assert_eq!(round(&mut calibration, 0, 2_000_000), Err(Refusal::ImplausibleReply));
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(7));
@@ -364,6 +392,6 @@ mod tests {
 
     #[test]
     fn no_rounds_are_done_at_once() {
-        assert_eq!(Calibration::new(0).delay(), Some(Span::ZERO));
+        assert_eq!(Calibration::new(0, Servo::Linear).delay(), Some(Span::ZERO));
     }
 }

@@ -1,8 +1,6 @@
 //! What is configured of a TDMA station, and what may be asked of it later.
 
-use rtnet::buf::Buf;
 use rtnet::discipline::{Channel, SyncState};
-use rtnet::queue::PriorityQueue;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::Address;
 
@@ -10,7 +8,7 @@ use super::joint;
 use super::line::PERIODS;
 use super::master::BACKUP_LOOKS_BEFORE;
 use super::replies::MAX_REPLY_AHEAD;
-use super::slot::{MIN_SIZE, QUEUE_CAPACITY};
+use super::slot::{MAX_PERIOD, MIN_SIZE};
 use super::{
     MAX_HOLDOVER, MAX_REQUESTS, MAX_ROUNDS, Master, MasterConfig, NewRounds, Role, Slave, SlaveConfig,
     SlotConfig, Tdma,
@@ -61,7 +59,7 @@ pub struct TdmaConfig {
 #[allow(clippy::large_enum_variant)]
 pub enum TdmaCommand {
     /// Define or change a slot, from the next cycle on.
-    SetSlot(NewSlot),
+    SetSlot(SlotConfig),
     /// Remove a slot, from the next cycle on. What is queued in it is dropped and counted, but of slot 1, whose channel
     /// is slot 0's again then, and of a joint slot.
     RemoveSlot(Channel),
@@ -72,23 +70,9 @@ pub enum TdmaCommand {
 }
 
 impl TdmaCommand {
-    /// Define or change a slot, which takes memory.
+    /// Define or change a slot.
     pub fn set_slot(slot: SlotConfig) -> Self {
-        Self::SetSlot(NewSlot::of(slot))
-    }
-}
-
-/// A slot, with room for the frames that wait in it: made by the control thread, since that takes memory.
-pub struct NewSlot {
-    pub(super) config: SlotConfig,
-    /// What is left of it goes back: where a slot was before, the queue is there.
-    pub(super) queue: PriorityQueue<Buf>,
-}
-
-impl NewSlot {
-    /// With as much room as every slot has.
-    pub fn of(config: SlotConfig) -> Self {
-        Self { config, queue: PriorityQueue::new(QUEUE_CAPACITY) }
+        Self::SetSlot(slot)
     }
 }
 
@@ -140,7 +124,7 @@ pub enum Refused {
         cycle: Span,
     },
     /// A phase outside its period.
-    #[error("slot {id}: phase {} of {period} does not exist", phase + 1)]
+    #[error("slot {id}: phase {} of {period} does not exist: it is from 1 to the period, that 1 to {MAX_PERIOD} cycles", phase + 1)]
     Phase {
         /// Which slot.
         id: u8,

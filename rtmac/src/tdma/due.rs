@@ -9,7 +9,7 @@ use super::line::{LINE_GOOD_FOR, TimeLine};
 use super::slot::Turn;
 use super::{LatePolicy, Role, Tdma};
 
-/// Who slept for longer tells of so many cycles.
+/// Who slept for longer tells of so many cycles, or jobs: more than there is room for, and few enough to go through at once.
 const TOLD_AT_MOST: i64 = 10_000;
 
 impl Tdma {
@@ -17,10 +17,13 @@ impl Tdma {
     pub(super) fn next_job(&self) -> Option<Job> {
         let line = self.line()?;
         let turns = || match self.slots.first().filter(|_| self.calibrates()) {
-            Some(first) => self.slots.next_turn(line, Some(first.id)).map(|turn| match self.purpose(&turn) {
-                Purpose::Request | Purpose::Data => Job::Request(turn),
-                Purpose::Reply => Job::Data(turn),
-            }),
+            Some(first) => {
+                let only = (!self.has_given_the_time()).then_some(first.id);
+                self.slots.next_turn(line, only).map(|turn| match self.purpose(&turn) {
+                    Purpose::Request | Purpose::Data if turn.id == first.id => Job::Request(turn),
+                    _ => Job::Data(turn),
+                })
+            }
             None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
                 Purpose::Request => Job::Request(turn),
                 Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
@@ -63,12 +66,17 @@ impl Tdma {
 
     /// The next job if its time has come. Jobs that must not or can no longer be done pass on the way.
     pub(super) fn due(&mut self, now: Instant) -> Option<Job> {
-        loop {
+        for passed in 0.. {
+            if passed == TOLD_AT_MOST {
+                self.leave_out(now);
+            }
             let job = self.next_job()?;
             if job.chosen_at(self.lead) > now {
                 return None;
             }
-            let is_left = matches!(job, Job::Data(turn) if self.purpose(&turn) == Purpose::Reply);
+            let calibrates = self.calibrates();
+            let is_left =
+                matches!(job, Job::Data(turn) if calibrates || self.purpose(&turn) == Purpose::Reply);
             // Who slept through a slot missed it for that, whatever was heard meanwhile; not what it had left to a reply.
             let is_late = now > job.latest();
             if is_late && !is_left {
@@ -85,12 +93,30 @@ impl Tdma {
             self.pass(&job);
             self.put_off(&job);
         }
+        None
+    }
+
+    /// What else was slept through before this cycle is counted, and not told of one by one.
+    fn leave_out(&mut self, now: Instant) {
+        let cycle = self.cycle_at(now);
+        let turns = self.slots.jump(cycle);
+        if !self.calibrates() {
+            self.counters.overruns += turns;
+        }
+        if let Role::Master(master) = &mut self.role {
+            self.counters.syncs_skipped += master.jump(cycle);
+        }
+    }
+
+    /// Whoever has, had its turns, too, which it misses while it calibrates for the first time.
+    fn has_given_the_time(&self) -> bool {
+        matches!(&self.role, Role::Master(master) if master.has_spoken())
     }
 
     /// A turn that carries no data, since the delay is measured anew, or a reply may still come. Who calibrates for the first
-    /// time has no turns yet.
+    /// time has no turns yet, but for one that has given the time without.
     pub(super) fn calibrates_in(&mut self, job: &Job) {
-        if self.calibrates() {
+        if self.calibrates() && !self.has_given_the_time() {
             return;
         }
         self.counters.slots_calibrating += 1;
@@ -98,8 +124,9 @@ impl Tdma {
     }
 
     /// Another line is followed from `until` on: the turns that it does not have any more are missed. Where its cycles
-    /// are numbered on, those are the ones that begin before; else those of the old line that were slept through.
-    pub(super) fn leave(&mut self, left: &TimeLine, line: &TimeLine, until: Instant) {
+    /// are numbered on, those are the ones that begin before; else those of the old line that were slept through. Who
+    /// made way was silent in them, however long ago they were.
+    pub(super) fn leave(&mut self, left: &TimeLine, line: &TimeLine, until: Instant, made_way: bool) {
         let until = until.min(left.start + left.period * TOLD_AT_MOST);
         while let Some(turn) = self.slots.next_turn(left, None) {
             let offset = turn.at - left.start_of(turn.cycle);
@@ -112,7 +139,7 @@ impl Tdma {
             // What it slept through it was late for, whatever the line.
             if self.purpose(&turn) == Purpose::Reply {
                 self.calibrates_in(&job);
-            } else if until > turn.latest {
+            } else if until > turn.latest && !made_way {
                 self.missed(&job, until - turn.latest);
             } else {
                 self.counters.slots_silent += 1;
@@ -120,6 +147,12 @@ impl Tdma {
             }
             self.slots.pass(&turn);
         }
+    }
+
+    /// The line of a primary that has made way, if it has had none since.
+    pub(super) fn left_when_it_made_way(&mut self) -> Option<TimeLine> {
+        let Role::Master(master) = &mut self.role else { return None };
+        master.take_left()
     }
 
     /// Nothing is sent any more in the role that there is: the turns that are still to come up to `cycle` are none of the
@@ -131,7 +164,10 @@ impl Tdma {
         } else {
             cycle.wrapping_sub(TOLD_AT_MOST as u32 - 1)
         };
-        self.slots.jump(told_from);
+        let untold = self.slots.jump(told_from);
+        if !self.calibrates() {
+            self.counters.slots_silent += untold;
+        }
         while let Some(turn) = self.slots.next_turn(&line, None) {
             if cycle.wrapping_sub(turn.cycle) as i32 >= 0 {
                 self.counters.slots_silent += 1;
@@ -174,7 +210,9 @@ impl Tdma {
             // measures anew tells of such a turn when it comes.
             (Job::Request(turn), _) if calibrates => {
                 let period = self.slots.get(turn.id).map_or(1, |slot| slot.period);
-                self.slots.pass_until(turn.id, turn.cycle.wrapping_add(period).wrapping_add(1));
+                let replys = Turn { cycle: turn.cycle.wrapping_add(period), ..*turn };
+                self.calibrates_in(&Job::Data(replys));
+                self.slots.pass_until(turn.id, replys.cycle.wrapping_add(1));
             }
             (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
             _ => {}

@@ -32,6 +32,7 @@ use rtnet::time::{Instant, Span};
 use super::edge::{Edge, Point};
 use super::line::{DRIFT_PARTS, Drift};
 use super::rate::Rate;
+use super::running::{self, GROUPS};
 
 /// Synchronisations of a window.
 const WINDOW: usize = 64;
@@ -85,7 +86,7 @@ pub struct Envelope {
     /// Since this cycle the clocks have been the same.
     since: Option<u32>,
     edge: Option<Edge>,
-    /// Where the line lies: half of the early ones are later by so much, and the earliest earlier, together.
+    /// Where the line lies: half of the early ones are later by so much, or the last is, and the earliest earlier, together.
     scatter: Span,
     known: Option<Known>,
 }
@@ -191,12 +192,32 @@ impl Envelope {
         }
         self.since.get_or_insert(cycle);
         self.window.push(point);
+        if let Some(early) = self.running() {
+            self.run_off(early, period);
+            return true;
+        }
         // With a rate that is known any point makes a line.
         ends |= self.window.len() == WINDOW || self.edge.is_none() && self.known_at(start).is_some();
         if ends {
             self.end_window(period);
         }
         ends
+    }
+
+    /// The last of this window, if they leave the line as a clock does.
+    fn running(&self) -> Option<[Point; GROUPS]> {
+        let (edge, last) = (self.edge.as_ref()?, self.window.last()?);
+        let by = self.slower().max(NOISE).max(self.unsure_over(1));
+        let is_late = edge.late(last) > by;
+        is_late.then(|| running::running(&self.window, edge, by)).flatten()
+    }
+
+    /// A clock has another rate since these.
+    fn run_off(&mut self, early: [Point; GROUPS], period: Span) {
+        self.forget_edge();
+        self.early.extend(early);
+        (self.since, self.known) = (Some(early[0].cycle), None);
+        self.draw(period);
     }
 
     fn is_disproved(&mut self, early: Span, period: Span) -> bool {
@@ -247,8 +268,10 @@ impl Envelope {
         let count = late.iter_mut().zip(self.late()).map(|(place, late)| *place = late).count();
         let late = &mut late[..count];
         let earliest = late.iter().fold(Span::ZERO, |a, &b| a.min(b));
+        // Nothing tells a clock that was set a little ahead from a host that is busy, until that ends.
+        let last = late.first().copied().unwrap_or_default();
         let median = (count > 0).then(|| *late.select_nth_unstable(count / 2).1);
-        median.unwrap_or(Span::ZERO).max(Span::ZERO) - earliest
+        median.unwrap_or_default().max(last).max(Span::ZERO) - earliest
     }
 
     /// The rate that is known, with what an edge shows of it. One that does not agree is of a busy host, if not all of

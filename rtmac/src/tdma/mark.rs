@@ -15,6 +15,8 @@ const CONFIRMED_PARTS: i64 = 2_000;
 /// of a master that has moved.
 const HELD_UP_PARTS: i64 = 4;
 const HELD_UP_AT_MOST: Span = Span::from_millis(4);
+/// So many cycles after a Synchronisation those that it has overtaken may come.
+const OVERTAKEN_WITHIN: i64 = 2;
 /// Largest part of a cycle by which one Synchronisation moves the line, while it does.
 const SLEW_PARTS: i64 = 300;
 /// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
@@ -83,6 +85,18 @@ impl Mark {
     pub fn repeats(&self, line: &TimeLine, limit: Option<Span>) -> bool {
         let limit = step_limit(limit, line.period);
         self.cycle == line.cycle && self.sched == line.sched && self.deviation_from(line).abs() <= limit
+    }
+
+    /// Whether it is of the line, and came at `rx` after a later one. Where those do not come any more, it is of a master whose
+    /// clock was set back.
+    pub fn is_overtaken(&self, line: &TimeLine, rx: Instant, limit: Option<Span>) -> bool {
+        let limit = step_limit(limit, line.period);
+        let was_told = (self.sched - line.sched_of(self.cycle)).abs() <= limit;
+        let is_past = (1 - LINE_GOOD_FOR..=0).contains(&line.ahead(self.cycle));
+        is_past
+            && was_told
+            && self.deviation_from(line) > limit
+            && rx - line.start < line.period * OVERTAKEN_WITHIN
     }
 
     /// The cycle of the line that is silent, if any is, as it was received at `rx` and is beside the line: its own, if it is a

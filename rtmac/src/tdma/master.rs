@@ -16,13 +16,15 @@
 //!                               no line any more
 //! ```
 //!
-//! Attached it answers as while it listens. Who has no slot does not wait to be calibrated. `tests/transitions.rs` has every
-//! phase of a primary and of a backup against everything that can happen.
+//! Attached it answers as while it listens, which it does from its first turn on. Who has no slot does not wait to be
+//! calibrated. A command ends it wherever it is, and begins anew. `tests/transitions.rs` has every phase of a primary and of
+//! a backup against everything that can happen.
 //!
 //! Active, it sends a Synchronisation at every point of its grid, a backup so much later, and the replies that are asked
 //! for. The grid never moves: it is the one that was followed, or a new one. A Synchronisation that comes too late for
 //! its window is not sent, and the next carries the number that the grid says. A foreign one never re-times the grid of
-//! an active primary. A backup that hears one beside its line sends nothing before the next of that would have come.
+//! an active primary. A backup that hears one beside its line sends nothing before the next of that would have come; of two
+//! that have spoken in one cycle, the one with the higher address waits for one more.
 //!
 //! Who sends as late as backups do is one: that is how one that returns knows whether the place is taken or only kept for
 //! it. Of
@@ -100,6 +102,9 @@ pub struct Master {
     sent: Option<u32>,
     /// Who outlasted this one: its place is not taken back.
     outlasted_by: Option<Address>,
+    /// The line on which it gave the time, while it has made way and has none.
+    left: Option<TimeLine>,
+    has_spoken: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -163,6 +168,8 @@ impl Master {
             rival: None,
             sent: None,
             outlasted_by: None,
+            left: None,
+            has_spoken: false,
         }
     }
 
@@ -274,7 +281,7 @@ impl Master {
         let offset = Offset::between(start, sched);
         let line = TimeLine { cycle, start, sched, period: line.period, offset, drift: Drift::NONE };
         self.phase = Phase::Active { line };
-        (self.late_in_row, self.rival) = (0, None);
+        (self.late_in_row, self.rival, self.has_spoken) = (0, None, true);
     }
 
     fn has_followed(&self, has_slots: bool) -> bool {
@@ -321,7 +328,8 @@ impl Master {
     pub fn yielded_to(&self) -> Option<Address> {
         match self.phase {
             Phase::Yielded { to } => Some(to),
-            _ => None,
+            Phase::Active { .. } => None,
+            _ => self.outlasted_by,
         }
     }
 
@@ -369,6 +377,17 @@ impl Master {
         }
     }
 
+    /// Nothing is to be sent in cycles before this one. How many Synchronisations it was to send in them.
+    pub fn jump(&mut self, cycle: u32) -> u64 {
+        let Phase::Active { line } = &mut self.phase else { return 0 };
+        let last = cycle.wrapping_sub(1);
+        let skipped = line.ahead(last).max(0);
+        if skipped > 0 {
+            *line = TimeLine { cycle: last, start: line.start_of(last), sched: line.sched_of(last), ..*line };
+        }
+        skipped as u64
+    }
+
     /// Its Synchronisation of a cycle has left, `in_time` or held up: a backup that stood by has taken over.
     pub fn sent(&mut self, cycle: u32, in_time: bool, events: &mut Events) {
         self.sent = in_time.then_some(cycle);
@@ -380,6 +399,12 @@ impl Master {
 
     pub fn replies(&self) -> &Replies {
         &self.replies
+    }
+
+    /// It is to be something else: how many replies it has promised and could not send.
+    pub fn answer_nobody(&mut self) -> u64 {
+        self.replies.clear();
+        self.replies.broken()
     }
 
     /// Takes the reply whose instant is first.

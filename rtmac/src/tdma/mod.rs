@@ -35,6 +35,7 @@ mod replies;
 mod report;
 mod rival;
 mod round;
+mod running;
 pub mod schedule;
 mod send;
 mod slave;
@@ -54,7 +55,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 pub use anew::NewRounds;
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 pub use config::{
-    DEFAULT_LEAD, LatePolicy, NewRole, NewSlot, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
+    DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
     check_rounds,
 };
 use config::{check_rounds_of_master, checked};
@@ -146,7 +147,7 @@ impl Tdma {
             if slots.get(slot.id).is_some() {
                 return Err(Refused::DefinedTwice { id: slot.id });
             }
-            slots.set(&mut NewSlot::of(slot), 0, &mut events)?;
+            slots.set(slot, 0, &mut events)?;
         }
         match config.role {
             RoleConfig::Master(master) => {
@@ -229,7 +230,11 @@ impl Discipline for Tdma {
                     && let (Some(line), Some((cycle, ..))) = (master.line(), master.next_sync())
                 {
                     let (start, sched) = (line.start_of(cycle), line.sched_of(cycle));
-                    self.slots.align(&TimeLine { cycle, start, sched, ..*line }, now);
+                    let line = TimeLine { cycle, start, sched, ..*line };
+                    if let Some(left) = master.take_left() {
+                        self.leave(&left, &left, now, true);
+                    }
+                    self.slots.align(&line, now);
                 }
             }
             Role::Slave(slave) => {
@@ -238,7 +243,7 @@ impl Discipline for Tdma {
                 // Who calibrates has no slots yet.
                 let is_calibrated = slave.calibration().delay().is_some();
                 if let (Some(left), None, true) = (left, slave.line(), is_calibrated) {
-                    self.leave(&left, &left, now);
+                    self.leave(&left, &left, now, false);
                 }
             }
             Role::Detached => {}
@@ -356,8 +361,8 @@ impl Discipline for Tdma {
     fn command(&mut self, now: Instant, command: &mut TdmaCommand) -> Result<u32, Refused> {
         let cycle = self.cycle_at(now);
         match command {
-            TdmaCommand::SetSlot(new) => {
-                let slot = new.config;
+            TdmaCommand::SetSlot(slot) => {
+                let slot = *slot;
                 if let Role::Master(master) = &self.role {
                     checked(*master.config(), &[slot])?;
                 }
@@ -370,7 +375,7 @@ impl Discipline for Tdma {
                 {
                     return Err(Refused::BeyondCycle { id: slot.id, offset: slot.offset, cycle });
                 }
-                self.slots.set(new, cycle, &mut self.events)?;
+                self.slots.set(slot, cycle, &mut self.events)?;
             }
             TdmaCommand::RemoveSlot(id) => {
                 self.not_while_calibrating(*id, now)?;
@@ -394,6 +399,9 @@ impl Discipline for Tdma {
                 }
                 self.slots.planned().try_for_each(|slot| role.can_use(self.lead, [&slot]))?;
                 self.leave_until(cycle);
+                if let Role::Master(master) = &mut self.role {
+                    self.counters.replies_given_up += master.answer_nobody();
+                }
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;
             }

@@ -5,6 +5,7 @@ use rtnet::discipline::EventKind;
 use rtnet::time::{GlobalTime, Instant};
 use rtnet::wire::ethernet::{Address, Header};
 
+use super::line::LINE_GOOD_FOR;
 use super::slave::Followed;
 use super::{Role, Tdma};
 use crate::wire::Message;
@@ -62,18 +63,26 @@ impl Tdma {
         self.counters.syncs_received += 1;
         let left = slave.line().copied();
         let followed = slave.on_sync(rx, from, cycle, xmit, sched, events);
-        self.doubt_line(rx, cycle, followed);
+        self.doubt_line(rx, from, cycle, followed);
         let followed = followed?;
-        let Some(slave) = self.role.follower() else { return Ok(()) };
-        if let Some((silent, at)) = self.silent
-            && cycle.wrapping_sub(silent) as i32 <= 0
-        {
-            self.counters.syncs_late += 1;
-            self.events.note(cycle, EventKind::SyncLate, at - rx);
+        match self.silent {
+            Some((silent, at)) if cycle.wrapping_sub(silent) as i32 <= 0 => {
+                self.counters.syncs_late += 1;
+                self.events.note(cycle, EventKind::SyncLate, at - rx);
+            }
+            // What was overtaken for so long does not come any more, and numbers start over.
+            Some((silent, _))
+                if followed == Followed::Agrees && cycle.wrapping_sub(silent) as i32 > LINE_GOOD_FOR =>
+            {
+                self.silent = None;
+            }
+            _ => {}
         }
-        if let (Followed::NewLine, Some(&line)) = (followed, slave.line()) {
-            if let (Some(left), Some(_)) = (left, slave.calibration().delay()) {
-                self.leave(&left, &line, rx);
+        if let (Followed::NewLine, Some(line)) = (followed, self.line().copied()) {
+            if let Some(left) = self.left_when_it_made_way() {
+                self.leave(&left, &line, rx, true);
+            } else if let (Some(left), false) = (left, self.calibrates()) {
+                self.leave(&left, &line, rx, false);
             }
             self.silent = None;
             self.slots.align(&line, rx);
@@ -87,16 +96,20 @@ impl Tdma {
         Ok(())
     }
 
-    /// A backup hesitates if what it has heard at `rx` was beside its line.
-    fn doubt_line(&mut self, rx: Instant, cycle: u32, followed: Result<Followed, Refusal>) {
+    /// A backup hesitates if what it has heard at `rx` was beside its line, or came after it would have spoken itself: the
+    /// longer if both have spoken in that cycle, and the other goes before it.
+    fn doubt_line(&mut self, rx: Instant, from: Address, cycle: u32, followed: Result<Followed, Refusal>) {
         let Role::Master(master) = &mut self.role else { return };
-        let is_beside = master.follower().is_some_and(|follower| match followed {
-            Ok(Followed::Pending) => follower.line().is_some(),
-            Err(Refusal::DuplicateCycle) => follower.doubts(cycle),
+        let Some(follower) = master.follower() else { return };
+        let is_twice = followed == Err(Refusal::DuplicateCycle);
+        let is_beside = match followed {
+            Ok(Followed::Pending | Followed::Late) => follower.line().is_some(),
+            Ok(Followed::Agrees) => master.would_have_spoken(rx),
+            Err(Refusal::DuplicateCycle) => follower.doubts(cycle) || master.has_sent(cycle),
             _ => false,
-        });
+        };
         if is_beside {
-            master.doubts_line(rx);
+            master.doubts_line(rx, is_twice && from < self.address);
         }
     }
 }

@@ -36,12 +36,14 @@ pub struct Replies {
     at_most: usize,
     /// The one that is being sent.
     taken: Option<Reply>,
+    /// Promised, and not sent: this station gave the time no more, or who asked gives it.
+    broken: u64,
 }
 
 impl Replies {
     /// None yet, and so many at a time.
     pub fn of(at_most: usize) -> Self {
-        Self { pending: Vec::with_capacity(at_most), at_most, taken: None }
+        Self { pending: Vec::with_capacity(at_most), at_most, taken: None, broken: 0 }
     }
 
     /// A calibration request, received at `rx` by the master of `line`.
@@ -54,17 +56,19 @@ impl Replies {
         cycle: u32,
         offset: u64,
     ) -> Result<(), Refusal> {
-        if offset >= line.period.nanos() as u64 || line.ahead(cycle) > MAX_REPLY_AHEAD as i32 {
+        let ahead = i64::from(line.ahead(cycle));
+        if offset >= line.period.nanos() as u64 || ahead > i64::from(MAX_REPLY_AHEAD) {
             return Err(Refusal::ReplyImplausible);
         }
         let at = line.start_of(cycle) + Span::from_nanos(offset as i64);
-        if at < rx {
+        // Cycles that are long over may have begun before the clock did: their instants mean nothing.
+        if ahead < 0 || at < rx {
             return Err(Refusal::ReplyOverdue);
         }
-        // Who asks again does not wait any more for what was put off, which would be in this very turn of the slot.
-        self.pending.retain(|reply| reply.to != from || reply.put_off == 0);
+        // Who asks again waits for nothing that was promised before, and takes nobody's place.
+        self.forget(from);
         // The reply is asked for in the slot's next use.
-        let asked_in = line.ahead(cycle) - ((rx - line.start).nanos().div_euclid(line.period.nanos())) as i32;
+        let asked_in = ahead - (rx - line.start).nanos().div_euclid(line.period.nanos());
         let period = asked_in.max(1) as u32;
         let reply = Reply { at, to: from, cycle, request_xmit, reception: rx, period, put_off: 0 };
         if self.promise(reply) { Ok(()) } else { Err(Refusal::ReplyBacklog) }
@@ -111,13 +115,21 @@ impl Replies {
 
     /// This station waits for none any more.
     pub fn forget(&mut self, station: Address) {
+        let promised = self.pending.len();
         self.pending.retain(|reply| reply.to != station);
+        self.broken += (promised - self.pending.len()) as u64;
     }
 
     /// Who gives the time no more answers nobody: stations ask whose Synchronisation they hear.
     pub fn clear(&mut self) {
+        self.broken += self.pending.len() as u64;
         self.pending.clear();
         self.taken = None;
+    }
+
+    /// How many were promised and could not be kept so far.
+    pub fn broken(&self) -> u64 {
+        self.broken
     }
 }
 
@@ -127,7 +139,12 @@ mod tests {
     use crate::tdma::line::Drift;
     use rtnet::time::{GlobalTime, Offset};
 
-    const A: Address = Address([2, 0, 0, 0, 0, 9]);
+    const A: Address = station(9);
+    const B: Address = station(10);
+
+    const fn station(last: u8) -> Address {
+        Address([2, 0, 0, 0, 0, last])
+    }
 
     fn at(micros: u64) -> Instant {
         Instant::from_nanos(micros * 1_000)
@@ -149,7 +166,7 @@ mod tests {
     fn requests_are_answered_in_the_order_of_their_instants() {
         let mut replies = Replies::of(DEFAULT_MAX_REQUESTS);
         replies.ask(&line(0), at(3_500), A, 1, 3, 200_000).unwrap();
-        replies.ask(&line(0), at(3_600), A, 2, 2, 700_000).unwrap();
+        replies.ask(&line(0), at(3_600), B, 2, 2, 700_000).unwrap();
         assert_eq!(replies.next().unwrap().at, at(5_700));
         assert_eq!(replies.take().unwrap().request_xmit, 2);
         assert_eq!(replies.take().unwrap().at, at(6_200));
@@ -192,11 +209,35 @@ mod tests {
     }
 
     #[test]
+    fn what_was_promised_and_is_not_sent_is_counted() {
+        let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
+        let mut ask = |from, cycle| replies.ask(&line, at(4_400), from, 0, cycle, 400_000).unwrap();
+        ask(A, 3);
+        (11..15).for_each(|last| ask(station(last), 4));
+        ask(B, 5);
+        ask(B, 6);
+        assert_eq!(replies.broken(), 1, "who asks again waits for the second only");
+        assert_eq!(replies.take().map(|reply| reply.to), Some(A));
+        replies.forget(A);
+        assert_eq!(replies.broken(), 1, "it is being sent");
+        replies.forget(B);
+        replies.clear();
+        assert_eq!((replies.broken(), replies.next()), (6, None));
+    }
+
+    #[test]
     fn impossible_requests_are_refused_by_reason() {
         let mut replies = Replies::of(DEFAULT_MAX_REQUESTS);
-        let mut ask = |cycle, offset| replies.ask(&line(0), at(3_500), A, 0, cycle, offset);
+        let mut stations = (0..=255).map(station).cycle();
+        let mut ask = |cycle, offset| {
+            let from = stations.next().unwrap_or(A);
+            replies.ask(&line(0), at(3_500), from, 0, cycle, offset)
+        };
         assert_eq!(ask(0, 400_000), Err(Refusal::ReplyOverdue));
-        assert_eq!(ask(u32::MAX, 0), Err(Refusal::ReplyOverdue));
+        for back in (0..=31).map(|bit| 1 << bit) {
+            // Such a cycle's instant may be before the clock's beginning: modulo 2^64 far ahead.
+            assert_eq!(ask(0u32.wrapping_sub(back), 0), Err(Refusal::ReplyOverdue), "{back} cycles ago");
+        }
         assert_eq!(ask(2_000, 0), Err(Refusal::ReplyImplausible));
         assert_eq!(ask(2, 1_000_000), Err(Refusal::ReplyImplausible));
         assert_eq!(ask(2, u64::MAX), Err(Refusal::ReplyImplausible));

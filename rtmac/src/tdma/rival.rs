@@ -3,6 +3,8 @@
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::line::PERIODS;
+
 /// In so many cycles a primary is heard before one with a higher address makes way: once may be a forgery.
 const CYCLES_OF_LOWER: u32 = 3;
 /// Ours with a higher address has made way by then; what has not is of another kind, or does not hear us.
@@ -14,6 +16,8 @@ pub struct Rival {
     of: Address,
     since: Instant,
     last: Instant,
+    /// From the one before that to the last.
+    every: Span,
     /// In a row.
     cycles: u32,
 }
@@ -21,16 +25,20 @@ pub struct Rival {
 impl Rival {
     /// Heard at `rx` for the first time.
     pub fn new(of: Address, rx: Instant) -> Self {
-        Self { of, since: rx, last: rx, cycles: 1 }
+        Self { of, since: rx, last: rx, every: Span::ZERO, cycles: 1 }
     }
 
-    /// One more of its Synchronisations. Two in one cycle are one; after a cycle without it counts anew.
+    /// One more of its Synchronisations. Two in one cycle are one. After a cycle without, it counts anew, unless it has a
+    /// longer cycle of its own: comes as long after the last as that came after the one before.
     pub fn heard(&mut self, of: Address, rx: Instant, period: Span) {
         let gone = rx - self.last;
-        if of != self.of || gone > period * 2 {
+        let is_its_cycle = (gone - self.every).abs() <= self.every / 4 && PERIODS.contains(&gone);
+        if of != self.of {
             *self = Self::new(of, rx);
+        } else if gone > period * 2 && !is_its_cycle {
+            *self = Self { every: gone, ..Self::new(of, rx) };
         } else if gone > period * 3 / 4 {
-            (self.last, self.cycles) = (rx, self.cycles + 1);
+            (self.last, self.every, self.cycles) = (rx, gone, self.cycles + 1);
         }
     }
 
@@ -38,6 +46,15 @@ impl Rival {
     pub fn outlasts(&self, own: Address, is_backup: bool) -> bool {
         let patience = if self.of < own && !is_backup { CYCLES_OF_LOWER } else { CYCLES_OF_ANY };
         self.cycles >= patience
+    }
+
+    /// Whether it was heard in this cycle or the one before, or no longer ago than its own takes.
+    pub fn is_heard(&self, now: Instant, period: Span) -> bool {
+        now - self.last <= period.max(self.every) * 2
+    }
+
+    pub fn address(&self) -> Address {
+        self.of
     }
 
     /// How long it has been heard.
@@ -79,7 +96,34 @@ mod tests {
             Some(CYCLES_OF_ANY),
             "a backup that is not deaf is silent by then"
         );
-        assert_eq!(patience(LOW, false, 3), None, "now and then is nobody");
+    }
+
+    #[test]
+    fn a_rival_whose_cycle_is_longer_or_shorter_counts_by_its_own() {
+        // The first two tell of its cycle.
+        assert_eq!(patience(LOW, false, 3), Some(CYCLES_OF_LOWER + 1));
+        assert_eq!(patience(HIGH, false, 50), Some(CYCLES_OF_ANY + 1));
+        let mut rival = Rival::new(HIGH, Instant::default());
+        let heard = (1..100).find(|&n| {
+            rival.heard(HIGH, Instant::default() + PERIOD * 2 / 5 * n, PERIOD);
+            rival.outlasts(OWN, false)
+        });
+        assert_eq!(heard, Some(18), "of 0.4 cycles every second counts");
+    }
+
+    #[test]
+    fn now_and_then_is_nobody() {
+        let mut rival = Rival::new(LOW, Instant::default());
+        for millis in [7, 10, 30, 36, 51, 55, 300, 303] {
+            rival.heard(LOW, Instant::default() + PERIOD * millis, PERIOD);
+            assert!(!rival.outlasts(OWN, false));
+        }
+        // Nor is one a day, by the day.
+        let day = Span::from_millis(86_400_000);
+        for days in 1..20 {
+            rival.heard(LOW, Instant::default() + day * days, PERIOD);
+            assert!(!rival.outlasts(OWN, false));
+        }
     }
 
     #[test]

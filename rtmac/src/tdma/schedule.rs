@@ -9,10 +9,14 @@
 //!                     the latest begin is |guard band - both shares| after the slot's
 //! ```
 
+mod wait;
+
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 
 use super::master::BACKUP_LOOKS_BEFORE;
+
+pub use wait::{Wait, round_trip, wait};
 
 /// What clocks may be wrong by, slave to master: 5 us while a line is young, 2 us later, measured over veth. One that
 /// changes its rate by 4 to 20 ppm at once may be off by twice as much until that is noticed.

@@ -3,23 +3,26 @@
 //! ```text
 //!            second Synchronisation agrees        last round
 //!  Waiting ──────────────────────► Calibrating ─────────────► Locked ◄──────────┐
-//!     (without rounds: Locked)        │  ▲                      │ one missing    │ a Synchronisation that agrees,
-//!                                     │  │                      ▼                │ or the last that a new line
-//!                                     │  │                   Holdover ───────────┤ takes
-//!                                     │  │ the same, before     │ two missing    │
-//!                        two missing  │  │ the last round       ▼                │
+//!     (without rounds: Locked)        │  ▲                  (1) │ │ one missing  │ a Synchronisation that agrees,
+//!                                     │  │                      │ ▼              │ or the last that a new line
+//!                                     │  │                      │ Holdover ──────┤ takes
+//!                                     │  │ the same, before     │ │ two missing  │
+//!                        two missing  │  │ the last round       ▼ ▼              │
 //!                                     │  └──────────────────── Lost ─────────────┘
 //!                                     └──────────────────────►  │ a thousand missing
 //!                                                               ▼
 //!                                              Lost, and the line given up: two that agree are needed again
+//!
+//!  (1) two missing at once, after a sleep; or one where none is bridged (a holdover of 0)
 //! ```
 //!
-//! One is bridged, or as many as configured; one more is a loss. All that follows is so unless there is no filter
-//! (`overwrite.rs`).
+//! One is bridged, or as many as configured; one more is a loss. A calibration always bridges one. All that follows is so
+//! unless there is no filter (`overwrite.rs`).
 //!
 //! Whatever is refused or waits to be confirmed changes no state; `tests/transitions.rs` has every state, with what may be
-//! doubted in it, against everything that can happen. The follower of a master also begins anew (`forget`), and goes on with
-//! the line on which that one gave the time (`resume`: Locked, or Calibrating before the last round).
+//! doubted in it, against everything that can happen, with a filter and without. The follower of a master also begins anew
+//! (`forget`), and goes on with the line on which that one gave the time (`resume`: Locked, or Calibrating before the last
+//! round).
 //!
 //! A Synchronisation that disagrees with the line is a *time step*: the next one tells whether the master moved (it
 //! agrees with the step) or one frame was held up on its way (it agrees with the line). Until then one that is a little
@@ -90,6 +93,8 @@ pub enum Followed {
     NewLine,
     /// It waits for the next one to confirm it.
     Pending,
+    /// It is of a cycle of the line that is over, and says nothing.
+    Late,
 }
 
 impl Slave {
@@ -99,7 +104,7 @@ impl Slave {
             track: Track::Nothing,
             envelope: Envelope::new(),
             state: SyncState::Waiting,
-            calibration: Calibration::new(config.rounds),
+            calibration: Calibration::new(config.rounds, config.servo),
             master: Address::BROADCAST,
             line_of: Address::BROADCAST,
             measured_with: Address::BROADCAST,
@@ -134,7 +139,7 @@ impl Slave {
             Servo::Linear => self.filter(from, mark, rx, events)?,
         };
         self.master = from;
-        if followed == Followed::Pending {
+        if matches!(followed, Followed::Pending | Followed::Late) {
             return Ok(followed);
         }
         self.line_of = from;
@@ -170,12 +175,17 @@ impl Slave {
             },
             Track::On { line, step } => {
                 if cycle == line.cycle || step.is_some_and(|step| step.mark.cycle == cycle) {
-                    // A backup that has not heard its master says the same as that.
-                    if from == self.master || !mark.repeats(line, self.config.step_limit) {
+                    // Media double frames; and a backup that has not heard its master says the same as that.
+                    let is_copy = from == self.line_of && (cycle, mark.sched) == (line.cycle, line.sched);
+                    let is_backups = from != self.master && mark.repeats(line, self.config.step_limit);
+                    if !is_copy && !is_backups {
                         self.doubted = Some(cycle);
                     }
                     events.note(cycle, EventKind::DuplicateCycle, mark.deviation_from(line));
                     return Err(Refusal::DuplicateCycle);
+                }
+                if mark.is_overtaken(line, rx, self.config.step_limit) {
+                    return Ok(Followed::Late);
                 }
                 self.deviation = mark.deviation_from(line);
                 if mark.agrees_with(line, self.config.step_limit, self.envelope.slower()) {
@@ -308,6 +318,10 @@ impl Slave {
     }
     pub fn master(&self) -> Address {
         self.master
+    }
+    /// Whose line is followed, if there is one.
+    pub fn followed(&self) -> Option<Address> {
+        self.line().map(|_| self.line_of).filter(|&of| of != Address::BROADCAST)
     }
     pub fn calibration(&self) -> &Calibration {
         &self.calibration

@@ -9,13 +9,12 @@
 
 mod queues;
 
-use rtnet::buf::Buf;
 use rtnet::discipline::{Channel, EventKind};
 use rtnet::queue::PriorityQueue;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet;
 
-use super::config::{NewSlot, Refused};
+use super::config::Refused;
 use super::events::Events;
 use super::joint;
 use super::line::{TimeLine, next_cycle};
@@ -28,8 +27,9 @@ const RT_SLOT: Channel = 0;
 pub const NON_RT_SLOT: Channel = 1;
 /// Smallest slot: the payload of the smallest frame.
 pub const MIN_SIZE: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
-/// Frames that wait in a slot at the most: as many as RTnet's socket pool holds, twice.
-pub const QUEUE_CAPACITY: u16 = 32;
+
+/// Longest period: two turns and the cycles between them are to be counted, and told of, without end or overflow.
+pub const MAX_PERIOD: u32 = 1 << 16;
 
 /// What is configured of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +60,7 @@ impl SlotConfig {
         if offset < Span::ZERO {
             return Err(Refused::BeforeCycle { id, offset });
         }
-        if period == 0 || phase >= period {
+        if !(1..=MAX_PERIOD).contains(&period) || phase >= period {
             return Err(Refused::Phase { id, phase, period });
         }
         if !(MIN_SIZE..=ethernet::MTU).contains(&size) {
@@ -75,11 +75,11 @@ impl SlotConfig {
     }
 }
 
-/// A place for a slot. Its queue comes with the first that is defined here, and stays.
+/// A place for a slot.
 struct Slot {
     /// `None`: not defined.
     config: Option<SlotConfig>,
-    queue: PriorityQueue<Buf>,
+    queue: PriorityQueue,
     /// The cycle it is used in next.
     next: u32,
     /// What becomes of it once its turn in the cycle in which that was asked for has passed, and from which
@@ -134,7 +134,7 @@ impl Slots {
     pub fn new(max_id: u8) -> Self {
         let place = |id| Slot {
             config: None,
-            queue: PriorityQueue::without_room(),
+            queue: PriorityQueue::new(),
             next: 0,
             change: None,
             sent: 0,
@@ -149,15 +149,10 @@ impl Slots {
 
     /// Defines or changes a slot, from the cycle after `cycle` on; a turn that it still has in `cycle` it
     /// takes as it was. Queued frames that still fit stay. What is joined to it follows, or is told of.
-    pub fn set(&mut self, new: &mut NewSlot, cycle: u32, events: &mut Events) -> Result<(), Refused> {
-        let slot = new.config;
+    pub fn set(&mut self, slot: SlotConfig, cycle: u32, events: &mut Events) -> Result<(), Refused> {
         slot.check(self.max_id)?;
         let joint = joint::owner(&slot, |id| self.plan_of(id))?;
         let slot = SlotConfig { joint, ..slot };
-        let place = &mut self.table[usize::from(slot.id)];
-        if place.queue.capacity() == 0 {
-            core::mem::swap(&mut place.queue, &mut new.queue);
-        }
         self.change(slot.id, Change::Set(slot), cycle);
         for id in 0..=self.max_id {
             let follows = self.plan_of(id).and_then(|other| joint::follow(&other, &slot));
@@ -295,14 +290,19 @@ impl Slots {
         }
     }
 
-    /// No slot is used before `cycle`.
-    pub fn jump(&mut self, cycle: u32) {
+    /// No slot is used before `cycle`. How many turns that leaves out.
+    pub fn jump(&mut self, cycle: u32) -> u64 {
+        let mut left_out = 0;
         for id in 0..=self.max_id {
             let slot = &self.table[usize::from(id)];
-            if slot.config.is_some() && (cycle.wrapping_sub(slot.next) as i32) > 0 {
+            let Some(config) = slot.config else { continue };
+            let cycles = cycle.wrapping_sub(slot.next);
+            if cycles as i32 > 0 {
+                left_out += u64::from(cycles.div_ceil(config.period));
                 self.pass_until(id, cycle);
             }
         }
+        left_out
     }
 
     /// Every slot's configuration, and the cycle it is used in next.
@@ -317,12 +317,15 @@ impl Slots {
         slot.change = None;
         match change {
             Change::Set(config) => {
-                slot.config = Some(config);
+                let before = slot.config.replace(config);
                 slot.next = next_cycle(cycle, config.phase, config.period);
                 if let Err(place) = self.in_use.binary_search(&id) {
                     self.in_use.insert(place, id);
                 }
-                self.requeue(id, Some((id, config.size)));
+                // What fitted before fits: thousands of frames may wait, and are not to be looked at for nothing.
+                if before.is_none_or(|before| config.size < before.size) {
+                    self.requeue(id, Some((id, config.size)));
+                }
             }
             Change::Remove => {
                 let config = slot.config.take();

@@ -44,9 +44,9 @@ pub struct Counters {
     pub replies_sent: u64,
     /// Calibration replies that were too late, and put off.
     pub replies_late: u64,
-    /// Calibration replies that were put off too often.
+    /// Calibration replies that were promised and not sent: put off too often, or by who gives the time no more.
     pub replies_given_up: u64,
-    /// Frames dropped because their slot is gone, full, or too small for them now.
+    /// Frames dropped because their slot is gone, or too small for them now.
     pub returned_dropped: u64,
     /// Joint slots that got a queue of their own because the slot that they were joined to grew.
     pub joints_detached: u64,
@@ -147,8 +147,12 @@ pub struct TdmaStatus {
     pub calibration_repeats: u64,
     /// What a master or a backup is doing.
     pub mastery: Option<Mastery>,
-    /// The other master that kept this one from speaking.
+    /// The other master that kept this one from speaking, or outlasted it.
     pub yielded_to: Option<Address>,
+    /// Who gives the time, as far as this station knows: whom it follows, or itself.
+    pub time_by: Option<Address>,
+    /// Who else does, while it does.
+    pub rival: Option<Address>,
     /// Events that found the log full.
     pub events_lost: u64,
     /// Its slots.
@@ -167,7 +171,13 @@ impl TdmaStatus {
             _ => None,
         };
         let mut shown = tdma.slots.statuses();
-        let returned_dropped = tdma.counters.returned_dropped + tdma.slots.dropped();
+        let counters = Counters {
+            returned_dropped: tdma.counters.returned_dropped + tdma.slots.dropped(),
+            joints_detached: tdma.slots.detached(),
+            replies_given_up: tdma.counters.replies_given_up
+                + master.map_or(0, |master| master.replies().broken()),
+            ..tdma.counters
+        };
         Self {
             role: match tdma.role {
                 Role::Master(ref master) if master.config().backup.is_some() => RoleName::Backup,
@@ -193,9 +203,14 @@ impl TdmaStatus {
             calibration_repeats: slave.map_or(0, |slave| slave.calibration().repeats()),
             mastery: master.map(Master::mastery),
             yielded_to: master.and_then(|master| master.yielded_to()),
+            time_by: match &tdma.role {
+                Role::Master(master) if master.is_active() => Some(tdma.address),
+                _ => slave.and_then(|slave| slave.followed()),
+            },
+            rival: master.and_then(|master| master.rival(tdma.looked)),
             events_lost: tdma.events.lost(),
             slots: core::array::from_fn(|_| shown.next()),
-            counters: Counters { returned_dropped, joints_detached: tdma.slots.detached(), ..tdma.counters },
+            counters,
         }
     }
 }

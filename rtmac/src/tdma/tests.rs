@@ -1,17 +1,24 @@
 mod anew;
+pub(super) mod as_station;
 mod backups;
+mod calibration_frames;
+pub(super) mod every;
 mod first_slot;
 mod joint_slots;
+mod made_way;
 mod promised;
 mod requests;
+mod shown;
 mod slept;
+mod turns;
 mod without_holdover;
+mod wrap;
 
 use super::*;
 use crate::wire::Message;
-use rtnet::time::GlobalTime;
+use rtnet::time::{GlobalTime, Offset};
 
-const OWN: Address = Address([2, 0, 0, 0, 0, 1]);
+pub(super) const OWN: Address = Address([2, 0, 0, 0, 0, 1]);
 const OTHER: Address = Address([2, 0, 0, 0, 0, 2]);
 
 fn config(role: RoleConfig) -> TdmaConfig {
@@ -22,7 +29,7 @@ fn config(role: RoleConfig) -> TdmaConfig {
     TdmaConfig { address: OWN, role, slots: vec![slot], max_slot_id, lead, late }
 }
 
-fn master_config() -> MasterConfig {
+pub(super) fn master_config() -> MasterConfig {
     let late = Span::from_micros(40);
     MasterConfig {
         cycle: Span::from_millis(1),

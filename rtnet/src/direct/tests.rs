@@ -70,16 +70,16 @@ fn a_frame_that_the_kernel_refuses_is_gone_and_told_of() {
 }
 
 #[test]
-fn a_queue_that_is_full_gives_the_frame_back_and_a_hold_up_loses_none() {
+fn all_buffers_that_there_are_may_wait_and_a_hold_up_loses_none() {
     let pool = Pool::new(64);
     let mut direct = Direct::new(DEFAULT_ASK_EVERY);
     direct.on_timeout(NOW);
-    let full = (0..64).find(|&n| direct.enqueue(data(&pool, n), Priority::FIRST, 0).is_err());
-    assert_eq!((full, direct.status().queue_full, direct.status().queued), (Some(32), 1, 32));
+    (0..64).for_each(|n| direct.enqueue(data(&pool, n), Priority::FIRST, 0).unwrap());
+    assert_eq!((direct.status().queued, pool.available()), (64, 0));
     let chosen = direct.next_transmission(NOW).unwrap();
     let returned = direct.on_sent(Sent::Late(NOW, chosen.frame)).unwrap();
     direct.put_back(returned);
-    assert_eq!(std::iter::from_fn(|| sent(&mut direct)).collect::<Vec<_>>(), (0..32).collect::<Vec<_>>());
+    assert_eq!(std::iter::from_fn(|| sent(&mut direct)).collect::<Vec<_>>(), (0..64).collect::<Vec<_>>());
 }
 
 /// Has a frame whenever it is asked.

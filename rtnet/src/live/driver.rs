@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crossbeam::queue::ArrayQueue;
 use nix::sys::eventfd::EventFd;
 
+use crate::buf::Pool;
 use crate::clock::True;
 use crate::counters::Refusals;
 use crate::discipline::{Cause, Discipline, Event, Sent, SyncState};
@@ -17,6 +18,7 @@ use super::clock_order::ClockOrder;
 use super::errands::Errands;
 use super::port::{Port, PortCounters};
 use super::time_board::{TimeBoard, TimePublisher};
+use super::visit::{NoSockets, Visits};
 
 /// Longest sleep: how soon the loop notices that it is to stop.
 const LONGEST_SLEEP: True = 100_000_000;
@@ -26,6 +28,14 @@ const SNAPSHOT_EVERY: True = 100_000_000;
 const SNAPSHOTS: usize = 16;
 /// Records that wait for the control thread: a second of what eight slots a millisecond can tell.
 const RECORDS: usize = 16_384;
+
+/// Frames that a station with sockets takes in before it chooses a slot's: an answer to what came by then leaves in it.
+const BEFORE_A_SLOT: usize = 8;
+/// A station that data has woken, and that was awake for it so long, lets data wait for three times that: what floods it
+/// takes a quarter of its core, whatever comes. Slots do not wait.
+const RESTS: True = 3;
+/// Whatever held it up, data waits no longer.
+const LONGEST_REST: True = 250_000;
 
 /// What a driver is given besides station and port.
 #[derive(Clone)]
@@ -76,12 +86,17 @@ pub struct Driver<D: Discipline> {
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
     errands: Arc<Errands<D::Command, D::Refused>>,
+    visits: Arc<Visits>,
     time: TimePublisher,
     clock_order: Arc<ClockOrder>,
     records_lost: u64,
     next_snapshot: True,
     /// The state in the last snapshot.
     shown: SyncState,
+    /// Whether it is data that has woken it.
+    woken_by_data: bool,
+    /// Whether it did not wait the last time, since programs had something to be sent.
+    came_back: bool,
     /// When this turn looked at what is due, and when it had woken for that.
     looked: True,
     woke: True,
@@ -98,11 +113,14 @@ impl<D: Discipline> Driver<D> {
             records: Arc::new(ArrayQueue::new(RECORDS)),
             snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
             errands: Arc::new(Errands::new()),
+            visits: Arc::new(Errands::new()),
             time,
             clock_order: Arc::default(),
             records_lost: 0,
             next_snapshot: 0,
             shown: SyncState::Waiting,
+            woken_by_data: false,
+            came_back: false,
             looked: 0,
             woke: 0,
         }
@@ -121,6 +139,16 @@ impl<D: Discipline> Driver<D> {
     /// The way of commands: one is carried out in a turn, after the slot's send.
     pub fn errands(&self) -> Arc<Errands<D::Command, D::Refused>> {
         self.errands.clone()
+    }
+
+    /// The way to the station's sockets: one visitor is let in in a turn, after the slot's send.
+    pub fn visits(&self) -> Arc<Visits> {
+        self.visits.clone()
+    }
+
+    /// The buffers that frames are received into.
+    pub fn receive_pool(&self) -> Arc<Pool> {
+        self.port.pool().clone()
     }
 
     /// Where the loop shows the time, for every thread of the process that wants to know it or to wait for a cycle.
@@ -149,6 +177,7 @@ impl<D: Discipline> Driver<D> {
 
     /// One turn: drain, choose, send or wait.
     fn turn(&mut self) {
+        let for_data = std::mem::take(&mut self.woken_by_data);
         let Self { station, port, .. } = self;
         port.drain_control(|rx, frame| station.on_frame(rx, frame));
         if let Some(clock) = self.clock_order.take() {
@@ -159,6 +188,10 @@ impl<D: Discipline> Driver<D> {
         if wakes_on_frames {
             // No slot waits: what has come may be answered in this turn.
             port.drain_data(|rx, frame| station.on_frame(rx, frame));
+        } else if station.stack().is_some() {
+            // Half of what it is awake for before the slot: the rest is for choosing, and for being held up.
+            let until = station.next_deadline().map(|deadline| deadline + port.spin() / 2);
+            port.drain_before(until, BEFORE_A_SLOT, |rx, frame| station.on_frame(rx, frame));
         }
         (self.looked, self.woke) = (monotonic(), port.woke());
         let now = port.clock().local(self.looked);
@@ -181,26 +214,58 @@ impl<D: Discipline> Driver<D> {
             self.tell(sampled);
             return;
         }
-        if !wakes_on_frames {
+        // Who was woken by data has taken its share, and has the next one after a rest.
+        if !wakes_on_frames && !for_data {
             port.drain_data(|rx, frame| station.on_frame(rx, frame));
         }
-        self.tell(false);
-        let no_later = monotonic() + LONGEST_SLEEP;
-        match self.station.next_deadline() {
-            Some(deadline) if !wakes_on_frames => self.port.sleep_until(deadline, no_later),
-            deadline => self.port.wait_for_frame_until(deadline, no_later),
+        // A visitor may have left something to be sent.
+        if !self.tell(false) {
+            self.wait(wakes_on_frames, for_data);
         }
     }
 
-    /// Leaves what happened where the control thread finds it. After the slot's send, never before.
-    fn tell(&mut self, sample_time: bool) {
+    /// Sleeps until there is something to do.
+    fn wait(&mut self, wakes_on_frames: bool, was_for_data: bool) {
+        let now = monotonic();
+        let no_later = now + LONGEST_SLEEP;
+        let awake = now.saturating_sub(self.port.woke());
+        let rested = if was_for_data { now + rest_after(awake) } else { now };
+        let has_sockets = self.station.stack().is_some();
+        match self.station.next_deadline() {
+            deadline if wakes_on_frames => {
+                // What a program sends need not wait for a slot: it rings. What stays where it is though the loop has just come
+                // by, waits for a buffer or a role: the loop does not turn for it again and again.
+                let has_news = self.station.sleeps(true);
+                self.came_back = has_news && !self.came_back;
+                if !self.came_back {
+                    self.port.wait_for_frame_until(deadline, no_later);
+                }
+                self.station.sleeps(false);
+            }
+            Some(deadline) if has_sockets => {
+                self.woken_by_data = self.port.sleep_unless_data(deadline, no_later, rested);
+            }
+            Some(deadline) => self.port.sleep_until(deadline, no_later),
+            None => {
+                // Without a slot nothing is urgent, not even a sync.
+                self.woken_by_data = has_sockets;
+                self.port.rest_until(rested);
+                self.port.wait_for_frame_until(None, no_later);
+            }
+        }
+    }
+
+    /// Leaves what happened where the control thread finds it. After the slot's send, never before. Tells whether a visitor
+    /// was let in.
+    fn tell(&mut self, sample_time: bool) -> bool {
+        self.station.rest();
         let now = monotonic();
         while let Some(event) = self.station.discipline_mut().next_event() {
             let late = event.kind.is_miss().then(|| self.why_late(event.span));
             self.record(Record::Event(event, event.kind.cause().or(late)));
         }
         // What is shown then is what is after a command.
-        let commanded = self.obey();
+        let (commanded, visited) = (self.obey(), self.let_in());
         let time = self.station.discipline().time();
         self.time.publish(&time);
         if self.config.sample_time && sample_time && time.state.is_synchronised() {
@@ -222,6 +287,7 @@ impl<D: Discipline> Driver<D> {
                 let _ = waker.write(1);
             }
         }
+        visited
     }
 
     /// Carries out a command, if there is one. It goes back with what it replaced: nothing is freed here.
@@ -229,6 +295,15 @@ impl<D: Discipline> Driver<D> {
         let Some(mut errand) = self.errands.next() else { return false };
         errand.result = Some(self.station.discipline_mut().command(self.port.now(), &mut errand.command));
         self.errands.answer(errand);
+        true
+    }
+
+    /// Lets a visitor see the sockets, if there is one.
+    fn let_in(&mut self) -> bool {
+        let Some(mut errand) = self.visits.next() else { return false };
+        let seen = self.station.stack_mut().map(|(stack, exit)| errand.command.visit(stack, exit));
+        errand.result = Some(seen.map(|()| 0).ok_or(NoSockets));
+        self.visits.answer(errand);
         true
     }
 
@@ -254,6 +329,23 @@ impl<D: Discipline> Driver<D> {
             port: self.port.counters(),
             cpu: thread_cpu_time(),
             records_lost: self.records_lost,
+        }
+    }
+}
+
+/// How long data waits that comes after some for which the station was awake so long.
+fn rest_after(awake: True) -> True {
+    awake.saturating_mul(RESTS).min(LONGEST_REST)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn data_takes_a_quarter_of_a_core_at_most_and_is_not_kept_waiting_for_a_hold_up() {
+        for (awake, rest) in [(0, 0), (10_000, 30_000), (80_000, 240_000), (4_000_000, 250_000)] {
+            assert_eq!(rest_after(awake), rest, "awake for {awake} ns");
         }
     }
 }

@@ -4,8 +4,11 @@ use std::io;
 
 use socket2::{SockFilter, Socket};
 
+use crate::wire::ethernet::EtherType;
+
 // Classic BPF, as linux/filter.h and linux/bpf_common.h number it.
 const LOAD_WORD_ABSOLUTE: u16 = 0x20;
+const LOAD_HALF_ABSOLUTE: u16 = 0x28;
 const LOAD_BYTE_ABSOLUTE: u16 = 0x30;
 const LOAD_LENGTH: u16 = 0x80;
 const JUMP_IF_EQUAL: u16 = 0x15;
@@ -15,6 +18,9 @@ const RETURN: u16 = 0x06;
 /// The word at this offset is the packet's type: to this host 0, broadcast 1, multicast 2, to others 3,
 /// outgoing 4.
 const PACKET_TYPE: u32 = (-0x1000i32 + 4) as u32;
+/// Not zero at this offset: the frame had a VLAN's tag, which the kernel has taken out of it.
+const VLAN_TAG_PRESENT: u32 = (-0x1000i32 + 48) as u32;
+const ETHER_TYPE: u32 = 12;
 const TO_THIS_HOST: u32 = 0;
 const MULTICAST: u32 = 2;
 /// RTmac's version, behind the Ethernet header and its type, and its flags; this one is of a tunnelled frame.
@@ -31,6 +37,21 @@ pub fn accept_only_ours(socket: &Socket) -> io::Result<()> {
     socket.attach_filter(&[
         SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
         SockFilter::new(JUMP_IF_GREATER, 1, 0, MULTICAST),
+        SockFilter::new(RETURN, 0, 0, WHOLE),
+        SockFilter::new(RETURN, 0, 0, NOTHING),
+    ])
+}
+
+/// The same for a socket that hears every EtherType but RTmac's, which has a socket of its own. What is of a VLAN is for
+/// another network than this interface's.
+pub fn accept_only_our_data(socket: &Socket) -> io::Result<()> {
+    socket.attach_filter(&[
+        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
+        SockFilter::new(JUMP_IF_GREATER, 5, 0, MULTICAST),
+        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, VLAN_TAG_PRESENT),
+        SockFilter::new(JUMP_IF_GREATER, 3, 0, 0),
+        SockFilter::new(LOAD_HALF_ABSOLUTE, 0, 0, ETHER_TYPE),
+        SockFilter::new(JUMP_IF_EQUAL, 1, 0, EtherType::RTMAC.0 as u32),
         SockFilter::new(RETURN, 0, 0, WHOLE),
         SockFilter::new(RETURN, 0, 0, NOTHING),
     ])

@@ -27,6 +27,7 @@ mod port;
 pub mod realtime;
 pub mod ring;
 mod time_board;
+mod visit;
 mod wait;
 
 pub use clock_order::ClockOrder;
@@ -34,6 +35,7 @@ pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};
 pub use impair::{Chances, Impaired, Impairment, ImpairmentRefused, LOGGED};
-pub use port::{OpenError, Port, PortCounters};
+pub use port::{Data, OpenError, Port, PortCounters};
 pub use time_board::{TimeBoard, TimePublisher};
+pub use visit::{NoSockets, Visitor, Visits};
 pub use wait::{Cycle, WaitError, Waiter};

@@ -1,7 +1,7 @@
 //! AF_PACKET sockets: what socket2 does not have, one unsafe system call each.
 
 use std::io;
-use std::os::fd::AsRawFd;
+use std::os::fd::{AsRawFd, BorrowedFd};
 
 use socket2::{Domain, SockAddr, Socket, Type};
 
@@ -9,8 +9,13 @@ use super::clock::timespec;
 use crate::buf::{Buf, ROOM};
 use crate::clock::True;
 
-/// Room for the control message of one time stamp, aligned as the kernel wants it.
-type StampRoom = [u64; 8];
+/// Room for the control messages of a time stamp and of what else the kernel tells of a frame, aligned as it wants them.
+type ControlRoom = [u64; 12];
+// As linux/if_packet.h numbers them, which libc does not.
+const PACKET_AUXDATA: libc::c_int = 8;
+/// Since Linux 4.20.
+const PACKET_IGNORE_OUTGOING: libc::c_int = 23;
+const TP_STATUS_CSUMNOTREADY: u32 = 1 << 3;
 
 /// A raw packet socket that receives nothing until it is bound to a protocol.
 pub fn open() -> io::Result<Socket> {
@@ -36,13 +41,27 @@ pub fn bind(socket: &Socket, interface: u32, protocol: u16) -> io::Result<()> {
 
 /// Lets the kernel stamp received frames with CLOCK_REALTIME.
 pub fn stamp_received(socket: &Socket) -> io::Result<()> {
+    switch_on(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS)
+}
+
+/// Lets the kernel tell of each frame whether its sender has left the checksum to a card that it came by none of.
+pub fn tell_of_checksums(socket: &Socket) -> io::Result<()> {
+    switch_on(socket, libc::SOL_PACKET, PACKET_AUXDATA)
+}
+
+/// Keeps frames that leave from the socket, before any filter is asked; an older kernel says no.
+pub fn ignore_outgoing(socket: &Socket) -> io::Result<()> {
+    switch_on(socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING)
+}
+
+fn switch_on(socket: &Socket, level: libc::c_int, option: libc::c_int) -> io::Result<()> {
     let on = 1i32;
     // SAFETY: `on` is alive for the call, and its true size is passed.
     let result = unsafe {
         libc::setsockopt(
             socket.as_raw_fd(),
-            libc::SOL_SOCKET,
-            libc::SO_TIMESTAMPNS,
+            level,
+            option,
             (&raw const on).cast(),
             size_of_val(&on) as libc::socklen_t,
         )
@@ -65,44 +84,56 @@ pub struct Received {
     pub stamp: Option<u64>,
     /// The frame was longer than a buffer.
     pub truncated: bool,
+    /// Its checksum is not there: who sent it left that to a card, and it came by none.
+    pub without_checksum: bool,
 }
 
 /// Receives a frame into `buf` without blocking; `None` when none waits. What the kernel has to say to the socket
 /// instead, such as once ENETDOWN, is gone with the call too, so that nobody who waits is woken by it again.
 #[inline]
 pub fn receive(socket: &Socket, buf: &mut Buf) -> Option<Received> {
-    let mut room: StampRoom = [0; 8];
+    let mut room: ControlRoom = [0; 12];
     let mut part = libc::iovec { iov_base: buf.room_mut().as_mut_ptr().cast(), iov_len: ROOM };
     // SAFETY: all-zero is a valid msghdr.
     let mut message: libc::msghdr = unsafe { core::mem::zeroed() };
     message.msg_iov = &mut part;
     message.msg_iovlen = 1;
     message.msg_control = room.as_mut_ptr().cast();
-    message.msg_controllen = size_of::<StampRoom>() as _;
+    message.msg_controllen = size_of::<ControlRoom>() as _;
     // SAFETY: the message's parts point to `buf`'s room and to `room`, with their true lengths; both
     // outlive the call, and nothing else refers to them meanwhile.
     let len = unsafe { libc::recvmsg(socket.as_raw_fd(), &mut message, libc::MSG_DONTWAIT) };
     let len = usize::try_from(len).ok()?;
     buf.set_len(len.min(ROOM));
     let truncated = message.msg_flags & libc::MSG_TRUNC != 0;
-    Some(Received { stamp: stamp_of(&message), truncated })
+    let (stamp, without_checksum) = told_of(&message);
+    Some(Received { stamp, truncated, without_checksum })
 }
 
-/// Finds the time stamp among the control messages that the kernel wrote.
-fn stamp_of(message: &libc::msghdr) -> Option<u64> {
+/// What the control messages say that the kernel wrote: the time stamp, and whether the checksum is missing.
+fn told_of(message: &libc::msghdr) -> (Option<u64>, bool) {
+    let (mut stamp, mut without_checksum) = (None, false);
     // SAFETY: `message` was filled by recvmsg, so its control messages are well formed, and the room
     // they lie in is alive: the caller's. CMSG_NXTHDR stays within it.
     unsafe {
         let mut header = libc::CMSG_FIRSTHDR(message);
         while !header.is_null() {
-            if (*header).cmsg_level == libc::SOL_SOCKET && (*header).cmsg_type == libc::SCM_TIMESTAMPNS {
-                let stamp: libc::timespec = core::ptr::read_unaligned(libc::CMSG_DATA(header).cast());
-                return Some(stamp.tv_sec as u64 * 1_000_000_000 + stamp.tv_nsec as u64);
+            match ((*header).cmsg_level, (*header).cmsg_type) {
+                (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) => {
+                    let at: libc::timespec = core::ptr::read_unaligned(libc::CMSG_DATA(header).cast());
+                    stamp = Some(at.tv_sec as u64 * 1_000_000_000 + at.tv_nsec as u64);
+                }
+                (libc::SOL_PACKET, PACKET_AUXDATA) => {
+                    // Its first field is the frame's status.
+                    let status: u32 = core::ptr::read_unaligned(libc::CMSG_DATA(header).cast());
+                    without_checksum = status & TP_STATUS_CSUMNOTREADY != 0;
+                }
+                _ => {}
             }
             header = libc::CMSG_NXTHDR(message, header);
         }
     }
-    None
+    (stamp, without_checksum)
 }
 
 /// How many frames the kernel dropped since the last call because the socket's queue or ring was full.
@@ -123,14 +154,14 @@ pub fn take_dropped(socket: &impl AsRawFd) -> io::Result<u64> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(stats.tp_drops.into()) }
 }
 
-/// Waits until one of the sockets has a frame, or so many nanoseconds.
-pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Socket>, at_most: True) {
-    let entry = |socket: &Socket| libc::pollfd { fd: socket.as_raw_fd(), events: libc::POLLIN, revents: 0 };
-    let mut entries: arrayvec::ArrayVec<libc::pollfd, 8> = sockets.take(8).map(entry).collect();
+/// Waits until one of them can be read, or so many nanoseconds; tells whether one has.
+pub fn wait_any<'a>(waited_for: impl Iterator<Item = BorrowedFd<'a>>, at_most: True) -> bool {
+    let entry = |fd: BorrowedFd<'_>| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+    let mut entries: arrayvec::ArrayVec<libc::pollfd, 8> = waited_for.take(8).map(entry).collect();
     let at_most = timespec(at_most);
     // SAFETY: pointer and count are of one live array; `at_most` outlives the call, and no signal mask is given.
     unsafe {
-        libc::ppoll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, &at_most, core::ptr::null());
+        libc::ppoll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, &at_most, core::ptr::null()) > 0
     }
 }
 

@@ -1,24 +1,32 @@
-//! One interface: a socket that only sends, one for TDMA's control frames, one per EtherType of data.
+//! One interface: a socket that only sends, one for TDMA's control frames, one per EtherType of data, or one for all.
+
+mod receive;
 
 use std::io;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::sync::Arc;
 
+use nix::sys::eventfd::EventFd;
 use socket2::Socket;
 
 use crate::buf::{Buf, Pool};
 use crate::clock::{EmulatedClock, True};
 use crate::discipline::{Sent, Stamp, Transmission};
-use crate::time::Instant;
+use crate::time::{Instant, Span};
 use crate::wire::ethernet::EtherType;
 
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
 use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
 use super::{filter, packet};
+use receive::{DRAIN_AT_MOST, drain, on_clock, receiver};
+
+pub use receive::Data;
 
 /// Buffers for received frames: as many as RTnet's receive ring and transmit descriptors.
 const RECEIVE_POOL: usize = 32;
-/// Frames taken from one socket in one turn at the most, so that a flood cannot hold up a slot.
-const DRAIN_AT_MOST: usize = 32;
+/// So long before it has to be awake data wakes nobody: several times what waking for it and looking at it take.
+const UNDISTURBED: True = 100_000;
 /// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
 const COST_AT_MOST: True = 5_000;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
@@ -29,7 +37,7 @@ pub struct Port {
     sender: Socket,
     control: Socket,
     data: Vec<Socket>,
-    pool: Pool,
+    pool: Arc<Pool>,
     clock: EmulatedClock,
     wall: WallClock,
     /// Whether the wall clock has not stepped since the frames now waiting could have been stamped.
@@ -45,6 +53,8 @@ pub struct Port {
     /// Others are kept off the interface.
     is_alone: bool,
     hold: Option<fn()>,
+    /// What programs ring when they have something to be sent.
+    doorbell: Option<Arc<EventFd>>,
     counters: PortCounters,
 }
 
@@ -79,16 +89,16 @@ pub struct PortCounters {
 }
 
 impl Port {
-    /// Opens the sockets on an interface, for these EtherTypes besides RTmac's. Needs CAP_NET_RAW; for a
+    /// Opens the sockets on an interface, for this data besides RTmac's frames. Needs CAP_NET_RAW; for a
     /// guard CAP_BPF and CAP_NET_ADMIN, too.
-    pub fn open(
+    pub fn open<'a>(
         interface: &Interface,
-        data: &[EtherType],
+        data: impl Into<Data<'a>>,
         clock: EmulatedClock,
         spin: u64,
         guard: GuardMode,
     ) -> Result<Self, OpenError> {
-        let mut port = Self::unguarded(interface, data, clock, spin)
+        let mut port = Self::unguarded(interface, data.into(), clock, spin)
             .map_err(|error| OpenError::Sockets(interface.name.clone(), error))?;
         if guard == GuardMode::User {
             return Ok(port);
@@ -109,30 +119,15 @@ impl Port {
         Ok(port)
     }
 
-    fn unguarded(
-        interface: &Interface,
-        data: &[EtherType],
-        clock: EmulatedClock,
-        spin: u64,
-    ) -> io::Result<Self> {
+    fn unguarded(interface: &Interface, data: Data<'_>, clock: EmulatedClock, spin: u64) -> io::Result<Self> {
         // PACKET_QDISC_BYPASS would be a way past the guard: it is not set.
         let sender = packet::open()?;
         packet::bind(&sender, interface.index, 0)?;
-        let receiver = |ether_type: EtherType| -> io::Result<Socket> {
-            let socket = packet::open()?;
-            match ether_type {
-                EtherType::RTMAC => filter::accept_only_our_control(&socket)?,
-                _ => filter::accept_only_ours(&socket)?,
-            }
-            packet::stamp_received(&socket)?;
-            packet::bind(&socket, interface.index, ether_type.0)?;
-            Ok(socket)
-        };
         Ok(Self {
             sender,
-            control: receiver(EtherType::RTMAC)?,
-            data: data.iter().copied().map(receiver).collect::<io::Result<_>>()?,
-            pool: Pool::new(RECEIVE_POOL),
+            control: receiver(interface, EtherType::RTMAC.0, filter::accept_only_our_control)?,
+            data: receive::data(interface, data)?,
+            pool: Arc::new(Pool::new(RECEIVE_POOL)),
             clock,
             wall: WallClock::default(),
             trusted: true,
@@ -144,6 +139,7 @@ impl Port {
             guard_refused: None,
             is_alone: false,
             hold: None,
+            doorbell: None,
             counters: PortCounters::default(),
         })
     }
@@ -192,9 +188,19 @@ impl Port {
         &self.clock
     }
 
+    /// How long before its instant a frame is spun for.
+    pub(super) fn spin(&self) -> Span {
+        Span::from_nanos(self.spin as i64)
+    }
+
     /// Gives the station another clock: what comes from now on is stamped by it.
     pub(super) fn set_clock(&mut self, clock: EmulatedClock) {
         self.clock = clock;
+    }
+
+    /// The buffers that frames are received into.
+    pub fn pool(&self) -> &Arc<Pool> {
+        &self.pool
     }
 
     /// What was counted so far. Asks the kernel, too.
@@ -212,7 +218,8 @@ impl Port {
     pub fn drain_control(&mut self, mut to: impl FnMut(Option<Instant>, Buf)) {
         self.trusted = self.wall.sample();
         let Self { control, pool, clock, wall, trusted, counters, .. } = self;
-        drain(control, pool, counters, |stamp, frame| to(on_clock(stamp, *trusted, clock, wall), frame));
+        let to = |stamp, frame| to(on_clock(stamp, *trusted, clock, wall), frame);
+        drain(control, pool, counters, DRAIN_AT_MOST, to);
     }
 
     /// The same for data frames, by the same sample of the wall clock: one a turn, so that a step is
@@ -220,22 +227,89 @@ impl Port {
     pub fn drain_data(&mut self, mut to: impl FnMut(Option<Instant>, Buf)) {
         let Self { data, pool, clock, wall, trusted, counters, .. } = self;
         for socket in data {
-            drain(socket, pool, counters, |stamp, frame| to(on_clock(stamp, *trusted, clock, wall), frame));
+            let to = |stamp, frame| to(on_clock(stamp, *trusted, clock, wall), frame);
+            drain(socket, pool, counters, DRAIN_AT_MOST, to);
+        }
+    }
+
+    /// The same for what came before a slot whose frame is about to be chosen: so many at the most, and none is begun with
+    /// once the station's clock shows `until`.
+    pub fn drain_before(
+        &mut self,
+        until: Option<Instant>,
+        most: usize,
+        mut to: impl FnMut(Option<Instant>, Buf),
+    ) {
+        let Self { data, pool, clock, wall, trusted, counters, .. } = self;
+        let until = until.map_or(True::MAX, |until| clock.truth(until));
+        let mut left = most;
+        for socket in data {
+            while left > 0 && monotonic() < until {
+                let received = drain(socket, pool, counters, 1, |stamp, frame| {
+                    to(on_clock(stamp, *trusted, clock, wall), frame);
+                });
+                if received == 0 {
+                    break;
+                }
+                left -= received;
+            }
         }
     }
 
     /// Waits for a frame of any kind, at most `timeout_ms` milliseconds.
     pub fn wait_for_frame(&self, timeout_ms: i32) {
         let at_most = timeout_ms.max(0) as True * 1_000_000;
-        packet::wait_any(std::iter::once(&self.control).chain(&self.data), at_most);
+        packet::wait_any(self.waited_for(), at_most);
+    }
+
+    /// What can end a wait.
+    fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
+        let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
+        sockets.chain(self.doorbell.iter().map(|doorbell| doorbell.as_fd()))
+    }
+
+    /// From now on a wait for a frame is over, too, when this becomes readable.
+    pub fn ring_by(&mut self, doorbell: Arc<EventFd>) {
+        self.doorbell = Some(doorbell);
     }
 
     /// The same until the station's clock shows `at`, at most until the true moment `no_later`.
     pub fn wait_for_frame_until(&mut self, at: Option<Instant>, no_later: True) {
         let until = at.map_or(no_later, |at| self.clock.truth(at).min(no_later));
         let at_most = until.saturating_sub(monotonic());
-        packet::wait_any(std::iter::once(&self.control).chain(&self.data), at_most);
+        packet::wait_any(self.waited_for(), at_most);
         self.woke = monotonic();
+        if let Some(doorbell) = &self.doorbell {
+            // Whether it rang or not: it does not any more.
+            let _ = doorbell.read();
+        }
+    }
+
+    /// Sleeps until a data frame waits, but not before `rested`, or until the station's clock shows `at`, at most until
+    /// the true moment `no_later`; tells whether one does. Shortly before `at` frames wake nobody any more, so that it wakes
+    /// as precisely as if there were none.
+    pub fn sleep_unless_data(&mut self, at: Instant, no_later: True, rested: True) -> bool {
+        let undisturbed = self.clock.truth(at).min(no_later).saturating_sub(UNDISTURBED);
+        if rested < undisturbed {
+            self.rest_until(rested);
+            let at_most = undisturbed.saturating_sub(monotonic());
+            if at_most > 0
+                && packet::wait_any(self.data.iter().map(|socket| socket.as_fd()), at_most)
+                && monotonic() < undisturbed
+            {
+                self.woke = monotonic();
+                return true;
+            }
+        }
+        self.sleep_until(at, no_later);
+        false
+    }
+
+    /// Sleeps until a true moment, which may have passed, whatever comes.
+    pub(super) fn rest_until(&mut self, rested: True) {
+        if monotonic() < rested {
+            sleep_until(rested);
+        }
     }
 
     /// Sleeps until the station's clock shows `at`, at most until the true moment `no_later`.
@@ -317,26 +391,6 @@ impl Port {
     fn learn_cost(&mut self, took: True) {
         let half = (took / 2).min(COST_AT_MOST);
         self.send_cost = Some(self.send_cost.map_or(half, |cost| half.min(cost + COST_AGES)));
-    }
-}
-
-fn on_clock(stamp: Option<u64>, trusted: bool, clock: &EmulatedClock, wall: &WallClock) -> Option<Instant> {
-    stamp.filter(|_| trusted).map(|stamp| clock.local(wall.truth(stamp)))
-}
-
-fn drain(socket: &Socket, pool: &Pool, counters: &mut PortCounters, mut to: impl FnMut(Option<u64>, Buf)) {
-    for _ in 0..DRAIN_AT_MOST {
-        let Some(mut buf) = pool.take() else {
-            counters.pool_empty += 1;
-            return;
-        };
-        let Some(received) = packet::receive(socket, &mut buf) else { return };
-        counters.received += 1;
-        if received.truncated {
-            counters.oversize += 1;
-        } else {
-            to(received.stamp, buf);
-        }
     }
 }
 

@@ -7,55 +7,42 @@ use crate::clock::True;
 
 /// Actions in the order of their times; those of one time in the order they were put down.
 pub struct Agenda<A> {
-    heap: BinaryHeap<Reverse<Entry<A>>>,
+    /// Small, since it is moved about: thousands of stations' stay in the nearest cache.
+    heap: BinaryHeap<Reverse<Entry>>,
     written: u64,
+    /// The actions themselves, each at its place.
+    actions: Vec<Option<A>>,
+    /// Places without one, the one that was left last at the end.
+    free: Vec<u32>,
 }
 
-struct Entry<A> {
-    at: True,
-    order: u64,
-    action: A,
-}
+/// When, and the how manieth that was put down; and where it is, which never decides.
+type Entry = (True, u64, u32);
 
 impl<A> Agenda<A> {
     pub fn new() -> Self {
-        Self { heap: BinaryHeap::new(), written: 0 }
+        Self { heap: BinaryHeap::new(), written: 0, actions: Vec::new(), free: Vec::new() }
     }
 
     pub fn put(&mut self, at: True, action: A) {
-        self.heap.push(Reverse(Entry { at, order: self.written, action }));
+        let place = self.free.pop().unwrap_or_else(|| {
+            self.actions.push(None);
+            (self.actions.len() - 1) as u32
+        });
+        self.actions[place as usize] = Some(action);
+        self.heap.push(Reverse((at, self.written, place)));
         self.written += 1;
     }
 
     /// The first action, if its time is not after `until`.
     pub fn take(&mut self, until: True) -> Option<(True, A)> {
-        if self.heap.peek()?.0.at > until {
+        let &Reverse((at, ..)) = self.heap.peek()?;
+        if at > until {
             return None;
         }
-        self.heap.pop().map(|Reverse(entry)| (entry.at, entry.action))
-    }
-}
-
-impl<A> Entry<A> {
-    fn key(&self) -> (True, u64) {
-        (self.at, self.order)
-    }
-}
-
-impl<A> PartialEq for Entry<A> {
-    fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
-    }
-}
-impl<A> Eq for Entry<A> {}
-impl<A> PartialOrd for Entry<A> {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl<A> Ord for Entry<A> {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.key().cmp(&other.key())
+        let Reverse((at, _, place)) = self.heap.pop()?;
+        self.free.push(place);
+        self.actions[place as usize].take().map(|action| (at, action))
     }
 }
 
@@ -71,6 +58,8 @@ mod tests {
         }
         let order: String = std::iter::from_fn(|| agenda.take(5)).map(|(_, action)| action).collect();
         assert_eq!(order, "abc");
-        assert_eq!(agenda.take(9), Some((9, 'd')));
+        agenda.put(9, 'e');
+        assert_eq!([agenda.take(9), agenda.take(9)], [Some((9, 'd')), Some((9, 'e'))]);
+        assert_eq!((agenda.take(9), agenda.actions.len()), (None, 4), "places are used again");
     }
 }

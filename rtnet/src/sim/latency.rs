@@ -34,6 +34,18 @@ impl Latency {
     /// No time at all.
     pub const NONE: Latency = Latency::Constant(Span::ZERO);
 
+    /// Nothing takes longer.
+    pub fn longest(&self) -> Span {
+        match self {
+            Latency::Constant(span) | Latency::Uniform(_, span) => *span,
+            Latency::Exponential(mean) => *mean * 10,
+            Latency::Normal(mean, deviation) => *mean + *deviation * 6,
+            Latency::Recorded(recorded) => {
+                Span::from_nanos(recorded.ranges.last().map_or(0, |&(_, high, _)| high) as i64)
+            }
+        }
+    }
+
     pub(super) fn draw(&self, random: &mut Random) -> u64 {
         match self {
             Latency::Constant(span) => nanos(*span),

@@ -3,7 +3,7 @@
 use super::StationId;
 use crate::clock::True;
 use crate::time::Span;
-use crate::wire::ethernet::{MIN_FRAME, OVERHEAD};
+use crate::wire::ethernet::{GAP, MIN_FRAME, OVERHEAD};
 
 /// What the medium is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +26,8 @@ pub enum Joint {
     /// All hear a frame as soon as it begins, and two at once are only counted: as an emulator's bridge does.
     #[default]
     Bridge,
-    /// A hub, one collision domain: frames that meet destroy each other.
+    /// A hub, one collision domain: frames whose bits meet there destroy each other, and who sends hears nothing that comes
+    /// meanwhile.
     Hub,
     /// A store-and-forward switch with a queue for each port.
     Switch {
@@ -71,7 +72,7 @@ pub struct Traffic {
     pub smallest_gap: Option<Span>,
     /// Deliveries that were lost on the way, by intent: by a wire, or a cut.
     pub lost: u64,
-    /// Frames that a hub destroyed.
+    /// Frames that a hub destroyed, at least for who sent meanwhile.
     pub collided: u64,
     /// Deliveries that a port of a switch had no room for.
     pub queue_full: u64,
@@ -83,34 +84,45 @@ pub struct Traffic {
     pub corrupted: u64,
     /// Deliveries that were held back so that others overtake them, by intent.
     pub reordered: u64,
-    free_from: True,
+    /// Either part of a medium that is cut.
+    free_from: [True; 2],
 }
 
 impl Medium {
     /// How long a frame of `len` bytes occupies the medium, rounded up.
     pub fn air_time(&self, len: usize) -> u64 {
-        let bits = (len.max(MIN_FRAME) + OVERHEAD) as u128 * 8;
-        (bits * 1_000_000_000).div_ceil(u128::from(self.rate)) as u64
+        self.time_of(len.max(MIN_FRAME) + OVERHEAD)
+    }
+
+    /// How long its bits take, rounded up: all of that but the gap behind them.
+    pub(super) fn bits_time(&self, len: usize) -> u64 {
+        self.time_of(len.max(MIN_FRAME) + OVERHEAD - GAP)
+    }
+
+    fn time_of(&self, bytes: usize) -> u64 {
+        (bytes as u128 * 8 * 1_000_000_000).div_ceil(u128::from(self.rate)) as u64
     }
 }
 
 impl Traffic {
-    /// A frame of `air` nanoseconds begins at `at`; frames come in the order of their begins.
+    /// A frame of `air` nanoseconds begins at `at`, in one part of a medium that is cut; frames come in the order of their
+    /// begins.
     pub(super) fn put_on_air<'a>(
         &mut self,
-        from: StationId,
+        (from, part): (StationId, usize),
         at: True,
         air: u64,
         bytes: &'a [u8],
     ) -> Aired<'a> {
-        let overlaps = self.frames > 0 && at < self.free_from;
+        let free_from = &mut self.free_from[part];
+        let overlaps = self.frames > 0 && at < *free_from;
         if self.frames > 0 {
-            let gap = Span::from_nanos(at.wrapping_sub(self.free_from) as i64);
+            let gap = Span::from_nanos(at.wrapping_sub(*free_from) as i64);
             self.smallest_gap = Some(self.smallest_gap.map_or(gap, |smallest| smallest.min(gap)));
         }
         self.frames += 1;
         self.overlaps += u64::from(overlaps);
-        self.free_from = self.free_from.max(at + air);
+        *free_from = (*free_from).max(at + air);
         Aired { from, at, until: at + air, overlaps, bytes }
     }
 

@@ -66,6 +66,8 @@ pub struct Network<D: Discipline> {
 
 /// Frames of nobody's that are on the medium at once; one more is lost.
 const FOREIGN_POOL: usize = 64;
+/// Longest sleep, as of a live station: how soon it notices that its clock was set back.
+const LONGEST_SLEEP: u64 = 100_000_000;
 
 type Observer = Box<dyn FnMut(&Aired<'_>)>;
 type Mourner = Box<dyn FnMut(StationId, &[u8], Loss)>;
@@ -221,7 +223,7 @@ impl<D: Discipline> Network<D> {
             self.agenda.put(at, Action::Send(id, number));
         } else {
             let deadline = station.next_deadline().map(|deadline| clock.truth(deadline).max(now));
-            let wakes = deadline.map(|at| at + host.wake_delay(&mut self.random));
+            let wakes = deadline.map(|at| at.min(now + LONGEST_SLEEP) + host.wake_delay(&mut self.random));
             if let Some(at) = wakes {
                 self.agenda.put(at, Action::Turn(id, number));
             }

@@ -19,6 +19,8 @@ pub const HEADER_LEN: usize = size_of::<Header>();
 pub const MIN_FRAME: usize = 60;
 /// What a frame costs on the medium besides its bytes: preamble 8, check sequence 4, gap 12.
 pub const OVERHEAD: usize = 24;
+/// Of that, the gap behind the frame: nobody's bits.
+pub const GAP: usize = 12;
 /// Longest payload of a frame.
 pub const MTU: usize = 1500;
 
@@ -69,6 +71,10 @@ impl Address {
 }
 
 impl EtherType {
+    /// Packets of IPv4.
+    pub const IPV4: EtherType = EtherType(0x0800);
+    /// Who has which IPv4 address.
+    pub const ARP: EtherType = EtherType(0x0806);
     /// RTmac: TDMA's control frames and the tunnel.
     pub const RTMAC: EtherType = EtherType(0x9021);
     /// IEEE 802 local experimental 1: the lab's test traffic.

@@ -62,7 +62,7 @@ pub struct Peer {
     samples: Samples,
     watch: Option<Watch>,
     worker: Worker,
-    queues: Vec<PriorityQueue<Buf>>,
+    queues: Vec<PriorityQueue>,
     pool: Pool,
     pending: Option<(Job, Priority)>,
     counts: PeerStatus,
@@ -98,7 +98,7 @@ impl Peer {
             samples: Samples::default(),
             watch: config.backup.map(Watch::new),
             worker: Worker::new(),
-            queues: config.slots.iter().map(|_| PriorityQueue::new(16)).collect(),
+            queues: config.slots.iter().map(|_| PriorityQueue::new()).collect(),
             pool: Pool::new(4),
             pending: None,
             counts: PeerStatus::default(),
@@ -343,12 +343,13 @@ impl Discipline for Peer {
         if got > limit {
             return Err((SendError::TooLong { channel: ch, got, limit }, frame));
         }
-        self.queues[i].push(priority, frame).map_err(|frame| (SendError::QueueFull(ch), frame))
+        self.queues[i].push(priority, frame);
+        Ok(())
     }
 
     fn put_back(&mut self, frame: Returned) {
         let Ok(i) = self.slot(frame.channel) else { return };
-        drop(self.queues[i].push_front(frame.priority, frame.frame));
+        self.queues[i].push_front(frame.priority, frame.frame);
     }
 
     fn payload_limit(&self, ch: Channel) -> Result<usize, SendError> {

@@ -5,7 +5,7 @@ use rtnet::time::Span;
 use super::tdma::longest;
 use crate::control::{LabStatus, MemberStatus};
 use crate::report::figures::GuardName;
-use crate::report::screen::latest;
+use crate::report::screen::{latest, rivals, strays};
 use crate::report::text::{Column, grouped, micros, paragraph, table};
 
 /// Columns of the table.
@@ -20,9 +20,8 @@ pub fn is_well(status: &LabStatus) -> bool {
             "lost" => !station.lost,
             _ => false,
         };
-        // Whose wire was cut did not receive what passed meanwhile.
-        let lost = if station.cuts > 0 { 0 } else { station.frames_lost };
-        is_there && station.failed.is_none() && [station.payload_errors, station.lost_records, lost] == [0; 3]
+        let wrong = [station.payload_errors, station.lost_records, station.frames_lost];
+        is_there && station.failed.is_none() && wrong == [0; 3]
     };
     status.unexplained == 0 && status.not_judged == 0 && status.stations.iter().all(of_station)
 }
@@ -64,8 +63,7 @@ pub fn account(status: &LabStatus) -> String {
     text += &format!("{}{refused}", if refused.is_empty() { "" } else { "\n" });
     let failed = |s: &MemberStatus| s.failed.as_ref().map(|why| format!("\nstation {}: {why}\n", s.name));
     text.extend(stations.iter().filter_map(failed));
-    let stray = |s: &MemberStatus| (s.stray > 0).then(|| format!("{} {}", s.name, grouped(s.stray)));
-    let stray: Vec<String> = stations.iter().filter_map(stray).collect();
+    let stray = strays(stations.iter().map(|s| (&s.name, s.stray)), &status.strangers);
     if !stray.is_empty() {
         text += &format!("\nframes outside their slots, by sender: {}\n", stray.join(", "));
     }
@@ -81,6 +79,9 @@ pub fn account(status: &LabStatus) -> String {
             grouped(taken_over),
             grouped(status.syncs_missing)
         );
+    }
+    for line in rivals(&status.rivals) {
+        text += &format!("gave the time: {line}\n");
     }
     if let Some(late) = status.latest_frame_ns {
         text += &format!("{}\n", latest(late));

@@ -1,11 +1,9 @@
 //! `rtnet lab run`.
 
-use std::io::Write;
-
 use anyhow::ensure;
 use rtnet::time::Span;
 
-use super::{Failure, screen_width, writable, write_json};
+use super::{Failure, all_writable, say, screen_width, write_json};
 use crate::cli::LabRunArgs;
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
@@ -31,8 +29,7 @@ pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
         write_json(path, &outcome.figures).map_err(Failure::Run)?;
     }
     let screen = screen::render(&outcome.figures, screen_width(), &outcome.slot_error_abs);
-    // Whoever closed our output does not want to read the rest.
-    let _ = std::io::stdout().write_all(screen.as_bytes());
+    say(&screen).map_err(Failure::Run)?;
     Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
 }
 
@@ -55,7 +52,7 @@ pub fn prepared(args: &LabRunArgs) -> anyhow::Result<(Scenario, RunOptions)> {
         progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
     };
     userns::gain_namespaces()?;
-    args.json.iter().chain(&args.pcap).try_for_each(|path| writable(path))?;
+    all_writable(&[args.json.as_ref(), args.pcap.as_ref()], args.file.as_deref())?;
     Ok((scenario, options))
 }
 

@@ -13,7 +13,7 @@ use rtnet::time::Span;
 use super::Failure;
 use super::account::{account, is_well};
 use super::lab_run::prepared;
-use super::write_json;
+use super::{say, write_json};
 use crate::cli::LabUpArgs;
 use crate::control::{Directory, Home, LabStatus};
 use crate::lab;
@@ -40,7 +40,7 @@ fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
             if let Some(path) = &args.run.json {
                 write_json(path, &status).map_err(Failure::Run)?;
             }
-            let _ = std::io::stdout().write_all(account(&status).as_bytes());
+            say(&account(&status)).map_err(Failure::Run)?;
             Ok(if is_well(&status) { 0 } else { 1 })
         }
         Err(error) if is_up => Err(Failure::Run(error)),

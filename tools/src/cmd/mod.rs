@@ -3,21 +3,29 @@
 pub mod account;
 pub mod doctor;
 pub mod dump;
+pub mod interface;
 pub mod jitter;
 pub mod lab;
 pub mod lab_run;
 pub mod lab_up;
 pub mod manual;
+pub mod ping;
+pub mod pool;
+pub mod route;
 pub mod sim;
 pub mod slot;
+pub mod stat;
 pub mod station;
 pub mod tdma;
 
-use std::path::Path;
+use std::io::{ErrorKind, Write};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow, ensure};
 use serde::Serialize;
 
+use crate::report::draft::{Draft, can_be_written};
 use crate::report::screen::WIDTH_MIN;
 
 /// Columns of a report when the terminal does not say.
@@ -48,11 +56,20 @@ impl Failure {
     }
 }
 
-/// Prints something as JSON or in words. Whoever closed our output does not want to read the rest.
+/// Prints something as JSON or in words.
 fn print<T: Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
-    let text = if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) };
-    let _ = std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes());
-    Ok(())
+    say(&if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) })
+}
+
+/// Writes to standard output. Whoever closed it does not want to read the rest; whoever has no room for it wanted to.
+fn say(text: &str) -> anyhow::Result<()> {
+    let mut output = std::io::stdout().lock();
+    match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(anyhow!("cannot write to standard output: {error}"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Columns of a report: the terminal's, but not too few.
@@ -63,12 +80,44 @@ fn screen_width() -> usize {
 
 /// A file that cannot be written is better known before the run than after it.
 fn writable(path: &Path) -> anyhow::Result<()> {
-    let open = std::fs::File::options().append(true).create(true).open(path);
-    open.with_context(|| format!("{} cannot be written", path.display())).map(drop)
+    can_be_written(path).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+/// The same of several, each another, and none of them what is read.
+fn all_writable(outputs: &[Option<&PathBuf>], input: Option<&Path>) -> anyhow::Result<()> {
+    let outputs: Vec<&Path> = outputs.iter().flatten().map(|path| path.as_path()).collect();
+    for (i, path) in outputs.iter().enumerate() {
+        ensure!(
+            !input.is_some_and(|input| is_same(path, input)),
+            "{} is what is read: write to another file",
+            path.display()
+        );
+        ensure!(
+            !outputs[..i].iter().any(|other| is_same(path, other)),
+            "{} is written twice: name another file for --pcap than for --json",
+            path.display()
+        );
+        writable(path)?;
+    }
+    Ok(())
+}
+
+/// Whether both are one file, under whichever names; what is no file, as /dev/null is none, is not spoilt by it.
+fn is_same(one: &Path, other: &Path) -> bool {
+    match (std::fs::metadata(one), std::fs::metadata(other)) {
+        (Ok(a), Ok(b)) => a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino()),
+        (Err(_), Err(_)) => std::path::absolute(one).ok() == std::path::absolute(other).ok(),
+        _ => false,
+    }
 }
 
 fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
     let mut text = serde_json::to_string_pretty(report)?;
     text.push('\n');
-    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+    let write = || {
+        let (draft, mut file) = Draft::begin(path)?;
+        file.write_all(text.as_bytes())?;
+        draft.keep()
+    };
+    write().with_context(|| format!("{} cannot be written", path.display()))
 }

@@ -1,28 +1,23 @@
 //! `rtnet sim`.
 
-use std::io::Write;
-
-use super::{Failure, screen_width, writable, write_json};
+use super::{Failure, all_writable, say, screen_width, write_json};
 use crate::cli::SimRunArgs;
 use crate::report::screen;
 use crate::scenario::{self, Scenario};
 use crate::sim::screen::{self as sim_screen, Around};
-use crate::sim::{self, Checked, Ended, Options};
+use crate::sim::{self, Checked, Ended, Hurried, Options};
 
 /// Prints a scenario that runs.
 pub fn example() -> Result<u8, Failure> {
-    // Whoever closed our output does not want to read the rest.
-    let _ = std::io::stdout().write_all(sim::EXAMPLE.as_bytes());
-    Ok(0)
+    say(sim::EXAMPLE).map(|()| 0).map_err(Failure::Run)
 }
 
 /// Runs a scenario and prints its report; the exit status is 1 if it is not as expected.
 pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let scenario = scenario(args).map_err(Failure::Usage)?;
-    let files = args.json.iter().chain(&args.pcap);
-    files.into_iter().try_for_each(|path| writable(path)).map_err(Failure::Usage)?;
+    all_writable(&[args.json.as_ref(), args.pcap.as_ref()], Some(&args.file)).map_err(Failure::Usage)?;
     let options = Options { pcap: args.pcap.clone(), until: args.until, around: None };
-    let Ended { figures, slot_error_abs, .. } = sim::run(&scenario, &options).map_err(Failure::Run)?;
+    let Ended { figures, slot_error_abs, .. } = sim::run(&scenario, &options).map_err(failure)?;
     if let Some(path) = &args.json {
         write_json(path, &figures).map_err(Failure::Run)?;
     }
@@ -32,8 +27,13 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let text = sim_screen::render(&figures, around.as_ref(), width)
         + "\n"
         + &screen::render(&figures.figures, width, &slot_error_abs);
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    say(&text).map_err(Failure::Run)?;
     Ok(if figures.figures.verdict.ok { 0 } else { 1 })
+}
+
+/// Too little time is bad usage: nothing ran that could have shown anything.
+fn failure(error: anyhow::Error) -> Failure {
+    if error.is::<Hurried>() { Failure::Usage(error) } else { Failure::Run(error) }
 }
 
 fn scenario(args: &SimRunArgs) -> anyhow::Result<Scenario> {

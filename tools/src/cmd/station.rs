@@ -7,16 +7,20 @@ use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
+use rtnet::ip::{DEFAULT_PORTS, DEFAULT_SOCKETS};
 use rtnet::live::GuardMode;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::Failure;
-use crate::cli::{DisciplineName, Late, Scheduling, StationArgs};
+use super::route::read_routes;
+use crate::cli::{DisciplineName, Late, Scheduling, StackArgs, StationArgs};
 use crate::control::SlotChange;
 use crate::scenario::{SlotGuard, default_sync_window, parse_phase};
 use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
+use crate::station::sockets::parse;
+use crate::station::stack::StackOptions;
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
 
@@ -99,8 +103,29 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         spin: args.lead,
         guard,
         exclusive: args.exclusive,
+        stack: stack(&args.stack)?,
         lab,
     })
+}
+
+/// Its address and sockets, with routes that can be.
+fn stack(args: &StackArgs) -> anyhow::Result<Option<StackOptions>> {
+    let Some(ip) = args.ip else { return Ok(None) };
+    let mut said: Vec<_> = args.route.iter().map(|said| ("--route".to_owned(), said.clone())).collect();
+    if let Some(file) = &args.routes {
+        said.extend(read_routes(file)?);
+    }
+    let parsed = |(whence, said)| Ok((whence, parse(&said).map_err(|why| anyhow!(why))?));
+    let routes = said.into_iter().map(parsed).collect::<anyhow::Result<_>>()?;
+    let options = StackOptions {
+        ip,
+        routes,
+        sockets: args.sockets.unwrap_or(DEFAULT_SOCKETS),
+        ports: args.ports.clone().unwrap_or(DEFAULT_PORTS),
+        strict_checksums: args.strict_checksums,
+    };
+    options.check()?;
+    Ok(Some(options))
 }
 
 /// Refuses what only a discipline with time slots could do.
@@ -175,7 +200,7 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
 }
 
 fn sync_window(args: &StationArgs, cycle: Span) -> Span {
-    args.sync_window.unwrap_or(default_sync_window(cycle))
+    args.sync_window.unwrap_or(default_sync_window(cycle, args.rate))
 }
 
 #[cfg(test)]

@@ -8,10 +8,11 @@ use rtnet::time::Span;
 use super::Failure;
 use crate::cli::{TdmaArgs, TdmaVerb, Which};
 use crate::control::{
-    self, Directory, LabReply, LabRequest, Place, Reply, Request, RoleRequest, SlotRequest, SlotShown,
-    StationStatus,
+    self, Directory, LabReply, LabRequest, MemberStatus, Place, Question, Reply, Request, RoleRequest,
+    SlotRequest, SlotShown, StationStatus,
 };
 use crate::report::text::{Column, grouped, micros, table};
+use crate::station::link::Standing;
 use crate::station::misses::{Miss, Misses, Refusal};
 
 /// Columns of a table of slots.
@@ -19,13 +20,14 @@ const WIDTH: usize = 100;
 /// A master-to-be listens for three cycles, and is looked at ten times a second.
 const LISTENED_AT_MOST: u32 = 6;
 const SPOKEN_WITHIN: Duration = Duration::from_secs(2);
+const NAMED_WITHIN: Duration = Duration::from_millis(200);
 
 /// Looks at a station, or changes its role.
 pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
     let which = &found(&args.which)?;
     let role = match args.verb {
         TdmaVerb::Status { misses: only } => {
-            let status = status(which).map_err(Failure::Usage)?;
+            let status = with_names(which, status(which).map_err(Failure::Usage)?);
             super::print(which.json, &status, if only { misses } else { describe }).map_err(Failure::Run)?;
             return Ok(0);
         }
@@ -71,7 +73,7 @@ fn until_it_speaks(which: &Which, cycle: Duration) -> Result<u32, Failure> {
         match &standing.yielded_to {
             Some(other) if is_new => {
                 return Err(Failure::Run(anyhow!(
-                    "station '{place}' makes way for another master ({other}), and is silent: stop that one and ask \
+                    "station '{place}' makes way for another master ({other}): stop that one and ask \
                      again, or let this one follow it (`rtnet tdma -S {place} slave`)"
                 )));
             }
@@ -98,7 +100,9 @@ pub fn applied(which: &Which, request: Request) -> Result<u32> {
     match control::ask(&Directory::of_user(), &which.place, request)? {
         Reply::Applied(from) => Ok(from),
         Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
-        Reply::Status(_) => bail!("station '{}' answers what it was not asked", which.place),
+        Reply::Status(_) | Reply::Stack(_) => {
+            bail!("station '{}' answers what it was not asked", which.place)
+        }
     }
 }
 
@@ -144,9 +148,7 @@ fn describe(status: &StationStatus) -> String {
     let StationStatus { interface, address, link, pid, guard, .. } = status;
     text += &format!("on {interface} ({address}, {link}), process {pid}");
     text += &if has_cycle { format!(", {guard} guard\n") } else { "\n".into() };
-    if let Some(other) = &standing.yielded_to {
-        text += &format!("makes way for the master {other}\n");
-    }
+    text += &masters(status);
     if has_cycle {
         text += &format!("\n{}", slots(status));
     }
@@ -192,6 +194,40 @@ fn in_the_cycle(status: &StationStatus) -> String {
         text += &format!("global time {}.{:09}\n", global / 1_000_000_000, global % 1_000_000_000);
     }
     text
+}
+
+/// Who gives the time, as far as it knows.
+fn masters(status: &StationStatus) -> String {
+    let Standing { yielded_to, time_by, rival, .. } = &status.standing;
+    let who = |of: &String| status.names.get(of).map_or(of.clone(), |name| format!("{name} ({of})"));
+    let followed = time_by.as_ref().filter(|of| **of != status.address);
+    let lines = [
+        followed.map(|of| format!("follows {}\n", who(of))),
+        rival.as_ref().map(|of| format!("{} gives the time, too\n", who(of))),
+        yielded_to.as_ref().map(|of| format!("makes way for the master {}\n", who(of))),
+    ];
+    lines.into_iter().flatten().collect()
+}
+
+/// A station knows addresses; its lab, whose they are.
+fn with_names(which: &Which, mut status: StationStatus) -> StationStatus {
+    let Standing { yielded_to, time_by, rival, .. } = &status.standing;
+    let told: Vec<&String> = [yielded_to, time_by, rival].into_iter().flatten().collect();
+    let lab = which.place.lab.as_ref().filter(|_| !told.is_empty());
+    let stations = lab.and_then(|lab| stations(lab)).into_iter().flatten();
+    let named = stations.filter(|station| told.contains(&&station.address));
+    status.names = named.map(|station| (station.address, station.name)).collect();
+    status
+}
+
+/// A lab that is busy is not waited for: addresses will do.
+fn stations(lab: &str) -> Option<Vec<MemberStatus>> {
+    let path = Directory::of_user().lab(lab);
+    let mut question = Question::put(&path, LabRequest::Status, NAMED_WITHIN).ok()?;
+    match question.answer(NAMED_WITHIN).ok()?? {
+        LabReply::Status(status) => Some(status.stations),
+        _ => None,
+    }
 }
 
 /// What was missed, in words.
@@ -259,3 +295,6 @@ pub fn slots(status: &StationStatus) -> String {
 fn name(slot: &SlotRequest) -> String {
     slot.joint.map_or(slot.id.to_string(), |joint| format!("{}->{joint}", slot.id))
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,6 +12,7 @@ use socket2::{Domain, SockAddr, Socket, Type};
 
 use super::places::{Directory, Place};
 use super::protocol::{Envelope, LabReply, LabRequest, LabStatus, Reply, Request, StationStatus, read};
+use super::sockets::{StackReply, StackRequest};
 
 /// A control thread answers within milliseconds; one that does not is stopped or stuck.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -57,7 +58,16 @@ pub fn station_status(directory: &Directory, place: &Place) -> Result<StationSta
     match ask(directory, place, Request::Status)? {
         Reply::Status(status) => Ok(*status),
         Reply::Refused(why) => Err(anyhow!("station '{place}': {why}")),
-        Reply::Applied(_) => bail!("station '{place}' answers what it was not asked"),
+        Reply::Applied(_) | Reply::Stack(_) => bail!("station '{place}' answers what it was not asked"),
+    }
+}
+
+/// Asks a station about its sockets, addresses and routes.
+pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) -> Result<StackReply> {
+    match ask(directory, place, Request::Stack(request))? {
+        Reply::Stack(reply) => Ok(*reply),
+        Reply::Refused(why) => Err(anyhow!("station '{place}': {why}")),
+        Reply::Applied(_) | Reply::Status(_) => bail!("station '{place}' answers what it was not asked"),
     }
 }
 

@@ -14,15 +14,22 @@ mod client;
 mod clock;
 mod loads;
 mod places;
+mod programs;
 mod protocol;
 mod server;
+mod sockets;
 
-pub use client::{Question, ask, ask_lab, lab_status, put, station_status};
+pub use client::{Question, ask, ask_lab, ask_stack, lab_status, put, station_status};
 pub use clock::{CalibrationShown, ClockShown, Progress};
 pub use loads::Load;
 pub use places::{Directory, Held, Home, Place, check_name, parse_name};
+pub use programs::Answers;
 pub use protocol::{
     Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotChange,
     SlotRequest, SlotShown, StationStatus, VERSION, read,
 };
 pub use server::{REQUEST_AT_MOST, Server, Traffic};
+pub use sockets::{
+    ChannelShown, CountersShown, EchoRequest, EchoShown, HostShown, InterfaceShown, NetworkShown, PoolShown,
+    RouteSaid, RoutesShown, StackReply, StackRequest, Way,
+};

@@ -21,15 +21,13 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
+use rtnet::api::place::{self, SOCKET};
 use socket2::{Domain, SockAddr, Socket, Type};
 
-/// For root.
-const SYSTEM: &str = "/run/rtnet";
 /// A socket's path must fit `sun_path`, 108 bytes; two of these and the directory do.
 const NAME_AT_MOST: usize = 32;
-/// A lab's own files in its directory; behind a station's name its own.
+/// A lab's own file in its directory; behind a station's name its own.
 const LOCK: &str = ".lock";
-const SOCKET: &str = ".sock";
 /// How long a lock is waited for that somebody may only have looked at.
 const LOCKED_WITHIN: Duration = Duration::from_millis(50);
 
@@ -131,14 +129,7 @@ pub struct Directory(PathBuf);
 impl Directory {
     /// The directory of this user; it need not exist. To be asked before entering a user namespace.
     pub fn of_user() -> Self {
-        let uid = nix::unistd::geteuid();
-        if uid.is_root() {
-            return Self(SYSTEM.into());
-        }
-        match std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from) {
-            Some(runtime) if runtime.is_absolute() => Self(runtime.join("rtnet")),
-            _ => Self(format!("/tmp/rtnet-{uid}").into()),
-        }
+        Self(place::directory())
     }
 
     /// This directory, and no other.

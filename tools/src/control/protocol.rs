@@ -10,6 +10,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::clock::ClockShown;
+use super::sockets::{StackReply, StackRequest};
+use crate::judge::masters::Rivals;
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
 use crate::scenario::{DelayPolicy, ServoName};
@@ -71,6 +73,8 @@ pub enum Request {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rounds: Option<u32>,
     },
+    /// About its sockets, addresses and routes.
+    Stack(StackRequest),
 }
 
 /// What it answers.
@@ -83,6 +87,8 @@ pub enum Reply {
     Applied(u32),
     /// Not done, and why.
     Refused(String),
+    /// About its sockets, addresses and routes.
+    Stack(Box<StackReply>),
 }
 
 /// A slot as it is asked for.
@@ -215,8 +221,11 @@ pub struct StationStatus {
     pub guard: GuardName,
     /// Of a master or a backup: `listening`, `following`, `stand-by`, `active` or `yielded`.
     pub mastery: Option<String>,
-    /// State, cycle, delay, refused frames.
+    /// State, cycle, delay, who gives the time, refused frames.
     pub standing: Standing,
+    /// The stations behind the addresses in that, as far as the lab knows them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub names: BTreeMap<String, String>,
     /// From one cycle's start to the next, once known.
     pub period_ns: Option<i64>,
     /// Global time as the station knew it when it was asked, nanoseconds since 1970, if it knows any.
@@ -345,6 +354,10 @@ pub struct LabStatus {
     pub syncs_missing: u64,
     /// Who sent the last one.
     pub time_by: String,
+    /// Who gave the time at once, the last times.
+    pub rivals: Vec<Rivals>,
+    /// Frames outside all slots, of addresses that no station has; of the ninth and later ones together.
+    pub strangers: BTreeMap<String, u64>,
     /// Of the frame that left the air latest: how long after its slot's end, or, below zero, before it.
     pub latest_frame_ns: Option<i64>,
     /// Of all that ought not to be, what has no record of its cause.

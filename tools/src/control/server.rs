@@ -1,4 +1,5 @@
-//! The station's end of the control socket: many clients, none of which is ever waited for.
+//! The station's end of the control socket: many clients, none of which is ever waited for, and programs with sockets,
+//! none of which has to go for others.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,6 +15,10 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use socket2::{Domain, SockAddr, Socket, Type};
 
+use rtnet::api::door;
+use rtnet::api::handshake::{self, Answer};
+
+use super::programs::{Answers, Program, Requests};
 use super::protocol::{Envelope, Reply};
 
 /// Longest request. The longest there is takes a third of it.
@@ -27,6 +32,9 @@ const BACKLOG: i32 = 128;
 const TURN: Duration = Duration::from_millis(20);
 /// New clients that are let in before those that are there get their turn.
 const ACCEPT_AT_ONCE: usize = 16;
+
+/// Programs with sockets at a time: as many as a station has sockets, if it has the most.
+const PROGRAMS_AT_MOST: usize = 1024;
 
 /// What a server counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -61,6 +69,7 @@ impl Traffic {
 pub struct Server {
     listener: Socket,
     clients: Vec<Client>,
+    programs: Vec<Program>,
     path: PathBuf,
     /// The file's number: another of this name is somebody else's.
     inode: u64,
@@ -72,6 +81,14 @@ pub struct Server {
 struct Client {
     socket: Socket,
     heard: Instant,
+}
+
+/// What becomes of a client after its turn.
+enum Outcome {
+    Stays(Client),
+    Goes,
+    /// It is a program.
+    Attaches(Program),
 }
 
 impl Server {
@@ -96,6 +113,7 @@ impl Server {
         Ok(Self {
             listener,
             clients: Vec::new(),
+            programs: Vec::new(),
             path: path.to_owned(),
             inode,
             traffic: Traffic::default(),
@@ -115,14 +133,23 @@ impl Server {
 
     /// Waits for requests, at most so long, and answers those that are there: one of each client, as far as they do not
     /// take long. Who had no turn is first in the next call.
-    pub fn serve(&mut self, at_most: Duration, mut answer: impl FnMut(&[u8], Traffic) -> Vec<u8>) {
-        let ready = self.wait(at_most);
+    pub fn serve(&mut self, at_most: Duration, answer: impl FnMut(&[u8], Traffic) -> Vec<u8>) {
+        self.serve_all(at_most, &mut Requests(answer));
+    }
+
+    /// The same for who has sockets for programs, too.
+    pub fn serve_all(&mut self, at_most: Duration, answers: &mut impl Answers) {
+        let (ready, programs_ready) = self.wait(at_most);
         let begun = Instant::now();
+        let mut programs_ready = programs_ready.into_iter();
+        self.programs.retain_mut(|program| program.turn(programs_ready.next().unwrap_or(false), answers));
         let mut waiting = std::mem::take(&mut self.clients).into_iter().zip(ready);
         let mut had_turn = Vec::new();
-        for (mut client, ready) in waiting.by_ref() {
-            if !ready || self.serve_one(&mut client, &mut answer) {
-                had_turn.push(client);
+        for (client, ready) in waiting.by_ref() {
+            match if ready { self.serve_one(client, answers) } else { Outcome::Stays(client) } {
+                Outcome::Stays(client) => had_turn.push(client),
+                Outcome::Attaches(program) => self.programs.push(program),
+                Outcome::Goes => {}
             }
             if begun.elapsed() >= TURN {
                 break;
@@ -132,9 +159,11 @@ impl Server {
         self.admit();
     }
 
-    /// Which clients have something to say.
-    fn wait(&self, at_most: Duration) -> Vec<bool> {
-        let sockets = self.clients.iter().map(|client| &client.socket).chain([&self.listener]);
+    /// Which clients, and which programs, have something to say.
+    fn wait(&self, at_most: Duration) -> (Vec<bool>, Vec<bool>) {
+        let clients = self.clients.iter().map(|client| &client.socket);
+        let programs = self.programs.iter().map(|program| &program.socket);
+        let sockets = clients.chain(programs).chain([&self.listener]);
         let fds = sockets.map(|socket| socket.as_fd()).chain(self.waker.iter().map(|waker| waker.as_fd()));
         let mut fds: Vec<PollFd> = fds.map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
         let timeout = PollTimeout::try_from(at_most).unwrap_or(PollTimeout::MAX);
@@ -145,37 +174,54 @@ impl Server {
             let _ = waker.read();
         }
         let ready = |fd: &PollFd| fd.revents().is_some_and(|events| !events.is_empty());
-        fds[..self.clients.len()].iter().map(ready).collect()
+        let (clients, rest) = fds.split_at(self.clients.len());
+        let programs = &rest[..self.programs.len()];
+        (clients.iter().map(ready).collect(), programs.iter().map(ready).collect())
     }
 
-    /// Answers a request; `false`: this client is done with.
-    fn serve_one(&mut self, client: &mut Client, answer: &mut impl FnMut(&[u8], Traffic) -> Vec<u8>) -> bool {
+    /// Answers a request.
+    fn serve_one(&mut self, mut client: Client, answers: &mut impl Answers) -> Outcome {
         let mut packet = [0; REQUEST_AT_MOST + 1];
         let length = match client.socket.read(&mut packet) {
-            Ok(0) => return false,
+            Ok(0) => return Outcome::Goes,
             Ok(length) => length,
-            Err(error) => return matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+                return Outcome::Stays(client);
+            }
+            Err(_) => return Outcome::Goes,
         };
         client.heard = Instant::now();
         if length > REQUEST_AT_MOST {
             self.traffic.too_long += 1;
             let why = format!("a request is {REQUEST_AT_MOST} bytes at most: send less at a time");
             let _ = client.send(&refusal(why));
-            return false;
+            return Outcome::Goes;
         }
         if client.has_taken_back() {
             self.traffic.taken_back += 1;
             // Who has hung up does not hear it.
             let _ =
                 client.send(&refusal("nothing is done: it was taken back before it was looked at".into()));
-            return false;
+            return Outcome::Goes;
         }
         self.traffic.answered += 1;
-        let reply = answer(&packet[..length], self.traffic);
+        if handshake::is_ask(&packet[..length]) {
+            return self.let_in(client, &packet[..length], answers);
+        }
+        let reply = answers.answer(&packet[..length], self.traffic);
         // The socket does not block: who has not taken earlier replies does not get this one.
         let taken = client.send(&reply).is_ok();
         self.traffic.not_taken += u64::from(!taken);
-        taken
+        if taken { Outcome::Stays(client) } else { Outcome::Goes }
+    }
+
+    /// A client that opens a socket is a program from then on.
+    fn let_in(&mut self, client: Client, packet: &[u8], answers: &mut impl Answers) -> Outcome {
+        if self.programs.len() == PROGRAMS_AT_MOST {
+            let _ = door::reply(&client.socket, &Answer::refused(nix::libc::EAGAIN), None);
+            return Outcome::Goes;
+        }
+        Program::let_in(client.socket, packet, answers).map_or(Outcome::Goes, Outcome::Attaches)
     }
 
     fn admit(&mut self) {

@@ -17,7 +17,7 @@ const PERIOD: Span = Span::from_millis(1);
 /// measures for about `span`. The woken thread goes before the one that wakes it.
 pub fn measure(from: usize, to: usize, span: Span) -> SignedHistogram {
     let (called, over) = (AtomicU64::new(0), AtomicBool::new(false));
-    let mut took = SignedHistogram::new();
+    let mut took = SignedHistogram::for_real_time();
     thread::scope(|scope| {
         let woken = scope.spawn(|| {
             RealTime { priority: Some(MASTER_PRIORITY), cpu: Some(to) }.apply();

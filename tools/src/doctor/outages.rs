@@ -27,7 +27,7 @@ pub struct Outages {
 
 /// Watches a core for about `span`, 70 % of it.
 pub fn watch(cpu: usize, span: Span) -> Outages {
-    let mut seen = Outages { lengths: SignedHistogram::new(), watched: Span::ZERO };
+    let mut seen = Outages { lengths: SignedHistogram::for_real_time(), watched: Span::ZERO };
     on_core(cpu, || {
         for _ in 0..(span.nanos() / EVERY.nanos()).max(1) {
             let start = monotonic();

@@ -41,7 +41,7 @@ pub fn measure(cpu: usize, span: Span) -> Wakeups {
 }
 
 fn wake_often(cpu: usize, block: Span) -> SignedHistogram {
-    let mut lateness = SignedHistogram::new();
+    let mut lateness = SignedHistogram::for_real_time();
     on_core(cpu, || sleep_often(block, &mut lateness));
     lateness
 }

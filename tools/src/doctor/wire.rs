@@ -36,7 +36,6 @@ const BROADCAST_PART: i64 = 4;
 const SETTLE: u64 = 5;
 
 /// What was measured, in nanoseconds.
-#[derive(Default)]
 pub struct Wire {
     /// `send` of a frame of 60 bytes: over a veth to a bridge and over another one to its receiver.
     pub send: SignedHistogram,
@@ -66,7 +65,8 @@ pub fn measure(cpu: usize, span: Span) -> Result<Wire> {
     let mut ends = Ends::new()?;
     // A wire can be measured on a cold core, too.
     let _warm = WarmCore::start(cpu);
-    let mut wire = Wire::default();
+    let [send, broadcast, stamp] = std::array::from_fn(|_| SignedHistogram::for_real_time());
+    let mut wire = Wire { send, broadcast, stamp, unstamped: 0, turn: Span::ZERO };
     let turns = |part: Span, period: Span| (part.nanos() / period.nanos()).max(1) as u64;
     let broadcasts = turns(span / BROADCAST_PART, BROADCAST_PERIOD);
     let turns = turns(span - span / BROADCAST_PART, PERIOD);

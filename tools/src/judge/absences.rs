@@ -1,6 +1,8 @@
 //! When a station was not there: its process had ended, or its wire was cut. Of what it missed then it could tell
 //! nothing itself.
 
+use std::collections::BTreeMap;
+
 use rtmac::tdma::line::LINE_GOOD_FOR;
 
 use super::timetable::before;
@@ -12,7 +14,7 @@ const LOCKED_AFTER: u32 = 4;
 const TOLD_OF: u32 = LINE_GOOD_FOR as u32;
 
 /// Why a station was not there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Absence {
     /// It had no process.
     Down,
@@ -31,56 +33,83 @@ impl Absence {
             Absence::Stopped => "station_stopped",
         }
     }
-
-    /// Whether a cause is an absence.
-    pub fn is_name(cause: &str) -> bool {
-        [Absence::Down, Absence::NoCarrier, Absence::Stopped].iter().any(|of| of.name() == cause)
-    }
 }
 
-/// All stations' absences, by cycles.
+/// All stations' absences, by cycles: searched by cycle, as thousands of them may be told of.
 #[derive(Debug, Default)]
 pub struct Absences {
-    list: Vec<Entry>,
+    list: BTreeMap<(usize, Absence), Times>,
+    begun: u64,
 }
 
-#[derive(Debug)]
+/// When one station was not there for one reason.
+#[derive(Debug, Default)]
+struct Times {
+    /// It is not there now.
+    open: Option<Entry>,
+    /// It was there again, in order.
+    over: Vec<Entry>,
+    /// Those of them that were longer than lines are kept.
+    long: Vec<Entry>,
+}
+
+#[derive(Clone, Copy, Debug)]
 struct Entry {
-    station: usize,
     why: Absence,
     from: u32,
     /// The cycle in which it was there again.
     until: Option<u32>,
+    /// Its place among all that have begun.
+    place: u64,
+    /// It ended meanwhile, and with it what it had to tell.
+    is_broken_off: bool,
 }
 
 impl Absences {
     /// A station is not there from a cycle on.
     pub fn begin(&mut self, station: usize, why: Absence, from: u32) {
-        if !self.is_open(station, why) {
-            self.list.push(Entry { station, why, from, until: None });
-        }
+        let times = self.list.entry((station, why)).or_default();
+        let begun = Entry { why, from, until: None, is_broken_off: false, place: self.begun };
+        times.open.get_or_insert(begun);
+        self.begun += 1;
     }
 
     /// It is there again.
     pub fn end(&mut self, station: usize, why: Absence, until: u32) {
-        for entry in self.list.iter_mut().filter(|entry| entry.is_open(station, why)) {
-            entry.until = Some(until);
+        self.close(station, why, |open| Entry { until: Some(until), ..open });
+    }
+
+    /// Its process ends meanwhile: it is another that goes on, and can tell nothing of this one.
+    pub fn break_off(&mut self, station: usize, why: Absence, until: u32) {
+        self.close(station, why, |open| Entry { until: Some(until), is_broken_off: true, ..open });
+    }
+
+    fn close(&mut self, station: usize, why: Absence, closed: impl Fn(Entry) -> Entry) {
+        let Some(times) = self.list.get_mut(&(station, why)) else { return };
+        let Some(entry) = times.open.take().map(closed) else { return };
+        let insert = |into: &mut Vec<Entry>| {
+            let place = into.partition_point(|other| !before(entry.from, other.from));
+            into.insert(place, entry);
+        };
+        if entry.is_long() {
+            insert(&mut times.long);
         }
+        insert(&mut times.over);
     }
 
     /// Whether it is still not there.
     pub fn is_open(&self, station: usize, why: Absence) -> bool {
-        self.list.iter().any(|entry| entry.is_open(station, why))
+        self.list.get(&(station, why)).is_some_and(|times| times.open.is_some())
     }
 
     /// Why a station was not there in a cycle, if it was not.
     pub fn of(&self, station: usize, cycle: u32) -> Option<Absence> {
-        self.entries(station).find(|entry| entry.covers(cycle)).map(|entry| entry.why)
+        self.that(station, cycle, |_| true)
     }
 
     /// The same, if it cannot tell of it either: its words went with its process, or it was away for too long.
     pub fn untold(&self, station: usize, cycle: u32) -> Option<Absence> {
-        self.entries(station).find(|entry| entry.covers(cycle) && entry.is_untold()).map(|entry| entry.why)
+        self.that(station, cycle, Entry::is_untold)
     }
 
     /// Whether a station was not there in a cycle, or shortly before.
@@ -89,15 +118,15 @@ impl Absences {
     }
 
     /// Since when, before a cycle, nobody who follows a station had a line any more: it had not been there for longer than
-    /// lines are kept. For each time that it was so.
+    /// lines are kept. For each reason the last time that it was so.
     pub fn without_line(&self, station: usize, cycle: u32) -> impl Iterator<Item = u32> {
-        let since = |entry: &Entry| entry.from.wrapping_add(TOLD_OF);
-        let all = self.entries(station).filter(move |entry| entry.covers(since(entry)));
-        all.map(since).filter(move |&since| before(since, cycle))
-    }
-
-    fn entries(&self, station: usize) -> impl Iterator<Item = &Entry> {
-        self.list.iter().filter(move |entry| entry.station == station)
+        let is_before = move |entry: &&Entry| before(entry.without_line(), cycle);
+        let last = move |times: &Times| {
+            let over = times.long.partition_point(|entry| is_before(&entry));
+            let entry = times.open.as_ref().filter(is_before).or(times.long[..over].last())?;
+            Some(entry.without_line())
+        };
+        self.times(station).filter_map(last)
     }
 
     /// Why a station is not there now, if it is not, and since when.
@@ -108,25 +137,66 @@ impl Absences {
 
     /// Those that are not there now, and since when.
     pub fn open(&self) -> impl Iterator<Item = (usize, Absence, u32)> {
-        let open = self.list.iter().filter(|entry| entry.until.is_none());
-        open.map(|entry| (entry.station, entry.why, entry.from))
+        let open = self.list.iter().filter_map(|(&(station, _), times)| Some((station, times.open?)));
+        open.map(|(station, entry)| (station, entry.why, entry.from))
     }
 
     /// Forgets what had ended before this cycle.
     pub fn forget_before(&mut self, cycle: u32) {
-        self.list.retain(|entry| entry.until.is_none_or(|until| !before(until, cycle)));
+        for times in self.list.values_mut() {
+            let is_newer = |entry: &Entry| entry.until.is_none_or(|until| !before(until, cycle));
+            times.over.retain(is_newer);
+            // Who has had no line since has none still.
+            let older = times.long.partition_point(|entry| !is_newer(entry));
+            times.long.drain(..older.saturating_sub(1));
+        }
+    }
+
+    /// When the first of those absences began that were not over before a cycle; that cycle, if it is earlier.
+    pub fn begin_of(&self, why: Absence, cycle: u32) -> u32 {
+        let such = self.list.iter().filter(|((_, of), _)| *of == why).map(|(_, times)| times);
+        let since = such.flat_map(|times| {
+            let over =
+                times.over.iter().rev().take_while(|of| of.until.is_none_or(|until| !before(until, cycle)));
+            over.chain(&times.open).map(|entry| entry.from)
+        });
+        since.fold(cycle, |first, from| if before(from, first) { from } else { first })
+    }
+
+    fn times(&self, station: usize) -> impl Iterator<Item = &Times> {
+        let whys = [Absence::Down, Absence::NoCarrier, Absence::Stopped];
+        whys.into_iter().filter_map(move |why| self.list.get(&(station, why)))
+    }
+
+    /// Of those of a cycle that are such, the one that began first.
+    fn that(&self, station: usize, cycle: u32, is_such: impl Fn(&Entry) -> bool) -> Option<Absence> {
+        let found = self.times(station).flat_map(|times| times.around(cycle)).filter(|entry| is_such(entry));
+        found.min_by_key(|entry| entry.place).map(|entry| entry.why)
+    }
+}
+
+impl Times {
+    /// Those that cover a cycle: where one begins another may end, and no others meet.
+    fn around(&self, cycle: u32) -> impl Iterator<Item = &Entry> {
+        let over = self.over.partition_point(|entry| !before(cycle, entry.from));
+        let newest = self.over[over.saturating_sub(2)..over].iter();
+        newest.chain(&self.open).filter(move |entry| entry.covers(cycle))
     }
 }
 
 impl Entry {
-    fn is_open(&self, station: usize, why: Absence) -> bool {
-        self.station == station && self.why == why && self.until.is_none()
+    /// Since when who follows it has no line, if it is so long.
+    fn without_line(&self) -> u32 {
+        self.from.wrapping_add(TOLD_OF)
+    }
+
+    fn is_long(&self) -> bool {
+        self.until.is_none_or(|until| until.wrapping_sub(self.from) > TOLD_OF)
     }
 
     fn is_untold(&self) -> bool {
-        let is_long = |until: u32| until.wrapping_sub(self.from) > TOLD_OF;
         // Where the wire is cut at its far end, the kernel takes every frame and tells nobody.
-        self.why != Absence::Stopped || self.until.is_none_or(is_long)
+        self.why != Absence::Stopped || self.is_broken_off || self.is_long()
     }
 
     fn covers(&self, cycle: u32) -> bool {
@@ -171,5 +241,33 @@ mod tests {
         let since = 5_000 + TOLD_OF;
         assert_eq!(absences.without_line(2, since).count(), 0, "not yet");
         assert_eq!(absences.without_line(2, since + 5_000).collect::<Vec<_>>(), [since]);
+    }
+
+    #[test]
+    fn of_a_thousand_short_absences_the_one_of_the_cycle_is_found() {
+        let mut absences = Absences::default();
+        for n in 0..1_000 {
+            absences.begin(2, Absence::Stopped, n * 10);
+            absences.end(2, Absence::Stopped, n * 10 + 3);
+        }
+        // One that begins where another ends, and is over at once.
+        absences.begin(2, Absence::Stopped, 9_992);
+        absences.end(2, Absence::Stopped, 9_992);
+        absences.begin(2, Absence::Down, 5_002);
+        let of = [4_999, 5_000, 5_002, 5_003, 9_992, 9_993].map(|cycle| absences.of(2, cycle));
+        let [stopped, down] = [Absence::Stopped, Absence::Down].map(Some);
+        assert_eq!(of, [None, stopped, stopped, down, stopped, down], "the first that began of two");
+        assert_eq!(absences.untold(2, 5_002), down);
+        absences.forget_before(9_000);
+        assert_eq!((absences.of(2, 4_000), absences.of(2, 9_001)), (None, stopped));
+    }
+
+    #[test]
+    fn who_was_stopped_and_then_killed_tells_nothing_of_it_however_short_that_was() {
+        let mut absences = Absences::default();
+        absences.begin(2, Absence::Stopped, 100);
+        absences.break_off(2, Absence::Stopped, 150);
+        absences.end(2, Absence::Stopped, 200);
+        assert_eq!([120, 150].map(|cycle| absences.untold(2, cycle)), [Some(Absence::Stopped), None]);
     }
 }

@@ -22,6 +22,7 @@ use crate::scenario::Scenario;
 use crate::station::traffic::Tag;
 
 pub use queueing::Queueing;
+pub use strays::Strangers;
 
 /// Findings that are kept one by one; the rest is counted, and counts as unexplained.
 const FINDINGS_MAX: usize = 1_000_000;
@@ -67,7 +68,10 @@ pub struct Analysis {
     grid: Option<(u32, GlobalTime)>,
     /// The last Synchronisation, and when it was; of one that was passed over that is not known.
     last_sync: Option<(u32, Option<True>)>,
-    busy: Option<(True, Option<Author>)>,
+    /// Until when the medium is, or either part of it, and by whom.
+    busy: [Option<(True, Option<Author>)>; 2],
+    /// Who is on the other side of a cut.
+    cut_off: Vec<usize>,
     /// The cycle of the newest Synchronisation that slaves can have heard, unless nobody looked since.
     heard: Option<u32>,
     sight: Sight,
@@ -87,6 +91,8 @@ pub struct Analysis {
     pub findings_dropped: u64,
     /// By station.
     pub stations: Vec<Seen>,
+    /// Frames of others, outside the slots of all.
+    pub strangers: Strangers,
 }
 
 impl Seen {
@@ -125,7 +131,8 @@ impl Analysis {
             current: None,
             grid: None,
             last_sync: None,
-            busy: None,
+            busy: [None; 2],
+            cut_off: Vec::new(),
             heard: None,
             sight: Sight::default(),
             masters: Masters::default(),
@@ -136,6 +143,7 @@ impl Analysis {
             findings: Vec::new(),
             findings_dropped: 0,
             stations: scenario.stations.iter().map(seen).collect(),
+            strangers: Strangers::default(),
         }
     }
 
@@ -184,26 +192,22 @@ impl Analysis {
         let Some((header, _)) = Header::parse(bytes) else { return };
         let air = self.rate.air_time(bytes.len());
         if header.ether_type() == EtherType::RTMAC {
-            let sync = match wire::parse(bytes) {
-                Ok(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) => Some((cycle, sched)),
-                _ => None,
-            };
-            let from = header.source;
-            let author =
-                sync.map(|(cycle, _)| Author { station: self.givers.station(from), ..Author::sync(cycle) });
-            self.occupy(at, air, sync.map(|(cycle, _)| cycle).or(self.current), author);
-            if let (Some((_, sched)), Some(author)) = (sync, author) {
+            let (from, rtmac) = (header.source, wire::parse(bytes).ok());
+            if let Some(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) = rtmac {
+                let author = Author::sync(self.givers.station(from), cycle);
+                self.occupy(at, air, Some(cycle), Some(author));
                 self.sync(at, author, (from, sched), air);
+            } else {
+                self.occupy(at, air, self.current, None);
+                self.judge_rtmac(at, header, rtmac, air);
             }
-        } else if let Some((tag, _)) = Tag::read(bytes)
-            && let Some(author) = self.author_of(tag)
-        {
+        } else if let Some((tag, author)) = self.author_of(bytes) {
             self.occupy(at, air, Some(author.cycle), Some(author));
             self.data(at, tag, author, air);
         } else {
             // Somebody else's, or nobody's: whom it hits, it hits.
             self.occupy(at, air, self.current, None);
-            self.stray(at, header.source, air);
+            self.stray(at, header.source, header.source, air);
         }
     }
 
@@ -211,7 +215,7 @@ impl Analysis {
     /// missing up to the cycle whose Synchronisation is seen next counts as missed, but is no finding: nobody
     /// looked.
     pub fn lose_sight(&mut self) {
-        (self.busy, self.last_sync, self.heard) = (None, None, None);
+        (self.busy, self.last_sync, self.heard) = ([None; 2], None, None);
         if let Some(current) = self.current {
             self.sight.lose(current);
         }
@@ -237,6 +241,17 @@ impl Analysis {
         taken
     }
 
+    /// A station sends no more often than so, throughout.
+    pub fn sends_every(&self, station: usize) -> Span {
+        self.cycle() / self.timetable.ids(station).len().max(1) as i64
+    }
+
+    /// Whether what is missing from a cycle is no finding, since nobody looked.
+    pub fn was_blind(&self, cycle: u32) -> bool {
+        let missing = Finding::of(Author::sync(0, cycle), FindingKind::SyncGap, Span::ZERO);
+        !self.sight.shows(&missing)
+    }
+
     /// Frames that a station should have sent in the cycles that were counted. Of the cycle in which a run was
     /// ended early: those that it did send.
     pub fn expected(&self, station: usize) -> u64 {
@@ -254,16 +269,28 @@ impl Analysis {
 
     fn occupy(&mut self, at: True, air: Span, cycle: Option<u32>, who: Option<Author>) {
         let until = at.saturating_add(air.nanos() as u64);
-        if let Some((busy_until, before)) = self.busy
+        let part = who.map_or(0, |who| self.part_of(who.station));
+        if let Some((busy_until, before)) = self.busy[part]
             && at < busy_until
             && let Some(cycle) = cycle
         {
             let span = Span::from_nanos((busy_until - at) as i64);
             self.find(Finding { cycle, kind: FindingKind::Overlap, authors: [before, who], span });
         }
-        if self.busy.is_none_or(|(busy_until, _)| until > busy_until) {
-            self.busy = Some((until, who));
+        if self.busy[part].is_none_or(|(busy_until, _)| until > busy_until) {
+            self.busy[part] = Some((until, who));
         }
+    }
+
+    /// The medium falls in two, with these stations in the one part, or is whole again.
+    pub fn cut_off(&mut self, stations: &[usize]) {
+        self.cut_off = stations.to_vec();
+        self.masters.is_cut = !stations.is_empty();
+    }
+
+    /// In which part of the medium a station is.
+    pub fn part_of(&self, station: usize) -> usize {
+        usize::from(self.cut_off.contains(&station))
     }
 
     fn sync(&mut self, at: True, author: Author, (from, sched): (Address, GlobalTime), air: Span) {
@@ -275,11 +302,19 @@ impl Analysis {
         self.heard(author.station, cycle);
         self.masters.sync(from, cycle, self.counts(cycle));
         // Who was to send those that are missing.
-        let before_it = self.givers.now();
+        let gave_before = self.givers.now();
         let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
         let has_taken_over = is_newer && self.givers.heard(from, at);
         let due = self.start_of(cycle).unwrap_or(sched);
         let error = self.error(at, due + self.givers.after(from));
+        let is_off = error < -self.clock_share || error > self.sync_window - air;
+        // What cycle it is, nobody need tell us.
+        let its = if self.givers.has(from) { Some(cycle) } else { self.cycle_at(at) };
+        if (sched != due || is_off || !self.givers.has(from))
+            && let Some(its) = its.filter(|&its| self.counts(its))
+        {
+            self.strays(from, its);
+        }
         if sched != due {
             self.find(Finding::of(author, FindingKind::OutOfSlot, sched - due));
         }
@@ -290,7 +325,7 @@ impl Analysis {
             self.sync_slot_error.record(error.nanos());
             self.latest.note((error + air - self.sync_window).nanos(), cycle);
         }
-        if error < -self.clock_share || error > self.sync_window - air {
+        if is_off {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         if let Some((last, last_at)) = self.last_sync {
@@ -303,7 +338,7 @@ impl Analysis {
                     }
                 }
                 ..=0 => self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO)),
-                _ => self.sync_gaps(before_it, last.wrapping_add(1), cycle),
+                _ => self.sync_gaps(gave_before, last.wrapping_add(1), cycle),
             }
         }
         self.last_sync = Some((cycle, Some(at)));
@@ -324,6 +359,7 @@ impl Analysis {
         }
         self.timetable.sent(station, id, cycle);
         let Some(&slot) = self.timetable.at(station, id, cycle) else {
+            self.stations[station].strays(cycle);
             return self.find(Finding::of(author, FindingKind::OutOfSlot, Span::ZERO));
         };
         // What the frame says of its instant is what its station believes.
@@ -338,6 +374,7 @@ impl Analysis {
         let end = self.length(slot.size);
         self.latest.note((error + air - end).nanos(), cycle);
         if error < -self.clock_share || error + air > end - self.clock_share {
+            self.stations[station].strays(cycle);
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
         let next = self.window.map_or(cycle, |(from, _)| self.next_turn(station, slot.id, from));
@@ -362,22 +399,6 @@ impl Analysis {
         }
     }
 
-    /// A frame that is no test traffic is in a slot of the station whose address it bears, or that one babbles.
-    fn stray(&mut self, at: True, source: Address, air: Span) {
-        let Some(station) = self.addresses.iter().position(|address| *address == source) else { return };
-        let Some(cycle) = self.cycle_at(at).filter(|&cycle| self.counts(cycle)) else { return };
-        let Some(start) = self.start_of(cycle) else { return };
-        let is_in = |id| {
-            let Some(slot) = self.timetable.at(station, id, cycle) else { return false };
-            let error = self.error(at, start + slot.offset);
-            -self.clock_share <= error && error + air <= self.length(slot.size) - self.clock_share
-        };
-        let is_stray = !self.timetable.ids(station).into_iter().any(is_in);
-        if is_stray {
-            self.stations[station].strays(cycle);
-        }
-    }
-
     /// From a slot's begin to the end of its guard band.
     fn length(&self, size: usize) -> Span {
         self.rate.air_time(size + rtnet::wire::ethernet::HEADER_LEN) + self.guard
@@ -386,9 +407,6 @@ impl Analysis {
     fn find(&mut self, finding: Finding) {
         if !self.counts(finding.cycle) {
             return;
-        }
-        if let (FindingKind::OutOfSlot, [Some(author), _]) = (finding.kind, finding.authors) {
-            self.stations[author.station].strays(finding.cycle);
         }
         if self.findings.len() < FINDINGS_MAX {
             self.findings.push(finding);
@@ -401,5 +419,6 @@ impl Analysis {
 mod cycles;
 mod gaps;
 mod queueing;
+mod strays;
 #[cfg(test)]
 mod tests;

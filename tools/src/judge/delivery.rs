@@ -1,6 +1,8 @@
 //! What was on the medium and never reached its receiver. Senders number their frames; the observer knows
 //! which numbers passed, a receiver knows from where to where it heard how many.
 
+use std::ops::Range;
+
 use crate::station::traffic::{Arrived, Came, Newest};
 
 /// Gaps that are kept; what is missing in later ones counts as lost.
@@ -34,6 +36,13 @@ impl Heard {
         let range = (received > 0).then(|| (first, first + received + missing - 1));
         Self { received, range, anew }
     }
+
+    /// Of that, only what has one of these numbers: all but so many frames.
+    pub fn within(self, numbers: Range<u64>, all_but: u64) -> Self {
+        let clipped = |(first, last): (u64, u64)| (first.max(numbers.start), last.min(numbers.end - 1));
+        let range = self.range.map(clipped).filter(|(first, last)| first <= last);
+        Self { received: self.received.saturating_sub(all_but), range, ..self }
+    }
 }
 
 /// Frames that were lost on purpose on their way to a receiver.
@@ -48,8 +57,10 @@ pub struct Meant {
 impl Meant {
     /// None is.
     pub const NONE: Self = Self { runs: Vec::new(), others: 0 };
-    /// Whatever is lost is.
-    pub const ALL: Self = Self { runs: Vec::new(), others: u64::MAX };
+    /// These, and so many more, whichever.
+    pub fn and_any(self, frames: u64) -> Self {
+        Self { others: self.others.saturating_add(frames), ..self }
+    }
 
     /// One was lost.
     pub fn note(&mut self, number: u64) {
@@ -135,6 +146,11 @@ impl Passed {
         self.range.map_or(0, |(_, last)| last + BEYOND)
     }
 
+    /// The number behind the last one that was on the medium.
+    pub fn next(&self) -> u64 {
+        self.range.map_or(0, |(_, last)| last + 1)
+    }
+
     /// How many frames with these numbers were on the medium.
     fn passed(&self, from: u64, to: u64) -> u64 {
         let Some((first, last)) = self.range else { return 0 };
@@ -180,6 +196,17 @@ mod tests {
     }
 
     #[test]
+    fn what_was_lost_before_the_begin_and_behind_the_end_does_not_count() {
+        let heard = |received, range| Heard { received, range, anew: false };
+        let lost = |heard: Heard, all_but| passed().lost(&heard.within(20..80, all_but));
+        // Of 0 to 19 and of 80 to 99 every second one was lost.
+        assert_eq!(lost(heard(77, Some((0, 98))), 20), 0);
+        assert_eq!(lost(heard(75, Some((0, 98))), 20), 2);
+        assert_eq!(lost(heard(10, Some((0, 18))), 10), 57, "all since");
+        assert_eq!(heard(5, Some((0, 9))).within(10..u64::MAX, 5), heard(0, None));
+    }
+
+    #[test]
     fn what_passed_before_a_receiver_came_anew_is_not_lost() {
         let lost = |received, range| passed().lost(&Heard { received, range, anew: true });
         assert_eq!(lost(29, Some((50, 79))), 0);
@@ -210,7 +237,9 @@ mod tests {
         assert_eq!(of(26, true, &meant), (3, 2), "of 29, three; what was before was not for it");
         assert_eq!(of(29, true, &meant), (0, 0), "nothing is lost that came");
         assert_eq!(of(27, false, &meant), (30, 30), "28 of those that count were before its first");
-        assert_eq!(of(26, true, &Meant::ALL), (3, 3));
+        assert_eq!(of(26, true, &Meant::NONE.and_any(2)), (3, 2));
+        assert_eq!(of(26, true, &Meant::NONE.and_any(9)), (3, 3));
+        assert_eq!(of(26, true, &meant.and_any(1)), (3, 3), "for either reason");
     }
 
     #[test]

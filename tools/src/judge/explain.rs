@@ -2,7 +2,7 @@
 //! did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
 //! station missed that was not there is explained by its absence only if it could not tell of it later.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most};
 use rtnet::discipline::{Cause, Channel, EventKind};
@@ -10,7 +10,10 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::absences::{Absence, Absences};
+use super::clocks::ClocksSet;
+use super::cuts::Cuts;
 use super::findings::{Author, Finding, FindingKind};
+use super::spells::Spells;
 use super::syncs::{Syncs, sync_of};
 use super::timetable::before;
 use crate::report::figures::Role;
@@ -38,9 +41,9 @@ const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::SyncDropp
 pub struct Records {
     by_cycle: BTreeMap<Key, (Span, Option<Cause>)>,
     /// When stations told that they have a line, or none any more.
-    lines: Vec<(usize, u32, bool)>,
+    lines: Spells,
     /// When backups told that they give the time, or do so no more.
-    reigns: Vec<(usize, u32, bool)>,
+    reigns: Spells,
     /// Synchronisations, as far as somebody knows which were lost on their way to a station.
     syncs: Syncs,
     /// Whose address is which, by station.
@@ -53,6 +56,10 @@ pub struct Records {
     backups: Vec<usize>,
     /// When stations were not there.
     pub absences: Absences,
+    /// Whose clocks were set.
+    pub clocks: ClocksSet,
+    /// When the medium had fallen in two.
+    pub cuts: Cuts,
 }
 
 /// Cycle, station, slot, kind.
@@ -84,10 +91,10 @@ impl Records {
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
     pub fn note(&mut self, author: Author, kind: EventKind, span: Span, cause: Option<Cause>) {
         if matches!(kind, EventKind::Locked | EventKind::LineGivenUp) {
-            self.lines.push((author.station, author.cycle, kind == EventKind::Locked));
+            self.lines.note(author.station, author.cycle, kind == EventKind::Locked);
         }
         if matches!(kind, EventKind::TookOver | EventKind::SteppedDown) {
-            self.reigns.push((author.station, author.cycle, kind == EventKind::TookOver));
+            self.reigns.note(author.station, author.cycle, kind == EventKind::TookOver);
         }
         let longest = self.by_cycle.entry(key(author, kind)).or_insert((span, cause));
         *longest = (*longest).max((span, cause));
@@ -109,22 +116,39 @@ impl Records {
     pub fn forget_before(&mut self, cycle: u32) {
         self.by_cycle.retain(|&(of, ..), _| of.wrapping_sub(cycle) as i32 >= 0);
         self.absences.forget_before(cycle);
+        self.clocks.forget_before(cycle);
+        self.cuts.forget_before(cycle);
         self.syncs.forget_before(cycle);
-        keep_newest(&mut self.lines, cycle);
-        keep_newest(&mut self.reigns, cycle);
+        self.lines.forget_before(cycle);
+        self.reigns.forget_before(cycle);
     }
 
-    /// The records of one kind in `cycles` cycles from `from` on, with their station.
-    pub fn of_kind(&self, kind: EventKind, from: u32, cycles: u32) -> impl Iterator<Item = Record> {
-        self.by_cycle.iter().filter_map(move |(&(cycle, station, _, of), &(span, cause))| {
-            let record = Record { cycle, station, span, cause };
-            (of == kind && cycle.wrapping_sub(from) < cycles).then_some(record)
+    /// All that are kept, each with its kind.
+    pub fn all(&self) -> impl Iterator<Item = (EventKind, Record)> {
+        self.by_cycle.iter().map(|(&(cycle, station, _, kind), &(span, cause))| {
+            (kind, Record { cycle, station, span, cause })
         })
     }
 
+    /// Slots that stations told to have missed, in such cycles, each once.
+    pub fn slots_missed(&self, is_such: impl Fn(u32) -> bool) -> BTreeSet<Author> {
+        let is_miss = |kind| kind == EventKind::SlotSilent || MISSED_BY.contains(&kind);
+        let told = self
+            .by_cycle
+            .keys()
+            .filter(|&&(cycle, _, slot, kind)| slot.is_some() && is_miss(kind) && is_such(cycle));
+        told.map(|&(cycle, station, slot, _)| Author { station, cycle, slot }).collect()
+    }
+
     /// Why something was found, by the cause's name, if a station involved, or the master whose time they follow,
-    /// has told of it, or could not.
+    /// has told of it, or could not; or a clock was set, or the medium had fallen in two.
     pub fn explain(&self, finding: &Finding) -> Option<&'static str> {
+        self.told_why(finding)
+            .or_else(|| self.clocks.explain(finding, self.in_time))
+            .or_else(|| self.cuts.explain(finding, self.cycle, self.in_time))
+    }
+
+    fn told_why(&self, finding: &Finding) -> Option<&'static str> {
         let mut authors = finding.authors.iter().flatten().copied();
         match finding.kind {
             FindingKind::OutOfSlot => authors.find_map(|author| {
@@ -145,14 +169,18 @@ impl Records {
             // By who gave the time; or the master was to be that again.
             FindingKind::SyncGap => authors
                 .find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
-                .or_else(|| self.told_of(Author::sync(finding.cycle), &NO_SYNC_BY)),
+                .or_else(|| self.told_of(Author::sync(MASTER, finding.cycle), &NO_SYNC_BY))
+                .or_else(|| self.next_reign(finding)),
             FindingKind::SlotMissed => authors.find_map(|author| {
-                let told = self.told_of(author, &MISSED_BY).or_else(|| self.silence(author));
+                // Who is gone is silent for that, not for want of a sync.
+                let gone =
+                    || self.untold(author).filter(|_| self.told(author, EventKind::SlotSilent).is_none());
+                let told = self.told_of(author, &MISSED_BY).or_else(gone).or_else(|| self.silence(author));
                 self.missing(author, told)
             }),
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
             FindingKind::Repeated => authors.find_map(|author| {
-                let reigns = self.reigns(author.station, author.cycle).then_some(Cause::NoSync.name());
+                let reigns = self.reigns.holds(author.station, author.cycle).then_some(Cause::NoSync.name());
                 self.told(author, EventKind::StalledInSend).or(reigns)
             }),
             // Who gives the time needs no sync, though nobody heard its own while another's was the last.
@@ -160,15 +188,6 @@ impl Records {
                 self.told_of(of_cycle(author), &[EventKind::SyncSkipped, EventKind::SyncDropped])
             }),
         }
-    }
-
-    /// Whether the explanation is a record, not that there can be none.
-    pub fn has_told_of(&self, finding: &Finding) -> bool {
-        let told = |&author: &Author| {
-            let kinds = [&MISSED_BY[..], &NO_SYNC_BY[..], &[EventKind::SlotSilent]].concat();
-            self.told_of(author, &kinds).is_some()
-        };
-        finding.authors.iter().flatten().any(told)
     }
 
     /// Whether a frame was held up, and by enough. A Synchronisation that was moves every station of its cycle.
@@ -210,23 +229,27 @@ impl Records {
         why.then_some(silent)
     }
 
-    /// Whether a backup has told that it gives the time from this cycle on, or before it and not since that it does so no
-    /// more.
-    fn reigns(&self, station: usize, cycle: u32) -> bool {
-        let told = || self.reigns.iter().filter(move |&&(of, ..)| of == station);
-        let mut earlier = told().filter(|&&(_, at, _)| before(at, cycle));
-        told().any(|&(_, at, begins)| begins && at == cycle)
-            || earlier.next_back().is_some_and(|&(.., begins)| begins)
+    /// Why a sync is missing whose author has told that it gives the time no more: by a backup that has not heard its
+    /// last one, has repeated it, and was to send the next.
+    fn next_reign(&self, finding: &Finding) -> Option<&'static str> {
+        let author = finding.authors[0].filter(|of| self.backups.contains(&of.station))?;
+        let of = |station: usize| Author::sync(station, finding.cycle);
+        let mut next = self.syncs.last_senders(finding.cycle).filter_map(|from| {
+            let station = self.addresses.iter().position(|address| *address == from)?;
+            self.reigns.holds(station, finding.cycle).then_some(of(station))
+        });
+        let has_stepped_down = self.reigns.has_ended(author.station, author.cycle);
+        next.find_map(|next| self.missing(next, self.told_of(next, &NO_SYNC_BY))).filter(|_| has_stepped_down)
     }
 
     /// Whether a slave has told that it has no line, or had none any more, and has told of none since.
     fn follows_nobody(&self, station: usize, cycle: u32) -> bool {
-        let told = || self.lines.iter().filter(move |&&(of, ..)| of == station);
-        let followed = |since: u32| told().any(|&(_, at, has)| has && before(since, at) && before(at, cycle));
-        let given_up = told().filter(|&&(_, at, has)| !has && !before(cycle, at)).map(|&(_, at, _)| at);
+        let followed = self.lines.newest_before(station, cycle, true);
+        let given_up = self.lines.newest_before(station, cycle.wrapping_add(1), false);
         let gone = self.only_master().into_iter().chain([station]);
         let absent = gone.flat_map(|of| self.absences.without_line(of, cycle));
-        station != MASTER && given_up.chain(absent).any(|since| !followed(since))
+        let is_newer = |since| followed.is_none_or(|at| !before(since, at));
+        station != MASTER && given_up.into_iter().chain(absent).any(is_newer)
     }
 
     /// Whether somebody told why the author had no sync of this cycle in time, or could not follow it. What one master
@@ -296,17 +319,6 @@ impl Records {
         let (_, cause) = self.by_cycle.get(&key(author, kind))?;
         Some(cause.map_or(kind.name(), Cause::name))
     }
-}
-
-/// Forgets what was told before this cycle, but for what each station told last: it still holds.
-fn keep_newest(told: &mut Vec<(usize, u32, bool)>, cycle: u32) {
-    let newest: BTreeMap<usize, usize> =
-        told.iter().enumerate().map(|(index, &(station, ..))| (station, index)).collect();
-    let mut index = 0;
-    told.retain(|&(station, of, _)| {
-        index += 1;
-        !before(of, cycle) || newest[&station] == index - 1
-    });
 }
 
 fn key(Author { station, cycle, slot }: Author, kind: EventKind) -> Key {

@@ -24,7 +24,7 @@ impl Finding {
 
 /// Whose frame it is, and of which cycle and slot: the frame that is hit need not be of the cycle of the one that
 /// hits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Author {
     /// The station's number.
     pub station: usize,
@@ -35,9 +35,9 @@ pub struct Author {
 }
 
 impl Author {
-    /// Who sends a cycle's Synchronisation, if no backup does.
-    pub fn sync(cycle: u32) -> Self {
-        Self { station: 0, cycle, slot: None }
+    /// Of a cycle's Synchronisation, if this station is to send it.
+    pub fn sync(station: usize, cycle: u32) -> Self {
+        Self { station, cycle, slot: None }
     }
 }
 

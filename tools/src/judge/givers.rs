@@ -86,6 +86,11 @@ impl Givers {
         self.giver(address).station
     }
 
+    /// Whether that is one who may give the time.
+    pub fn has(&self, address: Address) -> bool {
+        self.all.iter().any(|giver| giver.address == address)
+    }
+
     /// When after a cycle's start it sends.
     pub fn after(&self, address: Address) -> Span {
         self.giver(address).after
@@ -155,7 +160,7 @@ mod tests {
     const SECOND: True = 1_000_000_000;
 
     fn givers() -> (Givers, Address, Address) {
-        let scenario = Source { file: "cell.toml", text: CELL }.parse().unwrap();
+        let scenario = Source::new("cell.toml", CELL).parse().unwrap();
         let master = TrueMaster { clock: EmulatedClock::default(), epoch: Offset::default() };
         (Givers::of(&scenario, master), scenario.address(0), scenario.address(1))
     }

@@ -1,7 +1,11 @@
 //! Who gave the time when: take-overs, and two who gave it at once.
 
+use std::collections::VecDeque;
+
 use rtnet::wire::ethernet::Address;
 use serde::{Deserialize, Serialize};
+
+use crate::scenario::Scenario;
 
 /// Take-overs that are kept one by one.
 const TAKEOVERS_AT_MOST: usize = 1_000;
@@ -17,6 +21,31 @@ pub struct Takeover {
     pub cycles: u32,
 }
 
+/// Of two who gave the time at once, the last that are kept.
+const RIVALS_AT_MOST: usize = 100;
+
+/// Two who gave the time at once.
+#[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+pub struct Rivals {
+    /// The first cycle in which they did.
+    pub cycle: u32,
+    /// In how many.
+    pub cycles: u32,
+    /// Their names; of who is no station, its address.
+    pub between: [String; 2],
+    /// Which was silent then; none if neither was as long as somebody looked.
+    pub silent: Option<String>,
+}
+
+/// The same, while it goes on.
+#[derive(Clone, Debug)]
+struct Meeting {
+    cycle: u32,
+    cycles: u32,
+    between: [Address; 2],
+    silent: Option<Address>,
+}
+
 /// What was seen of the masters.
 #[derive(Clone, Debug, Default)]
 pub struct Masters {
@@ -30,6 +59,9 @@ pub struct Masters {
     pub takeover_cycles: u32,
     /// The cycle in which two last gave the time, and in how many in a row.
     rivals: Option<(u32, u32)>,
+    meetings: VecDeque<Meeting>,
+    /// Who sent the last Synchronisation, counted or not.
+    heard: Option<Address>,
     /// Most such cycles in a row.
     pub rival_cycles: u32,
     /// The last of those.
@@ -41,6 +73,7 @@ pub struct Masters {
 impl Masters {
     /// A Synchronisation, which counts or not.
     pub fn sync(&mut self, from: Address, cycle: u32, counts: bool) {
+        self.outlast(from);
         let Some((before, last)) = self.last else {
             self.last = Some((from, cycle));
             return;
@@ -51,12 +84,38 @@ impl Masters {
             if is_newer {
                 self.take_over(Takeover { cycle, by: from.to_string(), cycles: step });
             } else {
-                self.meet(cycle);
+                self.meet(cycle, [before, from]);
             }
         }
         if is_newer {
             self.last = Some((from, cycle));
         }
+    }
+
+    /// Of two who gave the time at once, one does so alone.
+    fn outlast(&mut self, from: Address) {
+        let is_alone = self.heard.replace(from) == Some(from);
+        if let (true, Some(Meeting { between: [a, b], silent, .. })) = (is_alone, self.meetings.back_mut()) {
+            let other = if *a == from { *b } else { *a };
+            if [*a, *b].contains(&from) && silent.is_none() {
+                *silent = Some(other);
+            }
+        }
+    }
+
+    /// Those who gave the time at once, by name.
+    pub fn rivals(&self, scenario: &Scenario) -> Vec<Rivals> {
+        let name = |of: Address| {
+            let station = (0..scenario.stations.len()).find(|&station| scenario.address(station) == of);
+            station.map_or_else(|| of.to_string(), |station| scenario.stations[station].name.clone())
+        };
+        let named = |&Meeting { cycle, cycles, between, silent }: &Meeting| Rivals {
+            cycle,
+            cycles,
+            between: between.map(name),
+            silent: silent.map(name),
+        };
+        self.meetings.iter().map(named).collect()
     }
 
     fn take_over(&mut self, takeover: Takeover) {
@@ -68,12 +127,21 @@ impl Masters {
     }
 
     /// Two have sent a Synchronisation in one cycle.
-    fn meet(&mut self, cycle: u32) {
+    fn meet(&mut self, cycle: u32, between: [Address; 2]) {
         let run = match self.rivals {
             Some((last, run)) if cycle.wrapping_sub(last) <= 1 => run + cycle.wrapping_sub(last),
             _ => 1,
         };
         self.rivals = Some((cycle, run));
+        let goes_on = |open: &&mut Meeting| run > 1 && between.iter().all(|of| open.between.contains(of));
+        if let Some(open) = self.meetings.back_mut().filter(goes_on) {
+            (open.cycles, open.silent) = (run, None);
+        } else {
+            if self.meetings.len() == RIVALS_AT_MOST {
+                self.meetings.pop_front();
+            }
+            self.meetings.push_back(Meeting { cycle, cycles: 1, between, silent: None });
+        }
         if run > self.rival_cycles {
             (self.rival_cycles, self.rivals_in) = (run, Some(cycle));
         }
@@ -83,9 +151,11 @@ impl Masters {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenario::Source;
 
     const A: Address = Address([2, 0, 0, 0, 0, 1]);
     const B: Address = Address([2, 0, 0, 0, 0, 2]);
+    const STRANGER: Address = Address([2, 0, 0, 0, 9, 9]);
 
     fn seen(syncs: &[(Address, u32)]) -> Masters {
         let mut masters = Masters::default();
@@ -108,5 +178,36 @@ mod tests {
         let mut parted = Masters { is_cut: true, ..Masters::default() };
         both.iter().for_each(|&(from, cycle)| parted.sync(from, cycle, true));
         assert_eq!(parted.rival_cycles, 0, "each part has one");
+    }
+
+    #[test]
+    fn two_who_give_the_time_at_once_are_named_with_the_one_that_was_silent_then() {
+        let text = "cycle = \"1ms\"\n[[station]]\nname = \"primary\"\nrole = \"master\"\n\
+            [[station]]\nname = \"slave\"\nrole = \"slave\"\n";
+        let scenario = Source::new("cell.toml", text).parse().unwrap();
+        let primary = scenario.address(0);
+        let both = [(primary, 8), (STRANGER, 8), (primary, 9), (STRANGER, 9), (primary, 10), (STRANGER, 10)];
+        let named = |more: &[(Address, u32)]| seen(&[&both, more].concat()).rivals(&scenario);
+        let rivals = |silent: Option<&str>| Rivals {
+            cycle: 8,
+            cycles: 3,
+            between: ["primary".into(), STRANGER.to_string()],
+            silent: silent.map(str::to_owned),
+        };
+        assert_eq!(named(&[]), [rivals(None)]);
+        assert_eq!(named(&[(primary, 11)]), [rivals(None)], "the other's may still come");
+        assert_eq!(named(&[(primary, 11), (primary, 12)]), [rivals(Some(&STRANGER.to_string()))]);
+        assert_eq!(named(&[(STRANGER, 11), (STRANGER, 12), (STRANGER, 13)]), [rivals(Some("primary"))]);
+        let again = named(&[(STRANGER, 11), (STRANGER, 12), (primary, 12), (STRANGER, 13)]);
+        assert_eq!((again.len(), again[1].cycle, again[1].cycles), (2, 12, 1));
+    }
+
+    #[test]
+    fn of_many_rivals_the_last_are_kept() {
+        let mut masters = Masters::default();
+        for cycle in (0..3_000).step_by(3) {
+            [A, B].iter().for_each(|&from| masters.sync(from, cycle, true));
+        }
+        assert_eq!((masters.meetings.len(), masters.meetings[0].cycle), (RIVALS_AT_MOST, 2_700));
     }
 }

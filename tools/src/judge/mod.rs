@@ -3,11 +3,14 @@
 //!
 //! ```text
 //!   frames, stamped ──► analysis ──findings──┐
-//!   stations' records ─► explain ◄───────────┴──► outcome ─► figures
+//!   stations' records ─► explain ◄───────────┴─► account ─► outcome ─► figures
 //! ```
 
 pub mod absences;
+pub mod account;
 pub mod analysis;
+pub mod clocks;
+pub mod cuts;
 pub mod delivery;
 pub mod explain;
 pub mod findings;
@@ -16,6 +19,7 @@ pub mod masters;
 pub mod noteworthy;
 pub mod outcome;
 mod sight;
+mod spells;
 pub mod syncs;
 pub mod timetable;
 pub mod worst;

@@ -5,12 +5,10 @@ use std::ops::Range;
 
 use rtnet::discipline::EventKind;
 
-use super::absences::Absence;
+use super::account::Account;
 use super::analysis::Analysis;
 use super::delivery::Delivery;
-use super::explain::Records;
-use super::findings::{Finding, FindingKind};
-use crate::report::figures::{Figures, Miss, MissKind, QueueingFigures, Role, StationFigures, Verdict};
+use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::{Measure, Scenario};
@@ -29,8 +27,8 @@ pub struct Parts {
     pub stations: Vec<Facts>,
     /// What was seen.
     pub analysis: Analysis,
-    /// What was told.
-    pub records: Records,
+    /// What was made of it and of what was told.
+    pub account: Account,
     /// What a reader should know of the whole.
     pub notes: Vec<String>,
     /// Frames that the observer lost.
@@ -86,35 +84,34 @@ pub struct Facts {
 
 /// The figures.
 pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
-    let Parts { stations, analysis, records, .. } = &parts;
-    let (from, cycles) = analysis.window_counted();
-    let own = |kind| records.of_kind(kind, from, cycles);
-    let gaps = analysis.findings.iter().filter(|finding| finding.kind == FindingKind::SyncGap);
+    let Parts { stations, analysis, account, .. } = &parts;
+    let own = |kind| account.told(None, kind);
     let mut figures = Figures {
         stations: stations.len() as u64,
         cycle_ns: scenario.cycle.nanos() as u64,
-        cycles: u64::from(cycles),
+        cycles: u64::from(analysis.cycles()),
         syncs_sent: analysis.syncs,
-        syncs_skipped: own(EventKind::SyncSkipped).chain(own(EventKind::SyncDropped)).count() as u64,
-        overruns: own(EventKind::Overrun).count() as u64,
-        stalled_in_send: (own(EventKind::StalledInSend).chain(own(EventKind::ReplyStalled))).count() as u64,
-        guard_drops: own(EventKind::GuardDropped).chain(own(EventKind::SyncDropped)).count() as u64,
+        syncs_skipped: own(EventKind::SyncSkipped) + own(EventKind::SyncDropped),
+        overruns: own(EventKind::Overrun),
+        stalled_in_send: own(EventKind::StalledInSend) + own(EventKind::ReplyStalled),
+        guard_drops: own(EventKind::GuardDropped) + own(EventKind::SyncDropped),
         latest_frame_ns: analysis.latest.value(),
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
         rt_cpu_percent: stations.iter().map(|station| station.rt_cpu_share).sum::<f64>() * 100.0,
         clock_steps: parts.wall_steps + stations.iter().map(|station| station.clock_steps).sum::<u64>(),
         capture_dropped: parts.dropped,
-        syncs_missing: gaps.count() as u64,
         takeovers: analysis.masters.takeovers_all,
         takeover_cycles: analysis.masters.takeover_cycles,
         rival_cycles: analysis.masters.rival_cycles,
         masters_seen: analysis.masters.takeovers.clone(),
+        rivals: analysis.masters.rivals(scenario),
+        strangers: analysis.strangers.named(),
         ..Figures::default()
     };
     let mut all = Histograms::new();
     for station in 0..stations.len() {
-        let one = station_figures(scenario, &parts, station, (from, cycles), &mut all);
+        let one = station_figures(scenario, &parts, station, &mut all);
         figures.frames_expected += one.frames_expected;
         figures.frames_seen += one.frames_seen;
         figures.slots_missed += one.slots_missed;
@@ -129,35 +126,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.wake_latency = wake_latency(&parts.stations);
     figures.queueing = queueing(scenario, &parts, 0..stations.len());
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
-    figures.unexplained = analysis.findings_dropped;
-    use EventKind::{ReplyFailed, SendFailed, SlotEmpty, SlotSilent, TurnLeft};
-    for kind in [SlotSilent, TurnLeft, SlotEmpty, SendFailed, ReplyFailed] {
-        let told = own(kind).count() as u64;
-        if let (Some(cause), true) = (kind.cause(), told > 0) {
-            *figures.causes.entry(cause.name().into()).or_default() += told;
-        }
-    }
-    for finding in &analysis.findings {
-        enter(&mut figures, finding, records, scenario);
-    }
-    for (kind, event) in [
-        (MissKind::SyncSkipped, EventKind::SyncSkipped),
-        (MissKind::StalledInSend, EventKind::StalledInSend),
-        (MissKind::StalledInSend, EventKind::ReplyStalled),
-        (MissKind::GuardDropped, EventKind::GuardDropped),
-        (MissKind::GuardDropped, EventKind::SyncDropped),
-        (MissKind::Overrun, EventKind::Overrun),
-    ] {
-        for record in own(event) {
-            let cause = record.cause.map_or(String::new(), |cause| cause.name().into());
-            if !cause.is_empty() {
-                *figures.causes.entry(cause.clone()).or_default() += 1;
-            }
-            let station = scenario.stations[record.station].name.clone();
-            let (cycle, span_ns) = (record.cycle.into(), record.span.nanos());
-            figures.note_miss(Miss { cycle, station, kind, span_ns, cause, found: None });
-        }
-    }
+    account.report(&mut figures);
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
     Outcome { figures, slot_error_abs: all.slot_error_abs }
 }
@@ -187,7 +156,6 @@ fn station_figures(
     scenario: &Scenario,
     parts: &Parts,
     station: usize,
-    (from, cycles): (u32, u32),
     all: &mut Histograms,
 ) -> StationFigures {
     let (plan, facts) = (&scenario.stations[station], &parts.stations[station]);
@@ -200,9 +168,7 @@ fn station_figures(
     all.slot_error.merge(&seen.slot_error);
     all.slot_error_abs.merge(&slot_error_abs);
     all.sync_error.merge(&facts.sync_error);
-    let own = |kind| {
-        parts.records.of_kind(kind, from, cycles).filter(|record| record.station == station).count() as u64
-    };
+    let own = |kind| parts.account.told(Some(station), kind);
     let lost: Vec<Lost> = lost(scenario, parts, station).collect();
     let mut notes = facts.notes.clone();
     if station == 0 {
@@ -229,7 +195,7 @@ fn station_figures(
         slot_error_abs_ns: slot_error_abs.summary(),
         sync_error_ns: facts.sync_error.summary(),
         rss_bytes: facts.resident,
-        cpu_percent: percent(facts.cpu_seconds, cycles, scenario),
+        cpu_percent: percent(facts.cpu_seconds, parts.analysis.cycles(), scenario),
         sequence_gaps: facts.sequence_gaps,
         frames_lost: lost.iter().map(|lost| lost.frames).sum(),
         lost_on_purpose: lost.iter().map(|lost| lost.on_purpose).sum(),
@@ -286,29 +252,6 @@ fn lost(scenario: &Scenario, parts: &Parts, station: usize) -> impl Iterator<Ite
 fn percent(cpu_seconds: f64, cycles: u32, scenario: &Scenario) -> f64 {
     let measured = f64::from(cycles) * scenario.cycle.nanos() as f64 / 1e9;
     if measured > 0.0 { cpu_seconds / measured * 100.0 } else { 0.0 }
-}
-
-/// Counts a finding, and lists it if nobody has told of it.
-fn enter(figures: &mut Figures, finding: &Finding, records: &Records, scenario: &Scenario) {
-    match finding.kind {
-        FindingKind::Overlap => figures.overlaps += 1,
-        FindingKind::OutOfSlot => figures.out_of_slot += 1,
-        _ => {}
-    }
-    if let Some(cause) = records.explain(finding) {
-        // What a station told of is counted with its records; of its absence there are none.
-        if Absence::is_name(cause) && !records.has_told_of(finding) {
-            *figures.causes.entry(cause.into()).or_default() += 1;
-        }
-        return;
-    }
-    figures.unexplained += 1;
-    let author = finding.authors.iter().flatten().next_back();
-    let station = author.map_or("foreign".into(), |author| scenario.stations[author.station].name.clone());
-    let (cycle, span_ns) = (finding.cycle.into(), finding.span.nanos());
-    let found = Some(finding.kind.name().into());
-    let (kind, cause) = (MissKind::Unexplained, String::new());
-    figures.note_miss(Miss { cycle, station, kind, span_ns, cause, found });
 }
 
 /// Why a run is not as it ought to be. Of what its scenario expects something, that decides.

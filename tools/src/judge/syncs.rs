@@ -63,6 +63,16 @@ impl Syncs {
         })
     }
 
+    /// Who sent one of the newest cycle before this one that has any, unless that line is given up.
+    pub fn last_senders(&self, cycle: u32) -> impl Iterator<Item = Address> {
+        let ago = move |sent: &Cycles| Some(cycle.wrapping_sub(sent.newest_until(cycle.wrapping_sub(1))?));
+        let newest = self.sent.values().filter_map(ago).filter(|&ago| ago <= LINE_GOOD_FOR as u32).min();
+        self.sent
+            .iter()
+            .filter(move |(_, sent)| newest.is_some() && ago(sent) == newest)
+            .map(|(&from, _)| from)
+    }
+
     /// Whether this one did not get to a station.
     pub fn is_lost(&self, station: usize, from: Address, cycle: u32) -> bool {
         self.run_lost(station, from, cycle).is_some()

@@ -91,6 +91,17 @@ impl Timetable {
         self.entries(station, id).find(|entry| entry.holds(cycle)).map(|entry| &entry.plan)
     }
 
+    /// The slots that a station may use in a cycle: who returns does so before its first frame is known.
+    pub fn usable(&self, station: usize, cycle: u32) -> impl Iterator<Item = &SlotPlan> {
+        let held = self.stations[station].iter().filter(move |entry| entry.holds(cycle));
+        let away =
+            self.away[station].iter().filter(|(_, may_return)| *may_return).flat_map(|(plans, _)| plans);
+        let has_turn = move |plan: &&SlotPlan| {
+            turns(cycle, cycle.wrapping_add(1), plan.phase, plan.period).next().is_some()
+        };
+        held.map(|entry| &entry.plan).chain(away).filter(has_turn)
+    }
+
     /// The ids of a station's slots, each once, also of those that are gone.
     pub fn ids(&self, station: usize) -> Vec<u8> {
         let mut ids: Vec<u8> = self.stations[station].iter().map(|entry| entry.plan.id).collect();

@@ -18,6 +18,7 @@ use super::tally::Tally;
 use crate::control::{
     Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_name, read,
 };
+use crate::judge::delivery::Delivery;
 use crate::judge::findings::{Author, Finding};
 use crate::scenario::Scenario;
 use crate::station::link::Standing;
@@ -264,6 +265,8 @@ impl Keeper {
             out_of_slot: self.tally.out_of_slot,
             syncs_missing: self.tally.syncs_missing,
             time_by: self.scenario.stations[analysis.giver()].name.clone(),
+            rivals: analysis.masters.rivals(&self.scenario),
+            strangers: analysis.strangers.named(),
             latest_frame_ns: analysis.latest.value(),
             unexplained: self.tally.unexplained,
             unexplained_last: self.tally.shown.iter().map(|finding| self.words(finding)).collect(),
@@ -314,8 +317,8 @@ impl Keeper {
         let sender = self.scenario.sender(station);
         let lost_of = |of| {
             let passed = self.lab.analysis.stations[sender].passed(of)?;
-            let (heard, meant) = (member.heard(of), self.lab.wires.meant(station, of));
-            Some(passed.lost(&heard) - passed.meant(&heard, meant))
+            let Delivery { heard, meant } = self.lab.delivery(&self.scenario, station, of);
+            Some(passed.lost(&heard) - passed.meant(&heard, &meant))
         };
         let has_told = member.silent && !member.ended;
         let lost = self.scenario.streams(sender).filter(|_| has_told).filter_map(lost_of).sum();
@@ -335,7 +338,7 @@ impl Keeper {
             guard: member.guarded.into(),
             events: member.events.clone(),
             restarts: member.restarts,
-            cuts: member.cuts,
+            cuts: member.unplugged.count(),
             lost_records: member.standing.as_ref().map_or(0, |standing| standing.lost_records),
             lost: member.is_lost(lost_at_most(self.scenario.cycle)),
             failed: member.failed.clone(),

@@ -5,21 +5,20 @@ use std::time::Duration;
 
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Cause, Event};
+use rtnet::live::Record;
 use rtnet::live::clock::monotonic;
-use rtnet::live::{Impaired, Record};
 use rtnet::time::{GlobalTime, Span};
 
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
-use super::wires::Wires;
-use crate::judge::delivery::{Delivery, Heard, Meant};
+use super::unplugged::Unplugged;
+use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::givers::TrueMaster;
 use crate::judge::noteworthy::Noteworthy;
 use crate::judge::outcome::Facts;
 use crate::report::histogram::SignedHistogram;
-use crate::scenario::Scenario;
 use crate::station::link::{self, Order, Report, Standing};
 use crate::station::misses::Misses;
 
@@ -61,8 +60,8 @@ pub struct Member {
     pub restarts: u32,
     /// Its clock, if its scenario has changed it.
     pub clock: Option<EmulatedClock>,
-    /// How often its wire was cut.
-    pub cuts: u32,
+    /// When its wire was cut.
+    pub unplugged: Unplugged,
     /// In which cycle its process was last seen not to be stopped.
     pub seen_running: Option<u32>,
     /// When it has last told to be synchronised.
@@ -100,7 +99,7 @@ impl Member {
             misses: Misses::default(),
             restarts: 0,
             clock: None,
-            cuts: 0,
+            unplugged: Unplugged::default(),
             seen_running: None,
             synchronised_at: None,
             counting: false,
@@ -116,6 +115,7 @@ impl Member {
         self.former_errors = self.payload_errors();
         self.process = Some(process);
         self.restarts += 1;
+        self.unplugged.begin_anew();
         (self.standing, self.standing_at_begin) = (None, None);
         (self.failed, self.ended, self.silent, self.told_to_end) = (None, false, false, false);
         self.is_meant_to_end = false;
@@ -228,26 +228,19 @@ impl Member {
         end.queue_refused.iter().map(since).collect()
     }
 
-    /// Test traffic that it has heard altogether: usual frames, or of a priority.
+    /// Test traffic that it has heard since the begin: usual frames, or of a priority.
     pub fn heard(&self, of: Option<u8>) -> Heard {
-        let arrived = self.standing.as_ref().map(|standing| standing.arrived(of));
-        Heard::of(arrived.unwrap_or_default(), self.restarts > 0)
+        let arrived = |standing: &Option<Standing>| {
+            standing.as_ref().map(|standing| standing.arrived(of)).unwrap_or_default()
+        };
+        let before = arrived(&self.standing_at_begin);
+        let next = if before.received > 0 { before.first + before.received + before.missing } else { 0 };
+        Heard::of(arrived(&self.standing), self.restarts > 0).within(next..u64::MAX, before.received)
     }
 
-    /// What came of each kind of its sender's frames, as long as it can tell. While a wire is cut nobody knows what would
-    /// have been heard.
-    fn deliveries(
-        &self,
-        scenario: &Scenario,
-        wires: &Wires,
-        station: usize,
-    ) -> BTreeMap<Option<u8>, Delivery> {
-        let delivery = |of| {
-            let meant = if self.cuts > 0 { Meant::ALL } else { wires.meant(station, of).clone() };
-            (of, Delivery { heard: self.heard(of), meant })
-        };
-        let can_tell = !self.ended && !self.is_meant_to_end;
-        scenario.streams(scenario.sender(station)).filter(|_| can_tell).map(delivery).collect()
+    /// Whether it can tell what it has heard.
+    pub fn can_tell(&self) -> bool {
+        !self.ended && !self.is_meant_to_end
     }
 
     /// Whether it has not been synchronised for longer than that, or was not when it counted last.
@@ -268,9 +261,14 @@ impl Member {
         if passed == 0 { 0.0 } else { used as f64 / passed as f64 }
     }
 
-    /// What the report says of it, if it was judged to the end, and of what these wires did to the frames for it: it is
-    /// the station of this number.
-    pub fn facts(&self, scenario: &Scenario, is_judged: bool, wires: &Wires, station: usize) -> Facts {
+    /// What the report says of it, if it was judged to the end, and of what came to it, and became of the frames for it.
+    pub fn facts(
+        &self,
+        name: &str,
+        is_judged: bool,
+        deliveries: BTreeMap<Option<u8>, Delivery>,
+        of_wire: Option<String>,
+    ) -> Facts {
         let standing = self.standing.as_ref();
         Facts {
             pid: self.pid(),
@@ -283,19 +281,13 @@ impl Member {
             cpu_seconds: self.cpu_seconds,
             rt_cpu_share: self.rt_cpu_share(),
             sequence_gaps: self.sequence_gaps(),
-            deliveries: self.deliveries(scenario, wires, station),
+            deliveries,
             refusals: standing.map(|standing| standing.refusals.clone()).unwrap_or_default(),
-            notes: self
-                .refused
-                .iter()
-                .cloned()
-                .chain(self.noteworthy.lines())
-                .chain(wire_note(&wires.counts(station)))
-                .collect(),
+            notes: self.refused.iter().cloned().chain(self.noteworthy.lines()).chain(of_wire).collect(),
             clock_steps: standing.map_or(0, |standing| standing.clock_steps),
             lost_records: standing.map_or(0, |standing| standing.lost_records),
             queue_refused: self.queue_refused(),
-            reproach: self.reproach(&scenario.stations[station].name, is_judged),
+            reproach: self.reproach(name, is_judged),
         }
     }
 
@@ -349,7 +341,7 @@ impl Member {
                     self.sync_error.record(error.nanos());
                 }
             }
-            Some(Report::Link { carrier, .. }) => self.cuts += u32::from(!carrier),
+            Some(Report::Link { at, carrier }) => self.unplugged.note(carrier, at, monotonic()),
             Some(Report::Late(all)) if self.counting => {
                 all.into_iter().for_each(|late| self.late.record(late.try_into().unwrap_or(i64::MAX)));
             }
@@ -366,19 +358,6 @@ impl Member {
         }
         self.noteworthy.note(kind, cycle);
     }
-}
-
-/// What became of frames for a station because its scenario says so, since they were first sent.
-fn wire_note(&Impaired { lost_control, lost_data, corrupted, duplicated }: &Impaired) -> Option<String> {
-    let counts = [
-        (lost_data, "data frames lost"),
-        (lost_control, "control frames lost"),
-        (corrupted, "frames changed"),
-        (duplicated, "frames doubled"),
-    ];
-    let counts = counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}"));
-    let counts = counts.collect::<Vec<_>>().join(", ");
-    (!counts.is_empty()).then(|| format!("on the way to it, as the scenario says: {counts}"))
 }
 
 /// Locked, or bridging one cycle.

@@ -14,6 +14,7 @@
 //! The namespaces have no names: they go with the last process inside, however it ends.
 
 pub mod enter;
+mod facts;
 mod faults;
 mod keep;
 mod launch;
@@ -25,6 +26,7 @@ mod processes;
 mod returns;
 mod run;
 mod tally;
+mod unplugged;
 pub mod userns;
 mod wires;
 

@@ -22,6 +22,7 @@ pub use link::{Link, NAME_MAX};
 use link::{check_mac, check_name};
 
 mod exchange;
+mod host;
 mod link;
 
 /// A conversation with the kernel about the links of one network namespace.

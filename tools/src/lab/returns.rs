@@ -36,8 +36,14 @@ impl Lab {
             Some(&Report::Link { at, carrier: false }) => (Absence::NoCarrier, at),
             Some(_) => return,
             None => {
-                let standing = self.members[station].standing.as_ref();
-                (Absence::Down, standing.map_or(monotonic(), |standing| standing.at))
+                let (now, standing) = (monotonic(), self.members[station].standing.as_ref());
+                let told = standing.map_or(now, |standing| standing.at);
+                // Who is held up before it sends tells how it is, but not what it misses.
+                let held_up = self.play.held_up_since(station, now);
+                if let Some(now) = self.analysis.cycle_at(now) {
+                    self.records.absences.break_off(station, Absence::Stopped, now);
+                }
+                (Absence::Down, held_up.map_or(told, |since| since.min(told)))
             }
         };
         if let Some(from) = self.analysis.cycle_at(from) {

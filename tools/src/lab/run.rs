@@ -22,6 +22,7 @@ use super::namespace::{Namespace, Segment};
 use super::processes::{Process, Told};
 use super::wires::Wires;
 use crate::control::{Directory, Home, Load};
+use crate::judge::account::Account;
 use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
 use crate::judge::givers::TrueMaster;
@@ -150,7 +151,12 @@ impl Lab {
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone())?;
         }
-        let capture = options.pcap.as_deref().map(CaptureFile::create).transpose()?;
+        // Of a lab that is kept, one reads what there is so far.
+        let capture = match options.home {
+            Some(_) => CaptureFile::create,
+            None => CaptureFile::replace,
+        };
+        let capture = options.pcap.as_deref().map(capture).transpose()?;
 
         let mut segment = Segment::new()?;
         let bridge = segment.bridge_name().to_owned();
@@ -370,7 +376,7 @@ impl Lab {
     /// A capture that cannot be written ends there: the lab does not. Nobody takes it for whole.
     fn end_capture_that(&mut self, written: Result<()>) {
         if let Err(error) = written {
-            self.capture = None;
+            self.capture.take().into_iter().for_each(CaptureFile::give_up);
             self.capture_failed = true;
             self.notes.push(format!("the capture is not whole: {error:#}"));
         }
@@ -410,19 +416,16 @@ impl Lab {
     fn parts(mut self, scenario: &Scenario) -> Parts {
         let interrupted = self.interrupted.load(Ordering::Relaxed);
         let is_judged = !interrupted && self.analysis.cycles() > 0;
-        let stations = self.members.iter().enumerate();
-        let stations =
-            stations.map(|(id, member)| member.facts(scenario, is_judged, &self.wires, id)).collect();
         Parts {
-            stations,
+            stations: self.facts(scenario, is_judged),
             dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),
             // A lost station ends the run, and says so itself.
             ended_early: interrupted || self.members.iter().any(|member| member.ended),
             wall_steps: self.wall.steps(),
             distrusted: self.distrusted,
             capture_failed: self.capture_failed,
+            account: Account::of(scenario, &mut self.analysis, &self.records),
             analysis: self.analysis,
-            records: self.records,
             notes: self.notes,
         }
     }

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use anyhow::{Result, anyhow};
 use rtnet::live::{Chances, Impaired, Impairment};
-use rtnet::sim::{Latency, Link};
-use rtnet::wire::ethernet::Address;
+use rtnet::sim::Link;
+use rtnet::wire::ethernet::{Address, Header};
 
 use super::namespace::Segment;
 use super::run::port_name;
 use crate::judge::delivery::Meant;
 use crate::judge::syncs::sync_of;
-use crate::scenario::{Conditions, Direction, Happening, Scenario, Wire};
+use crate::scenario::{Conditions, Happening, Scenario, Wire};
 use crate::station::traffic::Tag;
 
 /// One for each station; none at all where nothing is to become of any frame, or the host does not let us.
@@ -39,9 +39,10 @@ impl Wires {
                 Err(line) => return Ok((Self::default(), Some(line))),
             }
         }
-        wires.meant = vec![BTreeMap::new(); scenario.stations.len()];
-        wires.addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
-        scenario.conditions.wires.iter().for_each(|wire| wires.set(wire));
+        let all: Vec<usize> = (0..scenario.stations.len()).collect();
+        wires.meant = vec![BTreeMap::new(); all.len()];
+        wires.addresses = all.iter().map(|&station| scenario.address(station)).collect();
+        wires.set(&scenario.conditions, &all, None);
         Ok((wires, None))
     }
 
@@ -53,15 +54,12 @@ impl Wires {
         attached.map_err(|refused| anyhow!("its new wire loses nothing: {refused} ({})", refused.remedy()))
     }
 
-    /// What wires do from now on, as far as this says so.
-    pub fn set(&self, Wire { stations, direction, link }: &Wire) {
-        for wire in stations.iter().filter_map(|&station| self.all.get(station)) {
-            if *direction != Direction::In {
-                wire.sends(&chances(link));
-            }
-            if *direction != Direction::Out {
-                wire.hears(&chances(link));
-            }
+    /// What the wires of these stations do from now on: as they do throughout, or as an event says besides.
+    pub fn set(&self, conditions: &Conditions, stations: &[usize], event: Option<&Wire>) {
+        for (station, [sends, hears]) in conditions.links(stations, event) {
+            let Some(wire) = self.all.get(station) else { continue };
+            wire.sends(&chances(&sends));
+            wire.hears(&chances(&hears));
         }
     }
 
@@ -96,7 +94,9 @@ impl Wires {
         let is_cut_off = |of: Option<usize>| of.is_some_and(|of| cut_off.contains(&of));
         for (station, (wire, meant)) in all.iter_mut().zip(meant).enumerate() {
             wire.take_lost(|frame| {
-                if let Some((tag, _)) = Tag::read(&frame) {
+                let source = Header::parse(&frame).map(|(header, _)| header.source);
+                let is_its = |tag: &Tag| addresses.get(tag.station()).copied() == source;
+                if let Some((tag, _)) = Tag::read(&frame).filter(|(tag, _)| is_its(tag)) {
                     meant.entry(tag.priority()).or_default().note(tag.sequence());
                 } else if let Some(sync @ (from, _)) = sync_of(&frame) {
                     let sender = addresses.iter().position(|address| *address == from);
@@ -105,11 +105,6 @@ impl Wires {
             });
         }
     }
-}
-
-/// Whether a wire does what only a simulation's does: it takes a queue that knows time.
-pub fn is_held_back(link: &Link) -> bool {
-    link.reorder_ppm > 0 || link.delay != Latency::default()
 }
 
 fn are_impaired(conditions: &Conditions) -> bool {

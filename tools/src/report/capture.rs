@@ -16,6 +16,8 @@ use pcap_file::pcapng::blocks::opt_common::CommonOption;
 use pcap_file::pcapng::blocks::section_header::{SectionHeaderBlock, SectionHeaderOption};
 use pcap_file::{DataLink, Endianness};
 
+use super::draft::Draft;
+
 const APPLICATION: &str = concat!("rtnet ", env!("CARGO_PKG_VERSION"));
 
 /// The only interface in a file.
@@ -29,6 +31,8 @@ const MAX_COMMENT: usize = u16::MAX as usize;
 pub struct CaptureFile {
     path: PathBuf,
     writer: Writer,
+    /// It is to take the place of what may be there.
+    draft: Option<Draft>,
 }
 
 impl CaptureFile {
@@ -40,7 +44,18 @@ impl CaptureFile {
     pub fn create(path: &Path) -> Result<Self> {
         let file = File::create(path).with_context(|| format!("cannot create {}", path.display()))?;
         let writer = Writer::new(file).with_context(|| cannot_write(path))?;
-        Ok(Self { path: path.to_owned(), writer })
+        Ok(Self { path: path.to_owned(), writer, draft: None })
+    }
+
+    /// The same, but what is there stays until this is whole; if it never is, nothing of it remains.
+    ///
+    /// # Errors
+    /// The file could not be made or written. Names it.
+    pub fn replace(path: &Path) -> Result<Self> {
+        let (draft, file) =
+            Draft::begin(path).with_context(|| format!("cannot create {}", path.display()))?;
+        let writer = Writer::new(file).with_context(|| cannot_write(path))?;
+        Ok(Self { path: path.to_owned(), writer, draft: Some(draft) })
     }
 
     /// Adds a frame, from its destination address on and without the checksum. `realtime_ns` is
@@ -53,12 +68,18 @@ impl CaptureFile {
         self.writer.frame(realtime_ns, bytes, comment).with_context(|| cannot_write(&self.path))
     }
 
-    /// Writes what is still buffered.
+    /// Writes what is still buffered, and is there.
     ///
     /// # Errors
     /// The file cannot be written. Names it.
     pub fn finish(self) -> Result<()> {
-        self.writer.0.into_inner().flush().with_context(|| cannot_write(&self.path))
+        self.writer.0.into_inner().flush().with_context(|| cannot_write(&self.path))?;
+        self.draft.map_or(Ok(()), Draft::keep).with_context(|| cannot_write(&self.path))
+    }
+
+    /// It cannot be written any more, and what there is of it is better than nothing.
+    pub fn give_up(self) {
+        let _ = self.draft.map(Draft::keep);
     }
 }
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::histogram::Summary;
 use super::host::HostFacts;
-use crate::judge::masters::Takeover;
+use crate::judge::masters::{Rivals, Takeover};
 
 /// A whole run.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
@@ -74,8 +74,11 @@ pub struct Figures {
     /// Those of them that the scenario meant to be lost.
     #[serde(default)]
     pub lost_on_purpose: u64,
-    /// Slots, Synchronisations and frames that were missed or late, by cause.
+    /// Missed slots, by cause: all but those that are unexplained.
     pub causes: BTreeMap<String, u64>,
+    /// Missing Synchronisations, by cause: so, too.
+    #[serde(default)]
+    pub sync_causes: BTreeMap<String, u64>,
     /// The worst misses, at most [`Figures::MISSES_MAX`]; see [`Figures::note_miss`].
     pub misses: Vec<Miss>,
     /// Cycles without a Synchronisation.
@@ -93,6 +96,12 @@ pub struct Figures {
     /// The first take-overs.
     #[serde(default)]
     pub masters_seen: Vec<Takeover>,
+    /// Who gave the time at once, the last times.
+    #[serde(default)]
+    pub rivals: Vec<Rivals>,
+    /// Frames outside all slots, of addresses that no station has; of the ninth and later ones together.
+    #[serde(default)]
+    pub strangers: BTreeMap<String, u64>,
     /// How much later than it was to be the last look at the clock before each send was, all stations: ranges of
     /// nanoseconds, lowest and highest, and how many. A simulation's hosts draw from it: `late = "recorded FILE"`.
     #[serde(default)]
@@ -109,10 +118,7 @@ impl Figures {
     /// Enters a miss into the list, which is kept worst first. The least bad one falls out of a full
     /// list. The counters are not touched.
     pub fn note_miss(&mut self, miss: Miss) {
-        let worse = |other: &Miss| other.badness() >= miss.badness();
-        let place = self.misses.partition_point(worse);
-        self.misses.insert(place, miss);
-        self.misses.truncate(Self::MISSES_MAX);
+        miss.note(&mut self.misses);
     }
 }
 
@@ -284,6 +290,15 @@ pub struct Miss {
 
 impl Miss {
     /// Worse is greater: first what has no known cause, then the longer span.
+    /// See [`Figures::note_miss`].
+    pub fn note(self, misses: &mut Vec<Miss>) {
+        let place = misses.partition_point(|other| other.badness() >= self.badness());
+        if place < Figures::MISSES_MAX {
+            misses.insert(place, self);
+            misses.truncate(Figures::MISSES_MAX);
+        }
+    }
+
     fn badness(&self) -> (Reverse<MissKind>, u64) {
         (Reverse(self.kind), self.span_ns.unsigned_abs())
     }

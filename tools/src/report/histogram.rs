@@ -9,7 +9,7 @@
 
 use std::iter;
 
-use hdrhistogram::Histogram;
+use hdrhistogram::{CreationError, Histogram};
 use serde::{Deserialize, Serialize};
 
 /// The largest magnitude, 100 s in nanoseconds. Values beyond it are recorded as it.
@@ -20,7 +20,7 @@ const SIGNIFICANT_DIGITS: u8 = 3;
 
 /// How often each value was seen, in nanoseconds of either sign.
 ///
-/// Recording does not allocate. Minimum, maximum, mean and standard deviation are exact; all else is
+/// It grows with its values; one that is [`for_real_time`](Self::for_real_time) never allocates. Minimum, maximum, mean and standard deviation are exact; all else is
 /// exact to half a bin, that is to 0.05 % of the value (and to the nanosecond up to 2047 ns).
 #[derive(Clone, Debug)]
 pub struct SignedHistogram {
@@ -33,8 +33,18 @@ pub struct SignedHistogram {
 }
 
 impl SignedHistogram {
-    /// An empty histogram. About half a megabyte, touched only where values fall.
+    /// An empty histogram of 32 KiB, which grows with the magnitude of its values.
     pub fn new() -> Self {
+        Self::of_halves(|| Histogram::new(SIGNIFICANT_DIGITS))
+    }
+
+    /// The same for a thread that may not allocate: about half a megabyte, touched only where values fall.
+    pub fn for_real_time() -> Self {
+        Self::of_halves(|| Histogram::new_with_bounds(1, HIGHEST as u64, SIGNIFICANT_DIGITS))
+    }
+
+    fn of_halves(half: impl Fn() -> Result<Histogram<u64>, CreationError>) -> Self {
+        let half = || half().expect("the bounds are constants");
         Self {
             negative: half(),
             non_negative: half(),
@@ -57,7 +67,7 @@ impl SignedHistogram {
         }
         let value = value.clamp(-HIGHEST, HIGHEST);
         let half = if value < 0 { &mut self.negative } else { &mut self.non_negative };
-        half.saturating_record_n(value.unsigned_abs(), count);
+        half.record_n(value.unsigned_abs(), count).expect("no value is beyond the bounds");
         self.min = self.min.min(value);
         self.max = self.max.max(value);
         let (value, count) = (i128::from(value), i128::from(count));
@@ -67,8 +77,8 @@ impl SignedHistogram {
 
     /// Adds all that the other one has recorded.
     pub fn merge(&mut self, other: &Self) {
-        self.negative.add(&other.negative).expect("all halves have the same bounds");
-        self.non_negative.add(&other.non_negative).expect("all halves have the same bounds");
+        self.negative.add(&other.negative).expect("no value is beyond the bounds");
+        self.non_negative.add(&other.non_negative).expect("no value is beyond the bounds");
         self.min = self.min.min(other.min);
         self.max = self.max.max(other.max);
         self.sum = self.sum.saturating_add(other.sum);
@@ -214,10 +224,6 @@ pub struct Summary {
     pub sd: Option<i64>,
 }
 
-fn half() -> Histogram<u64> {
-    Histogram::new_with_bounds(1, HIGHEST as u64, SIGNIFICANT_DIGITS).expect("the bounds are constants")
-}
-
 /// The magnitudes of one half, ascending: the middle of each bin that holds any, and how many.
 fn bins(half: &Histogram<u64>) -> impl Iterator<Item = (i64, u64)> {
     let mut recorded = half.iter_recorded();
@@ -327,6 +333,30 @@ mod tests {
         let histogram = histogram_of(&[i64::MIN, i64::MAX]);
         assert_eq!((histogram.min(), histogram.max()), (-HIGHEST, HIGHEST));
         assert_eq!(histogram.deviation_from(i64::MIN).max(), HIGHEST);
+    }
+
+    #[test]
+    fn one_that_grows_shows_the_same_as_one_for_real_time_and_is_small_while_its_values_are() {
+        let (mut grows, mut fixed) = (SignedHistogram::new(), SignedHistogram::for_real_time());
+        let counts = |of: &SignedHistogram| of.negative.distinct_values() + of.non_negative.distinct_values();
+        for (values, room) in
+            [(&[0, 1, -2_047][..], 4_096), (&[-90_000, 2_048, 123_456_789, HIGHEST], 40_000)]
+        {
+            for &value in values {
+                grows.record_n(value, 3);
+                fixed.record_n(value, 3);
+            }
+            assert_eq!(grows.summary(), fixed.summary());
+            assert!(grows.iter().eq(fixed.iter()));
+            assert!(counts(&grows) <= room, "{}", counts(&grows));
+        }
+        let merged = |mut into: SignedHistogram, other: &SignedHistogram| {
+            into.merge(other);
+            into.summary()
+        };
+        let both = merged(grows.clone(), &fixed);
+        assert_eq!((both.n, merged(fixed.clone(), &grows)), (2 * grows.len(), both));
+        assert_eq!(merged(SignedHistogram::new(), &fixed), fixed.summary());
     }
 
     #[test]

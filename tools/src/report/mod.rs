@@ -1,6 +1,7 @@
 //! The report of a run: what was captured, the figures made of it, and how a person reads them.
 
 pub mod capture;
+pub mod draft;
 pub mod figures;
 pub mod histogram;
 pub mod host;

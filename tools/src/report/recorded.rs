@@ -6,6 +6,8 @@ use anyhow::{Context, Result};
 use rtnet::sim::Recorded;
 use serde::Deserialize;
 
+use crate::scenario::read_text;
+
 /// The part of a report that says how late stations woke.
 #[derive(Deserialize)]
 struct Report {
@@ -14,7 +16,7 @@ struct Report {
 
 /// Reads the wake-up latencies of a report, or of a file that holds no more than those.
 pub fn load(path: &Path) -> Result<Recorded> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let text = read_text(path).with_context(|| format!("{} cannot be read", path.display()))?;
     let report: Report = serde_json::from_str(&text).with_context(|| {
         format!("{} has no wake_latency: write one with `rtnet lab run --json FILE`", path.display())
     })?;

@@ -14,12 +14,16 @@ use super::host::HostFacts;
 use super::text::{
     Column, about, cut, duration, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
+use crate::judge::masters::Rivals;
 
 /// The least width that the report is laid out for, in columns.
 pub const WIDTH_MIN: usize = 80;
 
 /// The misses shown; more are in the JSON report.
 const MISSES_SHOWN: usize = 10;
+
+/// How often two gave the time at once, the last times; more are in the JSON report.
+const RIVALS_SHOWN: usize = 3;
 
 /// Longer names of stations are cut in the tables.
 const NAME_MAX: usize = 12;
@@ -208,9 +212,10 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
     let causes = causes.into_iter().chain(on_purpose);
     let counts: Vec<_> = causes.map(|(count, cause)| format!("{cause} {}", grouped(count))).collect();
     let mut lines = list("misses: ", &counts, width);
-    if !figures.causes.is_empty() {
-        let causes = figures.causes.iter().map(|(name, n)| format!("{} {}", words(name), grouped(*n)));
-        lines.extend(list("causes: ", &causes.collect::<Vec<_>>(), width));
+    let causes = [("causes: ", &figures.causes), ("syncs missing: ", &figures.sync_causes)];
+    for (head, causes) in causes.into_iter().filter(|(_, causes)| !causes.is_empty()) {
+        let causes = causes.iter().map(|(name, n)| format!("{} {}", words(name), grouped(*n)));
+        lines.extend(list(head, &causes.collect::<Vec<_>>(), width));
     }
     lines.extend(figures.latest_frame_ns.map(|late| format!("latest: {}", latest(late))));
     if figures.misses.is_empty() {
@@ -261,8 +266,7 @@ fn notes(figures: &Figures, width: usize) -> Vec<String> {
         .filter(|&(_, count)| count > 0)
         .map(|(refusal, count)| format!("{} {refusal}", grouped(count)))
         .collect();
-    let stray = figures.per_station.iter().filter(|station| station.stray > 0);
-    let stray: Vec<_> = stray.map(|station| format!("{} {}", station.name, grouped(station.stray))).collect();
+    let stray = strays(figures.per_station.iter().map(|of| (&of.name, of.stray)), &figures.strangers);
     let mut lines = if refusals.is_empty() { Vec::new() } else { list("refused: ", &refusals, width) };
     let masters = masters(figures);
     if !masters.is_empty() {
@@ -289,13 +293,39 @@ fn masters(figures: &Figures) -> Vec<String> {
         let (n, cycles) = (grouped(figures.takeovers), figures.takeover_cycles);
         items.push(format!("{n} times another one, {cycles} cycles after the last sync at the most"));
     }
-    if figures.rival_cycles > 0 {
-        items.push(format!("two at once for {} cycles", figures.rival_cycles));
-    }
+    items.extend(rivals(&figures.rivals));
     if figures.takeovers > 0 && figures.syncs_missing > 0 {
         items.push(format!("{} cycles without a sync", grouped(figures.syncs_missing)));
     }
     items
+}
+
+/// Who gave the time at once: the last times.
+pub(crate) fn rivals(all: &[Rivals]) -> Vec<String> {
+    let told = |Rivals { cycle, cycles, between: [a, b], silent }: &Rivals| {
+        let end = silent
+            .as_ref()
+            .map_or("neither silent yet".to_owned(), |name| format!("until {name} was silent"));
+        let (cycles, from) = (grouped((*cycles).into()), grouped((*cycle).into()));
+        let unit = if cycles == "1" { "cycle" } else { "cycles" };
+        format!("{a} and {b} at once for {cycles} {unit} from {from} on, {end}")
+    };
+    let shown = &all[all.len().saturating_sub(RIVALS_SHOWN)..];
+    let more = all.len() - shown.len();
+    let more = (more > 0).then(|| format!("two at once {} times before", grouped(more as u64)));
+    more.into_iter().chain(shown.iter().map(told)).collect()
+}
+
+/// Frames outside their slots, by sender, where there are some; of a stranger its address.
+pub(crate) fn strays<'a>(
+    stations: impl Iterator<Item = (&'a String, u64)>,
+    strangers: &'a BTreeMap<String, u64>,
+) -> Vec<String> {
+    let strangers = strangers.iter().map(|(of, &frames)| (format!("{of} (no station)"), frames));
+    let all = stations.map(|(name, frames)| (name.clone(), frames)).chain(strangers);
+    all.filter(|&(_, frames)| frames > 0)
+        .map(|(name, frames)| format!("{name} {}", grouped(frames)))
+        .collect()
 }
 
 /// What a run took place on, in one list, and what else there is to say of it.
@@ -346,7 +376,7 @@ fn verdict(figures: &Figures, width: usize) -> Vec<String> {
             (0, 0) => format!("OK: every frame in its slot, {counts} seen"),
             (missed, 0) => format!("OK: every frame seen in its slot, {counts}; {} missed", grouped(missed)),
             (missed, stray) => format!(
-                "OK: nothing unexplained, {counts} frames seen; {} missed, {} held up while being sent",
+                "OK: nothing unexplained, {counts} frames seen; {} missed, {} out of slot or overlapping",
                 grouped(missed),
                 grouped(stray)
             ),

@@ -62,7 +62,13 @@ mod tests {
     use super::*;
 
     fn event(at: i64, times: u32, what: Happening) -> Event {
-        Event { at: Span::from_millis(at), times, every: Span::from_millis(10), what, line: 1 }
+        Event {
+            at: Span::from_millis(at),
+            times,
+            every: Span::from_millis(10),
+            what,
+            place: Default::default(),
+        }
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! What a network goes through: its medium, its hosts, its wires, and what happens when. Without any of it, a
 //! simulation is of ideal hosts on a bridge.
 
-use rtnet::sim::{Host, Joint, Link};
+use rtnet::sim::{Host, Joint};
 use rtnet::time::Span;
 
-use super::Expectation;
+use super::{Expectation, Place, Wire};
 
 /// The conditions of a network, and what is expected of it under them.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,7 +19,7 @@ pub struct Conditions {
     pub hosts: Vec<(usize, Host)>,
     /// Clocks that wander: the station, how often by how much, and how far, in parts per billion.
     pub wanders: Vec<(usize, Wandering)>,
-    /// What wires do to frames throughout.
+    /// What is said of wires throughout, in the order of the file.
     pub wires: Vec<Wire>,
     /// What happens, in the order of the file.
     pub events: Vec<Event>,
@@ -38,29 +38,6 @@ pub struct Wandering {
     pub within_ppb: i64,
 }
 
-/// What the wires of some stations do.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Wire {
-    /// Whose.
-    pub stations: Vec<usize>,
-    /// In which direction.
-    pub direction: Direction,
-    /// To each frame.
-    pub link: Link,
-}
-
-/// A direction of a station's wire.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Direction {
-    /// What it hears.
-    In,
-    /// What it sends.
-    Out,
-    /// Either.
-    #[default]
-    Both,
-}
-
 /// Something that happens to a network, once or repeatedly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Event {
@@ -72,8 +49,8 @@ pub struct Event {
     pub every: Span,
     /// What.
     pub what: Happening,
-    /// Where it stands in its file, a line from 1.
-    pub line: usize,
+    /// Where it stands in its file.
+    pub place: Place,
 }
 
 /// What can happen.
@@ -95,7 +72,7 @@ pub enum Happening {
     Cut(Vec<usize>, Span),
     /// Wires are out for so long.
     Unplug(Vec<usize>, Span),
-    /// Wires do this for so long.
+    /// Wires do this besides for so long.
     Wires(Wire, Span),
     /// A station sends a frame again and again at any time, for so long.
     Babble(usize, Span, Span),
@@ -129,7 +106,7 @@ impl Happening {
 
 impl Happening {
     /// Of those that last, which undo each other where they are at once, and whose they are; all stations': none.
-    fn undoes(&self) -> Option<(&'static str, &[usize])> {
+    pub(super) fn undoes(&self) -> Option<(&'static str, &[usize])> {
         match self {
             Happening::Stop(stations, _) => Some(("stop", stations)),
             Happening::Unplug(stations, _) => Some(("unplug", stations)),
@@ -141,21 +118,6 @@ impl Happening {
 }
 
 impl Event {
-    /// Whether the end of this one, or of the other, would be the end of both: they are of one kind, at once, and of
-    /// the same station.
-    pub fn clashes_with(&self, other: &Event) -> Option<&'static str> {
-        let ((kind, mine), (of, theirs)) = (self.what.undoes()?, other.what.undoes()?);
-        let share = mine.is_empty() || mine.iter().any(|station| theirs.contains(station));
-        let at_once = |a: Span, b: Span| a < b + other.what.lasts() && b < a + self.what.lasts();
-        // Each is in order and does not overlap itself: only neighbours can meet.
-        let mut others = other.instants().peekable();
-        let meets = self.instants().any(|mine| {
-            while others.next_if(|&theirs| theirs + other.what.lasts() <= mine).is_some() {}
-            others.peek().is_some_and(|&theirs| at_once(mine, theirs))
-        });
-        (kind == of && share && meets).then_some(kind)
-    }
-
     /// Each time that it happens, after the begin of the measurement.
     pub fn instants(&self) -> impl Iterator<Item = Span> {
         (0..self.times).map(|i| self.at + self.every * i64::from(i))
@@ -171,16 +133,6 @@ impl Conditions {
     /// A station's host.
     pub fn host(&self, station: usize) -> &Host {
         self.hosts.iter().find(|(of, _)| *of == station).map_or(&self.host, |(_, host)| host)
-    }
-
-    /// What the wires of these stations do throughout, in the order in which it holds.
-    pub fn wires_of(&self, stations: &[usize]) -> impl Iterator<Item = Wire> {
-        let nothing = Wire { stations: stations.to_vec(), direction: Direction::Both, link: Link::default() };
-        let always = self.wires.iter().map(|wire| {
-            let stations = wire.stations.iter().filter(|of| stations.contains(of)).copied().collect();
-            Wire { stations, ..wire.clone() }
-        });
-        std::iter::once(nothing).chain(always)
     }
 
     /// Whether anything is asked for that only a simulation does.

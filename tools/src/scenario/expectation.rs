@@ -4,6 +4,7 @@ use std::fmt;
 
 use rtnet::time::Span;
 
+use super::Place;
 use crate::units::parse_span;
 
 /// One line of what is expected.
@@ -19,8 +20,8 @@ pub struct Expectation {
     pub relation: Relation,
     /// See `relation`.
     pub limit: i64,
-    /// Where it stands in its file, a line from 1.
-    pub line: usize,
+    /// Where it stands in its file.
+    pub place: Place,
 }
 
 /// How a figure is compared with its limit.
@@ -220,6 +221,12 @@ impl Expectation {
             let example = "write for example 0, \"<= 2\" or \">= 990\"";
             rest.parse().map_err(|_| format!("'{text}' is no count: {example}"))?
         };
+        // A time that comes after another may be below zero, which is before it.
+        let may_be_below = matches!(measure, Measure::LatestFrame | Measure::SmallestGap);
+        if !may_be_below && (limit < 0 || (relation == Relation::Less && limit == 0)) {
+            let name = measure.name();
+            return Err(format!("'{text}': {name} is never below 0: expect 0 or more"));
+        }
         Ok((relation, limit))
     }
 
@@ -260,7 +267,8 @@ mod tests {
     #[track_caller]
     fn check(measure: Measure, text: &str, figure: i64, holds: bool) {
         let (relation, limit) = Expectation::parse(measure, text).unwrap();
-        let expected = Expectation { measure, station: None, priority: None, relation, limit, line: 1 };
+        let expected =
+            Expectation { measure, station: None, priority: None, relation, limit, place: Place::default() };
         assert_eq!(expected.holds(figure), holds, "{expected}, {figure}");
     }
 

@@ -2,11 +2,13 @@
 //! file; one form for labs and simulations.
 
 mod acts;
+mod clashes;
 mod conditions;
 mod expectation;
 mod file;
 mod follow;
 mod uniform;
+mod wires;
 
 use clap::ValueEnum;
 use rtmac::tdma::schedule::{self, Rate, Schedule};
@@ -21,11 +23,12 @@ use crate::report::figures::Role;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
-pub use conditions::{Conditions, Direction, Event, Happening, Wandering, Wire};
+pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
-pub use file::{FileError, Source, load, parse_phase};
+pub use file::{FileError, Place, Source, load, parse_phase, read_text};
 pub use follow::{DelayPolicy, ServoName};
 pub use uniform::{ScenarioError, Uniform};
+pub use wires::{Direction, Effects, Wire};
 
 use uniform::divide;
 
@@ -33,14 +36,18 @@ use uniform::divide;
 const SYNC_WINDOW: Span = Span::from_micros(50);
 /// And at most this part of the cycle.
 const SYNC_WINDOW_PARTS: i64 = 8;
+/// A sync may begin in the first three quarters of its window, and is on the air in the last.
+const SYNC_WINDOW_OF_AIR: i64 = 4;
 /// Default clocks are off by up to this much.
 const CLOCK_OFFSET: Span = Span::from_millis(1_000);
 /// And drift by up to 50 ppm.
 const CLOCK_DRIFT_PPB: i64 = 50_000;
-/// Nobody simulates more; each has a number of 16 bits in its frames, and in its address.
+/// Each takes some 0.2 MB of a simulation: that many are what a usual host has the memory for.
 pub const MAX_STATIONS: usize = 10_000;
 /// What one host holds as processes and interfaces, by far.
 pub const MAX_LAB_STATIONS: usize = 250;
+/// Of a medium that nothing else is said of.
+pub const DEFAULT_RATE: Rate = Rate::from_bits_per_second(1_000_000_000);
 /// Smallest payload of test traffic: that of the smallest frame.
 pub const MIN_PAYLOAD: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
 
@@ -257,7 +264,9 @@ impl Scenario {
     }
 }
 
-/// Where slots are given: 50 us, or an eighth of a short cycle.
-pub fn default_sync_window(cycle: Span) -> Span {
-    SYNC_WINDOW.min(cycle / SYNC_WINDOW_PARTS)
+/// Where slots are given: 50 us, or an eighth of a short cycle. On a slow medium, where a sync takes long, so much that one
+/// that begins as late as it may ends in it, if the cycle has the room; its time on the air in any.
+pub fn default_sync_window(cycle: Span, rate: Rate) -> Span {
+    let air = rate.air_time(ethernet::MIN_FRAME);
+    SYNC_WINDOW.max(air * SYNC_WINDOW_OF_AIR).min(cycle / SYNC_WINDOW_PARTS).max(air)
 }

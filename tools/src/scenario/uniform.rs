@@ -121,11 +121,12 @@ pub(super) fn divide(
     let n = stations as i64;
     let [sync, frame] =
         [ethernet::MIN_FRAME, size + ethernet::HEADER_LEN].map(|length| rate.air_time(length));
-    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).min(cycle / SYNC_WINDOW_PARTS);
+    let most = sync.max(cycle / SYNC_WINDOW_PARTS);
+    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).clamp(sync, most);
     let share = sync + (cycle - sync - frame * n) / (n + 1);
     let with =
         |window| schedule::divide(cycle, window, rate, stations, size, guard).map(|length| (window, length));
-    let usual = share.max(least).min(cycle / SYNC_WINDOW_PARTS);
+    let usual = share.max(least).min(most);
     asked.map_or_else(|| with(usual).or_else(|_| with(least)), with)
 }
 
@@ -186,7 +187,7 @@ mod tests {
         for guard in [None, Some(Span::ZERO), Some(Span::from_micros(20))] {
             let line = guard.map_or(String::new(), |guard| format!("guard = \"{guard}\"\n"));
             let text = format!("cycle = \"1ms\"\nduration = \"1s\"\n{line}{}", stations.concat());
-            let by_file = Source { file: "net.toml", text: &text }.parse().unwrap();
+            let by_file = Source::new("net.toml", &text).parse().unwrap();
             let by_options = Uniform { guard, ..uniform(3, Span::from_millis(1)) }.scenario().unwrap();
             assert_eq!(by_options, by_file);
             assert_eq!(by_options.latest(), schedule::latest(by_options.guard, 3));

@@ -60,7 +60,7 @@ fn check_those<'a>(
         let found = figure(figures, expected);
         let holds = found.is_some_and(|found| expected.holds(found));
         Checked {
-            line: expected.line,
+            line: expected.place.line,
             expected: expected.to_string(),
             station: expected.station.map(|station| scenario.stations[station].name.clone()),
             priority: expected.priority,

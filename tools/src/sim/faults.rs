@@ -36,12 +36,9 @@ pub fn act(network: &mut Network<Tdma>, scenario: &Scenario, what: &Happening, p
                 (sends_by.down, hears_by.down) = (begins, begins);
             }
         }
-        Happening::Wires(wire, _) if begins => super::world::set_wire(network, wire),
         Happening::Wires(wire, _) => {
-            scenario
-                .conditions
-                .wires_of(&wire.stations)
-                .for_each(|wire| super::world::set_wire(network, &wire));
+            let event = begins.then_some(wire);
+            super::world::set_wires(network, &scenario.conditions, &wire.stations, event);
         }
         Happening::Babble(id, ..) if part != Part::End => network.babble(*id, &noise(scenario.address(*id))),
         Happening::Inject(frame) => network.inject(frame),
@@ -88,7 +85,7 @@ clock = { stations = "master", drift_ppm = -20.0, wander = { step_ppm = 1.0, wit
 
     #[test]
     fn a_clock_that_wanders_keeps_the_rate_that_an_event_gives_it_and_an_event_lets_it_wander_otherwise() {
-        let scenario = Source { file: "net.toml", text: NETWORK }.parse().unwrap();
+        let scenario = Source::new("net.toml", NETWORK).parse().unwrap();
         let mut network = World::new(&scenario, |_| true).unwrap().network;
         let farthest = |network: &mut Network<Tdma>, id, around_ppb: i64| {
             let mut farthest = 0;

@@ -21,8 +21,12 @@ pub struct SimFigures {
 pub struct Simulation {
     /// Everything random followed from it.
     pub seed: u64,
-    /// Virtual time from the begin of the network to its end.
+    /// Virtual time from the begin of the network to its end, joining included.
     pub virtual_ns: u64,
+    /// Virtual time of the measurement.
+    pub measured_ns: u64,
+    /// Events of the scenario.
+    pub events: u64,
     /// Frames on the medium, of the measurement.
     pub frames: u64,
     /// Shortest time that the medium was free between two frames.

@@ -10,6 +10,7 @@
 mod expect;
 mod faults;
 mod figures;
+mod patience;
 mod places;
 mod run;
 pub mod screen;
@@ -19,7 +20,7 @@ mod world;
 
 pub use expect::{Checked, add, of_lab};
 pub use figures::{SimFigures, Simulation};
-pub use run::{Ended, Options, run};
+pub use run::{Ended, Hurried, Options, run};
 pub use world::{World, discipline};
 
 /// A scenario that says what can be said, and runs.

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 
 use rtnet::sim::{Loss, StationId};
 
+use crate::judge::account::Account;
 use crate::judge::analysis::Analysis;
-use crate::judge::explain::Records;
-use crate::judge::findings::{Finding, FindingKind};
+use crate::judge::findings::FindingKind;
 use crate::judge::worst::Worst;
 use crate::scenario::{Expectation, Measure};
 
@@ -48,7 +48,8 @@ impl Seen {
 /// The places of a run.
 #[derive(Default)]
 pub struct Places {
-    findings: Vec<Finding>,
+    /// By kind, of all or of a station.
+    firsts: BTreeMap<(FindingKind, Option<usize>), u32>,
     stations: Vec<OfStation>,
     seen: Seen,
     latest: Worst,
@@ -72,22 +73,21 @@ struct OfStation {
 
 impl Places {
     /// What was seen, and when somebody was not synchronised for the last time.
-    pub fn of(analysis: &Analysis, records: &Records, seen: Seen, unlocked: Option<u32>) -> Self {
+    pub fn of(analysis: &Analysis, account: &Account, seen: Seen, unlocked: Option<u32>) -> Self {
         let stations = analysis.stations.iter().map(|of| OfStation {
             slot_error: of.worst_slot_error,
             queueing: of.queueing.iter().map(|(&priority, of)| (priority, of.worst)).collect(),
             strayed: of.strayed,
         });
         let longest = analysis.masters.takeovers.iter().max_by_key(|takeover| takeover.cycles);
-        let unexplained = analysis.findings.iter().find(|finding| records.explain(finding).is_none());
         let (from, cycles) = analysis.window_counted();
         Self {
-            findings: analysis.findings.clone(),
+            firsts: account.firsts.clone(),
             stations: stations.collect(),
             seen,
             latest: analysis.latest,
             rivals: analysis.masters.rivals_in,
-            unexplained: unexplained.map(|finding| finding.cycle),
+            unexplained: account.first_unexplained,
             takeover: longest.map(|takeover| takeover.cycle),
             unlocked,
             end: cycles.checked_sub(1).map(|last| from.wrapping_add(last)),
@@ -132,12 +132,7 @@ impl Places {
 
     /// The first cycle in which there was something of this kind.
     fn first(&self, expected: &Expectation, kind: FindingKind) -> Option<u32> {
-        let is_of = |finding: &&Finding| {
-            let mut authors = finding.authors.iter().flatten();
-            finding.kind == kind
-                && expected.station.is_none_or(|station| authors.any(|a| a.station == station))
-        };
-        self.findings.iter().find(is_of).map(|finding| finding.cycle)
+        self.firsts.get(&(kind, expected.station)).copied()
     }
 }
 

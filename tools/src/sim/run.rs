@@ -1,31 +1,35 @@
 //! A run in virtual time from its begin to its end: all join, time passes, things happen, figures.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
-use rtmac::tdma::{Mastery, TdmaStatus};
+use rtmac::tdma::TdmaStatus;
 use rtnet::clock::True;
 use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::Span;
 
 use super::expect;
 use super::faults;
-use super::figures::{SimFigures, SimStation, Simulation};
+use super::figures::{SimFigures, Simulation};
+use super::patience;
 use super::places::Places;
 use super::watch::Watch;
 use super::world::{Counted, UPTIME, World};
 use crate::judge::absences::Absence;
+use crate::judge::account::Account;
 use crate::judge::analysis::Analysis;
-use crate::judge::delivery::{Delivery, Heard};
+use crate::judge::clocks::set_clock;
 use crate::judge::explain::Records;
-use crate::judge::outcome::{self, Facts, Outcome, Parts};
+use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::{Act, Happening, Part, Scenario, acts, over};
+use crate::station::traffic::Arrivals;
 
 /// Cycles between the moment when all are locked and the begin of the measurement.
 const SETTLE_CYCLES: u32 = 10;
@@ -37,6 +41,8 @@ const JOIN_WITHIN: u64 = 2_000;
 const CALIBRATION_ALLOWANCE: u64 = 3;
 /// Cycles in which the frames of the last one are still to come.
 const LINGER_CYCLES: u64 = 4;
+/// So many cycles are judged at a time: going through all that is kept is worth it then.
+const JUDGED_AT_ONCE: i32 = 1_000;
 
 /// How to run a scenario.
 #[derive(Clone, Debug, Default)]
@@ -48,6 +54,11 @@ pub struct Options {
     /// Keep the frames of these cycles as text.
     pub around: Option<(u32, u32)>,
 }
+
+/// What was asked for does not let a network join, or leaves no time to measure it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}: give it a longer --until")]
+pub struct Hurried(String);
 
 /// What a run has shown, and the histogram of its slot errors.
 pub struct Ended {
@@ -80,6 +91,10 @@ struct Run<'a> {
     anew: Vec<bool>,
     /// What each had counted when the measurement began, less what processes before this one had counted since.
     before: Vec<Counted>,
+    /// What has been judged, up to when in cycles, and how long it takes until all is told.
+    account: Account,
+    judged_to: u32,
+    patience: u32,
     /// When the last event is over.
     over: True,
     /// When somebody was last seen not to be synchronised.
@@ -89,11 +104,12 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn new(scenario: &'a Scenario, options: &'a Options) -> Result<Self> {
         let events = &scenario.conditions.events;
-        let is_there = |id: usize| !events.iter().any(|event| event.what.starts().contains(&id));
+        let later: BTreeSet<&usize> = events.iter().flat_map(|event| event.what.starts()).collect();
+        let is_there = |id: usize| !later.contains(&id);
         let mut world = World::new(scenario, is_there)?;
         let names = scenario.stations.iter().map(|station| station.name.clone()).collect();
         let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
-        watch.capture = options.pcap.as_deref().map(CaptureFile::create).transpose()?;
+        watch.capture = options.pcap.as_deref().map(CaptureFile::replace).transpose()?;
         watch.around = options.around;
         let watch = Rc::new(RefCell::new(watch));
         let (seen, told, lost) = (watch.clone(), watch.clone(), watch.clone());
@@ -110,6 +126,9 @@ impl<'a> Run<'a> {
             present: (0..n).map(is_there).collect(),
             anew: vec![false; n],
             before: vec![Counted::default(); n],
+            account: Account::default(),
+            judged_to: 0,
+            patience: patience::cycles(scenario),
             over: 0,
             unlocked: 0,
         })
@@ -143,7 +162,7 @@ impl<'a> Run<'a> {
         if let Some(until) = self.options.until
             && next > UPTIME + until.nanos() as u64
         {
-            bail!("the stations were not all locked after {until}: give it a longer --until");
+            bail!(Hurried(format!("the stations were not all locked after {until}")));
         }
         self.world.network.run_until(next);
         Ok(())
@@ -157,7 +176,8 @@ impl<'a> Run<'a> {
         });
         let allowed = rounds.max().unwrap_or(0) * CALIBRATION_ALLOWANCE + JOIN_WITHIN;
         for _ in 0..allowed {
-            if self.all(Self::is_locked) {
+            // A master that is alone is locked before its first Synchronisation, which nothing begins before.
+            if self.all(Self::is_locked) && self.watch.borrow().analysis.grid().is_some() {
                 return Ok(());
             }
             self.step()?;
@@ -195,8 +215,10 @@ impl<'a> Run<'a> {
             }
             self.pass_until(next);
             self.look();
+            self.judge();
         }
         self.watch.borrow_mut().counting = false;
+        self.world.bound_deliveries(self.scenario, &self.watch.borrow().analysis, Arrivals::count_until);
         // What was sent in the last cycle is still on its way.
         for _ in 0..LINGER_CYCLES {
             self.pass_until(self.now() + self.cycle);
@@ -219,9 +241,12 @@ impl<'a> Run<'a> {
             }
         };
         if cycles == 0 {
-            bail!("there is no time to measure once all stations are locked: give it a longer --until");
+            // Only an end that was asked for takes all of them.
+            bail!(Hurried("there is no time to measure once all stations are locked".into()));
         }
-        watch.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
+        let first = current.wrapping_add(SETTLE_CYCLES);
+        watch.analysis.begin(first, cycles);
+        self.judged_to = first;
         drop(watch);
         // Everything of the cycle before is over, and nothing of the first has begun.
         self.pass_until(begin.saturating_sub(self.cycle / 20));
@@ -230,6 +255,7 @@ impl<'a> Run<'a> {
             watch.records.absences.begin(id, Absence::Down, current);
         }
         watch.counting = true;
+        self.world.bound_deliveries(self.scenario, &watch.analysis, Arrivals::count_from);
         self.world.network.start_over();
         self.before = (0..self.present.len()).map(|id| self.world.counted(id)).collect();
         Ok((begin, cycles))
@@ -248,7 +274,7 @@ impl<'a> Run<'a> {
                 for &id in stations {
                     self.world.network.stop(id);
                     self.present[id] = false;
-                    self.watch.borrow_mut().records.absences.begin(id, Absence::Down, now);
+                    self.watch.borrow_mut().ended(id, now);
                 }
             }
             Happening::Restart(stations) | Happening::Start(stations) => {
@@ -258,13 +284,19 @@ impl<'a> Run<'a> {
             }
             Happening::Stop(stations, _) => self.absent(stations, Absence::Stopped, act.part, now),
             Happening::Unplug(stations, _) => self.absent(stations, Absence::NoCarrier, act.part, now),
-            Happening::Cut(..) => self.watch.borrow_mut().analysis.masters.is_cut = act.part == Part::Begin,
+            Happening::Cut(stations, _) => {
+                self.watch.borrow_mut().cut_off(if act.part == Part::Begin { stations } else { &[] }, now);
+            }
             _ => {}
         }
         faults::act(&mut self.world.network, self.scenario, what, act.part);
-        if let Happening::Clock(stations, ..) = what {
-            let analysis = &mut self.watch.borrow_mut().analysis;
-            stations.iter().for_each(|&id| analysis.set_clock(id, self.world.network.member(id).clock));
+        if let Happening::Clock(stations, step, ..) = what {
+            let mut watch = self.watch.borrow_mut();
+            let Watch { analysis, records, .. } = &mut *watch;
+            for &id in stations {
+                let clock = self.world.network.member(id).clock;
+                set_clock((analysis, records), (id, clock, *step), act.at, 0);
+            }
         }
         Ok(())
     }
@@ -283,8 +315,7 @@ impl<'a> Run<'a> {
     fn restart(&mut self, id: usize, now: u32) -> Result<()> {
         let mut watch = self.watch.borrow_mut();
         let (grid, first) = (watch.analysis.grid(), watch.analysis.stations[id].beyond());
-        watch.records.absences.begin(id, Absence::Down, now);
-        watch.records.absences.end(id, Absence::Stopped, now);
+        watch.ended(id, now);
         watch.analysis.begins_anew(id);
         watch.analysis.await_again(id, now.wrapping_add(1));
         drop(watch);
@@ -314,6 +345,20 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Once in a while: what was found so long ago that all of it must have been told.
+    fn judge(&mut self) {
+        let Watch { analysis, records, .. } = &mut *self.watch.borrow_mut();
+        let Some(now) = analysis.cycle_at(self.world.network.now()) else { return };
+        let is_time = |to: u32| (to.wrapping_sub(self.judged_to) as i32) >= JUDGED_AT_ONCE;
+        if is_time(now.wrapping_sub(self.patience)) {
+            let to = patience::judged_to(records, now, self.patience);
+            if is_time(to) {
+                self.account.judge(self.scenario, analysis, records, to);
+                self.judged_to = to;
+            }
+        }
+    }
+
     fn end(mut self) -> Result<Ended> {
         let facts = (0..self.present.len()).map(|id| self.facts(id)).collect();
         let stations = (0..self.present.len()).map(|id| self.station(id)).collect();
@@ -322,6 +367,7 @@ impl<'a> Run<'a> {
         // Its observers go with it.
         self.world.network.forget_watchers();
         let watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
+        let (mut account, scenario) = (self.account, self.scenario);
         let Watch { mut analysis, records, capture, capture_failed, lines, seen, .. } = watch;
         if let Some(error) = capture_failed {
             return Err(error);
@@ -332,11 +378,12 @@ impl<'a> Run<'a> {
         }
         analysis.finish();
         let unlocked = analysis.cycle_at(self.unlocked.max(self.over));
-        let places = Places::of(&analysis, &records, seen, unlocked);
+        account.close(scenario, &mut analysis, &records);
+        let places = Places::of(&analysis, &account, seen, unlocked);
         let parts = Parts {
             stations: facts,
             analysis,
-            records,
+            account,
             notes: Vec::new(),
             dropped: 0,
             wall_steps: 0,
@@ -349,6 +396,8 @@ impl<'a> Run<'a> {
         let simulation = Simulation {
             seed: self.scenario.seed,
             virtual_ns: now - UPTIME,
+            measured_ns: figures.cycles * figures.cycle_ns,
+            events: self.scenario.conditions.events.len() as u64,
             frames: traffic.frames,
             smallest_gap_ns: traffic.smallest_gap.map(Span::nanos),
             collisions: traffic.collided,
@@ -367,51 +416,6 @@ impl<'a> Run<'a> {
         expect::add(&mut figures.figures.verdict, &figures.simulation.expectations);
         Ok(Ended { figures, slot_error_abs, lines })
     }
-
-    fn relock_cycles(&self) -> Option<i64> {
-        if !self.all(Self::is_synchronised) || self.over > self.now() {
-            return None;
-        }
-        Some(self.unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
-    }
-
-    fn station(&self, id: usize) -> SimStation {
-        let status = self.status(id);
-        SimStation {
-            name: self.scenario.stations[id].name.clone(),
-            state: if self.present[id] { status.state.name() } else { "down" }.into(),
-            gives_time: self.present[id] && status.mastery == Some(Mastery::Active),
-            dropped: self.world.network.dropped(id),
-        }
-    }
-
-    fn facts(&self, id: usize) -> Facts {
-        let (status, counts) = (self.status(id), &self.world.counts[id]);
-        let counted = self.world.counted(id) - self.before[id];
-        let refusals = self.world.network.member(id).station.refusals();
-        let watch = self.watch.borrow();
-        let delivery = |of| {
-            let heard = Heard::of(counts.arrived(of), self.anew[id]);
-            let meant = watch.meant[id].get(&of).cloned().unwrap_or_default();
-            (of, Delivery { heard, meant })
-        };
-        // What a process that was ended would have heard since, nobody knows.
-        let streams = self.scenario.streams(self.scenario.sender(id)).filter(|_| self.present[id]);
-        let name = &self.scenario.stations[id].name;
-        let is_lost = self.present[id] && !self.is_synchronised(id);
-        Facts {
-            guarded: self.scenario.is_guarded(),
-            delay_ns: status.delay.map(Span::nanos),
-            payload_errors: counted.payload_errors.max(0) as u64,
-            sync_error: watch.sync_error[id].clone(),
-            sequence_gaps: counted.missing.max(0) as u64,
-            deliveries: streams.map(delivery).collect(),
-            refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
-            notes: watch.noteworthy[id].lines().collect(),
-            lost_records: counted.events_lost.max(0) as u64,
-            queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
-            reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
-            ..Facts::default()
-        }
-    }
 }
+
+mod facts;

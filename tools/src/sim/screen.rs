@@ -19,9 +19,10 @@ pub struct Around {
 pub fn render(figures: &SimFigures, around: Option<&Around>, width: usize) -> String {
     let simulation = &figures.simulation;
     let head = format!(
-        "simulated {} with seed {}: {} frames",
+        "simulated {} with seed {}, and measured {} of it: {} frames",
         about(simulation.virtual_ns),
         simulation.seed,
+        about(simulation.measured_ns),
         grouped(simulation.frames)
     );
     let mut lines = vec![head];
@@ -58,6 +59,7 @@ fn medium(simulation: &Simulation) -> Vec<String> {
 fn relock(simulation: &Simulation) -> Option<String> {
     match simulation.relock_cycles {
         Some(0) => None,
+        Some(_) if simulation.events == 0 => None,
         Some(cycles) => Some(format!("all synchronised {cycles} cycles after the last event")),
         None => Some("not all synchronised".into()),
     }

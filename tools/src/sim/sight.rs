@@ -2,19 +2,27 @@
 //! time.
 
 use rtnet::clock::True;
+use rtnet::wire::ethernet::EtherType;
 
 use crate::judge::analysis::Analysis;
-use crate::observe::decode::{What, decode};
+use crate::judge::findings::Author;
+use crate::observe::decode::{Decoded, What, decode};
 use crate::observe::watch::{Sight, When};
+
+/// What a frame is, and whose, if it is test traffic; what only looks like it is foreign.
+pub fn decoded(analysis: &Analysis, bytes: &[u8]) -> (Decoded, Option<Author>) {
+    let (mut decoded, author) =
+        (decode(bytes, bytes.len()), analysis.author_of(bytes).map(|(_, author)| author));
+    if let (What::Data(_), None) = (decoded.what, author) {
+        decoded.what = What::Other(EtherType::EXPERIMENTAL, bytes.len());
+    }
+    (decoded, author)
+}
 
 /// A frame on the medium that the analysis is given next.
 pub fn sight(analysis: &Analysis, at: True, bytes: &[u8]) -> Sight {
-    let decoded = decode(bytes, bytes.len());
-    let of = match decoded.what {
-        What::Data(tag) => analysis.author_of(&tag),
-        _ => None,
-    };
-    if let Some(author) = of
+    let (decoded, author) = decoded(analysis, bytes);
+    if let Some(author) = author
         && let Some(error) = analysis.slot_error(at, author)
     {
         let (cycle, slot) = (Some(author.cycle), author.slot);

@@ -9,8 +9,9 @@ use rtnet::discipline::{Cause, Discipline, SyncState};
 use rtnet::sim::{Aired, Loss, Member, Moment, StationId};
 
 use super::places::Seen;
-use super::sight::sight;
+use super::sight::{decoded, sight};
 use super::world::{EPOCH, UPTIME};
+use crate::judge::absences::Absence;
 use crate::judge::analysis::Analysis;
 use crate::judge::delivery::Meant;
 use crate::judge::explain::Records;
@@ -45,10 +46,14 @@ pub struct Watch {
     /// What is seen of the network while they do.
     pub seen: Seen,
     /// When the medium is free again.
-    free_from: Option<True>,
+    free_from: [Option<True>; 2],
+    /// When each station has last taken a turn.
+    turned: Vec<Option<True>>,
     names: Vec<String>,
 }
 
+/// What is early by less than this part of the cycle is shown with the next one.
+const EARLY_PARTS: i64 = 8;
 /// Frames that are shown around a place.
 const LINES_AT_MOST: usize = 100;
 
@@ -67,7 +72,8 @@ impl Watch {
             lines: Vec::new(),
             counting: false,
             seen: Seen::of(names.len()),
-            free_from: None,
+            free_from: [None; 2],
+            turned: vec![None; names.len()],
             names,
         }
     }
@@ -88,17 +94,19 @@ impl Watch {
     }
 
     fn note_gap(&mut self, aired: &Aired<'_>) {
+        let free_from = &mut self.free_from[self.analysis.part_of(aired.from)];
         if let (true, Some(free_from), Some(cycle)) =
-            (self.counting, self.free_from, self.analysis.cycle_at(aired.at))
+            (self.counting, *free_from, self.analysis.cycle_at(aired.at))
         {
             self.seen.least_gap.note(free_from.wrapping_sub(aired.at) as i64, cycle);
         }
-        self.free_from = self.free_from.max(Some(aired.until));
+        *free_from = (*free_from).max(Some(aired.until));
     }
 
     /// A station has taken its turn.
     pub fn attend(&mut self, moment: &Moment, member: &mut Member<Tdma>) {
         let (station, at) = (moment.id, moment.at);
+        self.turned[station] = Some(at);
         let clock = member.clock;
         let tdma = member.station.discipline_mut();
         while let Some(event) = tdma.next_event() {
@@ -124,9 +132,22 @@ impl Watch {
         }
     }
 
+    /// The medium falls in two in a cycle, with these stations in the one part, or is whole again.
+    pub fn cut_off(&mut self, stations: &[StationId], now: u32) {
+        self.analysis.cut_off(stations);
+        self.records.cuts.note(!stations.is_empty(), now);
+    }
+
+    /// A station's process ends in a cycle: with it goes what it had to tell since it last took a turn.
+    pub fn ended(&mut self, station: StationId, now: u32) {
+        let since = self.turned[station].and_then(|at| self.analysis.cycle_at(at)).unwrap_or(now);
+        self.records.absences.break_off(station, Absence::Stopped, now);
+        self.records.absences.begin(station, Absence::Down, since);
+    }
+
     /// A frame that was on its way to a station was lost: by its wire, or by what joins all wires.
     pub fn lost(&mut self, to: StationId, frame: &[u8], why: Loss) {
-        let Decoded { what, source, .. } = decode(frame, frame.len());
+        let (Decoded { what, source, .. }, _) = decoded(&self.analysis, frame);
         if let (true, Some(cycle)) = (self.counting, self.analysis.current()) {
             self.seen.note_lost(to, why, matches!(what, What::Data(_)), cycle);
         }
@@ -142,15 +163,17 @@ impl Watch {
     }
 
     fn note_around(&mut self, aired: &Aired<'_>) {
-        let (Some((from, to)), Some(cycle)) = (self.around, self.analysis.current()) else { return };
-        let what = decode(aired.bytes, aired.bytes.len()).what;
+        let Some((from, to)) = self.around else { return };
+        // What is a little early is of the next cycle, be there a sync of that or not.
+        let early = self.analysis.cycle() / EARLY_PARTS;
+        let Some((cycle, place)) = self.analysis.place(aired.at + early.nanos() as u64) else { return };
+        let what = decoded(&self.analysis, aired.bytes).0.what;
         // One that was held up for cycles is of its own, too.
         let of = what.scheduled().map_or(cycle, |(of, _)| of);
         if ![cycle, of].iter().any(|cycle| (from..=to).contains(cycle)) || self.lines.len() == LINES_AT_MOST {
             return;
         }
-        let place = self.analysis.grid().map(|(_, start)| self.analysis.truth().global(aired.at) - start);
-        let place = place.map_or(String::new(), |place| format!("{:+.3}us", place.nanos() as f64 / 1e3));
+        let place = format!("{:+.3}us", (place - early).nanos() as f64 / 1e3);
         let who = self.names.get(aired.from).map_or("foreign", String::as_str);
         let overlaps = if aired.overlaps { "  overlaps" } else { "" };
         self.lines.push(format!("cycle {cycle} {place:>13}  {who}: {what}{overlaps}"));

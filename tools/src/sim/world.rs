@@ -18,11 +18,12 @@ use rtnet::sim::{Host, Link, Medium, Member, Network, Wander};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
 
+use crate::judge::analysis::Analysis;
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
-use crate::scenario::{Direction, Scenario, Wandering, Wire};
+use crate::scenario::{Conditions, Scenario, Wandering, Wire};
 use crate::station::sync_latest;
-use crate::station::traffic::{Traffic, TrafficCounts, TrafficPlan};
+use crate::station::traffic::{Arrivals, Traffic, TrafficCounts, TrafficPlan};
 
 /// True time when a network begins: no clock of a file is so far behind that it shows less than 0.
 pub const UPTIME: True = 7_200_000_000_000;
@@ -92,8 +93,9 @@ impl World {
                 world.network.stop(id);
             }
         }
-        for wire in &conditions.wires {
-            set_wire(&mut world.network, wire);
+        if !conditions.wires.is_empty() {
+            let all: Vec<usize> = (0..scenario.stations.len()).collect();
+            set_wires(&mut world.network, conditions, &all, None);
         }
         for &(id, wandering) in &conditions.wanders {
             world.network.wander(id, wander(&wandering, clock_drift(scenario, id)));
@@ -111,6 +113,16 @@ impl World {
             missing: missing as i64,
             events_lost: station.discipline().status().events_lost as i64,
             queue_refused: counts.refused.each_ref().map(|count| count.load(Relaxed) as i64),
+        }
+    }
+
+    /// Of what comes to each station, what is sent from now on counts, or does not any more.
+    pub fn bound_deliveries(&self, scenario: &Scenario, analysis: &Analysis, bound: fn(&Arrivals, u64)) {
+        for (id, counts) in self.counts.iter().enumerate() {
+            let sender = scenario.sender(id);
+            let passed = |of| analysis.stations[sender].passed(of);
+            let streams = scenario.streams(sender).filter_map(|of| counts.arrivals(of).zip(passed(of)));
+            streams.for_each(|(arrivals, passed)| bound(arrivals, passed.next()));
         }
     }
 
@@ -141,18 +153,18 @@ impl World {
     }
 }
 
-/// What a station's wire is like from now on, as far as this says so.
-pub fn set_wire(network: &mut Network<Tdma>, wire: &Wire) {
-    for &id in &wire.stations {
+/// What the wires of these stations do from now on: as they do throughout, or as an event says besides.
+pub fn set_wires(
+    network: &mut Network<Tdma>,
+    conditions: &Conditions,
+    stations: &[usize],
+    event: Option<&Wire>,
+) {
+    for (id, [sends, hears]) in conditions.links(stations, event) {
         let (sends_by, hears_by) = network.wire_mut(id);
         // A wire that is out stays out.
-        let change = |link: &mut Link| *link = Link { down: link.down, ..wire.link.clone() };
-        if wire.direction != Direction::In {
-            change(sends_by);
-        }
-        if wire.direction != Direction::Out {
-            change(hears_by);
-        }
+        *sends_by = Link { down: sends_by.down, ..sends };
+        *hears_by = Link { down: hears_by.down, ..hears };
     }
 }
 

@@ -7,12 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
+use nix::errno::Errno;
 use nix::sys::eventfd::EventFd;
 use rtmac::tdma::{
-    DEFAULT_ROUNDS, MasterConfig, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig, SlotStatus,
-    TdmaCommand, TdmaStatus,
+    DEFAULT_ROUNDS, MasterConfig, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig, TdmaCommand,
 };
-use rtnet::at_once::AtOnceStatus;
+use rtnet::api::door::{Attached, Descriptors};
+use rtnet::api::handshake::{Answer, Ask};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, SyncState};
 use rtnet::live::clock::{monotonic, realtime};
@@ -21,22 +22,26 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::access::{Access, AccessStatus, Refused};
+use super::counts::{counters, of_port, shown};
 use super::link::Standing;
 use super::misses::Misses;
+use super::programs::Programs;
+use super::sockets::{Sockets, by_reason};
 use super::traffic::TrafficCounts;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
-    ClockShown, Envelope, Reply, Request, RoleRequest, SlotChange, SlotShown, StationStatus, Traffic, read,
+    Answers, ClockShown, CountersShown, Envelope, InterfaceShown, Reply, Request, RoleRequest, SlotChange,
+    StackReply, StackRequest, StationStatus, Traffic, read,
 };
 use crate::report::figures::GuardName;
-use crate::scenario::{DelayPolicy, ServoName, default_sync_window};
+use crate::scenario::{DEFAULT_RATE, DelayPolicy, ServoName, default_sync_window};
 
 /// A command is carried out after the next slot; a station that hears nothing looks ten times a second. Less than a lab
 /// waits for its station.
-const ANSWER_WITHIN: Duration = Duration::from_millis(400);
+pub(super) const ANSWER_WITHIN: Duration = Duration::from_millis(400);
 /// How often to look for the answer: a cycle of the shortest that are in use.
-const LOOK_EVERY: Duration = Duration::from_micros(200);
+pub(super) const LOOK_EVERY: Duration = Duration::from_micros(200);
 
 /// What the control thread knows of a station, and how it reaches the real-time thread.
 pub struct Desk {
@@ -53,6 +58,8 @@ pub struct Desk {
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<AccessStatus>>>,
     errands: Arc<Errands<TdmaCommand, Refused>>,
+    sockets: Sockets,
+    programs: Option<Programs>,
     time: Arc<TimeBoard>,
     counts: Arc<TrafficCounts>,
     newest: Option<Snapshot<AccessStatus>>,
@@ -67,6 +74,27 @@ pub struct Desk {
     continued: Arc<AtomicBool>,
     /// Whether it was so the last time.
     was_continued: bool,
+}
+
+impl Answers for Desk {
+    fn answer(&mut self, packet: &[u8], traffic: Traffic) -> Vec<u8> {
+        Desk::answer(self, packet, traffic)
+    }
+
+    fn ask(&mut self, ask: Ask, of: Option<&Attached>) -> (Answer, Option<(Attached, Descriptors)>) {
+        let Self { programs, sockets, .. } = self;
+        match programs {
+            Some(programs) => programs.ask(sockets, ask, of),
+            None => (Answer::refused(Errno::EOPNOTSUPP as i32), None),
+        }
+    }
+
+    fn leave(&mut self, left: Attached) {
+        let Self { programs, sockets, .. } = self;
+        if let Some(programs) = programs {
+            programs.leave(sockets, left);
+        }
+    }
 }
 
 impl Desk {
@@ -90,6 +118,8 @@ impl Desk {
             records: driver.records(),
             snapshots: driver.snapshots(),
             errands: driver.errands(),
+            sockets: Sockets::new(driver, options.stack.as_ref().map(|stack| stack.room())),
+            programs: None,
             time: driver.time(),
             counts,
             newest: None,
@@ -100,6 +130,19 @@ impl Desk {
             misses: Misses::default(),
             continued: continued(),
             was_continued: false,
+        }
+    }
+
+    /// The same with sockets for programs.
+    pub fn with_programs(self, programs: Option<Programs>) -> Self {
+        Self { programs, ..self }
+    }
+
+    /// Closes what programs have left that could not be closed before.
+    pub fn tidy(&mut self) {
+        let Self { programs, sockets, .. } = self;
+        if let Some(programs) = programs {
+            programs.close_what_is_left(sockets);
         }
     }
 
@@ -176,8 +219,34 @@ impl Desk {
                 Err(refused) => Reply::Refused(refused.to_string()),
             },
             Ok(Request::Calibrate { rounds }) => self.calibrate(rounds),
+            Ok(Request::Stack(request)) => {
+                self.of_sockets(request).map_or_else(Reply::Refused, |reply| Reply::Stack(Box::new(reply)))
+            }
         };
         Envelope::pack(reply)
+    }
+
+    /// What the stack says, and what is known here of what is below it.
+    fn of_sockets(&mut self, request: StackRequest) -> Result<StackReply, String> {
+        self.look();
+        let port = self.newest.as_ref().map(|newest| of_port(&newest.port)).unwrap_or_default();
+        match request {
+            StackRequest::Interface => {
+                let (name, interface) = (self.name.clone(), self.wire.name().into());
+                let (link, counters) = (self.link().name().into(), port);
+                let own = self.sockets.interface()?;
+                let shown = InterfaceShown { name, interface, link, counters, ..own };
+                Ok(StackReply::Interface(Box::new(shown)))
+            }
+            StackRequest::Counters => {
+                let (name, own) = (self.name.clone(), self.sockets.counters()?);
+                let newest = self.newest.as_ref().ok_or("the station has only just started: ask again")?;
+                let (station, refused) = (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
+                let shown = CountersShown { name, station, port, refused, ..own };
+                Ok(StackReply::Counters(Box::new(shown)))
+            }
+            other => self.sockets.answer(other),
+        }
     }
 
     /// What is not given of a slot stays as it is to be after every change that was asked for; a lab gives all.
@@ -195,11 +264,17 @@ impl Desk {
             RoleRequest::Master { cycle_ns } => Some(Span::from_nanos(cycle_ns)),
             RoleRequest::Slave { .. } | RoleRequest::Detached => None,
         };
-        let given = given.map(|cycle| (cycle, default_sync_window(cycle)));
+        let given = given.map(|cycle| (cycle, self.sync_window(cycle)));
         self.change(TdmaCommand::Become(new), |own, _| {
             let own = own.giving(given);
             own.check().map(|()| own)
         })
+    }
+
+    /// What it keeps free for its Synchronisations as a master; who has no slots of its own to judge knows no rate.
+    fn sync_window(&self, cycle: Span) -> Span {
+        let rate = self.own_slots.as_ref().map_or(DEFAULT_RATE, OwnSlots::rate);
+        default_sync_window(cycle, rate)
     }
 
     /// In as many rounds as the first time, unless it is said in how many.
@@ -283,7 +358,7 @@ impl Desk {
                 let cycle = Span::from_nanos(cycle_ns);
                 NewRole::attached(RoleConfig::Master(MasterConfig {
                     cycle,
-                    sync_latest: sync_latest(default_sync_window(cycle)),
+                    sync_latest: sync_latest(self.sync_window(cycle)),
                     reply_latest: self.latest,
                     epoch: self.epoch(),
                     resume: None,
@@ -322,6 +397,7 @@ impl Desk {
             guard: self.guard,
             mastery: tdma.and_then(|tdma| tdma.mastery).map(|mastery| mastery.name().into()),
             standing: Standing::of(newest, &self.counts, self.link()),
+            names: BTreeMap::new(),
             period_ns: tdma.and_then(|tdma| tdma.period).map(Span::nanos),
             global_ns: self.time.global_now().map(|(global, _)| global.nanos()),
             deviation_ns: tdma.map_or(0, |tdma| tdma.deviation.nanos()),
@@ -354,38 +430,4 @@ fn continued() -> Arc<AtomicBool> {
 /// Global time is the wall clock's once, at the start, and from then on the station's clock's.
 pub fn epoch(clock: &EmulatedClock) -> Offset {
     Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()))
-}
-
-fn shown(slot: &SlotStatus) -> SlotShown {
-    let config = slot.config;
-    SlotShown { slot: config.into(), latest_ns: config.latest.nanos(), queued: slot.queued, sent: slot.sent }
-}
-
-fn counters(status: &AccessStatus, wire: &Wire) -> BTreeMap<String, u64> {
-    let mut counters = match status {
-        AccessStatus::Tdma(status) => of_tdma(status),
-        AccessStatus::AtOnce(_, status) => of_at_once(status),
-    };
-    counters.extend(wire.counters().into_iter().map(|(name, n)| (name.to_owned(), n)));
-    counters
-}
-
-fn of_at_once(status: &AtOnceStatus) -> BTreeMap<String, u64> {
-    let all = [
-        ("frames_sent", status.frames_sent),
-        ("send_failed", status.send_failed),
-        ("queue_full", status.queue_full),
-        ("lethal", status.lethal),
-        ("queued", status.queued as u64),
-    ];
-    all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect()
-}
-
-fn of_tdma(status: &TdmaStatus) -> BTreeMap<String, u64> {
-    let all =
-        status.counters.named().into_iter().chain([("calibration_repeats", status.calibration_repeats)]);
-    // A master sends syncs and replies, the others do not: what cannot be is not shown.
-    let of_masters = ["syncs_sent", "syncs_skipped", "replies_sent", "replies_late", "replies_given_up"];
-    let shown = |name: &str| status.mastery.is_some() || !of_masters.contains(&name);
-    all.filter(|(name, n)| *n > 0 || shown(name)).map(|(name, n)| (name.to_owned(), n)).collect()
 }

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 
-use rtmac::tdma::{Mastery, RoleName};
+use rtmac::tdma::{Mastery, RoleName, TdmaStatus};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::{Record, Snapshot};
 use rtnet::time::{GlobalTime, Offset, Span};
+use rtnet::wire::ethernet::Address;
 use serde::{Deserialize, Serialize};
 
 use super::access::AccessStatus;
@@ -146,6 +147,12 @@ pub struct Standing {
     pub delay_ns: Option<i64>,
     /// The master that it made way for.
     pub yielded_to: Option<String>,
+    /// Who gives the time as far as it knows: whom it follows, or itself.
+    #[serde(default)]
+    pub time_by: Option<String>,
+    /// Who else does, while it does.
+    #[serde(default)]
+    pub rival: Option<String>,
     /// Processor time of its real-time thread, nanoseconds.
     pub cpu_ns: u64,
     /// Frames sent in its slots.
@@ -170,6 +177,7 @@ impl Standing {
     pub fn of(snapshot: &Snapshot<AccessStatus>, traffic: &TrafficCounts, link: LinkState) -> Self {
         let status = &snapshot.status;
         let tdma = status.tdma();
+        let address = |of: fn(&TdmaStatus) -> Option<Address>| tdma.and_then(of).map(|of| of.to_string());
         let port = [
             ("port_oversize", snapshot.port.oversize),
             ("port_pool_empty", snapshot.port.pool_empty),
@@ -189,7 +197,9 @@ impl Standing {
                 .is_some_and(|tdma| tdma.role == RoleName::Master || tdma.mastery == Some(Mastery::Active)),
             cycle: status.cycle(),
             delay_ns: tdma.and_then(|tdma| tdma.delay).map(Span::nanos),
-            yielded_to: tdma.and_then(|tdma| tdma.yielded_to).map(|address| address.to_string()),
+            yielded_to: address(|tdma| tdma.yielded_to),
+            time_by: address(|tdma| tdma.time_by),
+            rival: address(|tdma| tdma.rival),
             cpu_ns: snapshot.cpu,
             frames_sent: status.frames_sent(),
             arrived: traffic.arrived(None),

@@ -1,12 +1,16 @@
 //! One live station in the foreground: its options, its real-time thread, its control thread.
 
 pub mod access;
+mod counts;
 mod desk;
 mod failures;
 mod halt;
 pub mod link;
 pub mod misses;
 mod own_slots;
+mod programs;
+pub mod sockets;
+pub mod stack;
 mod teller;
 pub mod traffic;
 mod wire;
@@ -25,7 +29,7 @@ use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime, SLAVE_PRIORITY};
-use rtnet::live::{ClockOrder, Driver, DriverConfig, GuardMode, Port, TimeBoard};
+use rtnet::live::{ClockOrder, Data, Driver, DriverConfig, GuardMode, Port, TimeBoard};
 use rtnet::station::Station;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
@@ -36,6 +40,8 @@ use desk::Desk;
 pub use desk::epoch;
 use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
+use programs::Programs;
+use stack::StackOptions;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
 use wire::Wire;
@@ -73,6 +79,8 @@ pub struct Options {
     pub guard: GuardMode,
     /// Whether the kernel's guard is to keep all other programs off the interface.
     pub exclusive: bool,
+    /// Its address and its sockets, if it is to have some.
+    pub stack: Option<StackOptions>,
     /// Set by a lab.
     pub lab: Option<LabOptions>,
 }
@@ -142,6 +150,8 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let interface = Interface::find(&options.interface)?;
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
+    let programs = options.stack.is_some().then(Programs::new).transpose()?;
+    programs.iter().for_each(|programs| port.ring_by(programs.doorbell()));
     halt::arm(&mut port, options.lab.as_ref().is_some_and(|lab| lab.may_stall))?;
     // Who may not run a station leaves no directory of names behind.
     let mut reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));
@@ -162,7 +172,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let realtime = RealTime { priority: options.fifo.then_some(priority), cpu: options.cpu };
     let unseen = || format!("the interface '{}' cannot be looked at", interface.name);
     let wire = Wire::open(&interface).with_context(unseen)?;
-    let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone());
+    let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone()).with_programs(programs);
     let teller = Teller::new(&options, interface.address, guarded);
     Ok(Ready {
         driver,
@@ -204,7 +214,7 @@ impl Ready {
         loop {
             let ended = thread.is_finished();
             match &mut self.reach.server {
-                Some(server) => server.serve(LOOK_EVERY, |packet, traffic| self.desk.answer(packet, traffic)),
+                Some(server) => server.serve_all(LOOK_EVERY, &mut self.desk),
                 None => std::thread::sleep(LOOK_EVERY),
             }
             // However many ask, a lab is told at its own pace, but of another state at once.
@@ -213,6 +223,7 @@ impl Ready {
                 continue;
             }
             told = Instant::now();
+            self.desk.tidy();
             let changes = self.desk.look_at_wire();
             let (newest, link) = (self.desk.news(), self.desk.link());
             // Who was made a master by command stays, and says whom it makes way for.
@@ -243,9 +254,13 @@ fn start(mut driver: Driver<Access>, realtime: RealTime) -> Result<(JoinHandle<(
     Ok((thread, refusals.recv().context("the real-time thread did not start")?))
 }
 
-/// A port that hears the test traffic, in a lab.
+/// A port that hears the test traffic, in a lab, and everything for who has sockets.
 fn port(options: &Options, interface: &Interface) -> Result<Port> {
-    let data: &[_] = if options.lab.is_some() { &[EtherType::EXPERIMENTAL] } else { &[] };
+    let data = match &options.lab {
+        _ if options.stack.is_some() => Data::All,
+        Some(_) => Data::Only(&[EtherType::EXPERIMENTAL]),
+        None => Data::Only(&[]),
+    };
     let spin = options.spin.nanos().max(0) as u64;
     let mut port = Port::open(interface, data, options.clock(), spin, options.guard)?;
     if options.exclusive {
@@ -275,7 +290,11 @@ fn driver(
         };
         services.push(Box::new(Traffic::new(plan, counts).with_flows(lab.flows.clone())));
     }
-    Ok(Driver::new(Station::new(discipline, services), port, config))
+    let mut station = Station::new(discipline, services);
+    if let Some(stack) = &options.stack {
+        station = station.with_stack(stack.stack(interface.address)?);
+    }
+    Ok(Driver::new(station, port, config))
 }
 
 /// The station's name and its control socket, if any were asked for. A lab has seen to the names of its own stations.

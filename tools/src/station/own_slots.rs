@@ -40,6 +40,11 @@ impl OwnSlots {
         self.slots.iter().find(|slot| slot.id == id)
     }
 
+    /// The medium's.
+    pub fn rate(&self) -> Rate {
+        self.rate
+    }
+
     /// In another role.
     pub fn giving(&self, given: Option<(Span, Span)>) -> Self {
         Self { given, ..self.clone() }

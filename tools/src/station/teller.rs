@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use anyhow::Result;
-use rtmac::tdma::TdmaStatus;
+use rtmac::tdma::{Mastery, TdmaStatus};
 use rtnet::at_once::AtOnceStatus;
 use rtnet::discipline::{Event, EventKind, SyncState};
 use rtnet::live::{Record, Snapshot};
@@ -71,7 +71,11 @@ impl Teller {
         counts: &TrafficCounts,
         link: LinkState,
     ) -> Result<Option<String>> {
-        let yielded_to = |snapshot: Snapshot<AccessStatus>| snapshot.status.tdma()?.yielded_to;
+        // Who was outlasted follows, and stays.
+        let yielded_to = |snapshot: Snapshot<AccessStatus>| {
+            let tdma = snapshot.status.tdma().filter(|tdma| tdma.mastery == Some(Mastery::Yielded))?;
+            tdma.yielded_to
+        };
         let yielded = snapshot.and_then(yielded_to).map(|other| {
             format!(
                 "another master ({other}) is active on this medium: stop it, or run this station as --slave"

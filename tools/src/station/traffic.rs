@@ -7,6 +7,7 @@ mod arrivals;
 mod flows;
 mod frame;
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -79,8 +80,17 @@ impl TrafficCounts {
 
     /// What came of the frames with this [`Tag::priority`].
     pub fn arrived(&self, of: Option<u8>) -> Arrived {
-        let queued = |priority| self.queued.get(usize::from(priority)).map(Arrivals::now);
-        of.map_or_else(|| self.usual.now(), |priority| queued(priority).unwrap_or_default())
+        self.arrivals(of).map(Arrivals::now).unwrap_or_default()
+    }
+
+    /// Which numbers of them count, and how many came with others; see [`Arrivals::counted`].
+    pub fn counted(&self, of: Option<u8>) -> (Range<u64>, u64) {
+        self.arrivals(of).map_or((0..u64::MAX, 0), Arrivals::counted)
+    }
+
+    /// What counts them; none where there is no such priority.
+    pub fn arrivals(&self, of: Option<u8>) -> Option<&Arrivals> {
+        of.map_or(Some(&self.usual), |priority| self.queued.get(usize::from(priority)))
     }
 
     /// The same of each flow of which something came, by priority.

@@ -305,3 +305,17 @@ fn where_a_rate_is_little_sure_only_what_is_young_counts() {
         }
     }
 }
+
+#[test]
+fn what_comes_later_all_through_a_window_may_be_a_clock_that_was_set_and_a_line_says_so() {
+    let mut envelope = calibrated(0);
+    let late = |cycle: u32| if (2_000..2_200).contains(&cycle) { 15_000 } else { 0 };
+    let off = |envelope: &Envelope, cycle| envelope.off_in(cycle, Span::ZERO).expect("known by now").nanos();
+    hear(&mut envelope, 0..2_000, 0, late);
+    assert!(off(&envelope, 2_000) < 1_000, "{}", off(&envelope, 2_000));
+    hear(&mut envelope, 2_000..2_200, 0, late);
+    assert!(error(&envelope, 2_200, 0).abs() < 200, "it may as well be a busy host");
+    assert!((14_800..16_000).contains(&off(&envelope, 2_200)), "{}", off(&envelope, 2_200));
+    hear(&mut envelope, 2_200..2_400, 0, late);
+    assert!(off(&envelope, 2_400) < 1_000, "and was one: {}", off(&envelope, 2_400));
+}

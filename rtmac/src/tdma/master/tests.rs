@@ -196,13 +196,16 @@ fn any_synchronisation_of_a_cycle_keeps_a_backup_from_sending_in_it() {
 
 #[test]
 fn a_backup_that_hears_another_line_is_silent_until_the_next_of_it_would_have_told() {
-    // It stands by after cycle 2; the other line's cycles begin so long after its own, and it looks after 200 us.
-    for (other, next) in [(100, 4), (190, 4), (300, 5), (950, 5)] {
-        let mut bench = Bench::stand_by();
-        let rx = at(3_000 + other);
-        let _ = bench.master.on_foreign_sync(rx, (HIGHER, OWN), PROMPT, &mut bench.events);
-        bench.master.doubts_line(rx);
-        assert_eq!(bench.master.next_sync().unwrap().0, next, "{other} us");
+    // It stands by after cycle 2; the other line's cycles begin so long after its own, and it looks after 180 us.
+    for (other, next) in [(100, 4), (179, 4), (180, 5), (300, 5), (950, 5)] {
+        for makes_way in [false, true] {
+            let mut bench = Bench::stand_by();
+            let rx = at(3_000 + other);
+            let _ = bench.master.on_foreign_sync(rx, (HIGHER, OWN), PROMPT, &mut bench.events);
+            bench.master.doubts_line(rx, makes_way);
+            let next = next + u32::from(makes_way);
+            assert_eq!(bench.master.next_sync().unwrap().0, next, "{other} us, {makes_way}");
+        }
     }
 }
 
@@ -268,6 +271,15 @@ fn of_two_primaries_the_one_with_the_lower_address_stays() {
 }
 
 #[test]
+fn a_primary_that_slept_does_not_make_way_for_what_stood_in_for_it_meanwhile() {
+    let mut bench = Bench::active(None);
+    bench.send(true);
+    // When it wakes it reads them all, before it sends again.
+    assert!(!(5..40).any(|cycle| bench.hear(HIGHER, cycle, LATE)));
+    assert_eq!(bench.master.mastery(), Mastery::Active);
+}
+
+#[test]
 fn a_primary_that_is_held_up_does_not_make_way_for_a_backup_but_for_one_that_is_deaf() {
     let outlasted = |in_time: bool| {
         let mut bench = Bench::active(None);
@@ -277,6 +289,21 @@ fn a_primary_that_is_held_up_does_not_make_way_for_a_backup_but_for_one_that_is_
         })
     };
     assert!(!outlasted(false) && outlasted(true));
+}
+
+#[test]
+fn a_primary_whose_clock_was_set_back_does_not_make_way_for_a_backup_that_is_in_its_place() {
+    let mut bench = Bench::active(None);
+    for _ in 0..200 {
+        bench.send(true);
+    }
+    // It waits until its clock shows again what it has shown; backups give the time meanwhile.
+    assert!((100..200).all(|cycle| !bench.hear(LOWER, cycle, LATE)));
+    assert_eq!(bench.master.mastery(), Mastery::Active);
+    assert!((204..220).any(|cycle| {
+        bench.send(true);
+        bench.hear(LOWER, cycle, LATE)
+    }));
 }
 
 #[test]
@@ -325,4 +352,24 @@ fn who_would_bridge_many_cycles_listens_as_soon_as_any_other_when_its_master_is_
     assert!(!bench.wait_until(at(54_124)), "as long as a backup does");
     bench.wait_until(at(54_125));
     assert_eq!(bench.master.mastery(), Mastery::Active);
+}
+
+#[test]
+fn a_master_listens_for_three_cycles_and_a_backup_for_six_and_each_as_long_as_it_must_at_least() {
+    for (backup, cycle, listens) in [
+        (None, 500, 3_000),
+        (None, 20_000, 60_000),
+        (Some(BACKUP), 1_000, 50_000),
+        (Some(BACKUP), 20_000, 120_000),
+    ] {
+        let mut bench = Bench::new(backup);
+        let cycle = Span::from_micros(cycle);
+        bench.master = Master::new(MasterConfig { cycle, ..*bench.master.config() });
+        assert!(!bench.wait_until(at(7)));
+        assert_eq!(bench.master.deadline(), Some(at(7 + listens)));
+        assert!(!bench.wait_until(at(6 + listens)));
+        assert_eq!(bench.master.mastery(), Mastery::Listening, "{cycle}");
+        assert!(bench.wait_until(at(7 + listens)));
+        assert_eq!(bench.master.mastery(), Mastery::Active, "{cycle}");
+    }
 }

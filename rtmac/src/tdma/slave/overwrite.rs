@@ -3,8 +3,10 @@
 //! Cycle, start and offset are overwritten by each, whatever was before: one that was held up, one whose number came
 //! before, one of another master. Two things are kept that RTnet does without: no slot is used twice in a cycle whose number
 //! is repeated, since its turn has passed; and the period, which two Synchronisations tell, so that silence follows when
-//! there are no more. Where numbers go back, or far ahead, slots begin anew.
+//! there are no more. Where numbers go back, or far ahead, slots begin anew; so they do where a loss ends with a number of a
+//! cycle that was passed over while it lasted.
 
+use rtnet::discipline::SyncState;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
@@ -17,6 +19,7 @@ impl Slave {
         let (before, known) = match &self.track {
             Track::Nothing => (mark, None),
             Track::First(first) => (*first, None),
+            Track::On { line, .. } if self.is_numbered_anew(line, &mark) => (mark, None),
             Track::On { line, .. } => {
                 let &TimeLine { cycle, sched, offset, .. } = line;
                 self.deviation = mark.deviation_from(line);
@@ -38,6 +41,12 @@ impl Slave {
         }
         self.adopt(from, line);
         if goes_on { Followed::Agrees } else { Followed::NewLine }
+    }
+
+    /// Whether a loss ends with a number that is behind the line's, and of which no turn was used.
+    fn is_numbered_anew(&self, line: &TimeLine, mark: &Mark) -> bool {
+        let behind = line.cycle_at(mark.start()).wrapping_sub(mark.cycle) as i32;
+        self.state == SyncState::Lost && behind > 0 && line.ahead(mark.cycle) > self.config.holdover as i32
     }
 }
 

@@ -13,6 +13,9 @@ use super::super::line::TimeLine;
 use super::super::round::Begun;
 use super::{Slave, Track};
 
+/// Rounds so many cycles ago say nothing of a line any more. Behind 2^31 they would be to come.
+const LONG_AGO: i32 = 1 << 20;
+
 impl Slave {
     /// A calibration reply, received at `rx`; `true` when it was the last that was needed to be locked.
     pub fn on_reply(
@@ -94,7 +97,7 @@ fn without_delay(line: &TimeLine, delay: Span) -> TimeLine {
 /// syncs: then the host may have been busy, and the line have been followed late.
 pub(super) fn correct_delay(calibration: &mut Calibration, envelope: &mut Envelope, line: &TimeLine) {
     let (Some(done), Some(drift)) = (calibration.done(), envelope.drift()) else { return };
-    if !envelope.is_unbroken_since(done) {
+    if !envelope.is_unbroken_since(done) || line.ahead(done) < -LONG_AGO {
         return calibration.outdate();
     }
     let Some(unsure) = envelope.unsure_in(done) else { return };

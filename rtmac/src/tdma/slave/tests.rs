@@ -1,6 +1,7 @@
 mod anew;
 mod holdover;
 mod servo;
+mod settled;
 mod transitions;
 
 use super::super::round::Room;
@@ -184,9 +185,50 @@ fn a_synchronisation_whose_number_is_wrong_is_told_of_in_the_cycle_that_it_silen
 fn a_repeated_cycle_is_refused_and_silences_itself() {
     let mut bench = Bench::in_state(SyncState::Locked);
     assert_eq!(bench.hear(3, 0), Ok(Followed::Agrees));
-    assert_eq!(bench.hear(3, 900), Err(Refusal::DuplicateCycle));
+    let sched = GlobalTime::from_nanos(4 * PERIOD + AHEAD);
+    let again =
+        bench.slave.on_sync(Instant::from_nanos(4 * PERIOD), MASTER, 3, sched, sched, &mut bench.events);
+    assert_eq!(again, Err(Refusal::DuplicateCycle), "the number of the cycle before");
     assert!(!bench.slave.may_send(3) && bench.slave.may_send(4));
     assert_eq!(bench.told(), [(3, EventKind::DuplicateCycle)]);
+}
+
+#[test]
+fn a_synchronisation_that_the_medium_doubles_is_refused_and_silences_nothing() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    assert_eq!(bench.hear(3, 0), Ok(Followed::Agrees));
+    for late in [900, 700_000] {
+        assert_eq!(bench.hear(3, late), Err(Refusal::DuplicateCycle));
+        assert!(bench.slave.may_send(3), "{late} ns later");
+    }
+}
+
+#[test]
+fn what_a_master_that_was_set_back_says_of_the_lines_last_cycle_is_no_copy_of_it() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    bench.hear(5, 0).unwrap();
+    let set_back = Address([2, 0, 0, 0, 0, 7]);
+    let mut hear = |cycle: u32| {
+        let sched = GlobalTime::from_nanos(u64::from(cycle) * PERIOD + AHEAD);
+        let rx = Instant::from_nanos(u64::from(cycle) * PERIOD + PERIOD * 4 / 3);
+        bench.slave.on_sync(rx, set_back, cycle, sched, sched, &mut bench.events)
+    };
+    assert_eq!((hear(4), hear(5)), (Ok(Followed::Late), Err(Refusal::DuplicateCycle)));
+    assert!(!bench.slave.may_send(5), "a copy would come from who was followed");
+}
+
+#[test]
+fn synchronisations_that_were_overtaken_are_no_other_line_however_many() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    for cycle in [5, 8, 11] {
+        assert_eq!(bench.hear(cycle, 0), Ok(Followed::Agrees));
+        for late in [cycle - 2, cycle - 1] {
+            assert_eq!(bench.hear(late, 2_500_000), Ok(Followed::Late), "of cycle {late}");
+        }
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(cycle) * PERIOD);
+        assert!(bench.slave.may_send(cycle) && bench.slave.may_send(cycle + 1));
+    }
+    assert!(!bench.told().iter().any(|(_, kind)| *kind == EventKind::TimeStep));
 }
 
 #[test]
@@ -372,19 +414,6 @@ fn who_calibrates_for_long_enough_corrects_a_slow_way_as_soon_as_it_is_quicker_a
         assert!(error < Span::from_micros(1), "cycle {cycle}: {error}");
     }
     assert!((14_000..16_000).contains(&delay(&bench)), "{}", delay(&bench));
-}
-
-#[test]
-fn a_slave_stays_settled_when_its_rounds_have_become_old() {
-    let mut bench = Bench::new(1);
-    for cycle in 1..100 {
-        bench.hear(cycle, 0).unwrap();
-    }
-    hear_and_calibrate(&mut bench, 100..20 * 64, 0, 700);
-    for windows in 20..700 {
-        hear_all(&mut bench, windows * 64..(windows + 1) * 64);
-        assert!(bench.slave.is_settled(), "after {windows} windows");
-    }
 }
 
 #[test]

@@ -1,12 +1,11 @@
 //! Which queue serves a channel and a slot's turn, and what becomes of frames whose slot changes or goes.
 
-use arrayvec::ArrayVec;
 use rtnet::buf::Buf;
 use rtnet::discipline::{Channel, Returned, SendError};
 use rtnet::queue::Priority;
 use rtnet::wire::ethernet;
 
-use super::{MIN_SIZE, NON_RT_SLOT, QUEUE_CAPACITY, RT_SLOT, SlotConfig, Slots};
+use super::{MIN_SIZE, NON_RT_SLOT, RT_SLOT, SlotConfig, Slots};
 use crate::wire;
 
 impl Slots {
@@ -21,8 +20,8 @@ impl Slots {
         if wire::is_lethal(&frame) {
             return Err((SendError::Lethal, frame));
         }
-        let queue = &mut self.table[usize::from(queue)].queue;
-        queue.push(priority, frame).map_err(|frame| (SendError::QueueFull(ch), frame))
+        self.table[usize::from(queue)].queue.push(priority, frame);
+        Ok(())
     }
 
     /// A frame that was taken for a slot's turn goes back to where it was taken from, as long as the slot takes from
@@ -37,7 +36,8 @@ impl Slots {
         };
         match place {
             Ok((queue, size)) if fits(&frame, size) => {
-                self.table[usize::from(queue)].queue.push_front(priority, frame)
+                self.table[usize::from(queue)].queue.push_front(priority, frame);
+                Ok(())
             }
             _ => Err(frame),
         }
@@ -103,13 +103,14 @@ impl Slots {
 
     /// What waits in a slot's queue goes to another, or the same one, if there is one; counts what has no place any more.
     pub(super) fn requeue(&mut self, id: Channel, to: Option<(Channel, usize)>) {
-        let queue = &mut self.table[usize::from(id)].queue;
-        let waiting: ArrayVec<_, { QUEUE_CAPACITY as usize }> = core::iter::from_fn(|| queue.pop()).collect();
-        for (priority, frame) in waiting {
-            let kept = to.is_some_and(|(queue, size)| {
-                fits(&frame, size) && self.table[usize::from(queue)].queue.push(priority, frame).is_ok()
-            });
-            self.dropped += u64::from(!kept);
+        let mut waiting = core::mem::take(&mut self.table[usize::from(id)].queue);
+        while let Some((priority, frame)) = waiting.pop() {
+            match to {
+                Some((queue, size)) if fits(&frame, size) => {
+                    self.table[usize::from(queue)].queue.push(priority, frame);
+                }
+                _ => self.dropped += 1,
+            }
         }
     }
 }

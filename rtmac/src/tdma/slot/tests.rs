@@ -1,10 +1,11 @@
 mod parted;
+mod size;
 
 use super::queues::{fits, payload_of};
 use super::*;
 use crate::tdma::line::Drift;
 use proptest::prelude::*;
-use rtnet::buf::Pool;
+use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Returned, SendError};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Offset};
@@ -15,7 +16,7 @@ fn config(id: u8, offset: i64, phase: u32, period: u32) -> SlotConfig {
 }
 
 fn set(slots: &mut Slots, slot: SlotConfig) -> Result<(), Refused> {
-    slots.set(&mut NewSlot::of(slot), 0, &mut Events::new())
+    slots.set(slot, 0, &mut Events::new())
 }
 
 fn line() -> TimeLine {
@@ -47,22 +48,23 @@ fn slots_take_turns_by_time_and_phase() {
 }
 
 #[test]
-fn a_slot_brings_its_queue_and_one_that_is_there_already_goes_back() {
-    let mut slots = Slots::new(7);
-    let mut left = |slot: SlotConfig| {
-        let mut new = NewSlot::of(slot);
-        let answer = slots.set(&mut new, 0, &mut Events::new());
-        (answer, new.queue.capacity())
+fn all_buffers_that_there_are_may_wait_in_one_slot_also_where_it_changes() {
+    let pool = Pool::new(5_000);
+    let mut slots = with(&[config(0, 100, 0, 1)]);
+    let queue = |slots: &mut Slots, n: usize, payload: usize| {
+        for _ in 0..n {
+            let mut frame = pool.take().unwrap();
+            frame.fill(&[0; 1514][..ethernet::HEADER_LEN + payload]);
+            slots.enqueue(frame, Priority::DEFAULT, 0).unwrap();
+        }
     };
-    let queue = usize::from(QUEUE_CAPACITY);
-    let refused = Refused::JointUndefined { id: 2, joint: 0 };
-    assert_eq!(left(SlotConfig { joint: Some(0), ..config(2, 100, 0, 1) }), (Err(refused), queue));
-    assert_eq!(left(config(2, 100, 0, 1)), (Ok(()), 0));
-    assert_eq!(left(config(2, 200, 0, 1)), (Ok(()), queue), "only its place in the cycle is another");
-    slots.remove(2, 0).unwrap();
-    let mut again = NewSlot::of(config(2, 100, 0, 1));
-    slots.set(&mut again, 1, &mut Events::new()).unwrap();
-    assert_eq!(again.queue.capacity(), queue, "who takes a slot away frees nothing");
+    queue(&mut slots, 2_000, 60);
+    queue(&mut slots, 3_000, 100);
+    set(&mut slots, config(0, 150, 0, 1)).unwrap();
+    assert_eq!((slots.statuses().next().unwrap().queued, pool.available()), (5_000, 0));
+    set(&mut slots, SlotConfig { size: 60, ..config(0, 150, 0, 1) }).unwrap();
+    assert_eq!((slots.dropped(), pool.available()), (3_000, 3_000), "what is too large by now");
+    assert_eq!(core::iter::from_fn(|| slots.dequeue(0)).count(), 2_000);
 }
 
 #[test]
@@ -91,6 +93,8 @@ fn what_is_no_slot_is_refused_by_name() {
     let refused = |slots: &mut Slots, slot| set(slots, slot).unwrap_err().to_string();
     assert!(refused(&mut slots, config(8, 0, 0, 1)).contains("ids go from 0 to 7"));
     assert!(refused(&mut slots, config(0, 0, 2, 2)).contains("phase 3 of 2"));
+    assert!(refused(&mut slots, config(0, 0, 0, MAX_PERIOD + 1)).contains("that 1 to 65536 cycles"));
+    assert_eq!(set(&mut slots, config(0, 0, MAX_PERIOD - 1, MAX_PERIOD)), Ok(()));
     assert!(refused(&mut slots, config(0, -1, 0, 1)).contains("before the cycle"));
     assert!(refused(&mut slots, SlotConfig { size: 1501, ..config(0, 0, 0, 1) }).contains("1501"));
     assert!(slots.remove(3, 0).unwrap_err().to_string().contains("slot 3 is not defined"));
@@ -186,19 +190,16 @@ fn a_slot_that_others_are_joined_to_stays_until_they_go() {
 }
 
 #[test]
-fn nothing_is_lost_where_two_full_queues_are_joined_and_parted() {
+fn nothing_is_lost_where_two_queues_are_joined_and_parted() {
     let frames = Frames::new();
     let mut slots = with(&[config(0, 100, 0, 1), config(2, 300, 0, 1)]);
     for (first, channel) in [(0, 0), (100, 2)] {
         (0..32).for_each(|n| frames.queue(&mut slots, first + n, channel));
     }
     set(&mut slots, joined(2, 300, 0)).unwrap();
-    let full = slots.enqueue(frames.of(0, 46), Priority::DEFAULT, 2);
-    assert_eq!(full.err().map(|(error, _)| error), Some(SendError::QueueFull(2)));
     let two = |slots: &mut Slots| [2, 2].map(|id| slots.dequeue(id).unwrap().1[20]);
     assert_eq!(two(&mut slots), [100, 101], "what waited in it has waited longer");
     assert_eq!(slots.statuses().map(|slot| slot.queued).collect::<Vec<_>>(), [32, 62]);
-    slots.enqueue(frames.of(99, 46), Priority::FIRST, 0).unwrap_err();
     assert_eq!(slots.dequeue(0).unwrap().1[20], 0);
     slots.enqueue(frames.of(99, 46), Priority::FIRST, 0).unwrap();
     assert_eq!(two(&mut slots), [99, 102], "but what is more urgent comes first");
@@ -252,7 +253,7 @@ fn a_slot_that_grows_leaves_those_joined_to_it_behind_and_says_so() {
     let mut slots = with(&[config(0, 100, 0, 1), joined(2, 300, 0), joined(3, 500, 0)]);
     (1..=2).for_each(|mark| frames.queue(&mut slots, mark, mark));
     let mut events = Events::new();
-    slots.set(&mut NewSlot::of(SlotConfig { size: 101, ..config(0, 100, 0, 1) }), 6, &mut events).unwrap();
+    slots.set(SlotConfig { size: 101, ..config(0, 100, 0, 1) }, 6, &mut events).unwrap();
     let told: Vec<_> = core::iter::from_fn(|| events.take()).map(|e| (e.cycle, e.kind, e.slot)).collect();
     assert_eq!(told, [2, 3].map(|id| (7, EventKind::JointDetached, Some(id))));
     // They still have their turn in cycle 6.
@@ -357,7 +358,7 @@ proptest! {
                 Step::Set { id, size, joint, phase } => {
                     let slot = SlotConfig { size, joint, ..config(id, i64::from(id) * 100, phase % 2, 1 + phase) };
                     // What cannot be is refused, and changes nothing.
-                    let _ = slots.set(&mut NewSlot::of(slot), cycle, &mut events);
+                    let _ = slots.set(slot, cycle, &mut events);
                 }
                 Step::Remove(id) => drop(slots.remove(id, cycle)),
                 Step::Enqueue { channel, level, payload } => {

@@ -36,6 +36,38 @@ fn a_backup_sends_nothing_before_the_next_of_what_it_heard_would_have_come_with_
     }
 }
 
+/// The Synchronisation of cycle 4, which its sender was late with by so many microseconds.
+fn hear_late(tdma: &mut Tdma, micros: u64) -> Claimed {
+    let sched = GlobalTime::from_nanos(4_000_000);
+    let mut frame = Pool::new(1).take().unwrap();
+    let xmit = sched + Span::from_micros(micros as i64);
+    Message::Sync { cycle: 4, xmit, sched }.write(Address::BROADCAST, OTHER, &mut frame);
+    tdma.on_frame(Some(at(4_000 + micros)), frame)
+}
+
+#[test]
+fn a_sync_keeps_a_backup_silent_that_comes_before_it_looks_and_not_one_that_comes_after() {
+    // It sends at 4 100 and looks 20 us before that.
+    let mut tdma = stand_by(Servo::Linear);
+    assert!(tdma.next_transmission(at(4_050)).is_none(), "it is awake, and nothing was queued for its slot");
+    tdma.on_timeout(at(4_050));
+    assert_eq!(tdma.next_deadline(), Some(at(4_080)));
+    assert!(tdma.next_transmission(at(4_079)).is_none(), "it has not looked yet");
+    assert!(matches!(hear_late(&mut tdma, 79), Claimed::Kept));
+    assert!((4_080..5_080).all(|now| tdma.next_transmission(at(now)).is_none()));
+    assert_eq!(tdma.status().mastery, Some(Mastery::StandBy));
+    assert!(tdma.next_transmission(at(5_080)).is_some(), "but one is missing in the next cycle");
+
+    let mut tdma = stand_by(Servo::Linear);
+    assert!(tdma.next_transmission(at(4_079)).is_none());
+    let sync = tdma.next_transmission(at(4_080)).expect("there was none");
+    assert_eq!(sync.at, at(4_100));
+    tdma.on_sent(Sent::At(sync.at));
+    assert_eq!((tdma.status().mastery, tdma.status().counters.syncs_sent), (Some(Mastery::Active), 1));
+    hear_late(&mut tdma, 81);
+    assert_eq!(tdma.status().mastery, Some(Mastery::StandBy), "as soon as it knows");
+}
+
 #[test]
 fn a_backup_wakes_on_frames_as_long_as_it_only_listens() {
     let backup = MasterConfig { backup: Some(Span::from_micros(100)), ..master_config() };
@@ -92,4 +124,43 @@ fn a_backup_without_a_slot_or_not_calibrated_takes_over_all_the_same() {
         let sync = tdma.next_transmission(missing).expect("the next one is missing");
         assert!(matches!(wire::parse(&sync.frame), Ok(Rtmac::Tdma(Message::Sync { .. }))), "{slots} slots");
     }
+}
+
+/// Cycle 4's, from somebody with this address whose line is so many microseconds behind, which is not much for it.
+fn hear_behind(tdma: &mut Tdma, from: Address, micros: u64) -> u32 {
+    let sched = GlobalTime::from_nanos(4_000_000);
+    let mut frame = Pool::new(1).take().unwrap();
+    Message::Sync { cycle: 4, xmit: sched, sched }.write(Address::BROADCAST, from, &mut frame);
+    tdma.on_frame(Some(at(4_000 + micros)), frame);
+    let Role::Master(master) = &tdma.role else { panic!("it is a master") };
+    master.next_sync().unwrap().0
+}
+
+/// One that stands by after cycle 3, of this address, and has or has not sent cycle 4's.
+fn of_address(address: Address, has_spoken: bool) -> Tdma {
+    let step_limit = Some(Span::from_micros(200));
+    let follow = SlaveConfig { rounds: 0, step_limit, ..SlaveConfig::default() };
+    let backup = MasterConfig { backup: Some(Span::from_micros(100)), follow, ..master_config() };
+    let mut tdma = Tdma::new(&TdmaConfig { address, ..config(RoleConfig::Master(backup)) }).unwrap();
+    tdma.on_timeout(at(500));
+    hear_syncs(&mut tdma, 1..=3);
+    tdma.on_timeout(at(3_300));
+    if has_spoken {
+        let sync = tdma.next_transmission(at(4_080)).expect("there was none");
+        tdma.on_sent(Sent::At(sync.at));
+    }
+    tdma
+}
+
+#[test]
+fn a_backup_that_hears_a_sync_only_after_it_would_have_spoken_hesitates_for_the_next() {
+    let next = |micros| hear_behind(&mut of_address(OWN, false), OTHER, micros);
+    assert_eq!([0, 79, 90, 150].map(next), [5, 5, 6, 6], "it looks after 80 us");
+}
+
+#[test]
+fn of_two_backups_that_speak_in_one_cycle_the_one_with_the_higher_address_hesitates_for_longer() {
+    let (lower, higher) = (Address([2, 0, 0, 0, 0, 6]), Address([2, 0, 0, 0, 0, 7]));
+    let next = |own, other| hear_behind(&mut of_address(own, true), other, 150);
+    assert_eq!((next(lower, higher), next(higher, lower)), (6, 7));
 }

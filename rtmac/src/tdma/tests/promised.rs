@@ -134,3 +134,29 @@ fn who_is_answered_by_one_master_still_leaves_its_turns_to_another_that_it_asked
         "the first may have woken by now"
     );
 }
+
+#[test]
+fn nobody_asks_for_a_reply_that_would_come_when_cycles_are_numbered_anew_where_its_phase_is_anothers_then() {
+    let wrap = 1u64 << 32;
+    let asked = |period: u32| {
+        let mut slave = Tdma::new(&with_slots(50, &[(0, period)])).unwrap();
+        let mut asked = Vec::new();
+        for n in wrap - 90..wrap + 30 {
+            let sched = GlobalTime::from_nanos(n * 1_000_000);
+            let mut frame = Pool::new(1).take().unwrap();
+            let sync = Message::Sync { cycle: n as u32, xmit: sched, sched };
+            sync.write(Address::BROADCAST, OTHER, &mut frame);
+            slave.on_frame(Some(at(n * 1_000)), frame);
+            slave.on_timeout(at(n * 1_000 + 400));
+            if let Some(request) = slave.next_transmission(at(n * 1_000 + 400)) {
+                slave.on_sent(Sent::At(request.at));
+                asked.push(n);
+            }
+        }
+        let before = asked.iter().filter(|&&n| n < wrap).max().map(|&n| wrap - n);
+        (before, asked.iter().find(|&&n| n >= wrap).map(|&n| n - wrap))
+    };
+    // The last reply may be put off by 17 turns.
+    assert_eq!(asked(3), (Some(52), Some(3)));
+    assert_eq!(asked(2), (Some(4), Some(0)), "a part of 2^32: phases go on as they were");
+}

@@ -17,6 +17,8 @@ fn a_slot_that_was_silent_because_syncs_came_late_says_so() {
     let late = [(3, Span::from_micros(1_400)), (4, Span::from_micros(400))];
     assert_eq!(told(&mut slave), late.map(|(cycle, by)| (cycle, EventKind::SyncLate, by)));
     assert_eq!(slave.status().counters.syncs_late, 2, "that of cycle 5 was in time");
+    hear_syncs(&mut slave, 6..=1_005);
+    assert_eq!(slave.silent, None, "nor is any that comes when numbers have started over");
 }
 
 #[test]
@@ -81,7 +83,24 @@ fn who_becomes_something_else_after_a_long_sleep_tells_of_the_last_turns_only() 
     let mut slave = locked_slave();
     slave.command(at(100_000_100), &mut TdmaCommand::Become(NewRole::detached())).unwrap();
     let turns = slave.status().counters.slots_silent;
-    assert_eq!(turns, 10_000, "of 100 000, each of which takes its time");
+    assert_eq!((told(&mut slave).len(), turns), (10_000, 99_998), "each that is told of takes its time");
+}
+
+#[test]
+fn who_slept_for_an_hour_goes_through_few_of_its_jobs_and_counts_all() {
+    let mut master = active_master();
+    told(&mut master);
+    let hour = 3_600_000_000;
+    assert!(master.next_transmission(at(hour + 900)).is_none());
+    let Counters { syncs_skipped, overruns, .. } = master.status().counters;
+    assert_eq!((syncs_skipped, overruns), (3_599_997, 3_599_997), "one of each in every cycle");
+    assert_eq!(
+        (told(&mut master).len(), master.status().events_lost),
+        (10_002, 0),
+        "and those of this cycle"
+    );
+    assert_eq!(sent_next(&mut master), at(hour + 1_000), "on the grid that it had");
+    assert_eq!(master.status().cycle, 3_599_998);
 }
 
 #[test]

@@ -75,6 +75,33 @@ fn waiters_wake_in_cycle_after_cycle_each_with_its_number_and_start() {
 }
 
 #[test]
+fn who_waits_while_cycles_are_bridged_wakes_in_each_with_its_number() {
+    let (mut publisher, view) = station();
+    // So many may be bridged that the line is not too old for a long time, however busy the machine.
+    let told = TimeView { holdover: 999, ..view };
+    publisher.publish(&told);
+    let board = publisher.board();
+    let mut waiter = board.waiter();
+    let mut wait = |before: u32| {
+        let begun = board.now();
+        let Cycle { number, start, offset } = waiter.wait_cycle(PATIENCE).unwrap();
+        assert!(number > before && start == view.start_of(number).unwrap(), "{number} after {before}");
+        assert!(begun <= start && start <= board.now(), "it began while it was waited for");
+        let sched = view.offset.global(view.start) + CYCLE * i64::from(number - view.cycle);
+        assert!((offset.global(start) - sched).abs() <= Span::from_nanos(20), "as if it had been told of");
+        number
+    };
+    // No Synchronisation comes after that of cycle 100: first the station does not know it yet, then it does.
+    let first = wait(view.cycle);
+    publisher.publish(&TimeView { state: SyncState::Holdover, ..told });
+    let second = wait(first);
+    wait(second);
+    publisher.publish(&TimeView { state: SyncState::Lost, ..told });
+    let lost = board.waiter().wait_cycle(PATIENCE);
+    assert_eq!(lost, Err(WaitError::NotSynchronised(SyncState::Lost)), "one more is a loss");
+}
+
+#[test]
 fn a_moment_within_the_cycle_can_be_waited_for() {
     let (publisher, view) = station();
     let board = publisher.board();

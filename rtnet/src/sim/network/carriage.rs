@@ -25,8 +25,11 @@ pub struct Flight {
     number: u64,
     from: StationId,
     frame: Buf,
+    /// When its last bit has left.
     until: True,
     collided: bool,
+    /// Who sent while it came there, though it met nothing elsewhere.
+    deaf: Vec<StationId>,
     /// What its sender's wire has made of it.
     sent: Result<Fate, Loss>,
 }
@@ -73,32 +76,46 @@ impl<D: Discipline> Network<D> {
             return;
         }
         let air = self.medium.air_time(frame.len());
-        let aired = self.traffic.put_on_air(from, now, air, &frame);
+        let part = usize::from(self.cut_off.contains(&from));
+        let aired = self.traffic.put_on_air((from, part), now, air, &frame);
         if let Some(observer) = &mut self.observer {
             observer(&aired);
         }
         let propagation = nanos(self.medium.propagation);
         let mut sent = self.leave(from, &frame);
         if self.medium.joint == Joint::Bridge {
-            return self.deliver(from, &frame, now + propagation, sent);
+            return self.deliver(from, &frame, now + propagation, sent, &[]);
         }
-        let (number, until) = (self.traffic.frames, now + air);
+        let (number, until) = (self.traffic.frames, now + self.medium.bits_time(frame.len()));
         let mut lands = until + propagation;
         // What comes to a switch later waits behind what has come to it by then.
         if let (Joint::Switch { .. }, Ok(fate)) = (self.medium.joint, &mut sent) {
             lands += std::mem::take(&mut fate.later);
         }
+        let collided = self.medium.joint == Joint::Hub && self.meet(from);
+        self.flights.push(Flight { number, from, frame, until, collided, deaf: Vec::new(), sent });
+        self.agenda.put(lands, Action::Landed(number));
+    }
+
+    /// A station begins to send on a hub: whether its frame meets another there. One whose bits have all left, but not come,
+    /// only this station does not hear.
+    fn meet(&mut self, from: StationId) -> bool {
+        let Self { now, medium, members, cut_off, flights, .. } = self;
+        let is_beside = |other: StationId| cut_off.contains(&other) == cut_off.contains(&from);
+        let hears = |frame: &[u8]| {
+            let Some((seat, (header, _))) = members.get(from).zip(Header::parse(frame)) else { return false };
+            header.destination.is_group() || header.destination == seat.member.address
+        };
         let mut collided = false;
-        if self.medium.joint == Joint::Hub {
-            let cut_off = &self.cut_off;
-            let is_beside = |other: StationId| cut_off.contains(&other) == cut_off.contains(&from);
-            let met = self.flights.iter_mut().filter(|other| other.until > now && is_beside(other.from));
-            for other in met {
+        for other in flights.iter_mut().filter(|other| is_beside(other.from)) {
+            let is_coming = other.until + nanos(medium.propagation) > *now;
+            if other.until > *now {
                 (other.collided, collided) = (true, true);
+            } else if is_coming && other.from != from && hears(&other.frame) {
+                other.deaf.push(from);
             }
         }
-        self.flights.push(Flight { number, from, frame, until, collided, sent });
-        self.agenda.put(lands, Action::Landed(number));
+        collided
     }
 
     /// What its own wire does to a frame that a station sends.
@@ -109,19 +126,26 @@ impl<D: Discipline> Network<D> {
 
     pub(super) fn landed(&mut self, number: u64) {
         let Some(place) = self.flights.iter().position(|flight| flight.number == number) else { return };
-        let Flight { from, frame, collided, sent, .. } = self.flights.swap_remove(place);
-        self.traffic.collided += u64::from(collided);
+        let Flight { from, frame, collided, deaf, sent, .. } = self.flights.swap_remove(place);
+        self.traffic.collided += u64::from(collided || !deaf.is_empty());
         let sent = if collided { Err(Loss::Collision) } else { sent };
-        self.deliver(from, &frame, self.now, sent);
+        self.deliver(from, &frame, self.now, sent, &deaf);
     }
 
     /// A frame reaches those that it is for at a time, or as much later as their wires want it, or never.
-    fn deliver(&mut self, from: StationId, frame: &[u8], at: True, sent: Result<Fate, Loss>) {
+    fn deliver(
+        &mut self,
+        from: StationId,
+        frame: &[u8],
+        at: True,
+        sent: Result<Fate, Loss>,
+        deaf: &[StationId],
+    ) {
         let Some((header, _)) = Header::parse(frame) else { return };
         self.count(sent.unwrap_or_default());
         let to_all = header.destination.is_group();
         let frame = self.frames.keep(frame);
-        let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination) };
+        let range = if to_all { 0..self.members.len() } else { self.who_has(header.destination, from) };
         for place in range {
             let to = if to_all { place } else { self.addresses[place].1 };
             if to == from || !self.members[to].is_there(self.now) {
@@ -130,6 +154,7 @@ impl<D: Discipline> Network<D> {
             let mut copies = Copies::default();
             match sent {
                 Err(why) => copies.note(Err(why)),
+                Ok(_) if deaf.contains(&to) => copies.note(Err(Loss::Collision)),
                 Ok(fate) => {
                     for _ in 0..=u8::from(fate.comes_twice) {
                         self.hand_to(to, from, &frame, at, fate, &mut copies);
@@ -143,9 +168,15 @@ impl<D: Discipline> Network<D> {
         self.frames.leave(frame);
     }
 
-    /// The places in the order of addresses of those with this one.
-    fn who_has(&self, address: Address) -> Range<usize> {
-        let first = self.addresses.partition_point(|entry| entry.0 < address);
+    /// The places in the order of addresses of those with this one. Most stations send to the same one all the time.
+    fn who_has(&mut self, address: Address, from: StationId) -> Range<usize> {
+        let has = |place: usize| self.addresses.get(place).is_some_and(|entry| entry.0 == address);
+        let is_first = |&place: &usize| has(place) && (place == 0 || !has(place - 1));
+        let known = self.members.get(from).map(|seat| seat.sends_to).filter(is_first);
+        let first = known.unwrap_or_else(|| self.addresses.partition_point(|entry| entry.0 < address));
+        if let Some(seat) = self.members.get_mut(from) {
+            seat.sends_to = first;
+        }
         let behind = self.addresses[first..].iter().take_while(|entry| entry.0 == address).count();
         first..first + behind
     }
@@ -261,7 +292,7 @@ impl<D: Discipline> Network<D> {
     /// When a frame that comes to a switch has left it by a station's port; `None`: there was no room for it.
     fn through_port(&mut self, to: StationId, len: usize, at: True) -> Option<True> {
         let Joint::Switch { latency, queue } = self.medium.joint else { return Some(at) };
-        let air = self.medium.air_time(len);
+        let (air, bits) = (self.medium.air_time(len), self.medium.bits_time(len));
         let Port { free_from, waiting } = &mut self.members[to].port;
         while waiting.pop_front_if(|begins| *begins <= at).is_some() {}
         if waiting.len() >= queue.max(1) {
@@ -274,6 +305,6 @@ impl<D: Discipline> Network<D> {
         }
         *free_from = begins + air;
         self.traffic.longest_queue = self.traffic.longest_queue.max(waiting.len());
-        Some(*free_from + nanos(self.medium.propagation))
+        Some(begins + bits + nanos(self.medium.propagation))
     }
 }

@@ -75,7 +75,7 @@ impl<D: Discipline> Network<D> {
     /// Gives a station another clock from now on. What it waited for it looks for anew, once it is out of a send.
     pub fn set_clock(&mut self, id: StationId, clock: EmulatedClock) {
         let seat = &mut self.members[id];
-        seat.member.clock = clock;
+        seat.set_clock(self.now, clock);
         let waits = !seat.blocked || seat.wakes.is_some();
         if !seat.stopped && seat.chosen.is_none() && waits && seat.busy_until < self.now {
             seat.turn_at(&mut self.agenda, id, self.now);
@@ -106,10 +106,11 @@ impl<D: Discipline> Network<D> {
         let (now, seat) = (self.now, &mut self.members[id]);
         let Some(wander) = seat.wander.filter(|_| number == seat.wanders) else { return };
         let Wander { every, step_ppb, within_ppb, around_ppb } = wander;
-        let clock = &mut seat.member.clock;
+        let clock = seat.member.clock;
         let drift = clock.drift_ppb + self.random.between(-step_ppb, step_ppb);
         // What it waits for is off by no more than this rate makes of one wait.
-        *clock = clock.at_rate(now, drift.clamp(around_ppb - within_ppb, around_ppb + within_ppb));
+        let drift_ppb = drift.clamp(around_ppb - within_ppb, around_ppb + within_ppb);
+        seat.set_clock(now, clock.at_rate(now, drift_ppb));
         self.agenda.put(now + nanos(every), Action::Wander(id, number));
     }
 }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::frames::{Frames, Kept};
 use super::{Action, Agenda, Member, StationId, Wander};
-use crate::clock::True;
+use crate::clock::{EmulatedClock, True};
 use crate::discipline::{Discipline, Transmission};
 use crate::sim::link::Link;
 
@@ -19,6 +19,8 @@ pub struct Seat<D: Discipline> {
     pub member: Box<Member<D>>,
     /// What has arrived, or is about to, in the order of its arrival.
     inbox: VecDeque<(True, Kept)>,
+    /// The clocks that stamped the first of those, each until when: a card stamps a frame when it arrives.
+    clocks_before: Vec<(True, EmulatedClock)>,
     pub chosen: Option<Transmission>,
     /// When it had woken to choose that.
     pub woke: True,
@@ -41,6 +43,8 @@ pub struct Seat<D: Discipline> {
     /// Its wire: what it sends, and what it hears.
     pub sends_by: Link,
     pub hears_by: Link,
+    /// Whom it has sent to last: the place in the order of addresses, as long as nobody has come.
+    pub sends_to: usize,
     /// Its port of a switch.
     pub port: Port,
     /// How its clock wanders, if it does, and which time that was said.
@@ -64,6 +68,7 @@ impl<D: Discipline> Seat<D> {
         Self {
             member: Box::new(member),
             inbox: VecDeque::with_capacity(RECEIVE_POOL),
+            clocks_before: Vec::new(),
             chosen: None,
             woke: 0,
             blocked: false,
@@ -77,6 +82,7 @@ impl<D: Discipline> Seat<D> {
             dropped: 0,
             sends_by: Link::default(),
             hears_by: Link::default(),
+            sends_to: 0,
             port: Port::default(),
             wander: None,
             wanders: 0,
@@ -131,9 +137,20 @@ impl<D: Discipline> Seat<D> {
         is_frozen
     }
 
+    /// It has another clock from now on.
+    pub fn set_clock(&mut self, now: True, clock: EmulatedClock) {
+        let since = self.clocks_before.last().map_or(0, |&(until, _)| until);
+        // No more of them than frames.
+        if self.inbox.iter().any(|(at, _)| (since..now).contains(at)) {
+            self.clocks_before.push((now, self.member.clock));
+        }
+        self.member.clock = clock;
+    }
+
     /// Forgets what has arrived and what was chosen.
     pub fn clear(&mut self, frames: &mut Frames) {
         self.inbox.drain(..).for_each(|(_, frame)| frames.leave(frame));
+        self.clocks_before.clear();
         self.chosen = None;
     }
 
@@ -152,11 +169,14 @@ impl<D: Discipline> Seat<D> {
     pub fn drain(&mut self, now: True, frames: &mut Frames) {
         let Member { clock, station, .. } = &mut *self.member;
         while let Some((at, frame)) = self.inbox.pop_front_if(|&mut (at, _)| at <= now) {
+            let before = self.clocks_before.iter().find(|(until, _)| at < *until);
+            let stamp = before.map_or(&*clock, |(_, clock)| clock).local(at);
             match frames.hear(frame) {
-                Some(frame) => station.on_frame(Some(clock.local(at)), frame),
+                Some(frame) => station.on_frame(Some(stamp), frame),
                 None => self.dropped += 1,
             }
         }
+        self.clocks_before.clear();
         if self.inbox.is_empty() {
             // It begins at its place of old: nobody goes through memory that others have no use for.
             self.inbox.clear();

@@ -12,7 +12,8 @@ use zerocopy::IntoBytes;
 
 const US: u64 = 1_000;
 const BEGIN: True = 1_000 * US;
-/// Of the smallest frame, at 1 Gbit/s.
+/// Of the smallest frame, at 1 Gbit/s: its bits, and they and the gap behind them.
+const BITS: u64 = 576;
 const AIR: u64 = 672;
 const PROPAGATION: u64 = 500;
 
@@ -184,7 +185,7 @@ fn a_doubled_frame_is_not_lost_for_its_first_copy_if_the_second_comes() {
     *bench.network.wire_mut(EAR).1 = slow(1_000 * US);
     *bench.network.wire_mut(1).0 = doubles();
     let lost = bench.mourn();
-    let first = 700 * US + 2 * (AIR + PROPAGATION) + 1_000 * US;
+    let first = 700 * US + 2 * (BITS + PROPAGATION) + 1_000 * US;
     bench.network.freeze(EAR, Span::from_nanos((first + AIR / 2) as i64));
     (0..32).for_each(|n| bench.send(0, n * 20 * US));
     bench.send(1, 700 * US);
@@ -238,8 +239,56 @@ fn what_a_slow_wire_brings_to_a_switch_waits_behind_what_is_there_by_then() {
     *bench.network.wire_mut(0).0 = slow(50 * US);
     bench.send(0, 0);
     bench.send(1, 50 * US);
-    let once = 50 * US + AIR + PROPAGATION + AIR + PROPAGATION;
+    let once = 50 * US + 2 * (BITS + PROPAGATION);
     assert_eq!(bench.came(), [once, once + AIR], "they are at the switch at the same time");
+}
+
+#[test]
+fn frames_on_a_hub_destroy_each_other_only_where_their_bits_meet() {
+    for (after, came) in [(BITS - 1, vec![]), (BITS, vec![BITS + PROPAGATION, 2 * BITS + PROPAGATION])] {
+        let mut bench = Bench::new(Joint::Hub);
+        let lost = bench.mourn();
+        bench.send(0, 0);
+        bench.send(1, after);
+        assert_eq!(bench.came(), came, "{after}");
+        let destroyed = 2 - came.len();
+        assert_eq!(*lost.lock().unwrap(), vec![(EAR, Loss::Collision); destroyed]);
+        assert_eq!(bench.network.traffic().collided, destroyed as u64);
+    }
+}
+
+#[test]
+fn who_sends_on_a_hub_does_not_hear_what_comes_meanwhile() {
+    for (after, is_lost) in [(BITS, true), (BITS + PROPAGATION - 1, true), (BITS + PROPAGATION, false)] {
+        let mut bench = Bench::new(Joint::Hub);
+        let lost = bench.mourn();
+        bench.send(0, 0);
+        bench.send(EAR, after);
+        assert_eq!(bench.came().len(), usize::from(!is_lost), "{after}");
+        assert_eq!(*lost.lock().unwrap(), vec![(EAR, Loss::Collision); usize::from(is_lost)]);
+        assert_eq!(bench.network.traffic().collided, u64::from(is_lost), "what it sent itself went on");
+    }
+}
+
+#[test]
+fn a_frame_is_stamped_by_the_clock_of_its_arrival() {
+    let mut bench = Bench::new(Joint::Bridge);
+    bench.network.freeze(EAR, Span::from_millis(1));
+    let step = |network: &mut Network<Direct>, after: u64| {
+        network.run_until(BEGIN + after);
+        let clock = network.member(EAR).clock;
+        network.set_clock(EAR, clock.stepped(Span::from_millis(10)));
+    };
+    bench.send(0, 10 * US);
+    step(&mut bench.network, 50 * US);
+    // Nothing has come between these two.
+    step(&mut bench.network, 60 * US);
+    bench.send(0, 70 * US);
+    bench.send(1, 90 * US);
+    step(&mut bench.network, 100 * US);
+    bench.send(1, 2_000 * US);
+    let ms = |n: u64| n * 10_000 * US + PROPAGATION;
+    assert_eq!(bench.came(), [10 * US + ms(0), 70 * US + ms(2), 90 * US + ms(2), 2_000 * US + ms(3)]);
 }
 
 #[test]

@@ -79,7 +79,7 @@ impl Analysis {
     }
 
     /// Whether what happens in a cycle counts.
-    pub(super) fn counts(&self, cycle: u32) -> bool {
+    pub(in crate::judge) fn counts(&self, cycle: u32) -> bool {
         self.window.is_some_and(|(from, cycles)| cycle.wrapping_sub(from) < cycles)
     }
 

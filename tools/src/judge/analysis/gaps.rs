@@ -19,6 +19,18 @@ impl Analysis {
         }
     }
 
+    /// Nothing more of the cycles before `end` will come: what is missing of them is found.
+    pub fn look_back_on_all(&mut self, end: u32) {
+        (0..self.stations.len()).for_each(|station| self.look_back(station, end));
+        if let Some((last, _)) = self.last_sync
+            && before(last.wrapping_add(1), end)
+            && self.window.is_some()
+        {
+            self.sync_gaps(self.givers.now(), last.wrapping_add(1), end);
+            self.last_sync = Some((end.wrapping_sub(1), None));
+        }
+    }
+
     /// What a station misses from cycle `begin` up to `end` is counted by somebody else, and is no finding: how many
     /// turns of its slots that is, from the last that was seen on.
     pub fn pass_over(&mut self, station: usize, begin: u32, end: u32) -> u64 {
@@ -66,8 +78,7 @@ impl Analysis {
     /// Every Synchronisation from `next` up to `end` was missing, by who gave the time before.
     pub(super) fn sync_gaps(&mut self, giver: usize, next: u32, end: u32) {
         let Some((next, end)) = self.in_window(next, end) else { return };
-        let by = |cycle| Author { station: giver, ..Author::sync(cycle) };
-        let missing = turns(next, end, 0, 1).take(self.room()).map(by);
+        let missing = turns(next, end, 0, 1).take(self.room()).map(|cycle| Author::sync(giver, cycle));
         self.gaps(missing, FindingKind::SyncGap, end.wrapping_sub(next).into());
     }
 

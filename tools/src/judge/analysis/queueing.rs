@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use rtnet::clock::True;
+use rtnet::wire::ethernet::Header;
 
 use super::{Analysis, Seen};
 use crate::judge::delivery::Passed;
@@ -41,11 +42,14 @@ impl Seen {
 }
 
 impl Analysis {
-    /// Whose frame it is, and of which slot of which cycle, as it says. None if its station queues none of its priority.
-    pub fn author_of(&self, tag: &Tag) -> Option<Author> {
-        let station = tag.station();
+    /// What a frame of test traffic says of itself, and whose it is, of which slot of which cycle. None if it only looks like
+    /// one: it is not as its station made it, not from that one's address, or of a priority of which that one queues none.
+    pub fn author_of<'a>(&self, frame: &'a [u8]) -> Option<(&'a Tag, Author)> {
+        let tag = Tag::of_intact(frame)?;
+        let (station, source) = (tag.station(), Header::parse(frame)?.0.source);
+        self.addresses.get(station).filter(|&&address| address == source)?;
         self.stations.get(station)?.passed(tag.priority())?;
-        Some(Author { station, cycle: tag.cycle(), slot: Some(tag.slot) })
+        Some((tag, Author { station, cycle: tag.cycle(), slot: Some(tag.slot) }))
     }
 
     /// A queued frame is on the wire, in a cycle that counts or not.
@@ -98,14 +102,14 @@ every = "2ms"
     /// The frames of an arm whose clock is the true one, in cycles 10 to 14, but in one that it missed; in cycle 12 there is
     /// one that was queued, this much late.
     fn seen(late: u64, missed: Option<u32>) -> (Scenario, Analysis) {
-        let scenario = Source { file: "net.toml", text: NETWORK }.parse().unwrap().with_ideal_clocks();
+        let scenario = Source::new("net.toml", NETWORK).parse().unwrap().with_ideal_clocks();
         let master = TrueMaster { clock: EmulatedClock::default(), epoch: Offset::default() };
         let mut analysis = Analysis::new(&scenario, master);
         analysis.begin(10, 5);
         let nobody = Address::default();
         let plan = TrafficPlan {
             station: ARM as u16,
-            source: nobody,
+            source: scenario.address(ARM),
             destination: nobody,
             from: 0,
             payload: 64,
@@ -205,11 +209,10 @@ every = "2ms"
         let mut plan = scenario.flow_plan(ARM);
         plan.flows[0].priority = 4;
         let of = |flows| {
-            let address = Address::default();
             let plan = TrafficPlan {
                 station: ARM as u16,
-                source: address,
-                destination: address,
+                source: scenario.address(ARM),
+                destination: Address::default(),
                 from: 0,
                 payload: 64,
                 from_payload: 64,
@@ -226,7 +229,7 @@ every = "2ms"
                 });
             }
             let frame = made.unwrap();
-            analysis.author_of(Tag::read(&frame).unwrap().0)
+            analysis.author_of(&frame).map(|(_, author)| author)
         };
         assert_eq!(of(plan), None);
         let author = Author { station: ARM, cycle: 12, slot: Some(0) };

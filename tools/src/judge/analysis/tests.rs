@@ -1,3 +1,5 @@
+mod strays;
+
 use rtmac::tdma::schedule::Rate;
 use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Opportunity, Service};
@@ -46,7 +48,7 @@ impl Bench {
         let traffic = (0..2).map(|station| {
             let plan = TrafficPlan {
                 station,
-                source: Address::default(),
+                source: scenario.address(usize::from(station)),
                 destination: Address::default(),
                 from: 1 - station,
                 payload: 64,

@@ -119,7 +119,7 @@ fn two_slots_of_one_cycle_are_told_of_one_by_one() {
     assert_eq!(records.explain(&missed(3)), None, "nobody told of that one");
     records.note(Author { slot: Some(3), ..author(7, 2) }, EventKind::Overrun, Span::ZERO, None);
     assert!(records.explain(&missed(3)).is_some());
-    assert_eq!(records.of_kind(EventKind::Overrun, 7, 1).count(), 2);
+    assert_eq!(records.all().filter(|&(kind, _)| kind == EventKind::Overrun).count(), 2);
 }
 
 #[test]
@@ -327,4 +327,53 @@ fn who_follows_one_that_is_not_there_is_silent_for_that_until_another_gives_the_
     records.note_frame(&sync(BACKUP, 7));
     records.note_frame(&sync(BACKUP, 8));
     assert_eq!([7, 8].map(|cycle| why(&records, cycle)), [None; 2], "it could follow the backup");
+}
+
+#[test]
+fn a_sync_is_missing_for_a_backup_that_repeated_the_one_before_once_its_author_has_stepped_down_for_that() {
+    const SECOND: Address = Address([2, 0, 0, 0, 0, 3]);
+    let gap = Finding::of(told_of(7, 1), FindingKind::SyncGap, Span::ZERO);
+    let of = |sent: u32, told: &[(u32, usize, EventKind)]| {
+        let mut records =
+            Records { backups: vec![1, 2], addresses: vec![PRIMARY, BACKUP, SECOND], ..Records::default() };
+        records.note_frame(&sync(BACKUP, 6));
+        records.note_frame(&sync(SECOND, sent));
+        told.iter().for_each(|&(cycle, of, kind)| {
+            records.note(told_of(cycle, of), kind, Span::ZERO, kind.cause().or(Some(Cause::TimerLate)));
+        });
+        records
+    };
+    use EventKind::{SteppedDown, SyncSkipped, TookOver};
+    let (took, down, late) = ((6, 2, TookOver), (6, 1, SteppedDown), (7, 2, SyncSkipped));
+    let why = |sent, told: &[_]| of(sent, told).explain(&gap);
+    assert_eq!(why(6, &[took, down, late]), Some("timer_late"));
+    assert_eq!(why(6, &[took, down]), None, "nobody told why");
+    assert_eq!(why(6, &[took, down, (8, 2, SyncSkipped)]), None, "of another cycle");
+    assert_eq!(why(6, &[took, late]), None, "the first was to send it, too");
+    assert_eq!(why(6, &[down, late]), None, "the second only stood by");
+    assert_eq!(why(5, &[(5, 2, TookOver), down, late]), None, "that one gave the time no more");
+    let mut stopped = of(6, &[took, down]);
+    stopped.absences.begin(2, Absence::Stopped, 7);
+    assert_eq!(stopped.explain(&gap), Some("station_stopped"));
+}
+
+#[test]
+fn who_is_gone_is_silent_for_that_however_long_and_not_for_want_of_a_sync() {
+    let mut records = Records::default();
+    records.absences.begin(2, Absence::Down, 10);
+    let why = |cycle, station| records.explain(&finding(cycle, FindingKind::SlotMissed, station));
+    assert_eq!([11, 5_000].map(|cycle| why(cycle, 2)), [Some("station_down"); 2]);
+    assert_eq!(why(5_000, 3), None, "another is there");
+}
+
+#[test]
+fn slots_that_were_missed_are_those_that_stations_told_of_each_once() {
+    let mut records = Records::default();
+    for kind in [EventKind::SlotSilent, EventKind::TurnLeft, EventKind::StalledInSend] {
+        records.note(author(7, 2), kind, Span::ZERO, None);
+    }
+    records.note(author(8, 3), EventKind::StalledInSend, Span::ZERO, None);
+    records.note(told_of(8, MASTER), EventKind::SyncSkipped, Span::ZERO, None);
+    records.note(author(20, 2), EventKind::Overrun, Span::ZERO, None);
+    assert_eq!(records.slots_missed(|cycle| cycle < 15).into_iter().collect::<Vec<_>>(), [author(7, 2)]);
 }

@@ -45,7 +45,7 @@ impl Network {
             skip("needs root");
             return None;
         }
-        let scenario = Source { file: "lossy.toml", text: LOSSY }.parse().unwrap();
+        let scenario = Source::new("lossy.toml", LOSSY).parse().unwrap();
         let mut segment = Segment::new().unwrap();
         let attach = |station: usize| {
             let namespace = Namespace::new().unwrap();
@@ -104,11 +104,11 @@ fn a_station_with_another_port_loses_what_it_is_to_lose_by_then_and_its_counts_a
     let Some(mut network) = Network::up() else { return };
     assert_eq!(network.lost_after(2), 0, "nothing has happened yet");
     let Happening::Wires(wire, _) = &network.scenario.conditions.events[0].what else { panic!("no wire") };
-    network.wires.set(wire);
+    network.wires.set(&network.scenario.conditions, &[SLAVE], Some(wire));
     assert_eq!(network.lost_after(3), 3);
     network.rewire_slave();
     assert_eq!(network.lost_after(2), 5, "the event is under way");
-    network.scenario.conditions.wires_of(&[SLAVE]).for_each(|wire| network.wires.set(&wire));
+    network.wires.set(&network.scenario.conditions, &[SLAVE], None);
     network.rewire_slave();
     assert_eq!(network.lost_after(2), 5, "it is over");
 }

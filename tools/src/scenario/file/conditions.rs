@@ -14,7 +14,7 @@
 //! outages = { ppm = 75, longest = "4ms" }
 //! stalls = { ppm = 2, longest = "4ms" }
 //!
-//! [[wire]]
+//! [[wire]]                  # of two, the later one counts for what it says
 //! stations = ["arm"]        # all, if not given
 //! direction = "in"          # or "out"; both, if not given
 //! lose = "1%"               # or lose_control, lose_data; and duplicate, corrupt, reorder, each "1%" or "50ppm"
@@ -33,107 +33,24 @@
 //! ```
 
 mod events;
+mod medium;
+mod names;
 
 use std::collections::BTreeMap;
-use std::path::Path;
-use std::sync::Arc;
 
-use rtnet::sim::{Host, Joint, Latency, Link};
+use rtnet::sim::Host;
 use rtnet::time::Span;
 use serde::Deserialize;
 use toml::Spanned;
 
 pub use events::EventFile;
+pub use medium::{HostFile, MediumFile, WanderFile, WireFile};
 
 use super::{FileError, Source};
-use crate::report::recorded;
-use crate::scenario::{Conditions, Direction, Expectation, Measure, Wandering, Wire};
-use crate::units::{NonNegativeSpan, PositiveSpan, Share, parse_nonnegative_span};
+use crate::scenario::{Conditions, Expectation, Measure};
 
-/// How late a frame is that others overtake, unless it is said.
-const REORDER_BY: Span = Span::from_micros(100);
-const QUEUE: usize = 64;
-const WANDER_EVERY: Span = Span::from_millis(100);
 /// An hour, as a clock may be off: no time in a scenario is longer.
 const LONGEST: Span = Span::from_millis(3_600_000);
-/// As much as clocks are off by.
-const WANDER_AT_MOST_PPM: f64 = 1_000.0;
-
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MediumFile {
-    joint: Option<JointFile>,
-    propagation: Option<NonNegativeSpan>,
-    latency: Option<NonNegativeSpan>,
-    queue: Option<usize>,
-}
-
-#[derive(Clone, Copy, Deserialize, PartialEq)]
-#[serde(rename_all = "lowercase")]
-enum JointFile {
-    Bridge,
-    Hub,
-    Switch,
-}
-
-#[derive(Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct HostFile {
-    wake: Option<Spanned<String>>,
-    late: Option<Spanned<String>>,
-    send: Option<Spanned<String>>,
-    outages: Option<OutagesFile>,
-    stalls: Option<OutagesFile>,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct OutagesFile {
-    ppm: u32,
-    longest: PositiveSpan,
-}
-
-/// How the rate of a clock changes.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WanderFile {
-    step_ppm: f64,
-    within_ppm: f64,
-    every: Option<PositiveSpan>,
-}
-
-#[derive(Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WireFile {
-    stations: Option<Spanned<Names>>,
-    #[serde(default)]
-    direction: DirectionFile,
-    lose: Option<Share>,
-    lose_control: Option<Share>,
-    lose_data: Option<Share>,
-    duplicate: Option<Share>,
-    corrupt: Option<Share>,
-    reorder: Option<Share>,
-    reorder_by: Option<PositiveSpan>,
-    delay: Option<Spanned<String>>,
-}
-
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum DirectionFile {
-    In,
-    Out,
-    #[default]
-    Both,
-}
-
-/// One station, or several.
-#[derive(Clone, Deserialize)]
-#[serde(untagged, expecting = "a station's name, or a list of names")]
-enum Names {
-    One(String),
-    Several(Vec<String>),
-}
 
 /// What is expected: of all, or of a single station.
 pub type ExpectFile = BTreeMap<Spanned<String>, Spanned<Figure>>;
@@ -154,7 +71,7 @@ pub struct Sections {
     /// Of single stations, by their number in the file.
     pub hosts: Vec<(usize, HostFile)>,
     pub wanders: Vec<(usize, WanderFile)>,
-    pub wires: Vec<WireFile>,
+    pub wires: Vec<Spanned<WireFile>>,
     pub events: Vec<Spanned<EventFile>>,
     /// Of all, of single stations, and of their traffic.
     pub expects: Vec<(Whose, ExpectFile)>,
@@ -189,8 +106,10 @@ impl Whose {
 
 /// Reads them; stations are numbered as in the file.
 pub struct Reader<'a> {
-    pub source: Source<'a>,
+    pub source: &'a Source<'a>,
     pub names: Vec<&'a str>,
+    /// Which of them gives the time.
+    pub master: usize,
 }
 
 impl Reader<'_> {
@@ -199,11 +118,11 @@ impl Reader<'_> {
         let medium = sections.medium.unwrap_or_default();
         Ok(Conditions {
             joint: self.joint(&medium)?,
-            propagation: medium.propagation.map(|span| span.0),
+            propagation: medium.propagation.as_ref().map(|span| span.get_ref().0),
             host: sections.host.as_ref().map_or(Ok(Host::IDEAL), |file| self.host(file))?,
             hosts: hosts.map(|(id, file)| Ok((*id, self.host(file)?))).collect::<Result<_, FileError>>()?,
             wanders: wanders
-                .map(|(id, file)| Ok((*id, self.wandering(*file, self.place("wander"))?)))
+                .map(|(id, file)| Ok((*id, self.wandering(file)?)))
                 .collect::<Result<_, FileError>>()?,
             wires: sections.wires.iter().map(|wire| self.wire(wire)).collect::<Result<_, _>>()?,
             events: sections.events.iter().map(|event| self.event(event)).collect::<Result<_, _>>()?,
@@ -211,179 +130,37 @@ impl Reader<'_> {
         })
     }
 
-    fn joint(&self, medium: &MediumFile) -> Result<Joint, FileError> {
-        let joint = medium.joint.unwrap_or(JointFile::Bridge);
-        if joint != JointFile::Switch && (medium.latency.is_some() || medium.queue.is_some()) {
-            let what = "only a switch has a latency and a queue: say joint = \"switch\", or leave them out";
-            return Err(self.source.impossible(self.place("[medium]"), what));
-        }
-        Ok(match joint {
-            JointFile::Bridge => Joint::Bridge,
-            JointFile::Hub => Joint::Hub,
-            JointFile::Switch => Joint::Switch {
-                latency: medium.latency.map_or(Span::ZERO, |latency| latency.0),
-                queue: medium.queue.unwrap_or(QUEUE),
-            },
-        })
-    }
-
-    fn host(&self, file: &HostFile) -> Result<Host, FileError> {
-        let latency = |text: &Option<Spanned<String>>| {
-            text.as_ref().map_or(Ok(Latency::NONE), |text| self.latency(text))
-        };
-        let (outages, stalls) = (file.outages, file.stalls);
-        Ok(Host {
-            wake: latency(&file.wake)?,
-            outage_ppm: outages.map_or(0, |outages| outages.ppm),
-            longest_outage: outages.map_or(Span::ZERO, |outages| outages.longest.0),
-            late: latency(&file.late)?,
-            send: latency(&file.send)?,
-            stall_ppm: stalls.map_or(0, |stalls| stalls.ppm),
-            longest_stall: stalls.map_or(Span::ZERO, |stalls| stalls.longest.0),
-            // Of the whole network, by its slot_guard.
-            guard: None,
-        })
-    }
-
-    /// `exponential 13us`.
-    fn latency(&self, text: &Spanned<String>) -> Result<Latency, FileError> {
-        let refuse = |what: String| self.source.impossible(text.span().start, what);
-        let words: Vec<&str> = text.get_ref().split_whitespace().collect();
-        let times = || {
-            let read = words[1..].iter().map(|word| parse_nonnegative_span(word));
-            read.collect::<Result<Vec<Span>, _>>().map_err(|error| refuse(error.to_string()))
-        };
-        match words[..] {
-            ["recorded", file] => {
-                let beside = Path::new(self.source.file).parent().unwrap_or(Path::new(""));
-                let recorded =
-                    recorded::load(&beside.join(file)).map_err(|error| refuse(format!("{error:#}")))?;
-                return Ok(Latency::Recorded(Arc::new(recorded)));
-            }
-            ["constant" | "exponential", _] | ["uniform" | "normal", _, _] => {}
-            _ => {
-                return Err(refuse(format!(
-                    "'{}' is no distribution: write \"constant T\", \"uniform T T\", \"exponential MEAN\", \
-                     \"normal MEAN SD\" or \"recorded FILE\", as in \"exponential 13us\"",
-                    text.get_ref()
-                )));
-            }
-        }
-        let times = times()?;
-        if times.iter().any(|&span| span > LONGEST) {
-            return Err(refuse(format!("nothing takes longer than {LONGEST}")));
-        }
-        Ok(match (words[0], &times[..]) {
-            ("uniform", &[from, to]) if from <= to => Latency::Uniform(from, to),
-            ("uniform", _) => {
-                return Err(refuse("the first of the two times must be the shorter one".into()));
-            }
-            ("exponential", &[mean]) => Latency::Exponential(mean),
-            ("normal", &[mean, deviation]) => Latency::Normal(mean, deviation),
-            (_, times) => Latency::Constant(times[0]),
-        })
-    }
-
-    fn wire(&self, file: &WireFile) -> Result<Wire, FileError> {
-        let ppm = |share: Option<Share>| share.map_or(0, |share| share.0);
-        let lose = |of: Option<Share>| ppm(of.or(file.lose));
-        let stations = match &file.stations {
-            Some(names) => self.stations(names)?,
-            None => (0..self.names.len()).collect(),
-        };
-        Ok(Wire {
-            stations,
-            direction: match file.direction {
-                DirectionFile::In => Direction::In,
-                DirectionFile::Out => Direction::Out,
-                DirectionFile::Both => Direction::Both,
-            },
-            link: Link {
-                lose_control_ppm: lose(file.lose_control),
-                lose_data_ppm: lose(file.lose_data),
-                duplicate_ppm: ppm(file.duplicate),
-                corrupt_ppm: ppm(file.corrupt),
-                reorder_ppm: ppm(file.reorder),
-                reorder_by: file.reorder_by.map_or(REORDER_BY, |span| span.0),
-                delay: file.delay.as_ref().map_or(Ok(Latency::NONE), |text| self.latency(text))?,
-                down: false,
-            },
-        })
-    }
-
     fn expectations(&self, files: &[(Whose, ExpectFile)]) -> Result<Vec<Expectation>, FileError> {
         let lines = files.iter().flat_map(|(whose, file)| file.iter().map(move |line| (*whose, line)));
-        let read = lines.map(|(whose, (name, figure))| self.expectation(name.get_ref(), figure, whose));
+        let read = lines.map(|(whose, (name, figure))| self.expectation(name, figure, whose));
         let mut all = read.collect::<Result<Vec<_>, _>>()?;
-        all.sort_by_key(|expected| expected.line);
+        all.sort_by_key(|expected| expected.place);
         Ok(all)
     }
 
     fn expectation(
         &self,
-        name: &str,
+        named: &Spanned<String>,
         figure: &Spanned<Figure>,
         whose: Whose,
     ) -> Result<Expectation, FileError> {
         let at = figure.span().start;
         let refuse = |what: String| self.source.impossible(at, what);
+        let name = named.get_ref().as_str();
         let Some(measure) = Measure::by_name(name).filter(|&measure| whose.has(measure)) else {
             let names = Measure::ALL.iter().filter(|(of, _)| whose.has(*of));
             let names: Vec<_> = names.map(|&(_, name)| name).collect();
             let of = whose.words();
-            return Err(refuse(format!("nothing {of}is called '{name}': expect {}", names.join(", "))));
+            let what = format!("nothing {of}is called '{name}': expect {}", names.join(", "));
+            return Err(self.source.impossible(named.span().start, what));
         };
         let text = match figure.get_ref() {
             Figure::Count(count) => count.to_string(),
             Figure::Text(text) => text.clone(),
         };
         let (relation, limit) = Expectation::parse(measure, &text).map_err(refuse)?;
-        let (Whose { station, priority }, line) = (whose, self.source.line(at));
-        Ok(Expectation { measure, station, priority, relation, limit, line })
-    }
-
-    fn stations(&self, names: &Spanned<Names>) -> Result<Vec<usize>, FileError> {
-        self.numbers(names.get_ref(), names.span().start)
-    }
-
-    /// Each once.
-    fn numbers(&self, names: &Names, at: usize) -> Result<Vec<usize>, FileError> {
-        let names = match names {
-            Names::One(name) => std::slice::from_ref(name),
-            Names::Several(names) => names,
-        };
-        if names.is_empty() {
-            return Err(self.source.impossible(at, "no station is named: name one, or several"));
-        }
-        let mut numbers = names.iter().map(|name| self.number(name, at)).collect::<Result<Vec<_>, _>>()?;
-        numbers.sort_unstable();
-        numbers.dedup();
-        Ok(numbers)
-    }
-
-    fn number(&self, name: &str, at: usize) -> Result<usize, FileError> {
-        let number = self.names.iter().position(|of| *of == name);
-        number.ok_or_else(|| {
-            let what = format!("there is no station '{name}': there are {}", self.names.join(", "));
-            self.source.impossible(at, what)
-        })
-    }
-
-    fn wandering(&self, file: WanderFile, at: usize) -> Result<Wandering, FileError> {
-        let ppb = |ppm: f64| {
-            let is_sound = (0.0..=WANDER_AT_MOST_PPM).contains(&ppm);
-            let what = || format!("a clock that wanders by {ppm} ppm: from 0 to {WANDER_AT_MOST_PPM}");
-            is_sound
-                .then_some((ppm * 1_000.0).round() as i64)
-                .ok_or_else(|| self.source.impossible(at, what()))
-        };
-        let every = file.every.map_or(WANDER_EVERY, |every| every.0);
-        Ok(Wandering { every, step_ppb: ppb(file.step_ppm)?, within_ppb: ppb(file.within_ppm)? })
-    }
-
-    /// Where a section begins.
-    fn place(&self, section: &str) -> usize {
-        self.source.text.find(section).unwrap_or(0)
+        let (Whose { station, priority }, place) = (whose, self.source.place(at));
+        Ok(Expectation { measure, station, priority, relation, limit, place })
     }
 }
 

@@ -16,6 +16,8 @@ use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan};
 /// A program queues frames no more often than any cycle begins, and no more seldom than anything happens.
 const SHORTEST: Span = Span::from_micros(1);
 const LONGEST: Span = Span::from_millis(3_600_000);
+/// As of all that is named.
+const NAME_AT_MOST: usize = 32;
 /// Many times what a slot's queue holds.
 const MAX_BURST: u32 = 1_000;
 
@@ -24,9 +26,9 @@ const MAX_BURST: u32 = 1_000;
 pub(super) struct StationFile {
     pub name: Spanned<String>,
     pub role: FileRole,
-    backup: Option<PositiveSpan>,
+    pub backup: Option<Spanned<PositiveSpan>>,
     pub payload: Option<Spanned<usize>>,
-    rounds: Option<u32>,
+    rounds: Option<Spanned<u32>>,
     pub clock: Option<ClockFile>,
     pub host: Option<HostFile>,
     pub expect: Option<ExpectFile>,
@@ -46,8 +48,8 @@ pub(super) enum FileRole {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ClockFile {
-    offset: Option<AnySpan>,
-    drift_ppm: Option<f64>,
+    offset: Option<Spanned<AnySpan>>,
+    drift_ppm: Option<Spanned<f64>>,
     pub wander: Option<WanderFile>,
 }
 
@@ -56,8 +58,8 @@ pub(super) struct ClockFile {
 pub(super) struct SlotFile {
     pub id: u8,
     offset: NonNegativeSpan,
-    phase: Option<String>,
-    size: Option<usize>,
+    phase: Option<Spanned<String>>,
+    size: Option<Spanned<usize>>,
     joint: Option<u8>,
 }
 
@@ -83,15 +85,33 @@ impl From<FileRole> for Role {
     }
 }
 
+/// Reports name it, in columns.
+fn check_name(name: &str) -> Result<(), String> {
+    if name.trim().is_empty() {
+        return Err("a station without a name: reports name it".into());
+    }
+    if name.chars().any(char::is_control) {
+        return Err(format!("the name {name:?} has characters that cannot be shown: leave them out"));
+    }
+    let length = name.chars().count();
+    let what = || format!("a name of {length} characters: at most {NAME_AT_MOST}");
+    (length <= NAME_AT_MOST).then_some(()).ok_or_else(what)
+}
+
 impl Source<'_> {
     pub(super) fn check_stations(&self, stations: &[Spanned<StationFile>]) -> Result<(), FileError> {
         let first = stations.first().map_or(0, |entry| entry.span().start);
         if !(2..=MAX_STATIONS).contains(&stations.len()) {
-            let what = format!("{} stations: there must be 2 to {MAX_STATIONS}", stations.len());
-            return Err(self.impossible(first, what));
+            let what = format!(
+                "{} stations: there must be 2 to {MAX_STATIONS}; each takes some 0.2 MB of a simulation's memory",
+                stations.len()
+            );
+            let at = stations.get(MAX_STATIONS).map_or(first, |beyond| beyond.span().start);
+            return Err(self.impossible(at, what));
         }
         for (i, entry) in stations.iter().enumerate() {
             let name = &entry.get_ref().name;
+            check_name(name.get_ref()).map_err(|what| self.impossible(name.span().start, what))?;
             if stations[..i].iter().any(|other| other.get_ref().name.get_ref() == name.get_ref()) {
                 let what = format!("the name '{}' is taken by another station", name.get_ref());
                 return Err(self.impossible(name.span().start, what));
@@ -133,31 +153,42 @@ impl Source<'_> {
             let what = "a backup says when it sends, as in backup = \"100us\", and nobody else does";
             return Err(self.impossible(entry.span().start, what));
         }
-        if let Some(rounds) = station.rounds.filter(|&rounds| rounds > MAX_ROUNDS) {
-            let what = format!("{rounds} calibration rounds: at most {MAX_ROUNDS}");
-            return Err(self.impossible(entry.span().start, what));
-        }
-        let clock = station.clock.as_ref();
-        let drift = clock.and_then(|clock| clock.drift_ppm).unwrap_or(0.0);
-        let offset = clock.and_then(|clock| clock.offset).map_or(Span::ZERO, |offset| offset.0);
-        if drift.is_nan() || drift.abs() > MAX_DRIFT_PPM || offset.abs() > MAX_OFFSET {
-            let what = format!(
-                "a clock off by {offset} and {drift} ppm: at most {MAX_OFFSET} and {MAX_DRIFT_PPM} ppm"
-            );
-            return Err(self.impossible(entry.span().start, what));
+        if let Some(rounds) = station.rounds.as_ref().filter(|rounds| *rounds.get_ref() > MAX_ROUNDS) {
+            let what = format!("{} calibration rounds: at most {MAX_ROUNDS}", rounds.get_ref());
+            return Err(self.impossible(rounds.span().start, what));
         }
         Ok(StationPlan {
             name: station.name.get_ref().clone(),
             role: station.role.into(),
-            backup: station.backup.map(|backup| backup.0),
-            clock: clock.map(|_| (offset, (drift * 1_000.0).round() as i64)),
+            backup: station.backup.as_ref().map(|backup| backup.get_ref().0),
+            clock: station.clock.as_ref().map(|clock| self.clock(clock)).transpose()?,
             clock_offset: Span::ZERO,
             clock_drift_ppb: 0,
             payload,
-            rounds: station.rounds.unwrap_or(DEFAULT_ROUNDS),
+            rounds: station.rounds.as_ref().map_or(DEFAULT_ROUNDS, |rounds| *rounds.get_ref()),
             flows: self.flows(station, payload, &slots)?,
             slots,
         })
+    }
+
+    /// How far it is ahead, and its rate error in parts per billion.
+    fn clock(&self, file: &ClockFile) -> Result<(Span, i64), FileError> {
+        let drift = file.drift_ppm.as_ref().map_or(Ok(0), |ppm| self.drift(ppm))?;
+        let Some(said) = &file.offset else { return Ok((Span::ZERO, drift)) };
+        let AnySpan(offset) = *said.get_ref();
+        if offset.abs() > MAX_OFFSET {
+            let what = format!("a clock off by {offset}: at most {MAX_OFFSET}");
+            return Err(self.impossible(said.span().start, what));
+        }
+        Ok((offset, drift))
+    }
+
+    /// A rate error in parts per billion.
+    pub(super) fn drift(&self, ppm: &Spanned<f64>) -> Result<i64, FileError> {
+        let said = *ppm.get_ref();
+        let what = format!("a clock off by {said} ppm: at most {MAX_DRIFT_PPM} ppm");
+        let refuse = || self.impossible(ppm.span().start, what);
+        (said.abs() <= MAX_DRIFT_PPM).then_some((said * 1_000.0).round() as i64).ok_or_else(refuse)
     }
 
     /// What its program sends besides, most urgent first.
@@ -217,13 +248,13 @@ impl Source<'_> {
     fn slot(&self, entry: &Spanned<SlotFile>, payload: usize, widest: usize) -> Result<SlotPlan, FileError> {
         let slot = entry.get_ref();
         let refuse = |what: String| Err(self.impossible(entry.span().start, what));
-        let (phase, period) = match slot.phase.as_deref().map(parse_phase) {
-            None => (0, 1),
-            Some(Ok(phase)) => phase,
-            Some(Err(what)) => return refuse(what),
-        };
-        let size = slot.size.unwrap_or(widest);
+        let (phase, period) = slot.phase.as_ref().map_or(Ok((0, 1)), |text| {
+            parse_phase(text.get_ref()).map_err(|what| self.impossible(text.span().start, what))
+        })?;
+        let size = slot.size.as_ref().map_or(widest, |size| *size.get_ref());
         if size < payload || size > ethernet::MTU {
+            let at = slot.size.as_ref().map_or(entry.span().start, |size| size.span().start);
+            let refuse = |what: String| Err(self.impossible(at, what));
             return refuse(format!("a size of {size} must hold the payload of {payload}, and at most 1500"));
         }
         if slot.id > DEFAULT_MAX_SLOT_ID {

@@ -1,4 +1,5 @@
 use super::*;
+use crate::scenario::{Measure, SlotPlan};
 use crate::station::traffic::Flow;
 
 const GOOD: &str = r#"
@@ -18,7 +19,7 @@ slots = [{ id = 0, offset = "100us" }]
 "#;
 
 fn parse(text: &str) -> Result<Scenario, FileError> {
-    Source { file: "net.toml", text }.parse()
+    Source::new("net.toml", text).parse()
 }
 
 fn refused(from: &str, to: &str) -> String {
@@ -56,24 +57,24 @@ fn without_slots_the_cycle_is_divided_evenly() {
 #[test]
 fn what_cannot_be_names_file_line_and_remedy() {
     let cases = [
-        (("cycle = \"1ms\"", "cycle = \"1\""), "line 2"),
-        (("\"1ms\"", "\"200s\""), "net.toml:2: a cycle of 200s: no slave follows one outside 1us to 100s"),
+        (("cycle = \"1ms\"", "cycle = \"1\""), "net.toml:2:9: '1' has no unit"),
+        (("\"1ms\"", "\"200s\""), "net.toml:2:9: a cycle of 200s: no slave follows one outside 1us to 100s"),
         (("rate =", "rat ="), "unknown field `rat`"),
-        (("\"500us\"", "\"105us\""), "net.toml:8: slot 0 of master and slot 0 of arm overlap: 100us"),
-        (("\"500us\"", "\"999us\""), "net.toml:8: slot 0 of arm ends after the cycle"),
+        (("\"500us\"", "\"105us\""), "net.toml:8:10: slot 0 of master and slot 0 of arm overlap: 100us"),
+        (("\"500us\"", "\"999us\""), "net.toml:8:10: slot 0 of arm ends after the cycle"),
         (
             ("\"500us\"", "\"20us\""),
-            "net.toml:8: slot 0 of arm begins at 20us, inside the sync window of 50us",
+            "net.toml:8:10: slot 0 of arm begins at 20us, inside the sync window of 50us",
         ),
-        (("\"2/2\"", "\"3/2\""), "net.toml:8: '3/2' is no phase"),
+        (("\"2/2\"", "\"3/2\""), "net.toml:8:46: '3/2' is no phase"),
         (
             ("\"2/2\"", "\"2/1025\""),
-            "net.toml:8: slot 0: a slave calibrates in its first slot, and no master promises a reply 1025 cycles",
+            "net.toml:8:10: slot 0: a slave calibrates in its first slot, and no master promises a reply 1025 cycles",
         ),
-        (("size = 100", "size = 60"), "net.toml:8: a size of 60 must hold the payload of 64"),
-        (("\"slave\"", "\"master\""), "net.toml:10: 'master' is a second master beside 'arm'"),
+        (("size = 100", "size = 60"), "net.toml:8:60: a size of 60 must hold the payload of 64"),
+        (("\"slave\"", "\"master\""), "net.toml:10:1: 'master' is a second master beside 'arm'"),
         (("role = \"master\"", "role = \"slave\""), "no station has the role"),
-        (("name = \"arm\"", "name = \"master\""), "net.toml:11: the name 'master' is taken"),
+        (("name = \"arm\"", "name = \"master\""), "net.toml:11:8: the name 'master' is taken"),
     ];
     for ((from, to), expected) in cases {
         let error = refused(from, to);
@@ -103,10 +104,10 @@ fn traffic_is_read_most_urgent_first_and_what_cannot_be_of_it_is_refused_where_i
     let plan = network.flow_plan(network.receiver(1));
     assert_eq!((plan.flows, plan.from), (vec![], network.stations[1].flows.clone()));
     for (what, why) in [
-        ("priority = 30", "net.toml:10: priority 30: they go from 0, the most urgent, to 29"),
-        ("priority = 3\nburst = 0", "net.toml:10: 0 frames every 4ms: 1 to 1000 are queued at a time"),
+        ("priority = 30", "net.toml:10:1: priority 30: they go from 0, the most urgent, to 29"),
+        ("priority = 3\nburst = 0", "net.toml:10:1: 0 frames every 4ms: 1 to 1000 are queued at a time"),
         ("priority = 3\npayload = 101", "a payload of 101 does not fit slot 0: give that a size of 101"),
-        ("priority = 3\nslot = 2", "net.toml:10: the station has no slot 2"),
+        ("priority = 3\nslot = 2", "net.toml:10:1: the station has no slot 2"),
         (
             "priority = 3\nexpect = { overlaps = 0 }",
             "nothing of traffic is called 'overlaps': expect frames_seen, queueing",
@@ -117,7 +118,7 @@ fn traffic_is_read_most_urgent_first_and_what_cannot_be_of_it_is_refused_where_i
         assert!(error.contains(why), "{what}: {error}");
     }
     let twice = with(&(traffic("priority = 3") + &traffic("priority = 3"))).unwrap_err().to_string();
-    assert!(twice.contains("net.toml:13: a second traffic of priority 3"), "{twice}");
+    assert!(twice.contains("net.toml:13:1: a second traffic of priority 3"), "{twice}");
     let divided: String =
         GOOD.lines().filter(|line| !line.starts_with("slots")).map(|line| line.to_owned() + "\n").collect();
     let divided = parse(&(divided + &traffic("priority = 3\npayload = 700"))).unwrap();
@@ -152,7 +153,7 @@ fn backups_are_read_and_what_cannot_be_of_them_is_refused() {
             "backup = \"100us\"\n",
             "backup",
             "slots = [{ id = 0, offset = \"300us\", phase = \"1/1025\" }]\n",
-            "net.toml:5: slot 0: a slave calibrates in its first slot, and no master promises",
+            "net.toml:5:10: slot 0: a slave calibrates in its first slot, and no master promises",
         ),
         ("backup = \"280us\"\n", "backup", slots, "slot 0 of m begins at 300us, but backup b may send"),
     ] {
@@ -186,6 +187,133 @@ fn joint_slots_are_read_in_any_order_and_what_cannot_be_joined_is_refused_where_
         (r#"{ id = 2, offset = "505us", joint = 0 },"#, "slot 0 of arm and slot 2 of master overlap"),
     ] {
         let error = with(slot).unwrap_err().to_string();
-        assert!(error.starts_with("net.toml:14: ") && error.contains(why), "{slot}: {error}");
+        assert!(error.starts_with("net.toml:14:10: ") && error.contains(why), "{slot}: {error}");
     }
+}
+
+#[test]
+fn a_backup_that_is_in_the_way_of_all_slots_names_its_line_and_its_bound() {
+    let network = |backup: &str| {
+        format!(
+            "cycle = \"1ms\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n[[station]]\nname = \"b\"\n\
+             role = \"backup\"\nbackup = \"{backup}\"\n"
+        )
+    };
+    for (backup, expected) in [
+        (
+            "2s",
+            "net.toml:8:10: backup b sends 2s after a cycle's start, and a cycle lasts 1ms: let it send before",
+        ),
+        (
+            "990us",
+            "net.toml:8:10: 2 slots do not fit a cycle of 1ms behind a backup that sends 990us after its start: they take \
+             51.632us with the sync window; let it send 948.368us after it, or earlier",
+        ),
+        ("60us", "net.toml:8:10: backup b sends 60us after a cycle's start, but looks before"),
+    ] {
+        let error = parse(&network(backup)).unwrap_err().to_string();
+        assert!(error.starts_with(expected), "{error}");
+    }
+    assert!(parse(&network("948368ns")).is_ok());
+}
+
+#[test]
+fn a_sync_window_holds_a_sync_at_the_mediums_rate() {
+    let slow =
+        GOOD.replace("100M", "10M").replace("\"100us\"", "\"400us\"").replace("\"500us\"", "\"700us\"");
+    let network = parse(&slow).unwrap();
+    let air = network.rate.air_time(0);
+    assert_eq!(
+        (air.nanos(), network.sync_window),
+        (67_200, Span::from_micros(125)),
+        "an eighth of the cycle"
+    );
+    let longer = slow.replace("\"1ms\"", "\"10ms\"");
+    assert_eq!(
+        parse(&longer).unwrap().sync_window,
+        air * 4,
+        "a sync that begins in three quarters ends in it"
+    );
+    let short = parse(&slow.replace("rate =", "sync_window = \"67199ns\"\nrate =")).unwrap_err().to_string();
+    let expected =
+        "net.toml:3:15: a sync window of 67.199us: at this rate a sync is on the air for 67.2us; make it";
+    assert!(short.starts_with(expected), "{short}");
+    assert!(parse(&slow.replace("rate =", "sync_window = \"67200ns\"\nrate =")).is_ok());
+}
+
+#[test]
+fn who_could_never_calibrate_is_told_by_how_long_a_frame_may_be_on_its_way() {
+    let with = |propagation: &str, more: &str| {
+        parse(&format!("{GOOD}[medium]\npropagation = \"{propagation}\"\n{more}"))
+    };
+    let error = with("1ms", "").unwrap_err().to_string();
+    let expected = "net.toml:16:15: a frame is on its way for 1ms: 'arm' would never be locked, since it calibrates in its \
+                    slot 0, every 2ms, and a round takes that way forth and back; let it be less than 1ms";
+    assert_eq!(error, expected);
+    assert!(with("999us", "").is_ok());
+    assert!(with("400us", "joint = \"switch\"\nlatency = \"300us\"\n").is_err(), "to it and from it");
+    let without = GOOD.replace("role = \"slave\"", "role = \"slave\"\nrounds = 0");
+    assert!(parse(&format!("{without}[medium]\npropagation = \"1ms\"\n")).is_ok(), "who does not calibrate");
+}
+
+#[test]
+fn names_can_be_shown_and_there_are_no_more_stations_than_memory() {
+    for (name, expected) in [
+        ("", "net.toml:6:8: a station without a name"),
+        (" ", "net.toml:6:8: a station without a name"),
+        (r"a\nb\u001b[31m", r#"net.toml:6:8: the name "a\nb\u{1b}[31m" has characters that cannot be shown"#),
+        (&"x".repeat(33), "net.toml:6:8: a name of 33 characters: at most 32"),
+    ] {
+        let error = refused("name = \"arm\"", &format!("name = \"{name}\""));
+        assert!(error.starts_with(expected), "{error}");
+    }
+    let station = |n| format!("[[station]]\nname = \"s{n}\"\nrole = \"slave\"\n");
+    let many: String = (0..10_000).map(station).collect();
+    let error = parse(&format!("{GOOD}{many}")).unwrap_err().to_string();
+    assert!(error.starts_with("net.toml:30009:1: 10002 stations: there must be 2 to 10000;"), "{error}");
+}
+
+#[test]
+fn a_message_shows_the_place_and_no_more_of_a_line_than_a_screen_holds() {
+    let error = parse(&format!("cycle = \"1ms\"\nx = [{}\n\"\u{1b}[31m\", !]\n", "1, ".repeat(30)));
+    let error = error.unwrap_err().to_string();
+    assert!(error.starts_with("net.toml:3:") && !error.contains('\u{1b}'), "{error:?}");
+    let huge = "a".repeat(1_000_000);
+    for text in
+        [format!("{GOOD}x = \"{huge}\"\n"), format!("{GOOD}{huge} = 1\n"), format!("x = {huge}"), huge]
+    {
+        let error = parse(&text).unwrap_err().to_string();
+        assert!(
+            error.len() < 1_000 && error.starts_with("net.toml:"),
+            "{} bytes, {:.200}",
+            error.len(),
+            error
+        );
+    }
+    let shifted = parse(&format!("{}x = !", "a = 1, ".repeat(30))).unwrap_err().to_string();
+    assert!(shifted.lines().all(|line| line.len() < 100), "{shifted}");
+    let deep = parse(&format!("{}b = 1\n", "a.".repeat(20_000))).unwrap_err().to_string();
+    assert_eq!(deep, "net.toml: a key of more parts, a.b.c, than are read");
+}
+
+#[test]
+fn columns_are_counted_in_characters() {
+    let error = parse("cycle = \"µ\" # \"\nx = {y = \"µµµ\", z = !}").unwrap_err().to_string();
+    assert!(error.starts_with("net.toml:2:21: "), "{error}");
+}
+
+#[test]
+fn a_file_without_an_end_is_refused_not_read_until_memory_is_full() {
+    let error = load(Path::new("/dev/zero")).unwrap_err().to_string();
+    assert_eq!(error, "/dev/zero: more than 16 MiB, which nothing is that is read here");
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("net.toml");
+    std::fs::write(&path, b"cycle = \"1ms\"\nname = \"\xe9\"\n").unwrap();
+    let error = load(&path).unwrap_err().to_string();
+    assert!(error.ends_with("net.toml: line 2, column 9: this is no text in UTF-8"), "{error}");
+    let recorded = crate::report::recorded::load(Path::new("/dev/zero")).unwrap_err();
+    assert_eq!(
+        format!("{recorded:#}"),
+        "/dev/zero cannot be read: more than 16 MiB, which nothing is that is read here"
+    );
 }

@@ -1,5 +1,6 @@
 //! What comes of a sender's numbered frames: which number is news, and how many are missing.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::{Deserialize, Serialize};
@@ -64,6 +65,10 @@ pub struct Arrivals {
     pub missing: AtomicU64,
     /// The sequence number of the first frame received.
     pub first: AtomicU64,
+    /// The numbers that count, if not all do: from the first of these on, and only before the second, if that is not 0.
+    within: [AtomicU64; 2],
+    /// Frames received with others.
+    outside: AtomicU64,
 }
 
 /// The same at a moment.
@@ -90,7 +95,29 @@ impl Arrivals {
             Came::Late => _ = self.missing.fetch_sub(1, Ordering::Relaxed),
         }
         self.received.fetch_add(1, Ordering::Relaxed);
+        let [from, until] = self.within.each_ref().map(|number| number.load(Ordering::Relaxed));
+        if number < from || (until > 0 && number >= until) {
+            self.outside.fetch_add(1, Ordering::Relaxed);
+        }
         Some(())
+    }
+
+    /// Only frames count that are numbered so, or higher: none of those that came so far is.
+    pub fn count_from(&self, number: u64) {
+        self.within[0].store(number, Ordering::Relaxed);
+        self.outside.store(self.received.load(Ordering::Relaxed), Ordering::Relaxed);
+    }
+
+    /// Nor do those from this number on: none has come yet.
+    pub fn count_until(&self, number: u64) {
+        self.within[1].store(number, Ordering::Relaxed);
+    }
+
+    /// The numbers that count, and how many frames came with others.
+    pub fn counted(&self) -> (Range<u64>, u64) {
+        let [from, until] = self.within.each_ref().map(|number| number.load(Ordering::Relaxed));
+        let until = if until > 0 { until } else { u64::MAX };
+        (from..until, self.outside.load(Ordering::Relaxed))
     }
 
     /// As it is now.
@@ -131,5 +158,20 @@ mod tests {
         let far = 5 + MISSING_AT_MOST;
         let expected = Arrived { received: 3, missing: MISSING_AT_MOST - 1, first: 5 };
         assert_eq!(arrived(&[u64::MAX, 5, far + 1, far, far + 1]), (expected, vec![u64::MAX, far + 1]));
+    }
+
+    #[test]
+    fn what_comes_late_with_a_number_that_does_not_count_does_not() {
+        let (arrivals, mut newest) = (Arrivals::default(), Newest::default());
+        let mut come = |numbers: &[u64]| {
+            numbers.iter().for_each(|&number| _ = arrivals.note(&mut newest, number));
+            arrivals.counted()
+        };
+        assert_eq!(come(&[5, 6]), (0..u64::MAX, 0));
+        arrivals.count_from(10);
+        assert_eq!(come(&[11, 9, 10, 12]), (10..u64::MAX, 3));
+        arrivals.count_until(15);
+        assert_eq!(come(&[15, 14, 16]), (10..15, 5));
+        assert_eq!(arrivals.now().received, 9);
     }
 }

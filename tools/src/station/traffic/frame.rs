@@ -47,6 +47,10 @@ impl Tag {
         (header.ether_type() == EtherType::EXPERIMENTAL).then_some(())?;
         Tag::ref_from_prefix(payload).ok()
     }
+    /// The same of one that is as it was made: another frame of this EtherType is nobody's.
+    pub fn of_intact(frame: &[u8]) -> Option<&Tag> {
+        Tag::read(frame).filter(|_| is_intact(frame)).map(|(tag, _)| tag)
+    }
     /// Who sent it, by number in the lab.
     pub fn station(&self) -> usize {
         usize::from(self.station.get())

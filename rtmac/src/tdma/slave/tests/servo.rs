@@ -91,3 +91,25 @@ fn without_a_filter_there_is_silence_too_without_synchronisations() {
     assert_eq!(bench.slave.state(), SyncState::Locked);
     assert!(bench.slave.is_settled(), "it will not become clearer");
 }
+
+#[test]
+fn without_a_filter_a_loss_that_ends_with_a_number_that_was_passed_over_begins_a_new_line() {
+    let mut bench = locked();
+    bench.wait_until(700 * PERIOD);
+    assert_eq!(bench.slave.state(), SyncState::Lost);
+    // The master was started anew meanwhile: its 500th cycle is where the 700th would be.
+    assert_eq!(bench.hear_from_line(500, 700 * PERIOD, 0), Ok(Followed::Pending));
+    assert_eq!(bench.hear_from_line(501, 701 * PERIOD, 0), Ok(Followed::NewLine), "slots begin anew");
+    let line = bench.slave.line().unwrap();
+    assert_eq!((line.cycle, line.period.nanos()), (501, PERIOD as i64), "not what 700 make of 500");
+}
+
+#[test]
+fn without_a_filter_a_loss_that_ends_with_the_number_that_is_due_or_one_held_up_goes_on() {
+    for late in [0, 999_000] {
+        let mut bench = locked();
+        bench.wait_until(6 * PERIOD + PERIOD / 2);
+        assert_eq!(bench.slave.state(), SyncState::Lost);
+        assert_eq!(bench.hear(7, late), Ok(Followed::Agrees));
+    }
+}

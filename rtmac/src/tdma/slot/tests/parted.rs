@@ -3,7 +3,7 @@
 use super::*;
 
 fn change(slots: &mut Slots, slot: SlotConfig) {
-    slots.set(&mut NewSlot::of(slot), 1, &mut Events::new()).unwrap();
+    slots.set(slot, 1, &mut Events::new()).unwrap();
 }
 
 /// Slot 0, and slot 2, joined to it, with frames for their turns of cycle 1: both at once or, if so, in this order.

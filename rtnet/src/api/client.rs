@@ -1,0 +1,447 @@
+//! A program's end: sockets as those of the standard library, of a station that is another process.
+
+use core::net::SocketAddrV4;
+use core::sync::atomic::{AtomicBool, Ordering};
+use core::time::Duration;
+use std::fs::File;
+use std::io::{self, ErrorKind, IoSliceMut, Read, Write};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use nix::cmsg_space;
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
+use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg};
+use socket2::{Domain, SockAddr, Socket, Type};
+
+use super::handshake::{ANSWER_LEN, Answer, Ask, DESCRIPTORS};
+use super::memory::Memory;
+use super::place;
+use super::ring::{Reader, Writer};
+use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
+use crate::buf::ROOM;
+use crate::clock::True;
+use crate::live::clock::monotonic;
+use crate::queue::Priority;
+use crate::socket::{Flags, LinkMode, LinkType, Options, Received};
+use crate::wire::ethernet::{Address, EtherType};
+use crate::wire::udp::MAX_PAYLOAD;
+
+/// How long a station may take to answer: it looks at what it is asked between two slots.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// What an eventfd is written to be readable.
+const ONE: [u8; 8] = 1u64.to_ne_bytes();
+
+/// A station on this machine, by its control socket.
+#[derive(Clone, Debug)]
+pub struct Station {
+    control: PathBuf,
+}
+
+/// A UDP socket of a station's. It can be shared between threads: one may receive while another sends.
+pub struct UdpSocket(pub(super) End);
+
+/// A packet socket of a station's, for protocols of one's own.
+pub struct PacketSocket(pub(super) End);
+
+/// What both have.
+pub(super) struct End {
+    control: Mutex<Socket>,
+    pub(super) memory: Arc<Memory>,
+    received: Mutex<Reader>,
+    sending: Mutex<Sending>,
+    timeout: Mutex<Option<Duration>>,
+    waker: File,
+    doorbell: File,
+    /// Readable when something has come, or the station is gone.
+    ready: Epoll,
+    is_closed: AtomicBool,
+}
+
+struct Sending {
+    writer: Writer,
+    options: Options,
+    /// How many errors of earlier sends this program has been told of.
+    errors_told: u32,
+}
+
+impl Station {
+    /// The station of this user that is called `[LAB/]STATION`, as behind `rtnet -S`.
+    pub fn named(name: &str) -> io::Result<Self> {
+        place::socket_of(name).map(Self::at)
+    }
+
+    /// The station whose control socket is there.
+    pub fn at(control: impl AsRef<Path>) -> Self {
+        Self { control: control.as_ref().to_owned() }
+    }
+
+    /// A UDP socket with the station's default of buffers, and an automatic port.
+    pub fn udp(&self) -> io::Result<UdpSocket> {
+        self.udp_with(0)
+    }
+
+    /// The same with so many buffers: a datagram in fragments needs one for each.
+    pub fn udp_with(&self, buffers: u32) -> io::Result<UdpSocket> {
+        End::open(&self.control, Ask::OpenUdp(buffers)).map(UdpSocket)
+    }
+
+    /// A packet socket for frames of one EtherType, or all.
+    pub fn packet(&self, mode: LinkMode, link_type: LinkType) -> io::Result<PacketSocket> {
+        End::open(&self.control, Ask::OpenPacket(mode, link_type, 0)).map(PacketSocket)
+    }
+}
+
+impl UdpSocket {
+    /// Binds it to an address of the station's, or any (0.0.0.0), and to a port, or the one that it has (0).
+    pub fn bind(&self, to: SocketAddrV4) -> io::Result<()> {
+        self.0.ask(Ask::Bind(to)).map(drop)
+    }
+    /// From now on it sends to this peer and hears nobody else; `None`: to nobody, and all.
+    pub fn connect(&self, peer: Option<SocketAddrV4>) -> io::Result<()> {
+        self.0.ask(Ask::Connect(peer)).map(drop)
+    }
+    /// Where it hears.
+    pub fn local_addr(&self) -> io::Result<SocketAddrV4> {
+        Ok(self.0.ask(Ask::LocalAddress)?.address)
+    }
+    /// Whom it is connected to.
+    pub fn peer_addr(&self) -> io::Result<SocketAddrV4> {
+        Ok(self.0.ask(Ask::PeerAddress)?.address)
+    }
+
+    /// Hands a datagram of at most 65 507 bytes to the station. It does not wait: where the station has not taken what was
+    /// sent before, that is ENOBUFS. An earlier one that could not leave, for want of a route or of a slot, is told of here,
+    /// and this one is not sent then.
+    pub fn send_to(&self, data: &[u8], to: SocketAddrV4) -> io::Result<()> {
+        self.0.send(data, Some(segment::pack_udp(to)), MAX_PAYLOAD)
+    }
+    /// The same to the peer that it is connected to.
+    pub fn send(&self, data: &[u8]) -> io::Result<()> {
+        self.0.send(data, None, MAX_PAYLOAD)
+    }
+}
+
+impl PacketSocket {
+    /// From now on frames of another type come to it.
+    pub fn bind(&self, link_type: LinkType) -> io::Result<()> {
+        self.0.ask(Ask::BindLink(link_type)).map(drop)
+    }
+    /// Hands the content of a frame to the station, which writes its header.
+    pub fn send_to(&self, data: &[u8], to: Address, ether_type: EtherType) -> io::Result<()> {
+        self.0.send(data, Some(segment::pack_link(to, ether_type)), ROOM)
+    }
+    /// Hands a whole frame to the station, from its destination on.
+    pub fn send(&self, frame: &[u8]) -> io::Result<()> {
+        self.0.send(frame, None, ROOM)
+    }
+}
+
+macro_rules! of_both {
+    ($($socket:ident),+) => {$(
+        impl $socket {
+            /// Waits for what comes next, as long as the time-out says, and copies it as far as it fits.
+            pub fn receive(&self, into: &mut [u8]) -> io::Result<Received> {
+                self.0.receive(into, Flags::NONE)
+            }
+            /// The same with flags: `PEEK` leaves it there, `DONTWAIT` does not wait: who spins so never asks the kernel.
+            pub fn receive_with(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+                self.0.receive(into, flags)
+            }
+            /// Receives what has come, or says that nothing has (`WouldBlock`): then the descriptor becomes readable
+            /// as soon as something does.
+            pub fn try_receive(&self, into: &mut [u8]) -> io::Result<Received> {
+                self.0.try_receive(into)
+            }
+            /// How long to wait; `None`: for ever.
+            pub fn set_timeout(&self, timeout: Option<Duration>) {
+                *locked(&self.0.timeout) = timeout;
+            }
+            /// How urgent what it sends is, 0 to 30.
+            pub fn set_priority(&self, priority: Priority) -> io::Result<()> {
+                if priority > Priority::LAST_REAL_TIME {
+                    return Err(Errno::EINVAL.into());
+                }
+                locked(&self.0.sending).options.priority = priority;
+                Ok(())
+            }
+            /// The slot that it sends in.
+            pub fn set_channel(&self, channel: crate::discipline::Channel) {
+                locked(&self.0.sending).options.channel = channel;
+            }
+            /// The type of service in its IP headers.
+            pub fn set_tos(&self, tos: u8) {
+                locked(&self.0.sending).options.tos = tos;
+            }
+            /// Gives it up to so many more buffers; tells how many.
+            pub fn extend(&self, buffers: u32) -> io::Result<u32> {
+                Ok(self.0.ask(Ask::Extend(buffers))?.number)
+            }
+            /// Takes up to so many free buffers from it; tells how many.
+            pub fn shrink(&self, buffers: u32) -> io::Result<u32> {
+                Ok(self.0.ask(Ask::Shrink(buffers))?.number)
+            }
+            /// Ends all waiting on it, in whatever thread, and everything that comes after it: EBADF.
+            pub fn close(&self) {
+                self.0.close();
+            }
+        }
+
+        impl AsFd for $socket {
+            /// For `poll`, `epoll` and whatever is made of them: readable when something has come since a receive found
+            /// nothing, or when the station is gone.
+            fn as_fd(&self) -> BorrowedFd<'_> {
+                self.0.ready.0.as_fd()
+            }
+        }
+
+        impl AsRawFd for $socket {
+            fn as_raw_fd(&self) -> i32 {
+                self.as_fd().as_raw_fd()
+            }
+        }
+    )+};
+}
+
+of_both!(UdpSocket, PacketSocket);
+
+impl End {
+    fn open(path: &Path, ask: Ask) -> io::Result<Self> {
+        let control = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
+        // There is nobody there any more, or never was.
+        control.connect(&SockAddr::unix(path)?).map_err(|error| match error.kind() {
+            ErrorKind::NotFound | ErrorKind::ConnectionRefused => Errno::ENODEV.into(),
+            _ => error,
+        })?;
+        control.set_read_timeout(Some(ANSWER_WITHIN))?;
+        let (answer, descriptors) = exchange(&control, ask)?;
+        check(&answer)?;
+        let Ok([memory, waker, doorbell]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
+            return Err(Errno::EPROTO.into());
+        };
+        let memory = Arc::new(Memory::open(memory)?);
+        if !segment::fits(&memory) {
+            return Err(Errno::EPROTO.into());
+        }
+        let waker = File::from(waker);
+        let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        ready.add(&waker, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
+        ready.add(&control, EpollEvent::new(EpollFlags::EPOLLRDHUP, 1))?;
+        let writer = Writer::new(memory.clone(), segment::sent());
+        Ok(Self {
+            control: Mutex::new(control),
+            received: Mutex::new(Reader::new(memory.clone(), segment::received())),
+            sending: Mutex::new(Sending { writer, options: Options::default(), errors_told: 0 }),
+            memory,
+            timeout: Mutex::new(None),
+            waker,
+            doorbell: File::from(doorbell),
+            ready,
+            is_closed: AtomicBool::new(false),
+        })
+    }
+
+    pub(super) fn ask(&self, ask: Ask) -> io::Result<Answer> {
+        self.check_open()?;
+        let (answer, _) = exchange(&locked(&self.control), ask)?;
+        check(&answer)?;
+        Ok(answer)
+    }
+
+    fn send(&self, data: &[u8], to: Option<u64>, most: usize) -> io::Result<()> {
+        self.check_open()?;
+        if data.len() > most {
+            return Err(Errno::EMSGSIZE.into());
+        }
+        let mut sending = locked(&self.sending);
+        let word = self.memory[ERROR].load(Ordering::Acquire);
+        let count = (word >> 32) as u32;
+        if std::mem::replace(&mut sending.errors_told, count) != count {
+            return Err(Errno::from_raw(word as u32 as i32).into());
+        }
+        let order = Order { to, options: sending.options, flags: 0 };
+        let written = sending.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
+        match written {
+            Ok(true) => {}
+            // Nobody reads any more?
+            Ok(false) if hung_up(&self.ready) => return Err(Errno::ENODEV.into()),
+            Ok(false) => return Err(Errno::ENOBUFS.into()),
+            Err(_) => return Err(Errno::ENODEV.into()),
+        }
+        drop(sending);
+        core::sync::atomic::fence(Ordering::SeqCst);
+        if self.memory[STATION_ASLEEP].load(Ordering::SeqCst) != 0 {
+            // It does not block: who was rung for is awake soon.
+            let _ = (&self.doorbell).write(&ONE);
+        }
+        Ok(())
+    }
+
+    fn receive(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+        flags.check(Flags::PEEK | Flags::DONTWAIT).map_err(|error| Errno::from_raw(error.errno()))?;
+        if flags.contains(Flags::DONTWAIT) {
+            let received = self.take(into, flags)?;
+            return received
+                .ok_or_else(|| if self.is_served() { Errno::EAGAIN } else { Errno::ENODEV }.into());
+        }
+        let timeout = *locked(&self.timeout);
+        let until = timeout.map(|timeout| monotonic().saturating_add(nanos(timeout)));
+        loop {
+            if let Some(received) = self.take_or_sleep(into, flags)? {
+                return Ok(received);
+            }
+            self.wait(until)?;
+        }
+    }
+
+    fn try_receive(&self, into: &mut [u8]) -> io::Result<Received> {
+        self.take_or_sleep(into, Flags::NONE)?.ok_or_else(|| Errno::EAGAIN.into())
+    }
+
+    /// What has come; if nothing has, the station wakes this program for what comes next.
+    fn take_or_sleep(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
+        if let Some(received) = self.take(into, flags)? {
+            return Ok(Some(received));
+        }
+        // Who says that it sleeps looks once more: what came before is not told of.
+        let _ = (&self.waker).read(&mut [0; size_of::<u64>()]);
+        self.memory[ASLEEP].store(1, Ordering::SeqCst);
+        core::sync::atomic::fence(Ordering::SeqCst);
+        let received = self.take(into, flags)?;
+        if received.is_some() {
+            // More may have come with it, and what it was told of is read away: whoever waits looks for himself.
+            let _ = (&self.waker).write(&ONE);
+            return Ok(received);
+        }
+        self.check_open()?;
+        if hung_up(&self.ready) {
+            return Err(Errno::ENODEV.into());
+        }
+        Ok(None)
+    }
+
+    fn take(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
+        if self.is_closed.load(Ordering::Acquire) {
+            return Err(Errno::EBADF.into());
+        }
+        let mut reader = locked(&self.received);
+        let record = reader.peek(into).map_err(|_| Errno::ENODEV)?;
+        Ok(record.map(|record| {
+            if !flags.contains(Flags::PEEK) {
+                reader.take(record);
+            }
+            segment::unpack_received(record.meta, record.len, record.copied)
+        }))
+    }
+
+    fn wait(&self, until: Option<True>) -> io::Result<()> {
+        let left = until.map(|until| Duration::from_nanos(until.saturating_sub(monotonic())));
+        if left.is_some_and(|left| left.is_zero()) {
+            return Err(Errno::ETIMEDOUT.into());
+        }
+        // Rounded up: who wakes too early looks again.
+        let timeout = match left {
+            Some(left) => PollTimeout::try_from(left + Duration::from_millis(1)).unwrap_or(PollTimeout::MAX),
+            None => PollTimeout::NONE,
+        };
+        let mut fds = [PollFd::new(self.ready.0.as_fd(), PollFlags::POLLIN)];
+        match poll(&mut fds, timeout) {
+            Err(Errno::EINTR) | Ok(_) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// What has come can be read even of a station that is gone; nothing else can be done.
+    fn check_open(&self) -> io::Result<()> {
+        if self.is_closed.load(Ordering::Acquire) {
+            return Err(Errno::EBADF.into());
+        }
+        if self.is_served() { Ok(()) } else { Err(Errno::ENODEV.into()) }
+    }
+
+    fn is_served(&self) -> bool {
+        self.memory[STATE].load(Ordering::Acquire) == SERVED
+    }
+
+    fn close(&self) {
+        self.is_closed.store(true, Ordering::Release);
+        // The station hears of it, and so does who waits here.
+        let _ = locked(&self.control).shutdown(std::net::Shutdown::Both);
+        let _ = (&self.waker).write(&ONE);
+    }
+}
+
+/// Whether the station has hung up.
+fn hung_up(ready: &Epoll) -> bool {
+    let mut events = [EpollEvent::empty(); 2];
+    let found = ready.wait(&mut events, PollTimeout::ZERO).unwrap_or(0);
+    events[..found].iter().any(|event| event.data() == 1)
+}
+
+fn check(answer: &Answer) -> io::Result<()> {
+    match answer.errno {
+        0 => Ok(()),
+        errno => Err(io::Error::from_raw_os_error(errno)),
+    }
+}
+
+/// Asks, and waits for the answer and what comes with it.
+fn exchange(control: &Socket, ask: Ask) -> io::Result<(Answer, Vec<OwnedFd>)> {
+    control.send(&ask.to_bytes()).map_err(gone)?;
+    let mut packet = [0; ANSWER_LEN + 1];
+    let mut room = cmsg_space!([i32; DESCRIPTORS]);
+    let mut parts = [IoSliceMut::new(&mut packet)];
+    let flags = MsgFlags::MSG_CMSG_CLOEXEC;
+    let message = loop {
+        match recvmsg::<()>(control.as_raw_fd(), &mut parts, Some(&mut room), flags) {
+            Ok(message) => break message,
+            Err(Errno::EINTR) => parts = [IoSliceMut::new(&mut packet)],
+            Err(errno) => {
+                // An answer that came later would be taken for that to the next ask.
+                let _ = control.shutdown(std::net::Shutdown::Both);
+                return Err(if errno == Errno::EAGAIN {
+                    Errno::ETIMEDOUT.into()
+                } else {
+                    gone(errno.into())
+                });
+            }
+        }
+    };
+    let mut descriptors = Vec::new();
+    for part in message.cmsgs()? {
+        if let ControlMessageOwned::ScmRights(fds) = part {
+            descriptors.extend(fds.into_iter().map(own));
+        }
+    }
+    let bytes = message.bytes;
+    let answer = Answer::parse(&packet[..bytes]).ok_or(Errno::ENODEV)?;
+    Ok((answer, descriptors))
+}
+
+/// A descriptor that has just been received.
+#[allow(unsafe_code)]
+fn own(fd: i32) -> OwnedFd {
+    // SAFETY: the kernel has just made it for this process, and nobody else knows of it.
+    unsafe { OwnedFd::from_raw_fd(fd) }
+}
+
+/// A station that hangs up is no device any more.
+fn gone(error: io::Error) -> io::Error {
+    match error.kind() {
+        ErrorKind::BrokenPipe | ErrorKind::ConnectionReset | ErrorKind::NotConnected => Errno::ENODEV.into(),
+        _ => error,
+    }
+}
+
+/// As many as there can be of what is longer than that.
+fn nanos(timeout: Duration) -> True {
+    True::try_from(timeout.as_nanos()).unwrap_or(True::MAX)
+}
+
+/// Nothing is left half done by who panicked.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

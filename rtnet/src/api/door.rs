@@ -1,0 +1,218 @@
+//! Where programs come in: what they ask is made ready here, done in the station's thread, and answered here again, so
+//! that thread takes no memory and frees none.
+//!
+//! ```text
+//! control thread   prepare(ask) ─► Visit ┐                ┌► finish ─► answer, memory and waker for the program
+//! station's thread                       └─ visit(stack) ─┘
+//! ```
+
+use std::io::{self, IoSlice};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use std::sync::Arc;
+
+use nix::errno::Errno;
+use nix::sys::eventfd::{EfdFlags, EventFd};
+use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
+
+use super::handshake::{Answer, Ask, DESCRIPTORS};
+use super::line::{Line, Lines};
+use crate::buf::Pool;
+use crate::ip::{Exit, Stack};
+use crate::live::Visitor;
+use crate::socket::{DEFAULT_BUFFERS, MOST_BUFFERS, ROOM_TO_EXTEND, Socket, SocketError, SocketId};
+
+/// Pools of closed sockets; while there are so many whose frames still wait to be sent, no socket is opened.
+const MOST_RETIRED: usize = 256;
+
+/// The control thread's side of all programs' sockets.
+pub struct Door {
+    /// Pools of sockets that were closed: once all of their buffers are home another socket has them.
+    retired: Vec<Arc<Pool>>,
+    doorbell: Arc<EventFd>,
+}
+
+/// A socket that a program has.
+pub struct Attached {
+    socket: SocketId,
+    pool: Arc<Pool>,
+}
+
+/// What is to be done, or was done, in the station's thread.
+pub struct Visit {
+    what: What,
+    answer: Answer,
+}
+
+enum What {
+    Open(Box<Opening>),
+    Ask(Ask, SocketId),
+    /// With what was closed: it is freed here.
+    Close(SocketId, Option<(Box<Socket>, Option<Box<Line>>)>),
+}
+
+struct Opening {
+    /// Both are taken in, or both come back.
+    socket: Option<Box<Socket>>,
+    line: Option<Box<Line>>,
+    pool: Arc<Pool>,
+    descriptors: Descriptors,
+    opened: Option<SocketId>,
+}
+
+/// What a program gets with the answer to an opening.
+pub type Descriptors = [OwnedFd; DESCRIPTORS];
+
+impl Door {
+    /// Nobody has come in yet.
+    pub fn new() -> io::Result<Self> {
+        let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
+        Ok(Self { retired: Vec::new(), doorbell: Arc::new(EventFd::from_flags(flags)?) })
+    }
+
+    /// What programs ring when the station sleeps.
+    pub fn doorbell(&self) -> Arc<EventFd> {
+        self.doorbell.clone()
+    }
+
+    /// Makes an ask of a program ready: one that has no socket opens one, one that has asks about it. What needs nothing of
+    /// the station's thread is answered at once.
+    pub fn prepare(&mut self, ask: Ask, of: Option<&Attached>) -> Result<Visit, Answer> {
+        let refused = |errno| Answer::refused(errno as i32);
+        let what = match (ask, of) {
+            (Ask::OpenUdp(buffers), None) => self.open(buffers, Socket::udp)?,
+            (Ask::OpenPacket(mode, link_type, buffers), None) => {
+                self.open(buffers, |pool| Socket::packet(mode, link_type, pool))?
+            }
+            (Ask::OpenUdp(_) | Ask::OpenPacket(..), Some(_)) => return Err(refused(Errno::EISCONN)),
+            (_, None) => return Err(refused(Errno::EBADF)),
+            (Ask::Extend(n), Some(of)) => return Err(resized(of.pool.extend(n as usize), Errno::ENOMEM)),
+            (Ask::Shrink(n), Some(of)) => return Err(resized(of.pool.shrink(n as usize), Errno::EBUSY)),
+            (ask, Some(of)) => What::Ask(ask, of.socket),
+        };
+        Ok(Visit { what, answer: Answer::DONE })
+    }
+
+    /// A program has gone: its socket is to be closed.
+    pub fn leave(&mut self, of: Attached) -> Visit {
+        self.retired.push(of.pool);
+        Visit { what: What::Close(of.socket, None), answer: Answer::DONE }
+    }
+
+    /// What the station's thread has made of it: the answer, and what an opened socket's program is to have.
+    pub fn finish(&mut self, visit: Visit) -> (Answer, Option<(Attached, Descriptors)>) {
+        let Visit { what: What::Open(opening), answer } = visit else { return (visit.answer, None) };
+        let Opening { pool, descriptors, opened, .. } = *opening;
+        match opened {
+            Some(socket) => (answer, Some((Attached { socket, pool }, descriptors))),
+            None => {
+                self.retired.push(pool);
+                (answer, None)
+            }
+        }
+    }
+
+    fn open(&mut self, buffers: u32, socket: impl FnOnce(Arc<Pool>) -> Box<Socket>) -> Result<What, Answer> {
+        let refused = |errno| Answer::refused(errno as i32);
+        let buffers = if buffers == 0 { DEFAULT_BUFFERS } else { buffers as usize };
+        if buffers > MOST_BUFFERS {
+            return Err(refused(Errno::ENOMEM));
+        }
+        let line = Line::new().map_err(|_| refused(Errno::ENOMEM))?;
+        let descriptors = self.descriptors(&line).map_err(|_| refused(Errno::ENFILE))?;
+        let pool = self.pool(buffers).ok_or(refused(Errno::ENOBUFS))?;
+        let (socket, line) = (Some(socket(pool.clone())), Some(line));
+        Ok(What::Open(Box::new(Opening { socket, line, pool, descriptors, opened: None })))
+    }
+
+    fn descriptors(&self, line: &Line) -> io::Result<Descriptors> {
+        let copy = |fd: BorrowedFd<'_>| fd.try_clone_to_owned();
+        Ok([copy(line.memory())?, copy(line.waker())?, copy(self.doorbell.as_fd())?])
+    }
+
+    /// One whose buffers are all home, with so many of them: frames of a closed socket may still wait to be sent.
+    fn pool(&mut self, buffers: usize) -> Option<Arc<Pool>> {
+        let is_home = |pool: &Arc<Pool>| pool.available() == pool.capacity() && Arc::strong_count(pool) == 1;
+        let Some(place) = self.retired.iter().position(|pool| is_home(pool) && pool.room() >= buffers) else {
+            if self.retired.len() >= MOST_RETIRED {
+                self.retired.retain(|pool| !is_home(pool));
+            }
+            let room = buffers.max(ROOM_TO_EXTEND).next_power_of_two();
+            return (self.retired.len() < MOST_RETIRED).then(|| Arc::new(Pool::with_room(buffers, room)));
+        };
+        let pool = self.retired.swap_remove(place);
+        match pool.capacity() {
+            many if many > buffers => pool.shrink(many - buffers),
+            few => pool.extend(buffers - few),
+        };
+        Some(pool)
+    }
+}
+
+/// Sends an answer, with what goes with it, to a program that is not waited for.
+pub fn reply(program: impl AsFd, answer: &Answer, descriptors: Option<&Descriptors>) -> io::Result<()> {
+    let fds = descriptors.map(|descriptors| descriptors.each_ref().map(AsRawFd::as_raw_fd));
+    let rights = fds.as_ref().map(|fds| ControlMessage::ScmRights(fds));
+    let packet = answer.to_bytes();
+    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
+    let program = program.as_fd().as_raw_fd();
+    sendmsg::<()>(program, &[IoSlice::new(&packet)], rights.as_slice(), flags, None)?;
+    Ok(())
+}
+
+fn resized(n: usize, if_none: Errno) -> Answer {
+    if n == 0 { Answer::refused(if_none as i32) } else { Answer { number: n as u32, ..Answer::DONE } }
+}
+
+impl Visitor for Visit {
+    /// In the station's thread: nothing is taken or freed here.
+    fn visit(&mut self, stack: &mut Stack, _exit: &mut dyn Exit) {
+        let done = match &mut self.what {
+            What::Open(opening) => opening.visit(stack),
+            What::Ask(ask, id) => carry_out(stack, *ask, *id, &mut self.answer),
+            What::Close(id, closed) => {
+                let line = stack.program_mut::<Lines>().and_then(|lines| lines.remove(*id));
+                stack.close(*id).map(|socket| *closed = Some((socket, line)))
+            }
+        };
+        if let Err(error) = done {
+            self.answer = Answer::refused(error.errno());
+        }
+    }
+}
+
+impl Opening {
+    fn visit(&mut self, stack: &mut Stack) -> Result<(), SocketError> {
+        let (Some(socket), Some(line)) = (self.socket.take(), self.line.take()) else { return Ok(()) };
+        let id = match stack.open(socket) {
+            Ok(id) => id,
+            Err((error, socket)) => {
+                (self.socket, self.line) = (Some(socket), Some(line));
+                return Err(error);
+            }
+        };
+        let Some(lines) = stack.program_mut::<Lines>() else {
+            (self.socket, self.line) = (stack.close(id).ok(), Some(line));
+            return Err(SocketError::OtherKind("this station has no sockets for other processes"));
+        };
+        match lines.add(id, line) {
+            Ok(()) => self.opened = Some(id),
+            Err((most, line)) => {
+                (self.socket, self.line) = (stack.close(id).ok(), Some(line));
+                return Err(SocketError::TooMany(most));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn carry_out(stack: &mut Stack, ask: Ask, id: SocketId, answer: &mut Answer) -> Result<(), SocketError> {
+    match ask {
+        Ask::Bind(to) => stack.bind(id, to),
+        Ask::BindLink(link_type) => stack.bind_link(id, link_type),
+        Ask::Connect(peer) => stack.connect(id, peer),
+        Ask::LocalAddress => stack.local_address(id).map(|address| answer.address = address),
+        Ask::PeerAddress => stack.peer_address(id).map(|address| answer.address = address),
+        // Answered where they were asked.
+        Ask::OpenUdp(_) | Ask::OpenPacket(..) | Ask::Extend(_) | Ask::Shrink(_) => Ok(()),
+    }
+}

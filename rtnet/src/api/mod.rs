@@ -1,0 +1,35 @@
+//! Sockets of a station for other processes.
+//!
+//! A program attaches by the station's control socket and has memory in common with it: what it sends and receives goes
+//! through bounded rings there, without a system call as long as both are awake. It needs no right but to open that
+//! socket.
+//!
+//! ```no_run
+//! use rtnet::api::Station;
+//!
+//! // As behind `rtnet -S`; it was started with `--ip`.
+//! let socket = Station::named("cell/arm")?.udp()?;
+//! socket.bind("0.0.0.0:36000".parse().expect("an address"))?;
+//! let mut room = [0; 1500];
+//! let received = socket.receive(&mut room)?;
+//! println!("{} bytes from {:?}, {:?} on the master's clock", received.len, received.from, received.global);
+//! # Ok::<(), std::io::Error>(())
+//! ```
+//!
+//! The descriptor of a socket works in `poll`, `epoll` and what is made of them: it is readable when something has come
+//! since [`UdpSocket::try_receive`] found nothing, or when the station is gone. Programs in the station's own thread have
+//! the same sockets by [`Access`](crate::socket::Access).
+
+pub mod client;
+pub mod door;
+pub mod handshake;
+pub mod line;
+pub mod memory;
+pub mod place;
+pub mod ring;
+pub mod segment;
+
+pub use client::{PacketSocket, Station, UdpSocket};
+
+#[cfg(test)]
+mod tests;

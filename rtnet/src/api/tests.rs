@@ -1,0 +1,450 @@
+//! Programs and two stations that hear each other, in threads of one process.
+
+// Programs wait, and stations take their turns, in real time.
+#![allow(clippy::disallowed_methods)]
+
+use std::collections::VecDeque;
+use std::io::{ErrorKind, Read};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use socket2::{Domain, SockAddr, Socket, Type};
+
+use super::client::{PacketSocket, Station, UdpSocket};
+use super::door::{self, Attached, Door};
+use super::handshake::{Answer, Ask};
+use super::line::Lines;
+use crate::buf::{Buf, Pool};
+use crate::discipline::{Channel, SendError, TimeView};
+use crate::ip::route::{HostRoute, Interface, Origin};
+use crate::ip::{Exit, Stack, StackConfig};
+use crate::live::Visitor;
+use crate::queue::Priority;
+use crate::socket::{Flags, LinkMode, LinkType, Sender};
+use crate::time::Instant;
+use crate::wire::ethernet::{Address, EtherType, MTU};
+
+const IP: [Ipv4Addr; 2] = [Ipv4Addr::new(10, 0, 0, 1), Ipv4Addr::new(10, 0, 0, 2)];
+
+fn address(station: usize) -> Address {
+    Address([2, 0, 0, 0, 0, 1 + station as u8])
+}
+
+/// What waits to cross to the other station.
+struct Queue(VecDeque<Buf>);
+
+impl Exit for Queue {
+    fn send(&mut self, frame: Buf, _: Priority, _: Channel) -> Result<(), (SendError, Buf)> {
+        self.0.push_back(frame);
+        Ok(())
+    }
+    fn limit(&self, channel: Channel) -> Result<usize, SendError> {
+        if channel > 1 { Err(SendError::NoSlot(channel)) } else { Ok(MTU) }
+    }
+    fn time(&self) -> TimeView {
+        TimeView::default()
+    }
+}
+
+/// One station: what its control thread and its real-time thread do, in turns.
+struct Site {
+    stack: Stack,
+    queue: Queue,
+    nic: Pool,
+    door: Door,
+    listener: Socket,
+    programs: Vec<(Socket, Option<Attached>)>,
+}
+
+/// Two stations that a thread keeps going.
+struct Pair {
+    stations: [Station; 2],
+    seen: Arc<Seen>,
+    stop: Arc<AtomicBool>,
+    held: Arc<Mutex<()>>,
+    thread: Option<JoinHandle<()>>,
+    _scratch: tempfile::TempDir,
+}
+
+/// What the thread shows of the second station.
+#[derive(Default)]
+struct Seen {
+    sockets: AtomicU64,
+    wakes: AtomicU64,
+    nonsense: AtomicU64,
+    free: AtomicU64,
+    turns: AtomicU64,
+}
+
+impl Site {
+    fn new(number: usize, path: &PathBuf) -> Self {
+        let interface = Interface { address: address(number), ip: IP[number], prefix: 24 };
+        let mut stack = Stack::new(StackConfig::new(interface), vec![Box::new(Lines::new(64))]);
+        let (ip, other) = (IP[1 - number], address(1 - number));
+        stack.routes_mut().add_host(HostRoute { ip, address: other, origin: Origin::Static }).unwrap();
+        let listener = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
+        listener.bind(&SockAddr::unix(path).unwrap()).unwrap();
+        listener.listen(16).unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let (queue, nic) = (Queue(VecDeque::new()), Pool::new(8));
+        Self { stack, queue, nic, door: Door::new().unwrap(), listener, programs: Vec::new() }
+    }
+
+    fn admit(&mut self) {
+        while let Ok((program, _)) = self.listener.accept() {
+            program.set_nonblocking(true).unwrap();
+            self.programs.push((program, None));
+        }
+        let Self { stack, queue, door, programs, .. } = self;
+        programs.retain_mut(|(program, attached)| serve((stack, queue), door, program, attached));
+    }
+
+    fn turn(&mut self, heard: &mut VecDeque<Vec<u8>>, now: u64) {
+        for bytes in heard.drain(..) {
+            let mut frame = self.nic.take().unwrap();
+            frame.fill(&bytes);
+            let _ = self.stack.on_frame(Some(Instant::from_nanos(now)), frame, &mut self.queue);
+        }
+        self.stack.poll(Instant::from_nanos(now), &mut self.queue);
+    }
+}
+
+/// `false`: the program has gone.
+fn serve(
+    (stack, queue): (&mut Stack, &mut Queue),
+    door: &mut Door,
+    program: &Socket,
+    attached: &mut Option<Attached>,
+) -> bool {
+    let mut packet = [0; 64];
+    let mut from = program;
+    let len = match from.read(&mut packet) {
+        Ok(len) if len > 0 => len,
+        Err(error) if error.kind() == ErrorKind::WouldBlock => return true,
+        _ => {
+            if let Some(attached) = attached.take() {
+                let mut visit = door.leave(attached);
+                visit.visit(stack, queue);
+                door.finish(visit);
+            }
+            return false;
+        }
+    };
+    let (answer, opened) = match door.prepare(Ask::parse(&packet[..len]).unwrap(), attached.as_ref()) {
+        Ok(mut visit) => {
+            visit.visit(stack, queue);
+            door.finish(visit)
+        }
+        Err(answer) => (answer, None),
+    };
+    door::reply(program, &answer, opened.as_ref().map(|(_, descriptors)| descriptors)).unwrap();
+    if let Some((now_attached, _)) = opened {
+        *attached = Some(now_attached);
+    }
+    true
+}
+
+impl Pair {
+    fn new() -> Self {
+        let scratch = tempfile::tempdir().unwrap();
+        let paths = [0, 1].map(|n| scratch.path().join(format!("{n}.sock")));
+        let (seen, stop, held) =
+            (Arc::<Seen>::default(), Arc::<AtomicBool>::default(), Arc::<Mutex<()>>::default());
+        let sites = [0, 1].map(|n| Site::new(n, &paths[n]));
+        let of_thread = (seen.clone(), stop.clone(), held.clone());
+        let thread = std::thread::spawn(move || run(sites, &of_thread.0, &of_thread.1, &of_thread.2));
+        let stations = paths.each_ref().map(Station::at);
+        Self { stations, seen, stop, held, thread: Some(thread), _scratch: scratch }
+    }
+
+    /// A socket of each, the second bound to port 36 000.
+    fn sockets(&self) -> [UdpSocket; 2] {
+        let sockets = self.stations.each_ref().map(|station| station.udp().unwrap());
+        sockets[1].bind(any(36_000)).unwrap();
+        sockets.iter().for_each(|socket| socket.set_timeout(Some(Duration::from_secs(5))));
+        sockets
+    }
+
+    /// Waits until something holds of what is seen of the second station.
+    fn until(&self, what: &str, holds: impl Fn(&Seen) -> bool) {
+        let begun = std::time::Instant::now();
+        while !holds(&self.seen) {
+            assert!(begun.elapsed() < Duration::from_secs(5), "{what}");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn end(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().into_iter().for_each(|thread| thread.join().unwrap());
+    }
+}
+
+impl Drop for Pair {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+fn run(mut sites: [Site; 2], seen: &Seen, stop: &AtomicBool, held: &Mutex<()>) {
+    let mut heard = [VecDeque::new(), VecDeque::new()];
+    for turn in 1.. {
+        if stop.load(Ordering::Relaxed) {
+            return;
+        }
+        let _held = held.lock().unwrap();
+        for (number, site) in sites.iter_mut().enumerate() {
+            site.admit();
+            site.turn(&mut heard[number], turn);
+            heard[1 - number].extend(site.queue.0.drain(..).map(|frame| frame.to_vec()));
+            site.stack.rest();
+        }
+        let second = &mut sites[1].stack;
+        let lines = second.program_mut::<Lines>().unwrap().counters();
+        seen.wakes.store(lines.wakes, Ordering::Relaxed);
+        seen.nonsense.store(lines.nonsense, Ordering::Relaxed);
+        let free = second.sockets().map(|(_, socket)| socket.pool().available() as u64);
+        seen.free.store(free.sum(), Ordering::Relaxed);
+        seen.sockets.store(second.sockets().count() as u64, Ordering::Relaxed);
+        seen.turns.store(turn, Ordering::Relaxed);
+        std::thread::yield_now();
+    }
+}
+
+fn any(port: u16) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port)
+}
+
+fn to_second() -> SocketAddrV4 {
+    SocketAddrV4::new(IP[1], 36_000)
+}
+
+fn number<T>(result: std::io::Result<T>) -> Errno {
+    Errno::from_raw(result.err().and_then(|error| error.raw_os_error()).expect("it fails"))
+}
+
+fn bytes(len: usize) -> Vec<u8> {
+    (0..len).map(|n| (n * 7 + n / 251) as u8).collect()
+}
+
+#[test]
+fn programs_of_two_stations_exchange_datagrams() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    let port = a.local_addr().unwrap().port();
+    let mut room = [0; 64];
+    for n in 0..100 {
+        a.send_to(&bytes(n % 60), to_second()).unwrap();
+        let received = b.receive(&mut room).unwrap();
+        assert_eq!(received.from, Sender::Udp(SocketAddrV4::new(IP[0], port)));
+        assert_eq!(room[..received.len], bytes(n % 60));
+        b.send_to(&room[..received.len], SocketAddrV4::new(IP[0], port)).unwrap();
+        assert_eq!(a.receive(&mut room).unwrap().whole, n % 60);
+    }
+}
+
+#[test]
+fn the_longest_datagram_crosses_in_fragments() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    assert_eq!((a.extend(40).unwrap(), b.extend(40).unwrap()), (40, 40));
+    let mut room = vec![0; 65_507];
+    for _ in 0..20 {
+        a.send_to(&bytes(65_507), to_second()).unwrap();
+        assert_eq!(b.receive(&mut room).unwrap().len, 65_507);
+        assert_eq!(room, bytes(65_507));
+    }
+    assert_eq!(b.shrink(1_000).unwrap(), 55, "one stays");
+    assert_eq!(number(b.shrink(1)), Errno::EBUSY);
+    assert_eq!(b.extend(1_000).unwrap(), 255, "as many as there is room for");
+    assert_eq!(number(b.extend(1)), Errno::ENOMEM);
+}
+
+#[test]
+fn what_is_peeked_at_stays_and_what_does_not_fit_is_cut() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    a.send_to(&bytes(100), to_second()).unwrap();
+    let mut room = [0; 10];
+    let peeked = b.receive_with(&mut room, Flags::PEEK).unwrap();
+    assert_eq!((peeked.len, peeked.whole, peeked.is_truncated()), (10, 100, true));
+    assert_eq!(b.try_receive(&mut room).unwrap(), peeked);
+    assert_eq!(number(b.try_receive(&mut room)), Errno::EAGAIN);
+    assert_eq!(number(b.receive_with(&mut room, Flags::DONTWAIT)), Errno::EAGAIN);
+    assert_eq!(number(b.receive_with(&mut room, Flags::from_bits(libc::MSG_OOB))), Errno::EOPNOTSUPP);
+}
+
+#[test]
+fn only_who_sleeps_is_woken() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    let mut room = [0; 10];
+    let spin = |room: &mut [u8]| loop {
+        match b.receive_with(room, Flags::DONTWAIT) {
+            Ok(received) => return received,
+            Err(_) => std::thread::yield_now(),
+        }
+    };
+    for _ in 0..50 {
+        a.send_to(b"awake", to_second()).unwrap();
+        spin(&mut room);
+    }
+    let wakes = || pair.seen.wakes.load(Ordering::Relaxed);
+    assert!(wakes() <= 1, "who is awake costs no system call; who has never looked might sleep");
+    assert_eq!(number(b.try_receive(&mut room)), Errno::EAGAIN);
+    a.send_to(b"asleep", to_second()).unwrap();
+    let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
+    assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
+    assert_eq!(b.try_receive(&mut room).unwrap().len, 6);
+    pair.until("it was woken once more", |seen| seen.wakes.load(Ordering::Relaxed) == 2);
+}
+
+#[test]
+fn who_waits_before_it_has_ever_looked_is_woken() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    a.send_to(b"first", to_second()).unwrap();
+    let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
+    assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
+    assert_eq!(b.try_receive(&mut [0; 10]).unwrap().len, 5);
+}
+
+#[test]
+fn a_wait_ends_in_time_and_when_another_thread_closes_the_socket() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    b.set_timeout(Some(Duration::from_millis(20)));
+    assert_eq!(number(b.receive(&mut [])), Errno::ETIMEDOUT);
+    b.set_timeout(None);
+    std::thread::scope(|scope| {
+        let waiter = scope.spawn(|| b.receive(&mut []));
+        std::thread::sleep(Duration::from_millis(20));
+        b.close();
+        assert_eq!(number(waiter.join().unwrap()), Errno::EBADF);
+    });
+    assert_eq!(number(b.send_to(b"", to_second())), Errno::EBADF);
+    pair.until("the station has closed it, too", |seen| seen.sockets.load(Ordering::Relaxed) == 0);
+    a.send_to(b"", to_second()).unwrap();
+}
+
+#[test]
+fn what_cannot_be_is_refused_by_the_number_that_sockets_give() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    let other = pair.stations[1].udp().unwrap();
+    assert_eq!(number(other.bind(any(36_000))), Errno::EADDRINUSE);
+    assert_eq!(number(other.bind(SocketAddrV4::new(IP[0], 1))), Errno::EADDRNOTAVAIL);
+    assert_eq!(number(other.peer_addr()), Errno::ENOTCONN);
+    assert_eq!(number(a.send_to(&bytes(65_508), to_second())), Errno::EMSGSIZE);
+    assert_eq!(number(a.set_priority(Priority::NON_RT)), Errno::EINVAL);
+    let packet = pair.stations[0].packet(LinkMode::Datagram, LinkType::Nothing).unwrap();
+    assert_eq!(number(packet.0.ask(Ask::Bind(any(1)))), Errno::EOPNOTSUPP);
+    assert_eq!(number(pair.stations[0].udp_with(1 << 20)), Errno::ENOMEM);
+    // What is found out in the station's thread is told of at the next call.
+    let nowhere = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 99), 1);
+    for (send, expected) in [(nowhere, Errno::EHOSTUNREACH), (any(1), Errno::EINVAL)] {
+        a.send_to(b"", send).unwrap();
+        let turn = pair.seen.turns.load(Ordering::Relaxed);
+        pair.until("two turns", |seen| seen.turns.load(Ordering::Relaxed) > turn + 2);
+        assert_eq!(number(a.send_to(b"x", to_second())), expected, "of the one before");
+    }
+    a.set_channel(7);
+    a.send_to(b"", to_second()).unwrap();
+    let turn = pair.seen.turns.load(Ordering::Relaxed);
+    pair.until("two turns", |seen| seen.turns.load(Ordering::Relaxed) > turn + 2);
+    assert_eq!(number(a.send_to(b"x", to_second())), Errno::EAGAIN, "there is no such slot");
+    drop(b);
+}
+
+#[test]
+fn a_station_that_does_not_take_what_is_sent_is_not_waited_for() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    let held = pair.held.lock().unwrap();
+    let sent = (0..100_000).take_while(|_| a.send_to(&bytes(1_000), to_second()).is_ok()).count();
+    assert!((100..1_000).contains(&sent), "{sent} wait in the ring");
+    assert_eq!(number(a.send_to(&bytes(1_000), to_second())), Errno::ENOBUFS);
+    drop(held);
+    let mut room = [0; 1_000];
+    for _ in 0..sent {
+        assert_eq!(b.receive(&mut room).unwrap().len, 1_000);
+    }
+}
+
+#[test]
+fn a_station_that_is_gone_is_no_device_any_more() {
+    let mut pair = Pair::new();
+    let [a, b] = pair.sockets();
+    assert_eq!(number(b.try_receive(&mut [])), Errno::EAGAIN);
+    a.send_to(b"last words", to_second()).unwrap();
+    let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
+    assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
+    pair.end();
+    let mut room = [0; 20];
+    assert_eq!(b.receive(&mut room).unwrap().len, 10, "what has come is there");
+    assert_eq!(number(b.receive(&mut room)), Errno::ENODEV);
+    assert_eq!(number(a.send_to(b"", to_second())), Errno::ENODEV);
+    assert_eq!(number(a.bind(any(1))), Errno::ENODEV);
+    assert_eq!(number(pair.stations[0].udp()), Errno::ENODEV);
+}
+
+#[test]
+fn a_program_that_writes_nonsense_into_its_memory_ends_its_own_line_only() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    let hostile = pair.stations[1].udp().unwrap();
+    for (word, value) in [(9, 1 << 40), (9, 3)] {
+        let hostile = pair.stations[1].udp().unwrap();
+        let before = pair.seen.nonsense.load(Ordering::Relaxed);
+        hostile.0.memory[word].store(value, Ordering::SeqCst);
+        pair.until("it is noticed", |seen| seen.nonsense.load(Ordering::Relaxed) == before + 1);
+        assert_eq!(number(hostile.receive(&mut [])), Errno::ENODEV);
+    }
+    hostile.0.memory.iter().for_each(|word| word.store(u64::MAX, Ordering::SeqCst));
+    let mut room = [0; 10];
+    a.send_to(b"unharmed", to_second()).unwrap();
+    assert_eq!(b.receive(&mut room).unwrap().len, 8);
+}
+
+#[test]
+fn a_program_that_dies_leaves_nothing() {
+    let pair = Pair::new();
+    let [a, b] = pair.sockets();
+    let free = || pair.seen.free.load(Ordering::Relaxed);
+    pair.until("there is one socket", |seen| seen.sockets.load(Ordering::Relaxed) == 1);
+    for _ in 0..200 {
+        let dying = pair.stations[1].udp().unwrap();
+        dying.bind(any(40_000)).unwrap();
+        a.send_to(b"it does not read this", SocketAddrV4::new(IP[1], 40_000)).unwrap();
+        dying.send_to(b"nor does anybody this", SocketAddrV4::new(IP[0], 9)).unwrap();
+        drop(dying);
+    }
+    pair.until("all are closed", |seen| seen.sockets.load(Ordering::Relaxed) == 1);
+    pair.until("its buffers are home", |_| free() == 16);
+    a.send_to(b"unharmed", to_second()).unwrap();
+    assert_eq!(b.receive(&mut [0; 10]).unwrap().len, 8);
+}
+
+#[test]
+fn a_program_has_a_protocol_of_its_own() {
+    let pair = Pair::new();
+    let own = EtherType(0x88b6);
+    let open = |n: usize| -> PacketSocket {
+        pair.stations[n].packet(LinkMode::Datagram, LinkType::Only(own)).unwrap()
+    };
+    let (a, b) = (open(0), open(1));
+    b.set_timeout(Some(Duration::from_secs(5)));
+    a.send_to(&bytes(100), address(1), own).unwrap();
+    let mut room = [0; 200];
+    let received = b.receive(&mut room).unwrap();
+    let Sender::Link(from) = received.from else { panic!("{received:?}") };
+    assert_eq!((from.address, from.ether_type, received.len), (address(0), own, 100));
+    assert_eq!(Answer::DONE.errno, 0);
+}

@@ -1,0 +1,163 @@
+//! Echo: answered for others, and asked for by `rtnet ping`.
+
+use core::net::Ipv4Addr;
+
+use arrayvec::ArrayVec;
+use zerocopy::IntoBytes;
+
+use super::output::Route;
+use super::{Exit, Stack};
+use crate::buf::Pool;
+use crate::counters::Refusal;
+use crate::discipline::Channel;
+use crate::queue::Priority;
+use crate::socket::{Options, SocketError};
+use crate::time::Instant;
+use crate::wire::ethernet::{self, EtherType};
+use crate::wire::icmpv4::{self, Echo, Kind};
+use crate::wire::ipv4::{self, Header, Protocol};
+
+use super::output::Output;
+
+/// Buffers for echoes: RTnet's.
+pub const DEFAULT_BUFFERS: usize = 8;
+/// Answers that wait to be looked at; one more is lost, and counted.
+const MOST_PONGS: usize = 32;
+/// The slot of whatever is not urgent, and the last real-time priority: RTnet's for ICMP and ARP.
+pub(super) const OPTIONS: Options =
+    Options { priority: Priority::LAST_REAL_TIME, channel: NON_RT_CHANNEL, tos: 0 };
+const NON_RT_CHANNEL: Channel = 1;
+
+/// An answer to an echo that was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pong {
+    /// Who answered.
+    pub from: Ipv4Addr,
+    /// Which round of questions.
+    pub identifier: u16,
+    /// Which question.
+    pub sequence: u16,
+    /// Bytes that came back.
+    pub len: usize,
+    /// When, on this station's clock; `None` where the stamp could not be trusted.
+    pub rx: Option<Instant>,
+    /// When the question was to leave, by the slot that it was chosen for; `None` if it was not seen to leave.
+    pub left: Option<Instant>,
+}
+
+/// What a station has for echoes.
+pub(super) struct Icmp {
+    pub pool: Pool,
+    /// Its own count, as real stations have.
+    output: Output,
+    /// The round of questions whose answers are waited for.
+    asking: Option<u16>,
+    pongs: ArrayVec<Pong, MOST_PONGS>,
+    /// The newest questions that have left, and when.
+    left: ArrayVec<(u16, Instant), MOST_PONGS>,
+}
+
+impl Icmp {
+    pub fn new(pool: Pool) -> Self {
+        Self { pool, output: Output::default(), asking: None, pongs: ArrayVec::new(), left: ArrayVec::new() }
+    }
+}
+
+impl Stack {
+    pub(super) fn icmp_input(
+        &mut self,
+        rx: Option<Instant>,
+        header: &Header,
+        message: &[u8],
+        exit: &mut dyn Exit,
+    ) -> Result<(), Refusal> {
+        let (echo, data) = icmpv4::parse(message)?;
+        match echo.kind() {
+            // One question to all of a network would be answered by all at once.
+            Kind::Request if self.routes.own().is_broadcast(header.destination()) => {
+                Err(Refusal::IcmpBroadcast)
+            }
+            Kind::Request => {
+                let options = Options { tos: header.tos(), ..OPTIONS };
+                let reply = Echo::new(Kind::Reply, echo.identifier(), echo.sequence(), data);
+                let answered = self.send_echo(header.source(), reply, data, options, exit);
+                match answered {
+                    Ok(()) => self.counters.echoes_answered += 1,
+                    Err(SocketError::NoRoute(_)) => return Err(Refusal::NoRoute),
+                    Err(SocketError::NoBuffers { .. }) => return Err(Refusal::PoolEmpty),
+                    Err(_) => return Err(Refusal::NotQueued),
+                }
+                Ok(())
+            }
+            Kind::Reply => {
+                let waited = self.icmp.asking == Some(echo.identifier());
+                let from = header.source();
+                let (identifier, sequence) = (echo.identifier(), echo.sequence());
+                let left = self.icmp.left.iter().rev().find(|(of, _)| *of == sequence).map(|(_, at)| *at);
+                let pong = Pong { from, identifier, sequence, len: data.len(), rx, left };
+                let kept = waited && self.icmp.pongs.try_push(pong).is_ok();
+                kept.then_some(()).ok_or(Refusal::IcmpUnexpected)
+            }
+        }
+    }
+
+    /// Asks for an echo. Its answer is waited for until a round with another identifier begins.
+    pub fn ask_echo(
+        &mut self,
+        to: Ipv4Addr,
+        (identifier, sequence): (u16, u16),
+        data: &[u8],
+        options: Options,
+        exit: &mut dyn Exit,
+    ) -> Result<(), SocketError> {
+        if self.icmp.asking.replace(identifier) != Some(identifier) {
+            self.icmp.pongs.clear();
+            self.icmp.left.clear();
+        }
+        let echo = Echo::new(Kind::Request, identifier, sequence, data);
+        self.send_echo(to, echo, data, options, exit)
+    }
+
+    /// The oldest answer that nobody has looked at.
+    pub fn next_pong(&mut self) -> Option<Pong> {
+        self.icmp.pongs.pop_at(0)
+    }
+
+    /// A frame was chosen for a slot that begins then: one that asks for an echo has waited until now.
+    pub fn leaves(&mut self, begin: Instant, frame: &[u8]) {
+        let Some(asking) = self.icmp.asking else { return };
+        let Some((link, packet)) = ethernet::Header::parse(frame) else { return };
+        if link.ether_type() != EtherType::IPV4 {
+            return;
+        }
+        let Ok((header, message)) = ipv4::parse(packet) else { return };
+        if header.protocol() != Protocol::ICMP || header.is_fragment() {
+            return;
+        }
+        let Ok((echo, _)) = icmpv4::parse(message) else { return };
+        if echo.kind() == Kind::Request && echo.identifier() == asking {
+            let left = &mut self.icmp.left;
+            // One that missed its slot leaves again.
+            left.retain(|(sequence, _)| *sequence != echo.sequence());
+            if left.is_full() {
+                left.remove(0);
+            }
+            left.push((echo.sequence(), begin));
+        }
+    }
+
+    fn send_echo(
+        &mut self,
+        to: Ipv4Addr,
+        echo: Echo,
+        data: &[u8],
+        options: Options,
+        exit: &mut dyn Exit,
+    ) -> Result<(), SocketError> {
+        let route = Route::find(&self.routes, to, false)?;
+        let Self { icmp, .. } = self;
+        let parts = [echo.as_bytes(), data];
+        let frames = icmp.output.datagram(&route, Protocol::ICMP, options, parts, &icmp.pool, exit)?;
+        self.dispatch(&route, options, frames, exit)
+    }
+}

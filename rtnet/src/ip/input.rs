@@ -1,0 +1,158 @@
+//! From a frame to a datagram, and to whom it is for.
+
+use core::net::SocketAddrV4;
+
+use super::collect::{Complete, Key};
+use super::{Exit, Stack};
+use crate::buf::{Buf, Chain, hand_over};
+use crate::counters::Refusal;
+use crate::socket::{Datagram, Sender, SocketId};
+use crate::time::Instant;
+use crate::wire::ethernet::{EtherType, HEADER_LEN as LINK_HEADER, Header as LinkHeader};
+use crate::wire::ipv4::{self, Header, Protocol};
+use crate::wire::udp;
+
+impl Stack {
+    /// A frame that neither the discipline nor a service claims. What it refuses the station counts.
+    pub fn on_frame(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refusal> {
+        self.now = rx.unwrap_or(self.now);
+        let (&header, _) = LinkHeader::parse(&frame).ok_or(Refusal::Runt)?;
+        let result = match header.ether_type() {
+            EtherType::IPV4 | EtherType::ARP if header.source.is_group() => Err(Refusal::ForgedSource),
+            EtherType::IPV4 => {
+                self.overhear(rx, &frame);
+                self.medium_input(rx, frame, exit)
+            }
+            EtherType::ARP => {
+                self.overhear(rx, &frame);
+                self.arp_input(&header, &frame[LINK_HEADER..], exit)
+            }
+            _ => self.packet_input(rx, frame),
+        };
+        self.run_programs(exit);
+        result
+    }
+
+    /// Nobody on the medium has this station's address, or one of a group.
+    fn medium_input(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refusal> {
+        let (header, _) = ipv4::parse(&frame[LINK_HEADER..])?;
+        let source = header.source();
+        let own = self.routes.own();
+        let forged =
+            own.takes(source) || source.is_multicast() || source.is_loopback() || source.is_unspecified();
+        if forged {
+            return Err(Refusal::ForgedSource);
+        }
+        if !own.takes(header.destination()) {
+            return Err(Refusal::ForeignAddress);
+        }
+        self.ip_input(rx, frame, exit)
+    }
+
+    /// An IP packet for this station, behind its Ethernet header.
+    pub(crate) fn ip_input(
+        &mut self,
+        rx: Option<Instant>,
+        mut frame: Buf,
+        exit: &mut dyn Exit,
+    ) -> Result<(), Refusal> {
+        let (&header, payload) = ipv4::parse(&frame[LINK_HEADER..])?;
+        let content = LINK_HEADER + header.header_len();
+        let len = payload.len();
+        frame.trim_front(content);
+        frame.truncate(len);
+        match header.protocol() {
+            Protocol::UDP if header.is_fragment() => self.fragment_input(rx, &header, frame),
+            Protocol::UDP => self.udp_input(rx, &header, frame),
+            Protocol::ICMP if header.is_fragment() => Err(Refusal::IcmpFragmented),
+            Protocol::ICMP => self.icmp_input(rx, &header, &frame, exit),
+            _ => Err(Refusal::NoProtocol),
+        }
+    }
+
+    /// A whole datagram in one packet.
+    fn udp_input(&mut self, rx: Option<Instant>, header: &Header, frame: Buf) -> Result<(), Refusal> {
+        let (head, _) = udp::parse(&frame)?;
+        let len = usize::from(head.len());
+        if len > frame.len() {
+            return Err(Refusal::UdpLength);
+        }
+        let (from, to) = ends(header, head);
+        let id = self.udp_socket(from, to)?;
+        if head.checksum() != 0 {
+            let mut sum = udp::pseudo_header(header.source(), header.destination(), head.len());
+            sum.add(&frame[..len]);
+            if sum.finish() != 0 {
+                return Err(Refusal::UdpChecksum);
+            }
+        }
+        let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
+        match hand_over(frame, &socket.pool) {
+            Ok(kept) => self.deliver(id, Chain::of(kept), len, from, rx),
+            Err(_) => {
+                socket.counters.dropped += 1;
+                return Err(Refusal::PoolEmpty);
+            }
+        }
+        Ok(())
+    }
+
+    /// A part of a datagram: its first fragment says for which socket.
+    fn fragment_input(&mut self, rx: Option<Instant>, header: &Header, frame: Buf) -> Result<(), Refusal> {
+        let (key, now) = (Key::of(header), self.now);
+        if header.offset() == 0 {
+            let (head, _) = udp::parse(&frame)?;
+            let (from, to) = ends(header, head);
+            let id = self.udp_socket(from, to)?;
+            let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
+            let begun = self.collectors.begin(key, id, frame, &socket.pool, now);
+            return begun.inspect_err(|_| socket.counters.dropped += 1);
+        }
+        let (offset, is_last) = (usize::from(header.offset()), !header.more_fragments());
+        let sockets = &self.sockets;
+        let pool = |id: SocketId| sockets.get(id).ok().map(|socket| &*socket.pool);
+        match self.collectors.go_on(key, offset, is_last, frame, now, pool)? {
+            Some(complete) => self.complete(rx, header, complete),
+            None => Ok(()),
+        }
+    }
+
+    fn complete(&mut self, rx: Option<Instant>, header: &Header, complete: Complete) -> Result<(), Refusal> {
+        let Complete { socket, chain } = complete;
+        let first = chain.parts().next().ok_or(Refusal::Truncated)?;
+        let (head, _) = udp::parse(first)?;
+        let len = usize::from(head.len());
+        if len != chain.len() {
+            return Err(Refusal::UdpLength);
+        }
+        if head.checksum() != 0 {
+            let mut sum = udp::pseudo_header(header.source(), header.destination(), head.len());
+            chain.parts().for_each(|part| sum.add(part));
+            let is_wrong = sum.finish() != 0;
+            if is_wrong && self.config.fragment_checksums {
+                return Err(Refusal::UdpChecksum);
+            }
+            self.counters.checksums_tolerated += u64::from(is_wrong);
+        }
+        let (from, _) = ends(header, head);
+        self.deliver(socket, chain, len, from, rx);
+        Ok(())
+    }
+
+    fn udp_socket(&self, from: SocketAddrV4, to: SocketAddrV4) -> Result<SocketId, Refusal> {
+        self.sockets.udp_for(self.routes.own(), from, to).ok_or(Refusal::NoSocket)
+    }
+
+    /// Leaves a datagram of `len` bytes, its header among them, where its program finds it.
+    fn deliver(&mut self, id: SocketId, chain: Chain, len: usize, from: SocketAddrV4, rx: Option<Instant>) {
+        let Ok(socket) = self.sockets.get_mut(id) else { return };
+        let (begin, from) = (udp::HEADER_LEN, Sender::Udp(from));
+        socket.keep(Datagram { chain, begin, len: len - begin, from, rx });
+        self.delivered = true;
+    }
+}
+
+fn ends(header: &Header, head: &udp::Header) -> (SocketAddrV4, SocketAddrV4) {
+    let from = SocketAddrV4::new(header.source(), head.source_port());
+    (from, SocketAddrV4::new(header.destination(), head.destination_port()))
+}

@@ -1,0 +1,132 @@
+//! UDP sockets: bind, connect, send.
+
+use core::net::{Ipv4Addr, SocketAddrV4};
+
+use super::{Flags, SocketError, SocketId};
+use crate::discipline::SendError;
+use crate::ip::output::Route;
+use crate::ip::{Exit, Stack};
+use crate::wire::ipv4::Protocol;
+use crate::wire::udp::{self, Header, MAX_PAYLOAD};
+use zerocopy::IntoBytes;
+
+/// What a UDP socket has besides its buffers.
+pub(crate) struct Udp {
+    /// The address that what comes must be sent to; unspecified: any of the station's.
+    pub local: Ipv4Addr,
+    pub port: u16,
+    /// Whether a program has said which.
+    pub is_bound: bool,
+    pub peer: Option<SocketAddrV4>,
+}
+
+impl Default for Udp {
+    fn default() -> Self {
+        Self { local: Ipv4Addr::UNSPECIFIED, port: 0, is_bound: false, peer: None }
+    }
+}
+
+impl Stack {
+    /// Binds a UDP socket to an address of this station's, or any (0.0.0.0), and to a port, or the one it has (0). Once.
+    pub fn bind(&mut self, id: SocketId, to: SocketAddrV4) -> Result<(), SocketError> {
+        let ip = *to.ip();
+        let ours = ip.is_unspecified() || ip.is_loopback() || self.routes.own().takes(ip);
+        if !ours {
+            return Err(SocketError::NotOurAddress(ip));
+        }
+        self.sockets.bind(id, ip, to.port())
+    }
+
+    /// From now on the socket sends to this peer and hears nobody else; `None`: to nobody, and all.
+    pub fn connect(&mut self, id: SocketId, peer: Option<SocketAddrV4>) -> Result<(), SocketError> {
+        peer.map_or(Ok(()), check_destination)?;
+        self.sockets.get_mut(id)?.as_udp_mut()?.peer = peer;
+        Ok(())
+    }
+
+    /// Where a UDP socket hears.
+    pub fn local_address(&self, id: SocketId) -> Result<SocketAddrV4, SocketError> {
+        let udp = self.sockets.get(id)?.as_udp()?;
+        Ok(SocketAddrV4::new(udp.local, udp.port))
+    }
+
+    /// Whom it is connected to.
+    pub fn peer_address(&self, id: SocketId) -> Result<SocketAddrV4, SocketError> {
+        self.sockets.get(id)?.as_udp()?.peer.ok_or(SocketError::NotConnected)
+    }
+
+    /// Sends a datagram of at most 65 507 bytes, to the peer that the socket is connected to unless another is named. It
+    /// waits in the discipline's queue, in as many frames as it takes, for the socket's slot: all of it, or none.
+    pub fn send_to(
+        &mut self,
+        id: SocketId,
+        data: &[u8],
+        to: Option<SocketAddrV4>,
+        flags: Flags,
+        exit: &mut dyn Exit,
+    ) -> Result<(), SocketError> {
+        let result = self.try_send_to(id, data, to, flags, exit);
+        self.count_send(id, result)
+    }
+
+    fn try_send_to(
+        &mut self,
+        id: SocketId,
+        data: &[u8],
+        to: Option<SocketAddrV4>,
+        flags: Flags,
+        exit: &mut dyn Exit,
+    ) -> Result<(), SocketError> {
+        flags.check(Flags::DONTWAIT | Flags::DONTROUTE)?;
+        let socket = self.sockets.get(id)?;
+        let udp = socket.as_udp()?;
+        let to = to.or(udp.peer).ok_or(SocketError::NotConnected)?;
+        check_destination(to)?;
+        if data.len() > MAX_PAYLOAD {
+            return Err(SocketError::TooLong(data.len()));
+        }
+        let route = Route::find(&self.routes, *to.ip(), flags.contains(Flags::DONTROUTE))?;
+        let (head, options) = (header(route.source, to, udp.port, data), socket.options);
+        let parts = [head.as_bytes(), data];
+        let frames = self.output.datagram(&route, Protocol::UDP, options, parts, &socket.pool, exit)?;
+        self.dispatch(&route, options, frames, exit).inspect_err(|_| {
+            // The discipline's queue has room for all buffers there are: only a slot that goes in between comes here.
+            let socket = self.sockets.get_mut(id);
+            socket.into_iter().for_each(|socket| socket.counters.cut_short += 1);
+        })
+    }
+
+    pub(crate) fn count_send(
+        &mut self,
+        id: SocketId,
+        result: Result<(), SocketError>,
+    ) -> Result<(), SocketError> {
+        if let Ok(socket) = self.sockets.get_mut(id) {
+            let counters = &mut socket.counters;
+            let count = match result {
+                Ok(()) => &mut counters.sent,
+                Err(SocketError::NoBuffers { .. } | SocketError::Discipline(SendError::QueueFull(_))) => {
+                    &mut counters.no_buffers
+                }
+                Err(_) => &mut counters.refused,
+            };
+            *count += 1;
+        }
+        result
+    }
+}
+
+/// With the checksum over everything.
+fn header(source: Ipv4Addr, to: SocketAddrV4, port: u16, data: &[u8]) -> Header {
+    let mut head = Header::new(port, to.port(), data.len() as u16);
+    let mut sum = udp::pseudo_header(source, *to.ip(), head.len());
+    sum.add(head.as_bytes());
+    sum.add(data);
+    head.set_checksum(udp::to_field(sum));
+    head
+}
+
+fn check_destination(to: SocketAddrV4) -> Result<(), SocketError> {
+    let is_one = !to.ip().is_unspecified() && to.port() != 0;
+    is_one.then_some(()).ok_or(SocketError::NoDestination(*to.ip(), to.port()))
+}

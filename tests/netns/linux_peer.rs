@@ -1,0 +1,95 @@
+//! A plain Linux host as the peer of a station: nothing but the kernel's own stack, which knows where the station is.
+
+use std::net::{SocketAddrV4, UdpSocket};
+use std::time::{Duration, Instant};
+
+use rtnet::at_once::DEFAULT_ASK_EVERY;
+use rtnet::clock::EmulatedClock;
+use rtnet::direct::Direct;
+use rtnet::discipline::Discipline;
+use rtnet::time::Span;
+use socket2::{Domain, Protocol, Socket, Type};
+
+use crate::live::{CYCLE, as_root, master_of};
+use crate::with_sockets::{HOST_IP, PORT, Pair, STATION, STATION_IP};
+
+const PATIENCE: Duration = Duration::from_secs(30);
+/// A busy host loses some; then the test asks again.
+const AGAIN: Duration = Duration::from_secs(2);
+/// Whom the kernel lets send echoes: every group.
+const PING: (&str, &str) = ("/proc/sys/net/ipv4/ping_group_range", "0 2147483647");
+
+/// Of one packet, with and without padding, the longest of one, the shortest of two, and more of several.
+const LENGTHS: [usize; 6] = [0, 1, 100, 1_472, 1_473, 30_000];
+
+fn bytes(len: usize) -> Vec<u8> {
+    (0..len).map(|n| (n * 7 + n / 251) as u8).collect()
+}
+
+/// The kernel's sockets on the host: one of UDP's, and one for echoes.
+fn sockets<D: Discipline + 'static>(pair: &Pair<D>) -> (UdpSocket, UdpSocket) {
+    let mut netlink = pair.host.netlink().unwrap();
+    let index = netlink.link_index("rt0").unwrap();
+    netlink.add_address(index, HOST_IP, 24).unwrap();
+    netlink.add_neighbour(index, STATION_IP, STATION).unwrap();
+    let open = || {
+        std::fs::write(PING.0, PING.1).unwrap();
+        let echo = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::ICMPV4)).unwrap();
+        (UdpSocket::bind((HOST_IP, 0)).unwrap(), echo.into())
+    };
+    let (udp, echo): (UdpSocket, UdpSocket) = pair.host.run(open).unwrap();
+    for socket in [&udp, &echo] {
+        socket.set_read_timeout(Some(AGAIN)).unwrap();
+    }
+    (udp, echo)
+}
+
+/// Sends until the answer comes that is waited for.
+fn exchange(socket: &UdpSocket, to: SocketAddrV4, question: &[u8], is_answer: impl Fn(&[u8]) -> bool) {
+    let (deadline, mut room) = (Instant::now() + PATIENCE, vec![0; 65_536]);
+    loop {
+        socket.send_to(question, to).unwrap();
+        while let Ok((len, from)) = socket.recv_from(&mut room) {
+            assert_eq!(from.ip(), STATION_IP);
+            if is_answer(&room[..len]) {
+                return;
+            }
+        }
+        assert!(Instant::now() < deadline, "no answer to {} bytes", question.len());
+    }
+}
+
+fn converse<D: Discipline + 'static>(
+    discipline: impl FnOnce(rtnet::wire::ethernet::Address) -> D,
+    longest: usize,
+) {
+    let pair = Pair::start(discipline);
+    let (udp, echo) = sockets(&pair);
+    for len in LENGTHS.into_iter().chain([longest]) {
+        let data = bytes(len);
+        exchange(&udp, SocketAddrV4::new(STATION_IP, PORT), &data, |answer| answer == data);
+    }
+    for (sequence, len) in [(1, 0), (2, 56), (3, 1_472)] {
+        let question = [&[8, 0, 0, 0, 0, 0, 0, sequence], &bytes(len)[..]].concat();
+        // The kernel writes identifier and checksum.
+        let is_answer = |answer: &[u8]| answer[0] == 0 && answer[6..] == question[6..];
+        exchange(&echo, SocketAddrV4::new(STATION_IP, 0), &question, is_answer);
+    }
+}
+
+#[test]
+fn a_linux_host_and_a_station_without_slots_exchange_datagrams_up_to_the_longest_and_echoes() {
+    if !as_root("a_linux_host_and_a_station_without_slots_exchange_datagrams_up_to_the_longest_and_echoes") {
+        return;
+    }
+    converse(|_| Direct::new(DEFAULT_ASK_EVERY), 65_507);
+}
+
+#[test]
+fn a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_echoes() {
+    if !as_root("a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_echoes") {
+        return;
+    }
+    let clock = EmulatedClock::default();
+    converse(|address| master_of(CYCLE, address, &clock, Span::from_millis(2), 1_500), 65_507);
+}

@@ -1,0 +1,81 @@
+//! Who sends outside its slots: whatever it is that no program of a lab's stations tells the slot of.
+
+use std::collections::BTreeMap;
+
+use rtmac::wire::{Message, Rtmac};
+use rtnet::clock::True;
+use rtnet::time::Span;
+use rtnet::wire::ethernet::{Address, Header};
+
+use super::Analysis;
+
+/// Addresses of no station that are counted one by one.
+const STRANGERS_AT_MOST: usize = 8;
+/// All others.
+const OTHERS: &str = "others";
+
+/// Frames of those who are no station.
+#[derive(Debug, Default)]
+pub struct Strangers(Vec<(Address, u64)>, u64);
+
+impl Strangers {
+    fn note(&mut self, from: Address) {
+        let Self(known, others) = self;
+        match known.iter().position(|(address, _)| *address == from) {
+            Some(place) => known[place].1 += 1,
+            None if known.len() < STRANGERS_AT_MOST => known.push((from, 1)),
+            None => *others += 1,
+        }
+    }
+
+    /// By address, and how many all the others have sent.
+    pub fn named(&self) -> BTreeMap<String, u64> {
+        let others = (OTHERS.to_owned(), self.1);
+        let known = self.0.iter().map(|(address, frames)| (address.to_string(), *frames));
+        known.chain([others]).filter(|&(_, frames)| frames > 0).collect()
+    }
+}
+
+impl Analysis {
+    /// An RTmac frame that is no Synchronisation: a reply is sent in a slot of who asked. For a stranger, who has none, it
+    /// is that one who is out of its slot.
+    pub(super) fn judge_rtmac(&mut self, at: True, header: &Header, rtmac: Option<Rtmac>, air: Span) {
+        let Header { source, destination, .. } = *header;
+        let is_reply = matches!(rtmac, Some(Rtmac::Tdma(Message::Reply { .. })));
+        match self.station_of(destination).is_some() {
+            _ if !is_reply => self.stray(at, source, source, air),
+            true => self.stray(at, source, destination, air),
+            false if self.givers.has(source) => {}
+            false => self.stray(at, source, source, air),
+        }
+    }
+
+    /// A frame that is no test traffic is in a slot of the station that may use it, or its sender babbles.
+    pub(super) fn stray(&mut self, at: True, source: Address, user: Address, air: Span) {
+        let Some(cycle) = self.cycle_at(at).filter(|&cycle| self.counts(cycle)) else { return };
+        let Some(start) = self.start_of(cycle) else { return };
+        let is_in = |offset: Span, size| {
+            let error = self.error(at, start + offset);
+            -self.clock_share <= error && error + air <= self.length(size) - self.clock_share
+        };
+        let user = self.station_of(user);
+        let mut slots = user.into_iter().flat_map(|station| self.timetable.usable(station, cycle));
+        let is_stray = !slots.any(|slot| is_in(slot.offset, slot.size));
+        drop(slots);
+        if is_stray {
+            self.strays(source, cycle);
+        }
+    }
+
+    /// A frame is outside its sender's slots.
+    pub(super) fn strays(&mut self, source: Address, cycle: u32) {
+        match self.station_of(source) {
+            Some(station) => self.stations[station].strays(cycle),
+            None => self.strangers.note(source),
+        }
+    }
+
+    fn station_of(&self, address: Address) -> Option<usize> {
+        self.addresses.iter().position(|&of| of == address)
+    }
+}

@@ -1,0 +1,166 @@
+//! Clocks that were set while somebody looked: until all follow again, frames are where the clock before says.
+
+use rtmac::tdma::line::LINE_GOOD_FOR;
+use rtnet::clock::{EmulatedClock, True};
+use rtnet::time::Span;
+
+use super::analysis::Analysis;
+use super::explain::Records;
+use super::findings::{Author, Finding, FindingKind};
+use super::timetable::before;
+
+/// Its name in reports.
+const NAME: &str = "clock_set";
+/// Within so many cycles all follow a clock that was set: three Synchronisations that agree are a new line, and one is
+/// bridged.
+const FOLLOWED_WITHIN: u32 = 4;
+
+/// A clock that was set.
+#[derive(Debug)]
+struct Set {
+    station: usize,
+    /// Whether it gave the time: then it has moved all.
+    gives: bool,
+    step: Span,
+    /// Which cycle it was before, and which it was then.
+    cycles: [u32; 2],
+    /// For so many cycles it may show.
+    within: u32,
+    /// And so many before: frames that are taken in only later are judged by the new one.
+    held_back: u32,
+}
+
+/// All that were set.
+#[derive(Debug, Default)]
+pub struct ClocksSet(Vec<Set>);
+
+/// A station has another clock from now on, set by `step`. It may have it, and frames may be taken in, so many cycles
+/// later.
+pub fn set_clock(
+    (analysis, records): (&mut Analysis, &mut Records),
+    (station, clock, step): (usize, EmulatedClock, Span),
+    at: True,
+    late: u32,
+) {
+    let was = analysis.cycle_at(at);
+    analysis.set_clock(station, clock);
+    if let (Some(was), Some(is), true) = (was, analysis.cycle_at(at), step != Span::ZERO) {
+        let gives = analysis.giver() == station;
+        records.clocks.0.push(Set {
+            station,
+            gives,
+            step,
+            cycles: [was, is],
+            within: FOLLOWED_WITHIN + late,
+            held_back: late,
+        });
+    }
+}
+
+impl ClocksSet {
+    /// Whether that is why something was found. What is moved is so by as much as the clock; missing is only what
+    /// nobody can tell of: whose cycles are numbered so much later leaves out those between.
+    pub fn explain(&self, finding: &Finding, in_time: Span) -> Option<&'static str> {
+        let explains = |set: &Set, author: &Author| {
+            let of_it = set.gives || set.station == author.station;
+            of_it
+                && match finding.kind {
+                    FindingKind::OutOfSlot => {
+                        set.shows(author.cycle) && finding.span.abs() <= set.step.abs() + in_time
+                    }
+                    FindingKind::Overlap => set.shows(author.cycle),
+                    FindingKind::SlotMissed | FindingKind::SyncGap => set.leaves_out(author.cycle),
+                    FindingKind::WithoutSync | FindingKind::Repeated => false,
+                }
+        };
+        let mut authors = finding.authors.iter().flatten();
+        authors.any(|author| self.0.iter().any(|set| explains(set, author))).then_some(NAME)
+    }
+
+    /// Forgets what was before this cycle.
+    pub fn forget_before(&mut self, cycle: u32) {
+        self.0.retain(|set| set.cycles.iter().any(|&at| !before(at, cycle)));
+    }
+}
+
+impl Set {
+    fn shows(&self, cycle: u32) -> bool {
+        let since = |at: u32| cycle.wrapping_sub(at.wrapping_sub(self.held_back));
+        self.cycles.iter().any(|&at| since(at) <= self.held_back + self.within)
+    }
+
+    fn leaves_out(&self, cycle: u32) -> bool {
+        let [was, is] = self.cycles;
+        let all = is.wrapping_sub(was);
+        let is_far = (all as i32) > LINE_GOOD_FOR;
+        self.gives && is_far && cycle.wrapping_sub(was) <= all.wrapping_add(self.within)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(station: usize, gives: bool, cycles: [u32; 2]) -> ClocksSet {
+        let step = Span::from_millis(i64::from(cycles[1].wrapping_sub(cycles[0]) as i32));
+        ClocksSet(vec![Set { station, gives, step, cycles, within: FOLLOWED_WITHIN, held_back: 0 }])
+    }
+
+    fn explained(clocks: &ClocksSet, kind: FindingKind, (station, cycle): (usize, u32), by: Span) -> bool {
+        let finding = Finding::of(Author { station, cycle, slot: Some(0) }, kind, by);
+        clocks.explain(&finding, Span::from_micros(50)).is_some()
+    }
+
+    #[test]
+    fn a_masters_clock_that_is_set_moves_all_for_some_cycles_and_by_as_much_at_the_most() {
+        use FindingKind::{OutOfSlot, Overlap, Repeated, SlotMissed};
+        let masters = set(0, true, [100, 105]);
+        let five = Span::from_millis(5);
+        let late = |cycle| explained(&masters, OutOfSlot, (2, cycle), five);
+        assert_eq!([99, 100, 104, 105, 109, 110].map(late), [false, true, true, true, true, false]);
+        assert!(explained(&masters, OutOfSlot, (2, 100), -five));
+        assert!(!explained(&masters, OutOfSlot, (2, 100), five + Span::from_micros(51)));
+        assert!(explained(&masters, Overlap, (2, 100), Span::ZERO));
+        assert!(!explained(&masters, SlotMissed, (2, 102), Span::ZERO), "it can tell of that");
+        assert!(!explained(&masters, Repeated, (2, 102), Span::ZERO));
+    }
+
+    #[test]
+    fn who_only_follows_moves_nobody_else_when_its_clock_is_set() {
+        let slaves = set(2, false, [100, 101]);
+        let hit = |station| explained(&slaves, FindingKind::Overlap, (station, 101), Span::ZERO);
+        assert_eq!([2, 3].map(hit), [true, false]);
+    }
+
+    #[test]
+    fn cycles_that_a_master_leaves_out_for_its_clock_are_missed_for_that_if_they_are_more_than_a_line_is_good_for()
+     {
+        let missed = |[was, is]: [u32; 2], cycle| {
+            explained(&set(0, true, [was, is]), FindingKind::SlotMissed, (2, cycle), Span::ZERO)
+        };
+        let far = [u32::MAX - 10, 2_000];
+        assert_eq!(
+            [u32::MAX - 11, u32::MAX - 10, 700, 2_004, 2_005].map(|cycle| missed(far, cycle)),
+            [false, true, true, true, false]
+        );
+        assert!(!missed([2_000, u32::MAX - 10], 1_000), "set back");
+        assert!(!missed([100, 100 + LINE_GOOD_FOR as u32], 500), "those are told of");
+    }
+
+    #[test]
+    fn frames_that_are_taken_in_late_are_judged_by_a_clock_that_was_set_after_they_were_sent() {
+        let mut lab = set(0, true, [100, 100]);
+        lab.0[0].held_back = 3;
+        let hit = |cycle| explained(&lab, FindingKind::Overlap, (2, cycle), Span::ZERO);
+        assert_eq!([96, 97, 104, 105].map(hit), [false, true, true, false]);
+    }
+
+    #[test]
+    fn what_was_set_long_ago_is_forgotten() {
+        let mut clocks = set(0, true, [100, 105]);
+        clocks.forget_before(105);
+        assert!(explained(&clocks, FindingKind::Overlap, (0, 105), Span::ZERO));
+        clocks.forget_before(106);
+        assert!(!explained(&clocks, FindingKind::Overlap, (0, 105), Span::ZERO));
+    }
+}

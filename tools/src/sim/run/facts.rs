@@ -1,0 +1,59 @@
+//! What is known of the stations at the end of a run.
+
+use rtmac::tdma::Mastery;
+use rtnet::time::Span;
+
+use super::Run;
+use crate::judge::delivery::{Delivery, Heard};
+use crate::judge::outcome::Facts;
+use crate::sim::figures::SimStation;
+
+impl Run<'_> {
+    pub(super) fn relock_cycles(&self) -> Option<i64> {
+        if !self.all(Self::is_synchronised) || self.over > self.now() {
+            return None;
+        }
+        Some(self.unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
+    }
+
+    pub(super) fn station(&self, id: usize) -> SimStation {
+        let status = self.status(id);
+        SimStation {
+            name: self.scenario.stations[id].name.clone(),
+            state: if self.present[id] { status.state.name() } else { "down" }.into(),
+            gives_time: self.present[id] && status.mastery == Some(Mastery::Active),
+            dropped: self.world.network.dropped(id),
+        }
+    }
+
+    pub(super) fn facts(&self, id: usize) -> Facts {
+        let (status, counts) = (self.status(id), &self.world.counts[id]);
+        let counted = self.world.counted(id) - self.before[id];
+        let refusals = self.world.network.member(id).station.refusals();
+        let watch = &mut *self.watch.borrow_mut();
+        let mut delivery = |of| {
+            let (numbers, others) = counts.counted(of);
+            let heard = Heard::of(counts.arrived(of), self.anew[id]).within(numbers, others);
+            let meant = watch.meant[id].remove(&of).unwrap_or_default();
+            (of, Delivery { heard, meant })
+        };
+        // What a process that was ended would have heard since, nobody knows.
+        let streams = self.scenario.streams(self.scenario.sender(id)).filter(|_| self.present[id]);
+        let name = &self.scenario.stations[id].name;
+        let is_lost = self.present[id] && !self.is_synchronised(id);
+        Facts {
+            guarded: self.scenario.is_guarded(),
+            delay_ns: status.delay.map(Span::nanos),
+            payload_errors: counted.payload_errors.max(0) as u64,
+            sync_error: std::mem::take(&mut watch.sync_error[id]),
+            sequence_gaps: counted.missing.max(0) as u64,
+            deliveries: streams.map(&mut delivery).collect(),
+            refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
+            notes: watch.noteworthy[id].lines().collect(),
+            lost_records: counted.events_lost.max(0) as u64,
+            queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
+            reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
+            ..Facts::default()
+        }
+    }
+}

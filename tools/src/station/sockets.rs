@@ -1,0 +1,415 @@
+//! What the control thread asks a station's stack, by visitors.
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rtnet::buf::{Pool, PoolStatistics};
+use rtnet::counters::{Refusal, Refusals};
+use rtnet::discipline::SendError;
+use rtnet::ip::route::{Hop, HostRoute, Interface, Network, NetworkRoute, Origin, RouteError};
+use rtnet::ip::{Exit, Pong, PoolStatus, Stack, StackCounters};
+use rtnet::live::{Driver, Errand, TimeBoard, Visitor, Visits};
+use rtnet::queue::Priority;
+use rtnet::socket::{Options, SocketCounters, SocketError, SocketId};
+use rtnet::time::Instant as StationTime;
+use rtnet::wire::ethernet::MTU;
+use rtnet::wire::{icmpv4, ipv4};
+
+use super::access::Access;
+use super::desk::{ANSWER_WITHIN, LOOK_EVERY};
+use super::stack::add;
+use crate::control::{
+    ChannelShown, CountersShown, EchoRequest, EchoShown, HostShown, InterfaceShown, NetworkShown, PoolShown,
+    RouteSaid, RoutesShown, StackReply, StackRequest, Way,
+};
+
+/// Answers that a visitor takes along at a time.
+const ECHOES: usize = 32;
+/// Bytes that an echo takes along at the most: what a frame has room for.
+const ECHO_AT_MOST: usize = MTU - ipv4::HEADER_LEN - icmpv4::HEADER_LEN;
+/// Channels of which is told what they take.
+const CHANNELS: u8 = 2;
+
+/// The control thread's way to the sockets.
+pub struct Sockets {
+    visits: Arc<Visits>,
+    receive: Arc<Pool>,
+    time: Arc<TimeBoard>,
+    /// What there can be of sockets and routes, if there are any: visitors bring room for that.
+    room: Option<Room>,
+}
+
+/// How much there can be.
+#[derive(Clone, Copy)]
+pub struct Room {
+    /// Sockets.
+    pub sockets: usize,
+    /// Host routes.
+    pub hosts: usize,
+    /// Network routes.
+    pub networks: usize,
+}
+
+/// A visitor that does one thing with what it brings.
+struct Look<T> {
+    brought: T,
+    does: fn(&mut T, &mut Stack, &mut dyn Exit),
+}
+
+impl<T: Send + 'static> Visitor for Look<T> {
+    fn visit(&mut self, stack: &mut Stack, exit: &mut dyn Exit) {
+        (self.does)(&mut self.brought, stack, exit);
+    }
+}
+
+/// A socket as a visitor finds it.
+struct Found {
+    id: SocketId,
+    /// Where one of UDP's hears.
+    hears: Option<SocketAddrV4>,
+    pool: PoolStatistics,
+    counters: SocketCounters,
+}
+
+impl Found {
+    fn name(&self) -> String {
+        let number = || format!("{:?}", self.id).replace("SocketId", "packet ");
+        self.hears.map_or_else(number, |hears| format!("udp {hears}"))
+    }
+}
+
+impl Sockets {
+    /// To those of this driver's station.
+    pub fn new(driver: &Driver<Access>, room: Option<Room>) -> Self {
+        Self { visits: driver.visits(), receive: driver.receive_pool(), time: driver.time(), room }
+    }
+
+    /// Answers what needs nothing but the stack.
+    pub fn answer(&self, request: StackRequest) -> Result<StackReply, String> {
+        match request {
+            StackRequest::Routes => self.routes().map(StackReply::Routes),
+            StackRequest::AddRoutes(routes) => self.add(&routes),
+            StackRequest::DeleteRoute(network) => {
+                let network: Network = network.parse().map_err(text)?;
+                let deleted =
+                    self.change(network, |network, stack, _| stack.routes_mut().delete(*network))?;
+                deleted.map(|()| StackReply::Done).map_err(text)
+            }
+            StackRequest::Solicit(ip) => {
+                let asked = self.change(ip, |ip, stack, exit| stack.solicit(*ip, exit))?;
+                asked.map(|()| StackReply::Done).map_err(text)
+            }
+            StackRequest::Lookup(ip) => self.lookup(ip).map(StackReply::Way),
+            StackRequest::Echo(echo) => self.ask_echo(echo),
+            StackRequest::Echoes => self.echoes().map(StackReply::Echoes),
+            StackRequest::Pools => self.pools().map(StackReply::Pools),
+            StackRequest::Interface | StackRequest::Counters => Err("this is for the desk to say".into()),
+        }
+    }
+
+    /// Its place in the Internet Protocol, as far as the stack knows it.
+    pub fn interface(&self) -> Result<InterfaceShown, String> {
+        type Limits = [Option<Result<usize, SendError>>; CHANNELS as usize];
+        let brought: (Option<Interface>, Limits) = (None, [None; CHANNELS as usize]);
+        let (own, limits) = self.visit(brought, |(own, limits), stack, exit| {
+            *own = Some(*stack.routes().own());
+            for (channel, limit) in (0..).zip(limits) {
+                *limit = Some(exit.limit(channel));
+            }
+        })?;
+        let own = own.ok_or("it has not looked")?;
+        let shown = |limit: Result<usize, SendError>| ChannelShown {
+            payload: limit.ok(),
+            refused: limit.err().map(|error| error.to_string()),
+        };
+        let channels = (0..).zip(limits).filter_map(|(channel, limit)| Some((channel, shown(limit?))));
+        Ok(InterfaceShown {
+            name: String::new(),
+            interface: String::new(),
+            address: own.address.to_string(),
+            ip: own.ip,
+            prefix: own.prefix,
+            broadcast: own.broadcast(),
+            link: String::new(),
+            mtu: MTU,
+            channels: channels.collect(),
+            counters: BTreeMap::new(),
+        })
+    }
+
+    /// Everything that the stack counts.
+    pub fn counters(&self) -> Result<CountersShown, String> {
+        let brought = (None, Vec::with_capacity(self.room()?.sockets));
+        let (counters, sockets) = self.visit(brought, |(counters, sockets), stack, _| {
+            *counters = Some(stack.counters());
+            find_sockets(stack, sockets);
+        })?;
+        let counters: StackCounters = counters.ok_or("it has not looked")?;
+        Ok(CountersShown {
+            stack: of_stack(&counters),
+            loopback: by_reason(&counters.loopback),
+            sockets: sockets.iter().map(|found| (found.name(), of_socket(&found.counters))).collect(),
+            ..CountersShown::default()
+        })
+    }
+
+    fn routes(&self) -> Result<RoutesShown, String> {
+        let room = self.room()?;
+        let brought = (None, Vec::with_capacity(room.hosts), Vec::with_capacity(room.networks));
+        let (own, hosts, networks) = self.visit(brought, |(own, hosts, networks), stack, _| {
+            let routes = stack.routes();
+            *own = Some(*routes.own());
+            hosts.extend_from_slice(routes.hosts());
+            networks.extend_from_slice(routes.networks());
+        })?;
+        let own: Interface = own.ok_or("it has not looked")?;
+        Ok(RoutesShown {
+            ip: own.ip,
+            prefix: own.prefix,
+            hosts: hosts.iter().map(host_shown).collect(),
+            hosts_at_most: room.hosts,
+            networks: networks.iter().map(network_shown).collect(),
+            networks_at_most: room.networks,
+        })
+    }
+
+    fn add(&self, said: &[RouteSaid]) -> Result<StackReply, String> {
+        let routes = said.iter().map(parse).collect::<Result<Vec<Route>, String>>()?;
+        let add = |routes: &mut Vec<Route>, stack: &mut Stack, _: &mut dyn Exit| {
+            routes.iter().try_for_each(|route| add(stack.routes_mut(), route))
+        };
+        let added: Result<(), RouteError> = self.change(routes, add)?;
+        added.map(|()| StackReply::Done).map_err(text)
+    }
+
+    fn lookup(&self, ip: Ipv4Addr) -> Result<Way, String> {
+        let brought = (ip, None, None, false);
+        let (_, hop, via, is_awaited) = self.visit(brought, |(ip, hop, via, is_awaited), stack, _| {
+            let routes = stack.routes();
+            *hop = routes.lookup(*ip);
+            if !routes.is_direct(*ip) {
+                *via = routes.networks().iter().find(|route| route.network.contains(*ip)).copied();
+            }
+            *is_awaited = stack.is_asked_for(*ip);
+        })?;
+        let via: Option<NetworkRoute> = via;
+        let address = hop.map(|hop| match hop {
+            Hop::Loopback => "loopback".to_owned(),
+            Hop::Medium(address) => address.to_string(),
+        });
+        Ok(Way { ip, address, via: via.map(|route| route.gateway), is_awaited })
+    }
+
+    fn ask_echo(&self, echo: EchoRequest) -> Result<StackReply, String> {
+        let priority = Priority::new(echo.priority).map_err(text)?;
+        let options = Options { priority, channel: echo.channel, tos: 0 };
+        if echo.size > ECHO_AT_MOST {
+            return Err(format!("an echo of {} bytes is none: a frame takes {ECHO_AT_MOST}", echo.size));
+        }
+        // RTnet's: when it was sent, then the pattern.
+        let data: Vec<u8> = (0..echo.size).map(|n| n.saturating_sub(8) as u8).collect();
+        let brought = (echo, options, data, self.time.clone(), StationTime::default());
+        type Brought = (EchoRequest, Options, Vec<u8>, Arc<TimeBoard>, StationTime);
+        let ask = |brought: &mut Brought, stack: &mut Stack, exit: &mut dyn Exit| {
+            let (echo, options, data, time, asked) = brought;
+            *asked = time.now();
+            if let Some(sent) = data.first_chunk_mut() {
+                *sent = asked.nanos().to_ne_bytes();
+            }
+            stack.ask_echo(echo.to, (echo.identifier, echo.sequence), data, *options, exit)
+        };
+        let (asked, (.., at)): (Result<(), SocketError>, Brought) = self.change_with(brought, ask)?;
+        asked.map(|()| StackReply::Asked(at.nanos())).map_err(text)
+    }
+
+    fn echoes(&self) -> Result<Vec<EchoShown>, String> {
+        let brought: Vec<Pong> = Vec::with_capacity(ECHOES);
+        let come = self.visit(brought, |come, stack, _| {
+            while come.len() < ECHOES
+                && let Some(pong) = stack.next_pong()
+            {
+                come.push(pong);
+            }
+        })?;
+        Ok(come.iter().map(echo_shown).collect())
+    }
+
+    fn pools(&self) -> Result<Vec<PoolShown>, String> {
+        let brought: (Option<[PoolStatus; 2]>, _) = (None, Vec::with_capacity(self.room()?.sockets));
+        let (own, sockets) = self.visit(brought, |(own, sockets), stack, _| {
+            *own = Some(stack.pools());
+            find_sockets(stack, sockets);
+        })?;
+        let receive = self.receive.statistics();
+        let mut pools = vec![PoolShown::new("receive".into(), receive, receive.exhausted)];
+        for PoolStatus { name, statistics } in own.into_iter().flatten() {
+            pools.push(PoolShown::new(name.to_owned(), statistics, statistics.exhausted));
+        }
+        pools.extend(sockets.iter().map(|found| {
+            let lost = found.counters.dropped + found.counters.no_buffers;
+            PoolShown::new(found.name(), found.pool, lost)
+        }));
+        Ok(pools)
+    }
+
+    fn room(&self) -> Result<Room, String> {
+        self.room.ok_or_else(|| rtnet::live::NoSockets.to_string())
+    }
+
+    /// Does something to the stack; with what comes of it.
+    fn change<T: Send + 'static, R: Send + 'static>(
+        &self,
+        brought: T,
+        does: fn(&mut T, &mut Stack, &mut dyn Exit) -> R,
+    ) -> Result<R, String> {
+        self.change_with(brought, does).map(|(result, _)| result)
+    }
+
+    /// The same, with what was brought.
+    fn change_with<T: Send + 'static, R: Send + 'static>(
+        &self,
+        brought: T,
+        does: fn(&mut T, &mut Stack, &mut dyn Exit) -> R,
+    ) -> Result<(R, T), String> {
+        let brought = (brought, does, None);
+        let (brought, _, result) = self.visit(brought, |(brought, does, result), stack, exit| {
+            *result = Some(does(brought, stack, exit));
+        })?;
+        Ok((result.ok_or("it has not looked")?, brought))
+    }
+
+    /// Does something with what is brought, in the station's thread.
+    fn visit<T: Send + 'static>(
+        &self,
+        brought: T,
+        does: fn(&mut T, &mut Stack, &mut dyn Exit),
+    ) -> Result<T, String> {
+        self.room()?;
+        let visitor: Box<dyn Any> = self.let_in(Box::new(Look { brought, does })).map_err(|(why, _)| why)?;
+        let look = visitor.downcast::<Look<T>>().map_err(|_| "another visitor came back")?;
+        Ok(look.brought)
+    }
+
+    /// Sends a visitor, and waits for it. One that has not been let in by then is taken back.
+    pub(super) fn let_in(&self, visitor: Box<dyn Visitor>) -> Result<Box<dyn Visitor>, NotLetIn> {
+        if let Err(visitor) = self.visits.send(visitor) {
+            let why = "what was asked of its sockets before is not answered yet: ask again";
+            return Err((why.into(), Some(visitor)));
+        }
+        let deadline = Instant::now() + ANSWER_WITHIN;
+        loop {
+            std::thread::sleep(LOOK_EVERY);
+            if let Some(Errand { command, result }) = self.visits.take() {
+                return match result {
+                    Some(Err(refused)) => Err((refused.to_string(), Some(command))),
+                    _ => Ok(command),
+                };
+            }
+            if Instant::now() >= deadline
+                && let Some(visitor) = self.visits.take_back()
+            {
+                let within: Duration = ANSWER_WITHIN;
+                let why = format!(
+                    "nothing is changed: the real-time thread has not looked at it within {}ms; ask again",
+                    within.as_millis()
+                );
+                return Err((why, Some(visitor)));
+            }
+            if Arc::strong_count(&self.visits) == 1 {
+                return Err(("its real-time thread has ended".into(), None));
+            }
+        }
+    }
+}
+
+/// Why not, and who was not let in, unless it is lost.
+pub(super) type NotLetIn = (String, Option<Box<dyn Visitor>>);
+
+/// A route that was said by hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Route {
+    /// To a station on the medium.
+    Host(HostRoute),
+    /// To a network behind one.
+    Network(NetworkRoute),
+}
+
+/// A route as the stack takes it.
+pub fn parse(said: &RouteSaid) -> Result<Route, String> {
+    Ok(match said {
+        RouteSaid::Host { ip, address } => {
+            let address = address.parse().map_err(text)?;
+            Route::Host(HostRoute { ip: *ip, address, origin: Origin::Static })
+        }
+        RouteSaid::Network { network, via } => {
+            Route::Network(NetworkRoute { network: network.parse().map_err(text)?, gateway: *via })
+        }
+    })
+}
+
+fn text(error: impl ToString) -> String {
+    error.to_string()
+}
+
+fn find_sockets(stack: &Stack, into: &mut Vec<Found>) {
+    for (id, socket) in stack.sockets().take(into.capacity()) {
+        let hears = stack.local_address(id).ok();
+        into.push(Found { id, hears, pool: socket.pool().statistics(), counters: socket.counters() });
+    }
+}
+
+fn host_shown(host: &HostRoute) -> HostShown {
+    let origin = match host.origin {
+        Origin::Static => "static",
+        Origin::Solicited => "solicited",
+        Origin::Learned => "learned",
+    };
+    HostShown { ip: host.ip, address: host.address.to_string(), origin: origin.into() }
+}
+
+fn network_shown(route: &NetworkRoute) -> NetworkShown {
+    NetworkShown { network: route.network.to_string(), via: route.gateway }
+}
+
+fn echo_shown(pong: &Pong) -> EchoShown {
+    let Pong { from, identifier, sequence, len, rx, left } = *pong;
+    let nanos = |at: Option<StationTime>| at.map(|at| at.nanos());
+    EchoShown { from, identifier, sequence, size: len, came: nanos(rx), left: nanos(left) }
+}
+
+/// Every reason, also those that have not occurred.
+pub fn by_reason(refusals: &Refusals) -> BTreeMap<String, u64> {
+    Refusal::ALL.iter().map(|&reason| (reason.name().to_owned(), refusals.get(reason))).collect()
+}
+
+fn named<const N: usize>(all: [(&str, u64); N]) -> BTreeMap<String, u64> {
+    all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect()
+}
+
+fn of_stack(counters: &StackCounters) -> BTreeMap<String, u64> {
+    let StackCounters { collectors, .. } = counters;
+    named([
+        ("echoes_answered", counters.echoes_answered),
+        ("checksums_tolerated", counters.checksums_tolerated),
+        ("arp_conflicts", counters.arp_conflicts),
+        ("arp_changed", counters.arp_changed),
+        ("fragments_timed_out", collectors.timed_out),
+        ("fragments_out_of_order", collectors.out_of_order),
+        ("fragments_given_up", collectors.given_up),
+        ("fragments_pool_empty", collectors.pool_empty),
+    ])
+}
+
+fn of_socket(counters: &SocketCounters) -> BTreeMap<String, u64> {
+    named([
+        ("received", counters.received),
+        ("dropped", counters.dropped),
+        ("sent", counters.sent),
+        ("no_buffers", counters.no_buffers),
+        ("refused", counters.refused),
+        ("cut_short", counters.cut_short),
+    ])
+}

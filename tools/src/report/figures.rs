@@ -115,8 +115,8 @@ impl Figures {
     /// How many misses are kept, so that a bad run's report stays readable.
     pub const MISSES_MAX: usize = 100;
 
-    /// Enters a miss into the list, which is kept worst first. The least bad one falls out of a full
-    /// list. The counters are not touched.
+    /// Enters a miss into the list, which is kept worst first. Out of a full list falls the least bad one of the kind that
+    /// has the most, so that no kind hides another. The counters are not touched.
     pub fn note_miss(&mut self, miss: Miss) {
         miss.note(&mut self.misses);
     }
@@ -289,16 +289,22 @@ pub struct Miss {
 }
 
 impl Miss {
-    /// Worse is greater: first what has no known cause, then the longer span.
     /// See [`Figures::note_miss`].
     pub fn note(self, misses: &mut Vec<Miss>) {
         let place = misses.partition_point(|other| other.badness() >= self.badness());
-        if place < Figures::MISSES_MAX {
-            misses.insert(place, self);
-            misses.truncate(Figures::MISSES_MAX);
+        misses.insert(place, self);
+        if misses.len() > Figures::MISSES_MAX {
+            let kinds = misses.chunk_by(|one, next| one.kind == next.kind);
+            let ends = kinds.scan(0, |end, kind| {
+                *end += kind.len();
+                Some((kind.len(), *end))
+            });
+            let (_, end) = ends.max().expect("a full list");
+            misses.remove(end - 1);
         }
     }
 
+    /// Worse is greater: first what has no known cause, then the longer span.
     fn badness(&self) -> (Reverse<MissKind>, u64) {
         (Reverse(self.kind), self.span_ns.unsigned_abs())
     }
@@ -386,5 +392,24 @@ mod tests {
         assert_eq!(figures.misses.len(), Figures::MISSES_MAX);
         assert_eq!(figures.misses[0].kind, MissKind::Unexplained);
         assert_eq!((figures.misses[1].span_ns, figures.misses[99].span_ns), (299, 201));
+    }
+
+    #[test]
+    fn a_kind_of_which_there_are_many_hides_no_other() {
+        let mut figures = Figures::default();
+        let of = |figures: &Figures, kind| figures.misses.iter().filter(|miss| miss.kind == kind).count();
+        for span in 0..300 {
+            figures.note_miss(miss(MissKind::StalledInSend, span));
+        }
+        for span in 0..30 {
+            figures.note_miss(miss(MissKind::GuardDropped, span));
+        }
+        assert_eq!(of(&figures, MissKind::StalledInSend), 70);
+        assert_eq!(of(&figures, MissKind::GuardDropped), 30);
+        for span in 30..300 {
+            figures.note_miss(miss(MissKind::GuardDropped, span));
+        }
+        assert_eq!(of(&figures, MissKind::GuardDropped), 50);
+        assert_eq!((figures.misses[49].span_ns, figures.misses[99].span_ns), (250, 250));
     }
 }

@@ -7,15 +7,15 @@ use std::time::{Duration, Instant};
 
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRole, RoleConfig,
-    SlaveConfig, SlotConfig, Tdma, TdmaCommand, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRole, RoleConfig, SlaveConfig,
+    SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::SyncState;
 use rtnet::live::interface::Interface;
 use rtnet::live::{Driver, DriverConfig, GuardMode, Port};
 use rtnet::station::Station;
-use rtnet::time::{Offset, Span};
+use rtnet::time::{Span};
 use rtnet::wire::ethernet::{Address, EtherType};
 use tests::traffic;
 use tools::lab::namespace::{Namespace, Segment};
@@ -108,15 +108,8 @@ fn every_command() -> Vec<TdmaCommand> {
 fn role(station: usize) -> RoleConfig {
     match station {
         0 => RoleConfig::Master(MasterConfig {
-            cycle: CYCLE,
-            sync_latest: LATE,
-            reply_latest: LATE,
-            epoch: Offset::default(),
-            resume: None,
-            backup: None,
-            backups_from: None,
-            max_requests: DEFAULT_MAX_REQUESTS,
             follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
+            ..MasterConfig::new(CYCLE, LATE)
         }),
         _ => RoleConfig::Slave(SlaveConfig { rounds: 5, step_limit: Some(LATE), ..SlaveConfig::default() }),
     }

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRounds, RoleConfig,
-    SlaveConfig, SlotConfig, Tdma, TdmaCommand, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, NewRounds, RoleConfig, SlaveConfig,
+    SlotConfig, Tdma, TdmaCommand, TdmaConfig,
 };
 use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Discipline, Opportunity, Sent, Service, SyncState, Transmission};
@@ -222,15 +222,9 @@ impl Seat {
         let epoch = Offset::between(Instant::default(), GlobalTime::from_nanos(1_795_000_000_000_000_000));
         let role = match id {
             0 => RoleConfig::Master(MasterConfig {
-                cycle: CYCLE,
-                sync_latest: latest,
-                reply_latest: latest,
                 epoch,
-                resume: None,
-                backup: None,
-                backups_from: None,
-                max_requests: DEFAULT_MAX_REQUESTS,
                 follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
+                ..MasterConfig::new(CYCLE, latest)
             }),
             _ => RoleConfig::Slave(SlaveConfig { rounds: 20, ..SlaveConfig::default() }),
         };

@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig,
-    SlaveConfig, SlotConfig, Tdma, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
 };
 use rtmac::wire::{self, Message};
 use rtnet::buf::Pool;
@@ -14,7 +14,7 @@ use rtnet::ip::route::{HostRoute, Interface, Origin};
 use rtnet::ip::{Stack, StackConfig};
 use rtnet::socket::{Access, Flags, Program, Sender, Socket, SocketId};
 use rtnet::station::Station;
-use rtnet::time::{GlobalTime, Instant, Offset, Span};
+use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header, MIN_FRAME};
 use tests::bench::Bench;
 use tests::ends::{A, B, End};
@@ -62,17 +62,7 @@ fn station(is_master: bool) -> Station<Tdma> {
     let latest = Span::from_micros(50);
     let follow = SlaveConfig { rounds: 0, ..SlaveConfig::default() };
     let role = if is_master {
-        RoleConfig::Master(MasterConfig {
-            cycle: CYCLE,
-            sync_latest: latest,
-            reply_latest: latest,
-            epoch: Offset::default(),
-            resume: None,
-            backup: None,
-            backups_from: None,
-            max_requests: DEFAULT_MAX_REQUESTS,
-            follow,
-        })
+        RoleConfig::Master(MasterConfig { follow, ..MasterConfig::new(CYCLE, latest) })
     } else {
         RoleConfig::Slave(follow)
     };

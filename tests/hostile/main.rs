@@ -12,15 +12,15 @@ mod traffic;
 use frames::hostile_frame;
 use proptest::prelude::*;
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig,
-    SlaveConfig, SlotConfig, Tdma, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
 };
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::buf::Pool;
 use rtnet::counters::Refusal;
 use rtnet::discipline::{Discipline, EventKind, SyncState};
 use rtnet::station::Station;
-use rtnet::time::{GlobalTime, Instant, Offset, Span};
+use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 use tests::bench::Bench;
 use tests::peer;
@@ -104,15 +104,8 @@ impl Victim {
                 RoleConfig::Slave(SlaveConfig { rounds: ROUNDS, ..SlaveConfig::default() })
             }
             Victim::Listening | Victim::Active => RoleConfig::Master(MasterConfig {
-                cycle: CYCLE,
-                sync_latest: latest,
-                reply_latest: latest,
-                epoch: Offset::default(),
-                resume: None,
-                backup: None,
-                backups_from: None,
-                max_requests: DEFAULT_MAX_REQUESTS,
                 follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
+                ..MasterConfig::new(CYCLE, latest)
             }),
         };
         let offset = if self.address() == SLAVE { Span::from_micros(400) } else { Span::from_micros(200) };

@@ -6,8 +6,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig,
-    SlaveConfig, SlotConfig, Tdma, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Discipline, Service};
@@ -160,17 +160,7 @@ pub fn master_of(cycle: Span, address: Address, clock: &EmulatedClock, offset: S
     let epoch = Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()));
     let late = Span::from_millis(1);
     let follow = SlaveConfig { rounds: 0, ..SlaveConfig::default() };
-    let config = MasterConfig {
-        cycle,
-        sync_latest: late,
-        reply_latest: late,
-        epoch,
-        resume: None,
-        backup: None,
-        backups_from: None,
-        max_requests: DEFAULT_MAX_REQUESTS,
-        follow,
-    };
+    let config = MasterConfig { epoch, follow, ..MasterConfig::new(cycle, late) };
     ours(address, offset, size, RoleConfig::Master(config))
 }
 

@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex};
 
 use rtmac::tdma::{
-    DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig,
-    SlaveConfig, SlotConfig, Tdma, TdmaConfig,
+    DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
+    TdmaConfig,
 };
 use rtnet::buf::Pool;
 use rtnet::clock::EmulatedClock;
@@ -129,17 +129,7 @@ pub fn slot(id: u8, micros: i64) -> SlotConfig {
 pub fn in_slots(id: usize, slots: &[SlotConfig]) -> Tdma {
     let follow = SlaveConfig { rounds: 10, ..SlaveConfig::default() };
     let role = match id {
-        0 => RoleConfig::Master(MasterConfig {
-            cycle: CYCLE,
-            sync_latest: LATEST,
-            reply_latest: LATEST,
-            epoch: epoch(),
-            resume: None,
-            backup: None,
-            backups_from: None,
-            max_requests: DEFAULT_MAX_REQUESTS,
-            follow,
-        }),
+        0 => RoleConfig::Master(MasterConfig { epoch: epoch(), follow, ..MasterConfig::new(CYCLE, LATEST) }),
         _ => RoleConfig::Slave(follow),
     };
     let (slots, max_slot_id) = (slots.to_vec(), DEFAULT_MAX_SLOT_ID);

@@ -94,21 +94,6 @@ fn payload(number: usize, kind: EtherType) -> Vec<u8> {
     rest.to_vec()
 }
 
-/// What a header says, by its accessors.
-fn fields(header: &ipv4::Header) -> Fields {
-    Fields {
-        source: header.source(),
-        destination: header.destination(),
-        protocol: header.protocol(),
-        tos: header.tos(),
-        identification: header.identification(),
-        dont_fragment: header.dont_fragment(),
-        more_fragments: header.more_fragments(),
-        offset: header.offset(),
-        payload_len: header.total_len() - header.header_len() as u16,
-    }
-}
-
 #[test]
 fn the_four_ip_frames_are_produced_to_the_bit() {
     for (number, from, to, fields, payload) in described() {
@@ -123,7 +108,7 @@ fn the_four_ip_frames_are_parsed_to_the_bit() {
     for (number, _, _, expected, payload) in described() {
         let packet = self::payload(number, EtherType::IPV4);
         let (header, parsed) = ipv4::parse(&packet).expect("a sound packet");
-        assert_eq!((fields(header), parsed), (expected, &payload[..]), "frame {number}");
+        assert_eq!((header.fields(), parsed), (expected, &payload[..]), "frame {number}");
         assert_eq!((header.ttl(), header.header_len()), (255, 20));
         assert_eq!(header.is_fragment(), number == 24 || number == 25);
     }
@@ -221,7 +206,7 @@ fn what_real_stations_sent_is_understood_and_built_again() {
         let (header, payload) = ipv4::parse(rest).expect("a sound packet");
         // Two pings are by Linux beside the stack, which gives them 64 hops.
         if header.ttl() == ipv4::TTL {
-            assert_eq!(ipv4::Header::new(&fields(header)), *header, "frame {}", frame.number);
+            assert_eq!(ipv4::Header::new(&header.fields()), *header, "frame {}", frame.number);
         }
         if header.protocol() == Protocol::ICMP {
             let (echo, data) = icmpv4::parse(payload).expect("a sound echo");
@@ -315,7 +300,7 @@ proptest! {
         let ours = [ipv4::Header::new(&fields_in).as_bytes(), payload].concat();
         prop_assert_eq!(&ours, &theirs);
         let (header, parsed) = ipv4::parse(&theirs).expect("sound");
-        prop_assert_eq!((fields(header), parsed), (fields_in, payload));
+        prop_assert_eq!((header.fields(), parsed), (fields_in, payload));
         let decoded = Ipv4Packet::new(&ours).expect("long enough");
         prop_assert_eq!(decoded.payload(), payload);
     }

@@ -41,7 +41,7 @@ use rtnet::wire::ethernet::Address;
 use super::events::Events;
 use super::follow::{HOLDOVER_CYCLES, SlaveConfig};
 use super::line::{Drift, TimeLine};
-use super::replies::{Replies, Reply};
+use super::replies::{DEFAULT_MAX_REQUESTS, Replies, Reply};
 use super::rival::Rival;
 use super::slave::Slave;
 
@@ -83,6 +83,21 @@ pub struct MasterConfig {
 }
 
 impl MasterConfig {
+    /// A primary that knows of no backup, may be late by `latest`, and gives its own clock's time.
+    pub fn new(cycle: Span, latest: Span) -> Self {
+        Self {
+            cycle,
+            sync_latest: latest,
+            reply_latest: latest,
+            epoch: Offset::default(),
+            resume: None,
+            backup: None,
+            backups_from: None,
+            max_requests: DEFAULT_MAX_REQUESTS,
+            follow: SlaveConfig::default(),
+        }
+    }
+
     /// Whether it is told that somebody else may give the time, whom it then follows.
     pub fn knows_of_others(&self) -> bool {
         self.backup.or(self.backups_from).is_some()

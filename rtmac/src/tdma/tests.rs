@@ -32,15 +32,8 @@ fn config(role: RoleConfig) -> TdmaConfig {
 pub(super) fn master_config() -> MasterConfig {
     let late = Span::from_micros(40);
     MasterConfig {
-        cycle: Span::from_millis(1),
-        sync_latest: late,
-        reply_latest: late,
-        epoch: Default::default(),
-        resume: None,
-        backup: None,
-        backups_from: None,
-        max_requests: DEFAULT_MAX_REQUESTS,
         follow: SlaveConfig { rounds: 0, ..SlaveConfig::default() },
+        ..MasterConfig::new(Span::from_millis(1), late)
     }
 }
 

@@ -157,6 +157,20 @@ impl Header {
     pub fn source(&self) -> Ipv4Addr {
         self.source.into()
     }
+    /// What it was made of.
+    pub fn fields(&self) -> Fields {
+        Fields {
+            source: self.source(),
+            destination: self.destination(),
+            protocol: self.protocol(),
+            tos: self.tos(),
+            identification: self.identification(),
+            dont_fragment: self.dont_fragment(),
+            more_fragments: self.more_fragments(),
+            offset: self.offset(),
+            payload_len: self.total_len().saturating_sub(self.header_len() as u16),
+        }
+    }
     /// Who it is for.
     pub fn destination(&self) -> Ipv4Addr {
         self.destination.into()

@@ -16,21 +16,6 @@ const FIELDS: Fields = Fields {
     payload_len: 104,
 };
 
-/// What a header says, by its accessors.
-fn fields(header: &Header) -> Fields {
-    Fields {
-        source: header.source(),
-        destination: header.destination(),
-        protocol: header.protocol(),
-        tos: header.tos(),
-        identification: header.identification(),
-        dont_fragment: header.dont_fragment(),
-        more_fragments: header.more_fragments(),
-        offset: header.offset(),
-        payload_len: header.total_len() - header.header_len() as u16,
-    }
-}
-
 /// A packet of these fields and this payload.
 fn packet(fields: &Fields, payload: &[u8]) -> Vec<u8> {
     [Header::new(fields).as_bytes(), payload].concat()
@@ -58,7 +43,7 @@ fn bytes_and_header_are_the_same_thing_in_both_directions() {
     let packet = packet(&FIELDS, &[7; 104]);
     let (header, payload) = parse(&packet).unwrap();
     assert_eq!((header.as_bytes(), payload), (&BYTES[..], &[7; 104][..]));
-    assert_eq!(fields(header), FIELDS);
+    assert_eq!(header.fields(), FIELDS);
     assert_eq!((header.ttl(), header.total_len(), header.header_len()), (TTL, 124, HEADER_LEN));
     assert!(header.is_fragment());
 }
@@ -73,7 +58,7 @@ fn each_flag_and_the_offset_have_their_own_bits() {
     assert!(Header::new(&last).is_fragment());
     let farthest = Fields { more_fragments: false, offset: 65_512, payload_len: 3, ..FIELDS };
     assert_eq!(Header::new(&farthest).as_bytes()[6..8], [0x1f, 0xfd]);
-    assert_eq!(parse(&packet(&farthest, &[1; 3])).map(|(header, _)| fields(header)), Ok(farthest));
+    assert_eq!(parse(&packet(&farthest, &[1; 3])).map(|(header, _)| header.fields()), Ok(farthest));
 }
 
 #[test]
@@ -94,7 +79,7 @@ fn options_are_skipped_and_are_part_of_the_checksum() {
     bytes[10..12].copy_from_slice(&sum.to_be_bytes());
     let (header, payload) = parse(&bytes).unwrap();
     assert_eq!((header.header_len(), payload), (24, &[7; 104][..]));
-    assert_eq!(fields(header), FIELDS);
+    assert_eq!(header.fields(), FIELDS);
     bytes[21] = 0;
     assert_eq!(refusal(&bytes), Some(Refusal::IpChecksum));
 }
@@ -170,7 +155,7 @@ proptest! {
         }
         if let Ok((header, payload)) = parse(&bytes) {
             prop_assert_eq!(header.header_len() + payload.len(), usize::from(header.total_len()));
-            let _ = (fields(header), header.ttl(), header.is_fragment());
+            let _ = (header.fields(), header.ttl(), header.is_fragment());
         }
         // Nor those of a header that nobody has checked.
         if let Ok((header, _)) = Header::ref_from_prefix(&bytes) {
@@ -199,7 +184,7 @@ proptest! {
         };
         let packet = packet(&fields_in, &payload[..len]);
         let (header, parsed) = parse(&packet).unwrap();
-        prop_assert_eq!(fields(header), fields_in);
+        prop_assert_eq!(header.fields(), fields_in);
         prop_assert_eq!(parsed, &payload[..len]);
         for end in 0..packet.len() {
             let reason = if end < HEADER_LEN { Refusal::Truncated } else { Refusal::IpLength };

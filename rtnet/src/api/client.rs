@@ -4,7 +4,7 @@ use core::net::SocketAddrV4;
 use core::sync::atomic::{AtomicBool, Ordering};
 use core::time::Duration;
 use std::fs::File;
-use std::io::{self, ErrorKind, IoSliceMut, Read, Write};
+use std::io::{self, ErrorKind, IoSliceMut, Write};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,6 +13,7 @@ use nix::cmsg_space;
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
+use nix::sys::eventfd::{EfdFlags, EventFd};
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg};
 use socket2::{Domain, SockAddr, Socket, Type};
 
@@ -50,14 +51,23 @@ pub struct PacketSocket(pub(super) End);
 /// What both have.
 pub(super) struct End {
     control: Mutex<Socket>,
+    /// The same one, to hang up while an answer is awaited.
+    line: Socket,
     pub(super) memory: Arc<Memory>,
     received: Mutex<Reader>,
     sending: Mutex<Sending>,
     timeout: Mutex<Option<Duration>>,
-    waker: File,
-    doorbell: File,
+    /// Readable when the station has woken this program.
+    pub(super) gate: Epoll,
+    pub(super) doorbell: File,
+    /// Readable when this program has woken itself: something was left by who read the gate...
+    again: EventFd,
+    /// ... as it says here.
+    has_rung: AtomicBool,
     /// Readable when something has come, or the station is gone.
     ready: Epoll,
+    /// Somebody waits for `ready` by his own means.
+    is_watched: AtomicBool,
     is_closed: AtomicBool,
 }
 
@@ -147,7 +157,8 @@ macro_rules! of_both {
             pub fn receive(&self, into: &mut [u8]) -> io::Result<Received> {
                 self.0.receive(into, Flags::NONE)
             }
-            /// The same with flags: `PEEK` leaves it there, `DONTWAIT` does not wait: who spins so never asks the kernel.
+            /// The same with flags: `PEEK` leaves it there, `DONTWAIT` does not wait: who spins so never asks the kernel, if
+            /// he has never asked for the descriptor.
             pub fn receive_with(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
                 self.0.receive(into, flags)
             }
@@ -194,6 +205,7 @@ macro_rules! of_both {
             /// For `poll`, `epoll` and whatever is made of them: readable when something has come since a receive found
             /// nothing, or when the station is gone.
             fn as_fd(&self) -> BorrowedFd<'_> {
+                self.0.is_watched.store(true, Ordering::Relaxed);
                 self.0.ready.0.as_fd()
             }
         }
@@ -219,27 +231,32 @@ impl End {
         control.set_read_timeout(Some(ANSWER_WITHIN))?;
         let (answer, descriptors) = exchange(&control, ask)?;
         check(&answer)?;
-        let Ok([memory, waker, doorbell]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
+        let Ok([memory, gate, doorbell]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
             return Err(Errno::EPROTO.into());
         };
         let memory = Arc::new(Memory::open(memory)?);
         if !segment::fits(&memory) {
             return Err(Errno::EPROTO.into());
         }
-        let waker = File::from(waker);
+        let again = EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?;
         let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
-        ready.add(&waker, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
+        ready.add(&gate, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
+        ready.add(&again, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
         ready.add(&control, EpollEvent::new(EpollFlags::EPOLLRDHUP, 1))?;
         let writer = Writer::new(memory.clone(), segment::sent());
         Ok(Self {
+            line: control.try_clone()?,
             control: Mutex::new(control),
             received: Mutex::new(Reader::new(memory.clone(), segment::received())),
             sending: Mutex::new(Sending { writer, options: Options::default(), errors_told: 0 }),
             memory,
             timeout: Mutex::new(None),
-            waker,
+            gate: Epoll(gate),
             doorbell: File::from(doorbell),
+            again,
+            has_rung: AtomicBool::new(false),
             ready,
+            is_watched: AtomicBool::new(false),
             is_closed: AtomicBool::new(false),
         })
     }
@@ -274,7 +291,7 @@ impl End {
         drop(sending);
         core::sync::atomic::fence(Ordering::SeqCst);
         if self.memory[STATION_ASLEEP].load(Ordering::SeqCst) != 0 {
-            // It does not block: who was rung for is awake soon.
+            // It does not block: nothing but this is ever written.
             let _ = (&self.doorbell).write(&ONE);
         }
         Ok(())
@@ -283,6 +300,9 @@ impl End {
     fn receive(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
         flags.check(Flags::PEEK | Flags::DONTWAIT).map_err(|error| Errno::from_raw(error.errno()))?;
         if flags.contains(Flags::DONTWAIT) {
+            if self.is_watched.load(Ordering::Relaxed) {
+                return self.take_or_sleep(into, flags)?.ok_or_else(|| Errno::EAGAIN.into());
+            }
             let received = self.take(into, flags)?;
             return received
                 .ok_or_else(|| if self.is_served() { Errno::EAGAIN } else { Errno::ENODEV }.into());
@@ -307,13 +327,16 @@ impl End {
             return Ok(Some(received));
         }
         // Who says that it sleeps looks once more: what came before is not told of.
-        let _ = (&self.waker).read(&mut [0; size_of::<u64>()]);
+        let _ = self.gate.wait(&mut [EpollEvent::empty()], PollTimeout::ZERO);
+        if self.has_rung.swap(false, Ordering::AcqRel) {
+            let _ = self.again.read();
+        }
         self.memory[ASLEEP].store(1, Ordering::SeqCst);
         core::sync::atomic::fence(Ordering::SeqCst);
         let received = self.take(into, flags)?;
         if received.is_some() {
             // More may have come with it, and what it was told of is read away: whoever waits looks for himself.
-            let _ = (&self.waker).write(&ONE);
+            self.ring_again();
             return Ok(received);
         }
         self.check_open()?;
@@ -369,14 +392,20 @@ impl End {
     fn close(&self) {
         self.is_closed.store(true, Ordering::Release);
         // The station hears of it, and so does who waits here.
-        let _ = locked(&self.control).shutdown(std::net::Shutdown::Both);
-        let _ = (&self.waker).write(&ONE);
+        let _ = self.line.shutdown(std::net::Shutdown::Both);
+        self.ring_again();
+    }
+
+    /// Whoever waits looks again.
+    fn ring_again(&self) {
+        let _ = self.again.write(1);
+        self.has_rung.store(true, Ordering::Release);
     }
 }
 
 /// Whether the station has hung up.
 fn hung_up(ready: &Epoll) -> bool {
-    let mut events = [EpollEvent::empty(); 2];
+    let mut events = [EpollEvent::empty(); 3];
     let found = ready.wait(&mut events, PollTimeout::ZERO).unwrap_or(0);
     events[..found].iter().any(|event| event.data() == 1)
 }

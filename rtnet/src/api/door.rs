@@ -2,24 +2,26 @@
 //! that thread takes no memory and frees none.
 //!
 //! ```text
-//! control thread   prepare(ask) ─► Visit ┐                ┌► finish ─► answer, memory and waker for the program
+//! control thread   prepare(ask) ─► Visit ┐                ┌► finish ─► answer, memory, gate and doorbell for the program
 //! station's thread                       └─ visit(stack) ─┘
 //! ```
 
 use std::io::{self, IoSlice};
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd};
 use std::sync::Arc;
 
 use nix::errno::Errno;
-use nix::sys::eventfd::{EfdFlags, EventFd};
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
 
-use super::handshake::{Answer, Ask, DESCRIPTORS};
+use super::handshake::{Answer, Ask};
 use super::line::{Line, Lines};
 use crate::buf::Pool;
 use crate::ip::{Exit, Stack};
 use crate::live::Visitor;
 use crate::socket::{DEFAULT_BUFFERS, MOST_BUFFERS, ROOM_TO_EXTEND, Socket, SocketError, SocketId};
+
+pub use super::line::Descriptors;
 
 /// Pools of closed sockets; while there are so many whose frames still wait to be sent, no socket is opened.
 const MOST_RETIRED: usize = 256;
@@ -28,7 +30,7 @@ const MOST_RETIRED: usize = 256;
 pub struct Door {
     /// Pools of sockets that were closed: once all of their buffers are home another socket has them.
     retired: Vec<Arc<Pool>>,
-    doorbell: Arc<EventFd>,
+    doorbells: Arc<Epoll>,
 }
 
 /// A socket that a program has.
@@ -46,8 +48,14 @@ pub struct Visit {
 enum What {
     Open(Box<Opening>),
     Ask(Ask, SocketId),
-    /// With what was closed: it is freed here.
-    Close(SocketId, Option<(Box<Socket>, Option<Box<Line>>)>),
+    Close(Closing),
+}
+
+/// With what was closed: it is freed where this is.
+struct Closing {
+    id: SocketId,
+    line: Option<Box<Line>>,
+    socket: Option<Box<Socket>>,
 }
 
 struct Opening {
@@ -59,19 +67,16 @@ struct Opening {
     opened: Option<SocketId>,
 }
 
-/// What a program gets with the answer to an opening.
-pub type Descriptors = [OwnedFd; DESCRIPTORS];
-
 impl Door {
     /// Nobody has come in yet.
     pub fn new() -> io::Result<Self> {
-        let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
-        Ok(Self { retired: Vec::new(), doorbell: Arc::new(EventFd::from_flags(flags)?) })
+        let doorbells = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        Ok(Self { retired: Vec::new(), doorbells: Arc::new(doorbells) })
     }
 
-    /// What programs ring when the station sleeps.
-    pub fn doorbell(&self) -> Arc<EventFd> {
-        self.doorbell.clone()
+    /// What programs ring when the station sleeps: each its own.
+    pub fn doorbells(&self) -> Arc<Epoll> {
+        self.doorbells.clone()
     }
 
     /// Makes an ask of a program ready: one that has no socket opens one, one that has asks about it. What needs nothing of
@@ -95,7 +100,8 @@ impl Door {
     /// A program has gone: its socket is to be closed.
     pub fn leave(&mut self, of: Attached) -> Visit {
         self.retired.push(of.pool);
-        Visit { what: What::Close(of.socket, None), answer: Answer::DONE }
+        let closing = Closing { id: of.socket, line: None, socket: None };
+        Visit { what: What::Close(closing), answer: Answer::DONE }
     }
 
     /// What the station's thread has made of it: the answer, and what an opened socket's program is to have.
@@ -117,16 +123,11 @@ impl Door {
         if buffers > MOST_BUFFERS {
             return Err(refused(Errno::ENOMEM));
         }
-        let line = Line::new().map_err(|_| refused(Errno::ENOMEM))?;
-        let descriptors = self.descriptors(&line).map_err(|_| refused(Errno::ENFILE))?;
+        let line = Line::new(self.doorbells.clone()).map_err(|_| refused(Errno::ENOMEM))?;
+        let descriptors = line.descriptors().map_err(|_| refused(Errno::ENFILE))?;
         let pool = self.pool(buffers).ok_or(refused(Errno::ENOBUFS))?;
         let (socket, line) = (Some(socket(pool.clone())), Some(line));
         Ok(What::Open(Box::new(Opening { socket, line, pool, descriptors, opened: None })))
-    }
-
-    fn descriptors(&self, line: &Line) -> io::Result<Descriptors> {
-        let copy = |fd: BorrowedFd<'_>| fd.try_clone_to_owned();
-        Ok([copy(line.memory())?, copy(line.waker())?, copy(self.doorbell.as_fd())?])
     }
 
     /// One whose buffers are all home, with so many of them: frames of a closed socket may still wait to be sent.
@@ -169,9 +170,9 @@ impl Visitor for Visit {
         let done = match &mut self.what {
             What::Open(opening) => opening.visit(stack),
             What::Ask(ask, id) => carry_out(stack, *ask, *id, &mut self.answer),
-            What::Close(id, closed) => {
-                let line = stack.program_mut::<Lines>().and_then(|lines| lines.remove(*id));
-                stack.close(*id).map(|socket| *closed = Some((socket, line)))
+            What::Close(closing) => {
+                closing.line = stack.program_mut::<Lines>().and_then(|lines| lines.remove(closing.id));
+                stack.close(closing.id).map(|socket| closing.socket = Some(socket))
             }
         };
         if let Err(error) = done {

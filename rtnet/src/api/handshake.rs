@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! ask     "RTN1"  what 1  mode 1  port or EtherType 2  address 4  number 4
-//! answer  "RTN1"  error 4 (0: done)  port 2  unused 2  address 4  number 4      and, to `Open`: memory, waker, doorbell
+//! answer  "RTN1"  error 4 (0: done)  port 2  unused 2  address 4  number 4      and, to `Open`: memory, gate, doorbell
 //! ```
 
 use core::net::{Ipv4Addr, SocketAddrV4};

@@ -2,27 +2,37 @@
 //!
 //! ```text
 //!   program ─ ring ─► Line ─► Access::send ─► the discipline's queue
+//!           ─ doorbell ─► the loop, if it sleeps
 //!   program ◄─ ring ─ Line ◄─ the socket's buffers
-//!           ◄─ eventfd, after the slot's send, if it sleeps
+//!           ◄─ gate ─ waker, after the slot's send, if it sleeps
 //! ```
 //!
-//! Nothing here is believed that a program wrote: an order that cannot be ends its line, and nobody else's.
+//! Nothing here is believed that a program wrote: an order that cannot be ends its line, and nobody else's. Nor is anything
+//! waited for: a descriptor that both have is one whose flags both may change, so that the station never reads nor writes one
+//! that a program has. It writes the waker, which the program only sees through the gate, an epoll; and hears the doorbell
+//! through one of its own.
 
 use core::sync::atomic::Ordering;
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 
+use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 
+use super::handshake::DESCRIPTORS;
 use super::memory::Memory;
 use super::ring::{Nonsense, Reader, Writer};
 use super::segment::{self, ASLEEP, ENDED, ERROR, Order, STATE, STATION_ASLEEP};
 use crate::socket::{Access, Flags, Program, SocketError, SocketId};
 use crate::wire::udp::MAX_PAYLOAD;
 
-/// Datagrams that are taken from one program in one turn: a flood does not hold up the others', nor the slot.
+/// Datagrams that are taken from one program in one turn: a flood does not hold up the others'.
 const ORDERS_AT_ONCE: usize = 8;
+/// Bytes that are copied for all programs in one turn, or one datagram more: a turn may come just before a slot.
+const WORK_AT_ONCE: usize = 16 * 1024;
+/// What a datagram costs besides its bytes takes as long as copying so many.
+const EACH: usize = 256;
 /// The longest order: a datagram, or a frame.
 const LONGEST: usize = MAX_PAYLOAD + 1;
 
@@ -33,6 +43,12 @@ pub struct Line {
     to_program: Writer,
     from_program: Reader,
     waker: EventFd,
+    gate: Epoll,
+    doorbell: EventFd,
+    /// Where it is heard.
+    doorbells: Arc<Epoll>,
+    /// The oldest order waits for buffers.
+    waits: bool,
     /// Something was written since the program was woken.
     has_news: bool,
     errors: u32,
@@ -46,7 +62,26 @@ pub struct Lines {
     lines: Vec<Box<Line>>,
     /// Where an order is copied before anything of it is looked at: whoever wrote it may still write.
     room: Box<[u8]>,
+    /// Which is served first.
+    first: usize,
+    /// They were served since the station slept.
+    came_by: bool,
     counters: LineCounters,
+}
+
+/// What a program gets with the answer to an opening: memory, what to wait for, and what to ring.
+pub type Descriptors = [OwnedFd; DESCRIPTORS];
+
+/// What may still be done in a turn.
+struct Work(usize);
+
+impl Work {
+    fn is_left(&self) -> bool {
+        self.0 > 0
+    }
+    fn spend(&mut self, bytes: usize) {
+        self.0 = self.0.saturating_sub(EACH + bytes);
+    }
 }
 
 /// What became of lines.
@@ -59,8 +94,14 @@ pub struct LineCounters {
 }
 
 impl Line {
-    /// Memory and a waker for a socket that is about to be opened.
-    pub fn new() -> io::Result<Box<Self>> {
+    /// Memory, a gate and a doorbell for a socket that is about to be opened.
+    pub fn new(doorbells: Arc<Epoll>) -> io::Result<Box<Self>> {
+        let rings = || EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, 0);
+        let eventfd = || EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC);
+        let (waker, doorbell) = (eventfd()?, eventfd()?);
+        let gate = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        gate.add(&waker, rings())?;
+        doorbells.add(&doorbell, rings())?;
         let memory = Arc::new(Memory::new(segment::bytes())?);
         // A program may wait before it has ever looked.
         memory[ASLEEP].store(1, Ordering::Relaxed);
@@ -69,7 +110,11 @@ impl Line {
             to_program: Writer::new(memory.clone(), segment::received()),
             from_program: Reader::new(memory.clone(), segment::sent()),
             memory,
-            waker: EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?,
+            waker,
+            gate,
+            doorbell,
+            doorbells,
+            waits: false,
             has_news: false,
             errors: 0,
             is_broken: false,
@@ -80,53 +125,70 @@ impl Line {
     pub fn socket(&self) -> SocketId {
         self.socket
     }
-    /// The memory that the program is to have.
-    pub fn memory(&self) -> BorrowedFd<'_> {
-        self.memory.as_fd()
-    }
-    /// What the program is to wait for.
-    pub fn waker(&self) -> BorrowedFd<'_> {
-        self.waker.as_fd()
+    /// What the program is to have.
+    pub fn descriptors(&self) -> io::Result<Descriptors> {
+        let copy = |fd: BorrowedFd<'_>| fd.try_clone_to_owned();
+        Ok([copy(self.memory.as_fd())?, copy(self.gate.0.as_fd())?, copy(self.doorbell.as_fd())?])
     }
     /// Whether the program has written what cannot be: it is not served any more.
     pub fn is_broken(&self) -> bool {
         self.is_broken
     }
 
-    fn serve(&mut self, sockets: &mut Access<'_>, room: &mut [u8]) -> Result<(), Nonsense> {
-        self.take_orders(sockets, room)?;
+    fn serve(&mut self, sockets: &mut Access<'_>, room: &mut [u8], work: &mut Work) -> Result<(), Nonsense> {
+        // What the program is given frees buffers for what it sends.
+        self.pass_on(sockets, work)?;
+        self.take_orders(sockets, room, work)
+    }
+
+    fn pass_on(&mut self, sockets: &mut Access<'_>, work: &mut Work) -> Result<(), Nonsense> {
         let Self { socket, to_program, has_news, .. } = self;
-        let mut result = Ok(());
-        let mut room_left = true;
-        while room_left && result.is_ok() {
+        let mut written = Ok(true);
+        while work.is_left() && written == Ok(true) {
             let passed = sockets.pass_on(*socket, |received, parts| {
-                let written = to_program.write(segment::pack_received(received), received.whole, parts);
-                room_left = *written.as_ref().unwrap_or(&false);
-                *has_news |= room_left;
-                result = written.map(|_| ());
-                room_left
+                written = to_program.write(segment::pack_received(received), received.whole, parts);
+                let is_written = written == Ok(true);
+                if is_written {
+                    work.spend(received.whole);
+                    *has_news = true;
+                }
+                is_written
             });
             if passed.is_err() {
                 break;
             }
         }
-        result
+        written.map(drop)
     }
 
-    /// What waits for a buffer or a place in the queue stays where it is.
-    fn take_orders(&mut self, sockets: &mut Access<'_>, room: &mut [u8]) -> Result<(), Nonsense> {
+    /// What waits for a buffer stays where it is, and nothing of it is copied.
+    fn take_orders(
+        &mut self,
+        sockets: &mut Access<'_>,
+        room: &mut [u8],
+        work: &mut Work,
+    ) -> Result<(), Nonsense> {
+        self.waits = false;
         for _ in 0..ORDERS_AT_ONCE {
-            if self.from_program.is_empty() {
+            if self.from_program.is_empty() || !work.is_left() {
                 return Ok(());
             }
-            let Some(record) = self.from_program.peek(room)? else { return Ok(()) };
+            let Some(record) = self.from_program.front()? else { return Ok(()) };
             let order =
                 segment::unpack_order(record.meta).filter(|_| record.len <= LONGEST).ok_or(Nonsense)?;
-            match carry_out(self.socket, sockets, &order, &room[..record.copied]) {
-                Err(SocketError::NoBuffers { needed, capacity, .. }) if needed <= capacity => return Ok(()),
-                Err(error) => self.note(&error),
-                Ok(()) => {}
-            }
+            let sent = match sockets.set_options(self.socket, order.options) {
+                Ok(()) if lacks_buffers(self.socket, sockets, &order, record.len) => {
+                    self.waits = true;
+                    return Ok(());
+                }
+                Ok(()) => {
+                    let copied = self.from_program.copy(&record, room);
+                    carry_out(self.socket, sockets, &order, &room[..copied])
+                }
+                Err(error) => Err(error),
+            };
+            sent.unwrap_or_else(|error| self.note(&error));
+            work.spend(record.len);
             self.from_program.take(record);
         }
         Ok(())
@@ -145,13 +207,24 @@ impl Line {
     }
 }
 
+impl Drop for Line {
+    /// A program that still has its doorbell wakes nobody by it.
+    fn drop(&mut self) {
+        let _ = self.doorbells.delete(&self.doorbell);
+    }
+}
+
+fn lacks_buffers(socket: SocketId, sockets: &Access<'_>, order: &Order, len: usize) -> bool {
+    let to = order.to.filter(|_| sockets.is_udp(socket).unwrap_or(false)).map(segment::unpack_udp);
+    sockets.lacks_buffers(socket, len, to, Flags::from_bits(order.flags))
+}
+
 fn carry_out(
     socket: SocketId,
     sockets: &mut Access<'_>,
     order: &Order,
     data: &[u8],
 ) -> Result<(), SocketError> {
-    sockets.set_options(socket, order.options)?;
     let flags = Flags::from_bits(order.flags);
     if sockets.is_udp(socket)? {
         sockets.send_with(socket, data, order.to.map(segment::unpack_udp), flags)
@@ -166,6 +239,8 @@ impl Lines {
         Self {
             lines: Vec::with_capacity(most),
             room: vec![0; LONGEST].into_boxed_slice(),
+            first: 0,
+            came_by: false,
             counters: LineCounters::default(),
         }
     }
@@ -217,9 +292,17 @@ impl Drop for Lines {
 
 impl Program for Lines {
     fn run(&mut self, sockets: &mut Access<'_>) {
-        let Self { lines, room, counters } = self;
-        for line in lines.iter_mut().filter(|line| !line.is_broken) {
-            if line.serve(sockets, room).is_err() {
+        let Self { lines, room, first, came_by, counters } = self;
+        *came_by = true;
+        let (mut work, count) = (Work(WORK_AT_ONCE), lines.len());
+        for place in (*first..*first + count).map(|place| place % count) {
+            if !work.is_left() {
+                // Who has had no part of this turn is the first in the next.
+                *first = place;
+                return;
+            }
+            let line = &mut lines[place];
+            if !line.is_broken && line.serve(sockets, room, &mut work).is_err() {
                 counters.nonsense += 1;
                 line.is_broken = true;
                 line.end();
@@ -227,13 +310,15 @@ impl Program for Lines {
         }
     }
 
-    /// Programs ring only while the station sleeps; what came before they could know is looked for.
+    /// Programs ring only while the station sleeps; what came before they could know is looked for. Who has not come by since
+    /// the last time would not serve it the next time either.
     fn sleeps(&mut self, is_asleep: bool) -> bool {
         for line in &self.lines {
             line.memory[STATION_ASLEEP].store(is_asleep.into(), Ordering::SeqCst);
         }
         core::sync::atomic::fence(Ordering::SeqCst);
-        is_asleep && self.lines.iter().any(|line| !line.is_broken && !line.from_program.is_empty())
+        let is_waiting = |line: &Line| !line.is_broken && !line.waits && !line.from_program.is_empty();
+        is_asleep && core::mem::take(&mut self.came_by) && self.lines.iter().any(|line| is_waiting(line))
     }
 
     /// Who sleeps is woken once; who is awake costs nothing.
@@ -249,3 +334,6 @@ impl Program for Lines {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

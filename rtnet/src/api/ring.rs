@@ -135,6 +135,13 @@ impl Reader {
 
     /// The oldest record, copied as far as it fits. It stays until it is [taken](Self::take).
     pub fn peek(&self, into: &mut [u8]) -> Result<Option<Record>, Nonsense> {
+        let Some(record) = self.front()? else { return Ok(None) };
+        let copied = self.copy(&record, into);
+        Ok(Some(Record { copied, ..record }))
+    }
+
+    /// The oldest record, without its content.
+    pub fn front(&self) -> Result<Option<Record>, Nonsense> {
         let used = self.ring.load(self.ring.place.head).wrapping_sub(self.tail);
         match used {
             0 => return Ok(None),
@@ -152,12 +159,17 @@ impl Reader {
         for (word, at) in meta.iter_mut().zip(self.tail + 1..) {
             *word = self.ring.word(at).load(Ordering::Relaxed);
         }
-        let copied = whole.min(into.len());
+        Ok(Some(Record { meta, len: whole, copied: 0, next: self.tail + words }))
+    }
+
+    /// Copies the content of the oldest record as far as it fits: how many bytes.
+    pub fn copy(&self, record: &Record, into: &mut [u8]) -> usize {
+        let copied = record.len.min(into.len());
         for (bytes, at) in into[..copied].chunks_mut(WORD).zip(self.tail + HEAD as u64..) {
             let word = self.ring.word(at).load(Ordering::Relaxed).to_ne_bytes();
             bytes.copy_from_slice(&word[..bytes.len()]);
         }
-        Ok(Some(Record { meta, len: whole, copied, next: self.tail + words }))
+        copied
     }
 
     /// Done with a record: its place is the writer's again.

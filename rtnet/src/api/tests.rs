@@ -3,7 +3,8 @@
 // Programs wait, and stations take their turns, in real time.
 #![allow(clippy::disallowed_methods)]
 
-use std::collections::VecDeque;
+mod hostile;
+
 use std::io::{ErrorKind, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::AsFd;
@@ -21,15 +22,14 @@ use super::client::{PacketSocket, Station, UdpSocket};
 use super::door::{self, Attached, Door};
 use super::handshake::{Answer, Ask};
 use super::line::Lines;
-use crate::buf::{Buf, Pool};
-use crate::discipline::{Channel, SendError, TimeView};
-use crate::ip::route::{HostRoute, Interface, Origin};
-use crate::ip::{Exit, Stack, StackConfig};
+use crate::ip::StackConfig;
+use crate::ip::route::Interface;
+use crate::ip::tests::End;
 use crate::live::Visitor;
 use crate::queue::Priority;
 use crate::socket::{Flags, LinkMode, LinkType, Sender};
 use crate::time::Instant;
-use crate::wire::ethernet::{Address, EtherType, MTU};
+use crate::wire::ethernet::{Address, EtherType};
 
 const IP: [Ipv4Addr; 2] = [Ipv4Addr::new(10, 0, 0, 1), Ipv4Addr::new(10, 0, 0, 2)];
 
@@ -37,27 +37,9 @@ fn address(station: usize) -> Address {
     Address([2, 0, 0, 0, 0, 1 + station as u8])
 }
 
-/// What waits to cross to the other station.
-struct Queue(VecDeque<Buf>);
-
-impl Exit for Queue {
-    fn send(&mut self, frame: Buf, _: Priority, _: Channel) -> Result<(), (SendError, Buf)> {
-        self.0.push_back(frame);
-        Ok(())
-    }
-    fn limit(&self, channel: Channel) -> Result<usize, SendError> {
-        if channel > 1 { Err(SendError::NoSlot(channel)) } else { Ok(MTU) }
-    }
-    fn time(&self) -> TimeView {
-        TimeView::default()
-    }
-}
-
 /// One station: what its control thread and its real-time thread do, in turns.
 struct Site {
-    stack: Stack,
-    queue: Queue,
-    nic: Pool,
+    end: End,
     door: Door,
     listener: Socket,
     programs: Vec<(Socket, Option<Attached>)>,
@@ -86,15 +68,13 @@ struct Seen {
 impl Site {
     fn new(number: usize, path: &PathBuf) -> Self {
         let interface = Interface { address: address(number), ip: IP[number], prefix: 24 };
-        let mut stack = Stack::new(StackConfig::new(interface), vec![Box::new(Lines::new(64))]);
-        let (ip, other) = (IP[1 - number], address(1 - number));
-        stack.routes_mut().add_host(HostRoute { ip, address: other, origin: Origin::Static }).unwrap();
+        let mut end = End::above(StackConfig::new(interface), vec![Box::new(Lines::new(64))]);
+        end.knows(IP[1 - number], address(1 - number));
         let listener = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
         listener.bind(&SockAddr::unix(path).unwrap()).unwrap();
         listener.listen(16).unwrap();
         listener.set_nonblocking(true).unwrap();
-        let (queue, nic) = (Queue(VecDeque::new()), Pool::new(8));
-        Self { stack, queue, nic, door: Door::new().unwrap(), listener, programs: Vec::new() }
+        Self { end, door: Door::new().unwrap(), listener, programs: Vec::new() }
     }
 
     fn admit(&mut self) {
@@ -102,27 +82,20 @@ impl Site {
             program.set_nonblocking(true).unwrap();
             self.programs.push((program, None));
         }
-        let Self { stack, queue, door, programs, .. } = self;
-        programs.retain_mut(|(program, attached)| serve((stack, queue), door, program, attached));
+        let Self { end, door, programs, .. } = self;
+        programs.retain_mut(|(program, attached)| serve(end, door, program, attached));
     }
 
-    fn turn(&mut self, heard: &mut VecDeque<Vec<u8>>, now: u64) {
+    fn turn(&mut self, heard: &mut Vec<Vec<u8>>, now: u64) {
         for bytes in heard.drain(..) {
-            let mut frame = self.nic.take().unwrap();
-            frame.fill(&bytes);
-            let _ = self.stack.on_frame(Some(Instant::from_nanos(now)), frame, &mut self.queue);
+            let _ = self.end.hears(&bytes);
         }
-        self.stack.poll(Instant::from_nanos(now), &mut self.queue);
+        self.end.stack.poll(Instant::from_nanos(now), &mut self.end.queue);
     }
 }
 
 /// `false`: the program has gone.
-fn serve(
-    (stack, queue): (&mut Stack, &mut Queue),
-    door: &mut Door,
-    program: &Socket,
-    attached: &mut Option<Attached>,
-) -> bool {
+fn serve(end: &mut End, door: &mut Door, program: &Socket, attached: &mut Option<Attached>) -> bool {
     let mut packet = [0; 64];
     let mut from = program;
     let len = match from.read(&mut packet) {
@@ -131,7 +104,7 @@ fn serve(
         _ => {
             if let Some(attached) = attached.take() {
                 let mut visit = door.leave(attached);
-                visit.visit(stack, queue);
+                visit.visit(&mut end.stack, &mut end.queue);
                 door.finish(visit);
             }
             return false;
@@ -139,12 +112,13 @@ fn serve(
     };
     let (answer, opened) = match door.prepare(Ask::parse(&packet[..len]).unwrap(), attached.as_ref()) {
         Ok(mut visit) => {
-            visit.visit(stack, queue);
+            visit.visit(&mut end.stack, &mut end.queue);
             door.finish(visit)
         }
         Err(answer) => (answer, None),
     };
-    door::reply(program, &answer, opened.as_ref().map(|(_, descriptors)| descriptors)).unwrap();
+    // Who has hung up meanwhile is not told.
+    let _ = door::reply(program, &answer, opened.as_ref().map(|(_, descriptors)| descriptors));
     if let Some((now_attached, _)) = opened {
         *attached = Some(now_attached);
     }
@@ -194,7 +168,7 @@ impl Drop for Pair {
 }
 
 fn run(mut sites: [Site; 2], seen: &Seen, stop: &AtomicBool, held: &Mutex<()>) {
-    let mut heard = [VecDeque::new(), VecDeque::new()];
+    let mut heard = [Vec::new(), Vec::new()];
     for turn in 1.. {
         if stop.load(Ordering::Relaxed) {
             return;
@@ -203,10 +177,10 @@ fn run(mut sites: [Site; 2], seen: &Seen, stop: &AtomicBool, held: &Mutex<()>) {
         for (number, site) in sites.iter_mut().enumerate() {
             site.admit();
             site.turn(&mut heard[number], turn);
-            heard[1 - number].extend(site.queue.0.drain(..).map(|frame| frame.to_vec()));
-            site.stack.rest();
+            heard[1 - number] = site.end.sent();
+            site.end.stack.rest();
         }
-        let second = &mut sites[1].stack;
+        let second = &mut sites[1].end.stack;
         let lines = second.program_mut::<Lines>().unwrap().counters();
         seen.wakes.store(lines.wakes, Ordering::Relaxed);
         seen.nonsense.store(lines.nonsense, Ordering::Relaxed);

@@ -238,4 +238,4 @@ impl Stack {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

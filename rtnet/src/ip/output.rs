@@ -45,6 +45,17 @@ impl Route {
         }
     }
 
+    /// How many bytes of a datagram each packet takes, and how many packets there are.
+    pub fn shares(
+        &self,
+        whole: usize,
+        options: Options,
+        exit: &dyn Exit,
+    ) -> Result<(usize, usize), SocketError> {
+        let each = share(whole, self.limit(options, exit)?, options)?;
+        Ok((each, whole.div_ceil(each).max(1)))
+    }
+
     fn link_header(&self) -> LinkHeader {
         let to = match self.hop {
             Hop::Loopback => Address::default(),
@@ -65,10 +76,8 @@ impl Output {
         pool: &Pool,
         exit: &dyn Exit,
     ) -> Result<Chain, SocketError> {
-        let limit = route.limit(options, exit)?;
         let whole = parts[0].len() + parts[1].len();
-        let each = share(whole, limit, options)?;
-        let count = whole.div_ceil(each).max(1);
+        let (each, count) = route.shares(whole, options, exit)?;
         let mut empty = Chain::new();
         for _ in 0..count {
             let Some(buf) = pool.take() else {

@@ -95,8 +95,6 @@ pub struct Driver<D: Discipline> {
     shown: SyncState,
     /// Whether it is data that has woken it.
     woken_by_data: bool,
-    /// Whether it did not wait the last time, since programs had something to be sent.
-    came_back: bool,
     /// When this turn looked at what is due, and when it had woken for that.
     looked: True,
     woke: True,
@@ -120,7 +118,6 @@ impl<D: Discipline> Driver<D> {
             next_snapshot: 0,
             shown: SyncState::Waiting,
             woken_by_data: false,
-            came_back: false,
             looked: 0,
             woke: 0,
         }
@@ -233,11 +230,8 @@ impl<D: Discipline> Driver<D> {
         let has_sockets = self.station.stack().is_some();
         match self.station.next_deadline() {
             deadline if wakes_on_frames => {
-                // What a program sends need not wait for a slot: it rings. What stays where it is though the loop has just come
-                // by, waits for a buffer or a role: the loop does not turn for it again and again.
-                let has_news = self.station.sleeps(true);
-                self.came_back = has_news && !self.came_back;
-                if !self.came_back {
+                // What a program sends need not wait for a slot: it rings.
+                if !self.station.sleeps(true) {
                     self.port.wait_for_frame_until(deadline, no_later);
                 }
                 self.station.sleeps(false);

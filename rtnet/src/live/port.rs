@@ -6,7 +6,8 @@ use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 
-use nix::sys::eventfd::EventFd;
+use nix::poll::PollTimeout;
+use nix::sys::epoll::{Epoll, EpollEvent};
 use socket2::Socket;
 
 use crate::buf::{Buf, Pool};
@@ -29,6 +30,8 @@ const RECEIVE_POOL: usize = 32;
 const UNDISTURBED: True = 100_000;
 /// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
 const COST_AT_MOST: True = 5_000;
+/// Bells that are taken note of at a time; more end the next wait at once.
+const BELLS: usize = 16;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
 const COST_AGES: u64 = 2;
 
@@ -53,8 +56,8 @@ pub struct Port {
     /// Others are kept off the interface.
     is_alone: bool,
     hold: Option<fn()>,
-    /// What programs ring when they have something to be sent.
-    doorbell: Option<Arc<EventFd>>,
+    /// The bells that programs ring when they have something to be sent.
+    doorbells: Option<Arc<Epoll>>,
     counters: PortCounters,
 }
 
@@ -139,7 +142,7 @@ impl Port {
             guard_refused: None,
             is_alone: false,
             hold: None,
-            doorbell: None,
+            doorbells: None,
             counters: PortCounters::default(),
         })
     }
@@ -265,12 +268,13 @@ impl Port {
     /// What can end a wait.
     fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
-        sockets.chain(self.doorbell.iter().map(|doorbell| doorbell.as_fd()))
+        sockets.chain(self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()))
     }
 
-    /// From now on a wait for a frame is over, too, when this becomes readable.
-    pub fn ring_by(&mut self, doorbell: Arc<EventFd>) {
-        self.doorbell = Some(doorbell);
+    /// From now on a wait for a frame is over, too, when one of these rings. They are triggered by edge: who rings can
+    /// neither keep a bell from being heard nor from falling silent.
+    pub fn ring_by(&mut self, doorbells: Arc<Epoll>) {
+        self.doorbells = Some(doorbells);
     }
 
     /// The same until the station's clock shows `at`, at most until the true moment `no_later`.
@@ -279,9 +283,9 @@ impl Port {
         let at_most = until.saturating_sub(monotonic());
         packet::wait_any(self.waited_for(), at_most);
         self.woke = monotonic();
-        if let Some(doorbell) = &self.doorbell {
-            // Whether it rang or not: it does not any more.
-            let _ = doorbell.read();
+        if let Some(doorbells) = &self.doorbells {
+            // Whoever rang: all lines are looked at.
+            let _ = doorbells.wait(&mut [EpollEvent::empty(); BELLS], PollTimeout::ZERO);
         }
     }
 

@@ -96,6 +96,27 @@ impl Stack {
         })
     }
 
+    /// Whether what is sent now would be refused only because too many of the socket's buffers are in use.
+    pub(crate) fn lacks_buffers(
+        &self,
+        id: SocketId,
+        len: usize,
+        to: Option<SocketAddrV4>,
+        flags: Flags,
+        exit: &dyn Exit,
+    ) -> Result<bool, SocketError> {
+        let socket = self.sockets.get(id)?;
+        let needed = match socket.as_udp() {
+            Ok(udp) => {
+                let to = to.or(udp.peer).ok_or(SocketError::NotConnected)?;
+                let route = Route::find(&self.routes, *to.ip(), flags.contains(Flags::DONTROUTE))?;
+                route.shares(size_of::<Header>() + len, socket.options, exit)?.1
+            }
+            Err(_) => 1,
+        };
+        Ok((socket.pool.available() + 1..=socket.pool.capacity()).contains(&needed))
+    }
+
     pub(crate) fn count_send(
         &mut self,
         id: SocketId,

@@ -151,7 +151,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
     let programs = options.stack.is_some().then(Programs::new).transpose()?;
-    programs.iter().for_each(|programs| port.ring_by(programs.doorbell()));
+    programs.iter().for_each(|programs| port.ring_by(programs.doorbells()));
     halt::arm(&mut port, options.lab.as_ref().is_some_and(|lab| lab.may_stall))?;
     // Who may not run a station leaves no directory of names behind.
     let mut reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));

@@ -5,7 +5,7 @@ use std::io;
 use std::sync::Arc;
 
 use nix::errno::Errno;
-use nix::sys::eventfd::EventFd;
+use nix::sys::epoll::Epoll;
 use rtnet::api::door::{Attached, Descriptors, Door, Visit};
 use rtnet::api::handshake::{Answer, Ask};
 use rtnet::live::Visitor;
@@ -26,8 +26,8 @@ impl Programs {
     }
 
     /// What they ring when the station sleeps.
-    pub fn doorbell(&self) -> Arc<EventFd> {
-        self.door.doorbell()
+    pub fn doorbells(&self) -> Arc<Epoll> {
+        self.door.doorbells()
     }
 
     /// What a program asks.

@@ -16,7 +16,7 @@ use crate::buf::{Buf, Pool};
 use crate::counters::Refusal;
 use crate::discipline::{Channel, SendError, TimeView};
 use crate::queue::Priority;
-use crate::socket::{Flags, Received, Socket, SocketError, SocketId};
+use crate::socket::{Flags, Program, Received, Socket, SocketError, SocketId};
 use crate::time::Instant;
 use crate::wire::ethernet::{Address, MTU};
 
@@ -63,8 +63,13 @@ impl End {
     }
 
     pub fn with(config: StackConfig) -> Self {
+        Self::above(config, Vec::new())
+    }
+
+    /// With programs in its thread.
+    pub fn above(config: StackConfig, programs: Vec<Box<dyn Program>>) -> Self {
         let queue = Queue { waiting: VecDeque::new(), limit: MTU, room: usize::MAX };
-        Self { stack: Stack::new(config, Vec::new()), queue, nic: Pool::new(1), now: 1_000 }
+        Self { stack: Stack::new(config, programs), queue, nic: Pool::new(1), now: 1_000 }
     }
 
     pub fn knows(&mut self, ip: Ipv4Addr, address: Address) {

@@ -1,0 +1,133 @@
+//! Lines, turn by turn.
+
+use core::net::SocketAddrV4;
+use std::fs::File;
+use std::io::Write;
+
+use nix::poll::PollTimeout;
+
+use super::*;
+use crate::buf::Pool;
+use crate::ip::StackConfig;
+use crate::ip::route::Interface;
+use crate::ip::tests::{A, B, End, IP_A, IP_B};
+use crate::socket::{Options, Socket};
+use crate::time::Instant;
+
+/// A station and what its programs write.
+struct Site {
+    end: End,
+    programs: Vec<(SocketId, Writer)>,
+}
+
+fn epoll() -> Arc<Epoll> {
+    Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).unwrap())
+}
+
+impl Site {
+    fn new(programs: usize, buffers: usize) -> Self {
+        let config = StackConfig::new(Interface { address: A, ip: IP_A, prefix: 24 });
+        let mut end = End::above(config, vec![Box::new(Lines::new(programs))]);
+        end.knows(IP_B, B);
+        let mut site = Self { end, programs: Vec::new() };
+        for _ in 0..programs {
+            let line = Line::new(epoll()).unwrap();
+            let writer = Writer::new(line.memory.clone(), segment::sent());
+            let id = site.end.open(Socket::udp(Arc::new(Pool::new(buffers))));
+            let lines = site.end.stack.program_mut::<Lines>().unwrap();
+            assert!(lines.add(id, line).is_ok());
+            site.programs.push((id, writer));
+        }
+        site
+    }
+
+    /// A program hands over a datagram of so many bytes.
+    fn order(&mut self, program: usize, len: usize) {
+        let to = Some(segment::pack_udp(SocketAddrV4::new(IP_B, 9)));
+        let order = segment::pack_order(&Order { to, options: Options::default(), flags: 0 });
+        let written = self.programs[program].1.write(order, len, [&vec![7; len][..]].into_iter());
+        assert_eq!(written, Ok(true));
+    }
+
+    /// One turn: how many frames are waiting after it.
+    fn turn(&mut self) -> usize {
+        self.end.stack.poll(Instant::from_nanos(0), &mut self.end.queue);
+        self.end.queue.waiting.len()
+    }
+
+    fn sent(&self, program: usize) -> (u64, u64) {
+        let counters = self.end.stack.socket_counters(self.programs[program].0).unwrap();
+        (counters.sent, counters.no_buffers)
+    }
+}
+
+#[test]
+fn what_waits_for_buffers_is_sent_when_they_are_home_and_is_no_loss() {
+    let mut site = Site::new(1, 4);
+    (0..6).for_each(|_| site.order(0, 100));
+    for _ in 0..10 {
+        assert_eq!(site.turn(), 4);
+    }
+    assert_eq!(site.sent(0), (4, 0));
+    site.end.queue.waiting.truncate(2);
+    assert_eq!(site.turn(), 4);
+    assert_eq!(site.sent(0), (6, 0));
+}
+
+#[test]
+fn long_datagrams_of_one_program_leave_the_others_their_part_of_each_turn() {
+    let mut site = Site::new(3, 100);
+    (0..3).for_each(|_| site.order(0, 20_000));
+    (1..3).for_each(|program| site.order(program, 10));
+    let fragments = 14;
+    assert_eq!(site.turn(), fragments, "one datagram is work for a turn");
+    assert_eq!(site.turn(), 2 * fragments + 2, "then who had no part of it comes first");
+    assert_eq!(site.turn(), 3 * fragments + 2);
+}
+
+#[test]
+fn a_flood_of_short_datagrams_ends_a_turn_as_well() {
+    let mut site = Site::new(20, 100);
+    for program in 0..20 {
+        (0..20).for_each(|_| site.order(program, 10));
+    }
+    let most = WORK_AT_ONCE / EACH + 1;
+    let mut before = 0;
+    while before < 400 {
+        let now = site.turn();
+        assert!((before + 1..=before + most).contains(&now), "from {before} to {now} frames in a turn");
+        before = now;
+    }
+}
+
+#[test]
+fn a_station_does_not_sleep_on_what_it_can_send_but_on_what_waits() {
+    let mut site = Site::new(1, 10);
+    (0..12).for_each(|_| site.order(0, 10));
+    assert_eq!(site.turn(), ORDERS_AT_ONCE);
+    assert!(site.end.stack.sleeps(true), "more can be sent");
+    assert!(!site.end.stack.sleeps(true), "but not without a turn");
+    assert_eq!(site.turn(), 10);
+    assert!(!site.end.stack.sleeps(true), "what is left waits for buffers");
+}
+
+#[test]
+fn who_makes_a_bell_useless_silences_no_other_and_one_that_has_gone_rings_no_more() {
+    let doorbells = epoll();
+    let lines = [(); 2].map(|()| Line::new(doorbells.clone()).unwrap());
+    let [mut full, mut other] = lines.each_ref().map(|line| {
+        let [_, _, doorbell] = line.descriptors().unwrap();
+        File::from(doorbell)
+    });
+    let heard = || doorbells.wait(&mut [EpollEvent::empty(); 4], PollTimeout::ZERO).unwrap();
+    full.write_all(&(u64::MAX - 1).to_ne_bytes()).unwrap();
+    assert_eq!(heard(), 1);
+    for _ in 0..3 {
+        assert_eq!(heard(), 0);
+        other.write_all(&1u64.to_ne_bytes()).unwrap();
+        assert_eq!(heard(), 1);
+    }
+    drop(lines);
+    other.write_all(&1u64.to_ne_bytes()).unwrap();
+    assert_eq!(heard(), 0);
+}

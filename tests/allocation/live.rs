@@ -15,7 +15,7 @@ use rtnet::discipline::SyncState;
 use rtnet::live::interface::Interface;
 use rtnet::live::{Driver, DriverConfig, GuardMode, Port};
 use rtnet::station::Station;
-use rtnet::time::{Span};
+use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 use tests::traffic;
 use tools::lab::namespace::{Namespace, Segment};

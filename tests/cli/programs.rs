@@ -22,10 +22,20 @@ const VICTIM_OF: &str = "RTNET_VICTIM_OF";
 /// Programs that are killed, unless RTNET_VICTIMS says otherwise.
 const KILLS: usize = 40;
 
-/// Two stations that know each other, and share the medium by this discipline.
-fn stations(medium: &Medium, discipline: &[&str; 2]) -> [(String, Station); 2] {
-    let own = |name: &str, ip: &str, other: String| {
-        [&["--interface", "rt0", "--name", name, "--ip", ip, "--route", &other][..], discipline]
+/// How two stations share the medium: what is said of each.
+type Shares = [&'static [&'static str]; 2];
+/// At once.
+const NOMAC: Shares = [&["--discipline", "nomac"], &["--discipline", "nomac"]];
+/// In slots, one each in a cycle of a millisecond.
+const TDMA: Shares = [
+    &["--master", "--cycle", "1ms", "--slot", "0=300us"],
+    &["--slave", "--rounds", "10", "--slot", "0=600us", "--holdover", "20"],
+];
+
+/// Two stations that know each other, and share the medium so.
+fn stations(medium: &Medium, [of_a, of_b]: Shares) -> [(String, Station); 2] {
+    let own = |name: &str, ip: &str, other: String, shares: &[&str]| {
+        [&["--interface", "rt0", "--name", name, "--ip", ip, "--route", &other][..], shares]
             .concat()
             .into_iter()
             .map(str::to_owned)
@@ -35,8 +45,8 @@ fn stations(medium: &Medium, discipline: &[&str; 2]) -> [(String, Station); 2] {
         Station::start(namespace, &arguments.iter().map(String::as_str).collect::<Vec<_>>())
     };
     let (a, b) = (named("a"), named("b"));
-    let first = start(&medium.a, own(&a, "10.0.0.1/24", format!("{AT_B}={B}")));
-    let second = start(&medium.b, own(&b, "10.0.0.2/24", format!("{AT_A}={A}")));
+    let first = start(&medium.a, own(&a, "10.0.0.1/24", format!("{AT_B}={B}"), of_a));
+    let second = start(&medium.b, own(&b, "10.0.0.2/24", format!("{AT_A}={A}"), of_b));
     [(a, first), (b, second)]
 }
 
@@ -81,7 +91,7 @@ fn sockets(name: &str) -> Vec<Value> {
 fn programs_of_two_stations_exchange_datagrams_over_the_medium() {
     network("programs_of_two_stations_exchange_datagrams_over_the_medium", || {
         let medium = Medium::new();
-        let [(a, first), (b, second)] = stations(&medium, &["--discipline", "nomac"]);
+        let [(a, first), (b, second)] = stations(&medium, NOMAC);
         let (ask, echo) = (attach(&a), bound(&b, 36_000));
         ask.extend(40).unwrap();
         echo.extend(40).unwrap();
@@ -109,14 +119,24 @@ fn programs_of_two_stations_exchange_datagrams_over_the_medium() {
 
 #[test]
 fn programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody() {
-    let test = "programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody";
+    are_killed("programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody", NOMAC, 1);
+}
+
+#[test]
+fn programs_killed_beside_time_slots_leave_nothing_and_harm_nobody() {
+    are_killed("programs_killed_beside_time_slots_leave_nothing_and_harm_nobody", TDMA, 4);
+}
+
+/// Kills programs one after the other, each after up to 20 ms, or so many times that.
+fn are_killed(test: &str, shares: Shares, slower: u64) {
     if let Ok(name) = std::env::var(VICTIM_OF) {
         be_a_victim(&name);
     }
     network(test, || {
         let kills = std::env::var("RTNET_VICTIMS").map_or(KILLS, |kills| kills.parse().unwrap());
         let medium = Medium::new();
-        let [(a, _first), (b, _second)] = stations(&medium, &["--discipline", "nomac"]);
+        let [(a, _first), (b, _second)] = stations(&medium, shares);
+        until_heard(&a, &b);
         let (ask, echo) = (attach(&a), bound(&b, 36_000));
         // A victim sends to whatever port it has itself.
         ask.connect(Some(to(AT_B, 36_000))).unwrap();
@@ -124,7 +144,8 @@ fn programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody() {
         for kill in 0..kills {
             let mut victim = victim(&b, test);
             // It is in the middle of it from some moment on: which one, chance says.
-            let until = Instant::now() + Duration::from_micros(4_000 + (kill as u64 * 7_919) % 16_000);
+            let until =
+                Instant::now() + Duration::from_micros(slower * (4_000 + (kill as u64 * 7_919) % 16_000));
             while Instant::now() < until {
                 lost += u64::from(!exchange(&ask, &echo, exchanged));
                 exchanged += 1;
@@ -157,6 +178,26 @@ fn programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody() {
             ),
         );
     });
+}
+
+/// Waits until what one sends comes to the other: with slots, both must have found into the cycle.
+fn until_heard(a: &str, b: &str) {
+    let (from, at) = (attach(a), bound(b, 35_999));
+    at.set_timeout(Some(Duration::from_millis(20)));
+    let deadline = Instant::now() + PATIENCE;
+    let mut room = [0; 8];
+    loop {
+        let _ = from.send_to(b"there?", to(AT_B, 35_999));
+        if let Ok(received) = at.receive(&mut room) {
+            let Sender::Udp(asked) = received.from else { panic!("{received:?}") };
+            let _ = at.send_to(b"here", asked);
+            from.set_timeout(Some(Duration::from_millis(100)));
+            if from.receive(&mut room).is_ok() {
+                return;
+            }
+        }
+        assert!(Instant::now() < deadline, "they do not hear each other: {:#} {:#}", stat(a), stat(b));
+    }
 }
 
 /// Everything that a station counts.

@@ -14,6 +14,7 @@
 
 mod engine;
 mod frames;
+mod lines;
 mod mutate;
 mod parsers;
 mod rings;

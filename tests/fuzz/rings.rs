@@ -20,13 +20,13 @@ const WORDS: usize = 512;
 const FOREIGN: u64 = 0x5a5a_5a5a_5a5a_5a5a;
 
 /// Ten bytes each: what, where, and a word.
-struct Whim {
-    what: u8,
-    at: usize,
-    word: u64,
+pub struct Whim {
+    pub what: u8,
+    pub at: usize,
+    pub word: u64,
 }
 
-fn whims(input: &[u8]) -> impl Iterator<Item = Whim> {
+pub fn whims(input: &[u8]) -> impl Iterator<Item = Whim> {
     let (whims, _) = input.as_chunks::<10>();
     whims.iter().map(|&[what, at, word @ ..]| Whim { what, at: at.into(), word: u64::from_be_bytes(word) })
 }
@@ -48,7 +48,7 @@ fn check_foreign(memory: &Memory) {
 }
 
 /// A word as the other side would like it: wild, or close to what is there.
-fn wish(whim: &Whim, there: u64) -> u64 {
+pub fn wish(whim: &Whim, there: u64) -> u64 {
     match whim.what >> 4 {
         0..4 => whim.word % 128,
         4..8 => there.wrapping_add(whim.word % 16),
@@ -57,7 +57,7 @@ fn wish(whim: &Whim, there: u64) -> u64 {
     }
 }
 
-fn seeds() -> Vec<Vec<u8>> {
+pub fn seeds() -> Vec<Vec<u8>> {
     let mut random = Random::new(7);
     (0..20).map(|len| (0..len * 10).map(|_| random.bits() as u8).collect()).collect()
 }

@@ -10,7 +10,7 @@ use rtnet::discipline::{Channel, SendError, TimeView};
 use rtnet::ip::route::{HostRoute, Interface, Origin};
 use rtnet::ip::{Exit, Stack, StackConfig};
 use rtnet::queue::Priority;
-use rtnet::socket::{Flags, Received, Socket, SocketError, SocketId};
+use rtnet::socket::{Flags, Program, Received, Socket, SocketError, SocketId};
 use rtnet::time::{Instant, Span};
 use rtnet::wire::checksum::checksum;
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header, MIN_FRAME, MTU};
@@ -92,10 +92,15 @@ impl End {
 
     /// The same as configured.
     pub fn with(config: StackConfig) -> Self {
+        Self::above(config, Vec::new())
+    }
+
+    /// The same with programs in its thread.
+    pub fn above(config: StackConfig, programs: Vec<Box<dyn Program>>) -> Self {
         let own = config.interface.address;
         let queue = Queue { waiting: VecDeque::new(), limit: MTU, room: usize::MAX, sending: None, own };
         let now = Instant::from_nanos(1_000);
-        Self { stack: Stack::new(config, Vec::new()), queue, now, nic: Pool::new(1), closed: Vec::new() }
+        Self { stack: Stack::new(config, programs), queue, now, nic: Pool::new(1), closed: Vec::new() }
     }
 
     /// A route said by hand.

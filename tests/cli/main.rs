@@ -19,6 +19,7 @@ mod requests;
 mod rights;
 mod sockets;
 mod station;
+mod wait_on_cycle;
 mod wires;
 
 use std::path::Path;

@@ -24,6 +24,7 @@ use super::ring::{Reader, Writer};
 use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
 use crate::buf::ROOM;
 use crate::clock::True;
+use crate::live::TimeBoard;
 use crate::live::clock::monotonic;
 use crate::queue::Priority;
 use crate::socket::{Flags, LinkMode, LinkType, Options, Received};
@@ -102,6 +103,24 @@ impl Station {
     /// A packet socket for frames of one EtherType, or all.
     pub fn packet(&self, mode: LinkMode, link_type: LinkType) -> io::Result<PacketSocket> {
         End::open(&self.control, Ask::OpenPacket(mode, link_type, 0)).map(PacketSocket)
+    }
+
+    /// The station's time, and its cycle to wait for: as its own threads have it, without a lock and, but for waiting, without
+    /// a system call. A station needs no sockets for that. Once it has ended, be it that it was killed, whoever waits is told
+    /// so: the one that is started then has a time of its own.
+    ///
+    /// ```no_run
+    /// use rtnet::api::Station;
+    /// use std::time::Duration;
+    ///
+    /// let time = Station::named("cell/arm")?.time()?;
+    /// let cycle = time.waiter().wait_cycle(Duration::from_secs(1))?;
+    /// println!("cycle {} began {} ago", cycle.number, time.now() - cycle.start);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn time(&self) -> io::Result<Arc<TimeBoard>> {
+        let (control, [page]) = opened(&self.control, Ask::Time)?;
+        TimeBoard::open(page, control.into())
     }
 }
 
@@ -222,18 +241,7 @@ of_both!(UdpSocket, PacketSocket);
 
 impl End {
     fn open(path: &Path, ask: Ask) -> io::Result<Self> {
-        let control = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
-        // There is nobody there any more, or never was.
-        control.connect(&SockAddr::unix(path)?).map_err(|error| match error.kind() {
-            ErrorKind::NotFound | ErrorKind::ConnectionRefused => Errno::ENODEV.into(),
-            _ => error,
-        })?;
-        control.set_read_timeout(Some(ANSWER_WITHIN))?;
-        let (answer, descriptors) = exchange(&control, ask)?;
-        check(&answer)?;
-        let Ok([memory, gate, doorbell]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
-            return Err(Errno::EPROTO.into());
-        };
+        let (control, [memory, gate, doorbell]) = opened::<DESCRIPTORS>(path, ask)?;
         let memory = Arc::new(Memory::open(memory)?);
         if !segment::fits(&memory) {
             return Err(Errno::EPROTO.into());
@@ -400,6 +408,23 @@ impl End {
     fn ring_again(&self) {
         let _ = self.again.write(1);
         self.has_rung.store(true, Ordering::Release);
+    }
+}
+
+/// A new connection, and the descriptors that the station answers this with.
+fn opened<const N: usize>(path: &Path, ask: Ask) -> io::Result<(Socket, [OwnedFd; N])> {
+    let control = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
+    // There is nobody there any more, or never was.
+    control.connect(&SockAddr::unix(path)?).map_err(|error| match error.kind() {
+        ErrorKind::NotFound | ErrorKind::ConnectionRefused => Errno::ENODEV.into(),
+        _ => error,
+    })?;
+    control.set_read_timeout(Some(ANSWER_WITHIN))?;
+    let (answer, descriptors) = exchange(&control, ask)?;
+    check(&answer)?;
+    match descriptors.try_into() {
+        Ok(descriptors) => Ok((control, descriptors)),
+        Err(_) => Err(Errno::EPROTO.into()),
     }
 }
 

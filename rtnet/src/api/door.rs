@@ -18,7 +18,7 @@ use super::handshake::{Answer, Ask};
 use super::line::{Line, Lines};
 use crate::buf::Pool;
 use crate::ip::{Exit, Stack};
-use crate::live::Visitor;
+use crate::live::{TimeBoard, Visitor};
 use crate::socket::{DEFAULT_BUFFERS, MOST_BUFFERS, ROOM_TO_EXTEND, Socket, SocketError, SocketId};
 
 pub use super::line::Descriptors;
@@ -84,6 +84,7 @@ impl Door {
     pub fn prepare(&mut self, ask: Ask, of: Option<&Attached>) -> Result<Visit, Answer> {
         let refused = |errno| Answer::refused(errno as i32);
         let what = match (ask, of) {
+            (Ask::Time, _) => return Err(refused(Errno::EOPNOTSUPP)),
             (Ask::OpenUdp(buffers), None) => self.open(buffers, Socket::udp)?,
             (Ask::OpenPacket(mode, link_type, buffers), None) => {
                 self.open(buffers, |pool| Socket::packet(mode, link_type, pool))?
@@ -152,7 +153,19 @@ impl Door {
 /// Sends an answer, with what goes with it, to a program that is not waited for.
 pub fn reply(program: impl AsFd, answer: &Answer, descriptors: Option<&Descriptors>) -> io::Result<()> {
     let fds = descriptors.map(|descriptors| descriptors.each_ref().map(AsRawFd::as_raw_fd));
-    let rights = fds.as_ref().map(|fds| ControlMessage::ScmRights(fds));
+    send(program, answer, fds.as_ref().map_or(&[], |fds| fds))
+}
+
+/// Lets a program have the station's time, which it cannot write, as the answer to [`Ask::Time`].
+pub fn reply_with_time(program: impl AsFd, time: &TimeBoard) -> io::Result<()> {
+    match time.page() {
+        Some(page) => send(program, &Answer::DONE, &[page.as_raw_fd()]),
+        None => send(program, &Answer::refused(Errno::ENOSYS as i32), &[]),
+    }
+}
+
+fn send(program: impl AsFd, answer: &Answer, fds: &[i32]) -> io::Result<()> {
+    let rights = (!fds.is_empty()).then_some(ControlMessage::ScmRights(fds));
     let packet = answer.to_bytes();
     let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
     let program = program.as_fd().as_raw_fd();
@@ -214,6 +227,6 @@ fn carry_out(stack: &mut Stack, ask: Ask, id: SocketId, answer: &mut Answer) -> 
         Ask::LocalAddress => stack.local_address(id).map(|address| answer.address = address),
         Ask::PeerAddress => stack.peer_address(id).map(|address| answer.address = address),
         // Answered where they were asked.
-        Ask::OpenUdp(_) | Ask::OpenPacket(..) | Ask::Extend(_) | Ask::Shrink(_) => Ok(()),
+        Ask::OpenUdp(_) | Ask::OpenPacket(..) | Ask::Extend(_) | Ask::Shrink(_) | Ask::Time => Ok(()),
     }
 }

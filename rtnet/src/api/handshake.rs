@@ -1,9 +1,10 @@
 //! What a program and a station tell each other when a socket is opened, bound or closed: packets on the station's control
-//! socket. A connection is one socket's: who hangs up closes it.
+//! socket. A connection is one socket's: who hangs up closes it. One that asks for the time needs no socket, and is told by
+//! being hung up on that the station has ended.
 //!
 //! ```text
 //! ask     "RTN1"  what 1  mode 1  port or EtherType 2  address 4  number 4
-//! answer  "RTN1"  error 4 (0: done)  port 2  unused 2  address 4  number 4      and, to `Open`: memory, gate, doorbell
+//! answer  "RTN1"  error 4 (0: done)  port 2  unused 2  address 4  number 4      and, to `Open`: memory, gate, doorbell; to `Time`: page
 //! ```
 
 use core::net::{Ipv4Addr, SocketAddrV4};
@@ -44,6 +45,8 @@ pub enum Ask {
     LocalAddress,
     /// Whom it is connected to.
     PeerAddress,
+    /// Where the station shows its time.
+    Time,
 }
 
 /// What the station answers.
@@ -89,6 +92,7 @@ const EXTEND: u8 = 7;
 const SHRINK: u8 = 8;
 const LOCAL_ADDRESS: u8 = 9;
 const PEER_ADDRESS: u8 = 10;
+const TIME: u8 = 11;
 
 const RAW: u8 = 0;
 const DATAGRAM: u8 = 1;
@@ -124,6 +128,7 @@ impl Ask {
             Ask::Shrink(n) => (SHRINK, 0, nowhere, n),
             Ask::LocalAddress => (LOCAL_ADDRESS, 0, nowhere, 0),
             Ask::PeerAddress => (PEER_ADDRESS, 0, nowhere, 0),
+            Ask::Time => (TIME, 0, nowhere, 0),
         };
         let raw = RawAsk {
             magic: MAGIC,
@@ -155,6 +160,7 @@ impl Ask {
             SHRINK => Ask::Shrink(number),
             LOCAL_ADDRESS => Ask::LocalAddress,
             PEER_ADDRESS => Ask::PeerAddress,
+            TIME => Ask::Time,
             _ => return None,
         })
     }
@@ -228,6 +234,7 @@ mod tests {
             Ask::Shrink(8),
             Ask::LocalAddress,
             Ask::PeerAddress,
+            Ask::Time,
         ];
         for link_type in [LinkType::Nothing, only, LinkType::All] {
             let modes = [LinkMode::Raw, LinkMode::Datagram];
@@ -252,7 +259,7 @@ mod tests {
             assert_eq!(Ask::parse(&good[..len]), None);
         }
         assert_eq!(Ask::parse(&[&good[..], &[0]].concat()), None);
-        for (at, byte) in [(0, b'r'), (4, 0), (4, 11)] {
+        for (at, byte) in [(0, b'r'), (4, 0), (4, 12)] {
             let mut bad = good;
             bad[at] = byte;
             assert_eq!(Ask::parse(&bad), None);

@@ -1,4 +1,4 @@
-//! Sockets of a station for other processes.
+//! Sockets of a station for other processes, and its time.
 //!
 //! A program attaches by the station's control socket and has memory in common with it: what it sends and receives goes
 //! through bounded rings there, without a system call as long as both are awake. It needs no right but to open that

@@ -422,3 +422,5 @@ fn a_program_has_a_protocol_of_its_own() {
     assert_eq!((from.address, from.ether_type, received.len), (address(0), own, 100));
     assert_eq!(Answer::DONE.errno, 0);
 }
+
+mod time;

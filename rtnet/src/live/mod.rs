@@ -6,7 +6,8 @@
 //!        └────────────────────────── drain data sockets ◄─────────────────────────┘
 //! ```
 //!
-//! Other threads of the process read the time from the driver's [`TimeBoard`], and wait for cycles there.
+//! Other threads of the process read the time from the driver's [`TimeBoard`], and wait for cycles there; so do other
+//! processes, by [`rtnet::api::Station::time`](crate::api::Station::time).
 //!
 //! Nothing else in this crate opens a socket or reads a clock.
 
@@ -27,6 +28,7 @@ mod port;
 pub mod realtime;
 pub mod ring;
 mod time_board;
+mod time_page;
 mod visit;
 mod wait;
 

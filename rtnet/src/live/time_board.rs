@@ -1,4 +1,4 @@
-//! Where the real-time thread shows the time, and any thread of the process reads it without a lock.
+//! Where the real-time thread shows the time, and any thread of its process, or of another, reads it without a lock.
 //!
 //! ```text
 //! real-time thread   publish(view n+1) ─► faces[(n+1) % 2], then shown = n+1       never waits
@@ -11,14 +11,26 @@
 //!
 //! *No torn reads.* There is one writer. Let a reader see `shown = n`, read face `n % 2`, and see `shown = n` again.
 //! The face holds view n at least: its stores are before the release store of n, which the reader's first load
-//! acquired. Nor does any word of it come from view n+2, the next that is written there: the writer's release fence
+//! and fence acquired. Nor does any word of it come from view n+2, the next that is written there: the writer's release fence
 //! stands between its store of n+1 and those words, and the reader's acquire fence behind its loads of them. Had one
 //! load read a word of n+2, the fences would order the store of n+1 before the reader's second look, which then could
 //! not have seen n. (Views n+1, n+3.. are on the other face; n+4.. come after n+2.) The numbers have 64 bits: they do
 //! not come round.
+//!
+//! All of it is words of one page, which other processes read:
+//!
+//! ```text
+//! word 0   what it is, and in which version    1  the station's time namespace    2  ended    3  shown
+//!      8   face 0    16  face 1                                                 each in a cache line of its own
+//! ```
 
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::fs::MetadataExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::clock::EmulatedClock;
 use crate::discipline::{SyncState, TimeView};
@@ -26,6 +38,7 @@ use crate::time::{GlobalTime, Instant, Offset, Span};
 
 use super::clock::monotonic;
 use super::clock_order::{self, CLOCK_WORDS};
+use super::time_page::Page;
 use super::wait::Waiter;
 
 /// State, holdover and cycle, start, offset, period, drift.
@@ -33,7 +46,18 @@ const VIEW_WORDS: usize = 5;
 /// The same, and the clock by which it is so.
 const WORDS: usize = VIEW_WORDS + CLOCK_WORDS;
 
-/// What a station shows of the master's time, to the threads of its process.
+/// Begins a page; another number, another order of words.
+const VERSION: u64 = u64::from_be_bytes(*b"RTtime\0\x01");
+const IS: usize = 0;
+/// Where CLOCK_MONOTONIC is the station's: the number of its time namespace, 0 if that is not known.
+const CLOCKS: usize = 1;
+const ENDED: usize = 2;
+/// How many views were published; the last is on face `shown % 2`.
+const SHOWN: usize = 3;
+const FACES: [usize; 2] = [8, 16];
+
+/// What a station shows of the master's time, to the threads of its process, and to other processes, which have it by
+/// [`rtnet::api::Station::time`](crate::api::Station::time).
 ///
 /// An [`Instant`] is of the station's own clock: CLOCK_MONOTONIC, unless it was given an emulated one.
 ///
@@ -60,10 +84,11 @@ const WORDS: usize = VIEW_WORDS + CLOCK_WORDS;
 /// # Ok::<(), rtnet::live::WaitError>(())
 /// ```
 pub struct TimeBoard {
-    /// How many views were published; the last is on face `shown % 2`.
-    shown: AtomicU64,
-    faces: [[AtomicU64; WORDS]; 2],
-    ended: AtomicBool,
+    page: Page,
+    /// In another process, the connection to the station, which hangs up whatever it ends by.
+    station: Option<OwnedFd>,
+    /// Whether it was seen to have hung up.
+    is_gone: AtomicBool,
 }
 
 /// The real-time thread's end of a [`TimeBoard`]. Once it is dropped the station has ended.
@@ -76,10 +101,12 @@ pub struct TimePublisher {
 impl TimePublisher {
     /// The board of a station with this clock, which knows no time yet.
     pub fn new(clock: EmulatedClock) -> Self {
-        let face = || pack(&TimeView::default(), &clock).map(AtomicU64::new);
-        let (shown, ended) = (AtomicU64::new(0), AtomicBool::new(false));
-        let board = Arc::new(TimeBoard { shown, faces: [face(), face()], ended });
-        Self { board, last: TimeView::default(), clock }
+        let page = Page::new();
+        page[CLOCKS].store(time_namespace(), Ordering::Relaxed);
+        page[IS].store(VERSION, Ordering::Relaxed);
+        let board = TimeBoard { page, station: None, is_gone: AtomicBool::new(false) };
+        board.show(&TimeView::default(), &clock);
+        Self { board: Arc::new(board), last: TimeView::default(), clock }
     }
 
     /// What others read.
@@ -105,12 +132,34 @@ impl TimePublisher {
 
 impl Drop for TimePublisher {
     fn drop(&mut self) {
-        self.board.ended.store(true, Ordering::Release);
+        self.board.page[ENDED].store(1, Ordering::Release);
     }
 }
 
 impl TimeBoard {
-    /// What is known of the master's time. Of a station that has ended, or that is held up, it is lost.
+    /// The board of a station that is another process: the page that it has given, and the connection by which it did.
+    pub(crate) fn open(page: OwnedFd, station: OwnedFd) -> io::Result<Arc<Self>> {
+        let page = Page::open(page)?;
+        if page[IS].load(Ordering::Relaxed) != VERSION {
+            let why = "the station shows its time in another way: build both from the same version of rtnet";
+            return Err(io::Error::new(io::ErrorKind::InvalidData, why));
+        }
+        let (here, there) = (time_namespace(), page[CLOCKS].load(Ordering::Relaxed));
+        if here != there && here != 0 && there != 0 {
+            let why =
+                "the station's clock is that of another time namespace: run the program in the station's";
+            return Err(io::Error::new(io::ErrorKind::Unsupported, why));
+        }
+        Ok(Arc::new(Self { page, station: Some(station), is_gone: AtomicBool::new(false) }))
+    }
+
+    /// What another process opens to read this; it cannot write it. `None` if the kernel has no such files.
+    pub(crate) fn page(&self) -> Option<BorrowedFd<'_>> {
+        self.page.file()
+    }
+
+    /// What is known of the master's time. Of a station that has ended, or that is held up, it is lost. It takes no system
+    /// call: that the process of a station was killed is known once [`TimeBoard::has_ended`] was asked, or the line is too old.
     pub fn view(&self) -> TimeView {
         self.view_and_clock().0
     }
@@ -120,9 +169,9 @@ impl TimeBoard {
         self.view().state
     }
 
-    /// Whether the station's loop has ended: nothing is shown any more.
+    /// Whether the station's loop has ended: nothing is shown any more. In another process it asks the kernel, unless it has.
     pub fn has_ended(&self) -> bool {
-        self.ended.load(Ordering::Acquire)
+        self.is_known_to_have_ended() || self.has_hung_up()
     }
 
     /// What the station's clock shows now.
@@ -162,20 +211,36 @@ impl TimeBoard {
     pub(super) fn view_and_clock(&self) -> (TimeView, EmulatedClock) {
         let (mut view, clock) = self.read_both();
         let now = clock.local(monotonic());
-        view.state = if self.has_ended() { SyncState::Lost } else { view.state_at(now) };
+        view.state = if self.is_known_to_have_ended() { SyncState::Lost } else { view.state_at(now) };
         (view, clock)
+    }
+
+    fn is_known_to_have_ended(&self) -> bool {
+        self.page[ENDED].load(Ordering::Relaxed) != 0 || self.is_gone.load(Ordering::Relaxed)
+    }
+
+    fn has_hung_up(&self) -> bool {
+        let Some(station) = &self.station else { return false };
+        let hangs_up = PollFlags::from_bits_retain(libc::POLLRDHUP);
+        let mut fds = [PollFd::new(station.as_fd(), hangs_up)];
+        // Interrupted, it is asked again soon.
+        let is_gone = poll(&mut fds, PollTimeout::ZERO).is_ok_and(|ready| ready > 0);
+        if is_gone {
+            self.is_gone.store(true, Ordering::Relaxed);
+        }
+        is_gone
     }
 
     /// For the one thread that has the publisher.
     fn show(&self, view: &TimeView, clock: &EmulatedClock) {
-        let next = self.shown.load(Ordering::Relaxed) + 1;
+        let next = self.page[SHOWN].load(Ordering::Relaxed) + 1;
         // What follows is not seen by anybody who does not see that the view before is shown.
         fence(Ordering::Release);
         let words = pack(view, clock);
         for (place, word) in self.face(next).iter().zip(words) {
             place.store(word, Ordering::Relaxed);
         }
-        self.shown.store(next, Ordering::Release);
+        self.page[SHOWN].store(next, Ordering::Release);
     }
 
     fn read(&self) -> TimeView {
@@ -184,19 +249,26 @@ impl TimeBoard {
 
     fn read_both(&self) -> (TimeView, EmulatedClock) {
         loop {
-            let shown = self.shown.load(Ordering::Acquire);
+            let shown = self.page[SHOWN].load(Ordering::Relaxed);
+            // Together they acquire. In another process nothing may be loaded otherwise than relaxed.
+            fence(Ordering::Acquire);
             let face = self.face(shown);
             let words = std::array::from_fn(|i| face[i].load(Ordering::Relaxed));
             fence(Ordering::Acquire);
-            if self.shown.load(Ordering::Relaxed) == shown {
+            if self.page[SHOWN].load(Ordering::Relaxed) == shown {
                 return unpack(words);
             }
         }
     }
 
-    fn face(&self, number: u64) -> &[AtomicU64; WORDS] {
-        &self.faces[(number % 2) as usize]
+    fn face(&self, number: u64) -> &[AtomicU64] {
+        &self.page[FACES[(number % 2) as usize]..][..WORDS]
     }
+}
+
+/// Where CLOCK_MONOTONIC is as this process sees it; 0 if that cannot be told.
+fn time_namespace() -> u64 {
+    std::fs::metadata("/proc/self/ns/time").map_or(0, |namespace| namespace.ino())
 }
 
 /// In the order of their numbers.
@@ -228,126 +300,4 @@ fn unpack(words: [u64; WORDS]) -> (TimeView, EmulatedClock) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A view of which every part says which one it is.
-    fn view(n: u64) -> TimeView {
-        TimeView {
-            state: STATES[(n % 5) as usize],
-            cycle: n as u32,
-            start: Instant::from_nanos(n.wrapping_mul(3)),
-            offset: Offset::between(Instant::default(), GlobalTime::from_nanos(n.wrapping_mul(5))),
-            period: Some(Span::from_nanos(n as i64 + 1)),
-            drift_ppb: -(n as i64),
-            holdover: n as u16,
-        }
-    }
-
-    #[test]
-    fn every_state_is_read_as_it_was_shown() {
-        let mut publisher = TimePublisher::new(EmulatedClock::default());
-        let board = publisher.board();
-        assert_eq!(board.read(), TimeView::default());
-        for n in 0..10 {
-            publisher.publish(&view(n));
-            assert_eq!(board.read(), view(n));
-        }
-    }
-
-    #[test]
-    fn what_is_shown_already_is_not_shown_again() {
-        let mut publisher = TimePublisher::new(EmulatedClock::default());
-        publisher.publish(&view(7));
-        publisher.publish(&view(7));
-        assert_eq!(publisher.board().shown.load(Ordering::Relaxed), 1);
-    }
-
-    #[test]
-    fn threads_that_read_while_it_is_shown_never_see_half_of_a_view() {
-        /// That each reader is to see: some of them, on any machine, while they are being written.
-        const DIFFERENT: u64 = 300;
-        let mut publisher = TimePublisher::new(EmulatedClock::default());
-        publisher.publish(&view(0));
-        let read = |board: Arc<TimeBoard>| {
-            let (mut last, mut different) = (0, 0);
-            while different < DIFFERENT {
-                let seen = board.read();
-                let number = seen.period.unwrap().nanos() as u64 - 1;
-                assert_eq!(seen, view(number), "torn");
-                assert!(number >= last, "what is older never comes again");
-                different += u64::from(number > last);
-                last = number;
-            }
-        };
-        let reader = |board| std::thread::spawn(move || read(board));
-        let readers: Vec<_> = (0..3).map(|_| reader(publisher.board())).collect();
-        let mut n = 0;
-        while readers.iter().any(|reader| !reader.is_finished()) {
-            n += 1;
-            publisher.publish(&view(n));
-        }
-        readers.into_iter().for_each(|reader| reader.join().unwrap());
-    }
-
-    #[test]
-    fn a_writer_that_was_stopped_in_the_middle_holds_nobody_up() {
-        let mut publisher = TimePublisher::new(EmulatedClock::default());
-        let board = publisher.board();
-        publisher.publish(&view(1));
-        publisher.publish(&view(2));
-        // As far as it had come with the third.
-        board.face(3)[0].store(u64::MAX, Ordering::Relaxed);
-        assert_eq!(board.read(), view(2));
-    }
-
-    #[test]
-    fn times_are_of_the_stations_own_clock() {
-        let clock = EmulatedClock { anchor: 0, offset: Span::from_millis(-700), drift_ppb: 50_000 };
-        let mut publisher = TimePublisher::new(clock);
-        let board = publisher.board();
-        let start = board.now();
-        assert!((start - clock.local(monotonic())).abs() < Span::from_millis(1_000));
-        // By the master's clock the same moment is at 9 s.
-        let global = GlobalTime::from_nanos(9_000_000_000);
-        let offset = Offset::between(start, global);
-        let (state, period) = (SyncState::Locked, Some(Span::from_millis(1)));
-        publisher.publish(&TimeView {
-            state,
-            cycle: 1,
-            start,
-            offset,
-            period,
-            drift_ppb: 50_000,
-            holdover: 1,
-        });
-        let later = start + Span::from_nanos(1_000_050_000);
-        assert_eq!(board.to_global(later).unwrap() - global, Span::from_millis(1_000));
-        assert_eq!(board.to_local(global + Span::from_millis(1_000)), Some(later));
-    }
-
-    #[test]
-    fn a_station_whose_clock_is_set_shows_its_time_by_that() {
-        let mut publisher = TimePublisher::new(EmulatedClock::default());
-        let board = publisher.board();
-        publisher.publish(&view(2));
-        let before = board.now();
-        publisher.set_clock(EmulatedClock::default().stepped(Span::from_millis(60_000)));
-        let gone = board.now() - before;
-        assert!((60_000..70_000).contains(&(gone.nanos() / 1_000_000)), "{gone}");
-        assert_eq!(board.read(), view(2), "what it takes the time for");
-    }
-
-    #[test]
-    fn a_station_that_has_ended_is_synchronised_no_more() {
-        let mut publisher = TimePublisher::new(EmulatedClock::default());
-        let board = publisher.board();
-        let period = Some(Span::from_millis(100_000));
-        let locked = TimeView { state: SyncState::Locked, start: board.now(), period, ..view(2) };
-        publisher.publish(&locked);
-        assert_eq!(board.state(), SyncState::Locked);
-        drop(publisher);
-        assert_eq!(board.state(), SyncState::Lost);
-        assert!(board.global_now().is_some_and(|(_, state)| state == SyncState::Lost));
-    }
-}
+mod tests;

@@ -13,7 +13,8 @@ use crate::time::{Instant, Offset, Span};
 use super::clock::{monotonic, sleep_until};
 use super::time_board::TimeBoard;
 
-/// Longest sleep between two looks: how soon a waiter notices that sync is lost, the line another, the station gone.
+/// Longest sleep between two looks: how soon a waiter notices that sync is lost, the line another, the station gone, be it
+/// killed.
 const LOOK_EVERY: True = 10_000_000;
 
 /// A cycle that has begun.
@@ -80,6 +81,10 @@ impl Waiter {
                 self.last = Some((cycle.number, offset));
                 return Ok(cycle);
             }
+            // Asked before it sleeps, not when it has woken: that may ask the kernel.
+            if self.board.has_ended() {
+                return Err(WaitError::Ended);
+            }
             if now >= deadline {
                 return Err(WaitError::TimedOut(timeout));
             }
@@ -109,14 +114,15 @@ impl Waiter {
     /// have been set since, and its line is by the clock that it has.
     fn next(&self, begun: True, offset: Span) -> Result<(Cycle, True), WaitError> {
         let (view, clock) = self.board.view_and_clock();
-        if self.board.has_ended() {
-            return Err(WaitError::Ended);
-        }
+        let unknown = || match self.board.has_ended() {
+            true => WaitError::Ended,
+            false => WaitError::NotSynchronised(view.state),
+        };
         let next = view.next_moment(clock.local(begun), offset, self.last);
         let next = next.filter(|_| view.state.is_synchronised());
-        let (number, at) = next.ok_or(WaitError::NotSynchronised(view.state))?;
+        let (number, at) = next.ok_or_else(unknown)?;
         let start = at - offset;
-        let global = view.to_global(start).ok_or(WaitError::NotSynchronised(view.state))?;
+        let global = view.to_global(start).ok_or_else(unknown)?;
         Ok((Cycle { number, start, offset: Offset::between(start, global) }, clock.truth(at)))
     }
 }

@@ -1,9 +1,11 @@
-//! Programs that have sockets of a station: each connection is one socket's, as long as it lasts.
+//! Programs that have sockets of a station, or its time: each connection is one socket's, as long as it lasts, or tells by its
+//! end that there is no time any more.
 
 use std::io::{ErrorKind, Read};
 
 use rtnet::api::door::{self, Attached, Descriptors};
 use rtnet::api::handshake::{self, Answer, Ask};
+use rtnet::live::TimeBoard;
 use socket2::Socket;
 
 use super::server::Traffic;
@@ -15,6 +17,10 @@ pub trait Answers {
     /// What a program asks that has a socket, or is about to.
     fn ask(&mut self, _ask: Ask, _of: Option<&Attached>) -> (Answer, Option<(Attached, Descriptors)>) {
         (Answer::refused(nix::libc::EOPNOTSUPP), None)
+    }
+    /// The time, for whoever asks for it.
+    fn time(&self) -> Option<&TimeBoard> {
+        None
     }
     /// A program has gone, and left this.
     fn leave(&mut self, _left: Attached) {}
@@ -33,14 +39,16 @@ impl<F: FnMut(&[u8], Traffic) -> Vec<u8>> Answers for Requests<F> {
 pub(super) struct Program {
     pub socket: Socket,
     attached: Option<Attached>,
+    /// It waits for the station's end.
+    has_time: bool,
 }
 
 impl Program {
-    /// Lets in who asks as a program does; `None`: it has got no socket.
+    /// Lets in who asks as a program does; `None`: it has got nothing.
     pub fn let_in(socket: Socket, packet: &[u8], answers: &mut impl Answers) -> Option<Self> {
-        let mut program = Self { socket, attached: None };
+        let mut program = Self { socket, attached: None, has_time: false };
         program.carry_out(packet, answers);
-        program.attached.is_some().then_some(program)
+        (program.attached.is_some() || program.has_time).then_some(program)
     }
 
     /// Has it served, if it has something to say; `false`: it has gone, and what it had is given back.
@@ -64,7 +72,12 @@ impl Program {
 
     /// `false`: it has not taken its answer.
     fn carry_out(&mut self, packet: &[u8], answers: &mut impl Answers) -> bool {
-        let (answer, opened) = match Ask::parse(packet) {
+        let ask = Ask::parse(packet);
+        if let (Some(Ask::Time), Some(time)) = (ask, answers.time()) {
+            self.has_time = door::reply_with_time(&self.socket, time).is_ok();
+            return self.has_time;
+        }
+        let (answer, opened) = match ask {
             Some(ask) => answers.ask(ask, self.attached.as_ref()),
             None => (Answer::refused(nix::libc::EPROTO), None),
         };

@@ -89,6 +89,10 @@ impl Answers for Desk {
         }
     }
 
+    fn time(&self) -> Option<&TimeBoard> {
+        Some(&self.time)
+    }
+
     fn leave(&mut self, left: Attached) {
         let Self { programs, sockets, .. } = self;
         if let Some(programs) = programs {

@@ -1,15 +1,16 @@
-//! A program that works in step with the cycle: it is the station itself, and waits in another thread.
+//! A program that is a station itself, and works in step with the cycle in another of its threads. For a station that is another
+//! process, see `wait_on_cycle` of `rtnet`.
 //!
 //! As a master on one end of a wire that leads nowhere, as any user who may have user namespaces:
 //!
 //! ```text
-//! cargo build -p rtmac --example wait_on_cycle
+//! cargo build -p rtmac --example own_station
 //! unshare --user --map-root-user --net sh -c '
 //!     ip link add rt0 type veth peer name rt1; ip link set rt0 up; ip link set rt1 up
-//!     target/debug/examples/wait_on_cycle rt0'
+//!     target/debug/examples/own_station rt0'
 //! ```
 //!
-//! On two machines of one segment: `wait_on_cycle eth1` on the one, `wait_on_cycle eth1 slave` on the other.
+//! On two machines of one segment: `own_station eth1` on the one, `own_station eth1 slave` on the other.
 
 // It is a shell, as rtnet::live is: it sleeps.
 #![allow(clippy::disallowed_methods)]
@@ -38,7 +39,7 @@ const CYCLE_WITHIN: Duration = Duration::from_millis(100);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
-    let interface = arguments.next().ok_or("which interface? wait_on_cycle IF [slave]")?;
+    let interface = arguments.next().ok_or("which interface? own_station IF [slave]")?;
     let is_slave = arguments.next().is_some_and(|role| role == "slave");
     let stop = Arc::new(AtomicBool::new(false));
     let mut driver = driver(&interface, is_slave, stop.clone())?;

@@ -146,11 +146,19 @@ impl UdpSocket {
     /// sent before, that is ENOBUFS. An earlier one that could not leave, for want of a route or of a slot, is told of here,
     /// and this one is not sent then.
     pub fn send_to(&self, data: &[u8], to: SocketAddrV4) -> io::Result<()> {
-        self.0.send(data, Some(segment::pack_udp(to)), MAX_PAYLOAD)
+        self.send_to_with(data, to, Flags::NONE)
     }
     /// The same to the peer that it is connected to.
     pub fn send(&self, data: &[u8]) -> io::Result<()> {
-        self.0.send(data, None, MAX_PAYLOAD)
+        self.send_with(data, Flags::NONE)
+    }
+    /// As [`UdpSocket::send_to`], with flags: `DONTROUTE` is for who is on the medium itself, `DONTWAIT` goes without saying.
+    pub fn send_to_with(&self, data: &[u8], to: SocketAddrV4, flags: Flags) -> io::Result<()> {
+        self.0.send(data, Some(segment::pack_udp(to)), MAX_PAYLOAD, flags)
+    }
+    /// The same to the peer that it is connected to.
+    pub fn send_with(&self, data: &[u8], flags: Flags) -> io::Result<()> {
+        self.0.send(data, None, MAX_PAYLOAD, flags)
     }
 }
 
@@ -161,11 +169,11 @@ impl PacketSocket {
     }
     /// Hands the content of a frame to the station, which writes its header.
     pub fn send_to(&self, data: &[u8], to: Address, ether_type: EtherType) -> io::Result<()> {
-        self.0.send(data, Some(segment::pack_link(to, ether_type)), ROOM)
+        self.0.send(data, Some(segment::pack_link(to, ether_type)), ROOM, Flags::NONE)
     }
     /// Hands a whole frame to the station, from its destination on.
     pub fn send(&self, frame: &[u8]) -> io::Result<()> {
-        self.0.send(frame, None, ROOM)
+        self.0.send(frame, None, ROOM, Flags::NONE)
     }
 }
 
@@ -205,6 +213,14 @@ macro_rules! of_both {
             /// The type of service in its IP headers.
             pub fn set_tos(&self, tos: u8) {
                 locked(&self.0.sending).options.tos = tos;
+            }
+            /// How it sends, as it was set.
+            pub fn options(&self) -> Options {
+                locked(&self.0.sending).options
+            }
+            /// How long it waits, as it was set.
+            pub fn timeout(&self) -> Option<Duration> {
+                *locked(&self.0.timeout)
             }
             /// Gives it up to so many more buffers; tells how many.
             pub fn extend(&self, buffers: u32) -> io::Result<u32> {
@@ -276,8 +292,9 @@ impl End {
         Ok(answer)
     }
 
-    fn send(&self, data: &[u8], to: Option<u64>, most: usize) -> io::Result<()> {
+    fn send(&self, data: &[u8], to: Option<u64>, most: usize, flags: Flags) -> io::Result<()> {
         self.check_open()?;
+        flags.check(Flags::DONTROUTE | Flags::DONTWAIT).map_err(|error| Errno::from_raw(error.errno()))?;
         if data.len() > most {
             return Err(Errno::EMSGSIZE.into());
         }
@@ -287,7 +304,7 @@ impl End {
         if std::mem::replace(&mut sending.errors_told, count) != count {
             return Err(Errno::from_raw(word as u32 as i32).into());
         }
-        let order = Order { to, options: sending.options, flags: 0 };
+        let order = Order { to, options: sending.options, flags: flags.bits() };
         let written = sending.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
         match written {
             Ok(true) => {}

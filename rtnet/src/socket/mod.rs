@@ -147,6 +147,10 @@ impl Flags {
     pub const fn from_bits(bits: i32) -> Self {
         Self(bits)
     }
+    /// The same way round.
+    pub const fn bits(self) -> i32 {
+        self.0
+    }
     /// Whether all of `other` are among these.
     pub const fn contains(self, other: Flags) -> bool {
         self.0 & other.0 == other.0

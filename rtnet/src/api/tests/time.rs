@@ -1,10 +1,19 @@
 //! Programs that have a station's time by its control socket.
 
+use std::io::Read;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
-use super::*;
+use nix::errno::Errno;
+use socket2::{Domain, SockAddr, Socket, Type};
+
+use super::number;
+use crate::api::client::Station;
+use crate::api::door;
+use crate::api::handshake::Ask;
 use crate::clock::EmulatedClock;
-use crate::discipline::SyncState;
+use crate::discipline::{SyncState, TimeView};
 use crate::live::{TimePublisher, WaitError};
 use crate::time::{GlobalTime, Offset, Span};
 

@@ -126,7 +126,14 @@ fn place(hostile: &Program, which: u8, at: usize) -> usize {
 #[test]
 fn handshake_takes_any_packet() {
     let to = SocketAddrV4::new(A.1, PORT);
-    let asks = [Ask::OpenUdp(16), Ask::Bind(to), Ask::Connect(Some(to)), Ask::Extend(3), Ask::LocalAddress];
+    let asks = [
+        Ask::OpenUdp(16),
+        Ask::Bind(to),
+        Ask::Connect(Some(to)),
+        Ask::Extend(3),
+        Ask::LocalAddress,
+        Ask::Time,
+    ];
     let mut seeds: Vec<_> = asks.map(|ask| ask.to_bytes().to_vec()).to_vec();
     seeds.push(Answer { address: to, ..Answer::refused(19) }.to_bytes().to_vec());
     fuzz(&Target { name: "handshake", seeds, mutate: mutate::bytes, run: |packet| vec![handshake(packet)] });

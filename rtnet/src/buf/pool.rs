@@ -9,8 +9,9 @@
 //! ```
 //!
 //! The buffer taken is that of the first filled place, as far as is known. So the few buffers that are really in
-//! use are the same all the time, and *fewer are free than ever* when a place is emptied for the first time, which
-//! is rare enough to count them then: `least` costs takers and returners one comparison each.
+//! use are the same all the time, and *fewer are free than ever* when a place is emptied for the first time: all that
+//! ever were are empty then. So `least` costs takers and returners one comparison each, and who is the first one count more;
+//! but where some were out while the capacity changed the first looks at all places.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
@@ -21,6 +22,8 @@ use super::{Buf, Storage};
 
 /// Buffers that a pool may own at most: a buffer has 16 bits for its place.
 pub const MOST: usize = 1 << 16;
+/// When the capacity changed: places are not taken in turn from then on.
+const SOME_WERE_OUT: usize = usize::MAX;
 
 /// A number of buffers, shared between threads by reference. It changes only when somebody asks for it.
 pub struct Pool {
@@ -35,8 +38,8 @@ pub struct PoolStatistics {
     /// How many of them are in the pool right now.
     pub free: usize,
     /// The fewest that were, since the pool was made or last changed its capacity. Exact where one thread at a
-    /// time takes and returns; where several do so in the same instant a few more may be told than there were, but 0
-    /// once somebody found none.
+    /// time takes and returns; where several do so in the same instant a few more or fewer may be told than there were,
+    /// but 0 once somebody found none.
     pub least: usize,
     /// How often somebody wanted one and there was none.
     pub exhausted: u64,
@@ -50,6 +53,8 @@ pub(super) struct Home {
     reach: AtomicUsize,
     capacity: AtomicUsize,
     least: AtomicUsize,
+    /// Places whose `was_taken` is set, or [`SOME_WERE_OUT`].
+    ever_taken: AtomicUsize,
     exhausted: AtomicU64,
     /// Held while the capacity changes.
     resizing: Mutex<()>,
@@ -164,6 +169,7 @@ impl Home {
             reach: AtomicUsize::new(0),
             capacity: AtomicUsize::new(0),
             least: AtomicUsize::new(0),
+            ever_taken: AtomicUsize::new(0),
             exhausted: AtomicU64::new(0),
             resizing: Mutex::new(()),
             closed: AtomicBool::new(false),
@@ -214,8 +220,15 @@ impl Home {
     /// For the first time, or out of turn: fewer may be free than ever.
     #[cold]
     fn note_taken(&self, number: usize) {
-        self.places[number].was_taken.store(true, Relaxed);
-        self.least.fetch_min(self.available(), Relaxed);
+        let is_first = !self.places[number].was_taken.swap(true, Relaxed);
+        let least = if is_first && self.ever_taken.load(Relaxed) != SOME_WERE_OUT {
+            // Nobody passes over a filled place, so that all that were ever taken are out now.
+            let out = self.ever_taken.fetch_add(1, Relaxed) + 1;
+            self.capacity.load(Relaxed).saturating_sub(out)
+        } else {
+            self.available()
+        };
+        self.least.fetch_min(least, Relaxed);
     }
 
     fn available(&self) -> usize {
@@ -256,6 +269,8 @@ impl Home {
             self.places.iter().rposition(|place| place.is_owned.load(Relaxed)).map_or(0, |last| last + 1);
         self.reach.store(reach, Relaxed);
         self.places.iter().for_each(|place| place.was_taken.store(false, Relaxed));
+        let some_are_out = self.available() < self.capacity.load(Relaxed);
+        self.ever_taken.store(if some_are_out { SOME_WERE_OUT } else { 0 }, Relaxed);
         self.least.store(self.available(), Relaxed);
     }
 }

@@ -112,44 +112,47 @@ impl Stack {
 
     /// Gives a copy of a frame that is somebody else's to the packet sockets that want it.
     pub fn overhear(&mut self, rx: Option<Instant>, frame: &[u8]) {
-        if !self.sockets.has_packet_sockets() {
+        if self.sockets.packet_sockets() == 0 {
             return;
         }
         let Some((header, _)) = Header::parse(frame) else { return };
-        self.copy_to_packet_sockets(header, rx, frame, usize::MAX);
+        if let Some(last) = self.copy_to_all_but_last(header, rx, frame) {
+            self.copy_to(last, header, rx, frame);
+        }
     }
 
-    /// Copies to the first `most` of them; tells which is next, if there is one.
-    fn copy_to_packet_sockets(
+    /// Copies to all that want it but the last, which it tells: in one pass, however many there are.
+    fn copy_to_all_but_last(
         &mut self,
         header: &Header,
         rx: Option<Instant>,
         frame: &[u8],
-        most: usize,
     ) -> Option<SocketId> {
-        for n in 0.. {
-            // The table cannot be walked while a socket changes; there are few.
-            let id = self.sockets.packet_for(header.ether_type()).nth(n)?;
-            if n == most {
-                return Some(id);
+        let mut last = None;
+        // The table cannot be lent while a socket changes.
+        for number in 0..self.sockets.packet_sockets() {
+            let Some(id) = self.sockets.packet_for(number, header.ether_type()) else { continue };
+            if let Some(before) = last.replace(id) {
+                self.copy_to(before, header, rx, frame);
             }
-            let Ok(socket) = self.sockets.get_mut(id) else { continue };
-            let Some(mut copy) = socket.pool.take() else {
-                socket.counters.dropped += 1;
-                continue;
-            };
-            copy.fill(frame);
-            let _ = self.keep_frame(id, header, rx, copy);
         }
-        None
+        last
+    }
+
+    fn copy_to(&mut self, id: SocketId, header: &Header, rx: Option<Instant>, frame: &[u8]) {
+        let Ok(socket) = self.sockets.get_mut(id) else { return };
+        let Some(mut copy) = socket.pool.take() else {
+            socket.counters.dropped += 1;
+            return;
+        };
+        copy.fill(frame);
+        let _ = self.keep_frame(id, header, rx, copy);
     }
 
     /// A frame that is nobody else's: each packet socket that wants it has a copy, the last one the frame itself.
     pub(crate) fn packet_input(&mut self, rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
         let (&header, _) = Header::parse(&frame).ok_or(Refusal::Runt)?;
-        let wanted = self.sockets.packet_for(header.ether_type()).count();
-        let last = wanted.checked_sub(1).ok_or(Refusal::UnclaimedEtherType)?;
-        let id = self.copy_to_packet_sockets(&header, rx, &frame, last).ok_or(Refusal::UnclaimedEtherType)?;
+        let id = self.copy_to_all_but_last(&header, rx, &frame).ok_or(Refusal::UnclaimedEtherType)?;
         let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
         match hand_over(frame, &socket.pool) {
             Ok(kept) => self.keep_frame(id, &header, rx, kept),

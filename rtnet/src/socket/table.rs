@@ -121,22 +121,20 @@ impl Table {
         (is_address && is_peer).then_some(id)
     }
 
-    /// Packet sockets that want frames of this type, in the order in which they were opened.
-    pub fn packet_for(&self, ether_type: EtherType) -> impl Iterator<Item = SocketId> + '_ {
-        let wants = move |id: &SocketId| {
-            let packet = self.get(*id).ok().and_then(|socket| socket.as_packet().ok());
-            packet.is_some_and(|packet| match packet.link_type {
-                LinkType::Nothing => false,
-                LinkType::Only(only) => only == ether_type,
-                LinkType::All => true,
-            })
-        };
-        self.packet.iter().map(|&place| self.id(place)).filter(wants)
+    /// How many packet sockets there are.
+    pub fn packet_sockets(&self) -> usize {
+        self.packet.len()
     }
 
-    /// Whether there is any packet socket: where there is none, nothing is looked for.
-    pub fn has_packet_sockets(&self) -> bool {
-        !self.packet.is_empty()
+    /// Of packet sockets, in the order in which they were opened, this one, if it wants frames of this type.
+    pub fn packet_for(&self, number: usize, ether_type: EtherType) -> Option<SocketId> {
+        let id = self.id(*self.packet.get(number)?);
+        let wants = match self.get(id).ok()?.as_packet().ok()?.link_type {
+            LinkType::Nothing => false,
+            LinkType::Only(only) => only == ether_type,
+            LinkType::All => true,
+        };
+        wants.then_some(id)
     }
 
     fn id(&self, place: u16) -> SocketId {

@@ -80,7 +80,8 @@ impl Stack {
             Kind::Request => {
                 let options = Options { tos: header.tos(), ..OPTIONS };
                 let reply = Echo::new(Kind::Reply, echo.identifier(), echo.sequence(), data);
-                let answered = self.send_echo(header.source(), reply, data, options, exit);
+                let ends = (header.destination(), header.source());
+                let answered = self.send_echo(ends, reply, data, options, exit);
                 match answered {
                     Ok(()) => self.counters.echoes_answered += 1,
                     Err(SocketError::NoRoute(_)) => return Err(Refusal::NoRoute),
@@ -115,7 +116,7 @@ impl Stack {
             self.icmp.left.clear();
         }
         let echo = Echo::new(Kind::Request, identifier, sequence, data);
-        self.send_echo(to, echo, data, options, exit)
+        self.send_echo((Ipv4Addr::UNSPECIFIED, to), echo, data, options, exit)
     }
 
     /// The oldest answer that nobody has looked at.
@@ -148,13 +149,13 @@ impl Stack {
 
     fn send_echo(
         &mut self,
-        to: Ipv4Addr,
+        (from, to): (Ipv4Addr, Ipv4Addr),
         echo: Echo,
         data: &[u8],
         options: Options,
         exit: &mut dyn Exit,
     ) -> Result<(), SocketError> {
-        let route = Route::find(&self.routes, to, false)?;
+        let route = Route::find(&self.routes, to, false)?.for_who_hears_at(from);
         let Self { icmp, .. } = self;
         let parts = [echo.as_bytes(), data];
         let frames = icmp.output.datagram(&route, Protocol::ICMP, options, parts, &icmp.pool, exit)?;

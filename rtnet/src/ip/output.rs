@@ -34,7 +34,15 @@ impl Route {
         let own = routes.own();
         let hop = routes.lookup(destination).filter(|_| !without_gateway || routes.is_direct(destination));
         let hop = hop.ok_or(SocketError::NoRoute(destination))?;
-        Ok(Self { source: own.ip, destination, hop, from: own.address })
+        // What is sent to a loopback address comes from one.
+        let source = if destination.is_loopback() { Ipv4Addr::LOCALHOST } else { own.ip };
+        Ok(Self { source, destination, hop, from: own.address })
+    }
+
+    /// The same for who hears at `local`: of several loopback addresses it sends from its own.
+    pub fn for_who_hears_at(self, local: Ipv4Addr) -> Self {
+        let is_between = self.destination.is_loopback() && local.is_loopback();
+        Self { source: if is_between { local } else { self.source }, ..self }
     }
 
     /// The most that an IP packet on this way may have.

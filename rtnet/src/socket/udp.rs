@@ -85,7 +85,8 @@ impl Stack {
         if data.len() > MAX_PAYLOAD {
             return Err(SocketError::TooLong(data.len()));
         }
-        let route = Route::find(&self.routes, *to.ip(), flags.contains(Flags::DONTROUTE))?;
+        let route = Route::find(&self.routes, *to.ip(), flags.contains(Flags::DONTROUTE))?
+            .for_who_hears_at(udp.local);
         let (head, options) = (header(route.source, to, udp.port, data), socket.options);
         let parts = [head.as_bytes(), data];
         let frames = self.output.datagram(&route, Protocol::UDP, options, parts, &socket.pool, exit)?;

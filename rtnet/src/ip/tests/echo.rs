@@ -76,6 +76,10 @@ fn an_echo_to_all_is_answered_by_nobody_and_one_to_itself_at_once() {
     assert_eq!(cross(&mut a, &mut b), [Refusal::IcmpBroadcast]);
     ask(&mut a, IP_A, (1, 2), b"").unwrap();
     assert_eq!(a.stack.next_pong().map(|pong| pong.sequence), Some(2));
+    for loopback in [[127, 0, 0, 1], [127, 9, 9, 9]].map(Ipv4Addr::from) {
+        ask(&mut a, loopback, (1, 3), b"").unwrap();
+        assert_eq!(a.stack.next_pong().map(|pong| pong.from), Some(loopback), "from whom was asked");
+    }
 }
 
 #[test]

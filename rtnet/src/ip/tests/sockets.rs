@@ -219,15 +219,39 @@ fn a_sender_that_floods_is_refused_when_its_own_buffers_all_wait() {
 fn a_station_that_sends_to_itself_hears_it_at_once() {
     let (mut a, _) = pair();
     let (from, to) = (a.socket(5_000, 4), a.socket(36_000, 4));
-    for ip in [IP_A, Ipv4Addr::LOCALHOST] {
+    let loopback = Ipv4Addr::new(127, 0, 0, 9);
+    for (ip, source) in
+        [(IP_A, IP_A), (Ipv4Addr::LOCALHOST, Ipv4Addr::LOCALHOST), (loopback, Ipv4Addr::LOCALHOST)]
+    {
         a.send(from, &bytes(4_000), ip, 36_000).unwrap();
         let (received, data) = a.receive(to).unwrap();
-        assert_eq!(received.from, Sender::Udp(SocketAddrV4::new(IP_A, 5_000)));
+        assert_eq!(received.from, Sender::Udp(SocketAddrV4::new(source, 5_000)));
         assert_eq!(data, bytes(4_000));
     }
     a.send(from, b"", IP_A, 1).unwrap();
     assert_eq!(a.stack.counters().loopback.get(Refusal::NoSocket), 1, "and what nobody takes is counted");
     assert_eq!(a.sent().len(), 0);
+}
+
+#[test]
+fn two_sockets_with_a_loopback_address_each_hear_each_other_by_these() {
+    let (mut a, _) = pair();
+    let [one, other] =
+        [1, 9].map(|last| SocketAddrV4::new(Ipv4Addr::new(127, 0, 0, last), 5_000 + u16::from(last)));
+    let sockets = [(one, other), (other, one)].map(|(own, peer)| {
+        let socket = udp(&mut a);
+        a.stack.bind(socket, own).unwrap();
+        a.stack.connect(socket, Some(peer)).unwrap();
+        socket
+    });
+    for (from, to, own) in [(sockets[0], sockets[1], one), (sockets[1], sockets[0], other)] {
+        a.stack.send_to(from, b"x", None, Flags::NONE, &mut a.queue).unwrap();
+        assert_eq!(a.receive(to).expect("it is its peer").0.from, Sender::Udp(own));
+    }
+    a.knows(IP_B, B);
+    a.stack.send_to(sockets[0], b"x", Some(SocketAddrV4::new(IP_B, 1)), Flags::NONE, &mut a.queue).unwrap();
+    let frame = a.sent().remove(0);
+    assert_eq!(frame[LINK_HEADER + 12..][..4], IP_A.octets(), "none of these leaves");
 }
 
 #[test]

@@ -6,7 +6,7 @@
 use core::num::NonZeroUsize;
 use core::ops::Deref;
 use core::ptr::NonNull;
-use core::sync::atomic::AtomicU64;
+use core::sync::atomic::{AtomicU64, Ordering};
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, FromRawFd, OwnedFd};
 
@@ -33,7 +33,11 @@ impl Memory {
     /// New memory of at least so many bytes, all zero and there: nobody who touches it waits for the kernel.
     pub fn new(bytes: usize) -> io::Result<Self> {
         let bytes = bytes.next_multiple_of(PAGE);
-        secret(bytes).and_then(|file| Self::map(file, bytes)).or_else(|_| Self::map(sealed(bytes)?, bytes))
+        Self::new_secret(bytes).or_else(|_| Self::map(sealed(bytes)?, bytes))
+    }
+
+    fn new_secret(bytes: usize) -> io::Result<Self> {
+        secret(bytes).and_then(|file| Self::map(file, bytes))
     }
 
     /// Memory that somebody else has made and sealed, of its own length.
@@ -42,11 +46,17 @@ impl Memory {
             let seals = SealFlag::from_bits_retain(fcntl(&file, FcntlArg::F_GET_SEALS)?);
             Ok::<_, io::Error>(seals.contains(SealFlag::F_SEAL_SHRINK | SealFlag::F_SEAL_GROW))
         };
-        if !is_secret(&file)? && !is_sealed()? {
+        let is_locked = is_secret(&file)?;
+        if !is_locked && !is_sealed()? {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "shared memory that could be cut short"));
         }
-        let bytes = nix::sys::stat::fstat(&file)?.st_size;
-        Self::map(file, usize::try_from(bytes).unwrap_or(0))
+        let bytes = usize::try_from(nix::sys::stat::fstat(&file)?.st_size).unwrap_or(0);
+        Self::map(file, bytes).map_err(|error| match error.raw_os_error() {
+            Some(libc::EAGAIN) if is_locked => {
+                io::Error::new(io::ErrorKind::OutOfMemory, LockLimit { bytes })
+            }
+            _ => error,
+        })
     }
 
     fn map(file: OwnedFd, bytes: usize) -> io::Result<Self> {
@@ -58,8 +68,36 @@ impl Memory {
         // SAFETY: a new mapping at a place of the kernel's choice touches nothing that exists; its file is as long, and
         // sealed, so that all of it stays valid.
         let base = unsafe { mmap(None, length, protection, flags, &file, 0)? };
-        Ok(Self { base: base.cast(), words: bytes / size_of::<AtomicU64>(), file })
+        let memory = Self { base: base.cast(), words: bytes / size_of::<AtomicU64>(), file };
+        // Secret memory is not made by `MAP_POPULATE`: its pages come when they are written, by who has the time. An exchange of
+        // the same, since an addition of nothing would become a load.
+        memory.iter().step_by(PAGE / size_of::<AtomicU64>()).for_each(|word| {
+            let as_it_is = word.load(Ordering::Relaxed);
+            let _ = word.compare_exchange(as_it_is, as_it_is, Ordering::Relaxed, Ordering::Relaxed);
+        });
+        Ok(memory)
     }
+}
+
+/// The pages of secret memory are locked, on either side, and count against that side's limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{bytes} bytes that the socket has in common with its station cannot be locked: this program may lock no more (raise \
+     RLIMIT_MEMLOCK, `ulimit -l`, by that for each socket, or close some)"
+)]
+pub struct LockLimit {
+    /// Of the memory that was to be locked.
+    pub bytes: usize,
+}
+
+/// Whether nobody can make a hole in memory that this file is: what [`Memory::new`] has made, if it could.
+pub fn is_whole(file: impl AsFd) -> bool {
+    is_secret(file).unwrap_or(false)
+}
+
+/// Why such memory cannot be made now; `None`: it can.
+pub fn why_not_whole(bytes: usize) -> Option<io::Error> {
+    Memory::new_secret(bytes.next_multiple_of(PAGE)).err()
 }
 
 /// A file whose length is given once, and whose pages stay. Of any other the program can make a hole, and who touches that
@@ -83,7 +121,7 @@ fn sealed(bytes: usize) -> io::Result<OwnedFd> {
     Ok(file)
 }
 
-fn is_secret(file: &OwnedFd) -> io::Result<bool> {
+fn is_secret(file: impl AsFd) -> io::Result<bool> {
     Ok(fstatfs(file)?.filesystem_type() == SECRET)
 }
 
@@ -120,9 +158,9 @@ impl Drop for Memory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use core::sync::atomic::Ordering;
     use nix::fcntl::{FallocateFlags, fallocate};
     use nix::sys::mman::{MmapAdvise, madvise};
+    use nix::sys::resource::{UsageWho, getrusage};
 
     #[test]
     fn both_ends_see_the_same_words() {
@@ -155,6 +193,26 @@ mod tests {
         ours[0].store(7, Ordering::Relaxed);
         assert_eq!(theirs[0].load(Ordering::Relaxed), 7);
         assert!(ftruncate(ours.as_fd(), 0).is_err());
+    }
+
+    #[test]
+    fn all_of_it_is_there_before_anybody_touches_it() {
+        let faults = || getrusage(UsageWho::RUSAGE_THREAD).unwrap().minor_page_faults();
+        for memory in [Memory::new(1 << 20).unwrap(), Memory::map(sealed(1 << 20).unwrap(), 1 << 20).unwrap()]
+        {
+            let before = faults();
+            memory.iter().for_each(|word| word.store(7, Ordering::Relaxed));
+            assert!(faults() - before < 8, "of 256 pages {}", faults() - before);
+        }
+    }
+
+    #[test]
+    fn who_may_lock_no_more_is_told_so_and_what_to_do() {
+        let told = io::Error::new(io::ErrorKind::OutOfMemory, LockLimit { bytes: 4096 }).to_string();
+        assert!(
+            told.starts_with("4096 bytes") && told.contains("raise RLIMIT_MEMLOCK, `ulimit -l`"),
+            "{told}"
+        );
     }
 
     #[test]

@@ -33,6 +33,7 @@ pub mod discipline;
 pub mod ip;
 pub mod live;
 pub mod queue;
+pub mod room;
 pub mod sim;
 pub mod socket;
 pub mod station;

@@ -23,6 +23,7 @@ use std::sync::Arc;
 use crate::buf::{Chain, Pool};
 use crate::discipline::{Channel, TimeView};
 use crate::queue::Priority;
+use crate::room;
 use crate::time::{GlobalTime, Instant};
 
 pub use access::{Access, Program};
@@ -223,7 +224,7 @@ impl Socket {
 
     fn new(kind: Kind, pool: Arc<Pool>) -> Box<Self> {
         // Each of what waits takes a buffer at the least.
-        let received = VecDeque::with_capacity(pool.room());
+        let received = VecDeque::from(room::vec(pool.room()));
         let (options, counters) = (Options::default(), SocketCounters::default());
         Box::new(Self { kind, pool, received, options, counters })
     }

@@ -15,6 +15,8 @@ pub struct Station<D: Discipline> {
     refusals: Refusals,
     stale: u64,
     announced: SyncState,
+    /// Whether there was an opportunity since it last had nothing to send.
+    was_asked: bool,
 }
 
 impl<D: Discipline> Station<D> {
@@ -27,6 +29,7 @@ impl<D: Discipline> Station<D> {
             refusals: Refusals::default(),
             stale: 0,
             announced: SyncState::Waiting,
+            was_asked: false,
         }
     }
 
@@ -61,6 +64,9 @@ impl<D: Discipline> Station<D> {
         }
         let chosen = self.discipline.next_transmission(now);
         self.announce_sync_state();
+        if chosen.is_none() && !core::mem::take(&mut self.was_asked) {
+            self.looks_without_slot(now);
+        }
         chosen
     }
 
@@ -138,6 +144,7 @@ impl<D: Discipline> Station<D> {
 
     /// Lets services queue what they have for a slot, and fill it if there is nothing.
     fn ask(&mut self, slot: &Opportunity) {
+        self.was_asked = true;
         let Self { discipline, services, stack, .. } = self;
         for service in services.iter_mut() {
             service.poll(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
@@ -151,6 +158,13 @@ impl<D: Discipline> Station<D> {
                     .fill(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
             }
         }
+    }
+
+    /// Once each time that it is awake, also where no slot comes: what programs want that needs one is refused, and what is
+    /// waited for is given up in time.
+    fn looks_without_slot(&mut self, now: Instant) {
+        let Self { discipline, stack, .. } = self;
+        stack.iter_mut().for_each(|stack| stack.poll(now, discipline));
     }
 
     /// Tells whose frame it is that it was chosen for a slot.

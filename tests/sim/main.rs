@@ -27,4 +27,5 @@ mod second_master_refuses;
 mod two_primaries;
 mod virtual_machine;
 mod without_a_filter;
+mod without_a_turn;
 mod without_slots;

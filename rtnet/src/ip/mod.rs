@@ -167,7 +167,7 @@ impl Stack {
         }
     }
 
-    /// A slot is about to come at `now`: the last moment for programs to send in it.
+    /// A slot is about to come at `now`: the last moment for programs to send in it. Or it is `now`, and none comes soon.
     pub fn poll(&mut self, now: Instant, exit: &mut dyn Exit) {
         self.now = now;
         self.collectors.expire(now);

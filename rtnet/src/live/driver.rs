@@ -11,7 +11,7 @@ use crate::clock::True;
 use crate::counters::Refusals;
 use crate::discipline::{Cause, Discipline, Event, Sent, SyncState};
 use crate::station::Station;
-use crate::time::{GlobalTime, Span};
+use crate::time::{GlobalTime, Instant, Span};
 
 use super::clock::{monotonic, thread_cpu_time};
 use super::clock_order::ClockOrder;
@@ -229,13 +229,7 @@ impl<D: Discipline> Driver<D> {
         let rested = if was_for_data { now + rest_after(awake) } else { now };
         let has_sockets = self.station.stack().is_some();
         match self.station.next_deadline() {
-            deadline if wakes_on_frames => {
-                // What a program sends need not wait for a slot: it rings.
-                if !self.station.sleeps(true) {
-                    self.port.wait_for_frame_until(deadline, no_later);
-                }
-                self.station.sleeps(false);
-            }
+            deadline if wakes_on_frames => self.wait_to_be_rung(deadline, no_later),
             Some(deadline) if has_sockets => {
                 self.woken_by_data = self.port.sleep_unless_data(deadline, no_later, rested);
             }
@@ -244,9 +238,17 @@ impl<D: Discipline> Driver<D> {
                 // Without a slot nothing is urgent, not even a sync.
                 self.woken_by_data = has_sockets;
                 self.port.rest_until(rested);
-                self.port.wait_for_frame_until(None, no_later);
+                self.wait_to_be_rung(None, no_later);
             }
         }
+    }
+
+    /// What a program sends need not wait for a slot: it rings.
+    fn wait_to_be_rung(&mut self, deadline: Option<Instant>, no_later: True) {
+        if !self.station.sleeps(true) {
+            self.port.wait_for_frame_until(deadline, no_later);
+        }
+        self.station.sleeps(false);
     }
 
     /// Leaves what happened where the control thread finds it. After the slot's send, never before. Tells whether a visitor

@@ -14,6 +14,7 @@ mod lab;
 mod live;
 mod manual;
 mod observe;
+mod program_limits;
 mod programs;
 mod requests;
 mod rights;

@@ -71,7 +71,8 @@ pub enum Hop {
 pub enum RouteError {
     /// No room.
     #[error(
-        "the table of {what} is full: it takes {capacity} (delete one, or start the station with a larger one)"
+        "the table of {what} is full: it takes {capacity} (delete one, or start the station with a larger one: `--hosts`, \
+         `--networks`)"
     )]
     TableFull {
         /// Host routes or network routes.

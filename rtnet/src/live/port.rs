@@ -24,8 +24,8 @@ use receive::{DRAIN_AT_MOST, drain, on_clock, receiver};
 
 pub use receive::Data;
 
-/// Buffers for received frames: as many as RTnet's receive ring and transmit descriptors.
-const RECEIVE_POOL: usize = 32;
+/// Buffers for received frames, unless it is said otherwise: as many as RTnet's receive ring and transmit descriptors.
+pub const RECEIVE_POOL: usize = 32;
 /// So long before it has to be awake data wakes nobody: several times what waking for it and looking at it take.
 const UNDISTURBED: True = 100_000;
 /// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
@@ -269,6 +269,11 @@ impl Port {
     fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
         sockets.chain(self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()))
+    }
+
+    /// The same with so many buffers for received frames.
+    pub fn with_receive_buffers(self, buffers: usize) -> Self {
+        Self { pool: Arc::new(Pool::new(buffers)), ..self }
     }
 
     /// From now on a wait for a frame is over, too, when one of these rings. They are triggered by edge: who rings can

@@ -15,7 +15,9 @@ pub enum SocketError {
     #[error("{0}")]
     OtherKind(&'static str),
     /// As many as there may be are open.
-    #[error("{0} sockets are open, as many as there may be: close one, or start the station with more")]
+    #[error(
+        "{0} sockets are open, as many as there may be: close one, or start the station with more (`--sockets`)"
+    )]
     TooMany(usize),
     /// All ports that are given out are taken.
     #[error(

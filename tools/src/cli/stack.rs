@@ -35,6 +35,27 @@ pub struct StackArgs {
     /// Refuse a datagram in fragments with a wrong checksum, too: RTnet of 2019 and later sends such
     #[arg(long, requires = "ip")]
     pub strict_checksums: bool,
+    /// How long the next fragment of a datagram is waited for [default: 1s]
+    #[arg(long, value_name = "TIME", requires = "ip", value_parser = parse_positive_span)]
+    pub fragment_timeout: Option<Span>,
+    /// Host routes at the most [default: 256]
+    #[arg(long, value_name = "N", requires = "ip", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub hosts: Option<u16>,
+    /// Network routes at the most [default: 64]
+    #[arg(long, value_name = "N", requires = "ip", value_parser = clap::value_parser!(u16).range(1..=512))]
+    pub networks: Option<u16>,
+    /// Buffers of a socket whose program does not say how many [default: 16]
+    #[arg(long, value_name = "N", requires = "ip", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub socket_buffers: Option<u16>,
+    /// Buffers for frames that have just come [default: 32]
+    #[arg(long, value_name = "N", requires = "ip", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub receive_buffers: Option<u16>,
+    /// Buffers for echoes [default: 8]
+    #[arg(long, value_name = "N", requires = "ip", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub icmp_buffers: Option<u16>,
+    /// Buffers for questions of who has which address, and answers [default: 16]
+    #[arg(long, value_name = "N", requires = "ip", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub arp_buffers: Option<u16>,
 }
 
 /// Arguments of what only shows.

@@ -15,7 +15,7 @@ use super::tdma::found;
 use crate::cli::{RouteArgs, RouteVerb, Which};
 use crate::control::{RouteSaid, RoutesShown, StackReply, StackRequest, Way};
 use crate::report::text::{Column, table};
-use crate::station::sockets::parse;
+use crate::station::sockets::{Route, as_shown, parse};
 use crate::station::stack::add;
 
 /// Columns of the tables.
@@ -178,10 +178,11 @@ fn load(which: &Which, file: &Path) -> Result<u8, Failure> {
 fn copy_of(there: &RoutesShown) -> Routes {
     let own = Interface { address: Address::default(), ip: there.ip, prefix: there.prefix };
     let mut copy = Routes::new(own, there.hosts_at_most, there.networks_at_most);
-    let hosts = there.hosts.iter().map(|host| RouteSaid::Host { ip: host.ip, address: host.address.clone() });
+    // Who was learned makes room for who is named. What was learned before a network was named stays.
+    let hosts = there.hosts.iter().filter_map(as_shown).map(Route::Host);
     let networks =
         there.networks.iter().map(|of| RouteSaid::Network { network: of.network.clone(), via: of.via });
-    for route in hosts.chain(networks).filter_map(|said| parse(&said).ok()) {
+    for route in hosts.chain(networks.filter_map(|said| parse(&said).ok())) {
         // It has them: there is room.
         let _ = add(&mut copy, &route);
     }
@@ -225,6 +226,31 @@ fn describe_way(way: &Way) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::HostShown;
+
+    #[test]
+    fn a_table_full_of_who_was_learned_has_room_for_a_file() {
+        let shown = |last: u8, origin: &str| HostShown {
+            ip: [10, 0, 0, last].into(),
+            address: format!("02:00:00:00:00:{last:02x}"),
+            origin: origin.into(),
+        };
+        let there = RoutesShown {
+            ip: [10, 0, 0, 1].into(),
+            prefix: 24,
+            hosts: vec![shown(2, "static"), shown(3, "learned"), shown(4, "solicited")],
+            hosts_at_most: 3,
+            networks: Vec::new(),
+            networks_at_most: 1,
+        };
+        let mut copy = copy_of(&there);
+        let mut load = |line| add(&mut copy, &parse(&parse_words(line).unwrap()).unwrap());
+        load("10.0.0.5 02:00:00:00:00:05").unwrap();
+        let full = load("10.0.0.6 02:00:00:00:00:06").unwrap_err().to_string();
+        assert!(full.contains("start the station with a larger one: `--hosts`"), "{full}");
+        let left: Vec<u8> = copy.hosts().iter().map(|host| host.ip.octets()[3]).collect();
+        assert_eq!(left, [2, 4, 5]);
+    }
 
     #[test]
     fn a_bad_line_of_a_file_is_named_with_what_was_expected() {

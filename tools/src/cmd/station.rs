@@ -7,7 +7,6 @@ use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
 use rtnet::clock::EmulatedClock;
-use rtnet::ip::{DEFAULT_PORTS, DEFAULT_SOCKETS};
 use rtnet::live::GuardMode;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
@@ -117,12 +116,21 @@ fn stack(args: &StackArgs) -> anyhow::Result<Option<StackOptions>> {
     }
     let parsed = |(whence, said)| Ok((whence, parse(&said).map_err(|why| anyhow!(why))?));
     let routes = said.into_iter().map(parsed).collect::<anyhow::Result<_>>()?;
+    let usual = StackOptions::usual(ip);
+    let or = |said: Option<u16>, usual: usize| said.map_or(usual, usize::from);
     let options = StackOptions {
         ip,
         routes,
-        sockets: args.sockets.unwrap_or(DEFAULT_SOCKETS),
-        ports: args.ports.clone().unwrap_or(DEFAULT_PORTS),
+        sockets: args.sockets.unwrap_or(usual.sockets),
+        ports: args.ports.clone().unwrap_or(usual.ports),
         strict_checksums: args.strict_checksums,
+        fragment_timeout: args.fragment_timeout.unwrap_or(usual.fragment_timeout),
+        hosts: or(args.hosts, usual.hosts),
+        networks: or(args.networks, usual.networks),
+        socket_buffers: args.socket_buffers.unwrap_or(usual.socket_buffers),
+        receive_buffers: or(args.receive_buffers, usual.receive_buffers),
+        icmp_buffers: or(args.icmp_buffers, usual.icmp_buffers),
+        arp_buffers: or(args.arp_buffers, usual.arp_buffers),
     };
     options.check()?;
     Ok(Some(options))

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
+use nix::sys::resource::{Resource, getrlimit};
 use socket2::{Domain, SockAddr, Socket, Type};
 
 use rtnet::api::door;
@@ -35,6 +36,10 @@ const ACCEPT_AT_ONCE: usize = 16;
 
 /// Programs with sockets at a time: as many as a station has sockets, if it has the most.
 const PROGRAMS_AT_MOST: usize = 1024;
+/// Descriptors that a program's socket takes: its connection, memory, who wakes it, and one to spare.
+const FILES_OF_PROGRAM: u64 = 4;
+/// Descriptors that programs leave for everything else: clients, what is the station's, what goes along with an answer.
+const FILES_BESIDE: u64 = CLIENTS_AT_MOST as u64 + 64;
 
 /// What a server counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -76,6 +81,8 @@ pub struct Server {
     traffic: Traffic,
     /// Ends a wait before its time.
     waker: Option<Arc<EventFd>>,
+    /// Whether somebody waits who could not be accepted: to be told of that again and again would keep it from waiting.
+    is_full: bool,
 }
 
 struct Client {
@@ -118,6 +125,7 @@ impl Server {
             inode,
             traffic: Traffic::default(),
             waker: None,
+            is_full: false,
         })
     }
 
@@ -140,9 +148,9 @@ impl Server {
     /// The same for who has sockets for programs, too.
     pub fn serve_all(&mut self, at_most: Duration, answers: &mut impl Answers) {
         let (ready, programs_ready) = self.wait(at_most);
+        self.serve_programs(&programs_ready, answers);
+        // Programs do not take the clients' turn.
         let begun = Instant::now();
-        let mut programs_ready = programs_ready.into_iter();
-        self.programs.retain_mut(|program| program.turn(programs_ready.next().unwrap_or(false), answers));
         let mut waiting = std::mem::take(&mut self.clients).into_iter().zip(ready);
         let mut had_turn = Vec::new();
         for (client, ready) in waiting.by_ref() {
@@ -159,11 +167,28 @@ impl Server {
         self.admit();
     }
 
+    /// One ask of each program, as far as they do not take long: who had no turn is first in the next call.
+    fn serve_programs(&mut self, ready: &[bool], answers: &mut impl Answers) {
+        let begun = Instant::now();
+        let mut had_turn = 0;
+        let mut ready = ready.iter();
+        self.programs.retain_mut(|program| {
+            if begun.elapsed() >= TURN {
+                return true;
+            }
+            let stays = program.turn(ready.next().is_some_and(|ready| *ready), answers);
+            had_turn += usize::from(stays);
+            stays
+        });
+        self.programs.rotate_left(had_turn);
+    }
+
     /// Which clients, and which programs, have something to say.
     fn wait(&self, at_most: Duration) -> (Vec<bool>, Vec<bool>) {
         let clients = self.clients.iter().map(|client| &client.socket);
         let programs = self.programs.iter().map(|program| &program.socket);
-        let sockets = clients.chain(programs).chain([&self.listener]);
+        let listener = (!self.is_full).then_some(&self.listener);
+        let sockets = clients.chain(programs).chain(listener);
         let fds = sockets.map(|socket| socket.as_fd()).chain(self.waker.iter().map(|waker| waker.as_fd()));
         let mut fds: Vec<PollFd> = fds.map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
         let timeout = PollTimeout::try_from(at_most).unwrap_or(PollTimeout::MAX);
@@ -217,16 +242,31 @@ impl Server {
 
     /// A client that opens a socket is a program from then on.
     fn let_in(&mut self, client: Client, packet: &[u8], answers: &mut impl Answers) -> Outcome {
-        if self.programs.len() == PROGRAMS_AT_MOST {
-            let _ = door::reply(&client.socket, &Answer::refused(nix::libc::EAGAIN), None);
+        // Nothing is begun that would end half done for want of a descriptor.
+        let files = getrlimit(Resource::RLIMIT_NOFILE).map_or(u64::MAX, |(files, _)| files);
+        let refused = match self.programs.len() {
+            PROGRAMS_AT_MOST.. => Some(nix::libc::EAGAIN),
+            programs if programs >= programs_with(files) => Some(nix::libc::EMFILE),
+            _ => None,
+        };
+        if let Some(errno) = refused {
+            let _ = door::reply(&client.socket, &Answer::refused(errno), None);
             return Outcome::Goes;
         }
         Program::let_in(client.socket, packet, answers).map_or(Outcome::Goes, Outcome::Attaches)
     }
 
     fn admit(&mut self) {
+        self.is_full = false;
         for _ in 0..ACCEPT_AT_ONCE {
-            let Ok((socket, _)) = self.listener.accept() else { return };
+            let socket = match self.listener.accept() {
+                Ok((socket, _)) => socket,
+                Err(error) => {
+                    self.is_full =
+                        matches!(error.raw_os_error(), Some(nix::libc::EMFILE | nix::libc::ENFILE));
+                    return;
+                }
+            };
             if socket.set_nonblocking(true).is_err() {
                 continue;
             }
@@ -252,6 +292,11 @@ impl Client {
         let mut fds = [PollFd::new(self.socket.as_fd(), sends_no_more)];
         poll(&mut fds, PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
     }
+}
+
+/// Programs that may have sockets where so many descriptors may be open.
+fn programs_with(files: u64) -> usize {
+    ((files - FILES_BESIDE.min(files / 2)) / FILES_OF_PROGRAM) as usize
 }
 
 /// What stations and labs say alike.
@@ -318,6 +363,13 @@ mod tests {
         }
         answered.sort_unstable();
         assert_eq!(answered, [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn programs_leave_descriptors_for_everything_else() {
+        for (files, programs) in [(0, 0), (64, 8), (1_024, 224), (20_000, 4_968)] {
+            assert_eq!(programs_with(files), programs, "of {files}");
+        }
     }
 
     #[test]

@@ -82,9 +82,13 @@ impl Answers for Desk {
     }
 
     fn ask(&mut self, ask: Ask, of: Option<&Attached>) -> (Answer, Option<(Attached, Descriptors)>) {
-        let Self { programs, sockets, .. } = self;
+        let Self { programs, sockets, host, .. } = self;
         match programs {
-            Some(programs) => programs.ask(sockets, ask, of),
+            Some(programs) => {
+                let answered = programs.ask(sockets, ask, of);
+                host.extend(programs.news());
+                answered
+            }
             None => (Answer::refused(Errno::EOPNOTSUPP as i32), None),
         }
     }
@@ -94,9 +98,8 @@ impl Answers for Desk {
     }
 
     fn leave(&mut self, left: Attached) {
-        let Self { programs, sockets, .. } = self;
-        if let Some(programs) = programs {
-            programs.leave(sockets, left);
+        if let Some(programs) = &mut self.programs {
+            programs.leave(left);
         }
     }
 }
@@ -142,11 +145,11 @@ impl Desk {
         Self { programs, ..self }
     }
 
-    /// Closes what programs have left that could not be closed before.
+    /// Closes some of what programs have left.
     pub fn tidy(&mut self) {
         let Self { programs, sockets, .. } = self;
         if let Some(programs) = programs {
-            programs.close_what_is_left(sockets);
+            programs.close_some(sockets);
         }
     }
 

@@ -5,6 +5,7 @@ mod counts;
 mod desk;
 mod failures;
 mod halt;
+mod limits;
 pub mod link;
 pub mod misses;
 mod own_slots;
@@ -126,6 +127,8 @@ pub struct Ready {
     is_master: bool,
     teller: Teller,
     desk: Desk,
+    /// Of programs, at the most.
+    sockets: Option<usize>,
     reach: Reach,
     /// Wakes the control thread.
     changed: Arc<EventFd>,
@@ -146,11 +149,13 @@ pub fn set_up(options: Options) -> Result<Ready> {
     // Whoever is told to end from now on leaves nothing behind.
     let stop = Arc::new(AtomicBool::new(false));
     stop_at_signals(&stop, options.lab.is_some())?;
+    limits::raise_files();
     let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
-    let programs = options.stack.is_some().then(Programs::new).transpose()?;
+    let programs =
+        options.stack.as_ref().map(|stack| Programs::new(stack.socket_buffers.into())).transpose()?;
     programs.iter().for_each(|programs| port.ring_by(programs.doorbells()));
     halt::arm(&mut port, options.lab.as_ref().is_some_and(|lab| lab.may_stall))?;
     // Who may not run a station leaves no directory of names behind.
@@ -185,6 +190,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         is_master,
         teller,
         desk,
+        sockets: options.stack.as_ref().map(|stack| stack.room().sockets),
         reach,
         changed,
     })
@@ -202,6 +208,7 @@ impl Ready {
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
         refused.extend(self.reach.refused);
+        self.sockets.into_iter().for_each(limits::raise_locked);
         // What this thread may still do is what those that it starts may do. The other one may have said the same.
         refused.extend(drop_capabilities().filter(|line| !refused.contains(line)));
         if let Some(clocks) = clocks {
@@ -217,13 +224,13 @@ impl Ready {
                 Some(server) => server.serve_all(LOOK_EVERY, &mut self.desk),
                 None => std::thread::sleep(LOOK_EVERY),
             }
+            self.desk.tidy();
             // However many ask, a lab is told at its own pace, but of another state at once.
             let is_other = self.desk.has_another_state() || self.desk.has_news_of_wire();
             if told.elapsed() < LOOK_EVERY && !ended && !is_other {
                 continue;
             }
             told = Instant::now();
-            self.desk.tidy();
             let changes = self.desk.look_at_wire();
             let (newest, link) = (self.desk.news(), self.desk.link());
             // Who was made a master by command stays, and says whom it makes way for.
@@ -263,6 +270,9 @@ fn port(options: &Options, interface: &Interface) -> Result<Port> {
     };
     let spin = options.spin.nanos().max(0) as u64;
     let mut port = Port::open(interface, data, options.clock(), spin, options.guard)?;
+    if let Some(stack) = &options.stack {
+        port = port.with_receive_buffers(stack.receive_buffers);
+    }
     if options.exclusive {
         port.keep_others_off();
     }

@@ -6,13 +6,14 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rtnet::buf::{Pool, PoolStatistics};
+use rtnet::buf::Pool;
 use rtnet::counters::{Refusal, Refusals};
 use rtnet::discipline::SendError;
 use rtnet::ip::route::{Hop, HostRoute, Interface, Network, NetworkRoute, Origin, RouteError};
 use rtnet::ip::{Exit, Pong, PoolStatus, Stack, StackCounters};
 use rtnet::live::{Driver, Errand, TimeBoard, Visitor, Visits};
 use rtnet::queue::Priority;
+use rtnet::room;
 use rtnet::socket::{Options, SocketCounters, SocketError, SocketId};
 use rtnet::time::Instant as StationTime;
 use rtnet::wire::ethernet::MTU;
@@ -70,7 +71,8 @@ struct Found {
     id: SocketId,
     /// Where one of UDP's hears.
     hears: Option<SocketAddrV4>,
-    pool: PoolStatistics,
+    /// To be counted where that may take long.
+    pool: Arc<Pool>,
     counters: SocketCounters,
 }
 
@@ -142,7 +144,7 @@ impl Sockets {
 
     /// Everything that the stack counts.
     pub fn counters(&self) -> Result<CountersShown, String> {
-        let brought = (None, Vec::with_capacity(self.room()?.sockets));
+        let brought = (None, room::vec(self.room()?.sockets));
         let (counters, sockets) = self.visit(brought, |(counters, sockets), stack, _| {
             *counters = Some(stack.counters());
             find_sockets(stack, sockets);
@@ -158,7 +160,7 @@ impl Sockets {
 
     fn routes(&self) -> Result<RoutesShown, String> {
         let room = self.room()?;
-        let brought = (None, Vec::with_capacity(room.hosts), Vec::with_capacity(room.networks));
+        let brought = (None, room::vec(room.hosts), room::vec(room.networks));
         let (own, hosts, networks) = self.visit(brought, |(own, hosts, networks), stack, _| {
             let routes = stack.routes();
             *own = Some(*routes.own());
@@ -226,7 +228,7 @@ impl Sockets {
     }
 
     fn echoes(&self) -> Result<Vec<EchoShown>, String> {
-        let brought: Vec<Pong> = Vec::with_capacity(ECHOES);
+        let brought: Vec<Pong> = room::vec(ECHOES);
         let come = self.visit(brought, |come, stack, _| {
             while come.len() < ECHOES
                 && let Some(pong) = stack.next_pong()
@@ -238,7 +240,7 @@ impl Sockets {
     }
 
     fn pools(&self) -> Result<Vec<PoolShown>, String> {
-        let brought: (Option<[PoolStatus; 2]>, _) = (None, Vec::with_capacity(self.room()?.sockets));
+        let brought: (Option<[PoolStatus; 2]>, _) = (None, room::vec(self.room()?.sockets));
         let (own, sockets) = self.visit(brought, |(own, sockets), stack, _| {
             *own = Some(stack.pools());
             find_sockets(stack, sockets);
@@ -250,7 +252,7 @@ impl Sockets {
         }
         pools.extend(sockets.iter().map(|found| {
             let lost = found.counters.dropped + found.counters.no_buffers;
-            PoolShown::new(found.name(), found.pool, lost)
+            PoolShown::new(found.name(), found.pool.statistics(), lost)
         }));
         Ok(pools)
     }
@@ -357,17 +359,28 @@ fn text(error: impl ToString) -> String {
 fn find_sockets(stack: &Stack, into: &mut Vec<Found>) {
     for (id, socket) in stack.sockets().take(into.capacity()) {
         let hears = stack.local_address(id).ok();
-        into.push(Found { id, hears, pool: socket.pool().statistics(), counters: socket.counters() });
+        into.push(Found { id, hears, pool: socket.pool().clone(), counters: socket.counters() });
     }
 }
 
 fn host_shown(host: &HostRoute) -> HostShown {
-    let origin = match host.origin {
+    let origin = origin_name(host.origin);
+    HostShown { ip: host.ip, address: host.address.to_string(), origin: origin.into() }
+}
+
+fn origin_name(origin: Origin) -> &'static str {
+    match origin {
         Origin::Static => "static",
         Origin::Solicited => "solicited",
         Origin::Learned => "learned",
-    };
-    HostShown { ip: host.ip, address: host.address.to_string(), origin: origin.into() }
+    }
+}
+
+/// A host route as it was shown.
+pub fn as_shown(host: &HostShown) -> Option<HostRoute> {
+    let all = [Origin::Static, Origin::Solicited, Origin::Learned];
+    let origin = all.into_iter().find(|&origin| origin_name(origin) == host.origin)?;
+    Some(HostRoute { ip: host.ip, address: host.address.parse().ok()?, origin })
 }
 
 fn network_shown(route: &NetworkRoute) -> NetworkShown {

@@ -6,8 +6,11 @@ use std::str::FromStr;
 
 use anyhow::Result;
 use rtnet::api::line::Lines;
-use rtnet::ip::route::{DEFAULT_HOSTS, DEFAULT_NETWORKS, Interface, Routes};
+use rtnet::ip::route::{Interface, Routes};
 use rtnet::ip::{Stack, StackConfig};
+use rtnet::live::RECEIVE_POOL;
+use rtnet::socket::DEFAULT_BUFFERS;
+use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::sockets::{Room, Route};
@@ -25,20 +28,60 @@ pub struct StackOptions {
     pub ports: RangeInclusive<u16>,
     /// Whether datagrams in fragments must have the right checksum, too.
     pub strict_checksums: bool,
+    /// How long the next fragment is waited for.
+    pub fragment_timeout: Span,
+    /// Host routes at the most.
+    pub hosts: usize,
+    /// Network routes at the most.
+    pub networks: usize,
+    /// Buffers of a socket whose program does not say how many.
+    pub socket_buffers: u16,
+    /// Buffers for frames that have just come.
+    pub receive_buffers: usize,
+    /// Buffers for echoes.
+    pub icmp_buffers: usize,
+    /// Buffers for address resolution.
+    pub arp_buffers: usize,
 }
 
 impl StackOptions {
+    /// Of a station with this address, of which nothing else was said.
+    pub fn usual(ip: OwnIp) -> Self {
+        let config = StackConfig::new(ip.interface(Address::default()));
+        Self {
+            ip,
+            routes: Vec::new(),
+            sockets: config.sockets,
+            ports: config.ports,
+            strict_checksums: config.fragment_checksums,
+            fragment_timeout: config.fragment_timeout,
+            hosts: config.hosts,
+            networks: config.networks,
+            socket_buffers: DEFAULT_BUFFERS as u16,
+            receive_buffers: RECEIVE_POOL,
+            icmp_buffers: config.icmp_buffers,
+            arp_buffers: config.arp_buffers,
+        }
+    }
+
     /// How much it can have.
     pub fn room(&self) -> Room {
-        Room { sockets: self.sockets.into(), hosts: DEFAULT_HOSTS, networks: DEFAULT_NETWORKS }
+        Room { sockets: self.sockets.into(), hosts: self.hosts, networks: self.networks }
     }
 
     /// The stack of a station whose interface has this address.
     pub fn stack(&self, address: Address) -> Result<Stack> {
-        let mut config = StackConfig::new(self.interface(address));
-        config.sockets = self.sockets;
-        config.ports = self.ports.clone();
-        config.fragment_checksums = self.strict_checksums;
+        let config = StackConfig {
+            interface: self.ip.interface(address),
+            hosts: self.hosts,
+            networks: self.networks,
+            sockets: self.sockets,
+            ports: self.ports.clone(),
+            icmp_buffers: self.icmp_buffers,
+            arp_buffers: self.arp_buffers,
+            fragment_timeout: self.fragment_timeout,
+            fragment_checksums: self.strict_checksums,
+        };
         let lines = Lines::new(self.sockets.into());
         let mut stack = Stack::new(config, vec![Box::new(lines)]);
         self.add_to(stack.routes_mut())?;
@@ -47,7 +90,8 @@ impl StackOptions {
 
     /// Refuses routes that cannot be, before anything is opened.
     pub fn check(&self) -> Result<()> {
-        self.add_to(&mut Routes::new(self.interface(Address::default()), DEFAULT_HOSTS, DEFAULT_NETWORKS))
+        let own = self.ip.interface(Address::default());
+        self.add_to(&mut Routes::new(own, self.hosts, self.networks))
     }
 
     fn add_to(&self, routes: &mut Routes) -> Result<()> {
@@ -55,10 +99,6 @@ impl StackOptions {
             add(routes, route).map_err(|error| anyhow::anyhow!("{whence}: {error}"))?;
         }
         Ok(())
-    }
-
-    fn interface(&self, address: Address) -> Interface {
-        Interface { address, ip: self.ip.ip, prefix: self.ip.prefix }
     }
 }
 
@@ -77,6 +117,12 @@ pub struct OwnIp {
     pub ip: Ipv4Addr,
     /// Leading bits of its network.
     pub prefix: u8,
+}
+
+impl OwnIp {
+    fn interface(self, address: Address) -> Interface {
+        Interface { address, ip: self.ip, prefix: self.prefix }
+    }
 }
 
 /// What cannot be a station's address.

@@ -124,8 +124,9 @@ impl Door {
         if buffers > MOST_BUFFERS {
             return Err(refused(Errno::ENOMEM));
         }
-        let line = Line::new(self.doorbells.clone()).map_err(|_| refused(Errno::ENOMEM))?;
-        let descriptors = line.descriptors().map_err(|_| refused(Errno::ENFILE))?;
+        let lacks = |error: io::Error| Answer::refused(error.raw_os_error().unwrap_or(Errno::ENOMEM as i32));
+        let line = Line::new(self.doorbells.clone()).map_err(lacks)?;
+        let descriptors = line.descriptors().map_err(lacks)?;
         let pool = self.pool(buffers).ok_or(refused(Errno::ENOBUFS))?;
         let (socket, line) = (Some(socket(pool.clone())), Some(line));
         Ok(What::Open(Box::new(Opening { socket, line, pool, descriptors, opened: None })))

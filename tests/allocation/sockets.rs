@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use rtmac::tdma::Tdma;
 use rtnet::Direct;
 use rtnet::at_once::DEFAULT_ASK_EVERY;
@@ -17,6 +18,8 @@ use rtnet::wire::ethernet::{EtherType, MTU};
 use tests::stacks::{
     self, CYCLE, Does, Own, address, assert_pools_full, at, bytes, cycles, ip, network, slot, stack,
 };
+use tools::control::EchoRequest;
+use tools::station::echoes::Echoes;
 
 use crate::calls;
 
@@ -149,6 +152,30 @@ fn sockets_in_slots_allocate_nothing() {
 #[test]
 fn sockets_without_slots_allocate_nothing() {
     check_allocates_nothing(without_slots());
+}
+
+#[test]
+fn what_a_ping_asks_for_allocates_nothing_in_the_stations_thread() {
+    let doorbells = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a host has descriptors");
+    let mut echoes = Echoes::new(&doorbells).expect("the same");
+    let stacks = [stack(0, vec![Box::new(echoes.asker())]), stack(1, Vec::new())];
+    let stations = stacks.map(|own| Station::new(Direct::new(DEFAULT_ASK_EVERY), Vec::new()).with_stack(own));
+    let mut network = network(stations.into(), Host::IDEAL);
+    let (mut allocations, mut came, mut failed) = (0, 0, 0);
+    for sequence in 0..3_000 {
+        // A station that answers, this one itself, and nobody.
+        let to = [ip(1), ip(0), ip(20)][usize::from(sequence) % 3];
+        let echo = EchoRequest { to, identifier: 7, sequence, size: 56, priority: 30, channel: 1 };
+        echoes.ask(echo, Instant::default).expect("the one before was taken");
+        let before = calls();
+        cycles(&mut network, 2);
+        // The simulator's own lists become as long as they will be.
+        allocations += if sequence < 1_000 { 0 } else { calls() - before };
+        let news = echoes.of(7);
+        (came, failed) = (came + news.came.len(), failed + news.failed.len());
+    }
+    assert_eq!((came, failed), (2_000, 1_000));
+    assert_eq!(allocations, 0);
 }
 
 #[test]

@@ -4,6 +4,7 @@
 #![allow(clippy::disallowed_methods)]
 
 mod abused;
+mod addresses;
 mod backups;
 mod calibrate;
 mod cell;

@@ -140,8 +140,15 @@ fn of_a_file_with_a_bad_line_no_route_is_taken() {
 fn a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited() {
     network("a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited", || {
         let two = Two::start("ping");
-        let unknown = refused("ping", &two.b, &["-c", "1", "10.0.0.1"], 1);
-        assert!(unknown.contains("no route to 10.0.0.1"), "{unknown}");
+        // What cannot be asked counts, and the summary comes.
+        let unknown = ask("ping", &two.b, &["-c", "2", "-i", "20ms", "10.0.0.1"]);
+        let words = String::from_utf8(unknown.stdout).unwrap();
+        assert_eq!((unknown.status.code(), unknown.stderr.len()), (Some(1), 0), "{words}");
+        assert!(words.contains("seq=1 was not asked: no route to 10.0.0.1"), "{words}");
+        assert!(
+            words.contains("2 sent, 0 came back, 0.0 % lost, 2 were not asked:\n  2 times: no route"),
+            "{words}"
+        );
         said("route", &two.b, &["add", "10.0.0.1", A]);
         let round = json("ping", &two.a, &["-c", "5", "-i", "20ms", "--size", "100", "10.0.0.2"]);
         assert_eq!((&round["sent"], &round["answers"][0]["bytes"]), (&5.into(), &100.into()), "{round:#}");
@@ -182,6 +189,7 @@ fn a_station_without_an_address_says_what_to_start_it_with() {
             ("pool", &[]),
             ("stat", &[]),
             ("route", &["solicit", "10.0.0.1"]),
+            ("ping", &["10.0.0.1"]),
         ] {
             let message = refused(verb, &name, arguments, 2);
             assert!(

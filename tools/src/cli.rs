@@ -81,7 +81,8 @@ pub enum Verb {
     /// Ask a station for echoes, from a running station, and tell how long they took
     ///
     /// The time of an echo is from when the station was asked until the answer came; how much of it the
-    /// question waited for its slot is told, too.
+    /// question waited for its slot is told, too. Questions come at other moments of the cycle each time,
+    /// so that the best and the worst case show; in a lab, what the schedule says of them stands below.
     ///
     /// Exit status: 0; 1 nothing came back, or nothing could be sent; 2 bad usage.
     Ping(PingArgs),

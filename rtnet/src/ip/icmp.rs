@@ -23,6 +23,8 @@ use super::output::Output;
 pub const DEFAULT_BUFFERS: usize = 8;
 /// Answers that wait to be looked at; one more is lost, and counted.
 const MOST_PONGS: usize = 32;
+/// Rounds of questions at a time, of people who each wait for their own answers; the oldest makes room.
+const MOST_ROUNDS: usize = 8;
 /// The slot of whatever is not urgent, and the last real-time priority: RTnet's for ICMP and ARP.
 pub(super) const OPTIONS: Options =
     Options { priority: Priority::LAST_REAL_TIME, channel: NON_RT_CHANNEL, tos: 0 };
@@ -50,16 +52,17 @@ pub(super) struct Icmp {
     pub pool: Pool,
     /// Its own count, as real stations have.
     output: Output,
-    /// The round of questions whose answers are waited for.
-    asking: Option<u16>,
+    /// The rounds of questions whose answers are waited for, oldest first.
+    asking: ArrayVec<u16, MOST_ROUNDS>,
     pongs: ArrayVec<Pong, MOST_PONGS>,
-    /// The newest questions that have left, and when.
-    left: ArrayVec<(u16, Instant), MOST_PONGS>,
+    /// The newest questions that have left, by round and number, and when.
+    left: ArrayVec<((u16, u16), Instant), MOST_PONGS>,
 }
 
 impl Icmp {
     pub fn new(pool: Pool) -> Self {
-        Self { pool, output: Output::default(), asking: None, pongs: ArrayVec::new(), left: ArrayVec::new() }
+        let (asking, pongs, left) = (ArrayVec::new(), ArrayVec::new(), ArrayVec::new());
+        Self { pool, output: Output::default(), asking, pongs, left }
     }
 }
 
@@ -91,10 +94,11 @@ impl Stack {
                 Ok(())
             }
             Kind::Reply => {
-                let waited = self.icmp.asking == Some(echo.identifier());
                 let from = header.source();
                 let (identifier, sequence) = (echo.identifier(), echo.sequence());
-                let left = self.icmp.left.iter().rev().find(|(of, _)| *of == sequence).map(|(_, at)| *at);
+                let waited = self.icmp.asking.contains(&identifier);
+                let which = (identifier, sequence);
+                let left = self.icmp.left.iter().rev().find(|(of, _)| *of == which).map(|(_, at)| *at);
                 let pong = Pong { from, identifier, sequence, len: data.len(), rx, left };
                 let kept = waited && self.icmp.pongs.try_push(pong).is_ok();
                 kept.then_some(()).ok_or(Refusal::IcmpUnexpected)
@@ -102,7 +106,7 @@ impl Stack {
         }
     }
 
-    /// Asks for an echo. Its answer is waited for until a round with another identifier begins.
+    /// Asks for an echo. Its answer is waited for until eight rounds with other identifiers have begun.
     pub fn ask_echo(
         &mut self,
         to: Ipv4Addr,
@@ -111,9 +115,12 @@ impl Stack {
         options: Options,
         exit: &mut dyn Exit,
     ) -> Result<(), SocketError> {
-        if self.icmp.asking.replace(identifier) != Some(identifier) {
-            self.icmp.pongs.clear();
-            self.icmp.left.clear();
+        let asking = &mut self.icmp.asking;
+        if !asking.contains(&identifier) {
+            if asking.is_full() {
+                asking.remove(0);
+            }
+            asking.push(identifier);
         }
         let echo = Echo::new(Kind::Request, identifier, sequence, data);
         self.send_echo((Ipv4Addr::UNSPECIFIED, to), echo, data, options, exit)
@@ -126,7 +133,9 @@ impl Stack {
 
     /// A frame was chosen for a slot that begins then: one that asks for an echo has waited until now.
     pub fn leaves(&mut self, begin: Instant, frame: &[u8]) {
-        let Some(asking) = self.icmp.asking else { return };
+        if self.icmp.asking.is_empty() {
+            return;
+        }
         let Some((link, packet)) = ethernet::Header::parse(frame) else { return };
         if link.ether_type() != EtherType::IPV4 {
             return;
@@ -136,14 +145,14 @@ impl Stack {
             return;
         }
         let Ok((echo, _)) = icmpv4::parse(message) else { return };
-        if echo.kind() == Kind::Request && echo.identifier() == asking {
-            let left = &mut self.icmp.left;
+        if echo.kind() == Kind::Request && self.icmp.asking.contains(&echo.identifier()) {
+            let (left, which) = (&mut self.icmp.left, (echo.identifier(), echo.sequence()));
             // One that missed its slot leaves again.
-            left.retain(|(sequence, _)| *sequence != echo.sequence());
+            left.retain(|(of, _)| *of != which);
             if left.is_full() {
                 left.remove(0);
             }
-            left.push((echo.sequence(), begin));
+            left.push((which, begin));
         }
     }
 

@@ -1,11 +1,11 @@
 //! Programs on the station's side of the fence: they run in its thread, between a frame and the next slot.
 
 use core::any::Any;
-use core::net::SocketAddrV4;
+use core::net::{Ipv4Addr, SocketAddrV4};
 
 use super::{Flags, LinkType, Options, Received, Socket, SocketCounters, SocketError, SocketId};
 use crate::discipline::TimeView;
-use crate::ip::{Exit, Stack};
+use crate::ip::{Exit, Pong, Stack};
 use crate::queue::Priority;
 use crate::time::Instant;
 use crate::wire::ethernet::{Address, EtherType};
@@ -125,6 +125,21 @@ impl<'a> Access<'a> {
         to: Option<(Address, EtherType)>,
     ) -> Result<(), SocketError> {
         self.stack.send_frame(id, data, to, Flags::NONE, self.exit)
+    }
+
+    /// As [`Stack::ask_echo`].
+    pub fn ask_echo(
+        &mut self,
+        to: Ipv4Addr,
+        which: (u16, u16),
+        data: &[u8],
+        options: Options,
+    ) -> Result<(), SocketError> {
+        self.stack.ask_echo(to, which, data, options, self.exit)
+    }
+    /// As [`Stack::next_pong`].
+    pub fn next_pong(&mut self) -> Option<Pong> {
+        self.stack.next_pong()
     }
 
     /// The oldest that has come for a socket, copied as far as it fits. Does not wait.

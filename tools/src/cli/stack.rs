@@ -122,7 +122,7 @@ pub struct PingArgs {
     /// How often [default: until Ctrl-C]
     #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub count: Option<u64>,
-    /// From one question to the next
+    /// From one question to the next, but for the cycle that they are spread over
     #[arg(short, long, default_value = "1s", value_parser = parse_positive_span)]
     pub interval: Span,
     /// Bytes behind the header of the echo

@@ -1,6 +1,8 @@
 //! `rtnet ping`.
 
-use std::collections::BTreeMap;
+mod plan;
+
+use std::collections::{BTreeMap, VecDeque};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,12 +14,21 @@ use super::Failure;
 use super::interface::{asked, unasked};
 use super::tdma::found;
 use crate::cli::{PingArgs, Which};
-use crate::control::{EchoRequest, EchoShown, StackReply, StackRequest};
+use crate::control::{EchoRequest, EchoShown, EchoesShown, StackReply, StackRequest};
 use crate::report::text::micros;
+use plan::Plan;
 
 /// How often to look for answers, and how long for those to the last questions: as long as RTnet's.
 const LOOK_EVERY: Duration = Duration::from_millis(2);
 const LAST_WITHIN: Duration = Duration::from_millis(500);
+/// Stations tell what they have missed twenty times a second.
+const TOLD_WITHIN: Duration = Duration::from_millis(100);
+/// Answers that are remembered, the newest: whoever asks for days has figures of the last hours.
+const ANSWERS_AT_MOST: usize = 100_000;
+/// Reasons why questions fail that are told apart.
+const REASONS_AT_MOST: usize = 16;
+/// Multiples of the golden ratio, their whole parts left out, lie as far apart as can be, however many there are.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// What came of a round of questions.
 #[derive(Debug, Serialize)]
@@ -25,6 +36,9 @@ struct Round {
     to: Ipv4Addr,
     sent: u64,
     received: u64,
+    /// Questions that could not be asked, and why.
+    failed: u64,
+    failures: BTreeMap<String, u64>,
     lost: u64,
     loss: f64,
     /// From asking until the answer came.
@@ -33,10 +47,13 @@ struct Round {
     waited_ns: Option<Spread>,
     /// The rest: on the way, and at the other station.
     rest_ns: Option<Spread>,
-    answers: Vec<Answer>,
+    /// What the schedule says of it, in a lab.
+    schedule: Option<Scheduled>,
+    /// The newest, if there are more than can be remembered.
+    answers: VecDeque<Answer>,
 }
 
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 struct Answer {
     sequence: u16,
     bytes: usize,
@@ -52,13 +69,35 @@ struct Spread {
     max: u64,
 }
 
+/// A round beside what its stations' slots say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+struct Scheduled {
+    best_ns: u64,
+    worst_ns: u64,
+    /// By how much 19 of 20 rests are beside their middle at the most: what is no waiting for the slot takes always the
+    /// same time by the schedule.
+    jitter_ns: u64,
+    /// Round trips longer than the worst and the jitter.
+    longer: u64,
+    /// Slots that the two have missed meanwhile: each may be the reason of one of those.
+    slots_missed: u64,
+}
+
 impl Spread {
     fn of(mut values: Vec<u64>) -> Option<Self> {
         values.sort_unstable();
-        let at =
-            |part: f64| values[((values.len() as f64 * part).ceil() as usize).clamp(1, values.len()) - 1];
-        (!values.is_empty()).then(|| Self { min: at(0.0), p50: at(0.5), p99: at(0.99), max: at(1.0) })
+        (!values.is_empty()).then(|| Self {
+            min: at(&values, 0.0),
+            p50: at(&values, 0.5),
+            p99: at(&values, 0.99),
+            max: at(&values, 1.0),
+        })
     }
+}
+
+/// The value below which such a part lies, of some in order.
+fn at(values: &[u64], part: f64) -> u64 {
+    values[((values.len() as f64 * part).ceil() as usize).clamp(1, values.len()) - 1]
 }
 
 /// Asks a station for echoes.
@@ -67,20 +106,44 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone())
         .map_err(|error| Failure::Run(error.into()))?;
-    let mut run = Run { which, args, identifier: identifier(), open: BTreeMap::new(), answers: Vec::new() };
-    let interval = Duration::from_nanos(args.interval.nanos().unsigned_abs());
-    let (begun, mut sent) = (Instant::now(), 0);
-    while !stop.load(Ordering::Relaxed) && args.count.is_none_or(|count| sent < count) {
-        sent += 1;
-        run.ask(sent as u16)?;
-        let next = begun + interval * u32::try_from(sent).unwrap_or(u32::MAX);
-        let is_last = args.count == Some(sent);
-        let until = if is_last { Instant::now() + LAST_WITHIN } else { next };
-        run.listen(until, is_last, &stop)?;
+    let plan = Plan::of(which, args.ip, args.channel);
+    let mut run = Run::new(which, args);
+    let mut begun = Instant::now();
+    while !stop.load(Ordering::Relaxed) && args.count.is_none_or(|count| run.sent < count) {
+        let moment = begun + due(run.sent, args, plan.cycle);
+        run.listen(moment, &stop, |_| false)?;
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        run.ask()?;
+        begun += held_up(moment.elapsed(), args, plan.cycle);
     }
-    let round = run.round(sent);
+    run.listen(Instant::now() + LAST_WITHIN, &stop, |run| run.open.is_empty())?;
+    let schedule = plan.wait().map(|wait| {
+        std::thread::sleep(TOLD_WITHIN);
+        run.beside([wait.best, wait.worst].map(|span| span.nanos().unsigned_abs()), plan.missed())
+    });
+    let round = run.round(schedule);
     super::print(which.json, &round, summary).map_err(Failure::Run)?;
     Ok(u8::from(round.received == 0))
+}
+
+/// When a question is asked, from the begin on. Where there is a cycle they are spread over it: all asked in the same
+/// moment of a cycle would wait equally long for their slot, and show neither the best case nor the worst.
+fn due(question: u64, args: &PingArgs, cycle: Option<Duration>) -> Duration {
+    let interval = Duration::from_nanos(args.interval.nanos().unsigned_abs());
+    let spread = cycle.map_or(Duration::ZERO, |cycle| cycle.mul_f64((question as f64 * GOLDEN).fract()));
+    let whole = interval.as_nanos().saturating_mul(question.into());
+    Duration::from_nanos(u64::try_from(whole).unwrap_or(u64::MAX / 2)) + spread
+}
+
+/// By how much all later questions are put off after one that was so late: on a busy host it, too, waits to run. Several that
+/// are asked at once wait for each other's slots, not only for their own.
+fn held_up(late: Duration, args: &PingArgs, cycle: Option<Duration>) -> Duration {
+    let interval = Duration::from_nanos(args.interval.nanos().unsigned_abs());
+    // Two that follow each other are so far apart in a cycle that this brings them to the same slot seldom.
+    let at_most = cycle.unwrap_or(interval).min(interval) / 4;
+    if late > at_most { late } else { Duration::ZERO }
 }
 
 /// A round under way.
@@ -88,74 +151,141 @@ struct Run<'a> {
     which: &'a Which,
     args: &'a PingArgs,
     identifier: u16,
+    sent: u64,
+    received: u64,
+    failures: BTreeMap<String, u64>,
     /// Questions without an answer, and when they were asked.
     open: BTreeMap<u16, u64>,
-    answers: Vec<Answer>,
+    answers: VecDeque<Answer>,
 }
 
-impl Run<'_> {
-    fn ask(&mut self, sequence: u16) -> Result<(), Failure> {
+impl<'a> Run<'a> {
+    fn new(which: &'a Which, args: &'a PingArgs) -> Self {
+        let (failures, open, answers) = Default::default();
+        Self { which, args, identifier: identifier(), sent: 0, received: 0, failures, open, answers }
+    }
+
+    /// Asks the next question. Where not even the first can be asked, there is nothing to be measured.
+    fn ask(&mut self) -> Result<(), Failure> {
         let &PingArgs { ip: to, size, priority, channel, .. } = self.args;
-        let (identifier, size) = (self.identifier, size.into());
+        let (identifier, sequence, size) = (self.identifier, (self.sent + 1) as u16, size.into());
         let echo = EchoRequest { to, identifier, sequence, size, priority, channel };
-        match asked(self.which, StackRequest::Echo(echo)).map_err(|error| Failure::Run(into_error(error)))? {
-            StackReply::Asked(at) => {
+        match asked(self.which, StackRequest::Echo(echo)) {
+            Ok(StackReply::Asked(at)) => {
+                self.sent += 1;
                 self.open.insert(sequence, at);
                 Ok(())
             }
-            _ => Err(unasked(self.which)),
+            Ok(_) => Err(unasked(self.which)),
+            Err(error) if self.sent == 0 => Err(error),
+            Err(error) => {
+                self.sent += 1;
+                self.fails(sequence, &format!("{:#}", into_error(error)))
+            }
         }
     }
 
-    /// Takes answers until then; or, for the last question, until all are there.
-    fn listen(&mut self, until: Instant, is_last: bool, stop: &AtomicBool) -> Result<(), Failure> {
+    fn fails(&mut self, sequence: u16, why: &str) -> Result<(), Failure> {
+        if !self.which.json {
+            super::say(&format!("seq={sequence} was not asked: {why}\n")).map_err(Failure::Run)?;
+        }
+        let is_known = self.failures.contains_key(why) || self.failures.len() < REASONS_AT_MOST;
+        *self.failures.entry(if is_known { why } else { "another reason" }.to_owned()).or_default() += 1;
+        Ok(())
+    }
+
+    /// Takes answers until then, or until it is done.
+    fn listen(
+        &mut self,
+        until: Instant,
+        stop: &AtomicBool,
+        is_done: impl Fn(&Self) -> bool,
+    ) -> Result<(), Failure> {
         loop {
-            self.look()?;
+            if !self.open.is_empty() {
+                self.look()?;
+            }
             let left = until.saturating_duration_since(Instant::now());
-            let done = is_last && self.open.is_empty();
-            if left.is_zero() || done || stop.load(Ordering::Relaxed) {
+            if left.is_zero() || is_done(self) || stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
             // While no answer is due, nobody is asked for one.
-            std::thread::sleep(if self.open.is_empty() {
-                left.min(LAST_WITHIN)
-            } else {
-                left.min(LOOK_EVERY)
-            });
+            let pause = if self.open.is_empty() { LAST_WITHIN } else { LOOK_EVERY };
+            std::thread::sleep(left.min(pause));
         }
     }
 
     fn look(&mut self) -> Result<(), Failure> {
-        let StackReply::Echoes(echoes) = asked(self.which, StackRequest::Echoes)? else {
-            return Err(unasked(self.which));
+        let EchoesShown { came, failed } = match asked(self.which, StackRequest::Echoes(self.identifier)) {
+            Ok(StackReply::Echoes(echoes)) => echoes,
+            Ok(_) => return Err(unasked(self.which)),
+            // Who does not answer now may do so the next time; its questions count as lost.
+            Err(_) => return Ok(()),
         };
-        for echo in echoes.iter().filter(|echo| echo.identifier == self.identifier) {
+        for failed in failed {
+            if self.open.remove(&failed.sequence).is_some() {
+                self.fails(failed.sequence, &failed.why)?;
+            }
+        }
+        for echo in came {
             let Some(asked) = self.open.remove(&echo.sequence) else { continue };
-            let answer = answer(echo, asked);
+            let answer = answer(&echo, asked);
             if !self.which.json {
                 super::say(&line(echo.from, &answer)).map_err(Failure::Run)?;
             }
-            self.answers.push(answer);
+            self.received += 1;
+            if self.answers.len() == ANSWERS_AT_MOST {
+                self.answers.pop_front();
+            }
+            self.answers.push_back(answer);
         }
         Ok(())
     }
 
-    fn round(self, sent: u64) -> Round {
-        let answers = self.answers;
-        let received = answers.len() as u64;
+    /// What the schedule says, and how much of it is otherwise.
+    fn beside(&self, [best_ns, worst_ns]: [u64; 2], slots_missed: u64) -> Scheduled {
+        let jitter_ns = jitter(self.answers.iter().filter_map(Answer::rest).collect());
+        let trips = self.answers.iter().filter_map(|answer| answer.round_trip_ns);
+        let longer = trips.filter(|&trip| trip > worst_ns + jitter_ns).count() as u64;
+        Scheduled { best_ns, worst_ns, jitter_ns, longer, slots_missed }
+    }
+
+    fn round(self, schedule: Option<Scheduled>) -> Round {
+        let Self { sent, received, failures, answers, .. } = self;
+        let failed = failures.values().sum();
+        let lost = sent.saturating_sub(received + failed);
         let spread = |of: fn(&Answer) -> Option<u64>| Spread::of(answers.iter().filter_map(of).collect());
         Round {
             to: self.args.ip,
             sent,
             received,
-            lost: sent - received,
-            loss: if sent == 0 { 0.0 } else { (sent - received) as f64 / sent as f64 },
+            failed,
+            failures,
+            lost,
+            loss: if sent == 0 { 0.0 } else { lost as f64 / sent as f64 },
             round_trip_ns: spread(|answer| answer.round_trip_ns),
             waited_ns: spread(|answer| answer.waited_ns),
-            rest_ns: spread(|answer| answer.round_trip_ns?.checked_sub(answer.waited_ns?)),
+            rest_ns: spread(Answer::rest),
+            schedule,
             answers,
         }
     }
+}
+
+impl Answer {
+    /// What is no waiting for the slot.
+    fn rest(&self) -> Option<u64> {
+        self.round_trip_ns?.checked_sub(self.waited_ns?)
+    }
+}
+
+/// By how much 19 of 20 are beside their middle at the most.
+fn jitter(mut values: Vec<u64>) -> u64 {
+    values.sort_unstable();
+    let Some(middle) = (!values.is_empty()).then(|| at(&values, 0.5)) else { return 0 };
+    let mut beside: Vec<u64> = values.iter().map(|value| value.abs_diff(middle)).collect();
+    beside.sort_unstable();
+    at(&beside, 0.95)
 }
 
 fn into_error(failure: Failure) -> anyhow::Error {
@@ -164,10 +294,10 @@ fn into_error(failure: Failure) -> anyhow::Error {
     }
 }
 
-/// As RTnet's: of the start in microseconds.
+/// As RTnet's: of the start in microseconds; and of the process, since two may start at once.
 fn identifier() -> u16 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    since.as_micros() as u16
+    (since.as_micros() as u16).wrapping_add((std::process::id() as u16).wrapping_mul(7_919))
 }
 
 fn answer(echo: &EchoShown, asked: u64) -> Answer {
@@ -186,8 +316,10 @@ fn line(from: Ipv4Addr, answer: &Answer) -> String {
 }
 
 fn summary(round: &Round) -> String {
-    let Round { to, sent, received, loss, .. } = round;
-    let mut text = format!("{to}: {sent} sent, {received} came back, {:.1} % lost\n", loss * 100.0);
+    let Round { to, sent, received, failed, failures, loss, .. } = round;
+    let mut text = format!("{to}: {sent} sent, {received} came back, {:.1} % lost", loss * 100.0);
+    text += &if *failed > 0 { format!(", {failed} were not asked:\n") } else { "\n".into() };
+    failures.iter().for_each(|(why, n)| text += &format!("  {n} times: {why}\n"));
     for (what, spread) in [
         ("round trip", round.round_trip_ns),
         ("waiting for the slot", round.waited_ns),
@@ -197,12 +329,32 @@ fn summary(round: &Round) -> String {
         let [min, p50, p99, max] = [min, p50, p99, max].map(|ns| micros(ns as i64));
         text += &format!("{what}: min {min}, p50 {p50}, p99 {p99}, max {max} us\n");
     }
+    if let Some(Scheduled { best_ns, worst_ns, jitter_ns, longer, slots_missed }) = round.schedule {
+        let [best, worst, jitter] = [best_ns, worst_ns, jitter_ns].map(|ns| micros(ns as i64));
+        text += &format!(
+            "schedule: best {best}, worst {worst} us; by more than the jitter of {jitter} us {longer} took longer, while the \
+             two stations missed {slots_missed} slots\n"
+        );
+    }
     text
 }
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+    use rtnet::time::Span;
+
     use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        ping: PingArgs,
+    }
+
+    fn args(line: &str) -> PingArgs {
+        Line::parse_from(["ping"].into_iter().chain(line.split(' '))).ping
+    }
 
     #[test]
     fn a_spread_is_of_values_that_occurred() {
@@ -210,5 +362,65 @@ mod tests {
         let all = Spread::of((1..=200).rev().collect());
         assert_eq!(all, Some(Spread { min: 1, p50: 100, p99: 198, max: 200 }));
         assert_eq!(Spread::of(vec![7]), Some(Spread { min: 7, p50: 7, p99: 7, max: 7 }));
+    }
+
+    #[test]
+    fn questions_come_as_often_as_was_said_and_everywhere_in_a_cycle() {
+        let (cycle, every) = (Duration::from_millis(1), Duration::from_millis(4));
+        let args = args("-S a -i 4ms 10.0.0.1");
+        assert_eq!(args.interval, Span::from_millis(4));
+        let asked = |n| due(n, &args, Some(cycle));
+        let mut within: Vec<Duration> = (0..100).map(|n| asked(n) - every * n as u32).collect();
+        within.sort_unstable();
+        let gaps = within.windows(2).map(|pair| pair[1] - pair[0]);
+        let largest = gaps.chain([within[0], cycle - within[99]]).max().unwrap();
+        assert!(largest < Duration::from_micros(20), "{largest:?}");
+        assert!((1..100).all(|n| asked(n) > asked(n - 1)));
+        assert_eq!(due(3, &args, None), every * 3, "where there is no cycle");
+        // After a hold-up there is no burst.
+        let late = |micros| held_up(Duration::from_micros(micros), &args, Some(cycle)).as_micros();
+        assert_eq!([0, 250, 251, 9_000].map(late), [0, 0, 251, 9_000]);
+    }
+
+    #[test]
+    fn what_fails_counts_by_its_reason_and_the_rest_as_lost_or_received() {
+        let args = args("-S a -i 4ms --json 10.0.0.1");
+        let mut run = Run::new(&args.which, &args);
+        run.sent = 100;
+        (0..30).for_each(|n| run.fails(n, &format!("reason {}", n / 2)).unwrap());
+        (0..10).for_each(|n| run.fails(n, &format!("later reason {n}")).unwrap());
+        run.received = 40;
+        let round = run.round(None);
+        assert_eq!((round.failed, round.lost, round.loss), (40, 20, 0.2));
+        assert_eq!((round.failures.len(), round.failures["reason 3"]), (17, 2));
+        assert_eq!(round.failures["another reason"], 9);
+        let text = summary(&round);
+        assert!(
+            text.starts_with("10.0.0.1: 100 sent, 40 came back, 20.0 % lost, 40 were not asked:\n"),
+            "{text}"
+        );
+        assert!(text.contains("\n  2 times: reason 3\n"), "{text}");
+    }
+
+    #[test]
+    fn round_trips_are_compared_with_the_schedule_beyond_the_jitter_of_what_is_no_waiting() {
+        let args = args("-S a --json 10.0.0.1");
+        let mut run = Run::new(&args.which, &args);
+        // A rest of 300 us, one in 20 of them 5 us longer, and one that was a cycle late.
+        run.answers = (0..100)
+            .map(|n| {
+                let rest = 300_000 + if n % 20 == 7 { 5_000 } else { n };
+                let late = if n == 50 { 1_000_000 } else { 0 };
+                let waited = 50_000 + n * 10_000;
+                let (round_trip_ns, waited_ns) = (Some(rest + late + waited), Some(waited));
+                Answer { sequence: n as u16, bytes: 56, round_trip_ns, waited_ns }
+            })
+            .collect();
+        let beside = run.beside([350_000, 1_350_000], 2);
+        assert_eq!((beside.longer, beside.slots_missed), (1, 2));
+        assert!((1..=5_000).contains(&beside.jitter_ns), "{beside:?}");
+        let text = summary(&run.round(Some(beside)));
+        assert!(text.contains("schedule: best 350, worst 1 350 us; "), "{text}");
+        assert!(text.ends_with("1 took longer, while the two stations missed 2 slots\n"), "{text}");
     }
 }

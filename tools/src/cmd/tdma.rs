@@ -221,7 +221,7 @@ fn with_names(which: &Which, mut status: StationStatus) -> StationStatus {
 }
 
 /// A lab that is busy is not waited for: addresses will do.
-fn stations(lab: &str) -> Option<Vec<MemberStatus>> {
+pub fn stations(lab: &str) -> Option<Vec<MemberStatus>> {
     let path = Directory::of_user().lab(lab);
     let mut question = Question::put(&path, LabRequest::Status, NAMED_WITHIN).ok()?;
     match question.answer(NAMED_WITHIN).ok()?? {

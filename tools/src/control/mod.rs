@@ -30,6 +30,6 @@ pub use protocol::{
 };
 pub use server::{REQUEST_AT_MOST, Server, Traffic};
 pub use sockets::{
-    ChannelShown, CountersShown, EchoRequest, EchoShown, HostShown, InterfaceShown, NetworkShown, PoolShown,
-    RouteSaid, RoutesShown, StackReply, StackRequest, Way,
+    ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,
+    NetworkShown, PoolShown, RouteSaid, RoutesShown, StackReply, StackRequest, Way,
 };

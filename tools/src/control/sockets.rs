@@ -24,8 +24,8 @@ pub enum StackRequest {
     Lookup(Ipv4Addr),
     /// Ask for an echo.
     Echo(EchoRequest),
-    /// The echoes that have come since this was last asked.
-    Echoes,
+    /// What has come of a round of questions, by its identifier, since this was last asked.
+    Echoes(u16),
     /// Its pools.
     Pools,
     /// Everything that it counts.
@@ -44,10 +44,10 @@ pub enum StackReply {
     Routes(RoutesShown),
     /// Where a packet would go.
     Way(Way),
-    /// An echo was asked for, at this time of the station's clock, nanoseconds.
+    /// The question was handed to the station's thread, at this time of the station's clock, nanoseconds.
     Asked(u64),
-    /// Echoes that have come.
-    Echoes(Vec<EchoShown>),
+    /// What has come of a round of questions.
+    Echoes(EchoesShown),
     /// Its pools.
     Pools(Vec<PoolShown>),
     /// Everything that it counts.
@@ -177,13 +177,29 @@ pub struct EchoRequest {
     pub channel: u8,
 }
 
+/// What has come of a round of questions.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub struct EchoesShown {
+    /// Echoes.
+    pub came: Vec<EchoShown>,
+    /// Questions that could not leave.
+    pub failed: Vec<EchoFailed>,
+}
+
+/// A question that could not leave.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct EchoFailed {
+    /// Which.
+    pub sequence: u16,
+    /// Why.
+    pub why: String,
+}
+
 /// An echo that has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct EchoShown {
     /// From whom.
     pub from: Ipv4Addr,
-    /// See [`EchoRequest`].
-    pub identifier: u16,
     /// See [`EchoRequest`].
     pub sequence: u16,
     /// See [`EchoRequest`].

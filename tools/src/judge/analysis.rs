@@ -60,6 +60,8 @@ pub struct Analysis {
     rate: Rate,
     /// Whose address is which, by station.
     addresses: Vec<Address>,
+    /// Whether programs may send in a station's slots, by station.
+    has_sockets: Vec<bool>,
     /// Which slots there are in which cycles.
     pub timetable: Timetable,
     window: Option<(u32, u32)>,
@@ -126,6 +128,7 @@ impl Analysis {
             clock_share: scenario.clock_share(),
             rate: scenario.rate,
             addresses: (0..scenario.stations.len()).map(|station| scenario.address(station)).collect(),
+            has_sockets: scenario.stations.iter().map(|station| station.ip.is_some()).collect(),
             timetable: Timetable::of(scenario),
             window: None,
             current: None,
@@ -203,7 +206,10 @@ impl Analysis {
             }
         } else if let Some((tag, author)) = self.author_of(bytes) {
             self.occupy(at, air, Some(author.cycle), Some(author));
-            self.data(at, tag, author, air);
+            self.data(at, Some(tag), author, air);
+        } else if let Some(author) = self.turn_of(at, header) {
+            self.occupy(at, air, Some(author.cycle), Some(author));
+            self.data(at, None, author, air);
         } else {
             // Somebody else's, or nobody's: whom it hits, it hits.
             self.occupy(at, air, self.current, None);
@@ -345,18 +351,17 @@ impl Analysis {
         self.current = Some(cycle);
     }
 
-    fn data(&mut self, at: True, tag: &Tag, author: Author, air: Span) {
+    /// A frame of a slot's turn: of test traffic, or of a program's, which says nothing of itself.
+    fn data(&mut self, at: True, tag: Option<&Tag>, author: Author, air: Span) {
         let Author { station, cycle, slot } = author;
-        let id = slot.unwrap_or(tag.slot);
         self.heard(station, cycle);
         let counts = self.counts(cycle);
-        match tag.priority() {
-            None => self.stations[station].passed.note(tag.sequence(), counts),
-            Some(_) => self.note_queued(at, tag, author),
+        match tag.map(|tag| (tag, tag.priority())) {
+            None => {}
+            Some((tag, None)) => self.stations[station].passed.note(tag.sequence(), counts),
+            Some((tag, Some(_))) => self.note_queued(at, tag, author),
         }
-        if !counts {
-            return;
-        }
+        let Some(id) = slot.filter(|_| counts) else { return };
         self.timetable.sent(station, id, cycle);
         let Some(&slot) = self.timetable.at(station, id, cycle) else {
             self.stations[station].strays(cycle);

@@ -54,6 +54,8 @@ pub struct Records {
     in_time: Span,
     /// Who may give the time instead of the master.
     backups: Vec<usize>,
+    /// In whose slots programs may send.
+    with_sockets: Vec<usize>,
     /// When stations were not there.
     pub absences: Absences,
     /// Whose clocks were set.
@@ -84,8 +86,10 @@ impl Records {
         let in_time = scenario.sync_window + scenario.latest();
         let all = scenario.stations.iter().enumerate();
         let backups = all.filter(|(_, plan)| plan.role == Role::Backup).map(|(station, _)| station).collect();
+        let with_sockets = (0..scenario.stations.len()).filter(|&of| scenario.stations[of].ip.is_some());
+        let with_sockets = with_sockets.collect();
         let addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
-        Self { cycle: scenario.cycle, in_time, backups, addresses, ..Self::default() }
+        Self { cycle: scenario.cycle, in_time, backups, with_sockets, addresses, ..Self::default() }
     }
 
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
@@ -175,7 +179,8 @@ impl Records {
                 // Who is gone is silent for that, not for want of a sync.
                 let gone =
                     || self.untold(author).filter(|_| self.told(author, EventKind::SlotSilent).is_none());
-                let told = self.told_of(author, &MISSED_BY).or_else(gone).or_else(|| self.silence(author));
+                let told = self.told_of(author, &MISSED_BY).or_else(|| self.programs_frame(author));
+                let told = told.or_else(gone).or_else(|| self.silence(author));
                 self.missing(author, told)
             }),
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
@@ -195,6 +200,12 @@ impl Records {
         let (by, _) = self.by_cycle.get(&key(author, EventKind::StalledInSend))?;
         let explains = Span::ZERO < late && late <= *by + self.in_time;
         explains.then(|| self.told(author, EventKind::StalledInSend)).flatten()
+    }
+
+    /// A program's frame does not say of which turn it is: one that was held up for long was taken for another's.
+    fn programs_frame(&self, author: Author) -> Option<&'static str> {
+        let is_held_up = || self.told(author, EventKind::StalledInSend);
+        self.with_sockets.contains(&author.station).then(is_held_up).flatten()
     }
 
     /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves

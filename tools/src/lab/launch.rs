@@ -10,6 +10,7 @@ use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
 use crate::scenario::{Happening, Scenario, ServoName};
 use crate::station::link::LabOptions;
+use crate::station::stack::OwnIp;
 
 /// What all stations of a lab are started with.
 #[derive(Clone, Debug)]
@@ -73,6 +74,13 @@ pub fn arguments(
         let joint = slot.joint.map_or(String::new(), |joint| format!(",joint={joint}"));
         add("--slot", format!("{id}={offset},{phase},size={size}{joint}"));
     }
+    if let Some(OwnIp { ip, prefix }) = plan.ip {
+        add("--ip", format!("{ip}/{prefix}"));
+        // All know each other: nobody asks the medium.
+        for (other, of) in scenario.stations.iter().enumerate().filter(|(other, _)| *other != station) {
+            of.ip.iter().for_each(|of| add("--route", format!("{}={}", of.ip, scenario.address(other))));
+        }
+    }
     let lab = LabOptions {
         station: station as u16,
         name: plan.name.clone(),
@@ -112,4 +120,34 @@ pub fn arguments(
 pub fn clock(scenario: &Scenario, station: usize, anchor: True) -> EmulatedClock {
     let plan = &scenario.stations[station];
     EmulatedClock { anchor, offset: plan.clock_offset, drift_ppb: plan.clock_drift_ppb }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Source;
+
+    const NETWORK: &str = "cycle = \"1ms\"\n[[station]]\nname = \"arm\"\nrole = \"slave\"\n[[station]]\nname = \"m\"\n\
+                           role = \"master\"\n[[station]]\nname = \"leg\"\nrole = \"slave\"\n";
+
+    /// What a station is told of its stack, in pairs of an option and its value.
+    fn told(text: &str, station: usize) -> Vec<String> {
+        let scenario = Source::new("net.toml", text).parse().unwrap();
+        let launch = Launch { anchor: 0, epoch: Offset::default(), cpu: 0, fifo: false, home: None };
+        let line = arguments(&scenario, station, &launch, &Resume::default()).unwrap();
+        let pairs = line.windows(2).filter(|pair| ["--ip", "--route"].contains(&pair[0].as_str()));
+        pairs.map(|pair| pair.join(" ")).collect()
+    }
+
+    #[test]
+    fn stations_with_addresses_know_all_others_of_their_lab_and_others_have_no_sockets() {
+        let with = format!("network = \"10.0.0.0/24\"\n{NETWORK}");
+        assert_eq!(
+            told(&with, 1),
+            ["--ip 10.0.0.2/24", "--route 10.0.0.1=02:00:00:00:00:01", "--route 10.0.0.3=02:00:00:00:00:03"]
+        );
+        assert!((0..3).all(|station| told(NETWORK, station).is_empty()));
+        let one = NETWORK.replace("\"leg\"", "\"leg\"\nip = \"10.0.0.9/24\"");
+        assert_eq!((told(&one, 2), told(&one, 0)), (vec!["--ip 10.0.0.9/24".to_owned()], vec![]));
+    }
 }

@@ -12,12 +12,21 @@ const LOAD_AT_MOST: f64 = 0.8;
 /// 52 to 56 % for eight stations at 1 ms.
 const TURN: Span = Span::from_micros(70);
 
+/// What one frame takes that comes to a station with sockets between its slots: it wakes it.
+const FRAME: Span = Span::from_micros(15);
+
 /// The share of a core that a scenario's real-time threads take.
 pub fn load(scenario: &Scenario) -> f64 {
-    let share =
-        |period: u32| TURN.nanos() as f64 / (scenario.cycle.nanos() as f64 * f64::from(period.max(1)));
-    let slots = scenario.stations.iter().flat_map(|station| &station.slots);
-    slots.map(|slot| share(slot.period)).sum()
+    let share = |of: Span, period: u32| {
+        of.nanos() as f64 / (scenario.cycle.nanos() as f64 * f64::from(period.max(1)))
+    };
+    let all = scenario.stations.iter().enumerate();
+    let shares = all.flat_map(|(id, station)| {
+        let is_heard = scenario.stations[scenario.receiver(id)].ip.is_some();
+        let turn = if is_heard { TURN + FRAME } else { TURN };
+        station.slots.iter().map(move |slot| share(turn, slot.period))
+    });
+    shares.sum()
 }
 
 /// Why the real-time threads of labs, one of which takes such a share of a core, would be stopped now and then.

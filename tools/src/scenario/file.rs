@@ -10,12 +10,14 @@
 //! late = "skip"             # or "send", as RTnet does
 //! slot_guard = "auto"       # or "kernel", "user": what keeps stations from sending later
 //! servo = "linear"          # or "none", as in RTnet: each sync is the time line
+//! network = "10.0.0.0/24"   # only in a lab: stations have sockets, the master .1, the others .2, .3 ... in their order
 //!
 //! [[station]]
 //! name = "master"
 //! role = "master"           # exactly one; or "slave", or "backup"
 //! backup = "100us"          # of a backup: how long after a cycle's start it sends a sync if there is none
 //! payload = 64
+//! ip = "10.0.0.7/24"        # only in a lab: an address of its own choice; slots hold 1500 bytes then, if they say no size
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 },
 //!          { id = 2, offset = "500us", joint = 0 }]          # takes from slot 0's queue; of one size
@@ -31,6 +33,7 @@
 //!
 //! What a network goes through, and what is expected of it, stands in sections of its own: see [`conditions`].
 
+mod addresses;
 mod checks;
 mod conditions;
 mod shape;
@@ -79,6 +82,7 @@ struct NetworkFile {
     late: Option<Late>,
     slot_guard: Option<SlotGuard>,
     servo: Option<ServoName>,
+    network: Option<Spanned<String>>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
     host: Option<HostFile>,
@@ -110,8 +114,8 @@ impl Source<'_> {
         let divided = network.station.iter().all(|entry| without(&entry));
         let sync_window = network.sync_window.as_ref().map(|window| window.get_ref().0);
         let mut stations = Vec::new();
-        for entry in &network.station {
-            stations.push(self.station(entry)?);
+        for (entry, ip) in network.station.iter().zip(self.addresses(&network)?) {
+            stations.push(self.station(entry, ip)?);
         }
         let asked = network.guard.map(|guard| guard.0);
         let mut scenario = Scenario {

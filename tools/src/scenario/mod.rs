@@ -20,6 +20,7 @@ use rtnet::wire::ethernet::{self, Address};
 use serde::Deserialize;
 
 use crate::report::figures::Role;
+use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
@@ -95,6 +96,8 @@ pub struct StationPlan {
     pub clock_drift_ppb: i64,
     /// Bytes behind the Ethernet header of each frame that it sends.
     pub payload: usize,
+    /// Its address of the Internet Protocol; with one it has sockets, in a lab.
+    pub ip: Option<OwnIp>,
     /// Calibration rounds.
     pub rounds: u32,
     /// Its slots.
@@ -107,6 +110,11 @@ impl StationPlan {
     /// Bytes behind the Ethernet header of the largest frame that it sends.
     pub fn largest_payload(&self) -> usize {
         self.flows.iter().map(|flow| flow.payload).fold(self.payload, usize::max)
+    }
+
+    /// What its slots hold where nothing else is said: whatever it may send.
+    pub fn usual_size(&self) -> usize {
+        if self.ip.is_some() { ethernet::MTU } else { self.largest_payload() }
     }
 }
 

@@ -75,6 +75,7 @@ impl Uniform {
                 clock_offset: Span::ZERO,
                 clock_drift_ppb: 0,
                 payload,
+                ip: None,
                 rounds: rtmac::tdma::DEFAULT_ROUNDS,
                 slots: vec![SlotPlan {
                     id: 0,

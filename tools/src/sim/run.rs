@@ -384,7 +384,7 @@ impl<'a> Run<'a> {
             stations: facts,
             analysis,
             account,
-            notes: Vec::new(),
+            notes: facts::only_in_labs(scenario),
             dropped: 0,
             wall_steps: 0,
             distrusted: 0,

@@ -17,7 +17,7 @@ use rtnet::api::handshake::{Answer, Ask};
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Cause, SyncState};
 use rtnet::live::clock::{monotonic, realtime};
-use rtnet::live::{Driver, Errand, Errands, Record, Snapshot, TimeBoard};
+use rtnet::live::{Driver, Errand, Errands, NoSockets, Record, Snapshot, TimeBoard};
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
@@ -252,6 +252,14 @@ impl Desk {
                 let shown = CountersShown { name, station, port, refused, ..own };
                 Ok(StackReply::Counters(Box::new(shown)))
             }
+            StackRequest::Echo(echo) => {
+                let Self { programs, time, .. } = self;
+                let asked = with_sockets(programs)?.echoes.ask(echo, || time.now())?;
+                Ok(StackReply::Asked(asked.nanos()))
+            }
+            StackRequest::Echoes(round) => {
+                Ok(StackReply::Echoes(with_sockets(&mut self.programs)?.echoes.of(round)))
+            }
             other => self.sockets.answer(other),
         }
     }
@@ -437,4 +445,9 @@ fn continued() -> Arc<AtomicBool> {
 /// Global time is the wall clock's once, at the start, and from then on the station's clock's.
 pub fn epoch(clock: &EmulatedClock) -> Offset {
     Offset::between(clock.local(monotonic()), GlobalTime::from_nanos(realtime()))
+}
+
+/// Of a station that has some.
+fn with_sockets(programs: &mut Option<Programs>) -> Result<&mut Programs, String> {
+    programs.as_mut().ok_or_else(|| NoSockets.to_string())
 }

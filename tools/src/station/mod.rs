@@ -3,6 +3,7 @@
 pub mod access;
 mod counts;
 mod desk;
+pub mod echoes;
 mod failures;
 mod halt;
 mod limits;
@@ -39,6 +40,7 @@ use crate::control::{Directory, Held, Place, Server};
 use access::{Access, AccessConfig};
 use desk::Desk;
 pub use desk::epoch;
+use echoes::Asker;
 use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
 use programs::Programs;
@@ -170,7 +172,8 @@ pub fn set_up(options: Options) -> Result<Ready> {
         sample_time: options.lab.is_some(),
         changed: Some(changed.clone()),
     };
-    let driver = driver(&options, &interface, port, config, counts.clone())?;
+    let asker = programs.as_ref().map(|programs| programs.echoes.asker());
+    let driver = driver(&options, &interface, port, config, counts.clone(), asker)?;
     let in_lab = options.lab.is_some();
     let is_master = options.access.is_master();
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
@@ -285,6 +288,7 @@ fn driver(
     port: Port,
     config: DriverConfig,
     counts: Arc<TrafficCounts>,
+    asker: Option<Asker>,
 ) -> Result<Driver<Access>> {
     let discipline = Access::new(&options.access, interface.address)?;
     let mut services: Vec<Box<dyn Service>> = Vec::new();
@@ -302,7 +306,7 @@ fn driver(
     }
     let mut station = Station::new(discipline, services);
     if let Some(stack) = &options.stack {
-        station = station.with_stack(stack.stack(interface.address)?);
+        station = station.with_stack(stack.stack(interface.address, asker)?);
     }
     Ok(Driver::new(station, port, config))
 }

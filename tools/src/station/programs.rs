@@ -13,6 +13,7 @@ use rtnet::api::{memory, segment};
 use rtnet::ip::{Exit, Stack};
 use rtnet::live::Visitor;
 
+use super::echoes::Echoes;
 use super::limits;
 use super::sockets::Sockets;
 
@@ -22,6 +23,8 @@ const CLOSED_AT_ONCE: usize = 8;
 /// The control thread's side of all programs.
 pub struct Programs {
     door: Door,
+    /// What `rtnet ping` asks for.
+    pub echoes: Echoes,
     /// What programs have left, the oldest first.
     leaving: VecDeque<Visit>,
     /// Buffers of a socket that does not say how many it wants.
@@ -42,7 +45,9 @@ impl Visitor for Party {
 impl Programs {
     /// None has come yet; sockets have so many buffers unless their programs ask for others.
     pub fn new(buffers: u32) -> io::Result<Self> {
-        Ok(Self { door: Door::new()?, leaving: VecDeque::new(), buffers, holes: None })
+        let door = Door::new()?;
+        let echoes = Echoes::new(&door.doorbells())?;
+        Ok(Self { door, echoes, leaving: VecDeque::new(), buffers, holes: None })
     }
 
     /// What they ring when the station sleeps.

@@ -10,27 +10,20 @@ use rtnet::buf::Pool;
 use rtnet::counters::{Refusal, Refusals};
 use rtnet::discipline::SendError;
 use rtnet::ip::route::{Hop, HostRoute, Interface, Network, NetworkRoute, Origin, RouteError};
-use rtnet::ip::{Exit, Pong, PoolStatus, Stack, StackCounters};
-use rtnet::live::{Driver, Errand, TimeBoard, Visitor, Visits};
-use rtnet::queue::Priority;
+use rtnet::ip::{Exit, PoolStatus, Stack, StackCounters};
+use rtnet::live::{Driver, Errand, Visitor, Visits};
 use rtnet::room;
-use rtnet::socket::{Options, SocketCounters, SocketError, SocketId};
-use rtnet::time::Instant as StationTime;
+use rtnet::socket::{SocketCounters, SocketId};
 use rtnet::wire::ethernet::MTU;
-use rtnet::wire::{icmpv4, ipv4};
 
 use super::access::Access;
 use super::desk::{ANSWER_WITHIN, LOOK_EVERY};
 use super::stack::add;
 use crate::control::{
-    ChannelShown, CountersShown, EchoRequest, EchoShown, HostShown, InterfaceShown, NetworkShown, PoolShown,
-    RouteSaid, RoutesShown, StackReply, StackRequest, Way,
+    ChannelShown, CountersShown, HostShown, InterfaceShown, NetworkShown, PoolShown, RouteSaid, RoutesShown,
+    StackReply, StackRequest, Way,
 };
 
-/// Answers that a visitor takes along at a time.
-const ECHOES: usize = 32;
-/// Bytes that an echo takes along at the most: what a frame has room for.
-const ECHO_AT_MOST: usize = MTU - ipv4::HEADER_LEN - icmpv4::HEADER_LEN;
 /// Channels of which is told what they take.
 const CHANNELS: u8 = 2;
 
@@ -38,7 +31,6 @@ const CHANNELS: u8 = 2;
 pub struct Sockets {
     visits: Arc<Visits>,
     receive: Arc<Pool>,
-    time: Arc<TimeBoard>,
     /// What there can be of sockets and routes, if there are any: visitors bring room for that.
     room: Option<Room>,
 }
@@ -86,7 +78,7 @@ impl Found {
 impl Sockets {
     /// To those of this driver's station.
     pub fn new(driver: &Driver<Access>, room: Option<Room>) -> Self {
-        Self { visits: driver.visits(), receive: driver.receive_pool(), time: driver.time(), room }
+        Self { visits: driver.visits(), receive: driver.receive_pool(), room }
     }
 
     /// Answers what needs nothing but the stack.
@@ -105,10 +97,11 @@ impl Sockets {
                 asked.map(|()| StackReply::Done).map_err(text)
             }
             StackRequest::Lookup(ip) => self.lookup(ip).map(StackReply::Way),
-            StackRequest::Echo(echo) => self.ask_echo(echo),
-            StackRequest::Echoes => self.echoes().map(StackReply::Echoes),
             StackRequest::Pools => self.pools().map(StackReply::Pools),
-            StackRequest::Interface | StackRequest::Counters => Err("this is for the desk to say".into()),
+            StackRequest::Interface
+            | StackRequest::Counters
+            | StackRequest::Echo(_)
+            | StackRequest::Echoes(_) => Err("this is for the desk to say".into()),
         }
     }
 
@@ -205,40 +198,6 @@ impl Sockets {
         Ok(Way { ip, address, via: via.map(|route| route.gateway), is_awaited })
     }
 
-    fn ask_echo(&self, echo: EchoRequest) -> Result<StackReply, String> {
-        let priority = Priority::new(echo.priority).map_err(text)?;
-        let options = Options { priority, channel: echo.channel, tos: 0 };
-        if echo.size > ECHO_AT_MOST {
-            return Err(format!("an echo of {} bytes is none: a frame takes {ECHO_AT_MOST}", echo.size));
-        }
-        // RTnet's: when it was sent, then the pattern.
-        let data: Vec<u8> = (0..echo.size).map(|n| n.saturating_sub(8) as u8).collect();
-        let brought = (echo, options, data, self.time.clone(), StationTime::default());
-        type Brought = (EchoRequest, Options, Vec<u8>, Arc<TimeBoard>, StationTime);
-        let ask = |brought: &mut Brought, stack: &mut Stack, exit: &mut dyn Exit| {
-            let (echo, options, data, time, asked) = brought;
-            *asked = time.now();
-            if let Some(sent) = data.first_chunk_mut() {
-                *sent = asked.nanos().to_ne_bytes();
-            }
-            stack.ask_echo(echo.to, (echo.identifier, echo.sequence), data, *options, exit)
-        };
-        let (asked, (.., at)): (Result<(), SocketError>, Brought) = self.change_with(brought, ask)?;
-        asked.map(|()| StackReply::Asked(at.nanos())).map_err(text)
-    }
-
-    fn echoes(&self) -> Result<Vec<EchoShown>, String> {
-        let brought: Vec<Pong> = room::vec(ECHOES);
-        let come = self.visit(brought, |come, stack, _| {
-            while come.len() < ECHOES
-                && let Some(pong) = stack.next_pong()
-            {
-                come.push(pong);
-            }
-        })?;
-        Ok(come.iter().map(echo_shown).collect())
-    }
-
     fn pools(&self) -> Result<Vec<PoolShown>, String> {
         let brought: (Option<[PoolStatus; 2]>, _) = (None, room::vec(self.room()?.sockets));
         let (own, sockets) = self.visit(brought, |(own, sockets), stack, _| {
@@ -267,20 +226,10 @@ impl Sockets {
         brought: T,
         does: fn(&mut T, &mut Stack, &mut dyn Exit) -> R,
     ) -> Result<R, String> {
-        self.change_with(brought, does).map(|(result, _)| result)
-    }
-
-    /// The same, with what was brought.
-    fn change_with<T: Send + 'static, R: Send + 'static>(
-        &self,
-        brought: T,
-        does: fn(&mut T, &mut Stack, &mut dyn Exit) -> R,
-    ) -> Result<(R, T), String> {
-        let brought = (brought, does, None);
-        let (brought, _, result) = self.visit(brought, |(brought, does, result), stack, exit| {
+        let (.., result) = self.visit((brought, does, None), |(brought, does, result), stack, exit| {
             *result = Some(does(brought, stack, exit));
         })?;
-        Ok((result.ok_or("it has not looked")?, brought))
+        result.ok_or("it has not looked".into())
     }
 
     /// Does something with what is brought, in the station's thread.
@@ -385,12 +334,6 @@ pub fn as_shown(host: &HostShown) -> Option<HostRoute> {
 
 fn network_shown(route: &NetworkRoute) -> NetworkShown {
     NetworkShown { network: route.network.to_string(), via: route.gateway }
-}
-
-fn echo_shown(pong: &Pong) -> EchoShown {
-    let Pong { from, identifier, sequence, len, rx, left } = *pong;
-    let nanos = |at: Option<StationTime>| at.map(|at| at.nanos());
-    EchoShown { from, identifier, sequence, size: len, came: nanos(rx), left: nanos(left) }
 }
 
 /// Every reason, also those that have not occurred.

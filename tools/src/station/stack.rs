@@ -9,10 +9,11 @@ use rtnet::api::line::Lines;
 use rtnet::ip::route::{Interface, Routes};
 use rtnet::ip::{Stack, StackConfig};
 use rtnet::live::RECEIVE_POOL;
-use rtnet::socket::DEFAULT_BUFFERS;
+use rtnet::socket::{DEFAULT_BUFFERS, Program};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
+use super::echoes::Asker;
 use super::sockets::{Room, Route};
 
 /// What is said of a station's stack.
@@ -69,8 +70,8 @@ impl StackOptions {
         Room { sockets: self.sockets.into(), hosts: self.hosts, networks: self.networks }
     }
 
-    /// The stack of a station whose interface has this address.
-    pub fn stack(&self, address: Address) -> Result<Stack> {
+    /// The stack of a station whose interface has this address, with what asks for echoes.
+    pub fn stack(&self, address: Address, asker: Option<Asker>) -> Result<Stack> {
         let config = StackConfig {
             interface: self.ip.interface(address),
             hosts: self.hosts,
@@ -82,8 +83,9 @@ impl StackOptions {
             fragment_timeout: self.fragment_timeout,
             fragment_checksums: self.strict_checksums,
         };
-        let lines = Lines::new(self.sockets.into());
-        let mut stack = Stack::new(config, vec![Box::new(lines)]);
+        let mut programs: Vec<Box<dyn Program>> = vec![Box::new(Lines::new(self.sockets.into()))];
+        programs.extend(asker.map(|asker| Box::new(asker) as Box<dyn Program>));
+        let mut stack = Stack::new(config, programs);
         self.add_to(stack.routes_mut())?;
         Ok(stack)
     }

@@ -32,7 +32,13 @@ fn an_answer_of_another_round_or_one_that_nobody_asked_for_is_refused() {
     ask(&mut a, IP_B, (7, 1), b"").unwrap();
     cross(&mut a, &mut b);
     let answer = b.sent();
-    ask(&mut a, IP_B, (8, 1), b"").unwrap();
+    // As many rounds go on at a time; one more, and the first is over.
+    for round in 8..=14 {
+        ask(&mut a, IP_B, (round, 1), b"").unwrap();
+        a.sent();
+    }
+    assert_eq!(a.hears(&answer[0]), Ok(()));
+    ask(&mut a, IP_B, (15, 1), b"").unwrap();
     assert_eq!(a.hears(&answer[0]), Err(Refusal::IcmpUnexpected));
     assert_eq!(b.hears(&answer[0]), Err(Refusal::ForgedSource), "its own");
 }
@@ -80,6 +86,22 @@ fn an_echo_to_all_is_answered_by_nobody_and_one_to_itself_at_once() {
         ask(&mut a, loopback, (1, 3), b"").unwrap();
         assert_eq!(a.stack.next_pong().map(|pong| pong.from), Some(loopback), "from whom was asked");
     }
+}
+
+#[test]
+fn two_who_ask_at_once_have_each_their_own_answers() {
+    let (mut a, mut b) = pair();
+    // The same numbers in both rounds: each question has its own moment.
+    for (round, at) in [(1, 100), (2, 200)] {
+        ask(&mut a, IP_B, (round, 7), b"").unwrap();
+        a.stack.leaves(Instant::from_nanos(at), &a.queue.waiting[0].0);
+        cross(&mut a, &mut b);
+    }
+    assert_eq!(cross(&mut b, &mut a), []);
+    let at = |nanos| Some(Instant::from_nanos(nanos));
+    let pongs: Vec<Pong> = core::iter::from_fn(|| a.stack.next_pong()).collect();
+    let came: Vec<_> = pongs.iter().map(|pong| (pong.identifier, pong.sequence, pong.left)).collect();
+    assert_eq!(came, [(1, 7, at(100)), (2, 7, at(200))]);
 }
 
 #[test]

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use rtmac::wire::{Message, Rtmac};
 use rtnet::clock::True;
 use rtnet::time::Span;
-use rtnet::wire::ethernet::{Address, Header};
+use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 use super::Analysis;
+use crate::judge::findings::Author;
 
 /// Addresses of no station that are counted one by one.
 const STRANGERS_AT_MOST: usize = 8;
@@ -48,6 +49,25 @@ impl Analysis {
             false if self.givers.has(source) => {}
             false => self.stray(at, source, source, air),
         }
+    }
+
+    /// In which turn a frame of a station's sockets left. It does not say so, as test traffic does: in the last one that has
+    /// come, unless that is longer ago than a cycle.
+    pub(super) fn turn_of(&self, at: True, header: &Header) -> Option<Author> {
+        let is_tests = header.ether_type() == EtherType::EXPERIMENTAL;
+        let station = self.station_of(header.source).filter(|&of| self.has_sockets[of] && !is_tests)?;
+        // One that is a little early is of the turn that is about to come.
+        let by = at.saturating_add_signed(self.clock_share.nanos());
+        let now = self.cycle_at(by)?;
+        let turns = [now, now.wrapping_sub(1)].into_iter().flat_map(|cycle| {
+            let start = self.start_of(cycle);
+            let begun = move |offset| start.filter(|&start| self.error(by, start + offset) >= Span::ZERO);
+            let slots = self.timetable.usable(station, cycle);
+            let slots =
+                slots.filter_map(move |slot| Some((begun(slot.offset)? + slot.offset, cycle, slot.id)));
+            slots.max_by_key(|(begin, ..)| begin.nanos())
+        });
+        turns.map(|(_, cycle, slot)| Author { station, cycle, slot: Some(slot) }).next()
     }
 
     /// A frame that is no test traffic is in a slot of the station that may use it, or its sender babbles.

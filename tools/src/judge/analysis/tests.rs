@@ -1,3 +1,4 @@
+mod sockets;
 mod strays;
 
 use rtmac::tdma::schedule::Rate;

@@ -84,24 +84,30 @@ impl Source<'_> {
         let Scenario { cycle, rate, .. } = *scenario;
         let asked = network.sync_window.as_ref().map(|window| window.get_ref().0);
         let guard = network.guard.map(|guard| guard.0);
-        let size = scenario.stations.iter().map(StationPlan::largest_payload).max().unwrap_or_default();
+        let size = scenario.stations.iter().map(StationPlan::usual_size).max().unwrap_or_default();
         // Slots begin when the last backup may send no more; a window that is longer than need be is in its way.
         let last = scenario.stations.iter().filter_map(|station| station.backup).max();
         let window = asked.or(last.map(|_| scenario.sync_window));
         let behind = last.unwrap_or(Span::ZERO);
         let (start, length) = divide(cycle - behind, window, rate, scenario.stations.len(), size, guard)
-            .map_err(|conflict| self.does_not_fit(network, last, &conflict))?;
+            .map_err(|conflict| self.does_not_fit(network, last, &conflict, size))?;
         scenario.sync_window = start;
         for (k, station) in scenario.stations.iter_mut().enumerate() {
             let offset = behind + start + length * k as i64;
-            let size = station.largest_payload();
+            let size = station.usual_size();
             station.slots = vec![SlotPlan { id: 0, offset, phase: 0, period: 1, size, joint: None }];
         }
         Ok(())
     }
 
     /// The last backup is in the way, or the cycle is too short for what is in it.
-    fn does_not_fit(&self, network: &NetworkFile, last: Option<Span>, conflict: &Conflict) -> FileError {
+    fn does_not_fit(
+        &self,
+        network: &NetworkFile,
+        last: Option<Span>,
+        conflict: &Conflict,
+        size: usize,
+    ) -> FileError {
         let cycle = &network.cycle;
         let backups = network.station.iter().filter_map(|entry| entry.get_ref().backup.as_ref());
         let backup = backups.max_by_key(|backup| backup.get_ref().0);
@@ -115,6 +121,12 @@ impl Source<'_> {
                      take {sum} with the sync window; let it send {latest} after it, or earlier, or lengthen the cycle"
                 );
                 self.impossible(backup.span().start, what)
+            }
+            _ if has_addresses(network) => {
+                let what = format!(
+                    "{conflict}; slots of stations with an address hold {size} bytes: give all slots a size, or leave it out"
+                );
+                self.impossible(cycle.span().start, what)
             }
             _ => self.impossible(cycle.span().start, conflict),
         }
@@ -168,6 +180,10 @@ impl Source<'_> {
         let at = network.medium.as_ref().map_or(0, |medium| medium.place_of_way());
         Err(self.impossible(at, what))
     }
+}
+
+fn has_addresses(network: &NetworkFile) -> bool {
+    network.network.is_some() || network.station.iter().any(|entry| entry.get_ref().ip.is_some())
 }
 
 /// Where the slot stands that a conflict names last.

@@ -10,6 +10,7 @@ use super::conditions::{ExpectFile, HostFile, WanderFile};
 use super::{DEFAULT_PAYLOAD, FileError, MAX_DRIFT_PPM, MAX_OFFSET, Source, parse_phase};
 use crate::report::figures::Role;
 use crate::scenario::{MAX_STATIONS, MIN_PAYLOAD, SlotPlan, StationPlan};
+use crate::station::stack::OwnIp;
 use crate::station::traffic::Flow;
 use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan};
 
@@ -28,6 +29,7 @@ pub(super) struct StationFile {
     pub role: FileRole,
     pub backup: Option<Spanned<PositiveSpan>>,
     pub payload: Option<Spanned<usize>>,
+    pub ip: Option<Spanned<String>>,
     rounds: Option<Spanned<u32>>,
     pub clock: Option<ClockFile>,
     pub host: Option<HostFile>,
@@ -130,7 +132,11 @@ impl Source<'_> {
         }
     }
 
-    pub(super) fn station(&self, entry: &Spanned<StationFile>) -> Result<StationPlan, FileError> {
+    pub(super) fn station(
+        &self,
+        entry: &Spanned<StationFile>,
+        ip: Option<OwnIp>,
+    ) -> Result<StationPlan, FileError> {
         let station = entry.get_ref();
         let payload = station.payload.as_ref().map_or(DEFAULT_PAYLOAD, |payload| *payload.get_ref());
         if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
@@ -139,7 +145,8 @@ impl Source<'_> {
             return Err(self.impossible(at, what));
         }
         let flows = station.traffic.iter().filter_map(|flow| flow.get_ref().payload);
-        let widest = flows.fold(payload, usize::max);
+        // A slot that says no size has room for all that its station may send.
+        let widest = if ip.is_some() { ethernet::MTU } else { flows.fold(payload, usize::max) };
         let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload, widest));
         let mut slots = slots.collect::<Result<Vec<_>, _>>()?;
         for (i, slot) in slots.iter().enumerate() {
@@ -165,6 +172,7 @@ impl Source<'_> {
             clock_offset: Span::ZERO,
             clock_drift_ppb: 0,
             payload,
+            ip,
             rounds: station.rounds.as_ref().map_or(DEFAULT_ROUNDS, |rounds| *rounds.get_ref()),
             flows: self.flows(station, payload, &slots)?,
             slots,

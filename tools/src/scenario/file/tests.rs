@@ -1,5 +1,5 @@
 use super::*;
-use crate::scenario::{Measure, SlotPlan};
+use crate::scenario::{Measure, SlotPlan, StationPlan};
 use crate::station::traffic::Flow;
 
 const GOOD: &str = r#"
@@ -316,4 +316,72 @@ fn a_file_without_an_end_is_refused_not_read_until_memory_is_full() {
         format!("{recorded:#}"),
         "/dev/zero cannot be read: more than 16 MiB, which nothing is that is read here"
     );
+}
+
+/// Three stations whose master stands second, with something at the top and something in the first.
+fn with_addresses(top: &str, first: &str) -> Result<Scenario, FileError> {
+    parse(&format!(
+        "cycle = \"1ms\"\n{top}\n[[station]]\nname = \"arm\"\nrole = \"slave\"\n{first}\n[[station]]\nname = \"m\"\n\
+         role = \"master\"\n[[station]]\nname = \"leg\"\nrole = \"slave\"\n"
+    ))
+}
+
+#[test]
+fn stations_of_a_network_have_addresses_by_their_places_or_their_own_and_room_in_their_slots() {
+    let of = |top: &str, first: &str| {
+        let scenario = with_addresses(top, first).unwrap();
+        let ip = |station: &StationPlan| station.ip.map(|own| format!("{}/{}", own.ip, own.prefix));
+        let all = scenario.stations.iter().map(|station| (ip(station), station.slots[0].size));
+        all.collect::<Vec<_>>()
+    };
+    let with = |ip: &str, size| (Some(ip.to_owned()), size);
+    let network = "network = \"10.0.0.0/24\"";
+    let by_place = [with("10.0.0.1/24", 1_500), with("10.0.0.2/24", 1_500), with("10.0.0.3/24", 1_500)];
+    assert_eq!(of(network, ""), by_place);
+    for own in ["10.0.0.7", "10.0.0.7/24"] {
+        assert_eq!(of(network, &format!("ip = \"{own}\""))[1], with("10.0.0.7/24", 1_500));
+    }
+    // Who has none has no sockets.
+    assert_eq!(of("", "ip = \"172.16.0.1\""), [(None, 64), with("172.16.0.1/16", 1_500), (None, 64)]);
+    assert_eq!(of("", ""), [(None, 64), (None, 64), (None, 64)]);
+    let short = parse(&GOOD.replace("rate =", "network = \"10.0.0.0/30\"\nrate =")).unwrap();
+    assert_eq!(
+        (short.stations[0].slots[0].size, short.stations[1].slots[0].size),
+        (1_500, 100),
+        "as it says"
+    );
+}
+
+#[test]
+fn addresses_that_cannot_be_name_line_and_remedy() {
+    let network = "network = \"10.0.0.0/24\"";
+    for (top, first, expected) in [
+        ("network = \"10.0.0.1/24\"", "", "net.toml:2:11: '10.0.0.1/24' is no IPv4 address or network"),
+        (
+            "network = \"10.0.0.4/31\"",
+            "",
+            "net.toml:2:11: 10.0.0.4/31 has addresses for 0 stations, and there are 3: write network = \"10.0.0.0/29\"",
+        ),
+        ("network = \"10.0.0.0/30\"", "", "net.toml:2:11: 10.0.0.0/30 has addresses for 2 stations"),
+        ("network = \"127.0.0.0/8\"", "", "net.toml:2:11: '127.0.0.2/8' is a loopback address"),
+        (network, "ip = \"10.0.1.7/24\"", "net.toml:6:6: 10.0.1.7/24 is none of the network 10.0.0.0/24"),
+        (network, "ip = \"10.0.0.7/16\"", "net.toml:6:6: 10.0.0.7/16 is none of the network 10.0.0.0/24"),
+        (network, "ip = \"10.0.0.255\"", "net.toml:6:6: '10.0.0.255/24' is the broadcast address"),
+        ("", "ip = \"10.0.0\"", "net.toml:6:6: '10.0.0' is no IPv4 address: write an address of one station"),
+        (
+            network,
+            "ip = \"10.0.0.3\"",
+            "net.toml:6:6: 'arm' and 'leg' would both have the address 10.0.0.3: give one of them another",
+        ),
+        (
+            "guard = \"310us\"\nnetwork = \"10.0.0.0/24\"",
+            "",
+            "net.toml:1:9: 3 slots do not fit a cycle of 1ms",
+        ),
+    ] {
+        let error = with_addresses(top, first).unwrap_err().to_string();
+        assert!(error.starts_with(expected), "{top} {first}: {error}");
+    }
+    let full = with_addresses("guard = \"310us\"\nnetwork = \"10.0.0.0/24\"", "").unwrap_err().to_string();
+    assert!(full.contains("with an address hold 1500 bytes: give all slots a size"), "{full}");
 }

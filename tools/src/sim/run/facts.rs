@@ -6,6 +6,7 @@ use rtnet::time::Span;
 use super::Run;
 use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::outcome::Facts;
+use crate::scenario::Scenario;
 use crate::sim::figures::SimStation;
 
 impl Run<'_> {
@@ -56,4 +57,11 @@ impl Run<'_> {
             ..Facts::default()
         }
     }
+}
+
+/// What of a scenario a simulation has not, in lines for the reader.
+pub(super) fn only_in_labs(scenario: &Scenario) -> Vec<String> {
+    let has_addresses = scenario.stations.iter().any(|station| station.ip.is_some());
+    let line = "only in a lab (rtnet lab up), and not here: network and ip: stations have no sockets";
+    has_addresses.then(|| line.into()).into_iter().collect()
 }

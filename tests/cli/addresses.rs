@@ -1,0 +1,172 @@
+//! Labs whose stations have addresses: they know each other, programs attach to them, and echoes take what the schedule says.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::process::{Child, Stdio};
+use std::time::Duration;
+
+use rtnet::api::{Station, UdpSocket};
+use serde_json::Value;
+
+use crate::cell::{Cell, json, text};
+use crate::host::{figure, network, skip};
+use crate::rtnet;
+
+const LAB: &str = include_str!("addresses.toml");
+const MASTER: &str = "10.0.0.1";
+const LEG: &str = "10.0.0.7";
+const CYCLE: u64 = 1_000_000;
+/// A frame is chosen so long before its slot.
+const LEAD: u64 = 50_000;
+/// On a host that sends so unsteadily nothing can be told of a schedule.
+const TOO_UNSTEADY: u64 = CYCLE / 4;
+
+fn lab(what: &str) -> Cell {
+    Cell::with(what, |_| LAB.to_owned())
+}
+
+/// The same without addresses.
+fn plain() -> String {
+    LAB.replace("network", "# network").replace("ip =", "# ip =")
+}
+
+fn ask(cell: &Cell, verb: &str, station: &str, arguments: &[&str]) -> Value {
+    json(rtnet().args([verb, "-S", &cell.place(station), "--json"]).args(arguments))
+}
+
+fn ping(cell: &Cell, to: &str) -> Child {
+    let mut command = rtnet();
+    command.args(["ping", "-S", &cell.place("arm"), "--json", "-c", "50", "-i", "5ms", to]);
+    command.stdout(Stdio::piped()).spawn().unwrap()
+}
+
+fn came_back(child: Child) -> u64 {
+    let output = child.wait_with_output().unwrap();
+    let round: Value = serde_json::from_slice(&output.stdout).unwrap();
+    round["received"].as_u64().unwrap()
+}
+
+fn socket(cell: &Cell, station: &str, port: u16) -> UdpSocket {
+    let socket = Station::named(&cell.place(station)).and_then(|station| station.udp()).unwrap();
+    socket.set_timeout(Some(Duration::from_secs(2)));
+    socket.bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port)).unwrap();
+    socket
+}
+
+#[test]
+fn stations_of_a_lab_have_addresses_know_each_other_and_have_sockets_for_programs() {
+    network("stations_of_a_lab_have_addresses_know_each_other_and_have_sockets_for_programs", || {
+        let cell = lab("addresses");
+        let shown = ask(&cell, "if", "leg", &[]);
+        assert_eq!((&shown["ip"], &shown["prefix"]), (&LEG.into(), &24.into()), "{shown:#}");
+        assert_eq!(shown["channels"]["1"]["payload"], 1_500, "{shown:#}");
+        let routes = ask(&cell, "route", "arm", &["list"]);
+        let hosts = routes["hosts"].as_array().unwrap();
+        let hosts: Vec<_> =
+            hosts.iter().map(|host| (&host["ip"], &host["address"], &host["origin"])).collect();
+        let to = |ip: &str, address: &str| (Value::from(ip), Value::from(address), Value::from("static"));
+        let (master, leg) = (to(MASTER, "02:00:00:00:00:01"), to(LEG, "02:00:00:00:00:03"));
+        assert_eq!(hosts, [(&master.0, &master.1, &master.2), (&leg.0, &leg.1, &leg.2)]);
+        // Two who ask at once have each their own answers.
+        let both = [MASTER, LEG].map(|to| ping(&cell, to));
+        assert_eq!(both.map(came_back), [50, 50]);
+        // A frame and, in fragments, more.
+        let (here, there) = (socket(&cell, "arm", 36_000), socket(&cell, "leg", 36_001));
+        for len in [8, 4_000] {
+            let (sent, mut room) = (vec![len as u8; len], [0; 5_000]);
+            here.send_to(&sent, SocketAddrV4::new(LEG.parse().unwrap(), 36_001)).unwrap();
+            let received = there.receive(&mut room).unwrap();
+            assert_eq!(room[..received.len], sent);
+        }
+        assert!(ask(&cell, "pool", "leg", &[]).as_array().unwrap().len() > 3, "its socket has one");
+        drop((here, there));
+        cell.restart("arm");
+        assert_eq!(came_back(ping(&cell, MASTER)), 50, "it knows them, and they know it");
+        // What programs sent was in its slots, and nothing is missed for it that is unexplained.
+        let account = cell.down();
+        assert_eq!(account["unexplained"], 0, "{account:#}");
+    });
+}
+
+#[test]
+fn a_lab_without_addresses_has_no_sockets() {
+    network("a_lab_without_addresses_has_no_sockets", || {
+        let cell = Cell::with("plain", |_| plain());
+        let output = rtnet().args(["ping", "-S", &cell.place("arm"), MASTER]).output().unwrap();
+        assert_eq!(output.status.code(), Some(2));
+        assert!(
+            text(&output.stderr).contains("it has no sockets and no address"),
+            "{}",
+            text(&output.stderr)
+        );
+        cell.down();
+    });
+}
+
+#[test]
+fn echoes_in_a_lab_take_what_the_schedule_says() {
+    let test = "echoes_in_a_lab_take_what_the_schedule_says";
+    network(test, || {
+        let cell = lab("schedule");
+        let round = ask(&cell, "ping", "arm", &["-c", "1000", "-i", "2ms", MASTER]);
+        let (schedule, rest) = (&round["schedule"], &round["rest_ns"]["p50"]);
+        let of = |name: &str| schedule[name].as_u64().unwrap_or_else(|| panic!("{name}: {schedule:#}"));
+        let (best, worst, jitter) = (of("best_ns"), of("worst_ns"), of("jitter_ns"));
+        let (longer, missed) = (of("longer"), of("slots_missed"));
+        let mut trips: Vec<u64> = round["answers"].as_array().unwrap().iter().flat_map(trip).collect();
+        trips.sort_unstable();
+        let n = trips.len() as u64;
+        let micros = |nanos: u64| nanos / 1_000;
+        let (p1, p99) = (trips[trips.len() / 100], trips[trips.len() * 99 / 100]);
+        figure(
+            test,
+            &format!(
+                "{n} echoes: the schedule says {} to {} us; 98 of 100 took {} to {} us, with a jitter of {} us; \
+                 {longer} took longer, while {missed} slots were missed",
+                micros(best),
+                micros(worst),
+                micros(p1),
+                micros(p99),
+                micros(jitter)
+            ),
+        );
+        // Whatever the host does: a slot is a cycle away at the most, and who misses one says so.
+        assert_eq!(worst - best, CYCLE);
+        assert!(n + missed >= 1_000, "{n} came back: {schedule:#} {}", round["failures"]);
+        if jitter > TOO_UNSTEADY {
+            return skip(test, &format!("this host sends too unsteadily, by {} us", micros(jitter)));
+        }
+        let rest = rest.as_u64().unwrap();
+        assert!(
+            rest.abs_diff(best - LEAD) <= jitter + LEAD,
+            "the way, and the other's slot: {rest} {schedule:#}"
+        );
+        // Chosen late, by the lead at the most, it is quicker; clocks have their share, too.
+        assert!(p1 + LEAD + jitter + CYCLE / 10 >= best, "hardly one is quicker: {p1} {schedule:#}");
+        // One of 20 may be beside the jitter, by what that is.
+        assert!(longer <= n / 20 + missed, "{schedule:#}");
+        assert!(p1 <= best + CYCLE / 10 + jitter, "the best case comes: {p1} {schedule:#}");
+        assert!(p99 + CYCLE / 10 + jitter >= worst, "and the worst: {p99} {schedule:#}");
+        cell.down();
+    });
+}
+
+#[test]
+fn a_simulation_says_that_addresses_are_only_in_a_lab() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("addresses.toml");
+    let note = "only in a lab (rtnet lab up), and not here: network and ip";
+    for (with, is_noted) in
+        [(LAB.to_owned(), true), (LAB.replace("network", "# network"), true), (plain(), false)]
+    {
+        std::fs::write(&file, format!("duration = \"100ms\"\n{with}")).unwrap();
+        let output = rtnet().args(["sim", "run"]).arg(&file).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        // Lines are as wide as a screen.
+        let words = text(&output.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
+        assert_eq!(words.contains(note), is_noted, "{words}");
+    }
+}
+
+fn trip(answer: &Value) -> Option<u64> {
+    answer["round_trip_ns"].as_u64()
+}

@@ -16,6 +16,7 @@ use crate::discipline::{Sent, Stamp, Transmission};
 use crate::time::{Instant, Span};
 use crate::wire::ethernet::EtherType;
 
+use super::alarm::Alarm;
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
 use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
@@ -58,6 +59,11 @@ pub struct Port {
     hold: Option<fn()>,
     /// The bells that programs ring when they have something to be sent.
     doorbells: Option<Arc<Epoll>>,
+    alarm: Alarm,
+    /// Sockets that were found empty since the last wait for frames began: the lowest bit is for control.
+    empty: u8,
+    /// How often they were to be asked again without a wait.
+    looks: u32,
     counters: PortCounters,
 }
 
@@ -143,6 +149,9 @@ impl Port {
             is_alone: false,
             hold: None,
             doorbells: None,
+            alarm: Alarm::new()?,
+            empty: 0,
+            looks: 0,
             counters: PortCounters::default(),
         })
     }
@@ -262,13 +271,13 @@ impl Port {
     /// Waits for a frame of any kind, at most `timeout_ms` milliseconds.
     pub fn wait_for_frame(&self, timeout_ms: i32) {
         let at_most = timeout_ms.max(0) as True * 1_000_000;
-        packet::wait_any(self.waited_for(), at_most);
+        packet::wait_any(self.waited_for(), Some(at_most));
     }
 
     /// What can end a wait.
     fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
-        sockets.chain(self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()))
+        self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()).chain(sockets)
     }
 
     /// From now on a wait for a frame is over, too, when one of these rings. They are triggered by edge: who rings can
@@ -280,10 +289,14 @@ impl Port {
     /// The same until the station's clock shows `at`, at most until the true moment `no_later`.
     pub fn wait_for_frame_until(&mut self, at: Option<Instant>, no_later: True) {
         let until = at.map_or(no_later, |at| self.clock.truth(at).min(no_later));
-        let at_most = until.saturating_sub(monotonic());
-        packet::wait_any(self.waited_for(), at_most);
+        let now = monotonic();
+        let at_most = (!self.alarm.rings_by(until, now)).then(|| until.saturating_sub(now));
+        let ready = packet::wait_any(core::iter::once(self.alarm.as_fd()).chain(self.waited_for()), at_most);
         self.woke = monotonic();
-        if let Some(doorbells) = &self.doorbells {
+        let bells = self.doorbells.iter().count();
+        // The alarm is the first, the bells the second, then come the sockets.
+        self.empty = !(ready >> (1 + bells));
+        if let Some(doorbells) = self.doorbells.as_ref().filter(|_| ready & 0b10 != 0) {
             // Whoever rang: all lines are looked at.
             let _ = doorbells.wait(&mut [EpollEvent::empty(); BELLS], PollTimeout::ZERO);
         }
@@ -298,7 +311,7 @@ impl Port {
             self.rest_until(rested);
             let at_most = undisturbed.saturating_sub(monotonic());
             if at_most > 0
-                && packet::wait_any(self.data.iter().map(|socket| socket.as_fd()), at_most)
+                && packet::wait_any(self.data.iter().map(|socket| socket.as_fd()), Some(at_most)) != 0
                 && monotonic() < undisturbed
             {
                 self.woke = monotonic();

@@ -180,6 +180,10 @@ impl<R: Rules> Discipline for AtOnce<R> {
         Ok(())
     }
 
+    fn has_queued(&self) -> bool {
+        !self.queue.is_empty()
+    }
+
     fn put_back(&mut self, frame: Returned) {
         self.queue.push_front(frame.priority, frame.frame);
     }

@@ -59,6 +59,10 @@ pub trait Discipline: Send {
     fn is_waiting(&self, _channel: Channel) -> bool {
         false
     }
+    /// Whether a frame waits that leaves in this very turn. With slots none does: it waits for its own.
+    fn has_queued(&self) -> bool {
+        false
+    }
     /// Puts a frame that missed its slot back before the others of its priority.
     fn put_back(&mut self, frame: Returned);
     /// Largest payload behind the Ethernet header that fits the slot.

@@ -7,12 +7,16 @@
 //! ```
 //!
 //! `RTNET_COUNT=receive/64:1000` does one of them 1000 times and measures nothing: for tools that count instructions.
+//! `RTNET_COUNT=mixed:10000000` has two stations exchange so many datagrams, of all kinds, and tells the memory of this
+//! process in bytes after the first part of them, and after all.
 
 use std::hint::black_box;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::ops::Range;
 use std::sync::Arc;
 
 use criterion::Criterion;
+use rtnet::counters::Refusal;
 use rtnet::discipline::{Channel, SendError, TimeView};
 use rtnet::ip::route::{HostRoute, Interface, Origin};
 use rtnet::ip::{Exit, Stack, StackConfig};
@@ -23,6 +27,8 @@ use rtnet::{Buf, Pool, Priority, PriorityQueue};
 
 const IP: [Ipv4Addr; 2] = [Ipv4Addr::new(10, 0, 0, 1), Ipv4Addr::new(10, 0, 0, 2)];
 const PORT: u16 = 36_000;
+/// Time that passes between two datagrams, nanoseconds.
+const BETWEEN: u64 = 10_000;
 
 /// A discipline's queue, and nothing else of it.
 struct Queue(PriorityQueue);
@@ -50,6 +56,11 @@ struct End {
 impl End {
     /// The station with this number, and a socket that hears on [`PORT`].
     fn new(number: usize) -> Self {
+        Self::with(number, 64)
+    }
+
+    /// The same whose socket has so many buffers.
+    fn with(number: usize, buffers: usize) -> Self {
         let address = |n: usize| Address([2, 0, 0, 0, 0, 1 + n as u8]);
         let config = StackConfig::new(Interface { address: address(number), ip: IP[number], prefix: 24 });
         let mut stack = Stack::new(config, Vec::new());
@@ -58,23 +69,29 @@ impl End {
             .routes_mut()
             .add_host(HostRoute { ip, address, origin: Origin::Static })
             .expect("there is room");
-        let pool = Arc::new(Pool::new(64));
+        let pool = Arc::new(Pool::new(buffers));
         let socket = stack.open(Socket::udp(pool)).map_err(|(error, _)| error).expect("the first socket");
         stack.bind(socket, SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, PORT)).expect("a free port");
         Self { stack, queue: Queue(PriorityQueue::new()), nic: Pool::new(32), socket }
     }
 
     fn send(&mut self, data: &[u8]) {
-        let to = Some(SocketAddrV4::new(IP[1], PORT));
-        let sent = self.stack.send_to(self.socket, data, to, Flags::NONE, &mut self.queue);
+        self.send_to(SocketAddrV4::new(IP[1], PORT), data);
+    }
+
+    fn send_to(&mut self, to: SocketAddrV4, data: &[u8]) {
+        let sent = self.stack.send_to(self.socket, data, Some(to), Flags::NONE, &mut self.queue);
         sent.expect("there is a buffer and a route");
     }
 
     fn hear(&mut self, bytes: &[u8]) {
+        self.offer(bytes, 1).expect("there is a socket for it");
+    }
+
+    fn offer(&mut self, bytes: &[u8], now: u64) -> Result<(), Refusal> {
         let mut frame = self.nic.take().expect("whoever keeps a frame pays for it");
         frame.fill(bytes);
-        let heard = self.stack.on_frame(Some(Instant::from_nanos(1)), frame, &mut self.queue);
-        heard.expect("there is a socket for it");
+        self.stack.on_frame(Some(Instant::from_nanos(now)), frame, &mut self.queue)
     }
 
     fn read(&mut self, into: &mut [u8]) -> usize {
@@ -103,7 +120,53 @@ fn subject<R>(criterion: &mut Option<Criterion>, name: &str, mut step: impl FnMu
     }
 }
 
+/// Two stations exchange so many datagrams: short and long ones, some whose end is lost, some for nobody.
+fn mixed(count: u64) {
+    let mut ends = [End::with(0, 512), End::with(1, 512)];
+    let (data, mut room) = (vec![0x5a; 60_000], vec![0; 65_536]);
+    let mut come = 0u64;
+    let mut exchange = |numbers: Range<u64>| {
+        for n in numbers {
+            let (from, to, now) = (n as usize % 2, 1 - n as usize % 2, n * BETWEEN);
+            let (len, port, is_cut) = match n % 4_096 {
+                0 | 1 => (60_000, PORT, false),
+                n if n % 64 == 2 => (3_000, PORT, true),
+                n if n % 64 == 3 => (64, PORT + 1, false),
+                n if n % 8 == 4 => (1_472, PORT, false),
+                _ => (64, PORT, false),
+            };
+            ends[from].send_to(SocketAddrV4::new(IP[to], port), &data[..len]);
+            while let Some((_, frame)) = ends[from].queue.0.pop() {
+                if is_cut && ends[from].queue.0.is_empty() {
+                    break;
+                }
+                let heard = ends[to].offer(&frame, now);
+                assert_eq!(heard.err(), (port != PORT).then_some(Refusal::NoSocket), "datagram {n}");
+            }
+            let End { stack, queue, socket, .. } = &mut ends[to];
+            stack.poll(Instant::from_nanos(now), queue);
+            while stack.receive(*socket, &mut room, Flags::NONE, &TimeView::default()).is_ok() {
+                come += 1;
+            }
+        }
+        resident()
+    };
+    let first = count / 100;
+    let before = exchange(0..first);
+    let after = exchange(first..count);
+    println!("{{\"datagrams\": {count}, \"came\": {come}, \"resident\": [{before}, {after}]}}");
+}
+
+fn resident() -> u64 {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    statm.split(' ').nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * 4_096
+}
+
 fn main() {
+    let of_mixed = std::env::var("RTNET_COUNT").ok();
+    if let Some(count) = of_mixed.as_deref().and_then(|count| count.strip_prefix("mixed:")) {
+        return mixed(count.parse().expect("RTNET_COUNT is mixed:TIMES, as mixed:1000"));
+    }
     let mut criterion =
         std::env::var("RTNET_COUNT").is_err().then(|| Criterion::default().configure_from_args());
     let mut room = vec![0; 65_536];

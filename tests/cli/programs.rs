@@ -26,6 +26,8 @@ const KILLS: usize = 40;
 type Shares = [&'static [&'static str]; 2];
 /// At once.
 const NOMAC: Shares = [&["--discipline", "nomac"], &["--discipline", "nomac"]];
+/// At once, without ever sleeping.
+const BUSY: Shares = [&["--discipline", "nomac", "--scheduling", "busy"]; 2];
 /// In slots, one each in a cycle of a millisecond.
 const TDMA: Shares = [
     &["--master", "--cycle", "1ms", "--slot", "0=300us"],
@@ -85,6 +87,43 @@ fn sockets(name: &str) -> Vec<Value> {
     let shown: Value = serde_json::from_slice(&output.stdout).unwrap();
     let pools = shown["pools"].as_array().or(shown.as_array()).unwrap_or_else(|| panic!("{shown:#}")).clone();
     pools.into_iter().filter(|pool| pool["pool"].as_str().unwrap().starts_with("udp")).collect()
+}
+
+/// How often a station's real-time thread has gone to sleep by itself.
+fn slept(station: &Station) -> u64 {
+    let threads = std::fs::read_dir(format!("/proc/{}/task", station.child.id())).unwrap();
+    let read = |path: std::path::PathBuf, file| std::fs::read_to_string(path.join(file)).unwrap_or_default();
+    let thread =
+        threads.map(|thread| thread.unwrap().path()).find(|path| read(path.clone(), "comm") == "real-time\n");
+    let status = read(thread.expect("it has one"), "status");
+    let count = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+    count.and_then(|count| count.trim().parse().ok()).expect("the kernel counts them")
+}
+
+#[test]
+fn a_station_that_never_sleeps_echoes_and_serves_programs() {
+    network("a_station_that_never_sleeps_echoes_and_serves_programs", || {
+        let medium = Medium::new();
+        let [(a, busy), (b, other)] = stations(&medium, BUSY);
+        let (ask, echo) = (attach(&a), bound(&b, 36_000));
+        let (before, asleep) = (slept(&busy), Instant::now());
+        let mut room = [0; 8];
+        for n in 0..200u64 {
+            ask.send_to(&n.to_be_bytes(), to(AT_B, 36_000)).unwrap();
+            let asked = echo.receive(&mut room).unwrap();
+            let Sender::Udp(from) = asked.from else { panic!("{asked:?}") };
+            echo.send_to(&room[..asked.len], from).unwrap();
+            ask.receive(&mut room).unwrap();
+            assert_eq!(u64::from_be_bytes(room), n);
+        }
+        let ping = rtnet().args(["ping", "-S", &a, "-c", "3", "-i", "20ms", AT_B]).output().unwrap();
+        assert_eq!(ping.status.code(), Some(0), "{}", String::from_utf8_lossy(&ping.stderr));
+        // Whoever waits for a millisecond at a time sleeps about a thousand times a second.
+        std::thread::sleep(Duration::from_millis(300));
+        let (slept, for_ms) = (slept(&busy) - before, asleep.elapsed().as_millis() as u64);
+        assert!(slept < for_ms / 10, "it slept {slept} times in {for_ms} ms");
+        drop(other);
+    });
 }
 
 #[test]

@@ -360,6 +360,9 @@ pub enum Scheduling {
     Fifo,
     /// As any other thread
     Other,
+    /// As any other thread, and never asleep: it takes a whole core, and round trips do not wait for wake-ups. Without time
+    /// slots only
+    Busy,
 }
 
 /// What to do with a slot that has passed.

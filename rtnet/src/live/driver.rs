@@ -95,6 +95,8 @@ pub struct Driver<D: Discipline> {
     shown: SyncState,
     /// Whether it is data that has woken it.
     woken_by_data: bool,
+    /// Whether it never waits, where there are no slots to wait for.
+    spins: bool,
     /// When this turn looked at what is due, and when it had woken for that.
     looked: True,
     woke: True,
@@ -118,9 +120,16 @@ impl<D: Discipline> Driver<D> {
             next_snapshot: 0,
             shown: SyncState::Waiting,
             woken_by_data: false,
+            spins: false,
             looked: 0,
             woke: 0,
         }
+    }
+
+    /// The same that never sleeps where it waits for frames, not for slots: it takes a whole core, and neither a frame nor a
+    /// program has to wake it. Not for SCHED_FIFO: the kernel would take the core from it for 50 ms of every second.
+    pub fn spinning(self, spins: bool) -> Self {
+        Self { spins, ..self }
     }
 
     /// Where the loop leaves its records.
@@ -176,15 +185,20 @@ impl<D: Discipline> Driver<D> {
     fn turn(&mut self) {
         let for_data = std::mem::take(&mut self.woken_by_data);
         let Self { station, port, .. } = self;
-        port.drain_control(|rx, frame| station.on_frame(rx, frame));
+        let wakes_on_frames = station.discipline().wakes_on_frames();
+        if !wakes_on_frames {
+            port.drain_control(|rx, frame| station.on_frame(rx, frame));
+        }
         if let Some(clock) = self.clock_order.take() {
             port.set_clock(clock);
             self.time.set_clock(clock);
         }
-        let wakes_on_frames = station.discipline().wakes_on_frames();
         if wakes_on_frames {
-            // No slot waits: what has come may be answered in this turn.
-            port.drain_data(|rx, frame| station.on_frame(rx, frame));
+            // No slot waits: what has come is answered in this turn, before anything else is looked at.
+            port.hear(|rx, frame| {
+                station.on_frame(rx, frame);
+                !station.discipline().has_queued()
+            });
         } else if station.stack().is_some() {
             // Half of what it is awake for before the slot: the rest is for choosing, and for being held up.
             let until = station.next_deadline().map(|deadline| deadline + port.spin() / 2);
@@ -229,6 +243,7 @@ impl<D: Discipline> Driver<D> {
         let rested = if was_for_data { now + rest_after(awake) } else { now };
         let has_sockets = self.station.stack().is_some();
         match self.station.next_deadline() {
+            _ if wakes_on_frames && self.spins => self.port.look_again(),
             deadline if wakes_on_frames => self.wait_to_be_rung(deadline, no_later),
             Some(deadline) if has_sockets => {
                 self.woken_by_data = self.port.sleep_unless_data(deadline, no_later, rested);
@@ -245,8 +260,9 @@ impl<D: Discipline> Driver<D> {
 
     /// What a program sends need not wait for a slot: it rings.
     fn wait_to_be_rung(&mut self, deadline: Option<Instant>, no_later: True) {
-        if !self.station.sleeps(true) {
-            self.port.wait_for_frame_until(deadline, no_later);
+        match self.station.sleeps(true) {
+            true => self.port.look_again(),
+            false => self.port.wait_for_frame_until(deadline, no_later),
         }
         self.station.sleeps(false);
     }

@@ -14,6 +14,7 @@
 #![allow(unsafe_code)]
 #![allow(clippy::disallowed_methods)]
 
+mod alarm;
 mod bpf;
 pub mod clock;
 mod clock_order;

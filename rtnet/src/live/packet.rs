@@ -154,15 +154,20 @@ pub fn take_dropped(socket: &impl AsRawFd) -> io::Result<u64> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(stats.tp_drops.into()) }
 }
 
-/// Waits until one of them can be read, or so many nanoseconds; tells whether one has.
-pub fn wait_any<'a>(waited_for: impl Iterator<Item = BorrowedFd<'a>>, at_most: True) -> bool {
+/// Waits until one of them can be read, or so many nanoseconds; tells which can, the first by the lowest bit.
+pub fn wait_any<'a>(waited_for: impl Iterator<Item = BorrowedFd<'a>>, at_most: Option<True>) -> u8 {
     let entry = |fd: BorrowedFd<'_>| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     let mut entries: arrayvec::ArrayVec<libc::pollfd, 8> = waited_for.take(8).map(entry).collect();
-    let at_most = timespec(at_most);
-    // SAFETY: pointer and count are of one live array; `at_most` outlives the call, and no signal mask is given.
-    unsafe {
-        libc::ppoll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, &at_most, core::ptr::null()) > 0
+    let at_most = at_most.map(timespec);
+    let at_most = at_most.as_ref().map_or(core::ptr::null(), core::ptr::from_ref);
+    // SAFETY: pointer and count are of one live array; `at_most` is null or outlives the call, and no signal mask is given.
+    let found = unsafe {
+        libc::ppoll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, at_most, core::ptr::null())
+    };
+    if found <= 0 {
+        return 0;
     }
+    entries.iter().rev().fold(0, |bits, entry| bits << 1 | u8::from(entry.revents != 0))
 }
 
 fn errno() -> i32 {

@@ -7,7 +7,7 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 
 use nix::poll::PollTimeout;
-use nix::sys::epoll::{Epoll, EpollEvent};
+use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use socket2::Socket;
 
 use crate::buf::{Buf, Pool};
@@ -16,6 +16,7 @@ use crate::discipline::{Sent, Stamp, Transmission};
 use crate::time::{Instant, Span};
 use crate::wire::ethernet::EtherType;
 
+use super::alarm::Alarm;
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
 use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
@@ -32,6 +33,9 @@ const UNDISTURBED: True = 100_000;
 const COST_AT_MOST: True = 5_000;
 /// Bells that are taken note of at a time; more end the next wait at once.
 const BELLS: usize = 16;
+/// What they are called among what ends a wait; the sockets are called by their places, and the alarm as nobody asks it.
+const THE_BELLS: u64 = 62;
+const THE_ALARM: u64 = 63;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
 const COST_AGES: u64 = 2;
 
@@ -58,6 +62,13 @@ pub struct Port {
     hold: Option<fn()>,
     /// The bells that programs ring when they have something to be sent.
     doorbells: Option<Arc<Epoll>>,
+    alarm: Alarm,
+    /// What ends a wait for frames: all of them. Each wait of `ppoll` would ask them all, twice.
+    waker: Epoll,
+    /// Sockets that were found empty since the last wait for frames began: the lowest bit is for control.
+    empty: u8,
+    /// How often they were to be asked again without a wait.
+    looks: u32,
     counters: PortCounters,
 }
 
@@ -126,10 +137,17 @@ impl Port {
         // PACKET_QDISC_BYPASS would be a way past the guard: it is not set.
         let sender = packet::open()?;
         packet::bind(&sender, interface.index, 0)?;
+        let control = receiver(interface, EtherType::RTMAC.0, filter::accept_only_our_control)?;
+        let (data, alarm) = (receive::data(interface, data)?, Alarm::new()?);
+        let waker = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        for (place, socket) in (0..).zip(core::iter::once(&control).chain(&data)) {
+            waker.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, place))?;
+        }
+        waker.add(&alarm, EpollEvent::new(EpollFlags::EPOLLIN, THE_ALARM))?;
         Ok(Self {
             sender,
-            control: receiver(interface, EtherType::RTMAC.0, filter::accept_only_our_control)?,
-            data: receive::data(interface, data)?,
+            control,
+            data,
             pool: Arc::new(Pool::new(RECEIVE_POOL)),
             clock,
             wall: WallClock::default(),
@@ -143,6 +161,10 @@ impl Port {
             is_alone: false,
             hold: None,
             doorbells: None,
+            alarm,
+            waker,
+            empty: 0,
+            looks: 0,
             counters: PortCounters::default(),
         })
     }
@@ -262,13 +284,13 @@ impl Port {
     /// Waits for a frame of any kind, at most `timeout_ms` milliseconds.
     pub fn wait_for_frame(&self, timeout_ms: i32) {
         let at_most = timeout_ms.max(0) as True * 1_000_000;
-        packet::wait_any(self.waited_for(), at_most);
+        packet::wait_any(self.waited_for(), Some(at_most));
     }
 
     /// What can end a wait.
     fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
-        sockets.chain(self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()))
+        self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()).chain(sockets)
     }
 
     /// The same with so many buffers for received frames.
@@ -279,16 +301,26 @@ impl Port {
     /// From now on a wait for a frame is over, too, when one of these rings. They are triggered by edge: who rings can
     /// neither keep a bell from being heard nor from falling silent.
     pub fn ring_by(&mut self, doorbells: Arc<Epoll>) {
+        // Without it programs are looked at each time the loop comes by.
+        let _ = self.waker.add(&doorbells.0, EpollEvent::new(EpollFlags::EPOLLIN, THE_BELLS));
         self.doorbells = Some(doorbells);
     }
 
     /// The same until the station's clock shows `at`, at most until the true moment `no_later`.
     pub fn wait_for_frame_until(&mut self, at: Option<Instant>, no_later: True) {
         let until = at.map_or(no_later, |at| self.clock.truth(at).min(no_later));
-        let at_most = until.saturating_sub(monotonic());
-        packet::wait_any(self.waited_for(), at_most);
+        let now = monotonic();
+        let at_most = match self.alarm.rings_by(until, now) {
+            true => PollTimeout::NONE,
+            false => PollTimeout::try_from(until.saturating_sub(now).div_ceil(1_000_000))
+                .unwrap_or(PollTimeout::MAX),
+        };
+        let mut events = [EpollEvent::empty(); BELLS];
+        let found = self.waker.wait(&mut events, at_most).unwrap_or(0);
         self.woke = monotonic();
-        if let Some(doorbells) = &self.doorbells {
+        let ready = events[..found].iter().fold(0u64, |ready, event| ready | 1 << event.data());
+        self.empty = !(ready as u8);
+        if let Some(doorbells) = self.doorbells.as_ref().filter(|_| ready >> THE_BELLS & 1 != 0) {
             // Whoever rang: all lines are looked at.
             let _ = doorbells.wait(&mut [EpollEvent::empty(); BELLS], PollTimeout::ZERO);
         }
@@ -303,7 +335,7 @@ impl Port {
             self.rest_until(rested);
             let at_most = undisturbed.saturating_sub(monotonic());
             if at_most > 0
-                && packet::wait_any(self.data.iter().map(|socket| socket.as_fd()), at_most)
+                && packet::wait_any(self.data.iter().map(|socket| socket.as_fd()), Some(at_most)) != 0
                 && monotonic() < undisturbed
             {
                 self.woke = monotonic();

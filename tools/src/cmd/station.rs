@@ -85,6 +85,10 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
     }
     // Without slots nothing is late.
     let guard = match &access {
+        AccessConfig::Tdma(_) if args.scheduling == Scheduling::Busy => bail!(
+            "--scheduling busy goes without time slots, for which a station sleeps: leave it out, or run the station with \
+             --discipline nomac"
+        ),
         AccessConfig::Tdma(_) => args.slot_guard.mode(),
         AccessConfig::NoMac | AccessConfig::Direct => {
             without_slots(args)?;
@@ -98,6 +102,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         latest: args.latest,
         own_slots,
         fifo: args.scheduling == Scheduling::Fifo,
+        busy: args.scheduling == Scheduling::Busy,
         cpu: args.cpu,
         spin: args.lead,
         guard,

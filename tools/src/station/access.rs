@@ -179,6 +179,10 @@ impl Discipline for Access {
     fn is_waiting(&self, channel: Channel) -> bool {
         any!(self, d => d.is_waiting(channel))
     }
+
+    fn has_queued(&self) -> bool {
+        any!(self, d => d.has_queued())
+    }
     fn put_back(&mut self, frame: Returned) {
         any!(self, d => d.put_back(frame))
     }

@@ -74,6 +74,8 @@ pub struct Options {
     pub own_slots: Option<OwnSlots>,
     /// Whether to ask for SCHED_FIFO.
     pub fifo: bool,
+    /// Whether it never sleeps, where there are no slots to sleep for.
+    pub busy: bool,
     /// The core for the real-time thread.
     pub cpu: Option<usize>,
     /// How long before its instant a frame is spun for.
@@ -308,7 +310,7 @@ fn driver(
     if let Some(stack) = &options.stack {
         station = station.with_stack(stack.stack(interface.address, asker)?);
     }
-    Ok(Driver::new(station, port, config))
+    Ok(Driver::new(station, port, config).spinning(options.busy))
 }
 
 /// The station's name and its control socket, if any were asked for. A lab has seen to the names of its own stations.

@@ -4,7 +4,7 @@ use std::io;
 
 use socket2::Socket;
 
-use super::PortCounters;
+use super::{Port, PortCounters};
 use crate::buf::{Buf, Pool};
 use crate::clock::EmulatedClock;
 use crate::live::clock::WallClock;
@@ -16,6 +16,9 @@ use crate::wire::udp;
 
 /// Frames taken from one socket in one turn at the most, so that a flood cannot hold up a slot.
 pub(super) const DRAIN_AT_MOST: usize = 32;
+
+/// Of so many looks of a station without slots, which does not sleep, one is for its control socket, too.
+const CONTROL_EVERY: u32 = 16;
 
 /// What a port hears besides RTmac's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +32,43 @@ pub enum Data<'a> {
 impl<'a, const N: usize> From<&'a [EtherType; N]> for Data<'a> {
     fn from(only: &'a [EtherType; N]) -> Self {
         Data::Only(only)
+    }
+}
+
+impl Port {
+    /// Hands over what has come, data first, as long as `to` says that there may be more of it: a station without slots
+    /// answers a frame before it looks at the next one. A socket that was found empty is not asked again before the next wait
+    /// for frames.
+    pub fn hear(&mut self, mut to: impl FnMut(Option<Instant>, Buf) -> bool) {
+        let Self { control, data, pool, clock, wall, trusted, counters, empty, .. } = self;
+        let mut is_sampled = false;
+        let control = core::iter::once((0, &*control));
+        for (place, socket) in (1..).zip(&*data).chain(control) {
+            let is_empty = *empty >> place & 1 != 0;
+            for _ in 0..if is_empty { 0 } else { DRAIN_AT_MOST } {
+                let mut goes_on = true;
+                let to = |stamp, frame| {
+                    if !is_sampled {
+                        (is_sampled, *trusted) = (true, wall.sample());
+                    }
+                    goes_on = to(on_clock(stamp, *trusted, clock, wall), frame);
+                };
+                if drain(socket, pool, counters, 1, to) == 0 {
+                    *empty |= 1 << place;
+                    break;
+                }
+                if !goes_on {
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Has the sockets asked again without a wait; that of RTmac's frames, none of which is urgent without slots, one time
+    /// in so many.
+    pub fn look_again(&mut self) {
+        self.looks = self.looks.wrapping_add(1);
+        self.empty = u8::from(!self.looks.is_multiple_of(CONTROL_EVERY));
     }
 }
 

@@ -65,6 +65,41 @@ fn what_is_in_time_leaves_at_its_instant_with_its_stamp() {
 }
 
 #[test]
+fn what_has_come_is_heard_until_there_is_an_answer_and_an_empty_socket_is_not_asked_before_the_next_wait() {
+    in_a_namespace(|| {
+        let (mut port, pool) = (port(), Pool::new(1));
+        let send = |port: &mut Port| {
+            let at = port.now();
+            assert!(matches!(port.transmit(transmission(&pool, at, at + ROOM_FOR_A_BUSY_HOST)), Sent::At(_)));
+        };
+        let heard = |port: &mut Port, most: usize| {
+            let mut count = 0;
+            port.hear(|_, _| {
+                count += 1;
+                count < most
+            });
+            count
+        };
+        let far = ROOM_FOR_A_BUSY_HOST.nanos() as u64;
+        for _ in 0..3 {
+            send(&mut port);
+        }
+        assert_eq!([heard(&mut port, 1), heard(&mut port, 9), heard(&mut port, 9)], [1, 2, 0]);
+        send(&mut port);
+        assert_eq!(heard(&mut port, 9), 0, "it was found empty, and nobody has waited since");
+        let begun = monotonic();
+        port.wait_for_frame_until(None, begun + far);
+        assert!(monotonic() < begun + far, "a frame ends the wait");
+        assert_eq!(heard(&mut port, 9), 1);
+        port.wait_for_frame_until(None, monotonic() + 1_000_000);
+        send(&mut port);
+        assert_eq!(heard(&mut port, 9), 0, "the wait has found nothing");
+        port.look_again();
+        assert_eq!(heard(&mut port, 9), 1);
+    });
+}
+
+#[test]
 fn what_the_kernel_drops_from_a_full_socket_is_counted() {
     in_a_namespace(|| {
         let (mut port, pool) = (port(), Pool::new(1));

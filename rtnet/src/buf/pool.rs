@@ -22,8 +22,8 @@ use super::{Buf, Storage};
 
 /// Buffers that a pool may own at most: a buffer has 16 bits for its place.
 pub const MOST: usize = 1 << 16;
-/// When the capacity changed: places are not taken in turn from then on.
-const SOME_WERE_OUT: usize = usize::MAX;
+/// When the capacity changed: places are not taken in turn from then on. As many may be taken beyond it as there are, and more.
+const SOME_WERE_OUT: usize = usize::MAX / 2;
 
 /// A number of buffers, shared between threads by reference. It changes only when somebody asks for it.
 pub struct Pool {
@@ -53,7 +53,7 @@ pub(super) struct Home {
     reach: AtomicUsize,
     capacity: AtomicUsize,
     least: AtomicUsize,
-    /// Places whose `was_taken` is set, or [`SOME_WERE_OUT`].
+    /// Places whose `was_taken` is set, beyond [`SOME_WERE_OUT`] if they were.
     ever_taken: AtomicUsize,
     exhausted: AtomicU64,
     /// Held while the capacity changes.
@@ -221,9 +221,9 @@ impl Home {
     #[cold]
     fn note_taken(&self, number: usize) {
         let is_first = !self.places[number].was_taken.swap(true, Relaxed);
-        let least = if is_first && self.ever_taken.load(Relaxed) != SOME_WERE_OUT {
+        let out = if is_first { self.ever_taken.fetch_add(1, Relaxed) + 1 } else { SOME_WERE_OUT };
+        let least = if out < SOME_WERE_OUT {
             // Nobody passes over a filled place, so that all that were ever taken are out now.
-            let out = self.ever_taken.fetch_add(1, Relaxed) + 1;
             self.capacity.load(Relaxed).saturating_sub(out)
         } else {
             self.available()

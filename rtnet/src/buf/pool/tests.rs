@@ -105,6 +105,15 @@ fn the_buffers_in_use_are_the_same_few_all_the_time() {
     assert_eq!((used, pool.statistics().least), (3, 61));
 }
 
+/// One thread less is at work when it ends, also by a panic: nobody waits for it then.
+struct AtWork<'a>(&'a AtomicU32);
+
+impl Drop for AtWork<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Relaxed);
+    }
+}
+
 #[test]
 fn threads_take_hand_over_and_return_while_another_extends_and_shrinks() {
     let (nic, socket) = (Pool::with_room(4, 12), Pool::with_room(3, 9));
@@ -113,6 +122,7 @@ fn threads_take_hand_over_and_return_while_another_extends_and_shrinks() {
         for byte in 1..=3u8 {
             let (nic, socket, at_work) = (&nic, &socket, &at_work);
             scope.spawn(move || {
+                let _at_work = AtWork(at_work);
                 for _ in 0..20_000 {
                     let Some(mut frame) = nic.take() else { continue };
                     frame.fill(&[byte; 64]);
@@ -122,7 +132,6 @@ fn threads_take_hand_over_and_return_while_another_extends_and_shrinks() {
                     let mine = chain.parts().flatten().all(|&filled| filled == byte);
                     assert!(mine && chain.len() == 50, "two owners of one buffer");
                 }
-                at_work.fetch_sub(1, Relaxed);
             });
         }
         for pool in [&nic, &socket] {

@@ -79,11 +79,18 @@ fn stations_of_a_lab_have_addresses_know_each_other_and_have_sockets_for_program
         }
         assert!(ask(&cell, "pool", "leg", &[]).as_array().unwrap().len() > 3, "its socket has one");
         drop((here, there));
-        cell.restart("arm");
-        assert_eq!(came_back(ping(&cell, MASTER)), 50, "it knows them, and they know it");
         // What programs sent was in its slots, and nothing is missed for it that is unexplained.
         let account = cell.down();
         assert_eq!(account["unexplained"], 0, "{account:#}");
+    });
+}
+
+#[test]
+fn a_station_of_a_lab_that_is_started_anew_has_its_address_and_knows_the_others() {
+    network("a_station_of_a_lab_that_is_started_anew_has_its_address_and_knows_the_others", || {
+        let cell = lab("anew");
+        cell.restart("arm");
+        assert_eq!(came_back(ping(&cell, MASTER)), 50, "it knows them, and they know it");
     });
 }
 

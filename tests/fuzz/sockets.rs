@@ -105,7 +105,14 @@ impl Model {
     ) -> Result<(), SocketError> {
         let socket = self.get(id)?;
         let (to, capacity) = (to.or(socket.peer).ok_or(SocketError::NotConnected)?, socket.capacity);
-        let from = SocketAddrV4::new(own, socket.local.port());
+        let local = socket.local;
+        // What is sent to a loopback address comes from one.
+        let source = match to.ip().is_loopback() {
+            true if local.ip().is_loopback() => *local.ip(),
+            true => Ipv4Addr::LOCALHOST,
+            false => own,
+        };
+        let from = SocketAddrV4::new(source, local.port());
         is_destination(to)?;
         if data.len() > 65_507 {
             return Err(SocketError::TooLong(data.len()));

@@ -21,6 +21,7 @@
 //! the same sockets by [`Access`](crate::socket::Access).
 
 pub mod client;
+mod connection;
 pub mod door;
 pub mod handshake;
 pub mod line;

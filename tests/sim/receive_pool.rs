@@ -30,7 +30,7 @@ fn network() -> Network<Access> {
     for id in 0..STATIONS {
         let clock = EmulatedClock { anchor: BEGIN, ..EmulatedClock::default() };
         let (address, station) = (address(id), station(id));
-        network.add(Member { address, clock, host: Host::IDEAL, station }, BEGIN);
+        network.add(Member { address, clock, host: Host::IDEAL.into(), station }, BEGIN);
     }
     network
 }

@@ -29,7 +29,7 @@ const SECOND: u64 = 1_000_000_000;
 fn member(config: &AccessConfig, address: Address, service: Box<dyn Service>) -> Member<Access> {
     let clock = EmulatedClock { anchor: BEGIN, offset: Span::from_millis(700), drift_ppb: 40_000 };
     let station = Station::new(Access::new(config, address).unwrap(), vec![service]);
-    Member { address, clock, host: Host::VIRTUAL_MACHINE, station }
+    Member { address, clock, host: Host::VIRTUAL_MACHINE.into(), station }
 }
 
 fn sent(network: &Network<Access>, id: usize) -> u64 {
@@ -110,7 +110,7 @@ fn nomac_says(says: Vec<Vec<u8>>) -> (Network<Access>, Arc<Mutex<Vec<SendError>>
     let talk = Talk::new(says);
     let refused = talk.refused.clone();
     let mut network = Network::new(Medium::default(), 7);
-    let talker = Member { host: Host::IDEAL, ..member(&AccessConfig::NoMac, B, Box::new(talk)) };
+    let talker = Member { host: Host::IDEAL.into(), ..member(&AccessConfig::NoMac, B, Box::new(talk)) };
     network.add(talker, BEGIN);
     let heard = Heard::default();
     let noted = heard.clone();

@@ -145,7 +145,7 @@ impl<'a> Course<'a> {
         let mut lab = case.plan.build();
         let members: Vec<_> = (0..case.plan.stations()).map(Some).collect();
         for (id, host) in case.hosts.iter().enumerate() {
-            lab.network.member_mut(id).host = host.clone();
+            lab.network.member_mut(id).host = host.clone().into();
         }
         let (settles_within, apart_within) = (case.settles_within(), case.apart_within());
         let account = Account { settles_within, apart_within, ..Account::default() };
@@ -252,7 +252,7 @@ impl<'a> Course<'a> {
 
     fn move_to(&mut self, id: StationId, host: Host) {
         if let Some(member) = self.members[id] {
-            self.lab.network.member_mut(member).host = host;
+            self.lab.network.member_mut(member).host = host.into();
         }
     }
 

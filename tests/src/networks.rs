@@ -225,7 +225,7 @@ impl Lab {
         self.tallies.push(traffic.tally.clone());
         let discipline = if plan.peers.contains(&id) { plan.peer(id, master) } else { plan.ours(id, master) };
         let station = Station::new(discipline, vec![Box::new(traffic)]);
-        let (address, clock, host) = (plan.address(id), self.clocks[id], plan.host.clone());
+        let (address, clock, host) = (plan.address(id), self.clocks[id], plan.host.clone().into());
         self.network.add(Member { address, clock, host, station }, at)
     }
 

@@ -63,7 +63,7 @@ impl Observed {
         for (id, counts) in received.iter().enumerate() {
             let discipline = plan.ours(id, (id == 0).then_some(plan.cycle()));
             let station = Station::new(discipline, vec![traffic(&plan, id, counts.clone())]);
-            let (address, clock, host) = (plan.address(id), plan.clock(id), host.clone());
+            let (address, clock, host) = (plan.address(id), plan.clock(id), host.clone().into());
             network.add(Member { address, clock, host, station }, BEGIN + id as u64 * 1_000_000);
         }
         let records = Records::new(&plan.scenario);

@@ -144,7 +144,7 @@ pub fn network<D: Discipline>(stations: Vec<Station<D>>, host: Host) -> Network<
     network.run_until(BEGIN);
     for (id, station) in stations.into_iter().enumerate() {
         let clock = EmulatedClock { anchor: BEGIN, offset: Span::from_micros(id as i64 * 777), drift_ppb: 0 };
-        network.add(Member { address: address(id), clock, host: host.clone(), station }, BEGIN);
+        network.add(Member { address: address(id), clock, host: host.clone().into(), station }, BEGIN);
     }
     network
 }

@@ -75,21 +75,22 @@ impl SlotConfig {
     }
 }
 
-/// A place for a slot.
+/// A place for a slot. What every turn looks at comes first, together.
+#[repr(C)]
 struct Slot {
-    /// `None`: not defined.
-    config: Option<SlotConfig>,
-    queue: PriorityQueue,
     /// The cycle it is used in next.
     next: u32,
-    /// What becomes of it once its turn in the cycle in which that was asked for has passed, and from which
-    /// cycle on.
-    change: Option<(Change, u32)>,
-    sent: u64,
     /// Whether a frame was taken for its last turn.
     used: bool,
     /// From whose queue.
     taken_from: Channel,
+    /// `None`: not defined.
+    config: Option<SlotConfig>,
+    sent: u64,
+    /// What becomes of it once its turn in the cycle in which that was asked for has passed, and from which
+    /// cycle on.
+    change: Option<(Change, u32)>,
+    queue: PriorityQueue,
 }
 
 #[derive(Clone, Copy)]
@@ -141,9 +142,9 @@ impl Slots {
             used: false,
             taken_from: id,
         };
-        let table: Vec<Slot> = (0..=max_id).map(place).collect();
         // Slots are defined by the real-time thread, which makes no room.
-        let in_use = Vec::with_capacity(table.len());
+        let in_use = Vec::with_capacity(usize::from(max_id) + 1);
+        let table = (0..=max_id).map(place).collect();
         Self { table, in_use, max_id, dropped: 0, detached: 0 }
     }
 
@@ -274,19 +275,18 @@ impl Slots {
     /// This slot is not used before `cycle`.
     pub fn pass_until(&mut self, id: Channel, cycle: u32) {
         let slot = &mut self.table[usize::from(id)];
-        match (slot.change.take(), slot.config) {
+        let next = slot.config.as_ref().map(|config| next_cycle(cycle, config.phase, config.period));
+        let is_before = |cycle: u32, from: u32| (from.wrapping_sub(cycle) as i32) > 0;
+        match (&slot.change, next) {
+            (None, next) => slot.next = next.unwrap_or(slot.next),
             // Where the turn was still due before the cycle in which the change was asked for, it is not yet over.
-            (Some((change, from)), Some(config)) if (from.wrapping_sub(cycle) as i32) > 0 => {
-                slot.next = next_cycle(cycle, config.phase, config.period);
-                if (from.wrapping_sub(slot.next) as i32) > 0 {
-                    slot.change = Some((change, from));
-                } else {
+            (&Some((change, from)), Some(next)) if is_before(cycle, from) => {
+                slot.next = next;
+                if !is_before(next, from) {
                     self.apply(id, change, from);
                 }
             }
-            (Some((change, _)), _) => self.apply(id, change, cycle),
-            (None, Some(config)) => slot.next = next_cycle(cycle, config.phase, config.period),
-            (None, None) => {}
+            (&Some((change, _)), _) => self.apply(id, change, cycle),
         }
     }
 

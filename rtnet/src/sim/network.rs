@@ -6,6 +6,8 @@ mod faults;
 mod frames;
 mod seat;
 
+use std::sync::Arc;
+
 use super::agenda::Agenda;
 use super::host::Host;
 use super::medium::{Aired, Medium, Traffic};
@@ -33,8 +35,8 @@ pub struct Member<D: Discipline> {
     pub address: Address,
     /// Its clock.
     pub clock: EmulatedClock,
-    /// Its host.
-    pub host: Host,
+    /// Its host: many have the same habits.
+    pub host: Arc<Host>,
     /// The station.
     pub station: Station<D>,
 }

@@ -83,11 +83,12 @@ impl World {
         let truth = TrueMaster { clock: master, epoch: Offset::between(master.local(UPTIME), EPOCH) };
         let counts: Vec<Arc<TrafficCounts>> = scenario.stations.iter().map(|_| Arc::default()).collect();
         let mut world = Self { network, counts, truth };
+        let mut hosts = Vec::new();
         for id in 0..scenario.stations.len() {
             let station = world.station(scenario, id, None, 0)?;
             let (address, clock) = (scenario.address(id), clock(scenario, id));
             let guard = scenario.is_guarded().then_some(GUARD_TOLERANCE);
-            let host = Host { guard, ..conditions.host(id).clone() };
+            let host = shared(&mut hosts, Host { guard, ..conditions.host(id).clone() });
             world.network.add(Member { address, clock, host, station }, UPTIME);
             if !is_there(id) {
                 world.network.stop(id);
@@ -151,6 +152,15 @@ impl World {
         let traffic = Traffic::new(plan, self.counts[id].clone()).with_flows(scenario.flow_plan(id));
         Ok(Station::new(tdma, vec![Box::new(traffic)]))
     }
+}
+
+/// The same as an equal one that is known, or one more of those.
+fn shared(known: &mut Vec<Arc<Host>>, host: Host) -> Arc<Host> {
+    let equal = known.iter().find(|other| ***other == host).cloned();
+    equal.unwrap_or_else(|| {
+        known.push(Arc::new(host));
+        known[known.len() - 1].clone()
+    })
 }
 
 /// What the wires of these stations do from now on: as they do throughout, or as an event says besides.

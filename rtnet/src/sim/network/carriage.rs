@@ -71,7 +71,7 @@ impl<D: Discipline> Network<D> {
 
     pub(super) fn air(&mut self, from: StationId, frame: Buf) {
         let now = self.now;
-        if self.members.get(from).is_some_and(|seat| seat.sends_by.down) {
+        if self.members.get(from).is_some_and(|seat| seat.wire.is_down()) {
             self.traffic.lost += 1;
             return;
         }
@@ -121,7 +121,7 @@ impl<D: Discipline> Network<D> {
     /// What its own wire does to a frame that a station sends.
     fn leave(&mut self, from: StationId, frame: &[u8]) -> Result<Fate, Loss> {
         let Some(seat) = self.members.get(from) else { return Ok(Fate::default()) };
-        seat.sends_by.carry(frame, &mut self.random).ok_or(Loss::Wire)
+        seat.wire.sends(frame, &mut self.random).ok_or(Loss::Wire)
     }
 
     pub(super) fn landed(&mut self, number: u64) {
@@ -231,7 +231,7 @@ impl<D: Discipline> Network<D> {
         if self.random.happens(if is_control(bytes) { lose_control_ppm } else { lose_data_ppm }) {
             return Err(Loss::Wire);
         }
-        let heard = self.members[to].hears_by.carry(bytes, &mut self.random).ok_or(Loss::Wire)?;
+        let heard = self.members[to].wire.hears(bytes, &mut self.random).ok_or(Loss::Wire)?;
         let len = bytes.len();
         let at = self.through_port(to, len, at).ok_or(Loss::QueueFull)?;
         self.count(heard);

@@ -68,8 +68,8 @@ impl<D: Discipline> Network<D> {
 
     /// The two directions of a station's wire, to change while the network runs: what it sends by, and what it hears by.
     pub fn wire_mut(&mut self, id: StationId) -> (&mut Link, &mut Link) {
-        let seat = &mut self.members[id];
-        (&mut seat.sends_by, &mut seat.hears_by)
+        let [sends_by, hears_by] = self.members[id].wire.links_mut();
+        (sends_by, hears_by)
     }
 
     /// Gives a station another clock from now on. What it waited for it looks for anew, once it is out of a send.

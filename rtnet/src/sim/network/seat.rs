@@ -6,7 +6,8 @@ use super::frames::{Frames, Kept};
 use super::{Action, Agenda, Member, StationId, Wander};
 use crate::clock::{EmulatedClock, True};
 use crate::discipline::{Discipline, Transmission};
-use crate::sim::link::Link;
+use crate::sim::link::{Fate, Link};
+use crate::sim::random::Random;
 
 /// Frames that wait for a station at the most: as many buffers as its network card has, as RTnet's receive ring and
 /// transmit descriptors.
@@ -40,9 +41,7 @@ pub struct Seat<D: Discipline> {
     /// It is in a send until then.
     pub busy_until: True,
     pub dropped: u64,
-    /// Its wire: what it sends, and what it hears.
-    pub sends_by: Link,
-    pub hears_by: Link,
+    pub wire: Wire,
     /// Whom it has sent to last: the place in the order of addresses, as long as nobody has come.
     pub sends_to: usize,
     /// Its port of a switch.
@@ -53,6 +52,30 @@ pub struct Seat<D: Discipline> {
     /// The number of what it does next: what was put down before under another one is void.
     number: u64,
     turns_now: (True, u32),
+}
+
+/// The wire of a station: what it sends by, and what it hears by. Most wires do nothing, and take no memory.
+#[derive(Default)]
+pub struct Wire(Option<Box<[Link; 2]>>);
+
+impl Wire {
+    pub fn is_down(&self) -> bool {
+        self.0.as_ref().is_some_and(|links| links[0].down)
+    }
+
+    /// What becomes of a frame that the station sends; `None`: it is lost.
+    pub fn sends(&self, frame: &[u8], random: &mut Random) -> Option<Fate> {
+        self.0.as_ref().map_or(Some(Fate::default()), |links| links[0].carry(frame, random))
+    }
+
+    /// The same of one that comes to it.
+    pub fn hears(&self, frame: &[u8], random: &mut Random) -> Option<Fate> {
+        self.0.as_ref().map_or(Some(Fate::default()), |links| links[1].carry(frame, random))
+    }
+
+    pub fn links_mut(&mut self) -> &mut [Link; 2] {
+        self.0.get_or_insert_default()
+    }
 }
 
 /// A port of a switch.
@@ -80,8 +103,7 @@ impl<D: Discipline> Seat<D> {
             stall: 0,
             busy_until: 0,
             dropped: 0,
-            sends_by: Link::default(),
-            hears_by: Link::default(),
+            wire: Wire::default(),
             sends_to: 0,
             port: Port::default(),
             wander: None,

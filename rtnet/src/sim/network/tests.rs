@@ -63,7 +63,7 @@ impl Bench {
                 Station::new(Direct::new(DEFAULT_ASK_EVERY), services),
             );
             network.add(
-                Member { address, clock, host: Host::IDEAL, station },
+                Member { address, clock, host: Host::IDEAL.into(), station },
                 if id == EAR { begins } else { 0 },
             );
         }

@@ -16,7 +16,8 @@ fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
         let _first = Station::master(&medium, master);
         let options =
             ["--interface", "rt0", "--slave", "--rounds", "10", "--slot", "0=1ms", "--holdover", "20"];
-        let second = Station::start(&medium.b, &[&options[..], &["--name", slave]].concat());
+        let named = ["--delay", "median", "--name", slave];
+        let second = Station::start(&medium.b, &[&options[..], &named].concat());
         second.wait_for("locked, cycle");
         let before =
             wait_until("it has told of it", slave, |status| !status["clock"]["calibration"].is_null());
@@ -41,7 +42,11 @@ fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
         assert!(ordered.is_sorted() && ns("spread_ns") == ordered[3] - ordered[0], "{shown:#}");
         let words = rtnet().args(["tdma", "-S", slave, "status"]).output().unwrap();
         let words = String::from_utf8(words.stdout).unwrap();
-        for expected in ["servo linear, holdover 20 cycles, time off by ", "25 rounds: min ", "(RTnet's)"] {
+        for expected in [
+            "servo linear, delay by median, holdover 20 cycles, time off by ",
+            "25 rounds: min ",
+            "(RTnet's)",
+        ] {
             assert!(words.contains(expected), "{words}");
         }
         let refused = asked(&["tdma", "-S", master, "calibrate"]).unwrap_err();

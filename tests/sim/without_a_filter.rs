@@ -5,13 +5,17 @@ use rtnet::discipline::SyncState;
 use rtnet::sim::Host;
 use rtnet::time::{Offset, Span};
 use tests::networks::{Lab, Plan};
-use tools::scenario::{Scenario, ServoName, Source, Uniform};
+use tools::scenario::{DelayName, Scenario, ServoName, Source, Uniform};
 use tools::sim::{self, Options, discipline};
 
-/// Hosts that hold one frame in five up, by up to 90 us after its stamp.
+/// A host that holds one frame in five up, by up to 90 us after its stamp.
+fn busy() -> Host {
+    Host { stall_ppm: 200_000, longest_stall: Span::from_micros(90), ..Host::VIRTUAL_MACHINE }
+}
+
+/// On such hosts.
 fn run(servo: ServoName, seed: u64) -> (Span, Lab) {
-    let busy = Host { stall_ppm: 200_000, longest_stall: Span::from_micros(90), ..Host::VIRTUAL_MACHINE };
-    let mut plan = Plan::of(&Uniform { seed, ..Plan::lab_options(4) }).on(busy);
+    let mut plan = Plan::of(&Uniform { seed, ..Plan::lab_options(4) }).on(busy());
     plan.scenario.servo = servo;
     let mut lab = plan.build();
     lab.run_until_locked();
@@ -60,6 +64,28 @@ fn a_scenarios_servo_is_that_of_its_stations_in_virtual_time() {
         };
         assert_eq!(slave.servo, servo);
     }
+}
+
+#[test]
+fn a_scenarios_delay_is_that_of_its_stations_rounds_in_virtual_time() {
+    let mut all = Vec::new();
+    for name in [DelayName::Quartile, DelayName::Median, DelayName::Mean] {
+        let mut plan = Plan::lab(3).on(busy());
+        (plan.scenario.servo, plan.scenario.delay) = (ServoName::None, Some(name));
+        let mut lab = plan.build();
+        lab.run_until_locked();
+        let status = lab.status(1);
+        let report = status.calibration.expect("it has calibrated");
+        let whole = report.whole.expect("with all rounds");
+        let expected = match name {
+            DelayName::Quartile => whole.quartile,
+            DelayName::Median => whole.median,
+            DelayName::Mean => report.mean,
+        };
+        assert_eq!((status.delay, status.delay_of), (Some(expected), Some(name.delay_of())));
+        all.push(expected);
+    }
+    assert!(all.is_sorted() && all[1] * 2 < all[2], "hold-ups only ever make a round longer: {all:?}");
 }
 
 /// By how much slots are off where every frame is held up by anything up to so long: the mean, and from least to most.

@@ -164,6 +164,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
         late: LatePolicy::Skip,
         slot_guard: SlotGuard::User,
         servo: ServoName::Linear,
+        delay: None,
         stations,
         conditions: Conditions::default(),
     };

@@ -18,7 +18,7 @@ use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, HEADER_LEN};
 use tools::cli::{Cli, LabRunArgs, LabVerb, Verb};
-use tools::scenario::{Scenario, SlotPlan, StationPlan, Uniform};
+use tools::scenario::{DelayName, Scenario, SlotPlan, StationPlan, Uniform};
 use tools::station::sync_latest;
 
 use crate::judge::{Judge, Layout};
@@ -325,7 +325,8 @@ impl Plan {
         let rounds = scenario.stations[id].rounds;
         let step_limit = Some(schedule::step_limit(scenario.guard));
         let servo = if self.without_filter.contains(&id) { Servo::None } else { scenario.servo.servo() };
-        let follow = SlaveConfig { rounds, step_limit, servo, ..self.follow };
+        let delay_of = scenario.delay.map(DelayName::delay_of).or(self.follow.delay_of);
+        let follow = SlaveConfig { rounds, step_limit, servo, delay_of, ..self.follow };
         let begins = |cycle| (cycle, epoch().global(self.clock(id).local(UPTIME)));
         let role = match master.or(self.backup(id).map(|_| self.cycle())) {
             Some(cycle) => RoleConfig::Master(MasterConfig {

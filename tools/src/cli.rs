@@ -12,7 +12,7 @@ use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
 use crate::control::{Place, parse_name};
-use crate::scenario::{DelayPolicy, ServoName, SlotGuard};
+use crate::scenario::{DelayName, DelayPolicy, ServoName, SlotGuard};
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 pub use lab::{
@@ -168,6 +168,9 @@ pub enum TdmaVerb {
         /// How syncs become its time line [default: as it was started, and so are the others]
         #[arg(long)]
         servo: Option<ServoName>,
+        /// What all calibration rounds say together of the delay
+        #[arg(long, value_name = "OF")]
+        delay: Option<DelayName>,
         /// Cycles without a sync that are bridged; in a lab it is one
         #[arg(long, value_name = "N")]
         holdover: Option<u32>,
@@ -285,6 +288,9 @@ pub struct StationArgs {
     /// How syncs become its time line, of a master when it follows another [default: linear]
     #[arg(long)]
     pub servo: Option<ServoName>,
+    /// What all calibration rounds say together of the delay [default: quartile; with --servo none mean]
+    #[arg(long, value_name = "OF")]
+    pub delay: Option<DelayName>,
     /// Cycles without a sync that are bridged before it is silent. How far its time may be off meanwhile,
     /// `rtnet tdma status` tells [default: 1]
     #[arg(long, value_name = "N")]

@@ -19,9 +19,8 @@
 //! is to be measured, nothing stays of what is under way.
 //!
 //! RTnet takes the mean of all rounds, as a station does that follows as RTnet's do (`servo = "none"`), and never repeats a
-//! lost one. Here the lower quartile counts: one stamp
-//! that the host held up by a millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever
-//! make a round longer. And where Synchronisations take longer than that, it is their delay that counts.
+//! lost one. Here the lower quartile counts, unless the median or the mean is asked for: one stamp that the host held up by a
+//! millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever make a round longer. And where Synchronisations take longer than that, it is their delay that counts.
 
 use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
@@ -29,7 +28,7 @@ use rtnet::time::{Instant, Span};
 use super::follow::Servo;
 use super::line::TimeLine;
 use super::rate::Rate;
-use super::report::{CalibrationReport, Tally};
+use super::report::{CalibrationReport, DelayOf, Tally};
 use super::round::{self, Begun, Room, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
@@ -47,6 +46,8 @@ pub struct Calibration {
     rounds: u32,
     /// Whether syncs are filtered, and rounds, too.
     servo: Servo,
+    /// What all rounds say together.
+    delay_of: DelayOf,
     /// Of the one under way, or of the last.
     wanted: u32,
     is_measuring: bool,
@@ -71,12 +72,13 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// `rounds` of measuring, for who follows by this servo; 0: no measuring, and a delay of 0.
-    pub fn new(rounds: u32, servo: Servo) -> Self {
+    /// `rounds` of measuring, which say this together, for who follows by this servo; 0: no measuring, and a delay of 0.
+    pub fn new(rounds: u32, servo: Servo, delay_of: DelayOf) -> Self {
         let rounds = rounds.min(MAX_ROUNDS);
         Self {
             rounds,
             servo,
+            delay_of,
             wanted: rounds,
             is_measuring: rounds > 0,
             room: Room::of(rounds),
@@ -217,19 +219,23 @@ impl Calibration {
     fn conclude(&mut self, line: &TimeLine) {
         let delays = round::keep_quicker(&mut self.room.samples);
         self.report = self.tally.report(Some(delays));
-        match (self.servo, self.report) {
-            (Servo::None, Some(CalibrationReport { mean, .. })) => {
-                (self.delay, self.of_line) = (Some(mean), mean);
-            }
-            _ => self.take_quicker(delays.quartile, line),
+        let one = match (self.delay_of, self.report) {
+            (DelayOf::Mean, Some(report)) => report.mean,
+            (DelayOf::Median, _) => delays.median,
+            _ => delays.quartile,
+        };
+        match self.servo {
+            Servo::None => (self.delay, self.of_line) = (Some(one), one),
+            Servo::Linear => self.take_quicker(one, line),
         }
         self.is_measuring = false;
         self.start_over();
     }
 
-    /// What the quicker ones say. Those on another line measured the delay as well, but tell nothing of this one.
-    fn take_quicker(&mut self, quartile: Span, line: &TimeLine) {
-        self.one = quartile;
+    /// What the quicker ones say, of which one takes so long. Those on another line measured the delay as well, but tell
+    /// nothing of this one.
+    fn take_quicker(&mut self, one: Span, line: &TimeLine) {
+        self.one = one;
         self.room.kept.clear();
         self.room.kept.extend(self.room.samples.iter().filter(|round| round.line == self.line));
         if self.room.kept.len() * 2 < self.room.samples.len() {
@@ -298,6 +304,7 @@ mod transitions;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tdma::SlaveConfig;
     use crate::tdma::line::Drift;
     use rtnet::time::{GlobalTime, Offset};
 
@@ -319,8 +326,8 @@ mod tests {
     }
 
     /// The delay of five rounds, of which one was held up.
-    fn measured(servo: Servo) -> Option<i64> {
-        let mut calibration = Calibration::new(5, servo);
+    fn measured(servo: Servo, delay_of: DelayOf) -> Option<i64> {
+        let mut calibration = Calibration::new(5, servo, delay_of);
         for (i, delay) in [700, 710, 400_000, 690].into_iter().enumerate() {
             assert_eq!(round(&mut calibration, 1_000 * i as u64, delay), Ok(None));
         }
@@ -331,17 +338,30 @@ mod tests {
 
     #[test]
     fn one_held_up_stamp_does_not_move_the_delay() {
-        assert_eq!(measured(Servo::Linear), Some(700));
+        assert_eq!(measured(Servo::Linear, DelayOf::Quartile), Some(700));
+    }
+
+    #[test]
+    fn the_delay_is_what_is_asked_for_of_all_rounds_with_a_filter_and_without() {
+        let mean = (700 + 710 + 400_000 + 690 + 705) / 5;
+        for servo in [Servo::Linear, Servo::None] {
+            for (delay_of, delay) in [(DelayOf::Quartile, 700), (DelayOf::Median, 705), (DelayOf::Mean, mean)]
+            {
+                assert_eq!(measured(servo, delay_of), Some(delay), "{servo:?} {delay_of:?}");
+            }
+        }
     }
 
     #[test]
     fn without_a_filter_the_delay_is_the_mean_of_all_rounds() {
-        assert_eq!(measured(Servo::None), Some((700 + 710 + 400_000 + 690 + 705) / 5));
+        let config = SlaveConfig { servo: Servo::None, ..SlaveConfig::default() };
+        assert_eq!(measured(config.servo, config.delay_of()), Some((700 + 710 + 400_000 + 690 + 705) / 5));
+        assert_eq!(SlaveConfig::default().delay_of(), DelayOf::Quartile);
     }
 
     #[test]
     fn a_lost_reply_is_repeated_and_counted() {
-        let mut calibration = Calibration::new(1, Servo::Linear);
+        let mut calibration = Calibration::new(1, Servo::Linear, DelayOf::Quartile);
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(10));
         assert!(calibration.begin_round(), "the reply never came");
@@ -363,7 +383,7 @@ mod tests {
 
     #[test]
     fn a_round_that_began_on_a_line_that_was_left_is_no_sample_of_the_next() {
-        let mut calibration = Calibration::new(1, Servo::Linear);
+        let mut calibration = Calibration::new(1, Servo::Linear, DelayOf::Quartile);
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(10));
         calibration.leave_line();
@@ -373,7 +393,7 @@ mod tests {
 
     #[test]
     fn a_master_that_never_answers_ends_the_attempt() {
-        let mut calibration = Calibration::new(2, Servo::Linear);
+        let mut calibration = Calibration::new(2, Servo::Linear, DelayOf::Quartile);
         let attempts = (0..).take_while(|_| calibration.begin_round()).count();
         assert_eq!(attempts, 26);
         assert!(calibration.begin_round(), "and it starts over");
@@ -381,7 +401,7 @@ mod tests {
 
     #[test]
     fn lying_stamps_are_refused() {
-        let mut calibration = Calibration::new(1, Servo::Linear);
+        let mut calibration = Calibration::new(1, Servo::Linear, DelayOf::Quartile);
         assert_eq!(round(&mut calibration, 0, 2_000_000), Err(Refusal::ImplausibleReply));
         assert!(calibration.begin_round());
         calibration.sent(Instant::from_nanos(7));
@@ -392,6 +412,6 @@ mod tests {
 
     #[test]
     fn no_rounds_are_done_at_once() {
-        assert_eq!(Calibration::new(0, Servo::Linear).delay(), Some(Span::ZERO));
+        assert_eq!(Calibration::new(0, Servo::Linear, DelayOf::Quartile).delay(), Some(Span::ZERO));
     }
 }

@@ -5,6 +5,7 @@ use rtnet::time::Span;
 use super::calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 use super::config::Refused;
 use super::line::LINE_GOOD_FOR;
+use super::report::DelayOf;
 use super::slot::SlotConfig;
 
 /// Cycles without a Synchronisation that are bridged, unless configured otherwise.
@@ -55,6 +56,8 @@ pub struct SlaveConfig {
     pub step_limit: Option<Span>,
     /// How Synchronisations become a time line.
     pub servo: Servo,
+    /// What all calibration rounds say together; `None`: the lower quartile, and without a filter the mean, as RTnet.
+    pub delay_of: Option<DelayOf>,
     /// Cycles without a Synchronisation that are bridged, at most [`MAX_HOLDOVER`].
     pub holdover: u32,
     /// Whether the delay is measured anew with another master.
@@ -67,6 +70,7 @@ impl Default for SlaveConfig {
             rounds: DEFAULT_ROUNDS,
             step_limit: None,
             servo: Servo::default(),
+            delay_of: None,
             holdover: HOLDOVER_CYCLES.unsigned_abs(),
             on_master_change: OnMasterChange::default(),
         }
@@ -74,6 +78,14 @@ impl Default for SlaveConfig {
 }
 
 impl SlaveConfig {
+    /// What all calibration rounds say together.
+    pub fn delay_of(&self) -> DelayOf {
+        self.delay_of.unwrap_or(match self.servo {
+            Servo::None => DelayOf::Mean,
+            Servo::Linear => DelayOf::Quartile,
+        })
+    }
+
     /// Whether it can be, whatever slots there are.
     pub fn check(&self) -> Result<(), Refused> {
         let &Self { rounds, holdover, .. } = self;

@@ -68,7 +68,7 @@ use master::Master;
 pub use master::{BACKUP_LOOKS_BEFORE, MasterConfig, Mastery};
 use promise::Promises;
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
-pub use report::{CalibrationReport, Delays};
+pub use report::{CalibrationReport, DelayOf, Delays};
 use slave::Slave;
 use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig, SlotStatus};

@@ -5,6 +5,28 @@ use rtnet::time::Span;
 /// A round longer than so many medians is an outlier: a host held one of its frames up.
 const OUTLIER: i64 = 2;
 
+/// What all rounds say together of the delay of a frame for one station.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DelayOf {
+    /// The lower quartile: hold-ups only ever make a round longer.
+    Quartile,
+    /// Half of the rounds were longer.
+    Median,
+    /// The arithmetic mean, as RTnet.
+    Mean,
+}
+
+impl DelayOf {
+    /// Its name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            DelayOf::Quartile => "quartile",
+            DelayOf::Median => "median",
+            DelayOf::Mean => "mean",
+        }
+    }
+}
+
 /// Each round is half of what its two frames were on their way. Until the last it tells of those so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CalibrationReport {
@@ -30,7 +52,7 @@ impl CalibrationReport {
 /// What all rounds say together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Delays {
-    /// The lower quartile: what is taken for the delay of a frame for one station.
+    /// The lower quartile: what is taken for the delay unless something else is configured.
     pub quartile: Span,
     /// Half of the rounds were longer.
     pub median: Span,

@@ -104,7 +104,7 @@ impl Slave {
             track: Track::Nothing,
             envelope: Envelope::new(),
             state: SyncState::Waiting,
-            calibration: Calibration::new(config.rounds, config.servo),
+            calibration: Calibration::new(config.rounds, config.servo, config.delay_of()),
             master: Address::BROADCAST,
             line_of: Address::BROADCAST,
             measured_with: Address::BROADCAST,

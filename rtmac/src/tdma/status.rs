@@ -5,7 +5,7 @@ use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::master::{Master, Mastery};
-use super::report::CalibrationReport;
+use super::report::{CalibrationReport, DelayOf};
 use super::slot::SlotStatus;
 use super::{Role, Servo, Tdma};
 
@@ -133,6 +133,8 @@ pub struct TdmaStatus {
     pub error_bound: Option<Span>,
     /// How Synchronisations become its line; `None`: nobody is followed.
     pub servo: Option<Servo>,
+    /// What all calibration rounds say together; `None`: nobody is followed.
+    pub delay_of: Option<DelayOf>,
     /// Cycles without a Synchronisation that are bridged, of those that follow somebody.
     pub holdover: u32,
     /// Cycles since the last Synchronisation that was followed.
@@ -195,6 +197,7 @@ impl TdmaStatus {
             settled: slave.map_or(time.state == SyncState::Locked, |slave| slave.is_settled()),
             error_bound: slave.and_then(|slave| slave.error_bound(tdma.looked)),
             servo: slave.map(|slave| slave.config().servo),
+            delay_of: slave.map(|slave| slave.config().delay_of()),
             holdover: slave.map_or(0, |slave| slave.config().holdover),
             missing: slave.map_or(0, |slave| slave.missing()),
             calibration: slave.and_then(|slave| slave.calibration().report()),

@@ -15,7 +15,7 @@ use super::Failure;
 use super::route::read_routes;
 use crate::cli::{DisciplineName, Late, Scheduling, StackArgs, StationArgs};
 use crate::control::SlotChange;
-use crate::scenario::{SlotGuard, default_sync_window, parse_phase};
+use crate::scenario::{DelayName, SlotGuard, default_sync_window, parse_phase};
 use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::sockets::parse;
@@ -153,6 +153,7 @@ fn without_slots(args: &StationArgs) -> anyhow::Result<()> {
         ("--exclusive", args.exclusive),
         ("--rounds", args.rounds.is_some()),
         ("--servo", args.servo.is_some()),
+        ("--delay", args.delay.is_some()),
         ("--holdover", args.holdover.is_some()),
         ("--on-master-change", args.on_master_change.is_some()),
         ("--late", args.late.is_some()),
@@ -175,6 +176,7 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
         rounds: args.rounds.unwrap_or(DEFAULT_ROUNDS),
         step_limit,
         servo: args.servo.unwrap_or_default().servo(),
+        delay_of: args.delay.map(DelayName::delay_of),
         holdover: args.holdover.unwrap_or(HOLDOVER_CYCLES.unsigned_abs()),
         on_master_change: args.on_master_change.unwrap_or_default().on_master_change(),
     };

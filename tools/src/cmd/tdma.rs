@@ -32,8 +32,8 @@ pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
             return Ok(0);
         }
         TdmaVerb::Master { cycle } => RoleRequest::Master { cycle_ns: cycle.nanos() },
-        TdmaVerb::Slave { rounds, servo, holdover, on_master_change } => {
-            RoleRequest::Slave { rounds, servo, holdover, on_master_change }
+        TdmaVerb::Slave { rounds, servo, delay, holdover, on_master_change } => {
+            RoleRequest::Slave { rounds, servo, delay, holdover, on_master_change }
         }
         TdmaVerb::Calibrate { rounds } => {
             let from = applied(which, Request::Calibrate { rounds }).map_err(Failure::Usage)?;

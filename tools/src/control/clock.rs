@@ -1,6 +1,6 @@
 //! What a status tells of a station's time: how it follows its master, and what calibration has shown.
 
-use rtmac::tdma::{CalibrationReport, Servo, TdmaStatus};
+use rtmac::tdma::{CalibrationReport, DelayOf, Servo, TdmaStatus};
 use rtnet::time::Span;
 use serde::{Deserialize, Serialize};
 
@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 pub struct ClockShown {
     /// `none` or `linear`; `None`: it follows nobody.
     pub servo: Option<String>,
+    /// What all calibration rounds say together of the delay: `quartile`, `median` or `mean`; `None`: it follows nobody.
+    pub delay_of: Option<String>,
     /// Cycles without a Synchronisation that are bridged.
     pub holdover_cycles: u32,
     /// Cycles since the last Synchronisation that was followed.
@@ -44,7 +46,7 @@ pub struct CalibrationShown {
     pub spread_ns: i64,
     /// The arithmetic mean, which RTnet takes for the delay.
     pub mean_ns: i64,
-    /// The lower quartile, which is taken here; once all were measured.
+    /// The lower quartile; once all were measured.
     pub quartile_ns: Option<i64>,
     /// The median; once all were measured.
     pub median_ns: Option<i64>,
@@ -56,6 +58,7 @@ impl From<&TdmaStatus> for ClockShown {
     fn from(status: &TdmaStatus) -> Self {
         Self {
             servo: status.servo.map(Servo::name).map(str::to_owned),
+            delay_of: status.delay_of.map(DelayOf::name).map(str::to_owned),
             holdover_cycles: status.holdover,
             missing_syncs: status.missing,
             error_bound_ns: status.error_bound.map(Span::nanos),
@@ -89,12 +92,13 @@ impl ClockShown {
         let off = self.error_bound_ns.map_or("off by nobody knows how much".into(), |ns| {
             format!("off by {} at most", Span::from_nanos(ns))
         });
+        let delay = self.delay_of.as_ref().map_or(String::new(), |of| format!(", delay by {of}"));
         let missing = match self.missing_syncs {
             0 => String::new(),
             n => format!(", {n} syncs missing"),
         };
         let mut text =
-            format!("servo {servo}, holdover {}, time {off}{missing}\n", cycles(self.holdover_cycles));
+            format!("servo {servo}{delay}, holdover {}, time {off}{missing}\n", cycles(self.holdover_cycles));
         if let Some(Progress { measured, of }) = self.calibrating {
             let anew = if measures_anew { " anew" } else { "" };
             text += &format!("calibrates{anew}: {measured} of {of} rounds\n");
@@ -141,6 +145,7 @@ mod tests {
     fn clock(calibrating: Option<Progress>, calibration: CalibrationShown) -> ClockShown {
         ClockShown {
             servo: Some("linear".into()),
+            delay_of: Some("median".into()),
             holdover_cycles: 20,
             missing_syncs: 3,
             error_bound_ns: Some(7_250),
@@ -153,7 +158,7 @@ mod tests {
     fn a_clock_in_holdover_says_how_far_it_may_be_off_and_what_calibration_showed() {
         assert_eq!(
             clock(None, DONE).describe(false),
-            "servo linear, holdover 20 cycles, time off by 7.25us at most, 3 syncs missing\n\
+            "servo linear, delay by median, holdover 20 cycles, time off by 7.25us at most, 3 syncs missing\n\
              100 rounds: min 4.9us, quartile 5us, median 5.1us, mean 9.1us (RTnet's), max 400us, spread 395.1us; \
              1 longer than twice the median\n"
         );

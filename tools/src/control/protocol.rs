@@ -14,7 +14,7 @@ use super::sockets::{StackReply, StackRequest};
 use crate::judge::masters::Rivals;
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
-use crate::scenario::{DelayPolicy, ServoName};
+use crate::scenario::{DelayName, DelayPolicy, ServoName};
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, Misses};
 
@@ -189,6 +189,9 @@ pub enum RoleRequest {
         /// Not given: as the station was started, and so are the others.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         servo: Option<ServoName>,
+        /// What all rounds say together of the delay.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        delay: Option<DelayName>,
         /// Cycles without a Synchronisation that are bridged.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         holdover: Option<u32>,

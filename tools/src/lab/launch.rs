@@ -65,6 +65,9 @@ pub fn arguments(
     if scenario.servo == ServoName::None {
         add("--servo", "none".into());
     }
+    if let Some(delay) = scenario.delay {
+        add("--delay", delay.delay_of().name().into());
+    }
     // Without a value.
     line.push("--exclusive".into());
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);

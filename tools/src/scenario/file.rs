@@ -10,6 +10,7 @@
 //! late = "skip"             # or "send", as RTnet does
 //! slot_guard = "auto"       # or "kernel", "user": what keeps stations from sending later
 //! servo = "linear"          # or "none", as in RTnet: each sync is the time line
+//! delay = "quartile"        # of all calibration rounds; or "median", or "mean", as in RTnet and with servo = "none"
 //! network = "10.0.0.0/24"   # only in a lab: stations have sockets, the master .1, the others .2, .3 ... in their order
 //!
 //! [[station]]
@@ -52,7 +53,7 @@ use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, 
 pub use source::{FileError, Place, Source, read_text};
 use stations::{FileRole, StationFile};
 
-use super::{Conditions, DEFAULT_RATE, Scenario, ServoName, SlotGuard, default_sync_window};
+use super::{Conditions, DEFAULT_RATE, DelayName, Scenario, ServoName, SlotGuard, default_sync_window};
 use crate::report::figures::Role;
 use crate::units::{FileRate, GuardBand, PositiveSpan};
 
@@ -82,6 +83,7 @@ struct NetworkFile {
     late: Option<Late>,
     slot_guard: Option<SlotGuard>,
     servo: Option<ServoName>,
+    delay: Option<DelayName>,
     network: Option<Spanned<String>>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
@@ -128,6 +130,7 @@ impl Source<'_> {
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
             slot_guard: network.slot_guard.unwrap_or_default(),
             servo: network.servo.unwrap_or_default(),
+            delay: network.delay,
             stations,
             conditions: self.conditions(&mut network)?,
         };

@@ -1,7 +1,7 @@
 //! How a station follows a master, as the command line and files have it.
 
 use clap::ValueEnum;
-use rtmac::tdma::{OnMasterChange, Servo};
+use rtmac::tdma::{DelayOf, OnMasterChange, Servo};
 use serde::{Deserialize, Serialize};
 
 /// How syncs become a time line.
@@ -21,6 +21,29 @@ impl ServoName {
         match self {
             ServoName::None => Servo::None,
             ServoName::Linear => Servo::Linear,
+        }
+    }
+}
+
+/// What all calibration rounds say together of the delay.
+#[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum DelayName {
+    /// The lower quartile: hold-ups only ever make a round longer
+    Quartile,
+    /// Half of the rounds were longer
+    Median,
+    /// As RTnet: one round that is held up moves it
+    Mean,
+}
+
+impl DelayName {
+    /// As a station takes it.
+    pub fn delay_of(self) -> DelayOf {
+        match self {
+            DelayName::Quartile => DelayOf::Quartile,
+            DelayName::Median => DelayOf::Median,
+            DelayName::Mean => DelayOf::Mean,
         }
     }
 }

@@ -27,7 +27,7 @@ pub use acts::{Act, Part, acts, over};
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Place, Source, load, parse_phase, read_text};
-pub use follow::{DelayPolicy, ServoName};
+pub use follow::{DelayName, DelayPolicy, ServoName};
 pub use uniform::{ScenarioError, Uniform};
 pub use wires::{Direction, Effects, Wire};
 
@@ -73,6 +73,8 @@ pub struct Scenario {
     pub slot_guard: SlotGuard,
     /// How syncs become the stations' time lines.
     pub servo: ServoName,
+    /// What all calibration rounds say together of the delay; `None`: as the servo has it.
+    pub delay: Option<DelayName>,
     /// The first is the master.
     pub stations: Vec<StationPlan>,
     /// What it goes through.

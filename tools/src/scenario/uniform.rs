@@ -101,6 +101,7 @@ impl Uniform {
             late,
             slot_guard,
             servo,
+            delay: None,
             stations,
             conditions,
         };

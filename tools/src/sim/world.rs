@@ -21,7 +21,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use crate::judge::analysis::Analysis;
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
-use crate::scenario::{Conditions, Scenario, Wandering, Wire};
+use crate::scenario::{Conditions, DelayName, Scenario, Wandering, Wire};
 use crate::station::sync_latest;
 use crate::station::traffic::{Arrivals, Traffic, TrafficCounts, TrafficPlan};
 
@@ -208,6 +208,7 @@ pub fn discipline(
         rounds: plan.rounds,
         step_limit: Some(schedule::step_limit(scenario.guard)),
         servo: scenario.servo.servo(),
+        delay_of: scenario.delay.map(DelayName::delay_of),
         ..SlaveConfig::default()
     };
     let role = if plan.role == Role::Slave {

@@ -35,7 +35,7 @@ use crate::control::{
     StackReply, StackRequest, StationStatus, Traffic, read,
 };
 use crate::report::figures::GuardName;
-use crate::scenario::{DEFAULT_RATE, DelayPolicy, ServoName, default_sync_window};
+use crate::scenario::{DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_sync_window};
 
 /// A command is carried out after the next slot; a station that hears nothing looks ten times a second. Less than a lab
 /// waits for its station.
@@ -358,11 +358,12 @@ impl Desk {
     fn role(&mut self, role: RoleRequest) -> Result<NewRole, rtmac::tdma::Refused> {
         match role {
             RoleRequest::Detached => Ok(NewRole::detached()),
-            RoleRequest::Slave { rounds, servo, holdover, on_master_change } => {
+            RoleRequest::Slave { rounds, servo, delay, holdover, on_master_change } => {
                 let before = self.follow;
                 NewRole::attached(RoleConfig::Slave(SlaveConfig {
                     rounds,
                     servo: servo.map_or(before.servo, ServoName::servo),
+                    delay_of: delay.map(DelayName::delay_of).or(before.delay_of),
                     holdover: holdover.unwrap_or(before.holdover),
                     on_master_change: on_master_change
                         .map_or(before.on_master_change, DelayPolicy::on_master_change),

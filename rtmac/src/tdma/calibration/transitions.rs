@@ -48,7 +48,7 @@ fn state_of(calibration: &Calibration) -> Option<State> {
     let Calibration {
         is_measuring, delay, outstanding,
         // What is configured, what counts, and what was measured.
-        rounds: _, servo: _, wanted: _,
+        rounds: _, servo: _, delay_of: _, wanted: _,
         room: _, attempts: _, tally: _, line: _, repeats: _,
         one: _, of_line: _, rate: _, done: _, report: _,
     } = calibration;

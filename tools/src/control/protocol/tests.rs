@@ -12,6 +12,7 @@ fn a_request_reads_back() {
     let slave = RoleRequest::Slave {
         rounds: 7,
         servo: Some(ServoName::None),
+        delay: Some(DelayName::Median),
         holdover: Some(20),
         on_master_change: Some(DelayPolicy::Repeat),
     };
@@ -26,8 +27,8 @@ fn a_request_reads_back() {
 #[test]
 fn what_is_not_given_of_a_slave_need_not_be_said() {
     let packet = br#"{"version":1,"body":{"become":{"slave":{"rounds":3}}}}"#;
-    let (servo, holdover, on_master_change) = (None, None, None);
-    let slave = RoleRequest::Slave { rounds: 3, servo, holdover, on_master_change };
+    let (servo, delay, holdover, on_master_change) = (None, None, None, None);
+    let slave = RoleRequest::Slave { rounds: 3, servo, delay, holdover, on_master_change };
     assert_eq!(read::<Request>(packet), Ok(Request::Become(slave)));
 }
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::scenario::{Measure, SlotPlan, StationPlan};
+use crate::scenario::{DelayName, Measure, SlotPlan, StationPlan};
 use crate::station::traffic::Flow;
 
 const GOOD: &str = r#"
@@ -42,6 +42,8 @@ fn a_file_says_everything_per_station() {
     let without_a_filter = GOOD.replace("rate =", "servo = \"none\"\nrate =");
     let servos = [GOOD, &without_a_filter].map(|text| parse(text).unwrap().servo);
     assert_eq!(servos, [ServoName::Linear, ServoName::None]);
+    let by_median = GOOD.replace("rate =", "delay = \"median\"\nrate =");
+    assert_eq!([GOOD, &by_median].map(|text| parse(text).unwrap().delay), [None, Some(DelayName::Median)]);
     // The closest: 100 us, (78 + 24) bytes of 80 ns, 500 us.
     assert_eq!(network.guard.nanos(), 400_000 - 8_160);
 }

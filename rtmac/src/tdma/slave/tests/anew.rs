@@ -1,6 +1,7 @@
 //! Calibration that is done again, or with several masters.
 
 use super::*;
+use crate::tdma::DelayOf;
 
 const BACKUP: Address = Address([2, 0, 0, 0, 0, 7]);
 
@@ -99,7 +100,7 @@ fn a_delay_that_nobody_answers_for_stays_and_is_not_asked_for_any_more() {
 
 #[test]
 fn more_rounds_than_there_is_room_for_take_the_room_that_is_brought() {
-    let mut calibration = Calibration::new(2, Servo::Linear);
+    let mut calibration = Calibration::new(2, Servo::Linear, DelayOf::Quartile);
     let mut room = Room::of(9);
     calibration.measure_anew(9, &mut room);
     assert_eq!((calibration.progress(), room.samples.capacity()), (Some((0, 9)), 2), "the old one goes back");

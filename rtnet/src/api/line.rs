@@ -31,7 +31,8 @@ use crate::wire::udp::MAX_PAYLOAD;
 const ORDERS_AT_ONCE: usize = 8;
 /// Bytes that are copied for all programs in one turn, or one datagram more: a turn may come just before a slot.
 const WORK_AT_ONCE: usize = 16 * 1024;
-/// What a datagram costs besides its bytes takes as long as copying so many.
+/// What a datagram costs besides its bytes takes as long as copying so many; one that waits for buffers costs that, and as
+/// much as copying a byte for each place of its pool that was looked at in vain.
 const EACH: usize = 256;
 /// The longest order: a datagram, or a frame.
 const LONGEST: usize = MAX_PAYLOAD + 1;
@@ -66,6 +67,8 @@ pub struct Lines {
     first: usize,
     /// They were served since the station slept.
     came_by: bool,
+    /// So many have not been looked at since then.
+    unseen: usize,
     counters: LineCounters,
 }
 
@@ -176,17 +179,16 @@ impl Line {
             let Some(record) = self.from_program.front()? else { return Ok(()) };
             let order =
                 segment::unpack_order(record.meta).filter(|_| record.len <= LONGEST).ok_or(Nonsense)?;
-            let sent = match sockets.set_options(self.socket, order.options) {
-                Ok(()) if lacks_buffers(self.socket, sockets, &order, record.len) => {
+            let mut sent = sockets.set_options(self.socket, order.options);
+            if sent.is_ok() {
+                if let Some(looks) = lacks_buffers(self.socket, sockets, &order, record.len) {
                     self.waits = true;
+                    work.spend(looks);
                     return Ok(());
                 }
-                Ok(()) => {
-                    let copied = self.from_program.copy(&record, room);
-                    carry_out(self.socket, sockets, &order, &room[..copied])
-                }
-                Err(error) => Err(error),
-            };
+                let copied = self.from_program.copy(&record, room);
+                sent = carry_out(self.socket, sockets, &order, &room[..copied]);
+            }
             sent.unwrap_or_else(|error| self.note(&error));
             work.spend(record.len);
             self.from_program.take(record);
@@ -214,7 +216,7 @@ impl Drop for Line {
     }
 }
 
-fn lacks_buffers(socket: SocketId, sockets: &Access<'_>, order: &Order, len: usize) -> bool {
+fn lacks_buffers(socket: SocketId, sockets: &Access<'_>, order: &Order, len: usize) -> Option<usize> {
     let to = order.to.filter(|_| sockets.is_udp(socket).unwrap_or(false)).map(segment::unpack_udp);
     sockets.lacks_buffers(socket, len, to, Flags::from_bits(order.flags))
 }
@@ -241,6 +243,7 @@ impl Lines {
             room: vec![0; LONGEST].into_boxed_slice(),
             first: 0,
             came_by: false,
+            unseen: 0,
             counters: LineCounters::default(),
         }
     }
@@ -292,7 +295,7 @@ impl Drop for Lines {
 
 impl Program for Lines {
     fn run(&mut self, sockets: &mut Access<'_>) {
-        let Self { lines, room, first, came_by, counters } = self;
+        let Self { lines, room, first, came_by, unseen, counters } = self;
         *came_by = true;
         let (mut work, count) = (Work(WORK_AT_ONCE), lines.len());
         for place in (*first..*first + count).map(|place| place % count) {
@@ -301,6 +304,7 @@ impl Program for Lines {
                 *first = place;
                 return;
             }
+            *unseen = unseen.saturating_sub(1);
             let line = &mut lines[place];
             if !line.is_broken && line.serve(sockets, room, &mut work).is_err() {
                 counters.nonsense += 1;
@@ -311,14 +315,21 @@ impl Program for Lines {
     }
 
     /// Programs ring only while the station sleeps; what came before they could know is looked for. Who has not come by since
-    /// the last time would not serve it the next time either.
+    /// the last time would not serve it the next time either. What waits for buffers is not waited for, unless a turn has
+    /// ended before it was looked at: they may be home.
     fn sleeps(&mut self, is_asleep: bool) -> bool {
         for line in &self.lines {
             line.memory[STATION_ASLEEP].store(is_asleep.into(), Ordering::SeqCst);
         }
         core::sync::atomic::fence(Ordering::SeqCst);
-        let is_waiting = |line: &Line| !line.is_broken && !line.waits && !line.from_program.is_empty();
-        is_asleep && core::mem::take(&mut self.came_by) && self.lines.iter().any(|line| is_waiting(line))
+        let (came_by, is_unsure) = (is_asleep && core::mem::take(&mut self.came_by), self.unseen > 0);
+        let can_go = |line: &Line| !line.is_broken && (is_unsure || !line.waits);
+        let is_waiting = |line: &Line| can_go(line) && !line.from_program.is_empty();
+        let stays = came_by && self.lines.iter().any(|line| is_waiting(line));
+        if is_asleep && !stays {
+            self.unseen = self.lines.len();
+        }
+        stays
     }
 
     /// Who sleeps is woken once; who is awake costs nothing.

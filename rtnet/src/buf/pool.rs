@@ -115,6 +115,12 @@ impl Pool {
         self.home.available()
     }
 
+    /// What it took to find that fewer than `n` buffers are in the pool right now: so many places were looked at. `None`: there
+    /// are as many, which is known as soon as so many are found.
+    pub fn lacks(&self, n: usize) -> Option<usize> {
+        self.home.lacks(n)
+    }
+
     /// How many buffers the pool owns.
     pub fn capacity(&self) -> usize {
         self.home.capacity.load(Relaxed)
@@ -237,6 +243,16 @@ impl Home {
     fn available(&self) -> usize {
         let within = &self.places[..self.reach.load(Relaxed)];
         within.iter().filter(|place| place.is_filled.load(Relaxed)).count()
+    }
+
+    fn lacks(&self, n: usize) -> Option<usize> {
+        let reach = self.reach.load(Relaxed);
+        // As takers look: those that are in use come before the hint.
+        let (before, after) = self.places[..reach].split_at(self.hint.load(Relaxed).min(reach));
+        let is_filled = |place: &&Place| place.is_filled.load(Relaxed);
+        let of_after = after.iter().filter(is_filled).take(n).count();
+        let found = of_after + before.iter().filter(is_filled).take(n - of_after).count();
+        (found < n).then_some(reach)
     }
 
     /// Changes the capacity, one at a time.

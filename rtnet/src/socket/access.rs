@@ -108,10 +108,17 @@ impl<'a> Access<'a> {
         self.stack.send_to(id, data, to, flags, self.exit)
     }
     /// Whether what is sent now, `len` bytes, would be refused only because too many of the socket's buffers are in use: it is
-    /// worth being tried again. To a packet socket `to` is nothing.
-    pub fn lacks_buffers(&self, id: SocketId, len: usize, to: Option<SocketAddrV4>, flags: Flags) -> bool {
+    /// worth being tried again. Tells what it took to know it: so many places of its pool were looked at. To a packet socket
+    /// `to` is nothing.
+    pub fn lacks_buffers(
+        &self,
+        id: SocketId,
+        len: usize,
+        to: Option<SocketAddrV4>,
+        flags: Flags,
+    ) -> Option<usize> {
         // What is wrong besides is said by who sends.
-        self.stack.lacks_buffers(id, len, to, flags, self.exit).unwrap_or(false)
+        self.stack.lacks_buffers(id, len, to, flags, self.exit).unwrap_or(None)
     }
     /// Sends to the peer that the socket is connected to.
     pub fn send(&mut self, id: SocketId, data: &[u8]) -> Result<(), SocketError> {

@@ -97,7 +97,8 @@ impl Stack {
         })
     }
 
-    /// Whether what is sent now would be refused only because too many of the socket's buffers are in use.
+    /// Whether what is sent now would be refused only because too many of the socket's buffers are in use; so many places
+    /// were looked at to know it.
     pub(crate) fn lacks_buffers(
         &self,
         id: SocketId,
@@ -105,7 +106,7 @@ impl Stack {
         to: Option<SocketAddrV4>,
         flags: Flags,
         exit: &dyn Exit,
-    ) -> Result<bool, SocketError> {
+    ) -> Result<Option<usize>, SocketError> {
         let socket = self.sockets.get(id)?;
         let needed = match socket.as_udp() {
             Ok(udp) => {
@@ -115,7 +116,7 @@ impl Stack {
             }
             Err(_) => 1,
         };
-        Ok((socket.pool.available() + 1..=socket.pool.capacity()).contains(&needed))
+        Ok((needed <= socket.pool.capacity()).then(|| socket.pool.lacks(needed)).flatten())
     }
 
     pub(crate) fn count_send(

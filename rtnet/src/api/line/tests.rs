@@ -18,6 +18,7 @@ use crate::time::Instant;
 struct Site {
     end: End,
     programs: Vec<(SocketId, Writer)>,
+    pools: Vec<Arc<Pool>>,
 }
 
 fn epoll() -> Arc<Epoll> {
@@ -29,11 +30,13 @@ impl Site {
         let config = StackConfig::new(Interface { address: A, ip: IP_A, prefix: 24 });
         let mut end = End::above(config, vec![Box::new(Lines::new(programs))]);
         end.knows(IP_B, B);
-        let mut site = Self { end, programs: Vec::new() };
+        let mut site = Self { end, programs: Vec::new(), pools: Vec::new() };
         for _ in 0..programs {
             let line = Line::new(epoll()).unwrap();
             let writer = Writer::new(line.memory.clone(), segment::sent());
-            let id = site.end.open(Socket::udp(Arc::new(Pool::new(buffers))));
+            let pool = Arc::new(Pool::new(buffers));
+            let id = site.end.open(Socket::udp(pool.clone()));
+            site.pools.push(pool);
             let lines = site.end.stack.program_mut::<Lines>().unwrap();
             assert!(lines.add(id, line).is_ok());
             site.programs.push((id, writer));
@@ -98,6 +101,42 @@ fn a_flood_of_short_datagrams_ends_a_turn_as_well() {
         assert!((before + 1..=before + most).contains(&now), "from {before} to {now} frames in a turn");
         before = now;
     }
+}
+
+#[test]
+fn orders_that_wait_have_their_part_of_each_turn_and_no_more() {
+    let (programs, buffers) = (40, 1_000);
+    let mut site = Site::new(programs, buffers);
+    let held: Vec<_> = site.pools[1..].iter().flat_map(|pool| core::iter::from_fn(|| pool.take())).collect();
+    (1..programs).for_each(|program| site.order(program, 10));
+    // The last place of all has nothing to wait for.
+    site.end.stack.program_mut::<Lines>().unwrap().first = 1;
+    site.order(0, 10);
+    let in_a_turn = WORK_AT_ONCE.div_ceil(EACH + buffers);
+    for _ in 0..(programs - 1) / in_a_turn {
+        assert_eq!(site.turn(), 0, "those before it have taken all of this turn");
+        assert!(site.end.stack.sleeps(true));
+    }
+    assert_eq!(site.turn(), 1);
+    drop(held);
+    assert_eq!(site.turn(), programs, "once none has to wait");
+}
+
+#[test]
+fn a_station_does_not_sleep_on_buffers_that_came_home_while_others_had_the_turn() {
+    let (programs, buffers) = (20, 1_000);
+    let mut site = Site::new(programs, buffers);
+    let hold = |pool: &Arc<Pool>| -> Vec<_> { core::iter::from_fn(|| pool.take()).collect() };
+    let mut held: Vec<_> = site.pools.iter().map(hold).collect();
+    (0..programs).for_each(|program| site.order(program, 10));
+    assert_eq!([site.turn(), site.turn()], [0, 0]);
+    assert!(!site.end.stack.sleeps(true), "all wait, and were looked at");
+    drop(held.pop());
+    site.end.stack.program_mut::<Lines>().unwrap().first = 0;
+    assert_eq!(site.turn(), 0, "its turn is the next");
+    assert!(site.end.stack.sleeps(true));
+    assert_eq!(site.turn(), 1);
+    assert!(!site.end.stack.sleeps(true), "the others still wait");
 }
 
 #[test]

@@ -203,6 +203,20 @@ fn the_first_takers_of_a_large_pool_do_not_count_it_each() {
     assert!(took < 50_000_000, "{took} ns");
 }
 
+/// Counting them all each time would be 300 million looks.
+#[test]
+fn whether_a_large_pool_has_a_few_buffers_is_known_without_counting_all() {
+    let pool = Pool::new(MOST / 2);
+    let mut held: Vec<Buf> = (0..MOST / 4).filter_map(|_| pool.take()).collect();
+    let begun = crate::live::clock::thread_cpu_time();
+    let lacking = (0..10_000).filter(|n| pool.lacks(std::hint::black_box(1 + n % 45)).is_some());
+    assert_eq!(lacking.count(), 0);
+    let took = crate::live::clock::thread_cpu_time() - begun;
+    assert!(took < 20_000_000, "{took} ns");
+    held.extend(take_all(&pool));
+    assert_eq!((pool.lacks(1), pool.lacks(0)), (Some(MOST / 2), None));
+}
+
 #[test]
 fn taking_needs_no_lock() {
     assert!(AtomicCell::<Option<Box<Storage>>>::is_lock_free());
@@ -266,6 +280,9 @@ proptest! {
             expected.least = least.min(expected.free);
             prop_assert_eq!(pool.statistics(), expected);
             prop_assert_eq!((pool.capacity(), pool.available()), (expected.capacity, expected.free));
+            for n in 0..=capacity + more {
+                prop_assert_eq!(pool.lacks(n).is_some(), n > expected.free);
+            }
         }
     }
 }

@@ -18,9 +18,11 @@ use crate::control::{EchoRequest, EchoShown, EchoesShown, StackReply, StackReque
 use crate::report::text::micros;
 use plan::Plan;
 
-/// How often to look for answers, and how long for those to the last questions: as long as RTnet's.
+/// How often to look for answers, and how long after a question: as long as RTnet's.
 const LOOK_EVERY: Duration = Duration::from_millis(2);
-const LAST_WITHIN: Duration = Duration::from_millis(500);
+const DUE_WITHIN: Duration = Duration::from_millis(500);
+/// How long an answer that comes later than that is still taken for what it is: slots may be seconds away.
+const FORGOTTEN_AFTER: Duration = Duration::from_secs(10);
 /// Stations tell what they have missed twenty times a second.
 const TOLD_WITHIN: Duration = Duration::from_millis(100);
 /// Answers that are remembered, the newest: whoever asks for days has figures of the last hours.
@@ -118,7 +120,7 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
         run.ask()?;
         begun += held_up(moment.elapsed(), args, plan.cycle);
     }
-    run.listen(Instant::now() + LAST_WITHIN, &stop, |run| run.open.is_empty())?;
+    run.listen(Instant::now() + DUE_WITHIN, &stop, |run| !run.is_due(Instant::now()))?;
     let schedule = plan.wait().map(|wait| {
         std::thread::sleep(TOLD_WITHIN);
         run.beside([wait.best, wait.worst].map(|span| span.nanos().unsigned_abs()), plan.missed())
@@ -154,9 +156,15 @@ struct Run<'a> {
     sent: u64,
     received: u64,
     failures: BTreeMap<String, u64>,
-    /// Questions without an answer, and when they were asked.
-    open: BTreeMap<u16, u64>,
+    /// Questions without an answer.
+    open: BTreeMap<u16, Open>,
     answers: VecDeque<Answer>,
+}
+
+/// When a question was asked: by the station's clock, and by ours.
+struct Open {
+    asked: u64,
+    since: Instant,
 }
 
 impl<'a> Run<'a> {
@@ -173,7 +181,7 @@ impl<'a> Run<'a> {
         match asked(self.which, StackRequest::Echo(echo)) {
             Ok(StackReply::Asked(at)) => {
                 self.sent += 1;
-                self.open.insert(sequence, at);
+                self.open.insert(sequence, Open { asked: at, since: Instant::now() });
                 Ok(())
             }
             Ok(_) => Err(unasked(self.which)),
@@ -202,6 +210,7 @@ impl<'a> Run<'a> {
         is_done: impl Fn(&Self) -> bool,
     ) -> Result<(), Failure> {
         loop {
+            self.forget(Instant::now());
             if !self.open.is_empty() {
                 self.look()?;
             }
@@ -209,10 +218,19 @@ impl<'a> Run<'a> {
             if left.is_zero() || is_done(self) || stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            // While no answer is due, nobody is asked for one.
-            let pause = if self.open.is_empty() { LAST_WITHIN } else { LOOK_EVERY };
+            // While no answer is due, nobody is asked for one; but what is late is not lost yet.
+            let pause = if self.is_due(Instant::now()) { LOOK_EVERY } else { DUE_WITHIN };
             std::thread::sleep(left.min(pause));
         }
+    }
+
+    /// Whether an answer may come now that is not late.
+    fn is_due(&self, now: Instant) -> bool {
+        self.open.values().any(|open| now < open.since + DUE_WITHIN)
+    }
+
+    fn forget(&mut self, now: Instant) {
+        self.open.retain(|_, open| now < open.since + FORGOTTEN_AFTER);
     }
 
     fn look(&mut self) -> Result<(), Failure> {
@@ -228,7 +246,7 @@ impl<'a> Run<'a> {
             }
         }
         for echo in came {
-            let Some(asked) = self.open.remove(&echo.sequence) else { continue };
+            let Some(Open { asked, .. }) = self.open.remove(&echo.sequence) else { continue };
             let answer = answer(&echo, asked);
             if !self.which.json {
                 super::say(&line(echo.from, &answer)).map_err(Failure::Run)?;
@@ -340,87 +358,4 @@ fn summary(round: &Round) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use clap::Parser;
-    use rtnet::time::Span;
-
-    use super::*;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        ping: PingArgs,
-    }
-
-    fn args(line: &str) -> PingArgs {
-        Line::parse_from(["ping"].into_iter().chain(line.split(' '))).ping
-    }
-
-    #[test]
-    fn a_spread_is_of_values_that_occurred() {
-        assert_eq!(Spread::of(Vec::new()), None);
-        let all = Spread::of((1..=200).rev().collect());
-        assert_eq!(all, Some(Spread { min: 1, p50: 100, p99: 198, max: 200 }));
-        assert_eq!(Spread::of(vec![7]), Some(Spread { min: 7, p50: 7, p99: 7, max: 7 }));
-    }
-
-    #[test]
-    fn questions_come_as_often_as_was_said_and_everywhere_in_a_cycle() {
-        let (cycle, every) = (Duration::from_millis(1), Duration::from_millis(4));
-        let args = args("-S a -i 4ms 10.0.0.1");
-        assert_eq!(args.interval, Span::from_millis(4));
-        let asked = |n| due(n, &args, Some(cycle));
-        let mut within: Vec<Duration> = (0..100).map(|n| asked(n) - every * n as u32).collect();
-        within.sort_unstable();
-        let gaps = within.windows(2).map(|pair| pair[1] - pair[0]);
-        let largest = gaps.chain([within[0], cycle - within[99]]).max().unwrap();
-        assert!(largest < Duration::from_micros(20), "{largest:?}");
-        assert!((1..100).all(|n| asked(n) > asked(n - 1)));
-        assert_eq!(due(3, &args, None), every * 3, "where there is no cycle");
-        // After a hold-up there is no burst.
-        let late = |micros| held_up(Duration::from_micros(micros), &args, Some(cycle)).as_micros();
-        assert_eq!([0, 250, 251, 9_000].map(late), [0, 0, 251, 9_000]);
-    }
-
-    #[test]
-    fn what_fails_counts_by_its_reason_and_the_rest_as_lost_or_received() {
-        let args = args("-S a -i 4ms --json 10.0.0.1");
-        let mut run = Run::new(&args.which, &args);
-        run.sent = 100;
-        (0..30).for_each(|n| run.fails(n, &format!("reason {}", n / 2)).unwrap());
-        (0..10).for_each(|n| run.fails(n, &format!("later reason {n}")).unwrap());
-        run.received = 40;
-        let round = run.round(None);
-        assert_eq!((round.failed, round.lost, round.loss), (40, 20, 0.2));
-        assert_eq!((round.failures.len(), round.failures["reason 3"]), (17, 2));
-        assert_eq!(round.failures["another reason"], 9);
-        let text = summary(&round);
-        assert!(
-            text.starts_with("10.0.0.1: 100 sent, 40 came back, 20.0 % lost, 40 were not asked:\n"),
-            "{text}"
-        );
-        assert!(text.contains("\n  2 times: reason 3\n"), "{text}");
-    }
-
-    #[test]
-    fn round_trips_are_compared_with_the_schedule_beyond_the_jitter_of_what_is_no_waiting() {
-        let args = args("-S a --json 10.0.0.1");
-        let mut run = Run::new(&args.which, &args);
-        // A rest of 300 us, one in 20 of them 5 us longer, and one that was a cycle late.
-        run.answers = (0..100)
-            .map(|n| {
-                let rest = 300_000 + if n % 20 == 7 { 5_000 } else { n };
-                let late = if n == 50 { 1_000_000 } else { 0 };
-                let waited = 50_000 + n * 10_000;
-                let (round_trip_ns, waited_ns) = (Some(rest + late + waited), Some(waited));
-                Answer { sequence: n as u16, bytes: 56, round_trip_ns, waited_ns }
-            })
-            .collect();
-        let beside = run.beside([350_000, 1_350_000], 2);
-        assert_eq!((beside.longer, beside.slots_missed), (1, 2));
-        assert!((1..=5_000).contains(&beside.jitter_ns), "{beside:?}");
-        let text = summary(&run.round(Some(beside)));
-        assert!(text.contains("schedule: best 350, worst 1 350 us; "), "{text}");
-        assert!(text.ends_with("1 took longer, while the two stations missed 2 slots\n"), "{text}");
-    }
-}
+mod tests;

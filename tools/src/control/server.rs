@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{self, ErrorKind, Read};
+use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -36,8 +36,9 @@ const ACCEPT_AT_ONCE: usize = 16;
 
 /// Programs with sockets at a time: as many as a station has sockets, if it has the most.
 const PROGRAMS_AT_MOST: usize = 1024;
-/// Descriptors that a program's socket takes: its connection, memory, who wakes it, and one to spare.
-const FILES_OF_PROGRAM: u64 = 4;
+/// Descriptors that a program's socket takes: its connection, its memory, what wakes it, the gate that it sees that through, and
+/// its doorbell.
+const FILES_OF_PROGRAM: u64 = 5;
 /// Descriptors that programs leave for everything else: clients, what is the station's, what goes along with an answer.
 const FILES_BESIDE: u64 = CLIENTS_AT_MOST as u64 + 64;
 
@@ -54,6 +55,8 @@ pub struct Traffic {
     pub not_taken: u64,
     /// Clients that had to go for others.
     pub evicted: u64,
+    /// How often nobody could be let in though somebody waited: for want of descriptors, or of memory.
+    pub not_let_in: u64,
 }
 
 impl Traffic {
@@ -65,6 +68,7 @@ impl Traffic {
             ("taken_back", self.taken_back),
             ("not_taken", self.not_taken),
             ("evicted", self.evicted),
+            ("not_let_in", self.not_let_in),
         ];
         all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect()
     }
@@ -261,11 +265,10 @@ impl Server {
         for _ in 0..ACCEPT_AT_ONCE {
             let socket = match self.listener.accept() {
                 Ok((socket, _)) => socket,
-                Err(error) => {
-                    self.is_full =
-                        matches!(error.raw_os_error(), Some(nix::libc::EMFILE | nix::libc::ENFILE));
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
                     return;
                 }
+                Err(error) => return self.note_full(&error),
             };
             if socket.set_nonblocking(true).is_err() {
                 continue;
@@ -276,6 +279,21 @@ impl Server {
                 self.traffic.evicted += 1;
             }
             self.clients.push(Client { socket, heard: Instant::now() });
+        }
+    }
+
+    /// Nobody can be let in now, for whatever reason: it is tried again after the next wait, and said the first time.
+    fn note_full(&mut self, error: &io::Error) {
+        self.is_full = true;
+        self.traffic.not_let_in += 1;
+        if self.traffic.not_let_in == 1 {
+            let remedy = match error.raw_os_error() {
+                Some(nix::libc::EMFILE | nix::libc::ENFILE) => "let more files be open, `ulimit -n`",
+                _ => "it is tried again, and counted as `not_let_in`",
+            };
+            let path = self.path.display();
+            // Whoever has closed our standard error finds it counted.
+            let _ = writeln!(io::stderr(), "rtnet: {path} lets nobody in who comes now: {error} ({remedy})");
         }
     }
 }
@@ -367,9 +385,28 @@ mod tests {
 
     #[test]
     fn programs_leave_descriptors_for_everything_else() {
-        for (files, programs) in [(0, 0), (64, 8), (1_024, 224), (20_000, 4_968)] {
+        for (files, programs) in [(0, 0), (64, 6), (1_024, 179), (20_000, 3_974)] {
             assert_eq!(programs_with(files), programs, "of {files}");
         }
+    }
+
+    #[test]
+    fn who_cannot_be_let_in_does_not_keep_the_server_from_waiting() {
+        let (_scratch, mut server) = server();
+        let inside = client(&mut server);
+        // Always readable, and what is accepted is refused each time: EINVAL.
+        let (other, never_accepts) = Socket::pair(Domain::UNIX, Type::SEQPACKET, None).unwrap();
+        other.send(b"!").unwrap();
+        server.listener = never_accepts;
+        server.serve(SOON, |_, _| Vec::new());
+        assert!(server.is_full);
+        let begun = Instant::now();
+        (0..4).for_each(|_| server.serve(SOON, |_, _| Vec::new()));
+        assert!(begun.elapsed() >= 4 * SOON, "{:?}", begun.elapsed());
+        assert_eq!(server.traffic().not_let_in, 5);
+        inside.send(b"?").unwrap();
+        server.serve(SOON, |_, _| b"done".to_vec());
+        assert_eq!(heard(&inside).as_deref(), Some("done"), "who is there is served");
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};
 pub use guard::{Guard, GuardMode, GuardRefused};
 pub use impair::{Chances, Impaired, Impairment, ImpairmentRefused, LOGGED};
-pub use port::{Data, OpenError, Port, PortCounters, RECEIVE_POOL};
+pub use port::{Data, ETHER_TYPES_AT_MOST, OpenError, Port, PortCounters, RECEIVE_POOL};
 pub use time_board::{TimeBoard, TimePublisher};
 pub use visit::{NoSockets, Visitor, Visits};
 pub use wait::{Cycle, WaitError, Waiter};

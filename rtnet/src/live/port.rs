@@ -36,6 +36,9 @@ const BELLS: usize = 16;
 /// What they are called among what ends a wait; the sockets are called by their places, and the alarm as nobody asks it.
 const THE_BELLS: u64 = 62;
 const THE_ALARM: u64 = 63;
+/// EtherTypes that a port hears at the most, each by a socket of its own: a place of 64 bits for each, those of the bells, of
+/// the alarm and of RTmac's frames left out.
+pub const ETHER_TYPES_AT_MOST: usize = THE_BELLS as usize - 1;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
 const COST_AGES: u64 = 2;
 
@@ -65,8 +68,8 @@ pub struct Port {
     alarm: Alarm,
     /// What ends a wait for frames: all of them. Each wait of `ppoll` would ask them all, twice.
     waker: Epoll,
-    /// Sockets that were found empty since the last wait for frames began: the lowest bit is for control.
-    empty: u8,
+    /// Sockets that were found empty since the last wait for frames began, a bit for each place: the lowest is for control.
+    empty: u64,
     /// How often they were to be asked again without a wait.
     looks: u32,
     counters: PortCounters,
@@ -78,6 +81,11 @@ pub enum OpenError {
     /// The kernel gives no packet sockets.
     #[error("packet sockets on '{0}' (run as root, or give CAP_NET_RAW)")]
     Sockets(String, #[source] io::Error),
+    /// More EtherTypes than a port has sockets for.
+    #[error(
+        "'{0}' cannot be heard for {1} EtherTypes one by one: {ETHER_TYPES_AT_MOST} at the most (hear all, `Data::All`)"
+    )]
+    TooMany(String, usize),
     /// There can be no guard, and it is not to go without.
     #[error("kernel guard on '{0}' ({remedy}; or go without)", remedy = .1.remedy())]
     Guard(String, #[source] GuardRefused),
@@ -112,7 +120,13 @@ impl Port {
         spin: u64,
         guard: GuardMode,
     ) -> Result<Self, OpenError> {
-        let mut port = Self::unguarded(interface, data.into(), clock, spin)
+        let data = data.into();
+        if let Data::Only(only) = data
+            && only.len() > ETHER_TYPES_AT_MOST
+        {
+            return Err(OpenError::TooMany(interface.name.clone(), only.len()));
+        }
+        let mut port = Self::unguarded(interface, data, clock, spin)
             .map_err(|error| OpenError::Sockets(interface.name.clone(), error))?;
         if guard == GuardMode::User {
             return Ok(port);
@@ -319,7 +333,7 @@ impl Port {
         let found = self.waker.wait(&mut events, at_most).unwrap_or(0);
         self.woke = monotonic();
         let ready = events[..found].iter().fold(0u64, |ready, event| ready | 1 << event.data());
-        self.empty = !(ready as u8);
+        self.empty = !ready;
         if let Some(doorbells) = self.doorbells.as_ref().filter(|_| ready >> THE_BELLS & 1 != 0) {
             // Whoever rang: all lines are looked at.
             let _ = doorbells.wait(&mut [EpollEvent::empty(); BELLS], PollTimeout::ZERO);

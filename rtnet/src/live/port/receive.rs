@@ -23,7 +23,7 @@ const CONTROL_EVERY: u32 = 16;
 /// What a port hears besides RTmac's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Data<'a> {
-    /// Frames of these EtherTypes.
+    /// Frames of these EtherTypes, [`ETHER_TYPES_AT_MOST`](super::ETHER_TYPES_AT_MOST).
     Only(&'a [EtherType]),
     /// All that is for this host, alone or in a group, but of no VLAN: what a station with sockets hears.
     All,
@@ -68,7 +68,7 @@ impl Port {
     /// in so many.
     pub fn look_again(&mut self) {
         self.looks = self.looks.wrapping_add(1);
-        self.empty = u8::from(!self.looks.is_multiple_of(CONTROL_EVERY));
+        self.empty = u64::from(!self.looks.is_multiple_of(CONTROL_EVERY));
     }
 }
 

@@ -100,6 +100,43 @@ fn what_has_come_is_heard_until_there_is_an_answer_and_an_empty_socket_is_not_as
 }
 
 #[test]
+fn a_port_hears_as_many_ether_types_as_it_has_places_and_refuses_more() {
+    in_a_namespace(|| {
+        let index = nix::net::if_::if_nametoindex("lo").unwrap();
+        let interface = Interface { name: "lo".into(), index, address: Address::default() };
+        // The one that is sent has the last place.
+        let mut types: Vec<EtherType> =
+            (0..ETHER_TYPES_AT_MOST as u16).map(|n| EtherType(0x9900 + n)).collect();
+        types[ETHER_TYPES_AT_MOST - 1] = EtherType::EXPERIMENTAL;
+        let open = |types: &[EtherType]| {
+            Port::open(&interface, Data::Only(types), EmulatedClock::default(), 50_000, GuardMode::User)
+        };
+        let (mut port, pool) = (open(&types).unwrap(), Pool::new(1));
+        let far = ROOM_FOR_A_BUSY_HOST.nanos() as u64;
+        for _ in 0..2 {
+            let at = port.now();
+            assert!(matches!(port.transmit(transmission(&pool, at, at + ROOM_FOR_A_BUSY_HOST)), Sent::At(_)));
+            port.wait_for_frame_until(None, monotonic() + far);
+            let mut heard = [0; 2];
+            for heard in &mut heard {
+                port.hear(|_, _| {
+                    *heard += 1;
+                    true
+                });
+            }
+            assert_eq!(heard, [1, 0], "each place is asked for itself");
+            assert_eq!(port.empty, !0, "and was found empty");
+        }
+        types.push(EtherType(0x9a00));
+        let refused = open(&types).err().map(|error| error.to_string()).unwrap_or_default();
+        assert!(
+            refused.starts_with("'lo' cannot be heard for 62 EtherTypes one by one: 61 at the most ("),
+            "{refused}"
+        );
+    });
+}
+
+#[test]
 fn what_the_kernel_drops_from_a_full_socket_is_counted() {
     in_a_namespace(|| {
         let (mut port, pool) = (port(), Pool::new(1));

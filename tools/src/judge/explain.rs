@@ -190,7 +190,9 @@ impl Records {
             }),
             // Who gives the time needs no sync, though nobody heard its own while another's was the last.
             FindingKind::WithoutSync => authors.find_map(|author| {
+                let may_give = author.station == MASTER || self.backups.contains(&author.station);
                 self.told_of(of_cycle(author), &[EventKind::SyncSkipped, EventKind::SyncDropped])
+                    .or_else(|| self.last_words(author).filter(|_| may_give))
             }),
         }
     }

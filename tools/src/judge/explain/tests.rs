@@ -201,6 +201,18 @@ fn a_master_whose_own_sync_was_skipped_while_a_backups_was_the_last_may_send() {
 }
 
 #[test]
+fn a_master_that_was_killed_before_it_told_of_that_may_have_sent_too() {
+    let mut records = Records { backups: vec![2], ..Records::default() };
+    (MASTER..4).for_each(|station| records.absences.begin(station, Absence::Down, 7));
+    let why = |cycle, station| {
+        let author = Author { station, cycle, slot: Some(0) };
+        records.explain(&Finding::of(author, FindingKind::WithoutSync, Span::ZERO))
+    };
+    let down = Some("station_down");
+    assert_eq!([why(7, MASTER), why(6, MASTER), why(7, 2), why(7, 3)], [down, None, down, None]);
+}
+
+#[test]
 fn who_has_given_its_line_up_is_silent_until_it_follows_again() {
     let mut records = Records::default();
     records.note(told_of(100, 3), EventKind::LineGivenUp, Span::ZERO, None);

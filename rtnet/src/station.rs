@@ -8,15 +8,18 @@ use crate::time::Instant;
 use crate::wire::ethernet::Header;
 
 /// One participant of the network. The same object runs in virtual time and live.
+///
+/// What every turn looks at comes first, together: a thousand of them share a processor's cache in virtual time.
+#[repr(C)]
 pub struct Station<D: Discipline> {
-    discipline: D,
     services: Vec<Box<dyn Service>>,
     stack: Option<Box<Stack>>,
-    refusals: Refusals,
-    stale: u64,
     announced: SyncState,
     /// Whether there was an opportunity since it last had nothing to send.
     was_asked: bool,
+    stale: u64,
+    discipline: D,
+    refusals: Refusals,
 }
 
 impl<D: Discipline> Station<D> {

@@ -40,8 +40,12 @@ pub const MAX_ROUNDS: u32 = 10_000;
 const ATTEMPTS_PER_ROUND: u32 = 3;
 const ATTEMPTS_EXTRA: u32 = 20;
 
-/// A calibration: one that is done, one under way, or both while the delay is measured anew.
+/// A calibration: one that is done, one under way, or both while the delay is measured anew. What every turn looks at
+/// comes first, together.
+#[repr(C)]
 pub struct Calibration {
+    delay: Option<Span>,
+    is_measuring: bool,
     /// Of a first calibration, and of one that another master asks for.
     rounds: u32,
     /// Whether syncs are filtered, and rounds, too.
@@ -50,7 +54,6 @@ pub struct Calibration {
     delay_of: DelayOf,
     /// Of the one under way, or of the last.
     wanted: u32,
-    is_measuring: bool,
     /// For the rounds of the one under way, and the quicker ones of the last that are of the line that is followed.
     room: Room,
     /// The request's stamp on this station's clock, while its reply is awaited.
@@ -61,7 +64,6 @@ pub struct Calibration {
     line: u32,
     /// Of a frame for one station, and of Synchronisations.
     one: Span,
-    delay: Option<Span>,
     /// By how much the line was late that was followed meanwhile, were there no delay.
     of_line: Span,
     rate: Option<Rate>,

@@ -77,18 +77,19 @@ const AGAINST_AT_MOST: f64 = 64.0;
 /// So many windows that are all clearly later than the line are not a busy host.
 const LEFT: usize = 32;
 
-/// The early Synchronisations, and the line through them.
+/// The early Synchronisations, and the line through them. What every turn looks at comes first, together.
+#[repr(C)]
 pub struct Envelope {
     window: Vec<Point>,
     /// Of this window, those that are clearly earlier than the line.
     too_early: usize,
-    early: VecDeque<Point>,
     /// Since this cycle the clocks have been the same.
     since: Option<u32>,
     edge: Option<Edge>,
+    known: Option<Known>,
+    early: VecDeque<Point>,
     /// Where the line lies: half of the early ones are later by so much, or the last is, and the earliest earlier, together.
     scatter: Span,
-    known: Option<Known>,
 }
 
 /// What is known of the clocks.

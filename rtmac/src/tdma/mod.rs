@@ -76,23 +76,25 @@ pub use status::{Counters, RoleName, SLOTS_SHOWN, TdmaStatus};
 
 use crate::wire::{self, Rtmac};
 
-/// A station of a TDMA network.
+/// A station of a TDMA network. What every turn looks at is together, from `address` on to the end of what a slave begins
+/// with: of a thousand stations in virtual time it is what has to fit into a processor's cache.
+#[repr(C)]
 pub struct Tdma {
+    promises: Promises,
     address: Address,
-    lead: Span,
     late: LatePolicy,
-    role: Role,
-    slots: Slots,
+    lead: Span,
+    /// When time was last told of.
+    looked: Instant,
     /// Synchronisations, requests and replies are sent from here.
     pool: Pool,
     pending: Option<Pending>,
-    promises: Promises,
-    /// When time was last told of.
-    looked: Instant,
+    slots: Slots,
     /// The last slot that was silent: its cycle, and when it was.
     silent: Option<(u32, Instant)>,
-    events: Events,
     counters: Counters,
+    role: Role,
+    events: Events,
 }
 
 // A master is a slave and more; in a box it would have to be freed when it becomes one.

@@ -56,13 +56,10 @@ const MOVED_LATE: u32 = 3;
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
 
-/// A station that follows.
+/// A station that follows. What every turn looks at comes first, together.
+#[repr(C)]
 pub struct Slave {
-    config: SlaveConfig,
-    track: Track,
-    envelope: Envelope,
     state: SyncState,
-    calibration: Calibration,
     /// Who sent the last Synchronisation, and the last that was followed.
     master: Address,
     line_of: Address,
@@ -76,6 +73,10 @@ pub struct Slave {
     disagreement: Disagreement,
     /// Cycles since the line's last Synchronisation.
     missing: i64,
+    config: SlaveConfig,
+    track: Track,
+    calibration: Calibration,
+    envelope: Envelope,
 }
 
 enum Track {

@@ -99,11 +99,12 @@ enum Change {
     Remove,
 }
 
-/// The slots of one station.
+/// The slots of one station. What every turn looks at comes first, together.
+#[repr(C)]
 pub struct Slots {
-    table: Vec<Slot>,
     /// The ids that are defined, in order: the table is looked at in every turn, and most of it is empty.
     in_use: Vec<Channel>,
+    table: Vec<Slot>,
     max_id: u8,
     /// Queued frames whose slot was removed or became too small for them.
     dropped: u64,

@@ -9,19 +9,22 @@ use super::report::{CalibrationReport, DelayOf};
 use super::slot::SlotStatus;
 use super::{Role, Servo, Tdma};
 
-/// Everything a TDMA station counts.
+/// Everything a TDMA station counts. What every cycle counts comes first, together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[repr(C)]
 pub struct Counters {
+    /// Synchronisations received, accepted or not.
+    pub syncs_received: u64,
+    /// Data frames sent.
+    pub frames_sent: u64,
+    /// Slots for which nothing was queued.
+    pub slots_empty: u64,
     /// Synchronisations sent.
     pub syncs_sent: u64,
     /// Synchronisations that came too late for their window and were not sent, or that the kernel guard dropped.
     pub syncs_skipped: u64,
-    /// Synchronisations received, accepted or not.
-    pub syncs_received: u64,
     /// Of them, those that came after a slot had been silent for want of them.
     pub syncs_late: u64,
-    /// Data frames sent.
-    pub frames_sent: u64,
     /// Slots skipped because they were late.
     pub overruns: u64,
     /// Frames sent although the clock read afterwards was beyond `latest`.
@@ -30,8 +33,6 @@ pub struct Counters {
     pub guard_drops: u64,
     /// Frames the kernel refused.
     pub send_failed: u64,
-    /// Slots for which nothing was queued.
-    pub slots_empty: u64,
     /// Slots passed over because synchronisation did not allow them.
     pub slots_silent: u64,
     /// Turns of a slot that carried no data, since the delay was measured anew in them.

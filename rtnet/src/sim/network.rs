@@ -29,7 +29,8 @@ pub use faults::Wander;
 /// Which station, in the order they were added.
 pub type StationId = usize;
 
-/// What one station brings to a network.
+/// What one station brings to a network. What every turn looks at comes first, together.
+#[repr(C, align(64))]
 pub struct Member<D: Discipline> {
     /// Its interface's address: it hears frames to it and to groups.
     pub address: Address,

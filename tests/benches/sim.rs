@@ -40,7 +40,7 @@ fn resident() -> u64 {
 /// What a station has in memory, its pools included, and as many lines of the cache as a cycle looks at, all over it:
 /// counted with `valgrind --tool=lackey`.
 const STATION: usize = 33_728;
-const LINES: usize = 36;
+const LINES: usize = 33;
 const APART: usize = 576;
 
 /// What a cycle does to memory, without what it is done for: each station once in any order, as they wake for a

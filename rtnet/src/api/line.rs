@@ -65,6 +65,8 @@ pub struct Lines {
     room: Box<[u8]>,
     /// Which is served first.
     first: usize,
+    /// What may still be done before the station rests, however often programs are looked at until then.
+    work: Work,
     /// They were served since the station slept.
     came_by: bool,
     /// So many have not been looked at since then.
@@ -79,6 +81,9 @@ pub type Descriptors = [OwnedFd; DESCRIPTORS];
 struct Work(usize);
 
 impl Work {
+    fn of_a_turn() -> Self {
+        Self(WORK_AT_ONCE)
+    }
     fn is_left(&self) -> bool {
         self.0 > 0
     }
@@ -242,6 +247,7 @@ impl Lines {
             lines: Vec::with_capacity(most),
             room: vec![0; LONGEST].into_boxed_slice(),
             first: 0,
+            work: Work::of_a_turn(),
             came_by: false,
             unseen: 0,
             counters: LineCounters::default(),
@@ -295,9 +301,9 @@ impl Drop for Lines {
 
 impl Program for Lines {
     fn run(&mut self, sockets: &mut Access<'_>) {
-        let Self { lines, room, first, came_by, unseen, counters } = self;
+        let Self { lines, room, first, work, came_by, unseen, counters } = self;
         *came_by = true;
-        let (mut work, count) = (Work(WORK_AT_ONCE), lines.len());
+        let count = lines.len();
         for place in (*first..*first + count).map(|place| place % count) {
             if !work.is_left() {
                 // Who has had no part of this turn is the first in the next.
@@ -306,7 +312,7 @@ impl Program for Lines {
             }
             *unseen = unseen.saturating_sub(1);
             let line = &mut lines[place];
-            if !line.is_broken && line.serve(sockets, room, &mut work).is_err() {
+            if !line.is_broken && line.serve(sockets, room, work).is_err() {
                 counters.nonsense += 1;
                 line.is_broken = true;
                 line.end();
@@ -334,6 +340,7 @@ impl Program for Lines {
 
     /// Who sleeps is woken once; who is awake costs nothing.
     fn rest(&mut self) {
+        self.work = Work::of_a_turn();
         for line in self.lines.iter_mut().filter(|line| line.has_news) {
             line.has_news = false;
             // What was written is seen by who looks after saying that it sleeps; who said so before is seen here.

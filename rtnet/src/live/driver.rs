@@ -105,15 +105,15 @@ pub struct Driver<D: Discipline> {
 impl<D: Discipline> Driver<D> {
     /// A driver that has not started.
     pub fn new(station: Station<D>, port: Port, config: DriverConfig) -> Self {
-        let time = TimePublisher::new(*port.clock());
+        let (time, bell) = (TimePublisher::new(*port.clock()), port.bell());
         Self {
             station,
             port,
             config,
             records: Arc::new(ArrayQueue::new(RECORDS)),
             snapshots: Arc::new(ArrayQueue::new(SNAPSHOTS)),
-            errands: Arc::new(Errands::new()),
-            visits: Arc::new(Errands::new()),
+            errands: Arc::new(Errands::new(bell.clone())),
+            visits: Arc::new(Errands::new(bell)),
             time,
             clock_order: Arc::default(),
             records_lost: 0,

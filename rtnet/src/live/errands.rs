@@ -1,8 +1,10 @@
 //! The way of commands between the control thread and the loop.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crossbeam::atomic::AtomicCell;
+use nix::sys::eventfd::EventFd;
 
 /// A command on its way to the loop and back.
 pub struct Errand<C, R> {
@@ -19,14 +21,17 @@ pub struct Errands<C, R> {
     answered: AtomicCell<Option<Box<Errand<C, R>>>>,
     /// Whether one is under way.
     under_way: AtomicBool,
+    /// What wakes the loop if it waits for anything but a slot.
+    bell: Arc<EventFd>,
 }
 
 impl<C, R> Errands<C, R> {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(bell: Arc<EventFd>) -> Self {
         Self {
             asked: AtomicCell::new(None),
             answered: AtomicCell::new(None),
             under_way: AtomicBool::new(false),
+            bell,
         }
     }
 
@@ -36,6 +41,8 @@ impl<C, R> Errands<C, R> {
             return Err(command);
         }
         self.asked.store(Some(Box::new(Errand { command, result: None })));
+        // It does not block, and counts for longer than anybody asks.
+        let _ = self.bell.write(1);
         Ok(())
     }
 
@@ -68,9 +75,12 @@ impl<C, R> Errands<C, R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
 
     type Numbers = Errands<u32, ()>;
+
+    fn numbers() -> Numbers {
+        Numbers::new(Arc::new(EventFd::new().unwrap()))
+    }
 
     /// What the loop does with a command.
     fn obey(errands: &Numbers) -> bool {
@@ -82,7 +92,7 @@ mod tests {
 
     #[test]
     fn what_is_taken_back_in_time_is_never_carried_out() {
-        let errands = Numbers::new();
+        let errands = numbers();
         errands.send(7).unwrap();
         assert_eq!(errands.send(8), Err(8), "one at a time");
         assert_eq!(errands.take_back(), Some(7));
@@ -94,7 +104,7 @@ mod tests {
 
     #[test]
     fn what_was_begun_cannot_be_taken_back_and_is_answered() {
-        let errands = Numbers::new();
+        let errands = numbers();
         errands.send(7).unwrap();
         let begun = errands.next().unwrap();
         assert_eq!(errands.take_back(), None);
@@ -106,7 +116,7 @@ mod tests {
 
     #[test]
     fn between_two_threads_each_command_is_either_taken_back_or_answered() {
-        let errands = Arc::new(Numbers::new());
+        let errands = Arc::new(numbers());
         let over = Arc::new(AtomicBool::new(false));
         let (of_loop, until) = (errands.clone(), over.clone());
         let begun = std::thread::spawn(move || {

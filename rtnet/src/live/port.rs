@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use nix::poll::PollTimeout;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
+use nix::sys::eventfd::{EfdFlags, EventFd};
 use socket2::Socket;
 
 use crate::buf::{Buf, Pool};
@@ -65,6 +66,8 @@ pub struct Port {
     hold: Option<fn()>,
     /// The bells that programs ring when they have something to be sent.
     doorbells: Option<Arc<Epoll>>,
+    /// What other threads of the process ring.
+    bell: Arc<EventFd>,
     alarm: Alarm,
     /// What ends a wait for frames: all of them. Each wait of `ppoll` would ask them all, twice.
     waker: Epoll,
@@ -158,6 +161,9 @@ impl Port {
             waker.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, place))?;
         }
         waker.add(&alarm, EpollEvent::new(EpollFlags::EPOLLIN, THE_ALARM))?;
+        let bell = EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?;
+        // By edge: nobody has to silence it.
+        waker.add(&bell, EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, THE_BELLS))?;
         Ok(Self {
             sender,
             control,
@@ -175,6 +181,7 @@ impl Port {
             is_alone: false,
             hold: None,
             doorbells: None,
+            bell: Arc::new(bell),
             alarm,
             waker,
             empty: 0,
@@ -305,6 +312,12 @@ impl Port {
     fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
         self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()).chain(sockets)
+    }
+
+    /// What ends [`Self::wait_for_frame_until`] from any thread of the process, by being written. A loop that waits for a
+    /// slot does not hear it.
+    pub(super) fn bell(&self) -> Arc<EventFd> {
+        self.bell.clone()
     }
 
     /// The same with so many buffers for received frames.

@@ -54,6 +54,13 @@ impl Site {
 
     /// One turn: how many frames are waiting after it.
     fn turn(&mut self) -> usize {
+        let waiting = self.look();
+        self.end.stack.rest();
+        waiting
+    }
+
+    /// One look at programs, of which a turn may have several.
+    fn look(&mut self) -> usize {
         self.end.stack.poll(Instant::from_nanos(0), &mut self.end.queue);
         self.end.queue.waiting.len()
     }
@@ -86,6 +93,16 @@ fn long_datagrams_of_one_program_leave_the_others_their_part_of_each_turn() {
     assert_eq!(site.turn(), fragments, "one datagram is work for a turn");
     assert_eq!(site.turn(), 2 * fragments + 2, "then who had no part of it comes first");
     assert_eq!(site.turn(), 3 * fragments + 2);
+}
+
+#[test]
+fn however_often_programs_are_looked_at_in_a_turn_it_is_work_of_one() {
+    let mut site = Site::new(2, 100);
+    (0..2).for_each(|program| site.order(program, 20_000));
+    let fragments = 14;
+    assert_eq!([site.look(), site.look(), site.look()], [fragments; 3], "as for each of its slots");
+    site.end.stack.rest();
+    assert_eq!(site.look(), 2 * fragments);
 }
 
 #[test]

@@ -100,6 +100,25 @@ fn what_has_come_is_heard_until_there_is_an_answer_and_an_empty_socket_is_not_as
 }
 
 #[test]
+fn a_command_ends_a_wait_for_frames_each_time() {
+    in_a_namespace(|| {
+        let mut port = port();
+        let errands = crate::live::errands::Errands::<(), ()>::new(port.bell());
+        let far = 60_000_000_000;
+        for _ in 0..3 {
+            errands.send(()).unwrap();
+            let begun = monotonic();
+            port.wait_for_frame_until(None, begun + far);
+            assert!(monotonic() < begun + far / 2, "it was rung for");
+            assert_eq!(errands.take_back(), Some(()));
+        }
+        let begun = monotonic();
+        port.wait_for_frame_until(None, begun + 1_000_000);
+        assert!(monotonic() >= begun + 1_000_000, "nothing was sent, and nobody has to silence it");
+    });
+}
+
+#[test]
 fn a_port_hears_as_many_ether_types_as_it_has_places_and_refuses_more() {
     in_a_namespace(|| {
         let index = nix::net::if_::if_nametoindex("lo").unwrap();

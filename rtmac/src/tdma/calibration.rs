@@ -44,6 +44,7 @@ const ATTEMPTS_EXTRA: u32 = 20;
 /// comes first, together.
 #[repr(C)]
 pub struct Calibration {
+    /// Of Synchronisations, once it is known.
     delay: Option<Span>,
     is_measuring: bool,
     /// Of a first calibration, and of one that another master asks for.
@@ -62,7 +63,7 @@ pub struct Calibration {
     tally: Tally,
     /// Lines that were followed since the first round: the master's clock of one is not that of another.
     line: u32,
-    /// Of a frame for one station, and of Synchronisations.
+    /// The delay of a frame for one station.
     one: Span,
     /// By how much the line was late that was followed meanwhile, were there no delay.
     of_line: Span,

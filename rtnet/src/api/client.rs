@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nix::errno::Errno;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::poll::PollTimeout;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use socket2::Socket;
@@ -32,6 +32,8 @@ use crate::wire::udp::MAX_PAYLOAD;
 
 /// What an eventfd is written to be readable.
 const ONE: [u8; 8] = 1u64.to_ne_bytes();
+/// Which event it is of `ready` that the station has hung up; all others say that something may have come.
+const HUNG_UP: u64 = 1;
 
 /// A station on this machine, by its control socket.
 #[derive(Clone, Debug)]
@@ -188,7 +190,7 @@ macro_rules! of_both {
             /// Receives what has come, or says that nothing has (`WouldBlock`): then the descriptor becomes readable
             /// as soon as something does.
             pub fn try_receive(&self, into: &mut [u8]) -> io::Result<Received> {
-                self.0.try_receive(into)
+                self.0.receive_now(into, Flags::NONE)
             }
             /// How long to wait; `None`: for ever.
             pub fn set_timeout(&self, timeout: Option<Duration>) {
@@ -262,7 +264,7 @@ impl End {
         let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
         ready.add(&gate, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
         ready.add(&again, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
-        ready.add(&control, EpollEvent::new(EpollFlags::EPOLLRDHUP, 1))?;
+        ready.add(&control, EpollEvent::new(EpollFlags::EPOLLRDHUP, HUNG_UP))?;
         let writer = Writer::new(memory.clone(), segment::sent());
         Ok(Self {
             line: control.try_clone()?,
@@ -305,7 +307,7 @@ impl End {
         match written {
             Ok(true) => {}
             // Nobody reads any more?
-            Ok(false) if hung_up(&self.ready) => return Err(Errno::ENODEV.into()),
+            Ok(false) if self.has_hung_up(PollTimeout::ZERO) => return Err(Errno::ENODEV.into()),
             Ok(false) => return Err(Errno::ENOBUFS.into()),
             Err(_) => return Err(Errno::ENODEV.into()),
         }
@@ -322,7 +324,7 @@ impl End {
         flags.check(Flags::PEEK | Flags::DONTWAIT).map_err(|error| Errno::from_raw(error.errno()))?;
         if flags.contains(Flags::DONTWAIT) {
             if self.is_watched.load(Ordering::Relaxed) {
-                return self.take_or_sleep(into, flags)?.ok_or_else(|| Errno::EAGAIN.into());
+                return self.receive_now(into, flags);
             }
             let received = self.take(into, flags)?;
             return received
@@ -330,16 +332,22 @@ impl End {
         }
         let timeout = *locked(&self.timeout);
         let until = timeout.map(|timeout| monotonic().saturating_add(nanos(timeout)));
+        let mut has_hung_up = false;
         loop {
-            if let Some(received) = self.take_or_sleep(into, flags)? {
-                return Ok(received);
+            match self.take_or_sleep(into, flags)? {
+                Some(received) => return Ok(received),
+                None if has_hung_up => return Err(Errno::ENODEV.into()),
+                None => has_hung_up = self.wait(until)?,
             }
-            self.wait(until)?;
         }
     }
 
-    fn try_receive(&self, into: &mut [u8]) -> io::Result<Received> {
-        self.take_or_sleep(into, Flags::NONE)?.ok_or_else(|| Errno::EAGAIN.into())
+    /// What has come, or why there is nothing: the station wakes this program for what comes next.
+    fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+        let received = self.take_or_sleep(into, flags)?;
+        received.ok_or_else(|| {
+            if self.has_hung_up(PollTimeout::ZERO) { Errno::ENODEV } else { Errno::EAGAIN }.into()
+        })
     }
 
     /// What has come; if nothing has, the station wakes this program for what comes next.
@@ -360,11 +368,7 @@ impl End {
             self.ring_again();
             return Ok(received);
         }
-        self.check_open()?;
-        if hung_up(&self.ready) {
-            return Err(Errno::ENODEV.into());
-        }
-        Ok(None)
+        self.check_open().map(|()| None)
     }
 
     fn take(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
@@ -381,21 +385,25 @@ impl End {
         }))
     }
 
-    fn wait(&self, until: Option<True>) -> io::Result<()> {
+    /// Until something has come, or the station has hung up: whether it has.
+    fn wait(&self, until: Option<True>) -> io::Result<bool> {
         let left = until.map(|until| Duration::from_nanos(until.saturating_sub(monotonic())));
         if left.is_some_and(|left| left.is_zero()) {
             return Err(Errno::ETIMEDOUT.into());
         }
         // Rounded up: who wakes too early looks again.
-        let timeout = match left {
+        Ok(self.has_hung_up(match left {
             Some(left) => PollTimeout::try_from(left + Duration::from_millis(1)).unwrap_or(PollTimeout::MAX),
             None => PollTimeout::NONE,
-        };
-        let mut fds = [PollFd::new(self.ready.0.as_fd(), PollFlags::POLLIN)];
-        match poll(&mut fds, timeout) {
-            Err(Errno::EINTR) | Ok(_) => Ok(()),
-            Err(error) => Err(error.into()),
-        }
+        }))
+    }
+
+    /// Whether the station has hung up, as soon as anything can be told; no later than that.
+    fn has_hung_up(&self, no_later: PollTimeout) -> bool {
+        let mut events = [EpollEvent::empty(); 3];
+        // A signal is nothing to be told: whoever asks looks again.
+        let found = self.ready.wait(&mut events, no_later).unwrap_or(0);
+        events[..found].iter().any(|event| event.data() == HUNG_UP)
     }
 
     /// What has come can be read even of a station that is gone; nothing else can be done.
@@ -422,13 +430,6 @@ impl End {
         let _ = self.again.write(1);
         self.has_rung.store(true, Ordering::Release);
     }
-}
-
-/// Whether the station has hung up.
-fn hung_up(ready: &Epoll) -> bool {
-    let mut events = [EpollEvent::empty(); 3];
-    let found = ready.wait(&mut events, PollTimeout::ZERO).unwrap_or(0);
-    events[..found].iter().any(|event| event.data() == 1)
 }
 
 /// As many as there can be of what is longer than that.

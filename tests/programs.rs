@@ -24,7 +24,7 @@ use rtnet::buf::Buf;
 use rtnet::discipline::{Channel, SendError, TimeView};
 use rtnet::ip::route::NetworkRoute;
 use rtnet::ip::{Exit, Stack};
-use rtnet::live::Visitor;
+use rtnet::live::{Bells, Visitor};
 use rtnet::queue::Priority;
 use rtnet::socket::{Flags, LinkMode, LinkType, Options};
 use rtnet::time::Instant;
@@ -98,7 +98,7 @@ impl Site {
         let network = "10.1.0.0/16".parse().unwrap();
         stack.routes_mut().add_network(NetworkRoute { network, gateway: ip(1) }).unwrap();
         let (left, stop) = (Arc::<AtomicU64>::default(), Arc::<AtomicBool>::default());
-        let mut desk = Desk { stack, medium: Medium(left.clone()), door: Door::new().unwrap() };
+        let mut desk = Desk { stack, medium: Medium(left.clone()), door: Door::new(Bells::new().unwrap()) };
         let stopped = stop.clone();
         let thread = std::thread::spawn(move || {
             for turn in 1.. {

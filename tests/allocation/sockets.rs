@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, Mutex};
 
-use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use rtmac::tdma::Tdma;
 use rtnet::Direct;
 use rtnet::at_once::DEFAULT_ASK_EVERY;
 use rtnet::buf::Pool;
 use rtnet::discipline::{Discipline, TimeView};
+use rtnet::live::Bells;
 use rtnet::sim::{Host, Latency, Network};
 use rtnet::socket::{
     Access, Flags, LinkMode, LinkType, Options, Program, Sender, Socket, SocketError, SocketId,
@@ -156,8 +156,8 @@ fn sockets_without_slots_allocate_nothing() {
 
 #[test]
 fn what_a_ping_asks_for_allocates_nothing_in_the_stations_thread() {
-    let doorbells = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a host has descriptors");
-    let mut echoes = Echoes::new(&doorbells).expect("the same");
+    let bells = Bells::new().expect("a host has descriptors");
+    let mut echoes = Echoes::new(&bells).expect("the same");
     let stacks = [stack(0, vec![Box::new(echoes.asker())]), stack(1, Vec::new())];
     let stations = stacks.map(|own| Station::new(Direct::new(DEFAULT_ASK_EVERY), Vec::new()).with_stack(own));
     let mut network = network(stations.into(), Host::IDEAL);

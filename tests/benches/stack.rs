@@ -157,9 +157,12 @@ fn mixed(count: u64) {
     println!("{{\"datagrams\": {count}, \"came\": {come}, \"resident\": [{before}, {after}]}}");
 }
 
+/// Of this process alone: not of its file, of which the kernel maps and takes back what it likes.
 fn resident() -> u64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    statm.split(' ').nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * 4_096
+    let mut pages = statm.split(' ').skip(1).flat_map(str::parse::<u64>);
+    let (all, of_files) = (pages.next().unwrap_or(0), pages.next().unwrap_or(0));
+    all.saturating_sub(of_files) * 4_096
 }
 
 fn main() {

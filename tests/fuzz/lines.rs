@@ -5,7 +5,6 @@ use std::net::SocketAddrV4;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
-use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use rtnet::api::handshake::{Answer, Ask, is_ask};
 use rtnet::api::line::{Line, Lines};
 use rtnet::api::memory::Memory;
@@ -14,6 +13,7 @@ use rtnet::api::segment::{self, ASLEEP, Order, STATION_ASLEEP};
 use rtnet::buf::Pool;
 use rtnet::ip::StackConfig;
 use rtnet::ip::route::Interface;
+use rtnet::live::Bells;
 use rtnet::socket::{Options, Socket, SocketId};
 use tests::ends::{A, B, End};
 
@@ -33,8 +33,8 @@ struct Program {
 }
 
 impl Program {
-    fn new(end: &mut End, doorbells: &Arc<Epoll>, buffers: usize) -> Self {
-        let line = Line::new(doorbells.clone()).expect("memory");
+    fn new(end: &mut End, bells: &Bells, buffers: usize) -> Self {
+        let line = Line::new(bells.clone()).expect("memory");
         let [memory, _, _] = line.descriptors().expect("descriptors");
         let memory = Arc::new(Memory::open(memory).expect("the same memory"));
         let pool = Arc::new(Pool::new(buffers));
@@ -60,11 +60,11 @@ fn a_station_serves_any_words() {
 }
 
 fn serve(input: &[u8]) -> Vec<u64> {
-    let doorbells = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("an epoll"));
+    let bells = Bells::new().expect("an epoll");
     let config = StackConfig::new(Interface { address: A.0, ip: A.1, prefix: 24 });
     let mut end = End::above(config, vec![Box::new(Lines::new(2))]);
     end.knows(B);
-    let [mut hostile, mut honest] = [8, 64].map(|buffers| Program::new(&mut end, &doorbells, buffers));
+    let [mut hostile, mut honest] = [8, 64].map(|buffers| Program::new(&mut end, &bells, buffers));
     end.stack.bind(hostile.id, SocketAddrV4::new(A.1, PORT)).expect("a free port");
     let mut peer = End::new(B);
     peer.knows(A);

@@ -11,14 +11,13 @@ use std::os::fd::{AsFd, AsRawFd};
 use std::sync::Arc;
 
 use nix::errno::Errno;
-use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
 
 use super::handshake::{Answer, Ask};
 use super::line::{Line, Lines};
 use crate::buf::Pool;
 use crate::ip::{Exit, Stack};
-use crate::live::{TimeBoard, Visitor};
+use crate::live::{Bells, TimeBoard, Visitor};
 use crate::socket::{DEFAULT_BUFFERS, MOST_BUFFERS, ROOM_TO_EXTEND, Socket, SocketError, SocketId};
 
 pub use super::line::Descriptors;
@@ -30,7 +29,7 @@ const MOST_RETIRED: usize = 256;
 pub struct Door {
     /// Pools of sockets that were closed: once all of their buffers are home another socket has them.
     retired: Vec<Arc<Pool>>,
-    doorbells: Arc<Epoll>,
+    bells: Bells,
 }
 
 /// A socket that a program has.
@@ -68,15 +67,9 @@ struct Opening {
 }
 
 impl Door {
-    /// Nobody has come in yet.
-    pub fn new() -> io::Result<Self> {
-        let doorbells = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
-        Ok(Self { retired: Vec::new(), doorbells: Arc::new(doorbells) })
-    }
-
-    /// What programs ring when the station sleeps: each its own.
-    pub fn doorbells(&self) -> Arc<Epoll> {
-        self.doorbells.clone()
+    /// Nobody has come in yet. Each program gets a bell that the station hears there when it sleeps.
+    pub fn new(bells: Bells) -> Self {
+        Self { retired: Vec::new(), bells }
     }
 
     /// Makes an ask of a program ready: one that has no socket opens one, one that has asks about it. What needs nothing of
@@ -125,7 +118,7 @@ impl Door {
             return Err(refused(Errno::ENOMEM));
         }
         let lacks = |error: io::Error| Answer::refused(error.raw_os_error().unwrap_or(Errno::ENOMEM as i32));
-        let line = Line::new(self.doorbells.clone()).map_err(lacks)?;
+        let line = Line::new(self.bells.clone()).map_err(lacks)?;
         let descriptors = line.descriptors().map_err(lacks)?;
         let pool = self.pool(buffers).ok_or(refused(Errno::ENOBUFS))?;
         let (socket, line) = (Some(socket(pool.clone())), Some(line));

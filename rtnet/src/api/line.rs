@@ -24,6 +24,7 @@ use super::handshake::DESCRIPTORS;
 use super::memory::Memory;
 use super::ring::{Nonsense, Reader, Writer};
 use super::segment::{self, ASLEEP, ENDED, ERROR, Order, STATE, STATION_ASLEEP};
+use crate::live::Bells;
 use crate::socket::{Access, Flags, Program, SocketError, SocketId};
 use crate::wire::udp::MAX_PAYLOAD;
 
@@ -47,7 +48,7 @@ pub struct Line {
     gate: Epoll,
     doorbell: EventFd,
     /// Where it is heard.
-    doorbells: Arc<Epoll>,
+    bells: Bells,
     /// The oldest order waits for buffers.
     waits: bool,
     /// Something was written since the program was woken.
@@ -103,13 +104,12 @@ pub struct LineCounters {
 
 impl Line {
     /// Memory, a gate and a doorbell for a socket that is about to be opened.
-    pub fn new(doorbells: Arc<Epoll>) -> io::Result<Box<Self>> {
-        let rings = || EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, 0);
+    pub fn new(bells: Bells) -> io::Result<Box<Self>> {
         let eventfd = || EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC);
         let (waker, doorbell) = (eventfd()?, eventfd()?);
         let gate = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
-        gate.add(&waker, rings())?;
-        doorbells.add(&doorbell, rings())?;
+        gate.add(&waker, EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, 0))?;
+        bells.hang(&doorbell)?;
         let memory = Arc::new(Memory::new(segment::bytes())?);
         // A program may wait before it has ever looked.
         memory[ASLEEP].store(1, Ordering::Relaxed);
@@ -121,7 +121,7 @@ impl Line {
             waker,
             gate,
             doorbell,
-            doorbells,
+            bells,
             waits: false,
             has_news: false,
             errors: 0,
@@ -217,7 +217,7 @@ impl Line {
 impl Drop for Line {
     /// A program that still has its doorbell wakes nobody by it.
     fn drop(&mut self) {
-        let _ = self.doorbells.delete(&self.doorbell);
+        self.bells.take_down(&self.doorbell);
     }
 }
 

@@ -26,7 +26,7 @@ use super::line::Lines;
 use crate::ip::StackConfig;
 use crate::ip::route::Interface;
 use crate::ip::tests::End;
-use crate::live::Visitor;
+use crate::live::{Bells, Visitor};
 use crate::queue::Priority;
 use crate::socket::{Flags, LinkMode, LinkType, Sender};
 use crate::time::Instant;
@@ -75,7 +75,7 @@ impl Site {
         listener.bind(&SockAddr::unix(path).unwrap()).unwrap();
         listener.listen(16).unwrap();
         listener.set_nonblocking(true).unwrap();
-        Self { end, door: Door::new().unwrap(), listener, programs: Vec::new() }
+        Self { end, door: Door::new(Bells::new().unwrap()), listener, programs: Vec::new() }
     }
 
     fn admit(&mut self) {

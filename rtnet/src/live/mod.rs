@@ -15,6 +15,7 @@
 #![allow(clippy::disallowed_methods)]
 
 mod alarm;
+mod bells;
 mod bpf;
 pub mod clock;
 mod clock_order;
@@ -33,6 +34,7 @@ mod time_page;
 mod visit;
 mod wait;
 
+pub use bells::Bells;
 pub use clock_order::ClockOrder;
 pub use driver::{Driver, DriverConfig, Record, Snapshot};
 pub use errands::{Errand, Errands};

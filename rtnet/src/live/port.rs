@@ -3,11 +3,10 @@
 mod receive;
 
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::AsFd;
 use std::sync::Arc;
 
 use nix::poll::PollTimeout;
-use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use socket2::Socket;
 
@@ -18,6 +17,7 @@ use crate::time::{Instant, Span};
 use crate::wire::ethernet::EtherType;
 
 use super::alarm::Alarm;
+use super::bells::{Bells, PLACES, THE_ALARM};
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
 use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
@@ -32,14 +32,8 @@ pub const RECEIVE_POOL: usize = 32;
 const UNDISTURBED: True = 100_000;
 /// No undisturbed `send` takes longer than twice this; a first one that was preempted is not believed.
 const COST_AT_MOST: True = 5_000;
-/// Bells that are taken note of at a time; more end the next wait at once.
-const BELLS: usize = 16;
-/// What they are called among what ends a wait; the sockets are called by their places, and the alarm as nobody asks it.
-const THE_BELLS: u64 = 62;
-const THE_ALARM: u64 = 63;
-/// EtherTypes that a port hears at the most, each by a socket of its own: a place of 64 bits for each, those of the bells, of
-/// the alarm and of RTmac's frames left out.
-pub const ETHER_TYPES_AT_MOST: usize = THE_BELLS as usize - 1;
+/// EtherTypes that a port hears at the most, each by a socket of its own: the first place is that of RTmac's frames.
+pub const ETHER_TYPES_AT_MOST: usize = PLACES - 1;
 /// The measured cost of `send` is forgotten by so many nanoseconds a frame, to follow the host.
 const COST_AGES: u64 = 2;
 
@@ -64,13 +58,11 @@ pub struct Port {
     /// Others are kept off the interface.
     is_alone: bool,
     hold: Option<fn()>,
-    /// The bells that programs ring when they have something to be sent.
-    doorbells: Option<Arc<Epoll>>,
     /// What other threads of the process ring.
     bell: Arc<EventFd>,
     alarm: Alarm,
     /// What ends a wait for frames: all of them. Each wait of `ppoll` would ask them all, twice.
-    waker: Epoll,
+    bells: Bells,
     /// Sockets that were found empty since the last wait for frames began, a bit for each place: the lowest is for control.
     empty: u64,
     /// How often they were to be asked again without a wait.
@@ -156,14 +148,13 @@ impl Port {
         packet::bind(&sender, interface.index, 0)?;
         let control = receiver(interface, EtherType::RTMAC.0, filter::accept_only_our_control)?;
         let (data, alarm) = (receive::data(interface, data)?, Alarm::new()?);
-        let waker = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        let bells = Bells::new()?;
         for (place, socket) in (0..).zip(core::iter::once(&control).chain(&data)) {
-            waker.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, place))?;
+            bells.watch(socket, place)?;
         }
-        waker.add(&alarm, EpollEvent::new(EpollFlags::EPOLLIN, THE_ALARM))?;
+        bells.watch(&alarm, THE_ALARM)?;
         let bell = EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?;
-        // By edge: nobody has to silence it.
-        waker.add(&bell, EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, THE_BELLS))?;
+        bells.hang(&bell)?;
         Ok(Self {
             sender,
             control,
@@ -180,10 +171,9 @@ impl Port {
             guard_refused: None,
             is_alone: false,
             hold: None,
-            doorbells: None,
             bell: Arc::new(bell),
             alarm,
-            waker,
+            bells,
             empty: 0,
             looks: 0,
             counters: PortCounters::default(),
@@ -305,13 +295,13 @@ impl Port {
     /// Waits for a frame of any kind, at most `timeout_ms` milliseconds.
     pub fn wait_for_frame(&self, timeout_ms: i32) {
         let at_most = timeout_ms.max(0) as True * 1_000_000;
-        packet::wait_any(self.waited_for(), Some(at_most));
+        let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
+        packet::wait_any(sockets, Some(at_most));
     }
 
-    /// What can end a wait.
-    fn waited_for(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
-        let sockets = core::iter::once(&self.control).chain(&self.data).map(|socket| socket.as_fd());
-        self.doorbells.iter().map(|doorbells| doorbells.0.as_fd()).chain(sockets)
+    /// Where bells can be hung that end [`Self::wait_for_frame_until`]: what a program rings when it has something to be sent.
+    pub fn bells(&self) -> Bells {
+        self.bells.clone()
     }
 
     /// What ends [`Self::wait_for_frame_until`] from any thread of the process, by being written. A loop that waits for a
@@ -325,15 +315,7 @@ impl Port {
         Self { pool: Arc::new(Pool::new(buffers)), ..self }
     }
 
-    /// From now on a wait for a frame is over, too, when one of these rings. They are triggered by edge: who rings can
-    /// neither keep a bell from being heard nor from falling silent.
-    pub fn ring_by(&mut self, doorbells: Arc<Epoll>) {
-        // Without it programs are looked at each time the loop comes by.
-        let _ = self.waker.add(&doorbells.0, EpollEvent::new(EpollFlags::EPOLLIN, THE_BELLS));
-        self.doorbells = Some(doorbells);
-    }
-
-    /// The same until the station's clock shows `at`, at most until the true moment `no_later`.
+    /// Waits for a frame or a bell until the station's clock shows `at`, at most until the true moment `no_later`.
     pub fn wait_for_frame_until(&mut self, at: Option<Instant>, no_later: True) {
         let until = at.map_or(no_later, |at| self.clock.truth(at).min(no_later));
         let now = monotonic();
@@ -342,15 +324,8 @@ impl Port {
             false => PollTimeout::try_from(until.saturating_sub(now).div_ceil(1_000_000))
                 .unwrap_or(PollTimeout::MAX),
         };
-        let mut events = [EpollEvent::empty(); BELLS];
-        let found = self.waker.wait(&mut events, at_most).unwrap_or(0);
+        self.empty = !self.bells.wait(at_most);
         self.woke = monotonic();
-        let ready = events[..found].iter().fold(0u64, |ready, event| ready | 1 << event.data());
-        self.empty = !ready;
-        if let Some(doorbells) = self.doorbells.as_ref().filter(|_| ready >> THE_BELLS & 1 != 0) {
-            // Whoever rang: all lines are looked at.
-            let _ = doorbells.wait(&mut [EpollEvent::empty(); BELLS], PollTimeout::ZERO);
-        }
     }
 
     /// Sleeps until a data frame waits, but not before `rested`, or until the station's clock shows `at`, at most until

@@ -63,9 +63,8 @@ impl Running {
         let clock = EmulatedClock::default();
         let open =
             || -> Result<Port> { Ok(Port::open(&Interface::find("rt0")?, Data::All, clock, spin, guard)?) };
-        let mut port = plan.namespace.run(open)??;
-        let door = Door::new()?;
-        port.ring_by(door.doorbells());
+        let port = plan.namespace.run(open)??;
+        let door = Door::new(port.bells());
         if plan.is_open {
             programs.push(Box::new(Lines::new(4)));
         }

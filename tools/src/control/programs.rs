@@ -99,7 +99,7 @@ mod tests {
     use rtnet::discipline::{Channel, SendError, TimeView};
     use rtnet::ip::route::Interface;
     use rtnet::ip::{Exit, Stack, StackConfig};
-    use rtnet::live::Visitor;
+    use rtnet::live::{Bells, Visitor};
     use rtnet::queue::Priority;
     use rtnet::wire::ethernet::Address;
     use socket2::{Domain, SockAddr, Type};
@@ -168,7 +168,7 @@ mod tests {
         let mut server = Server::bind(&path).unwrap();
         let interface = Interface { address: Address::default(), ip: [10, 0, 0, 1].into(), prefix: 24 };
         let stack = Stack::new(StackConfig::new(interface), vec![Box::new(Lines::new(8))]);
-        let mut slow = Slow { stack, door: Door::new().unwrap(), asked: 0, left: 0, requests: 0 };
+        let mut slow = Slow { stack, door: Door::new(Bells::new().unwrap()), asked: 0, left: 0, requests: 0 };
         let connect = || {
             let socket = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
             socket.connect(&SockAddr::unix(&path).unwrap()).unwrap();

@@ -158,9 +158,9 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let interface = Interface::find(&options.interface)?;
     let counts = Arc::new(TrafficCounts::default());
     let mut port = port(&options, &interface)?;
+    let bells = port.bells();
     let programs =
-        options.stack.as_ref().map(|stack| Programs::new(stack.socket_buffers.into())).transpose()?;
-    programs.iter().for_each(|programs| port.ring_by(programs.doorbells()));
+        options.stack.as_ref().map(|stack| Programs::new(stack.socket_buffers.into(), &bells)).transpose()?;
     halt::arm(&mut port, options.lab.as_ref().is_some_and(|lab| lab.may_stall))?;
     // Who may not run a station leaves no directory of names behind.
     let mut reach = asked.unwrap_or_else(|| reach_by_interface(&options.interface));

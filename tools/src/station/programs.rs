@@ -3,15 +3,13 @@
 use std::any::Any;
 use std::collections::VecDeque;
 use std::io;
-use std::sync::Arc;
 
 use nix::errno::Errno;
-use nix::sys::epoll::Epoll;
 use rtnet::api::door::{Attached, Descriptors, Door, Visit};
 use rtnet::api::handshake::{Answer, Ask};
 use rtnet::api::{memory, segment};
 use rtnet::ip::{Exit, Stack};
-use rtnet::live::Visitor;
+use rtnet::live::{Bells, Visitor};
 
 use super::echoes::Echoes;
 use super::limits;
@@ -43,16 +41,10 @@ impl Visitor for Party {
 }
 
 impl Programs {
-    /// None has come yet; sockets have so many buffers unless their programs ask for others.
-    pub fn new(buffers: u32) -> io::Result<Self> {
-        let door = Door::new()?;
-        let echoes = Echoes::new(&door.doorbells())?;
-        Ok(Self { door, echoes, leaving: VecDeque::new(), buffers, holes: None })
-    }
-
-    /// What they ring when the station sleeps.
-    pub fn doorbells(&self) -> Arc<Epoll> {
-        self.door.doorbells()
+    /// None has come yet; sockets have so many buffers unless their programs ask for others. There the station hears who rings.
+    pub fn new(buffers: u32, bells: &Bells) -> io::Result<Self> {
+        let echoes = Echoes::new(bells)?;
+        Ok(Self { door: Door::new(bells.clone()), echoes, leaving: VecDeque::new(), buffers, holes: None })
     }
 
     /// What a program asks.

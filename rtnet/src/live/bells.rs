@@ -70,7 +70,9 @@ mod tests {
         hung.iter().for_each(|bell| bells.hang(bell).unwrap());
         bells.watch(&socket, 5).unwrap();
         assert_eq!(bells.wait(PollTimeout::ZERO), 0);
-        hung.iter().chain([&socket]).for_each(|bell| drop(bell.write(1).unwrap()));
+        for bell in hung.iter().chain([&socket]) {
+            bell.write(1).unwrap();
+        }
         for _ in 0..10 {
             assert_ne!(bells.wait(PollTimeout::ZERO) & 1 << 5, 0);
         }
@@ -79,9 +81,11 @@ mod tests {
             1 << 5,
             "all bells have been heard, and the socket was not read"
         );
-        hung.iter().for_each(|bell| drop(bell.write(1).unwrap()));
+        for bell in &hung {
+            bell.write(1).unwrap();
+            bells.take_down(bell);
+        }
         socket.read().unwrap();
-        hung.iter().for_each(|bell| bells.take_down(bell));
         assert_eq!(bells.wait(PollTimeout::ZERO), 0, "they were taken down");
     }
 }

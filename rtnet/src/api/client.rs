@@ -307,7 +307,7 @@ impl End {
         match written {
             Ok(true) => {}
             // Nobody reads any more?
-            Ok(false) if self.has_hung_up(PollTimeout::ZERO) => return Err(Errno::ENODEV.into()),
+            Ok(false) if self.has_hung_up(PollTimeout::ZERO)? => return Err(Errno::ENODEV.into()),
             Ok(false) => return Err(Errno::ENOBUFS.into()),
             Err(_) => return Err(Errno::ENODEV.into()),
         }
@@ -344,10 +344,10 @@ impl End {
 
     /// What has come, or why there is nothing: the station wakes this program for what comes next.
     fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
-        let received = self.take_or_sleep(into, flags)?;
-        received.ok_or_else(|| {
-            if self.has_hung_up(PollTimeout::ZERO) { Errno::ENODEV } else { Errno::EAGAIN }.into()
-        })
+        if let Some(received) = self.take_or_sleep(into, flags)? {
+            return Ok(received);
+        }
+        Err(if self.has_hung_up(PollTimeout::ZERO)? { Errno::ENODEV } else { Errno::EAGAIN }.into())
     }
 
     /// What has come; if nothing has, the station wakes this program for what comes next.
@@ -392,18 +392,21 @@ impl End {
             return Err(Errno::ETIMEDOUT.into());
         }
         // Rounded up: who wakes too early looks again.
-        Ok(self.has_hung_up(match left {
+        self.has_hung_up(match left {
             Some(left) => PollTimeout::try_from(left + Duration::from_millis(1)).unwrap_or(PollTimeout::MAX),
             None => PollTimeout::NONE,
-        }))
+        })
     }
 
     /// Whether the station has hung up, as soon as anything can be told; no later than that.
-    fn has_hung_up(&self, no_later: PollTimeout) -> bool {
+    fn has_hung_up(&self, no_later: PollTimeout) -> io::Result<bool> {
         let mut events = [EpollEvent::empty(); 3];
-        // A signal is nothing to be told: whoever asks looks again.
-        let found = self.ready.wait(&mut events, no_later).unwrap_or(0);
-        events[..found].iter().any(|event| event.data() == HUNG_UP)
+        let found = match self.ready.wait(&mut events, no_later) {
+            // A signal is nothing to be told: whoever asks looks again.
+            Err(Errno::EINTR) => 0,
+            found => found?,
+        };
+        Ok(events[..found].iter().any(|event| event.data() == HUNG_UP))
     }
 
     /// What has come can be read even of a station that is gone; nothing else can be done.

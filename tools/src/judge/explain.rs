@@ -24,6 +24,9 @@ const MASTER: usize = 0;
 /// A sync that is missing is bridged for so many cycles.
 const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
 
+/// A program's frame is looked for in so many cycles before the one that it came in: a host's outages are shorter.
+const HELD_UP_FOR: u32 = 64;
+
 /// By what a slot is missed.
 const MISSED_BY: [EventKind; 6] = [
     EventKind::Overrun,
@@ -157,12 +160,14 @@ impl Records {
         match finding.kind {
             FindingKind::OutOfSlot => authors.find_map(|author| {
                 self.held_up(author, finding.span)
+                    .or_else(|| self.of_an_earlier_turn(author, finding.span))
                     .or_else(|| self.moved_by(author).find_map(|master| self.held_up(master, finding.span)))
                     .or_else(|| self.last_words(author))
             }),
             FindingKind::Overlap => authors
                 .find_map(|author| {
                     self.told(author, EventKind::StalledInSend)
+                        .or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
                         .or_else(|| {
                             self.moved_by(author)
                                 .find_map(|master| self.told(master, EventKind::StalledInSend))
@@ -186,7 +191,9 @@ impl Records {
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
             FindingKind::Repeated => authors.find_map(|author| {
                 let reigns = self.reigns.holds(author.station, author.cycle).then_some(Cause::NoSync.name());
-                self.told(author, EventKind::StalledInSend).or(reigns)
+                self.told(author, EventKind::StalledInSend)
+                    .or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
+                    .or(reigns)
             }),
             // Who gives the time needs no sync, though nobody heard its own while another's was the last.
             FindingKind::WithoutSync => authors.find_map(|author| {
@@ -208,6 +215,25 @@ impl Records {
     fn programs_frame(&self, author: Author) -> Option<&'static str> {
         let is_held_up = || self.told(author, EventKind::StalledInSend);
         self.with_sockets.contains(&author.station).then(is_held_up).flatten()
+    }
+
+    /// One that was held up beyond a later turn's begin was taken for that one's, and was late there by what was left of it.
+    fn of_an_earlier_turn(&self, author: Author, late: Span) -> Option<&'static str> {
+        let Author { station, cycle, .. } = author;
+        if !self.with_sockets.contains(&station) || late < Span::ZERO {
+            return None;
+        }
+        (0..HELD_UP_FOR).find_map(|ago| {
+            let of = cycle.wrapping_sub(ago);
+            let told = self.by_cycle.range((of, station, None, EventKind::Overrun)..);
+            let mut told = told.take_while(|((of_cycle, who, ..), _)| (*of_cycle, *who) == (of, station));
+            // How much earlier its turn was, at the least: the slots of one cycle lie anywhere in it.
+            let at_least = self.cycle * i64::from(ago.saturating_sub(1)) + late;
+            let (_, (_, cause)) = told.find(|((.., kind), (by, _))| {
+                *kind == EventKind::StalledInSend && at_least <= *by + self.in_time
+            })?;
+            Some(cause.map_or(EventKind::StalledInSend.name(), Cause::name))
+        })
     }
 
     /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves

@@ -47,6 +47,34 @@ fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
 }
 
 #[test]
+fn a_programs_frame_that_was_held_up_into_a_later_cycle_is_explained_by_who_told_of_it() {
+    let ms = Span::from_millis(1);
+    let with = |with_sockets| {
+        let mut records = Records { with_sockets, cycle: ms, ..Records::default() };
+        records.note(author(7, 2), EventKind::StalledInSend, ms * 3, Some(Cause::Preempted));
+        records
+    };
+    let records = with(vec![2]);
+    let late = |cycle, by| Finding { span: by, ..finding(cycle, FindingKind::OutOfSlot, 2) };
+    let explained = |cycle, by| records.explain(&late(cycle, by)).is_some();
+    // Of a turn in cycle 7 that came at its end it may be, if it was held up for no longer than it told.
+    assert_eq!([7, 8, 10, 11, 12].map(|cycle| explained(cycle, ms / 2)), [true, true, true, false, false]);
+    assert_eq!([10, 11].map(|cycle| explained(cycle, Span::ZERO)), [true, true]);
+    assert!(!explained(8, ms * 3 + Span::from_nanos(1)), "by more than it was held up");
+    assert!(!explained(8, -ms / 2), "nothing is early for it");
+    assert!(!explained(6, ms / 2), "it was not yet");
+    for kind in [FindingKind::Overlap, FindingKind::Repeated] {
+        assert_eq!(records.explain(&finding(9, kind, 2)), Some("preempted"));
+        assert_eq!(records.explain(&finding(9, kind, 3)), None, "another's");
+        assert_eq!(
+            with(Vec::new()).explain(&finding(9, kind, 2)),
+            None,
+            "test traffic says which turn it is of"
+        );
+    }
+}
+
+#[test]
 fn a_held_up_synchronisation_explains_what_follows_in_its_cycle() {
     let mut records = Records::default();
     records.note(author(9, 0), EventKind::StalledInSend, Span::from_nanos(5), None);

@@ -60,6 +60,7 @@ scenarios! {
     late_backups_lose_each_others_syncs
     late_frames_without_a_guard_are_told_of
     masters_clock_is_set_alone
+    masters_clock_is_set_back
     parted_network_is_whole_again
     parts_of_a_cut_medium_run_apart
     primary_dies_and_the_backups_take_over

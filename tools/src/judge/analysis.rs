@@ -175,6 +175,11 @@ impl Analysis {
         self.givers.now()
     }
 
+    /// Whether the time is of that station's clock, or will be as soon as it is heard again.
+    pub fn has_the_time(&self, station: usize) -> bool {
+        self.givers.has_the_time(station)
+    }
+
     /// From one cycle's start to the next.
     pub fn cycle(&self) -> Span {
         self.cycle

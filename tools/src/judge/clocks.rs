@@ -42,15 +42,15 @@ pub fn set_clock(
     at: True,
     late: u32,
 ) {
-    let was = analysis.cycle_at(at);
+    let (was, gives) = (analysis.cycle_at(at), analysis.has_the_time(station));
+    let cycles = if gives { step.nanos().div_euclid(analysis.cycle().nanos()) } else { 0 };
     analysis.set_clock(station, clock);
-    if let (Some(was), Some(is), true) = (was, analysis.cycle_at(at), step != Span::ZERO) {
-        let gives = analysis.giver() == station;
+    if let (Some(was), true) = (was, step != Span::ZERO) {
         records.clocks.0.push(Set {
             station,
             gives,
             step,
-            cycles: [was, is],
+            cycles: [was, was.wrapping_add(cycles as u32)],
             within: FOLLOWED_WITHIN + late,
             held_back: late,
         });
@@ -70,7 +70,7 @@ impl ClocksSet {
                     }
                     FindingKind::Overlap => set.shows(author.cycle),
                     FindingKind::SlotMissed | FindingKind::SyncGap => set.leaves_out(author.cycle),
-                    FindingKind::WithoutSync | FindingKind::Repeated => false,
+                    FindingKind::WithoutSync | FindingKind::Repeated => set.counts_again(author.cycle),
                 }
         };
         let mut authors = finding.authors.iter().flatten();
@@ -86,7 +86,17 @@ impl ClocksSet {
 impl Set {
     fn shows(&self, cycle: u32) -> bool {
         let since = |at: u32| cycle.wrapping_sub(at.wrapping_sub(self.held_back));
-        self.cycles.iter().any(|&at| since(at) <= self.held_back + self.within)
+        self.cycles.iter().any(|&at| since(at) <= self.held_back + self.within) || self.counts_again(cycle)
+    }
+
+    /// Who gave the time and has set it back is silent until its next cycle comes; others may have gone on meanwhile by the
+    /// time that was, and then all count again what they had counted.
+    fn counts_again(&self, cycle: u32) -> bool {
+        let [was, is] = self.cycles;
+        let back = was.wrapping_sub(is);
+        let is_back = self.gives && before(is, was);
+        let since = cycle.wrapping_sub(is.wrapping_sub(self.held_back));
+        is_back && since <= back.saturating_mul(2).saturating_add(self.held_back + self.within)
     }
 
     fn leaves_out(&self, cycle: u32) -> bool {
@@ -145,6 +155,21 @@ mod tests {
         );
         assert!(!missed([2_000, u32::MAX - 10], 1_000), "set back");
         assert!(!missed([100, 100 + LINE_GOOD_FOR as u32], 500), "those are told of");
+    }
+
+    #[test]
+    fn cycles_that_are_counted_again_since_the_giver_set_its_clock_back_are_found_for_that() {
+        let mut back = set(0, true, [105, 100]);
+        let found = |clocks: &ClocksSet, kind, cycle| explained(clocks, kind, (2, cycle), Span::ZERO);
+        for kind in [FindingKind::Repeated, FindingKind::WithoutSync, FindingKind::Overlap] {
+            let found = |cycle| found(&back, kind, cycle);
+            // A backup went on to 110 until the giver came to 106 again.
+            assert_eq!([99, 100, 106, 114, 115].map(found), [false, true, true, true, false], "{kind:?}");
+            assert!(!explained(&set(2, false, [105, 105]), kind, (2, 100), Span::ZERO), "{kind:?}");
+        }
+        assert!(!found(&set(0, true, [100, 105]), FindingKind::Repeated, 102), "forth");
+        back.0[0].held_back = 3;
+        assert!(found(&back, FindingKind::Repeated, 97));
     }
 
     #[test]

@@ -48,6 +48,12 @@ struct Giver {
     has_given: bool,
 }
 
+impl Giver {
+    fn goes_on_by_its_own(&self) -> bool {
+        self.has_given && self.after == Span::ZERO
+    }
+}
+
 impl Givers {
     /// Those of a scenario whose master has this clock. Whoever begins does so with the same global time.
     pub fn of(scenario: &Scenario, master: TrueMaster) -> Self {
@@ -81,6 +87,13 @@ impl Givers {
         self.all[self.now].station
     }
 
+    /// Whether it is that one's clock by which all goes, or will be as soon as it is heard again: a primary that was only
+    /// held up goes on by its own time.
+    pub fn has_the_time(&self, station: usize) -> bool {
+        let mut its = self.all.iter().filter(|giver| giver.station == station);
+        station == self.now() || its.any(Giver::goes_on_by_its_own)
+    }
+
     /// Which station has this address; who has an unknown one is taken for who gives the time.
     pub fn station(&self, address: Address) -> usize {
         self.giver(address).station
@@ -112,9 +125,8 @@ impl Givers {
             return false;
         }
         let (global, giver) = (self.truth().global(at), &mut self.all[next]);
-        // A primary that was only held up goes on by its own time; all others by what they heard of it.
-        let is_primary = giver.after == Span::ZERO;
-        if !(giver.has_given && is_primary) {
+        // All others go on by what they heard of it.
+        if !giver.goes_on_by_its_own() {
             giver.truth.epoch = Offset::between(giver.truth.clock.local(at), global);
         }
         giver.has_given = true;

@@ -204,13 +204,14 @@ impl<'a> Run<'a> {
         let Scenario { duration, cycle, .. } = *self.scenario;
         let cycles = (duration.nanos() / cycle.nanos()).clamp(1, i64::from(i32::MAX)) as u32;
         let (begin, cycles) = self.begin(cycles)?;
-        let end = begin + u64::from(cycles) * self.cycle;
+        let mut end = begin + u64::from(cycles) * self.cycle;
         self.over = begin + over(&self.scenario.conditions.events).nanos() as u64;
         let mut acts = acts(&self.scenario.conditions.events, begin).into_iter().peekable();
         while self.now() < end {
             let next = (self.now() + self.cycle).min(end);
             while let Some(act) = acts.next_if(|act| act.at <= next) {
                 self.pass_until(act.at);
+                end += self.set_back_by(&act);
                 self.act(&act)?;
             }
             self.pass_until(next);
@@ -263,6 +264,18 @@ impl<'a> Run<'a> {
 
     fn pass_until(&mut self, until: True) {
         self.world.network.run_until(until.max(self.now()));
+    }
+
+    /// By how much the clock is set back that all follow: so much of the run is counted again.
+    fn set_back_by(&self, act: &Act) -> True {
+        match &self.scenario.conditions.events[act.event].what {
+            Happening::Clock(stations, step, ..)
+                if stations.contains(&self.watch.borrow().analysis.giver()) =>
+            {
+                (-*step).nanos().max(0) as u64
+            }
+            _ => 0,
+        }
     }
 
     /// Something happens, or is over.

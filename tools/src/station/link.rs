@@ -16,6 +16,9 @@ use super::access::AccessStatus;
 use super::traffic::{Arrived, FlowPlan, TrafficCounts};
 use super::wire::LinkState;
 
+/// The refusal of frames for which there was no room where they wait for their station.
+pub const PORT_SOCKET_FULL: &str = "port_socket_full";
+
 /// What a lab adds to a station's own options.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct LabOptions {
@@ -181,7 +184,7 @@ impl Standing {
         let port = [
             ("port_oversize", snapshot.port.oversize),
             ("port_pool_empty", snapshot.port.pool_empty),
-            ("port_socket_full", snapshot.port.socket_full),
+            (PORT_SOCKET_FULL, snapshot.port.socket_full),
             ("others_passed", snapshot.port.others_passed),
             ("others_kept_off", snapshot.port.others_kept_off),
         ];

@@ -8,6 +8,7 @@ use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::outcome::Facts;
 use crate::scenario::Scenario;
 use crate::sim::figures::SimStation;
+use crate::station::link::PORT_SOCKET_FULL;
 
 impl Run<'_> {
     pub(super) fn relock_cycles(&self) -> Option<i64> {
@@ -31,6 +32,9 @@ impl Run<'_> {
         let (status, counts) = (self.status(id), &self.world.counts[id]);
         let counted = self.world.counted(id) - self.before[id];
         let refusals = self.world.network.member(id).station.refusals();
+        let refusals = refusals.nonzero().map(|(why, n)| (why.name(), n));
+        // As a live station counts what its socket had no room for.
+        let no_room = Some((PORT_SOCKET_FULL, self.world.network.dropped(id))).filter(|&(_, n)| n > 0);
         let watch = &mut *self.watch.borrow_mut();
         let mut delivery = |of| {
             let (numbers, others) = counts.counted(of);
@@ -49,7 +53,7 @@ impl Run<'_> {
             sync_error: std::mem::take(&mut watch.sync_error[id]),
             sequence_gaps: counted.missing.max(0) as u64,
             deliveries: streams.map(&mut delivery).collect(),
-            refusals: refusals.nonzero().map(|(why, n)| (why.name().to_owned(), n)).collect(),
+            refusals: refusals.chain(no_room).map(|(why, n)| (why.to_owned(), n)).collect(),
             notes: watch.noteworthy[id].lines().collect(),
             lost_records: counted.events_lost.max(0) as u64,
             queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),

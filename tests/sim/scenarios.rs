@@ -388,3 +388,20 @@ fn a_run_that_has_too_little_time_leaves_the_capture_of_another_as_it_was() {
     assert_eq!(std::fs::read_to_string(&pcap).unwrap(), "another");
     assert_eq!(std::fs::read_dir(&directory).unwrap().count(), 1, "nothing is left beside it");
 }
+
+#[test]
+fn a_clock_that_is_set_back_keeps_no_run_beyond_its_end() {
+    let scenario = scenario::load(&directory().join("masters_clock_is_set_back.toml")).unwrap();
+    let ran = |until| {
+        let figures = sim::run(&scenario, &Options { until, ..Options::default() }).unwrap().figures;
+        (figures.simulation.virtual_ns, figures.figures.unexplained, figures.simulation.measured_ns)
+    };
+    let (whole, ..) = ran(None);
+    let until = Span::from_millis(8_000);
+    let (cut, unexplained, measured) = ran(Some(until));
+    assert!(whole > 9_000_000_000, "three of its six seconds are counted again: {whole}");
+    assert!(
+        cut <= until.nanos() as u64 && unexplained == 0 && measured > 0,
+        "{cut} {unexplained} {measured}"
+    );
+}

@@ -389,7 +389,8 @@ impl End {
     fn wait(&self, until: Option<True>) -> io::Result<bool> {
         let left = until.map(|until| Duration::from_nanos(until.saturating_sub(monotonic())));
         if left.is_some_and(|left| left.is_zero()) {
-            return Err(Errno::ETIMEDOUT.into());
+            let has_hung_up = self.has_hung_up(PollTimeout::ZERO)?;
+            return has_hung_up.then_some(true).ok_or_else(|| Errno::ETIMEDOUT.into());
         }
         // Rounded up: who wakes too early looks again.
         self.has_hung_up(match left {

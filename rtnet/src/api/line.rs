@@ -10,7 +10,7 @@
 //! Nothing here is believed that a program wrote: an order that cannot be ends its line, and nobody else's. Nor is anything
 //! waited for: a descriptor that both have is one whose flags both may change, so that the station never reads nor writes one
 //! that a program has. It writes the waker, which the program only sees through the gate, an epoll; and hears the doorbell
-//! through one of its own.
+//! where it waits for frames.
 
 use core::sync::atomic::Ordering;
 use std::io;

@@ -43,14 +43,18 @@ pub fn set_clock(
     late: u32,
 ) {
     let (was, gives) = (analysis.cycle_at(at), analysis.has_the_time(station));
-    let cycles = if gives { step.nanos().div_euclid(analysis.cycle().nanos()) } else { 0 };
     analysis.set_clock(station, clock);
-    if let (Some(was), true) = (was, step != Span::ZERO) {
+    let is = match gives && analysis.giver() != station {
+        // It shows once that one is heard again.
+        true => was.map(|was| was.wrapping_add(step.nanos().div_euclid(analysis.cycle().nanos()) as u32)),
+        false => analysis.cycle_at(at),
+    };
+    if let (Some(was), Some(is), true) = (was, is, step != Span::ZERO) {
         records.clocks.0.push(Set {
             station,
             gives,
             step,
-            cycles: [was, was.wrapping_add(cycles as u32)],
+            cycles: [was, is],
             within: FOLLOWED_WITHIN + late,
             held_back: late,
         });
@@ -79,7 +83,7 @@ impl ClocksSet {
 
     /// Forgets what was before this cycle.
     pub fn forget_before(&mut self, cycle: u32) {
-        self.0.retain(|set| set.cycles.iter().any(|&at| !before(at, cycle)));
+        self.0.retain(|set| set.cycles.into_iter().chain(set.counted_again()).any(|at| !before(at, cycle)));
     }
 }
 
@@ -92,11 +96,15 @@ impl Set {
     /// Who gave the time and has set it back is silent until its next cycle comes; others may have gone on meanwhile by the
     /// time that was, and then all count again what they had counted.
     fn counts_again(&self, cycle: u32) -> bool {
+        let first = self.cycles[1].wrapping_sub(self.held_back);
+        self.counted_again().is_some_and(|last| cycle.wrapping_sub(first) <= last.wrapping_sub(first))
+    }
+
+    /// The last cycle that may be counted for that: as many behind the one that it was as it was set back by.
+    fn counted_again(&self) -> Option<u32> {
         let [was, is] = self.cycles;
-        let back = was.wrapping_sub(is);
         let is_back = self.gives && before(is, was);
-        let since = cycle.wrapping_sub(is.wrapping_sub(self.held_back));
-        is_back && since <= back.saturating_mul(2).saturating_add(self.held_back + self.within)
+        is_back.then(|| was.wrapping_add(was.wrapping_sub(is)).wrapping_add(self.within))
     }
 
     fn leaves_out(&self, cycle: u32) -> bool {
@@ -187,5 +195,11 @@ mod tests {
         assert!(explained(&clocks, FindingKind::Overlap, (0, 105), Span::ZERO));
         clocks.forget_before(106);
         assert!(!explained(&clocks, FindingKind::Overlap, (0, 105), Span::ZERO));
+        // A backup goes on for as long as it was set back by.
+        let mut back = set(0, true, [9_000, 4_000]);
+        for (before, is_kept) in [(14_004, true), (14_005, false)] {
+            back.forget_before(before);
+            assert_eq!(explained(&back, FindingKind::Repeated, (0, 14_000), Span::ZERO), is_kept);
+        }
     }
 }

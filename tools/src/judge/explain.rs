@@ -1,5 +1,5 @@
-//! Which findings have a record of the same cycle and slot: what a station noticed itself is explained, what it
-//! did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
+//! Which findings have a record of the same cycle and slot, or of an earlier turn whose program's frame it was that came late:
+//! what a station noticed itself is explained, what it did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
 //! station missed that was not there is explained by its absence only if it could not tell of it later.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,15 +17,15 @@ use super::spells::Spells;
 use super::syncs::{Syncs, sync_of};
 use super::timetable::before;
 use crate::report::figures::Role;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, StationPlan};
 
 /// A lab's first station is its master.
 const MASTER: usize = 0;
 /// A sync that is missing is bridged for so many cycles.
 const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
 
-/// A program's frame is looked for in so many cycles before the one that it came in: a host's outages are shorter.
-const HELD_UP_FOR: u32 = 64;
+/// A program's frame may be of a turn that was so long ago: for longer the kernel takes no core from a thread.
+const HELD_UP_FOR: Span = Span::from_millis(100);
 
 /// By what a slot is missed.
 const MISSED_BY: [EventKind; 6] = [
@@ -57,8 +57,8 @@ pub struct Records {
     in_time: Span,
     /// Who may give the time instead of the master.
     backups: Vec<usize>,
-    /// In whose slots programs may send.
-    with_sockets: Vec<usize>,
+    /// In whose slots programs may send, and how soon one of its turns can follow another.
+    with_sockets: Vec<(usize, Span)>,
     /// When stations were not there.
     pub absences: Absences,
     /// Whose clocks were set.
@@ -89,8 +89,8 @@ impl Records {
         let in_time = scenario.sync_window + scenario.latest();
         let all = scenario.stations.iter().enumerate();
         let backups = all.filter(|(_, plan)| plan.role == Role::Backup).map(|(station, _)| station).collect();
-        let with_sockets = (0..scenario.stations.len()).filter(|&of| scenario.stations[of].ip.is_some());
-        let with_sockets = with_sockets.collect();
+        let with_sockets = scenario.stations.iter().enumerate().filter(|(_, plan)| plan.ip.is_some());
+        let with_sockets = with_sockets.map(|(of, plan)| (of, between_turns(plan, scenario.cycle))).collect();
         let addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
         Self { cycle: scenario.cycle, in_time, backups, with_sockets, addresses, ..Self::default() }
     }
@@ -214,26 +214,30 @@ impl Records {
     /// A program's frame does not say of which turn it is: one that was held up for long was taken for another's.
     fn programs_frame(&self, author: Author) -> Option<&'static str> {
         let is_held_up = || self.told(author, EventKind::StalledInSend);
-        self.with_sockets.contains(&author.station).then(is_held_up).flatten()
+        self.between_turns(author.station).and_then(|_| is_held_up())
     }
 
     /// One that was held up beyond a later turn's begin was taken for that one's, and was late there by what was left of it.
     fn of_an_earlier_turn(&self, author: Author, late: Span) -> Option<&'static str> {
         let Author { station, cycle, .. } = author;
-        if !self.with_sockets.contains(&station) || late < Span::ZERO {
-            return None;
-        }
-        (0..HELD_UP_FOR).find_map(|ago| {
-            let of = cycle.wrapping_sub(ago);
-            let told = self.by_cycle.range((of, station, None, EventKind::Overrun)..);
+        let between = self.between_turns(station).filter(|_| late >= Span::ZERO)?;
+        let cycles = HELD_UP_FOR.nanos() / self.cycle.nanos().max(1) + 1;
+        (0..=cycles).find_map(|ago| {
+            let of = cycle.wrapping_sub(ago as u32);
+            let told = self.by_cycle.range((of, station, Some(0), EventKind::Overrun)..);
             let mut told = told.take_while(|((of_cycle, who, ..), _)| (*of_cycle, *who) == (of, station));
             // How much earlier its turn was, at the least: the slots of one cycle lie anywhere in it.
-            let at_least = self.cycle * i64::from(ago.saturating_sub(1)) + late;
+            let at_least = between.max(self.cycle * (ago - 1)) + late;
             let (_, (_, cause)) = told.find(|((.., kind), (by, _))| {
                 *kind == EventKind::StalledInSend && at_least <= *by + self.in_time
             })?;
             Some(cause.map_or(EventKind::StalledInSend.name(), Cause::name))
         })
+    }
+
+    /// How soon a turn of a station can follow another, if programs may send there.
+    fn between_turns(&self, station: usize) -> Option<Span> {
+        self.with_sockets.iter().find(|(of, _)| *of == station).map(|&(_, between)| between)
     }
 
     /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves
@@ -358,6 +362,15 @@ impl Records {
         let (_, cause) = self.by_cycle.get(&key(author, kind))?;
         Some(cause.map_or(kind.name(), Cause::name))
     }
+}
+
+/// From one slot of a station's to its next, in this cycle or the one that follows, at the least.
+fn between_turns(plan: &StationPlan, cycle: Span) -> Span {
+    let mut offsets: Vec<Span> = plan.slots.iter().map(|slot| slot.offset).collect();
+    offsets.sort_unstable();
+    let within = offsets.windows(2).map(|two| two[1] - two[0]);
+    let across = offsets.first().zip(offsets.last()).map(|(&first, &last)| first + cycle - last);
+    within.chain(across).min().unwrap_or(cycle)
 }
 
 fn key(Author { station, cycle, slot }: Author, kind: EventKind) -> Key {

@@ -26,6 +26,7 @@ use crate::judge::clocks::set_clock;
 use crate::judge::explain::Records;
 use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
+use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::{Act, Happening, Part, Scenario, acts, over};
@@ -237,7 +238,11 @@ impl<'a> Run<'a> {
             None => cycles,
             Some(until) => {
                 let end = UPTIME + until.nanos() as u64;
-                let room = end.saturating_sub(begin) / self.cycle;
+                let again: True = acts(&self.scenario.conditions.events, begin)
+                    .iter()
+                    .map(|act| self.may_set_back_by(act))
+                    .sum();
+                let room = end.saturating_sub(begin + again) / self.cycle;
                 u64::from(cycles).min(room.saturating_sub(LINGER_CYCLES)) as u32
             }
         };
@@ -268,10 +273,18 @@ impl<'a> Run<'a> {
 
     /// By how much the clock is set back that all follow: so much of the run is counted again.
     fn set_back_by(&self, act: &Act) -> True {
+        let watch = self.watch.borrow();
+        self.set_back_of(act, |station| watch.analysis.has_the_time(station))
+    }
+
+    /// The same at the most, whoever has the time then.
+    fn may_set_back_by(&self, act: &Act) -> True {
+        self.set_back_of(act, |station| self.scenario.stations[station].role != Role::Slave)
+    }
+
+    fn set_back_of(&self, act: &Act, moves_all: impl Fn(usize) -> bool) -> True {
         match &self.scenario.conditions.events[act.event].what {
-            Happening::Clock(stations, step, ..)
-                if stations.contains(&self.watch.borrow().analysis.giver()) =>
-            {
+            Happening::Clock(stations, step, ..) if stations.iter().any(|&station| moves_all(station)) => {
                 (-*step).nanos().max(0) as u64
             }
             _ => 0,

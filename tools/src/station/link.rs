@@ -16,8 +16,8 @@ use super::access::AccessStatus;
 use super::traffic::{Arrived, FlowPlan, TrafficCounts};
 use super::wire::LinkState;
 
-/// The refusal of frames for which there was no room where they wait for their station.
-pub const PORT_SOCKET_FULL: &str = "port_socket_full";
+/// The refusal of frames for which there was no buffer to be received into.
+pub const PORT_POOL_EMPTY: &str = "port_pool_empty";
 
 /// What a lab adds to a station's own options.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -183,8 +183,8 @@ impl Standing {
         let address = |of: fn(&TdmaStatus) -> Option<Address>| tdma.and_then(of).map(|of| of.to_string());
         let port = [
             ("port_oversize", snapshot.port.oversize),
-            ("port_pool_empty", snapshot.port.pool_empty),
-            (PORT_SOCKET_FULL, snapshot.port.socket_full),
+            (PORT_POOL_EMPTY, snapshot.port.pool_empty),
+            ("port_socket_full", snapshot.port.socket_full),
             ("others_passed", snapshot.port.others_passed),
             ("others_kept_off", snapshot.port.others_kept_off),
         ];

@@ -35,6 +35,8 @@ fn who_waits_at_a_station_that_is_killed_is_told_once_there_is_nothing_more_to_r
         assert_eq!(waits.join().unwrap(), (10, Errno::ENODEV));
     });
     assert_eq!(number(b.try_receive(&mut [])), Errno::ENODEV);
+    b.set_timeout(Some(Duration::ZERO));
+    assert_eq!(number(b.receive(&mut [])), Errno::ENODEV, "who does not wait, either");
     assert_eq!(number(b.bind(any(1))), Errno::ENODEV);
 }
 

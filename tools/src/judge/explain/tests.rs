@@ -54,7 +54,7 @@ fn a_programs_frame_that_was_held_up_into_a_later_cycle_is_explained_by_who_told
         records.note(author(7, 2), EventKind::StalledInSend, ms * 3, Some(Cause::Preempted));
         records
     };
-    let records = with(vec![2]);
+    let records = with(vec![(2, ms)]);
     let late = |cycle, by| Finding { span: by, ..finding(cycle, FindingKind::OutOfSlot, 2) };
     let explained = |cycle, by| records.explain(&late(cycle, by)).is_some();
     // Of a turn in cycle 7 that came at its end it may be, if it was held up for no longer than it told.
@@ -64,6 +64,9 @@ fn a_programs_frame_that_was_held_up_into_a_later_cycle_is_explained_by_who_told
     assert!(!explained(8, -ms / 2), "nothing is early for it");
     assert!(!explained(6, ms / 2), "it was not yet");
     for kind in [FindingKind::Overlap, FindingKind::Repeated] {
+        let mut short = with(vec![(2, ms)]);
+        short.note(author(20, 2), EventKind::StalledInSend, ms / 2, None);
+        assert_eq!(short.explain(&finding(21, kind, 2)), None, "it was over before the next turn");
         assert_eq!(records.explain(&finding(9, kind, 2)), Some("preempted"));
         assert_eq!(records.explain(&finding(9, kind, 3)), None, "another's");
         assert_eq!(

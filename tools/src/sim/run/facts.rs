@@ -8,7 +8,7 @@ use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::outcome::Facts;
 use crate::scenario::Scenario;
 use crate::sim::figures::SimStation;
-use crate::station::link::PORT_SOCKET_FULL;
+use crate::station::link::PORT_POOL_EMPTY;
 
 impl Run<'_> {
     pub(super) fn relock_cycles(&self) -> Option<i64> {
@@ -33,8 +33,8 @@ impl Run<'_> {
         let counted = self.world.counted(id) - self.before[id];
         let refusals = self.world.network.member(id).station.refusals();
         let refusals = refusals.nonzero().map(|(why, n)| (why.name(), n));
-        // As a live station counts what its socket had no room for.
-        let no_room = Some((PORT_SOCKET_FULL, self.world.network.dropped(id))).filter(|&(_, n)| n > 0);
+        // As a live station counts it, frame by frame.
+        let no_room = Some((PORT_POOL_EMPTY, self.world.network.dropped(id))).filter(|&(_, n)| n > 0);
         let watch = &mut *self.watch.borrow_mut();
         let mut delivery = |of| {
             let (numbers, others) = counts.counted(of);

@@ -22,9 +22,8 @@ use super::place;
 use super::ring::{Reader, Writer};
 use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
 use crate::buf::ROOM;
-use crate::clock::True;
 use crate::live::TimeBoard;
-use crate::live::clock::monotonic;
+use crate::live::clock::Deadline;
 use crate::queue::Priority;
 use crate::socket::{Flags, LinkMode, LinkType, Options, Received};
 use crate::wire::ethernet::{Address, EtherType};
@@ -330,28 +329,27 @@ impl End {
             return received
                 .ok_or_else(|| if self.is_served() { Errno::EAGAIN } else { Errno::ENODEV }.into());
         }
-        let timeout = *locked(&self.timeout);
-        let until = timeout.map(|timeout| monotonic().saturating_add(nanos(timeout)));
+        let deadline = Deadline::after(*locked(&self.timeout));
         let mut has_hung_up = false;
         loop {
-            match self.take_or_sleep(into, flags)? {
+            match self.take_or_listen(into, flags)? {
                 Some(received) => return Ok(received),
                 None if has_hung_up => return Err(Errno::ENODEV.into()),
-                None => has_hung_up = self.wait(until)?,
+                None => has_hung_up = self.wait(deadline)?,
             }
         }
     }
 
     /// What has come, or why there is nothing: the station wakes this program for what comes next.
     fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
-        if let Some(received) = self.take_or_sleep(into, flags)? {
+        if let Some(received) = self.take_or_listen(into, flags)? {
             return Ok(received);
         }
         Err(if self.has_hung_up(PollTimeout::ZERO)? { Errno::ENODEV } else { Errno::EAGAIN }.into())
     }
 
     /// What has come; if nothing has, the station wakes this program for what comes next.
-    fn take_or_sleep(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
+    fn take_or_listen(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
         if let Some(received) = self.take(into, flags)? {
             return Ok(Some(received));
         }
@@ -386,8 +384,8 @@ impl End {
     }
 
     /// Until something has come, or the station has hung up: whether it has.
-    fn wait(&self, until: Option<True>) -> io::Result<bool> {
-        let left = until.map(|until| Duration::from_nanos(until.saturating_sub(monotonic())));
+    fn wait(&self, deadline: Deadline) -> io::Result<bool> {
+        let left = deadline.left();
         if left.is_some_and(|left| left.is_zero()) {
             let has_hung_up = self.has_hung_up(PollTimeout::ZERO)?;
             return has_hung_up.then_some(true).ok_or_else(|| Errno::ETIMEDOUT.into());
@@ -434,11 +432,6 @@ impl End {
         let _ = self.again.write(1);
         self.has_rung.store(true, Ordering::Release);
     }
-}
-
-/// As many as there can be of what is longer than that.
-fn nanos(timeout: Duration) -> True {
-    True::try_from(timeout.as_nanos()).unwrap_or(True::MAX)
 }
 
 /// Nothing is left half done by who panicked.

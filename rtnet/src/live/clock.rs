@@ -4,6 +4,8 @@
 //! with CLOCK_REALTIME. The difference of the two is sampled anew at each wake-up, so that a step of the
 //! wall clock moves nothing.
 
+use std::time::Duration;
+
 use crate::clock::True;
 
 /// A change of the difference above this is a step of the wall clock (NTP, a resumed virtual machine).
@@ -23,6 +25,27 @@ pub fn monotonic() -> True {
 #[inline]
 pub fn realtime() -> u64 {
     read(libc::CLOCK_REALTIME)
+}
+
+/// Until when something is waited for, if not for ever.
+#[derive(Clone, Copy, Debug)]
+pub struct Deadline(Option<True>);
+
+impl Deadline {
+    /// So long from now on; `None`: never.
+    pub fn after(timeout: Option<Duration>) -> Self {
+        Self(timeout.map(|timeout| later(monotonic(), timeout)))
+    }
+
+    /// How long is left, if it is not for ever.
+    pub fn left(self) -> Option<Duration> {
+        self.0.map(|deadline| Duration::from_nanos(deadline.saturating_sub(monotonic())))
+    }
+}
+
+/// So much later, or the last moment that there is.
+pub fn later(at: True, by: Duration) -> True {
+    at.saturating_add(True::try_from(by.as_nanos()).unwrap_or(True::MAX))
 }
 
 /// Processor time that the calling thread has used, nanoseconds.

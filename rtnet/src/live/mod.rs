@@ -9,7 +9,7 @@
 //! Other threads of the process read the time from the driver's [`TimeBoard`], and wait for cycles there; so do other
 //! processes, by [`rtnet::api::Station::time`](crate::api::Station::time).
 //!
-//! Nothing else in this crate opens a socket or reads a clock.
+//! Nothing else in this crate opens a socket on a network, or reads a clock.
 
 #![allow(unsafe_code)]
 #![allow(clippy::disallowed_methods)]

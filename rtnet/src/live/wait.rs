@@ -10,7 +10,7 @@ use crate::clock::True;
 use crate::discipline::SyncState;
 use crate::time::{Instant, Offset, Span};
 
-use super::clock::{monotonic, sleep_until};
+use super::clock::{later, monotonic, sleep_until};
 use super::time_board::TimeBoard;
 
 /// Longest sleep between two looks: how soon a waiter notices that sync is lost, the line another, the station gone, be it
@@ -73,7 +73,7 @@ impl Waiter {
     /// As [`Waiter::wait_cycle`].
     pub fn wait_slot(&mut self, offset: Span, timeout: Duration) -> Result<Cycle, WaitError> {
         let begun = monotonic();
-        let deadline = begun.saturating_add(nanos(timeout));
+        let deadline = later(begun, timeout);
         loop {
             let (cycle, at) = self.next(begun, offset)?;
             let now = monotonic();
@@ -97,7 +97,7 @@ impl Waiter {
     /// # Errors
     /// [`WaitError::NotSynchronised`] when it is not in time; [`WaitError::Ended`].
     pub fn wait_synchronised(&self, timeout: Duration) -> Result<(), WaitError> {
-        let deadline = monotonic().saturating_add(nanos(timeout));
+        let deadline = later(monotonic(), timeout);
         loop {
             let state = self.board.state();
             let now = monotonic();
@@ -125,10 +125,6 @@ impl Waiter {
         let global = view.to_global(start).ok_or_else(unknown)?;
         Ok((Cycle { number, start, offset: Offset::between(start, global) }, clock.truth(at)))
     }
-}
-
-fn nanos(timeout: Duration) -> True {
-    timeout.as_nanos().try_into().unwrap_or(True::MAX)
 }
 
 #[cfg(test)]

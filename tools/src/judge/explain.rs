@@ -1,6 +1,7 @@
 //! Which findings have a record of the same cycle and slot, or of an earlier turn whose program's frame it was that came late:
-//! what a station noticed itself is explained, what it did not is not. A slot that was silent for want of a sync needs the record of why there was none. What a
-//! station missed that was not there is explained by its absence only if it could not tell of it later.
+//! what a station noticed itself is explained, what it did not is not. A slot that was silent for want of a sync needs the
+//! record of why there was none. What a station missed that was not there is explained by its absence only if it could not
+//! tell of it later.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -90,7 +91,7 @@ impl Records {
         let all = scenario.stations.iter().enumerate();
         let backups = all.filter(|(_, plan)| plan.role == Role::Backup).map(|(station, _)| station).collect();
         let with_sockets = scenario.stations.iter().enumerate().filter(|(_, plan)| plan.ip.is_some());
-        let with_sockets = with_sockets.map(|(of, plan)| (of, between_turns(plan, scenario.cycle))).collect();
+        let with_sockets = with_sockets.map(|(of, plan)| (of, nearest_turns(plan, scenario.cycle))).collect();
         let addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
         Self { cycle: scenario.cycle, in_time, backups, with_sockets, addresses, ..Self::default() }
     }
@@ -166,8 +167,7 @@ impl Records {
             }),
             FindingKind::Overlap => authors
                 .find_map(|author| {
-                    self.told(author, EventKind::StalledInSend)
-                        .or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
+                    self.stalled(author)
                         .or_else(|| {
                             self.moved_by(author)
                                 .find_map(|master| self.told(master, EventKind::StalledInSend))
@@ -191,9 +191,7 @@ impl Records {
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
             FindingKind::Repeated => authors.find_map(|author| {
                 let reigns = self.reigns.holds(author.station, author.cycle).then_some(Cause::NoSync.name());
-                self.told(author, EventKind::StalledInSend)
-                    .or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
-                    .or(reigns)
+                self.stalled(author).or(reigns)
             }),
             // Who gives the time needs no sync, though nobody heard its own while another's was the last.
             FindingKind::WithoutSync => authors.find_map(|author| {
@@ -213,8 +211,14 @@ impl Records {
 
     /// A program's frame does not say of which turn it is: one that was held up for long was taken for another's.
     fn programs_frame(&self, author: Author) -> Option<&'static str> {
-        let is_held_up = || self.told(author, EventKind::StalledInSend);
-        self.between_turns(author.station).and_then(|_| is_held_up())
+        self.between_turns(author.station)?;
+        self.told(author, EventKind::StalledInSend)
+    }
+
+    /// Whether a frame was held up at all: this turn's, or a program's that is taken for it.
+    fn stalled(&self, author: Author) -> Option<&'static str> {
+        let told = self.told(author, EventKind::StalledInSend);
+        told.or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
     }
 
     /// One that was held up beyond a later turn's begin was taken for that one's, and was late there by what was left of it.
@@ -365,7 +369,7 @@ impl Records {
 }
 
 /// From one slot of a station's to its next, in this cycle or the one that follows, at the least.
-fn between_turns(plan: &StationPlan, cycle: Span) -> Span {
+fn nearest_turns(plan: &StationPlan, cycle: Span) -> Span {
     let mut offsets: Vec<Span> = plan.slots.iter().map(|slot| slot.offset).collect();
     offsets.sort_unstable();
     let within = offsets.windows(2).map(|two| two[1] - two[0]);

@@ -73,12 +73,21 @@ impl ClocksSet {
                         set.shows(author.cycle) && finding.span.abs() <= set.step.abs() + in_time
                     }
                     FindingKind::Overlap => set.shows(author.cycle),
-                    FindingKind::SlotMissed | FindingKind::SyncGap => set.leaves_out(author.cycle),
+                    FindingKind::SlotMissed => set.leaves_out(author.cycle),
+                    FindingKind::SyncGap => {
+                        set.leaves_out(author.cycle)
+                            || set.station == author.station && set.is_silent(author.cycle)
+                    }
                     FindingKind::WithoutSync | FindingKind::Repeated => set.counts_again(author.cycle),
                 }
         };
         let mut authors = finding.authors.iter().flatten();
         authors.any(|author| self.0.iter().any(|set| explains(set, author))).then_some(NAME)
+    }
+
+    /// Whether there may be two cycles of this number.
+    pub fn counts_again(&self, cycle: u32) -> bool {
+        self.0.iter().any(|set| set.counts_again(cycle))
     }
 
     /// Forgets what was before this cycle.
@@ -96,7 +105,16 @@ impl Set {
     /// Who gave the time and has set it back is silent until its next cycle comes; others may have gone on meanwhile by the
     /// time that was, and then all count again what they had counted.
     fn counts_again(&self, cycle: u32) -> bool {
-        let first = self.cycles[1].wrapping_sub(self.held_back);
+        self.counts_from(self.cycles[1], cycle)
+    }
+
+    /// Meanwhile it may be missed, in the cycles that came first of those that are counted again.
+    fn is_silent(&self, cycle: u32) -> bool {
+        self.counts_from(self.cycles[0], cycle)
+    }
+
+    fn counts_from(&self, first: u32, cycle: u32) -> bool {
+        let first = first.wrapping_sub(self.held_back);
         self.counted_again().is_some_and(|last| cycle.wrapping_sub(first) <= last.wrapping_sub(first))
     }
 
@@ -116,13 +134,14 @@ impl Set {
 }
 
 #[cfg(test)]
+pub fn set(station: usize, gives: bool, cycles: [u32; 2]) -> ClocksSet {
+    let step = Span::from_millis(i64::from(cycles[1].wrapping_sub(cycles[0]) as i32));
+    ClocksSet(vec![Set { station, gives, step, cycles, within: FOLLOWED_WITHIN, held_back: 0 }])
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
-
-    fn set(station: usize, gives: bool, cycles: [u32; 2]) -> ClocksSet {
-        let step = Span::from_millis(i64::from(cycles[1].wrapping_sub(cycles[0]) as i32));
-        ClocksSet(vec![Set { station, gives, step, cycles, within: FOLLOWED_WITHIN, held_back: 0 }])
-    }
 
     fn explained(clocks: &ClocksSet, kind: FindingKind, (station, cycle): (usize, u32), by: Span) -> bool {
         let finding = Finding::of(Author { station, cycle, slot: Some(0) }, kind, by);
@@ -178,6 +197,15 @@ mod tests {
         assert!(!found(&set(0, true, [100, 105]), FindingKind::Repeated, 102), "forth");
         back.0[0].held_back = 3;
         assert!(found(&back, FindingKind::Repeated, 97));
+    }
+
+    #[test]
+    fn a_giver_that_has_set_its_clock_back_is_missed_until_its_next_cycle_comes() {
+        let back = set(0, true, [105, 100]);
+        let missing = |station, cycle| explained(&back, FindingKind::SyncGap, (station, cycle), Span::ZERO);
+        assert_eq!([104, 105, 114, 115].map(|cycle| missing(0, cycle)), [false, true, true, false]);
+        assert!(!missing(1, 106), "a backup's is not missing for that");
+        assert!(!explained(&set(0, true, [100, 105]), FindingKind::SyncGap, (0, 102), Span::ZERO), "forth");
     }
 
     #[test]

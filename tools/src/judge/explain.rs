@@ -260,7 +260,8 @@ impl Records {
 
     /// A station that was silent did what it must, but that alone explains nothing: why was there no sync to follow,
     /// of this cycle or of the one before, which bridges it? One that was lost on its way has no record. Without a
-    /// master for long, a station has no line to tell by which slots it is silent in.
+    /// master for long, a station has no line to tell by which slots it is silent in. Of two cycles of one number nobody
+    /// knows which had one.
     fn silence(&self, author: Author) -> Option<&'static str> {
         let Author { station, cycle, .. } = author;
         let absences = &self.absences;
@@ -269,8 +270,9 @@ impl Records {
             self.told(author, EventKind::SlotSilent).or(has_no_line.then_some(Cause::NoSync.name()))?;
         let nobody = self.only_master().is_some_and(|master| absences.just_now(master, cycle));
         let absent = nobody || absences.just_now(station, cycle);
-        let doubted =
-            self.told_of(of_cycle(author), &[EventKind::DuplicateCycle]).is_some() || self.stepped(author);
+        let doubted = self.told_of(of_cycle(author), &[EventKind::DuplicateCycle]).is_some()
+            || self.stepped(author)
+            || self.clocks.counts_again(cycle);
         let ago = |cycles| Author { cycle: cycle.wrapping_sub(cycles), ..author };
         let why = has_no_line || absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
         why.then_some(silent)

@@ -3,6 +3,7 @@ use rtnet::buf::{Buf, Pool};
 use rtnet::time::GlobalTime;
 
 use super::*;
+use crate::judge::clocks;
 
 const PRIMARY: Address = Address([2, 0, 0, 0, 0, 1]);
 const BACKUP: Address = Address([2, 0, 0, 0, 0, 2]);
@@ -327,6 +328,20 @@ fn nobody_is_excused_by_what_one_master_did_not_send_where_anothers_sync_came() 
     assert_eq!(why(&records), None, "the primary did, and the backup need not");
     records.note_sync_lost(2, (PRIMARY, 8), false);
     assert_eq!(why(&records), Some("slot_silent"));
+}
+
+#[test]
+fn who_tells_that_it_is_silent_in_a_cycle_that_is_counted_again_is_so_for_that() {
+    let mut records = with_a_backup();
+    records.note(author(8, 2), EventKind::SlotSilent, Span::ZERO, None);
+    [7, 8].iter().for_each(|&cycle| records.note_frame(&sync(PRIMARY, cycle)));
+    let why = |records: &Records, cycle| records.explain(&finding(cycle, FindingKind::SlotMissed, 2));
+    assert_eq!(why(&records, 8), None, "it had both");
+    records.clocks = clocks::set(0, true, [50, 20]);
+    assert_eq!(why(&records, 8), None, "others are counted again");
+    records.clocks = clocks::set(0, true, [6, 1]);
+    assert_eq!(why(&records, 8), Some("slot_silent"), "they may have come later");
+    assert_eq!(why(&records, 7), None, "it has told nothing of that");
 }
 
 #[test]

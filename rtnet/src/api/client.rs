@@ -10,15 +10,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nix::errno::Errno;
-use nix::poll::PollTimeout;
-use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
-use nix::sys::eventfd::{EfdFlags, EventFd};
 use socket2::Socket;
 
 use super::connection::{check, exchange, opened};
 use super::handshake::{Answer, Ask, DESCRIPTORS};
 use super::memory::Memory;
 use super::place;
+use super::ready::{Ready, Told};
 use super::ring::{Reader, Writer};
 use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
 use crate::buf::ROOM;
@@ -31,8 +29,6 @@ use crate::wire::udp::MAX_PAYLOAD;
 
 /// What an eventfd is written to be readable.
 const ONE: [u8; 8] = 1u64.to_ne_bytes();
-/// Which event it is of `ready` that the station has hung up; all others say that something may have come.
-const HUNG_UP: u64 = 1;
 
 /// A station on this machine, by its control socket.
 #[derive(Clone, Debug)]
@@ -55,16 +51,9 @@ pub(super) struct End {
     received: Mutex<Reader>,
     sending: Mutex<Sending>,
     timeout: Mutex<Option<Duration>>,
-    /// Readable when the station has woken this program.
-    pub(super) gate: Epoll,
+    pub(super) ready: Ready,
     pub(super) doorbell: File,
-    /// Readable when this program has woken itself: something was left by who read the gate...
-    again: EventFd,
-    /// ... as it says here.
-    has_rung: AtomicBool,
-    /// Readable when something has come, or the station is gone.
-    ready: Epoll,
-    /// Somebody waits for `ready` by his own means.
+    /// Somebody waits until it is ready by his own means.
     is_watched: AtomicBool,
     is_closed: AtomicBool,
 }
@@ -238,7 +227,7 @@ macro_rules! of_both {
             /// nothing, or when the station is gone.
             fn as_fd(&self) -> BorrowedFd<'_> {
                 self.0.is_watched.store(true, Ordering::Relaxed);
-                self.0.ready.0.as_fd()
+                self.0.ready.as_fd()
             }
         }
 
@@ -259,24 +248,16 @@ impl End {
         if !segment::fits(&memory) {
             return Err(Errno::EPROTO.into());
         }
-        let again = EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC)?;
-        let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
-        ready.add(&gate, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
-        ready.add(&again, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
-        ready.add(&control, EpollEvent::new(EpollFlags::EPOLLRDHUP, HUNG_UP))?;
         let writer = Writer::new(memory.clone(), segment::sent());
         Ok(Self {
+            ready: Ready::new(gate, &control)?,
             line: control.try_clone()?,
             control: Mutex::new(control),
             received: Mutex::new(Reader::new(memory.clone(), segment::received())),
             sending: Mutex::new(Sending { writer, options: Options::default(), errors_told: 0 }),
             memory,
             timeout: Mutex::new(None),
-            gate: Epoll(gate),
             doorbell: File::from(doorbell),
-            again,
-            has_rung: AtomicBool::new(false),
-            ready,
             is_watched: AtomicBool::new(false),
             is_closed: AtomicBool::new(false),
         })
@@ -306,7 +287,7 @@ impl End {
         match written {
             Ok(true) => {}
             // Nobody reads any more?
-            Ok(false) if self.has_hung_up(PollTimeout::ZERO)? => return Err(Errno::ENODEV.into()),
+            Ok(false) if self.ready.has_hung_up()? => return Err(Errno::ENODEV.into()),
             Ok(false) => return Err(Errno::ENOBUFS.into()),
             Err(_) => return Err(Errno::ENODEV.into()),
         }
@@ -330,40 +311,37 @@ impl End {
                 .ok_or_else(|| if self.is_served() { Errno::EAGAIN } else { Errno::ENODEV }.into());
         }
         let deadline = Deadline::after(*locked(&self.timeout));
-        let mut has_hung_up = false;
+        let mut told = Told::default();
         loop {
-            match self.take_or_listen(into, flags)? {
+            match self.take_or_listen(into, flags, told.again)? {
                 Some(received) => return Ok(received),
-                None if has_hung_up => return Err(Errno::ENODEV.into()),
-                None => has_hung_up = self.wait(deadline)?,
+                None if told.hung_up => return Err(Errno::ENODEV.into()),
+                None => told = self.ready.wait(deadline)?,
             }
         }
     }
 
     /// What has come, or why there is nothing: the station wakes this program for what comes next.
     fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
-        if let Some(received) = self.take_or_listen(into, flags)? {
+        if let Some(received) = self.take_or_listen(into, flags, true)? {
             return Ok(received);
         }
-        Err(if self.has_hung_up(PollTimeout::ZERO)? { Errno::ENODEV } else { Errno::EAGAIN }.into())
+        Err(if self.ready.has_hung_up()? { Errno::ENODEV } else { Errno::EAGAIN }.into())
     }
 
     /// What has come; if nothing has, the station wakes this program for what comes next.
-    fn take_or_listen(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
+    fn take_or_listen(&self, into: &mut [u8], flags: Flags, again: bool) -> io::Result<Option<Received>> {
         if let Some(received) = self.take(into, flags)? {
             return Ok(Some(received));
         }
         // Who says that it sleeps looks once more: what came before is not told of.
-        let _ = self.gate.wait(&mut [EpollEvent::empty()], PollTimeout::ZERO);
-        if self.has_rung.swap(false, Ordering::AcqRel) {
-            let _ = self.again.read();
-        }
+        self.ready.silence(again);
         self.memory[ASLEEP].store(1, Ordering::SeqCst);
         core::sync::atomic::fence(Ordering::SeqCst);
         let received = self.take(into, flags)?;
         if received.is_some() {
             // More may have come with it, and what it was told of is read away: whoever waits looks for himself.
-            self.ring_again();
+            self.ready.ring_again();
             return Ok(received);
         }
         self.check_open().map(|()| None)
@@ -383,31 +361,6 @@ impl End {
         }))
     }
 
-    /// Until something has come, or the station has hung up: whether it has.
-    fn wait(&self, deadline: Deadline) -> io::Result<bool> {
-        let left = deadline.left();
-        if left.is_some_and(|left| left.is_zero()) {
-            let has_hung_up = self.has_hung_up(PollTimeout::ZERO)?;
-            return has_hung_up.then_some(true).ok_or_else(|| Errno::ETIMEDOUT.into());
-        }
-        // Rounded up: who wakes too early looks again.
-        self.has_hung_up(match left {
-            Some(left) => PollTimeout::try_from(left + Duration::from_millis(1)).unwrap_or(PollTimeout::MAX),
-            None => PollTimeout::NONE,
-        })
-    }
-
-    /// Whether the station has hung up, as soon as anything can be told; no later than that.
-    fn has_hung_up(&self, no_later: PollTimeout) -> io::Result<bool> {
-        let mut events = [EpollEvent::empty(); 3];
-        let found = match self.ready.wait(&mut events, no_later) {
-            // A signal is nothing to be told: whoever asks looks again.
-            Err(Errno::EINTR) => 0,
-            found => found?,
-        };
-        Ok(events[..found].iter().any(|event| event.data() == HUNG_UP))
-    }
-
     /// What has come can be read even of a station that is gone; nothing else can be done.
     fn check_open(&self) -> io::Result<()> {
         if self.is_closed.load(Ordering::Acquire) {
@@ -424,13 +377,7 @@ impl End {
         self.is_closed.store(true, Ordering::Release);
         // The station hears of it, and so does who waits here.
         let _ = self.line.shutdown(std::net::Shutdown::Both);
-        self.ring_again();
-    }
-
-    /// Whoever waits looks again.
-    fn ring_again(&self) {
-        let _ = self.again.write(1);
-        self.has_rung.store(true, Ordering::Release);
+        self.ready.ring_again();
     }
 }
 

@@ -27,6 +27,7 @@ pub mod handshake;
 pub mod line;
 pub mod memory;
 pub mod place;
+mod ready;
 pub mod ring;
 pub mod segment;
 

@@ -133,6 +133,7 @@ impl Set {
     }
 }
 
+/// One that was set.
 #[cfg(test)]
 pub fn set(station: usize, gives: bool, cycles: [u32; 2]) -> ClocksSet {
     let step = Span::from_millis(i64::from(cycles[1].wrapping_sub(cycles[0]) as i32));

@@ -22,6 +22,8 @@ struct Set {
     /// Whether it gave the time: then it has moved all.
     gives: bool,
     step: Span,
+    /// The same with what it had been set by shortly before.
+    off: Span,
     /// Which cycle it was before, and which it was then.
     cycles: [u32; 2],
     /// For so many cycles it may show.
@@ -43,10 +45,11 @@ pub fn set_clock(
     late: u32,
 ) {
     let (was, gives) = (analysis.cycle_at(at), analysis.has_the_time(station));
+    let off = step + was.map_or(Span::ZERO, |was| records.clocks.still_off(station, was));
     analysis.set_clock(station, clock);
     let is = match gives && analysis.giver() != station {
         // It shows once that one is heard again.
-        true => was.map(|was| was.wrapping_add(step.nanos().div_euclid(analysis.cycle().nanos()) as u32)),
+        true => was.map(|was| was.wrapping_add(off.nanos().div_euclid(analysis.cycle().nanos()) as u32)),
         false => analysis.cycle_at(at),
     };
     if let (Some(was), Some(is), true) = (was, is, step != Span::ZERO) {
@@ -54,6 +57,7 @@ pub fn set_clock(
             station,
             gives,
             step,
+            off,
             cycles: [was, is],
             within: FOLLOWED_WITHIN + late,
             held_back: late,
@@ -70,7 +74,7 @@ impl ClocksSet {
             of_it
                 && match finding.kind {
                     FindingKind::OutOfSlot => {
-                        set.shows(author.cycle) && finding.span.abs() <= set.step.abs() + in_time
+                        set.shows(author.cycle) && finding.span.abs() <= set.moves_by() + in_time
                     }
                     FindingKind::Overlap => set.shows(author.cycle),
                     FindingKind::SlotMissed => set.leaves_out(author.cycle),
@@ -85,6 +89,12 @@ impl ClocksSet {
         authors.any(|author| self.0.iter().any(|set| explains(set, author))).then_some(NAME)
     }
 
+    /// By how much a station's clock was set that still shows: what it is set by now comes besides.
+    fn still_off(&self, station: usize, cycle: u32) -> Span {
+        let last = self.0.iter().rfind(|set| set.station == station);
+        last.filter(|set| set.shows(cycle)).map_or(Span::ZERO, |set| set.off)
+    }
+
     /// Whether there may be two cycles of this number.
     pub fn counts_again(&self, cycle: u32) -> bool {
         self.0.iter().any(|set| set.counts_again(cycle))
@@ -97,6 +107,11 @@ impl ClocksSet {
 }
 
 impl Set {
+    /// At the most: who has followed it meanwhile, and who has not.
+    fn moves_by(&self) -> Span {
+        self.step.abs().max(self.off.abs())
+    }
+
     fn shows(&self, cycle: u32) -> bool {
         let since = |at: u32| cycle.wrapping_sub(at.wrapping_sub(self.held_back));
         self.cycles.iter().any(|&at| since(at) <= self.held_back + self.within) || self.counts_again(cycle)
@@ -137,7 +152,7 @@ impl Set {
 #[cfg(test)]
 pub fn set(station: usize, gives: bool, cycles: [u32; 2]) -> ClocksSet {
     let step = Span::from_millis(i64::from(cycles[1].wrapping_sub(cycles[0]) as i32));
-    ClocksSet(vec![Set { station, gives, step, cycles, within: FOLLOWED_WITHIN, held_back: 0 }])
+    ClocksSet(vec![Set { station, gives, step, off: step, cycles, within: FOLLOWED_WITHIN, held_back: 0 }])
 }
 
 #[cfg(test)]
@@ -198,6 +213,27 @@ mod tests {
         assert!(!found(&set(0, true, [100, 105]), FindingKind::Repeated, 102), "forth");
         back.0[0].held_back = 3;
         assert!(found(&back, FindingKind::Repeated, 97));
+    }
+
+    #[test]
+    fn what_a_clock_was_set_by_adds_up_as_long_as_it_shows() {
+        let mut back = set(0, true, [105, 100]);
+        let five = Span::from_millis(5);
+        assert_eq!(
+            [99, 105, 114, 115].map(|cycle| back.still_off(0, cycle)),
+            [Span::ZERO, -five, -five, Span::ZERO]
+        );
+        assert_eq!(back.still_off(1, 105), Span::ZERO, "another's");
+        back.0.extend(set(0, true, [108, 107]).0);
+        assert_eq!(back.still_off(0, 109), Span::from_millis(-1), "the last has what was before");
+        back.0[1].off = -five * 2;
+        let off = |by| explained(&back, FindingKind::OutOfSlot, (2, 108), by);
+        assert_eq!([five * 2, five * 2 + Span::from_micros(51)].map(off), [true, false]);
+        back.0[1].off = Span::ZERO;
+        assert!(
+            explained(&back, FindingKind::OutOfSlot, (2, 108), Span::from_millis(1)),
+            "it is back where it was"
+        );
     }
 
     #[test]

@@ -311,9 +311,13 @@ impl End {
                 .ok_or_else(|| if self.is_served() { Errno::EAGAIN } else { Errno::ENODEV }.into());
         }
         let deadline = Deadline::after(*locked(&self.timeout));
+        self.receive_by(deadline, into, flags)
+    }
+
+    fn receive_by(&self, deadline: Deadline, into: &mut [u8], flags: Flags) -> io::Result<Received> {
         let mut told = Told::default();
         loop {
-            match self.take_or_listen(into, flags, told.again)? {
+            match self.take_or_listen(into, flags, told)? {
                 Some(received) => return Ok(received),
                 None if told.hung_up => return Err(Errno::ENODEV.into()),
                 None => told = self.ready.wait(deadline)?,
@@ -323,28 +327,30 @@ impl End {
 
     /// What has come, or why there is nothing: the station wakes this program for what comes next.
     fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
-        if let Some(received) = self.take_or_listen(into, flags, true)? {
-            return Ok(received);
-        }
-        Err(if self.ready.has_hung_up()? { Errno::ENODEV } else { Errno::EAGAIN }.into())
+        let now = Deadline::after(Some(Duration::ZERO));
+        self.receive_by(now, into, flags).map_err(|error| match error.raw_os_error() {
+            Some(libc::ETIMEDOUT) => Errno::EAGAIN.into(),
+            _ => error,
+        })
     }
 
     /// What has come; if nothing has, the station wakes this program for what comes next.
-    fn take_or_listen(&self, into: &mut [u8], flags: Flags, again: bool) -> io::Result<Option<Received>> {
+    fn take_or_listen(&self, into: &mut [u8], flags: Flags, told: Told) -> io::Result<Option<Received>> {
         if let Some(received) = self.take(into, flags)? {
             return Ok(Some(received));
         }
         // Who says that it sleeps looks once more: what came before is not told of.
-        self.ready.silence(again);
+        self.ready.silence(told);
         self.memory[ASLEEP].store(1, Ordering::SeqCst);
         core::sync::atomic::fence(Ordering::SeqCst);
+        // All that comes is there before it is said that no more will.
+        let open = self.check_open();
         let received = self.take(into, flags)?;
-        if received.is_some() {
+        if received.is_some() || open.is_err() {
             // More may have come with it, and what it was told of is read away: whoever waits looks for himself.
             self.ready.ring_again();
-            return Ok(received);
         }
-        self.check_open().map(|()| None)
+        if received.is_some() { Ok(received) } else { open.map(|()| None) }
     }
 
     fn take(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {

@@ -31,7 +31,7 @@ pub struct Ready {
     again: EventFd,
 }
 
-/// What was told of while nothing had come.
+/// What was told of, besides that something may have come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Told {
     /// The station has hung up.
@@ -51,11 +51,11 @@ impl Ready {
         Ok(Self { ready, gate: Epoll(gate), again })
     }
 
-    /// Who looks for himself from now on needs not be told of what was before. That this program has woken itself is read
-    /// away only by who was told of it, or looks anyway: what it would say of itself might come before that, or long after.
-    pub fn silence(&self, again: bool) {
+    /// Who looks for himself from now on needs not be told again of what he was told of. That this program has woken itself
+    /// is read away only by who was told of it: it is seldom, and costs a system call.
+    pub fn silence(&self, told: Told) {
         let _ = self.gate.wait(&mut [EpollEvent::empty()], PollTimeout::ZERO);
-        if again {
+        if told.again {
             let _ = self.again.read();
         }
     }
@@ -65,12 +65,12 @@ impl Ready {
         let _ = self.again.write(1);
     }
 
-    /// Until something has come, or the station has hung up.
+    /// Until there is something to be told; an error once that has taken too long.
     pub fn wait(&self, deadline: Deadline) -> io::Result<Told> {
         let left = deadline.left();
         if left.is_some_and(|left| left.is_zero()) {
             let told = self.told(PollTimeout::ZERO)?;
-            return if told.hung_up { Ok(told) } else { Err(Errno::ETIMEDOUT.into()) };
+            return if told == Told::default() { Err(Errno::ETIMEDOUT.into()) } else { Ok(told) };
         }
         // Rounded up: who wakes too early looks again.
         self.told(match left {
@@ -128,25 +128,19 @@ mod tests {
     #[test]
     fn what_was_told_of_is_told_until_somebody_looks_for_himself() {
         let (ready, waker, _ends) = ready();
-        let told = |ready: &Ready| ready.wait(Deadline::after(Some(Duration::from_millis(1))));
+        let is_quiet = || ready.ready.wait(&mut [EpollEvent::empty()], PollTimeout::ZERO) == Ok(0);
         waker.write(1).unwrap();
-        assert_eq!([told(&ready), told(&ready)].map(Result::ok), [Some(Told::default()); 2]);
-        let is_quiet = |ready: &Ready| {
-            let mut none = [EpollEvent::empty()];
-            ready.ready.wait(&mut none, PollTimeout::ZERO) == Ok(0)
-        };
-        assert!(!is_quiet(&ready));
-        ready.silence(false);
-        assert!(is_quiet(&ready));
+        assert!(!is_quiet() && !is_quiet());
+        ready.silence(Told::default());
+        assert!(is_quiet());
         ready.ring_again();
-        ready.silence(false);
-        assert!(!is_quiet(&ready), "nobody was told of that");
-        let again = told(&ready).unwrap().again;
-        ready.silence(again);
-        assert!(
-            is_quiet(&ready),
-            "who was told of it hears of it once, whatever else whoever rang has done by then"
-        );
+        ready.silence(Told::default());
+        assert!(!is_quiet(), "nobody was told of that");
+        let told = ready.wait(Deadline::after(Some(Duration::ZERO))).unwrap();
+        assert_eq!(told, Told { hung_up: false, again: true }, "who does not wait is told, too");
+        ready.silence(told);
+        assert!(is_quiet());
+        assert!(ready.wait(Deadline::after(Some(Duration::ZERO))).is_err());
     }
 
     #[test]

@@ -9,7 +9,8 @@
 //!
 //! An action is of the level of the first digit in which its time differs from the time reached. So all of a level come before
 //! all of the next one, and a bucket's come before the next bucket's. When a bucket is reached that has several, they are
-//! divided anew, among the levels below. That takes as long for thousands of stations as for ten, which a heap does not.
+//! divided anew, among the levels below. So an action is moved once for each level at the most, however many there are; in a heap
+//! it is the more often the more there are.
 
 use crate::clock::True;
 

@@ -11,7 +11,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::absences::{Absence, Absences};
-use super::clocks::ClocksSet;
+use super::clocks::{self, ClocksSet};
 use super::cuts::Cuts;
 use super::findings::{Author, Finding, FindingKind};
 use super::spells::Spells;
@@ -179,7 +179,8 @@ impl Records {
             FindingKind::SyncGap => authors
                 .find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
                 .or_else(|| self.told_of(Author::sync(MASTER, finding.cycle), &NO_SYNC_BY))
-                .or_else(|| self.next_reign(finding)),
+                .or_else(|| self.next_reign(finding))
+                .or_else(|| finding.authors.iter().flatten().find_map(|author| self.another_time(*author))),
             FindingKind::SlotMissed => authors.find_map(|author| {
                 // Who is gone is silent for that, not for want of a sync.
                 let gone =
@@ -272,7 +273,7 @@ impl Records {
         let absent = nobody || absences.just_now(station, cycle);
         let doubted = self.told_of(of_cycle(author), &[EventKind::DuplicateCycle]).is_some()
             || self.stepped(author)
-            || self.clocks.counts_again(cycle);
+            || self.clocks.counts_again(cycle).is_some();
         let ago = |cycles| Author { cycle: cycle.wrapping_sub(cycles), ..author };
         let why = has_no_line || absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
         why.then_some(silent)
@@ -289,6 +290,17 @@ impl Records {
         });
         let has_stepped_down = self.reigns.has_ended(author.station, author.cycle);
         next.find_map(|next| self.missing(next, self.told_of(next, &NO_SYNC_BY))).filter(|_| has_stepped_down)
+    }
+
+    /// Why a sync is missing in one of two cycles of its number: its author sent it in the other, or who has set its clock
+    /// back, or will.
+    fn another_time(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
+        let counts = self.clocks.counts_again(cycle)?;
+        let is_sent = |of: usize| {
+            let from = self.addresses.get(of);
+            from.is_some_and(|&from| !self.syncs.passed_over(from, cycle))
+        };
+        [station, counts].into_iter().any(is_sent).then_some(clocks::NAME)
     }
 
     /// Whether a slave has told that it has no line, or had none any more, and has told of none since.

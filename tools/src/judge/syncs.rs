@@ -73,6 +73,14 @@ impl Syncs {
             .map(|(&from, _)| from)
     }
 
+    /// Whether its sender never sent this one, but newer ones.
+    pub fn passed_over(&self, from: Address, cycle: u32) -> bool {
+        self.sent.get(&from).is_some_and(|sent| {
+            let newest = sent.0.last().is_some_and(|&(_, last)| before(cycle, last));
+            newest && sent.run_of(cycle).is_none()
+        })
+    }
+
     /// Whether this one did not get to a station.
     pub fn is_lost(&self, station: usize, from: Address, cycle: u32) -> bool {
         self.run_lost(station, from, cycle).is_some()

@@ -3,7 +3,6 @@ use rtnet::buf::{Buf, Pool};
 use rtnet::time::GlobalTime;
 
 use super::*;
-use crate::judge::clocks;
 
 const PRIMARY: Address = Address([2, 0, 0, 0, 0, 1]);
 const BACKUP: Address = Address([2, 0, 0, 0, 0, 2]);
@@ -342,6 +341,27 @@ fn who_tells_that_it_is_silent_in_a_cycle_that_is_counted_again_is_so_for_that()
     records.clocks = clocks::set(0, true, [6, 1]);
     assert_eq!(why(&records, 8), Some("slot_silent"), "they may have come later");
     assert_eq!(why(&records, 7), None, "it has told nothing of that");
+    records.note(author(4, 2), EventKind::SlotSilent, Span::ZERO, None);
+    assert_eq!(why(&records, 4), None, "it came once: who gives the time goes on with its next one");
+}
+
+#[test]
+fn a_sync_is_missing_from_a_cycle_that_is_counted_again_if_it_came_in_the_other_one() {
+    let mut records = with_a_backup();
+    [6, 9].iter().for_each(|&cycle| records.note_frame(&sync(PRIMARY, cycle)));
+    let gap = |cycle| Finding::of(Author::sync(0, cycle), FindingKind::SyncGap, Span::ZERO);
+    let why = |records: &Records| [6, 8, 10].map(|cycle| records.explain(&gap(cycle)));
+    assert_eq!(why(&records), [None; 3]);
+    records.clocks = clocks::set(0, true, [6, 1]);
+    assert_eq!(
+        why(&records),
+        [Some("clock_set"), None, Some("clock_set")],
+        "8 it has never sent, 10 may come"
+    );
+    [7, 10].iter().for_each(|&cycle| records.note_frame(&sync(BACKUP, cycle)));
+    let backups = |cycle| Finding::of(Author::sync(1, cycle), FindingKind::SyncGap, Span::ZERO);
+    let why = [8, 9].map(|cycle| records.explain(&backups(cycle)));
+    assert_eq!(why, [None, Some("clock_set")], "nobody sent 8; 9 came from the primary");
 }
 
 #[test]

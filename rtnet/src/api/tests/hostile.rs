@@ -27,6 +27,18 @@ fn a_program_that_fills_what_it_may_write_and_lets_it_block_holds_nobody_up() {
 }
 
 #[test]
+fn all_threads_that_wait_are_told_when_their_line_is_ended() {
+    let pair = Pair::new();
+    let hostile = pair.stations[1].udp().unwrap();
+    std::thread::scope(|scope| {
+        let waiting = [(); 3].map(|()| scope.spawn(|| number(hostile.receive(&mut []))));
+        std::thread::sleep(Duration::from_millis(20));
+        hostile.0.memory[9].store(1 << 40, Ordering::SeqCst);
+        assert_eq!(waiting.map(|thread| thread.join().unwrap()), [Errno::ENODEV; 3]);
+    });
+}
+
+#[test]
 fn who_polls_and_receives_without_waiting_is_told_of_what_comes_next_only() {
     let pair = Pair::new();
     let [a, b] = pair.sockets();

@@ -95,7 +95,7 @@ impl ClocksSet {
         last.filter(|set| set.shows(cycle)).map_or(Span::ZERO, |set| set.off)
     }
 
-    /// Whether there may be two cycles of this number, and by whose clock.
+    /// Whose clock was set back, if there may be two cycles of this number for that.
     pub fn counts_again(&self, cycle: u32) -> Option<usize> {
         self.0.iter().find(|set| set.counts_from(set.again_from, cycle)).map(|set| set.station)
     }

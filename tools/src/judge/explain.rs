@@ -292,8 +292,8 @@ impl Records {
         next.find_map(|next| self.missing(next, self.told_of(next, &NO_SYNC_BY))).filter(|_| has_stepped_down)
     }
 
-    /// Why a sync is missing in one of two cycles of its number: its author sent it in the other, or who has set its clock
-    /// back, or will.
+    /// Why a sync is missing in one of two cycles of its number: it came in the other, from its author or from who has set
+    /// its clock back, or that one has not come to this number yet.
     fn another_time(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
         let counts = self.clocks.counts_again(cycle)?;
         let is_sent = |of: usize| {

@@ -63,6 +63,8 @@ struct Sending {
     options: Options,
     /// How many errors of earlier sends this program has been told of.
     errors_told: u32,
+    /// What the station had read at the last send.
+    read: u64,
 }
 
 impl Station {
@@ -130,7 +132,7 @@ impl UdpSocket {
 
     /// Hands a datagram of at most 65 507 bytes to the station. It does not wait: where the station has not taken what was
     /// sent before, that is ENOBUFS. An earlier one that could not leave, for want of a route or of a slot, is told of here,
-    /// and this one is not sent then.
+    /// and this one is not sent then. Of a station that was killed it is told at the second datagram after that, ENODEV.
     pub fn send_to(&self, data: &[u8], to: SocketAddrV4) -> io::Result<()> {
         self.send_to_with(data, to, Flags::NONE)
     }
@@ -254,7 +256,7 @@ impl End {
             line: control.try_clone()?,
             control: Mutex::new(control),
             received: Mutex::new(Reader::new(memory.clone(), segment::received())),
-            sending: Mutex::new(Sending { writer, options: Options::default(), errors_told: 0 }),
+            sending: Mutex::new(Sending { writer, options: Options::default(), errors_told: 0, read: 0 }),
             memory,
             timeout: Mutex::new(None),
             doorbell: File::from(doorbell),
@@ -282,12 +284,16 @@ impl End {
         if std::mem::replace(&mut sending.errors_told, count) != count {
             return Err(Errno::from_raw(word as u32 as i32).into());
         }
+        let read = sending.writer.read();
+        let is_stuck = std::mem::replace(&mut sending.read, read) == read && !sending.writer.is_drained();
+        // Who was killed has told nobody; that the last order has not been taken is the first sign of it.
+        if is_stuck && self.ready.has_hung_up()? {
+            return Err(Errno::ENODEV.into());
+        }
         let order = Order { to, options: sending.options, flags: flags.bits() };
         let written = sending.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
         match written {
             Ok(true) => {}
-            // Nobody reads any more?
-            Ok(false) if self.ready.has_hung_up()? => return Err(Errno::ENODEV.into()),
             Ok(false) => return Err(Errno::ENOBUFS.into()),
             Err(_) => return Err(Errno::ENODEV.into()),
         }

@@ -117,7 +117,12 @@ impl Writer {
 
     /// Whether the other side has read everything.
     pub fn is_drained(&self) -> bool {
-        self.ring.load(self.ring.place.tail) == self.head
+        self.read() == self.head
+    }
+
+    /// What the other side says that it has read so far, in words: to be compared with what it said before, and nothing else.
+    pub fn read(&self) -> u64 {
+        self.ring.load(self.ring.place.tail)
     }
 }
 

@@ -41,6 +41,19 @@ fn who_waits_at_a_station_that_is_killed_is_told_once_there_is_nothing_more_to_r
 }
 
 #[test]
+fn who_sends_to_a_station_that_is_killed_is_told_at_the_second_datagram() {
+    let mut pair = Pair::new();
+    let [a, b] = pair.sockets();
+    a.send_to(b"last words", to_second()).unwrap();
+    assert_eq!(b.receive(&mut [0; 20]).unwrap().len, 10);
+    pair.kill();
+    a.send_to(b"nobody can know yet", to_second()).unwrap();
+    for _ in 0..3 {
+        assert_eq!(number(a.send_to(b"", to_second())), Errno::ENODEV);
+    }
+}
+
+#[test]
 fn a_program_that_dies_leaves_nothing() {
     let pair = Pair::new();
     let [a, b] = pair.sockets();

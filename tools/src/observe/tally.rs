@@ -15,6 +15,9 @@ use crate::report::histogram::SignedHistogram;
 /// Streams that are told apart; forged addresses may make any number.
 const STREAMS_AT_MOST: usize = 1_000;
 
+/// How much earlier than its slot a frame may seem to be, by clocks that are not quite the master's.
+const EARLY: Span = Span::from_micros(10);
+
 /// All that was counted.
 #[derive(Debug)]
 pub struct Tally {
@@ -75,6 +78,8 @@ pub struct Seen {
     pub frames: u64,
     /// stamp - (scheduled + offset); for a stream that does not say when: stamp - (cycle's start + offset).
     pub times: SignedHistogram,
+    /// Where in a cycle its slot begins.
+    offset: Option<Span>,
     turns: Turns,
 }
 
@@ -129,6 +134,26 @@ impl Tally {
             // The usual frame has not missed this turn.
             slot.into_iter().for_each(|seen| seen.turns.note(tag.cycle()));
         }
+        if let (What::Other(..) | What::Tunnel(..), When::Place(place), Some(cycle)) =
+            (what, sight.when, sight.cycle)
+        {
+            self.take_turn(sight.decoded.source, cycle, place);
+        }
+    }
+
+    /// What a program sends takes a turn from its station's usual frame: of the last slot that has begun by then.
+    fn take_turn(&mut self, source: Address, cycle: u32, place: Span) {
+        let of_source = self.streams.range_mut(Stream { source, which: Which::Sync }..);
+        let begun = of_source
+            .take_while(|(stream, _)| stream.source == source)
+            .filter(|(stream, _)| matches!(stream.which, Which::Slot { .. }))
+            .map(|(_, seen)| seen)
+            .filter(|seen| {
+                seen.offset.is_some_and(|offset| offset <= place + EARLY) && seen.turns.has(cycle)
+            });
+        if let Some(seen) = begun.max_by_key(|seen| seen.offset) {
+            seen.turns.note(cycle);
+        }
     }
 
     fn occupy(&mut self, at: Option<True>, wire_len: usize) {
@@ -170,6 +195,7 @@ impl Tally {
         if let When::SlotError(time) | When::Place(time) = sight.when {
             seen.times.record(time.nanos());
         }
+        seen.offset = sight.offset.or(seen.offset);
     }
 }
 
@@ -194,6 +220,11 @@ impl Seen {
 }
 
 impl Turns {
+    /// Whether this cycle is one of its turns, as far as can be told.
+    fn has(&self, cycle: u32) -> bool {
+        self.last.is_none_or(|last| self.step == 0 || u64::from(cycle.wrapping_sub(last)) % self.step == 0)
+    }
+
     fn note(&mut self, cycle: u32) {
         match self.last.map(|last| cycle.wrapping_sub(last) as i32) {
             Some(0) => return,
@@ -335,6 +366,34 @@ pub(super) mod tests {
         }
         assert_eq!((medium.seen(DATA).frames, medium.seen(DATA).missed()), (74, 1));
         assert_eq!(medium.seen(Which::Sporadic("queued")).frames, 25);
+    }
+
+    #[test]
+    fn a_turn_that_a_programs_frame_takes_is_not_missed_and_none_of_another_slot() {
+        let mut medium = Medium::new();
+        let header = |source| Header::new(MASTER, source, EtherType::IPV4);
+        let station = Address([2, 0, 0, 0, 0, 3]);
+        for cycle in 1..=100 {
+            medium.sync(cycle, 0);
+            // Slots at 300 us in every cycle, and at 700 us in every second one; some have a program's frame instead.
+            for (slot, offset, is_turn) in [(0, 300, true), (1, 700, cycle % 2 == 0)] {
+                let scheduled = sched(cycle) + Span::from_micros(offset);
+                let (is_taken, is_missed) = (cycle % 10 == 4, cycle == 50);
+                match (is_turn && !is_missed, is_taken) {
+                    (true, true) => {
+                        let frame = [header(station).as_bytes(), &[0; 46]].concat();
+                        medium.pass(scheduled.nanos() + 700, &frame);
+                    }
+                    (true, false) => medium.pass(scheduled.nanos() + 500, &data(2, slot, cycle, scheduled)),
+                    (false, _) => {}
+                }
+            }
+        }
+        let seen = |slot| {
+            let seen = medium.seen(Which::Slot { station: 2, slot });
+            (seen.frames, seen.missed())
+        };
+        assert_eq!((seen(0), seen(1)), ((89, 1), (39, 1)));
     }
 
     #[test]

@@ -28,6 +28,8 @@ pub struct Sight {
     pub slot: Option<u8>,
     /// When it was.
     pub when: When,
+    /// How long after the cycle's start its slot begins, by its own account, as far as that is known.
+    pub offset: Option<Span>,
 }
 
 /// When a frame was on the medium, as far as an observer can tell.
@@ -52,20 +54,24 @@ impl Watch {
         let Some(at) = at else {
             self.line.forget();
             let cycle = decoded.what.scheduled().map(|(cycle, _)| cycle);
-            return Sight { decoded, cycle, slot, when: When::Unknown };
+            return Sight { decoded, cycle, slot, when: When::Unknown, offset: None };
         };
         if let What::Tdma(Message::Sync { cycle, sched, xmit }) = decoded.what {
             self.line.sync(at, cycle, sched, xmit);
         }
+        let place = self.line.place(at);
         match decoded.what.scheduled() {
             Some((cycle, scheduled)) => {
-                let when = self.line.error(at, scheduled).map_or(When::Unknown, When::SlotError);
-                Sight { decoded, cycle: Some(cycle), slot, when }
+                let error = self.line.error(at, scheduled);
+                // One that came in another cycle than its own says nothing of where in a cycle it was to be.
+                let place = place.filter(|(came_in, _)| *came_in == cycle).map(|(_, place)| place);
+                let offset = place.zip(error).map(|(place, error)| place - error);
+                let when = error.map_or(When::Unknown, When::SlotError);
+                Sight { decoded, cycle: Some(cycle), slot, when, offset }
             }
             None => {
-                let place = self.line.place(at);
                 let when = place.map_or(When::Unknown, |(_, span)| When::Place(span));
-                Sight { decoded, cycle: place.map(|(cycle, _)| cycle), slot, when }
+                Sight { decoded, cycle: place.map(|(cycle, _)| cycle), slot, when, offset: None }
             }
         }
     }

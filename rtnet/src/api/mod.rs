@@ -16,6 +16,16 @@
 //! # Ok::<(), std::io::Error>(())
 //! ```
 //!
+//! Errors have BSD's numbers, in [`raw_os_error`](std::io::Error::raw_os_error). Those of opening tell of these limits:
+//!
+//! | number | what there are no more of, and what to do |
+//! |---|---|
+//! | `ENODEV` | a station there, or one whose thread looks: start it; of an open socket: it has ended, attach anew |
+//! | `EAGAIN` | its 64 sockets, 1024 programs or automatic ports: close some |
+//! | `EMFILE` | descriptors, of the station (each socket takes five) or of this process: `ulimit -n` of the one that has few |
+//! | `EOPNOTSUPP` | the station has no sockets: start it with `--ip` |
+//! | `ETIMEDOUT` | its answer, for two seconds: it is stopped, or has no time |
+//!
 //! The descriptor of a socket works in `poll`, `epoll` and what is made of them: it is readable when something has come
 //! since [`UdpSocket::try_receive`] found nothing, or when the station is gone. Programs in the station's own thread have
 //! the same sockets by [`Access`](crate::socket::Access).

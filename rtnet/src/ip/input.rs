@@ -17,16 +17,15 @@ impl Stack {
     pub fn on_frame(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refusal> {
         self.now = rx.unwrap_or(self.now);
         let (&header, _) = LinkHeader::parse(&frame).ok_or(Refusal::Runt)?;
+        let is_ours = matches!(header.ether_type(), EtherType::IPV4 | EtherType::ARP);
+        if is_ours {
+            // Whatever becomes of it: packet sockets that hear all are for seeing just that.
+            self.overhear(rx, &frame);
+        }
         let result = match header.ether_type() {
-            EtherType::IPV4 | EtherType::ARP if header.source.is_group() => Err(Refusal::ForgedSource),
-            EtherType::IPV4 => {
-                self.overhear(rx, &frame);
-                self.medium_input(rx, frame, exit)
-            }
-            EtherType::ARP => {
-                self.overhear(rx, &frame);
-                self.arp_input(&header, &frame[LINK_HEADER..], exit)
-            }
+            _ if is_ours && header.source.is_group() => Err(Refusal::ForgedSource),
+            EtherType::IPV4 => self.medium_input(rx, frame, exit),
+            EtherType::ARP => self.arp_input(&header, &frame[LINK_HEADER..], exit),
             _ => self.packet_input(rx, frame),
         };
         self.run_programs(exit);
@@ -106,14 +105,25 @@ impl Stack {
             let id = self.udp_socket(from, to)?;
             let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
             let begun = self.collectors.begin(key, id, frame, &socket.pool, now);
-            return begun.inspect_err(|_| socket.counters.dropped += 1);
+            return begun.inspect_err(|why| self.count_dropped(id, why));
         }
         let (offset, is_last) = (usize::from(header.offset()), !header.more_fragments());
-        let sockets = &self.sockets;
-        let pool = |id: SocketId| sockets.get(id).ok().map(|socket| &*socket.pool);
-        match self.collectors.go_on(key, offset, is_last, frame, now, pool)? {
+        let (sockets, mut of) = (&self.sockets, SocketId::NOBODY);
+        let pool = |id: SocketId| {
+            of = id;
+            sockets.get(id).ok().map(|socket| &*socket.pool)
+        };
+        let gone_on = self.collectors.go_on(key, offset, is_last, frame, now, pool);
+        match gone_on.inspect_err(|why| self.count_dropped(of, why))? {
             Some(complete) => self.complete(rx, header, complete),
             None => Ok(()),
+        }
+    }
+
+    /// A datagram that found none of its socket's buffers free is told of there, too.
+    fn count_dropped(&mut self, id: SocketId, why: &Refusal) {
+        if let (Refusal::PoolEmpty, Ok(socket)) = (why, self.sockets.get_mut(id)) {
+            socket.counters.dropped += 1;
         }
     }
 

@@ -160,6 +160,7 @@ fn a_storm_of_first_fragments_to_one_socket_takes_nothing_from_another() {
         assert!(began == Ok(()) || began == Err(Refusal::FragmentLimit), "{began:?}");
     }
     assert_eq!(b.stack.collectors.active(), PER_SOCKET);
+    assert_eq!(b.stack.socket_counters(stormed).unwrap().dropped, 0, "its buffers were not what was missing");
     let (mut a, _) = pair();
     let socket = a.socket(0, 16);
     for _ in 0..10 {
@@ -179,6 +180,7 @@ fn a_socket_without_a_buffer_for_a_fragment_loses_the_datagram_and_gets_all_back
     assert_eq!(refused, [Refusal::PoolEmpty]);
     assert_eq!(b.stack.sockets().next().unwrap().1.pool().available(), 3);
     assert_eq!(b.stack.counters().collectors.pool_empty, 1);
+    assert_eq!(b.stack.socket_counters(socket).unwrap().dropped, 1, "as the socket's own loss, too");
     frames(3_000, 1500).iter().for_each(|frame| b.hears(frame).unwrap());
     assert_eq!(b.receive(socket).unwrap().1, bytes(3_000));
 }

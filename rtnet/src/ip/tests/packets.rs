@@ -81,6 +81,12 @@ fn a_tap_hears_what_the_stack_takes_and_takes_nothing_from_it() {
     }
     b.stack.overhear(None, &bytes(60));
     assert_eq!(b.stack.socket_counters(tap).unwrap().dropped, 1, "its only buffer is taken");
+    b.receive(tap).unwrap();
+    a.send(from, b"x", IP_B, 36_000).unwrap();
+    let mut forged = a.sent().remove(0);
+    forged[6] |= 1;
+    assert_eq!(b.hears(&forged), Err(Refusal::ForgedSource));
+    assert_eq!(b.receive(tap).unwrap().1, forged, "also what the stack does not take");
 }
 
 #[test]

@@ -47,6 +47,26 @@ fn ports_are_given_out_from_the_range_and_a_port_is_one_sockets() {
 }
 
 #[test]
+fn sockets_at_different_addresses_have_the_same_port_and_each_hears_its_own() {
+    let (mut a, mut b) = pair();
+    let (from, ids) = (a.socket(0, 4), [udp(&mut b), udp(&mut b), udp(&mut b), udp(&mut b)]);
+    let all = Ipv4Addr::new(10, 0, 0, 255);
+    for (id, ip) in ids.into_iter().zip([IP_B, Ipv4Addr::LOCALHOST, all]) {
+        b.stack.bind(id, SocketAddrV4::new(ip, 7_000)).unwrap();
+    }
+    for ip in [IP_B, Ipv4Addr::UNSPECIFIED] {
+        assert_eq!(b.stack.bind(ids[3], SocketAddrV4::new(ip, 7_000)), Err(SocketError::PortInUse(7_000)));
+    }
+    a.send(from, b"to one", IP_B, 7_000).unwrap();
+    a.send(from, b"to all", all, 7_000).unwrap();
+    assert_eq!(cross(&mut a, &mut b), []);
+    b.send(ids[3], b"to itself", Ipv4Addr::LOCALHOST, 7_000).unwrap();
+    let came = ids.map(|id| b.receive(id).map(|(_, bytes)| bytes));
+    let expected = [Some(&b"to one"[..]), Some(b"to itself"), Some(b"to all"), None];
+    assert_eq!(came.each_ref().map(|bytes| bytes.as_deref()), expected);
+}
+
+#[test]
 fn as_many_sockets_as_may_be_are_opened_and_a_closed_one_makes_room() {
     let interface = Interface { address: A, ip: IP_A, prefix: 24 };
     let mut end = End::with(StackConfig { sockets: 2, ..StackConfig::new(interface) });

@@ -140,6 +140,7 @@ impl Door {
             many if many > buffers => pool.shrink(many - buffers),
             few => pool.extend(buffers - few),
         };
+        pool.start_anew();
         Some(pool)
     }
 }
@@ -222,5 +223,23 @@ fn carry_out(stack: &mut Stack, ask: Ask, id: SocketId, answer: &mut Answer) -> 
         Ask::PeerAddress => stack.peer_address(id).map(|address| answer.address = address),
         // Answered where they were asked.
         Ask::OpenUdp(_) | Ask::OpenPacket(..) | Ask::Extend(_) | Ask::Shrink(_) | Ask::Time => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::buf::PoolStatistics;
+
+    #[test]
+    fn who_takes_over_a_pool_is_not_told_of_what_was_before() {
+        let mut door = Door::new(Bells::new().unwrap());
+        let pool = door.pool(2).unwrap();
+        drop([(); 3].map(|()| pool.take()));
+        assert_eq!(pool.statistics(), PoolStatistics { capacity: 2, free: 2, least: 0, exhausted: 1 });
+        door.retired.push(pool);
+        let again = door.pool(2).unwrap();
+        assert_eq!(again.statistics(), PoolStatistics { capacity: 2, free: 2, least: 2, exhausted: 0 });
+        assert!(door.retired.is_empty(), "it is the same one");
     }
 }

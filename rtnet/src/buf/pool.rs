@@ -139,6 +139,14 @@ impl Pool {
         PoolStatistics { capacity, free, least, exhausted: self.home.exhausted.load(Relaxed) }
     }
 
+    /// From now on it is told of as a new one: for who takes a pool over. For the control thread.
+    pub fn start_anew(&self) {
+        let home = self.home;
+        home.exhausted.store(0, Relaxed);
+        let _alone = home.resizing.lock().unwrap_or_else(PoisonError::into_inner);
+        home.count_anew();
+    }
+
     /// Adds up to `n` buffers, as many as there are places for, and tells how many. For the control thread: it
     /// allocates, and waits for others who extend or shrink; who takes and returns meanwhile waits for nothing.
     pub fn extend(&self, n: usize) -> usize {

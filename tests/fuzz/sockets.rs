@@ -77,12 +77,17 @@ impl Model {
         {
             return Err(SocketError::NotOurAddress(*to.ip()));
         }
-        let (is_taken, socket) = (self.has_port(to.port()), self.get(id)?);
-        let before = socket.local.port();
+        let before = self.get(id)?.local.port();
         let port = if to.port() == 0 { before } else { to.port() };
+        // Those at different addresses have the same port.
+        let is_taken = self.sockets.iter().filter(|(other, _)| **other != id).any(|(_, other)| {
+            let ips = [*other.local.ip(), *to.ip()];
+            other.local.port() == port && (ips[0] == ips[1] || ips.iter().any(Ipv4Addr::is_unspecified))
+        });
+        let socket = self.get(id)?;
         match () {
             () if socket.is_bound => Err(SocketError::AlreadyBound(before)),
-            () if port != before && is_taken => Err(SocketError::PortInUse(port)),
+            () if is_taken => Err(SocketError::PortInUse(port)),
             () => {
                 (socket.local, socket.is_bound) = (SocketAddrV4::new(*to.ip(), port), true);
                 Ok(())
@@ -148,9 +153,8 @@ impl Model {
             let is_address = socket.local.ip().is_unspecified() || socket.local.ip() == to.ip() || is_all;
             socket.local.port() == to.port() && is_address && socket.peer.is_none_or(|peer| peer == from)
         };
-        let Some(id) = self.sockets.iter().find(|(_, socket)| hears(socket)).map(|(&id, _)| id) else {
-            return;
-        };
+        let hearing = self.sockets.iter().filter(|(_, socket)| hears(socket));
+        let Some((&id, _)) = hearing.min_by_key(|(_, socket)| socket.local.ip() != to.ip()) else { return };
         let needed = match sending {
             Some((sender, taken)) if sender == id => taken + 1,
             _ => buffers(&data),

@@ -3,6 +3,7 @@
 use core::net::{Ipv4Addr, SocketAddrV4};
 use core::ops::RangeInclusive;
 
+use super::udp::Udp;
 use super::{Kind, LinkType, Socket, SocketError, SocketId};
 use crate::ip::route::Interface;
 use crate::wire::ethernet::EtherType;
@@ -11,7 +12,7 @@ use crate::wire::ethernet::EtherType;
 pub(crate) struct Table {
     places: Vec<Place>,
     most: usize,
-    /// Ports that are taken, in order, and by which place.
+    /// Ports that are taken, in order, and by which place: those who hear at different addresses may have the same.
     ports: Vec<(u16, u16)>,
     /// Places of packet sockets, in the order in which they were opened.
     packet: Vec<u16>,
@@ -97,10 +98,12 @@ impl Table {
         }
         let own = udp.port;
         let port = if port == 0 { own } else { port };
+        let hears_there =
+            |other: &Udp| other.local == ip || other.local.is_unspecified() || ip.is_unspecified();
+        if self.holders(port).any(|(other, udp)| other != id && hears_there(udp)) {
+            return Err(SocketError::PortInUse(port));
+        }
         if port != own {
-            if self.holder(port).is_some() {
-                return Err(SocketError::PortInUse(port));
-            }
             self.ports.retain(|&(_, place)| place != id.place);
             self.take_port(port, id.place);
         }
@@ -109,16 +112,16 @@ impl Table {
         Ok(())
     }
 
-    /// Whom a datagram is for: the socket with its port, unless that is bound to another address or connected to
-    /// another peer.
+    /// Whom a datagram is for: the socket with its port that hears at its address, unless that is connected to another peer.
+    /// What is sent to all of the network is for one that hears there before it is for one that hears at the own address.
     pub fn udp_for(&self, own: &Interface, from: SocketAddrV4, to: SocketAddrV4) -> Option<SocketId> {
-        let id = self.holder(to.port())?;
-        let udp = self.get(id).ok()?.as_udp().ok()?;
         // What is sent to all of the network is sent to this station, too; to all of the world, only to who listens to that.
         let destination = if Some(*to.ip()) == own.broadcast() { own.ip } else { *to.ip() };
-        let is_address = udp.local.is_unspecified() || udp.local == destination || udp.local == *to.ip();
-        let is_peer = udp.peer.is_none_or(|peer| peer == from);
-        (is_address && is_peer).then_some(id)
+        let is_address =
+            |local: Ipv4Addr| local.is_unspecified() || local == destination || local == *to.ip();
+        let is_peer = |udp: &Udp| udp.peer.is_none_or(|peer| peer == from);
+        let fitting = self.holders(to.port()).filter(|(_, udp)| is_address(udp.local) && is_peer(udp));
+        fitting.min_by_key(|(_, udp)| udp.local != *to.ip()).map(|(id, _)| id)
     }
 
     /// How many packet sockets there are.
@@ -141,9 +144,14 @@ impl Table {
         SocketId { place, generation: self.places[usize::from(place)].generation }
     }
 
-    fn holder(&self, port: u16) -> Option<SocketId> {
-        let found = self.ports.binary_search_by_key(&port, |&(port, _)| port).ok()?;
-        Some(self.id(self.ports[found].1))
+    /// Who has a port: several, if each hears at another address.
+    fn holders(&self, port: u16) -> impl Iterator<Item = (SocketId, &Udp)> {
+        let first = self.ports.partition_point(|&(taken, _)| taken < port);
+        let taken = self.ports[first..].iter().take_while(move |&&(taken, _)| taken == port);
+        taken.filter_map(|&(_, place)| {
+            let id = self.id(place);
+            Some((id, self.get(id).ok()?.as_udp().ok()?))
+        })
     }
 
     fn take_port(&mut self, port: u16, place: u16) {
@@ -156,8 +164,11 @@ impl Table {
         let (first, last) = (*self.automatic.start(), *self.automatic.end());
         let mut free = first;
         for &(taken, _) in self.ports.iter().skip_while(|&&(port, _)| port < first) {
-            if taken != free {
+            if taken > free {
                 break;
+            }
+            if taken < free {
+                continue;
             }
             free = free.checked_add(1).ok_or(SocketError::NoPortLeft { first, last })?;
         }

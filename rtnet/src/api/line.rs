@@ -51,7 +51,7 @@ pub struct Line {
     bells: Bells,
     /// The oldest order waits for buffers.
     waits: bool,
-    /// Something was written since the program was woken.
+    /// There is something to be told since the program was woken.
     has_news: bool,
     errors: u32,
     is_broken: bool,
@@ -201,8 +201,9 @@ impl Line {
         Ok(())
     }
 
-    /// The program hears of it at its next call, as of a socket's `SO_ERROR`.
+    /// The program hears of it at its next call, as of a socket's `SO_ERROR`; one that waits is woken for it.
     fn note(&mut self, error: &SocketError) {
+        self.has_news = true;
         self.errors = self.errors.wrapping_add(1);
         let word = u64::from(self.errors) << 32 | error.errno() as u64;
         self.memory[ERROR].store(word, Ordering::Release);
@@ -236,7 +237,7 @@ fn carry_out(
     if sockets.is_udp(socket)? {
         sockets.send_with(socket, data, order.to.map(segment::unpack_udp), flags)
     } else {
-        sockets.send_frame(socket, data, order.to.map(segment::unpack_link))
+        sockets.send_frame_with(socket, data, order.to.map(segment::unpack_link), flags)
     }
 }
 
@@ -314,8 +315,8 @@ impl Program for Lines {
             let line = &mut lines[place];
             if !line.is_broken && line.serve(sockets, room, work).is_err() {
                 counters.nonsense += 1;
-                line.is_broken = true;
-                line.end();
+                // To be told of when it rests: it takes a system call.
+                (line.is_broken, line.has_news) = (true, true);
             }
         }
     }
@@ -343,6 +344,10 @@ impl Program for Lines {
         self.work = Work::of_a_turn();
         for line in self.lines.iter_mut().filter(|line| line.has_news) {
             line.has_news = false;
+            if line.is_broken {
+                line.end();
+                continue;
+            }
             // What was written is seen by who looks after saying that it sleeps; who said so before is seen here.
             core::sync::atomic::fence(Ordering::SeqCst);
             if line.memory[ASLEEP].swap(0, Ordering::SeqCst) != 0 {

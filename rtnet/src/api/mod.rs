@@ -33,6 +33,7 @@
 pub mod client;
 mod connection;
 pub mod door;
+mod end;
 pub mod handshake;
 pub mod line;
 pub mod memory;
@@ -42,6 +43,11 @@ pub mod ring;
 pub mod segment;
 
 pub use client::{PacketSocket, Station, UdpSocket};
+
+// What both ways to program have in common, and the other one: a program in the station's own thread.
+pub use crate::socket::{
+    Access, Flags, LinkAddress, LinkMode, LinkType, Options, Program, Received, Sender, SocketId,
+};
 
 #[cfg(test)]
 mod tests;

@@ -107,8 +107,8 @@ impl<'a> Access<'a> {
     ) -> Result<(), SocketError> {
         self.stack.send_to(id, data, to, flags, self.exit)
     }
-    /// Whether what is sent now, `len` bytes, would be refused only because too many of the socket's buffers are in use: it is
-    /// worth being tried again. Tells what it took to know it: so many places of its pool were looked at. To a packet socket
+    /// Whether what is sent now, `len` bytes, would be refused only because too many of the socket's buffers are on their way,
+    /// and not because what waits to be read has them: it is worth being tried again. Tells what it took to know it: so many places of its pool were looked at. To a packet socket
     /// `to` is nothing.
     pub fn lacks_buffers(
         &self,
@@ -131,7 +131,17 @@ impl<'a> Access<'a> {
         data: &[u8],
         to: Option<(Address, EtherType)>,
     ) -> Result<(), SocketError> {
-        self.stack.send_frame(id, data, to, Flags::NONE, self.exit)
+        self.send_frame_with(id, data, to, Flags::NONE)
+    }
+    /// As [`Stack::send_frame`], with flags.
+    pub fn send_frame_with(
+        &mut self,
+        id: SocketId,
+        data: &[u8],
+        to: Option<(Address, EtherType)>,
+        flags: Flags,
+    ) -> Result<(), SocketError> {
+        self.stack.send_frame(id, data, to, flags, self.exit)
     }
 
     /// As [`Stack::ask_echo`].

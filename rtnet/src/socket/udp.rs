@@ -97,8 +97,8 @@ impl Stack {
         })
     }
 
-    /// Whether what is sent now would be refused only because too many of the socket's buffers are in use; so many places
-    /// were looked at to know it.
+    /// Whether what is sent now would be refused only because too many of the socket's buffers are on their way, and come home
+    /// by themselves: not those in which something waits to be read. So many places were looked at to know it.
     pub(crate) fn lacks_buffers(
         &self,
         id: SocketId,
@@ -116,7 +116,8 @@ impl Stack {
             }
             Err(_) => 1,
         };
-        Ok((needed <= socket.pool.capacity()).then(|| socket.pool.lacks(needed)).flatten())
+        let lacking = socket.pool.lacks(needed);
+        Ok(lacking.filter(|_| needed + socket.waiting() <= socket.pool.capacity()))
     }
 
     pub(crate) fn count_send(

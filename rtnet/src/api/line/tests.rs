@@ -4,7 +4,7 @@ use core::net::SocketAddrV4;
 use std::fs::File;
 use std::io::Write;
 
-use nix::poll::PollTimeout;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use super::*;
 use crate::buf::Pool;
@@ -19,6 +19,9 @@ struct Site {
     end: End,
     programs: Vec<(SocketId, Writer)>,
     pools: Vec<Arc<Pool>>,
+    memories: Vec<Arc<Memory>>,
+    /// What programs wait at.
+    gates: Vec<OwnedFd>,
 }
 
 impl Site {
@@ -26,13 +29,17 @@ impl Site {
         let config = StackConfig::new(Interface { address: A, ip: IP_A, prefix: 24 });
         let mut end = End::above(config, vec![Box::new(Lines::new(programs))]);
         end.knows(IP_B, B);
-        let mut site = Self { end, programs: Vec::new(), pools: Vec::new() };
+        let (pools, memories, gates) = (Vec::new(), Vec::new(), Vec::new());
+        let mut site = Self { end, programs: Vec::new(), pools, memories, gates };
         for _ in 0..programs {
             let line = Line::new(Bells::new().unwrap()).unwrap();
             let writer = Writer::new(line.memory.clone(), segment::sent());
             let pool = Arc::new(Pool::new(buffers));
             let id = site.end.open(Socket::udp(pool.clone()));
             site.pools.push(pool);
+            site.memories.push(line.memory.clone());
+            let [_, gate, _] = line.descriptors().unwrap();
+            site.gates.push(gate);
             let lines = site.end.stack.program_mut::<Lines>().unwrap();
             assert!(lines.add(id, line).is_ok());
             site.programs.push((id, writer));
@@ -61,6 +68,22 @@ impl Site {
         self.end.queue.waiting.len()
     }
 
+    /// A datagram of so many bytes comes for a program.
+    fn hears(&mut self, program: usize, len: usize) {
+        let mut peer = End::new(B, IP_B);
+        peer.knows(IP_A, A);
+        let socket = peer.socket(0, 1);
+        let port = self.end.stack.local_address(self.programs[program].0).unwrap().port();
+        peer.send(socket, &vec![7; len], IP_A, port).unwrap();
+        // One for which there is no room is refused.
+        let _ = self.end.hears(&peer.sent()[0]);
+    }
+
+    fn is_woken(&self, program: usize) -> bool {
+        let mut fds = [PollFd::new(self.gates[program].as_fd(), PollFlags::POLLIN)];
+        poll(&mut fds, PollTimeout::ZERO).unwrap() == 1
+    }
+
     fn sent(&self, program: usize) -> (u64, u64) {
         let counters = self.end.stack.socket_counters(self.programs[program].0).unwrap();
         (counters.sent, counters.no_buffers)
@@ -78,6 +101,38 @@ fn what_waits_for_buffers_is_sent_when_they_are_home_and_is_no_loss() {
     site.end.queue.waiting.truncate(2);
     assert_eq!(site.turn(), 4);
     assert_eq!(site.sent(0), (6, 0));
+}
+
+#[test]
+fn who_reads_nothing_is_refused_what_he_sends_and_told_why() {
+    let mut site = Site::new(2, 4);
+    for _ in 0..4 + segment::RING * 8 / 1_400 {
+        site.hears(0, 1_400);
+        site.end.stack.rest();
+    }
+    assert_eq!(site.pools[0].available(), 0);
+    (0..2).for_each(|program| site.order(program, 100));
+    assert_eq!(site.turn(), 1, "nobody else's");
+    assert_eq!([site.sent(0), site.sent(1)], [(0, 1), (1, 0)]);
+    assert_eq!(site.memories[0][ERROR].load(Ordering::Relaxed), 1 << 32 | libc::ENOBUFS as u64);
+}
+
+#[test]
+fn nobody_is_woken_before_the_turn_is_over() {
+    let mut site = Site::new(4, 4);
+    site.hears(0, 100);
+    // No route, and nonsense.
+    let to = Some(segment::pack_udp(SocketAddrV4::new([192, 168, 0, 1].into(), 9)));
+    let order = segment::pack_order(&Order { to, options: Options::default(), flags: 0 });
+    assert_eq!(site.programs[1].1.write(order, 0, [].into_iter()), Ok(true));
+    site.memories[2][segment::sent().head].store(u64::MAX, Ordering::Relaxed);
+    let woken = |site: &Site| [0, 1, 2, 3].map(|program| site.is_woken(program));
+    site.look();
+    assert_eq!(woken(&site), [false; 4], "its slot's frame has not left");
+    site.end.stack.rest();
+    assert_eq!(woken(&site), [true, true, true, false]);
+    let word = |program: usize, word: usize| site.memories[program][word].load(Ordering::Relaxed);
+    assert_eq!((word(1, ERROR), word(2, STATE)), (1 << 32 | libc::EHOSTUNREACH as u64, ENDED));
 }
 
 #[test]

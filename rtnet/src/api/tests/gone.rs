@@ -54,6 +54,15 @@ fn who_sends_to_a_station_that_is_killed_is_told_at_the_second_datagram() {
 }
 
 #[test]
+fn who_spins_at_a_station_that_is_killed_is_told_after_some_looks() {
+    let mut pair = Pair::new();
+    let [_, b] = pair.sockets();
+    pair.kill();
+    let spin = |_| number(b.receive_with(&mut [], Flags::DONTWAIT));
+    assert!((0..2_000).map(spin).any(|error| error == Errno::ENODEV));
+}
+
+#[test]
 fn a_program_that_dies_leaves_nothing() {
     let pair = Pair::new();
     let [a, b] = pair.sockets();

@@ -3,6 +3,7 @@
 // Programs wait, and stations take their turns, in real time.
 #![allow(clippy::disallowed_methods)]
 
+mod errors;
 mod gone;
 mod hostile;
 
@@ -315,50 +316,6 @@ fn a_wait_ends_in_time_and_when_another_thread_closes_the_socket() {
     assert_eq!(number(b.send_to(b"", to_second())), Errno::EBADF);
     pair.until("the station has closed it, too", |seen| seen.sockets.load(Ordering::Relaxed) == 0);
     a.send_to(b"", to_second()).unwrap();
-}
-
-#[test]
-fn what_cannot_be_is_refused_by_the_number_that_sockets_give() {
-    let pair = Pair::new();
-    let [a, b] = pair.sockets();
-    let other = pair.stations[1].udp().unwrap();
-    assert_eq!(number(other.bind(any(36_000))), Errno::EADDRINUSE);
-    assert_eq!(number(other.bind(SocketAddrV4::new(IP[0], 1))), Errno::EADDRNOTAVAIL);
-    assert_eq!(number(other.peer_addr()), Errno::ENOTCONN);
-    assert_eq!(number(a.send_to(&bytes(65_508), to_second())), Errno::EMSGSIZE);
-    assert_eq!(number(a.set_priority(Priority::NON_RT)), Errno::EINVAL);
-    let packet = pair.stations[0].packet(LinkMode::Datagram, LinkType::Nothing).unwrap();
-    assert_eq!(number(packet.0.ask(Ask::Bind(any(1)))), Errno::EOPNOTSUPP);
-    assert_eq!(number(pair.stations[0].udp_with(1 << 20)), Errno::ENOMEM);
-    // What is found out in the station's thread is told of at the next call.
-    let nowhere = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 99), 1);
-    for (send, expected) in [(nowhere, Errno::EHOSTUNREACH), (any(1), Errno::EINVAL)] {
-        a.send_to(b"", send).unwrap();
-        let turn = pair.seen.turns.load(Ordering::Relaxed);
-        pair.until("two turns", |seen| seen.turns.load(Ordering::Relaxed) > turn + 2);
-        assert_eq!(number(a.send_to(b"x", to_second())), expected, "of the one before");
-    }
-    a.set_channel(7);
-    a.send_to(b"", to_second()).unwrap();
-    let turn = pair.seen.turns.load(Ordering::Relaxed);
-    pair.until("two turns", |seen| seen.turns.load(Ordering::Relaxed) > turn + 2);
-    assert_eq!(number(a.send_to(b"x", to_second())), Errno::EAGAIN, "there is no such slot");
-    drop(b);
-}
-
-#[test]
-fn a_station_that_does_not_take_what_is_sent_is_not_waited_for() {
-    let pair = Pair::new();
-    let [a, b] = pair.sockets();
-    let held = pair.held.lock().unwrap();
-    let sent = (0..100_000).take_while(|_| a.send_to(&bytes(1_000), to_second()).is_ok()).count();
-    assert!((100..1_000).contains(&sent), "{sent} wait in the ring");
-    assert_eq!(number(a.send_to(&bytes(1_000), to_second())), Errno::ENOBUFS);
-    drop(held);
-    let mut room = [0; 1_000];
-    for _ in 0..sent {
-        assert_eq!(b.receive(&mut room).unwrap().len, 1_000);
-    }
 }
 
 #[test]

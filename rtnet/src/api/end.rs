@@ -1,0 +1,259 @@
+//! A program's end of a socket: what UDP and packet sockets have in common.
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::time::Duration;
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use nix::errno::Errno;
+use socket2::Socket;
+
+use super::connection::{check, exchange, opened};
+use super::handshake::{Answer, Ask, DESCRIPTORS};
+use super::memory::Memory;
+use super::ready::{Ready, Told};
+use super::ring::{Reader, Writer};
+use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
+use crate::live::clock::Deadline;
+use crate::socket::{Flags, Options, Received};
+
+/// What an eventfd is written to be readable.
+const ONE: [u8; 8] = 1u64.to_ne_bytes();
+/// Who looks without waiting asks the kernel so seldom whether the station was killed: it takes as long as many looks.
+const LOOKS_IN_VAIN: u32 = 1024;
+
+/// One socket.
+pub(super) struct End {
+    control: Mutex<Socket>,
+    /// The same one, to hang up while an answer is awaited.
+    line: Socket,
+    pub(super) memory: Arc<Memory>,
+    received: Mutex<Reader>,
+    sending: Mutex<Sending>,
+    timeout: Mutex<Option<Duration>>,
+    pub(super) ready: Ready,
+    pub(super) doorbell: File,
+    /// How many errors of earlier sends this program has been told of.
+    errors_told: AtomicU32,
+    /// How often it has looked without waiting, and found nothing.
+    looks_in_vain: AtomicU32,
+    /// Somebody waits until it is ready by his own means.
+    is_watched: AtomicBool,
+    is_closed: AtomicBool,
+}
+
+struct Sending {
+    writer: Writer,
+    options: Options,
+    /// What the station had read at the last send.
+    read: u64,
+}
+
+impl End {
+    pub(super) fn open(path: &Path, ask: Ask) -> io::Result<Self> {
+        let (control, [memory, gate, doorbell]) = opened::<DESCRIPTORS>(path, ask)?;
+        let memory = Arc::new(Memory::open(memory)?);
+        if !segment::fits(&memory) {
+            return Err(Errno::EPROTO.into());
+        }
+        let writer = Writer::new(memory.clone(), segment::sent());
+        Ok(Self {
+            ready: Ready::new(gate, &control)?,
+            line: control.try_clone()?,
+            control: Mutex::new(control),
+            received: Mutex::new(Reader::new(memory.clone(), segment::received())),
+            sending: Mutex::new(Sending { writer, options: Options::default(), read: 0 }),
+            memory,
+            timeout: Mutex::new(None),
+            doorbell: File::from(doorbell),
+            errors_told: AtomicU32::new(0),
+            looks_in_vain: AtomicU32::new(0),
+            is_watched: AtomicBool::new(false),
+            is_closed: AtomicBool::new(false),
+        })
+    }
+
+    pub(super) fn ask(&self, ask: Ask) -> io::Result<Answer> {
+        self.check_open()?;
+        let (answer, _) = exchange(&locked(&self.control), ask)?;
+        check(&answer)?;
+        Ok(answer)
+    }
+
+    /// Hands over at most so many bytes, by one of the known flags.
+    pub(super) fn send(
+        &self,
+        data: &[u8],
+        to: Option<u64>,
+        most: usize,
+        flags: Flags,
+        known: Flags,
+    ) -> io::Result<()> {
+        self.check_open()?;
+        flags.check(known).map_err(|error| Errno::from_raw(error.errno()))?;
+        if data.len() > most {
+            return Err(Errno::EMSGSIZE.into());
+        }
+        let mut sending = locked(&self.sending);
+        self.take_error().map_or(Ok(()), Err)?;
+        let read = sending.writer.read();
+        let is_stuck = std::mem::replace(&mut sending.read, read) == read && !sending.writer.is_drained();
+        // Who was killed has told nobody; that the last order has not been taken is the first sign of it.
+        if is_stuck && self.ready.has_hung_up()? {
+            return Err(Errno::ENODEV.into());
+        }
+        let order = Order { to, options: sending.options, flags: flags.bits() };
+        let written = sending.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
+        match written {
+            Ok(true) => {}
+            Ok(false) => return Err(Errno::ENOBUFS.into()),
+            Err(_) => return Err(Errno::ENODEV.into()),
+        }
+        drop(sending);
+        core::sync::atomic::fence(Ordering::SeqCst);
+        if self.memory[STATION_ASLEEP].load(Ordering::SeqCst) != 0 {
+            // It does not block: nothing but this is ever written.
+            let _ = (&self.doorbell).write(&ONE);
+        }
+        Ok(())
+    }
+
+    pub(super) fn receive(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+        flags.check(Flags::PEEK | Flags::DONTWAIT).map_err(|error| Errno::from_raw(error.errno()))?;
+        if !flags.contains(Flags::DONTWAIT) {
+            let deadline = Deadline::after(self.timeout());
+            return self.receive_by(deadline, into, flags);
+        }
+        if self.is_watched.load(Ordering::Relaxed) {
+            return self.receive_now(into, flags);
+        }
+        match self.take(into, flags)? {
+            Some(received) => Ok(received),
+            // All that comes is there before it is said that no more will.
+            None if self.is_gone()? => self.take(into, flags)?.ok_or(Errno::ENODEV.into()),
+            None => Err(self.take_error().unwrap_or(Errno::EAGAIN.into())),
+        }
+    }
+
+    /// For who spins: what of it is seldom true is seldom looked for.
+    fn is_gone(&self) -> io::Result<bool> {
+        let looks = self.looks_in_vain.load(Ordering::Relaxed).wrapping_add(1);
+        self.looks_in_vain.store(looks, Ordering::Relaxed);
+        Ok(!self.is_served() || looks.is_multiple_of(LOOKS_IN_VAIN) && self.ready.has_hung_up()?)
+    }
+
+    fn receive_by(&self, deadline: Deadline, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+        let mut told = Told::default();
+        loop {
+            match self.take_or_listen(into, flags, told)? {
+                Some(received) => return Ok(received),
+                None if told.hung_up => return Err(Errno::ENODEV.into()),
+                None => told = self.ready.wait(deadline)?,
+            }
+        }
+    }
+
+    /// What has come, or why there is nothing: the station wakes this program for what comes next.
+    pub(super) fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+        let now = Deadline::after(Some(Duration::ZERO));
+        self.receive_by(now, into, flags).map_err(|error| match error.raw_os_error() {
+            Some(libc::ETIMEDOUT) => Errno::EAGAIN.into(),
+            _ => error,
+        })
+    }
+
+    /// What has come; if nothing has, the station wakes this program for what comes next.
+    fn take_or_listen(&self, into: &mut [u8], flags: Flags, told: Told) -> io::Result<Option<Received>> {
+        if let Some(received) = self.take(into, flags)? {
+            return Ok(Some(received));
+        }
+        // Who says that it sleeps looks once more: what came before is not told of.
+        self.ready.silence(told);
+        self.memory[ASLEEP].store(1, Ordering::SeqCst);
+        core::sync::atomic::fence(Ordering::SeqCst);
+        // All that comes is there before it is said that no more will.
+        let open = self.check_open();
+        let received = self.take(into, flags)?;
+        let error = if received.is_none() { self.take_error() } else { None };
+        if received.is_some() || error.is_some() || open.is_err() {
+            // More may have come with it, and what it was told of is read away: whoever waits looks for himself.
+            self.ready.ring_again();
+        }
+        match (received, error) {
+            (Some(received), _) => Ok(Some(received)),
+            (None, Some(error)) => Err(error),
+            (None, None) => open.map(|()| None),
+        }
+    }
+
+    fn take(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
+        if self.is_closed.load(Ordering::Acquire) {
+            return Err(Errno::EBADF.into());
+        }
+        let mut reader = locked(&self.received);
+        let record = reader.peek(into).map_err(|_| Errno::ENODEV)?;
+        Ok(record.map(|record| {
+            if !flags.contains(Flags::PEEK) {
+                reader.take(record);
+            }
+            segment::unpack_received(record.meta, record.len, record.copied)
+        }))
+    }
+
+    /// What has come can be read even of a station that is gone; nothing else can be done.
+    fn check_open(&self) -> io::Result<()> {
+        if self.is_closed.load(Ordering::Acquire) {
+            return Err(Errno::EBADF.into());
+        }
+        if self.is_served() { Ok(()) } else { Err(Errno::ENODEV.into()) }
+    }
+
+    fn is_served(&self) -> bool {
+        self.memory[STATE].load(Ordering::Acquire) == SERVED
+    }
+
+    /// The last error of an earlier send, once.
+    pub(super) fn take_error(&self) -> Option<io::Error> {
+        let word = self.memory[ERROR].load(Ordering::Acquire);
+        let count = (word >> 32) as u32;
+        let is_new = self.errors_told.load(Ordering::Relaxed) != count
+            && self.errors_told.swap(count, Ordering::Relaxed) != count;
+        is_new.then(|| Errno::from_raw(word as u32 as i32).into())
+    }
+
+    pub(super) fn options(&self) -> Options {
+        locked(&self.sending).options
+    }
+
+    pub(super) fn set_options(&self, change: impl FnOnce(&mut Options)) {
+        change(&mut locked(&self.sending).options);
+    }
+
+    pub(super) fn timeout(&self) -> Option<Duration> {
+        *locked(&self.timeout)
+    }
+
+    pub(super) fn set_timeout(&self, timeout: Option<Duration>) {
+        *locked(&self.timeout) = timeout;
+    }
+
+    /// What to wait for by one's own means, from now on.
+    pub(super) fn watch(&self) -> &Ready {
+        self.is_watched.store(true, Ordering::Relaxed);
+        &self.ready
+    }
+
+    pub(super) fn close(&self) {
+        self.is_closed.store(true, Ordering::Release);
+        // The station hears of it, and so does who waits here.
+        let _ = self.line.shutdown(std::net::Shutdown::Both);
+        self.ready.ring_again();
+    }
+}
+
+/// Nothing is left half done by who panicked.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -13,7 +13,7 @@ use socket2::Socket;
 use super::connection::{check, exchange, opened};
 use super::handshake::{Answer, Ask, DESCRIPTORS};
 use super::memory::Memory;
-use super::ready::{Ready, Told};
+use super::ready::{HungUp, Ready};
 use super::ring::{Reader, Writer};
 use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
 use crate::live::clock::Deadline;
@@ -27,8 +27,6 @@ const LOOKS_IN_VAIN: u32 = 1024;
 /// One socket.
 pub(super) struct End {
     control: Mutex<Socket>,
-    /// The same one, to hang up while an answer is awaited.
-    line: Socket,
     pub(super) memory: Arc<Memory>,
     received: Mutex<Reader>,
     sending: Mutex<Sending>,
@@ -60,8 +58,8 @@ impl End {
         }
         let writer = Writer::new(memory.clone(), segment::sent());
         Ok(Self {
-            ready: Ready::new(gate, &control)?,
-            line: control.try_clone()?,
+            // The same one, to hang up while an answer is awaited.
+            ready: Ready::new(gate, control.try_clone()?)?,
             control: Mutex::new(control),
             received: Mutex::new(Reader::new(memory.clone(), segment::received())),
             sending: Mutex::new(Sending { writer, options: Options::default(), read: 0 }),
@@ -145,18 +143,27 @@ impl End {
     }
 
     fn receive_by(&self, deadline: Deadline, into: &mut [u8], flags: Flags) -> io::Result<Received> {
-        let mut told = Told::default();
+        let mut told = HungUp(false);
         loop {
-            match self.take_or_listen(into, flags, told)? {
-                Some(received) => return Ok(received),
-                None if told.hung_up => return Err(Errno::ENODEV.into()),
-                None => told = self.ready.wait(deadline)?,
+            if let Some(received) = self.take(into, flags)? {
+                return Ok(received);
             }
+            let waiter = self.ready.waiter();
+            let HungUp(before) = waiter.silence()?;
+            if let Some(received) = self.listen(into, flags)? {
+                return Ok(received);
+            }
+            if before || told.0 {
+                return Err(Errno::ENODEV.into());
+            }
+            told = waiter.wait(deadline)?;
         }
     }
 
     /// What has come, or why there is nothing: the station wakes this program for what comes next.
     pub(super) fn receive_now(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
+        // Whoever is told that there is nothing yet may wait for it by his own means.
+        self.ready.share();
         let now = Deadline::after(Some(Duration::ZERO));
         self.receive_by(now, into, flags).map_err(|error| match error.raw_os_error() {
             Some(libc::ETIMEDOUT) => Errno::EAGAIN.into(),
@@ -164,13 +171,9 @@ impl End {
         })
     }
 
-    /// What has come; if nothing has, the station wakes this program for what comes next.
-    fn take_or_listen(&self, into: &mut [u8], flags: Flags, told: Told) -> io::Result<Option<Received>> {
-        if let Some(received) = self.take(into, flags)? {
-            return Ok(Some(received));
-        }
-        // Who says that it sleeps looks once more: what came before is not told of.
-        self.ready.silence(told);
+    /// The station wakes this program for what comes next. Who says that he sleeps looks once more: what came before is not
+    /// told of.
+    fn listen(&self, into: &mut [u8], flags: Flags) -> io::Result<Option<Received>> {
         self.memory[ASLEEP].store(1, Ordering::SeqCst);
         core::sync::atomic::fence(Ordering::SeqCst);
         // All that comes is there before it is said that no more will.
@@ -178,7 +181,7 @@ impl End {
         let received = self.take(into, flags)?;
         let error = if received.is_none() { self.take_error() } else { None };
         if received.is_some() || error.is_some() || open.is_err() {
-            // More may have come with it, and what it was told of is read away: whoever waits looks for himself.
+            // More may have come with it, and what was told of is read away: whoever waits looks for himself.
             self.ready.ring_again();
         }
         match (received, error) {
@@ -241,15 +244,14 @@ impl End {
 
     /// What to wait for by one's own means, from now on.
     pub(super) fn watch(&self) -> &Ready {
+        self.ready.share();
         self.is_watched.store(true, Ordering::Relaxed);
         &self.ready
     }
 
     pub(super) fn close(&self) {
         self.is_closed.store(true, Ordering::Release);
-        // The station hears of it, and so does who waits here.
-        let _ = self.line.shutdown(std::net::Shutdown::Both);
-        self.ready.ring_again();
+        self.ready.hang_up();
     }
 }
 

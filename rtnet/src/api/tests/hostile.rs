@@ -12,7 +12,7 @@ fn a_program_that_fills_what_it_may_write_and_lets_it_block_holds_nobody_up() {
     let [a, b] = pair.sockets();
     let hostile = pair.stations[1].udp().unwrap();
     hostile.bind(any(40_000)).unwrap();
-    for descriptor in [hostile.0.ready.gate(), hostile.0.doorbell.as_fd()] {
+    for descriptor in [hostile.0.ready.as_fd(), hostile.0.doorbell.as_fd()] {
         fcntl(descriptor, FcntlArg::F_SETFL(OFlag::empty())).unwrap();
         // So much that one more makes whoever writes it wait.
         let _ = write(descriptor, &(u64::MAX - 1).to_ne_bytes());

@@ -1,5 +1,7 @@
 //! The example frames, byte for byte, and the arithmetic that goes with them.
 
+#[path = "vectors/sent.rs"]
+mod sent;
 #[path = "vectors/stack.rs"]
 mod stack;
 

@@ -60,12 +60,12 @@ fn described() -> [(usize, Address, Address, Fields, Vec<u8>); 4] {
     ]
 }
 
-fn ascending(len: u8) -> Vec<u8> {
+pub(super) fn ascending(len: u8) -> Vec<u8> {
     (0..len).collect()
 }
 
 /// What `rtping` sends: when, in the order of its own machine, and a pattern.
-fn ping_data() -> Vec<u8> {
+pub(super) fn ping_data() -> Vec<u8> {
     [&600_123_456_789u64.to_le_bytes()[..], &ascending(48)].concat()
 }
 

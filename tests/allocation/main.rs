@@ -6,6 +6,7 @@
 
 mod buffers;
 mod live;
+mod other_processes;
 mod sockets;
 mod virtual_time;
 mod without_slots;

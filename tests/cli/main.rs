@@ -19,6 +19,7 @@ mod program_limits;
 mod programs;
 mod requests;
 mod rights;
+mod socket_options;
 mod sockets;
 mod station;
 mod wait_on_cycle;

@@ -5,11 +5,14 @@
 // Of tokio, which must be told that a descriptor stays what it is.
 #![allow(unsafe_code)]
 
+#[path = "programs/frames.rs"]
+mod frames;
+
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::AsFd;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -20,7 +23,7 @@ use rtnet::api::door::{Attached, Descriptors, Door};
 use rtnet::api::handshake::{Answer, Ask};
 use rtnet::api::line::Lines;
 use rtnet::api::{Station, UdpSocket};
-use rtnet::buf::Buf;
+use rtnet::buf::{Buf, Pool};
 use rtnet::discipline::{Channel, SendError, TimeView};
 use rtnet::ip::route::NetworkRoute;
 use rtnet::ip::{Exit, Stack};
@@ -37,12 +40,15 @@ use tools::control::{Answers, Server, Traffic};
 const PATIENCE: Duration = Duration::from_secs(10);
 const PORT: u16 = 36_000;
 
-/// What leaves is counted; nobody hears it.
-struct Medium(Arc<AtomicU64>);
+/// Frames, the oldest first.
+type Frames = Arc<Mutex<Vec<Vec<u8>>>>;
+
+/// What leaves is kept; nobody hears it.
+struct Medium(Frames);
 
 impl Exit for Medium {
-    fn send(&mut self, _frame: Buf, _: Priority, _: Channel) -> Result<(), (SendError, Buf)> {
-        self.0.fetch_add(1, Ordering::Relaxed);
+    fn send(&mut self, frame: Buf, _: Priority, _: Channel) -> Result<(), (SendError, Buf)> {
+        self.0.lock().unwrap().push(frame.to_vec());
         Ok(())
     }
     fn limit(&self, _: Channel) -> Result<usize, SendError> {
@@ -83,7 +89,9 @@ impl Answers for Desk {
 struct Site {
     station: Station,
     /// Frames that have left.
-    left: Arc<AtomicU64>,
+    left: Frames,
+    /// Frames that are to come.
+    coming: Frames,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
     _scratch: tempfile::TempDir,
@@ -97,20 +105,26 @@ impl Site {
         let mut stack = stack(0, vec![Box::new(Lines::new(64))]);
         let network = "10.1.0.0/16".parse().unwrap();
         stack.routes_mut().add_network(NetworkRoute { network, gateway: ip(1) }).unwrap();
-        let (left, stop) = (Arc::<AtomicU64>::default(), Arc::<AtomicBool>::default());
+        let (left, coming, stop) = (Frames::default(), Frames::default(), Arc::<AtomicBool>::default());
         let mut desk = Desk { stack, medium: Medium(left.clone()), door: Door::new(Bells::new().unwrap()) };
-        let stopped = stop.clone();
+        let (stopped, arriving, card) = (stop.clone(), coming.clone(), Pool::new(1));
         let thread = std::thread::spawn(move || {
             for turn in 1.. {
                 if stopped.load(Ordering::Relaxed) {
                     return;
                 }
                 server.serve_all(Duration::from_micros(100), &mut desk);
+                for bytes in arriving.lock().unwrap().drain(..) {
+                    let mut frame = card.take().expect("whoever keeps a frame pays for it");
+                    frame.fill(&bytes);
+                    // What nobody wants is refused.
+                    let _ = desk.stack.on_frame(Some(Instant::from_nanos(turn)), frame, &mut desk.medium);
+                }
                 desk.stack.poll(Instant::from_nanos(turn), &mut desk.medium);
                 desk.stack.rest();
             }
         });
-        Self { station: Station::at(&path), left, stop, thread: Some(thread), _scratch: scratch }
+        Self { station: Station::at(&path), left, coming, stop, thread: Some(thread), _scratch: scratch }
     }
 
     /// One that sends to the other, by the station's loopback.
@@ -119,6 +133,19 @@ impl Site {
         sockets[1].bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, PORT)).unwrap();
         sockets[0].connect(Some(SocketAddrV4::new(ip(0), PORT))).unwrap();
         sockets
+    }
+
+    /// The first frames to leave, as soon as there are so many.
+    fn left(&self, expected: usize) -> Vec<Vec<u8>> {
+        let begun = std::time::Instant::now();
+        loop {
+            let left = self.left.lock().unwrap().clone();
+            if left.len() >= expected {
+                return left;
+            }
+            assert!(begun.elapsed() < PATIENCE, "{expected} leave");
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 
     fn end(&mut self) {
@@ -217,16 +244,9 @@ fn a_program_sends_past_no_gateway_if_it_says_so_and_with_no_flag_that_there_is_
     let site = Site::new();
     let socket = site.station.udp().unwrap();
     let (here, beyond) = (SocketAddrV4::new(ip(1), 9), SocketAddrV4::new(Ipv4Addr::new(10, 1, 0, 1), 9));
-    let left = |expected: u64| {
-        let begun = std::time::Instant::now();
-        while site.left.load(Ordering::Relaxed) < expected {
-            assert!(begun.elapsed() < PATIENCE, "{expected} leave");
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    };
     socket.send_to(b"by a gateway", beyond).unwrap();
     socket.send_to_with(b"straight", here, Flags::DONTROUTE | Flags::DONTWAIT).unwrap();
-    left(2);
+    assert_eq!(site.left(2).len(), 2);
     socket.connect(Some(beyond)).unwrap();
     socket.send_with(b"never", Flags::DONTROUTE).unwrap();
     // What is found out in the station's thread is told of at the next call that sends.

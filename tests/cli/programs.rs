@@ -157,6 +157,35 @@ fn programs_of_two_stations_exchange_datagrams_over_the_medium() {
 }
 
 #[test]
+fn programs_attach_again_once_a_station_that_was_gone_has_been_started_anew() {
+    network("programs_attach_again_once_a_station_that_was_gone_has_been_started_anew", || {
+        let (medium, name) = (Medium::new(), named("anew"));
+        let ip = format!("{AT_A}/24");
+        let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name, "--ip", &ip];
+        let station = Attached::named(&name).unwrap();
+        let mut of_before: Vec<UdpSocket> = Vec::new();
+        for is_killed in [false, true, false] {
+            let mut process = Station::start(&medium.a, &options);
+            let socket = bound(&name, 36_000);
+            for earlier in &of_before {
+                assert_eq!(number(earlier.receive(&mut [])), Errno::ENODEV, "of another one");
+            }
+            socket.send_to(b"to itself", to(AT_A, 36_000)).unwrap();
+            assert_eq!(socket.receive(&mut [0; 20]).unwrap().len, 9);
+            if is_killed {
+                process.child.kill().unwrap();
+                process.child.wait().unwrap();
+            } else {
+                process.end();
+            }
+            assert_eq!(number(socket.receive(&mut [])), Errno::ENODEV);
+            assert_eq!(number(station.udp()), Errno::ENODEV, "there is none");
+            of_before.push(socket);
+        }
+    });
+}
+
+#[test]
 fn programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody() {
     are_killed("programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody", NOMAC, 1);
 }

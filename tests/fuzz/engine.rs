@@ -16,6 +16,8 @@ pub struct Target {
     pub name: &'static str,
     /// Inputs to begin with, beside those of the corpus.
     pub seeds: Vec<Vec<u8>>,
+    /// Whether there must be a corpus: not where all seeds are files of their own.
+    pub has_corpus: bool,
     /// Changes an input a little, perhaps by means of another one.
     pub mutate: fn(&mut Random, &mut Vec<u8>, &[u8]),
     /// Panics if something is not as it must be; tells what came of the input, roughly: one of which something came that had
@@ -41,7 +43,8 @@ pub fn fuzz(target: &Target) {
     let (seconds, seed) = (number("RTNET_FUZZ_SECONDS", SECONDS), number("RTNET_FUZZ_SEED", 1));
     let until = Instant::now() + Duration::from_secs(seconds);
     let (mut kept, mut known, mut random) = (Vec::new(), BTreeSet::new(), Random::new(seed));
-    for input in target.seeds.iter().cloned().chain(stored(target.name)) {
+    let stored = if target.has_corpus { stored(target.name) } else { Vec::new() };
+    for input in target.seeds.iter().cloned().chain(stored) {
         known.extend(once(target, &input));
         kept.push(input);
     }
@@ -142,13 +145,14 @@ fn be_quiet_while_shortening() {
 /// The inputs of `corpus/NAME`, by the names of their files.
 fn stored(name: &str) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(name);
-    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let entries = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
     let paths: BTreeSet<PathBuf> = entries.map(|entry| entry.expect("a directory entry").path()).collect();
     let read = |path: &PathBuf| {
         let text =
             std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         unhex(&text).unwrap_or_else(|| panic!("{}: no pairs of hexadecimal digits", path.display()))
     };
+    assert!(!paths.is_empty(), "{}: it is empty", folder.display());
     paths.iter().map(read).collect()
 }
 
@@ -168,10 +172,17 @@ fn unhex(text: &str) -> Option<Vec<u8>> {
 }
 
 #[test]
+#[should_panic(expected = "corpus/nosuch: No such file or directory")]
+fn a_corpus_that_is_missing_is_not_taken_for_an_empty_one() {
+    stored("nosuch");
+}
+
+#[test]
 fn what_fails_is_found_and_made_as_short_as_it_can_be() {
     let target = Target {
         name: "itself",
         seeds: vec![b"some bytes, of which one is changed".to_vec()],
+        has_corpus: false,
         mutate: super::mutate::bytes,
         run: |input| {
             assert!(!input.contains(&b'!'), "found");

@@ -55,8 +55,8 @@ impl Program {
 }
 
 #[test]
-fn a_station_serves_any_words() {
-    fuzz(&Target { name: "lines", seeds: seeds(), mutate: mutate::bytes, run: serve });
+fn lines_take_any_words() {
+    fuzz(&Target { name: "lines", seeds: seeds(), has_corpus: true, mutate: mutate::bytes, run: serve });
 }
 
 fn serve(input: &[u8]) -> Vec<u64> {
@@ -136,7 +136,13 @@ fn handshake_takes_any_packet() {
     ];
     let mut seeds: Vec<_> = asks.map(|ask| ask.to_bytes().to_vec()).to_vec();
     seeds.push(Answer { address: to, ..Answer::refused(19) }.to_bytes().to_vec());
-    fuzz(&Target { name: "handshake", seeds, mutate: mutate::bytes, run: |packet| vec![handshake(packet)] });
+    fuzz(&Target {
+        name: "handshake",
+        seeds,
+        has_corpus: true,
+        mutate: mutate::bytes,
+        run: |packet| vec![handshake(packet)],
+    });
 }
 
 /// What is read is what would be written.

@@ -12,6 +12,7 @@
 // It runs for so long.
 #![allow(clippy::disallowed_methods)]
 
+mod addresses;
 mod engine;
 mod frames;
 mod lines;

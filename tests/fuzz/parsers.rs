@@ -30,6 +30,7 @@ fn ethernet_takes_any_bytes() {
     fuzz(&Target {
         name: "ethernet",
         seeds: frames::all(),
+        has_corpus: true,
         mutate: frames::change,
         run: |bytes| vec![ethernet(bytes)],
     });
@@ -59,6 +60,7 @@ fn ipv4_takes_any_bytes() {
     fuzz(&Target {
         name: "ipv4",
         seeds: frames::payloads(0x0800),
+        has_corpus: true,
         mutate: change,
         run: |bytes| vec![ipv4(bytes)],
     });
@@ -109,6 +111,7 @@ fn udp_takes_any_bytes() {
     fuzz(&Target {
         name: "udp",
         seeds: frames::ip_payloads(17),
+        has_corpus: true,
         mutate: mutate::bytes,
         run: |bytes| vec![udp(bytes)],
     });
@@ -144,6 +147,7 @@ fn icmp_takes_any_bytes() {
     fuzz(&Target {
         name: "icmp",
         seeds: frames::ip_payloads(1),
+        has_corpus: true,
         mutate: change,
         run: |bytes| vec![icmp(bytes)],
     });
@@ -176,6 +180,7 @@ fn arp_takes_any_bytes() {
     fuzz(&Target {
         name: "arp",
         seeds: frames::payloads(0x0806),
+        has_corpus: true,
         mutate: mutate::bytes,
         run: |bytes| vec![arp(bytes)],
     });
@@ -206,6 +211,7 @@ fn rtmac_takes_any_bytes() {
     fuzz(&Target {
         name: "rtmac",
         seeds: frames::all(),
+        has_corpus: true,
         mutate: frames::change,
         run: |bytes| vec![rtmac(bytes)],
     });
@@ -241,6 +247,7 @@ fn dump_takes_any_bytes() {
     fuzz(&Target {
         name: "dump",
         seeds: frames::all(),
+        has_corpus: true,
         mutate: frames::change,
         run: |bytes| vec![dump(bytes)],
     });

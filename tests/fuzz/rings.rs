@@ -64,7 +64,13 @@ pub fn seeds() -> Vec<Vec<u8>> {
 
 #[test]
 fn ring_reader_takes_any_words() {
-    fuzz(&Target { name: "ring_reader", seeds: seeds(), mutate: mutate::bytes, run: reader });
+    fuzz(&Target {
+        name: "ring_reader",
+        seeds: seeds(),
+        has_corpus: true,
+        mutate: mutate::bytes,
+        run: reader,
+    });
 }
 
 fn reader(input: &[u8]) -> Vec<u64> {
@@ -112,7 +118,13 @@ fn reader(input: &[u8]) -> Vec<u64> {
 
 #[test]
 fn ring_writer_takes_any_words() {
-    fuzz(&Target { name: "ring_writer", seeds: seeds(), mutate: mutate::bytes, run: writer });
+    fuzz(&Target {
+        name: "ring_writer",
+        seeds: seeds(),
+        has_corpus: true,
+        mutate: mutate::bytes,
+        run: writer,
+    });
 }
 
 fn writer(input: &[u8]) -> Vec<u64> {
@@ -148,7 +160,13 @@ fn writer(input: &[u8]) -> Vec<u64> {
 
 #[test]
 fn ring_threads_survive_a_third_who_writes_anywhere_meanwhile() {
-    fuzz(&Target { name: "ring_threads", seeds: seeds(), mutate: mutate::bytes, run: threads });
+    fuzz(&Target {
+        name: "ring_threads",
+        seeds: seeds(),
+        has_corpus: true,
+        mutate: mutate::bytes,
+        run: threads,
+    });
 }
 
 /// Both ends at work, while somebody who has the memory overwrites it word by word.

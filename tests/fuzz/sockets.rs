@@ -22,7 +22,7 @@ const ALL_HERE: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 255);
 
 #[test]
 fn sockets_do_what_the_model_does() {
-    fuzz(&Target { name: "sockets", seeds: seeds(), mutate: steps::change, run });
+    fuzz(&Target { name: "sockets", seeds: seeds(), has_corpus: true, mutate: steps::change, run });
 }
 
 /// A station as the model has it.

@@ -26,7 +26,7 @@ const SLOTS: [usize; 4] = [1500, 576, 96, 27];
 
 #[test]
 fn stack_takes_any_frames_and_calls() {
-    fuzz(&Target { name: "stack", seeds: seeds(), mutate: steps::change, run });
+    fuzz(&Target { name: "stack", seeds: seeds(), has_corpus: true, mutate: steps::change, run });
 }
 
 struct Victim {

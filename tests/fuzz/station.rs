@@ -33,7 +33,7 @@ const LAST: u32 = 60;
 
 #[test]
 fn station_takes_any_frames() {
-    fuzz(&Target { name: "station", seeds: seeds(), mutate: steps::change, run });
+    fuzz(&Target { name: "station", seeds: seeds(), has_corpus: true, mutate: steps::change, run });
 }
 
 /// Gives back what comes.

@@ -25,11 +25,33 @@ fn control_takes_any_request() {
         json!({"refused": "no"}),
         json!({"applied": 7}),
     ];
+    let of_sockets = [
+        json!("interface"),
+        json!("routes"),
+        json!({"add_routes": [
+            {"host": {"ip": "10.0.0.7", "address": "02:00:00:00:00:07"}},
+            {"network": {"network": "10.1.0.0/16", "via": "10.0.0.7"}},
+        ]}),
+        json!({"delete_route": "10.1.0.0/16"}),
+        json!({"solicit": "10.0.0.7"}),
+        json!({"lookup": "10.0.0.7"}),
+        json!({"echo": {
+            "to": "10.0.0.7", "identifier": 7, "sequence": 1, "size": 56, "priority": 30, "channel": 1,
+        }}),
+        json!({"echoes": 7}),
+        json!("pools"),
+        json!("counters"),
+    ];
     let packet = |body: Value| json!({"version": 1, "body": body}).to_string().into_bytes();
+    let of_sockets = of_sockets.map(|request| packet(json!({"stack": request})));
+    for request in &of_sockets {
+        assert!(matches!(read::<Request>(request), Ok(Request::Stack(_))), "{request:?}");
+    }
     let mutate = |random: &mut _, input: &mut Vec<u8>, other: &[u8]| mutate::text(random, input, other);
     fuzz(&Target {
         name: "control",
-        seeds: of_station.map(packet).to_vec(),
+        seeds: of_station.map(packet).into_iter().chain(of_sockets).collect(),
+        has_corpus: true,
         mutate,
         run: |text| control(text).to_vec(),
     });
@@ -71,7 +93,13 @@ fn scenario_takes_any_text() {
         seeds.extend(paths.iter().map(|path| std::fs::read(path).expect("a file")));
     }
     assert!(seeds.len() > 30, "only {} scenarios", seeds.len());
-    fuzz(&Target { name: "scenario", seeds, mutate: mutate::text, run: |text| vec![scenario(text)] });
+    fuzz(&Target {
+        name: "scenario",
+        seeds,
+        has_corpus: false,
+        mutate: mutate::text,
+        run: |text| vec![scenario(text)],
+    });
 }
 
 fn scenario(bytes: &[u8]) -> u64 {

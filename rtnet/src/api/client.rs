@@ -129,7 +129,7 @@ impl PacketSocket {
     pub fn bind(&self, link_type: LinkType) -> io::Result<()> {
         self.0.ask(Ask::BindLink(link_type)).map(drop)
     }
-    /// Hands the content of a frame to the station, which writes its header.
+    /// Hands the content of a frame to the station, which writes its header; in `RAW` mode the whole frame, whoever is named.
     pub fn send_to(&self, data: &[u8], to: Address, ether_type: EtherType) -> io::Result<()> {
         self.send_to_with(data, to, ether_type, Flags::NONE)
     }

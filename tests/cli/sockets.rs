@@ -1,12 +1,17 @@
 //! Stations with an address: `rtnet if`, `route`, `ping`, `pool` and `stat`.
 
+use std::net::SocketAddrV4;
 use std::process::Output;
+use std::time::{Duration, Instant};
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use rtnet::api::Station as Attached;
 use serde_json::Value;
 
 use crate::host::network;
 use crate::rtnet;
-use crate::station::{Medium, Station};
+use crate::station::{Medium, PATIENCE, Station};
 
 const A: &str = "02:00:00:00:00:0a";
 const B: &str = "02:00:00:00:00:0b";
@@ -15,7 +20,7 @@ const B: &str = "02:00:00:00:00:0b";
 struct Two {
     a: String,
     b: String,
-    _stations: [Station; 2],
+    stations: [Station; 2],
     _medium: Medium,
 }
 
@@ -35,7 +40,7 @@ impl Two {
         };
         let first = start(&medium.a, of(&a, "10.0.0.1/24", &["--route", &format!("10.0.0.2={B}")]));
         let second = start(&medium.b, of(&b, "10.0.0.2/24", &["--sockets", "8", "--ports", "2000-2009"]));
-        Self { a, b, _stations: [first, second], _medium: medium }
+        Self { a, b, stations: [first, second], _medium: medium }
     }
 }
 
@@ -167,11 +172,61 @@ fn a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited() {
         assert!(stat["refused"].as_object().unwrap().contains_key("udp_checksum"), "{stat:#}");
         assert!(said("stat", &two.b, &[]).contains("echoes_answered"));
         let pools = json("pool", &two.a, &[]);
-        let names: Vec<&str> =
-            pools.as_array().unwrap().iter().filter_map(|of| of["pool"].as_str()).collect();
-        assert_eq!(names, ["receive", "icmp", "arp"]);
+        assert_eq!(names(&pools), ["receive", "icmp", "arp"]);
         assert!(pools[1]["least"].as_u64() < pools[1]["capacity"].as_u64(), "{pools:#}");
         assert!(said("pool", &two.a, &[]).starts_with("pool "));
+    });
+}
+
+/// Of pools.
+fn names(pools: &Value) -> Vec<&str> {
+    pools.as_array().unwrap().iter().filter_map(|of| of["pool"].as_str()).collect()
+}
+
+#[test]
+fn a_station_with_slots_shows_the_pool_of_its_control_frames() {
+    network("a_station_with_slots_shows_the_pool_of_its_control_frames", || {
+        let (medium, name) = (Medium::new(), format!("control-{}", std::process::id()));
+        let options = ["--master", "--cycle", "5ms", "--ip", "10.0.0.1/24", "--name", &name];
+        let station = Station::start(&medium.a, &[&["--interface", "rt0"], &options[..]].concat());
+        station.wait_for("master_active");
+        let deadline = Instant::now() + PATIENCE;
+        // Once it has sent a sync, and told of it.
+        loop {
+            let pools = json("pool", &name, &[]);
+            assert_eq!(names(&pools), ["receive", "control", "icmp", "arp"]);
+            let control = &pools[1];
+            assert_eq!((&control["capacity"], &control["dropped"]), (&2.into(), &0.into()), "{control:#}");
+            if control["least"] == 1 {
+                return;
+            }
+            assert!(Instant::now() < deadline, "it takes one buffer at a time: {control:#}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    });
+}
+
+#[test]
+fn what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool() {
+    network("what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool", || {
+        let two = Two::start("lost");
+        let socket = Attached::named(&two.a).and_then(|station| station.udp()).unwrap();
+        let to = SocketAddrV4::new([10, 0, 0, 2].into(), 36_000);
+        let still = Pid::from_raw(two.stations[1].child.id() as i32);
+        kill(still, Signal::SIGSTOP).unwrap();
+        // Far more than the kernel keeps for it; now and then the sender's own buffers are all on their way.
+        (0..5_000).for_each(|_| drop(socket.send_to(&[0; 1_000], to)));
+        kill(still, Signal::SIGCONT).unwrap();
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let (pools, stat) = (json("pool", &two.b, &[]), json("stat", &two.b, &[]));
+            let (lost, full) = (&pools[0]["dropped"], &stat["port"]["socket_full"]);
+            if full.as_u64() > Some(0) && lost == full {
+                return;
+            }
+            assert!(Instant::now() < deadline, "{pools:#} {stat:#}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
     });
 }
 

@@ -1,5 +1,6 @@
 //! What there is to be seen of a TDMA station.
 
+use rtnet::buf::PoolStatistics;
 use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::Address;
@@ -158,6 +159,8 @@ pub struct TdmaStatus {
     pub rival: Option<Address>,
     /// Events that found the log full.
     pub events_lost: u64,
+    /// How the pool of Synchronisations, requests and replies fares.
+    pub control: PoolStatistics,
     /// Its slots.
     pub slots: [Option<SlotStatus>; SLOTS_SHOWN],
     /// Everything that is counted.
@@ -213,6 +216,7 @@ impl TdmaStatus {
             },
             rival: master.and_then(|master| master.rival(tdma.looked)),
             events_lost: tdma.events.lost(),
+            control: tdma.pool.statistics(),
             slots: core::array::from_fn(|_| shown.next()),
             counters,
         }

@@ -223,7 +223,7 @@ pub struct PoolShown {
     pub least: usize,
     /// How often none was there.
     pub exhausted: u64,
-    /// What was lost for that.
+    /// What was lost for that; of the `receive` pool's, for which frames wait in the kernel, what found no room there.
     pub dropped: u64,
 }
 

@@ -4,7 +4,7 @@ use anyhow::anyhow;
 use rtmac::nomac::NoMac;
 use rtmac::tdma::{self, RoleConfig, Tdma, TdmaCommand, TdmaConfig, TdmaStatus};
 use rtnet::at_once::{AtOnceStatus, DEFAULT_ASK_EVERY};
-use rtnet::buf::Buf;
+use rtnet::buf::{Buf, PoolStatistics};
 use rtnet::direct::Direct;
 use rtnet::discipline::{
     Channel, Claimed, Discipline, Event, Opportunity, Returned, SendError, Sent, SyncState, TimeView,
@@ -108,6 +108,11 @@ impl AccessStatus {
             AccessStatus::Tdma(status) => status.cycle,
             AccessStatus::AtOnce(_, status) => status.ticks,
         }
+    }
+
+    /// How the pool of its own frames fares, if it has any.
+    pub fn pool(&self) -> Option<PoolStatistics> {
+        self.tdma().map(|status| status.control)
     }
 
     /// Frames of data that were sent.

@@ -42,6 +42,8 @@ use crate::scenario::{DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_s
 pub(super) const ANSWER_WITHIN: Duration = Duration::from_millis(400);
 /// How often to look for the answer: a cycle of the shortest that are in use.
 pub(super) const LOOK_EVERY: Duration = Duration::from_micros(200);
+/// Why nothing can be told yet.
+const NO_NEWS: &str = "the station has only just started: ask again";
 
 /// What the control thread knows of a station, and how it reaches the real-time thread.
 pub struct Desk {
@@ -247,10 +249,15 @@ impl Desk {
             }
             StackRequest::Counters => {
                 let (name, own) = (self.name.clone(), self.sockets.counters()?);
-                let newest = self.newest.as_ref().ok_or("the station has only just started: ask again")?;
+                let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
                 let (station, refused) = (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
                 let shown = CountersShown { name, station, port, refused, ..own };
                 Ok(StackReply::Counters(Box::new(shown)))
+            }
+            StackRequest::Pools => {
+                let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
+                let pools = self.sockets.pools(newest.port.socket_full, newest.status.pool())?;
+                Ok(StackReply::Pools(pools))
             }
             StackRequest::Echo(echo) => {
                 let Self { programs, time, .. } = self;
@@ -398,7 +405,7 @@ impl Desk {
     fn status(&mut self, traffic: Traffic) -> Reply {
         self.look();
         let Some(newest) = &self.newest else {
-            return Reply::Refused("the station has only just started: ask again".into());
+            return Reply::Refused(NO_NEWS.into());
         };
         let status = &newest.status;
         let tdma = status.tdma();

@@ -6,7 +6,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rtnet::buf::Pool;
+use rtnet::buf::{Pool, PoolStatistics};
 use rtnet::counters::{Refusal, Refusals};
 use rtnet::discipline::SendError;
 use rtnet::ip::route::{Hop, HostRoute, Interface, Network, NetworkRoute, Origin, RouteError};
@@ -97,8 +97,8 @@ impl Sockets {
                 asked.map(|()| StackReply::Done).map_err(text)
             }
             StackRequest::Lookup(ip) => self.lookup(ip).map(StackReply::Way),
-            StackRequest::Pools => self.pools().map(StackReply::Pools),
             StackRequest::Interface
+            | StackRequest::Pools
             | StackRequest::Counters
             | StackRequest::Echo(_)
             | StackRequest::Echoes(_) => Err("this is for the desk to say".into()),
@@ -198,15 +198,17 @@ impl Sockets {
         Ok(Way { ip, address, via: via.map(|route| route.gateway), is_awaited })
     }
 
-    fn pools(&self) -> Result<Vec<PoolShown>, String> {
+    /// All pools. What is below the stack is the port's to know, and the discipline's: frames that found no buffer wait in the
+    /// kernel, so that what is lost is what found no room there.
+    pub fn pools(&self, lost: u64, control: Option<PoolStatistics>) -> Result<Vec<PoolShown>, String> {
         let brought: (Option<[PoolStatus; 2]>, _) = (None, room::vec(self.room()?.sockets));
         let (own, sockets) = self.visit(brought, |(own, sockets), stack, _| {
             *own = Some(stack.pools());
             find_sockets(stack, sockets);
         })?;
-        let receive = self.receive.statistics();
-        let mut pools = vec![PoolShown::new("receive".into(), receive, receive.exhausted)];
-        for PoolStatus { name, statistics } in own.into_iter().flatten() {
+        let mut pools = vec![PoolShown::new("receive".into(), self.receive.statistics(), lost)];
+        let control = control.map(|statistics| PoolStatus { name: "control", statistics });
+        for PoolStatus { name, statistics } in control.into_iter().chain(own.into_iter().flatten()) {
             pools.push(PoolShown::new(name.to_owned(), statistics, statistics.exhausted));
         }
         pools.extend(sockets.iter().map(|found| {

@@ -14,6 +14,7 @@ mod interface;
 mod lab;
 mod live;
 mod manual;
+mod nonsense;
 mod observe;
 mod program_limits;
 mod programs;

@@ -22,13 +22,14 @@ pub fn stat(args: &ShowArgs) -> Result<u8, Failure> {
 
 /// What has happened; what has not is in the JSON only.
 fn describe(shown: &CountersShown) -> String {
-    let CountersShown { name, station, port, refused, stack, loopback, sockets } = shown;
+    let CountersShown { name, station, port, refused, programs, stack, loopback, sockets } = shown;
     let mut text = format!("{name}:\n");
     for (title, counts) in [
         ("station", station),
         ("port", port),
         ("refused frames", refused),
         ("stack", stack),
+        ("programs", programs),
         ("refused of what it sent to itself", loopback),
     ] {
         text += &line(title, counts);

@@ -240,12 +240,14 @@ impl PoolShown {
 pub struct CountersShown {
     /// The station's name.
     pub name: String,
-    /// Of its discipline, and of its interface.
+    /// Of its discipline, of what that gave back to whoever had made it, and of its interface.
     pub station: BTreeMap<String, u64>,
     /// Of its port.
     pub port: BTreeMap<String, u64>,
     /// Frames refused, by reason.
     pub refused: BTreeMap<String, u64>,
+    /// Of the sockets that programs of other processes have.
+    pub programs: BTreeMap<String, u64>,
     /// Of its stack.
     pub stack: BTreeMap<String, u64>,
     /// What it sent to itself and did not take, by reason.

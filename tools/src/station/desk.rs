@@ -250,7 +250,9 @@ impl Desk {
             StackRequest::Counters => {
                 let (name, own) = (self.name.clone(), self.sockets.counters()?);
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
-                let (station, refused) = (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
+                let (mut station, refused) =
+                    (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
+                station.insert("stale".to_owned(), newest.stale);
                 let shown = CountersShown { name, station, port, refused, ..own };
                 Ok(StackReply::Counters(Box::new(shown)))
             }

@@ -6,6 +6,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use rtnet::api::line::{LineCounters, Lines};
 use rtnet::buf::{Pool, PoolStatistics};
 use rtnet::counters::{Refusal, Refusals};
 use rtnet::discipline::SendError;
@@ -137,13 +138,15 @@ impl Sockets {
 
     /// Everything that the stack counts.
     pub fn counters(&self) -> Result<CountersShown, String> {
-        let brought = (None, room::vec(self.room()?.sockets));
-        let (counters, sockets) = self.visit(brought, |(counters, sockets), stack, _| {
+        let brought = (None, None, room::vec(self.room()?.sockets));
+        let (counters, lines, sockets) = self.visit(brought, |(counters, lines, sockets), stack, _| {
             *counters = Some(stack.counters());
+            *lines = stack.program_mut::<Lines>().map(|lines| lines.counters());
             find_sockets(stack, sockets);
         })?;
         let counters: StackCounters = counters.ok_or("it has not looked")?;
         Ok(CountersShown {
+            programs: lines.map(of_programs).unwrap_or_default(),
             stack: of_stack(&counters),
             loopback: by_reason(&counters.loopback),
             sockets: sockets.iter().map(|found| (found.name(), of_socket(&found.counters))).collect(),
@@ -359,6 +362,10 @@ fn of_stack(counters: &StackCounters) -> BTreeMap<String, u64> {
         ("fragments_given_up", collectors.given_up),
         ("fragments_pool_empty", collectors.pool_empty),
     ])
+}
+
+fn of_programs(LineCounters { wakes, nonsense }: LineCounters) -> BTreeMap<String, u64> {
+    named([("wakes", wakes), ("nonsense", nonsense)])
 }
 
 fn of_socket(counters: &SocketCounters) -> BTreeMap<String, u64> {

@@ -1,7 +1,8 @@
 //! Programs that have sockets of a running station: they exchange datagrams, die, and find the station gone.
 
+mod killed;
+
 use std::net::SocketAddrV4;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
@@ -9,7 +10,7 @@ use rtnet::api::{Station as Attached, UdpSocket};
 use rtnet::socket::{Flags, Sender};
 use serde_json::Value;
 
-use crate::host::{figure, network};
+use crate::host::network;
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -17,10 +18,6 @@ const A: &str = "02:00:00:00:00:0a";
 const B: &str = "02:00:00:00:00:0b";
 const AT_A: &str = "10.0.0.1";
 const AT_B: &str = "10.0.0.2";
-/// Set for a process that is to be a program which is killed.
-const VICTIM_OF: &str = "RTNET_VICTIM_OF";
-/// Programs that are killed, unless RTNET_VICTIMS says otherwise.
-const KILLS: usize = 40;
 
 /// How two stations share the medium: what is said of each.
 type Shares = [&'static [&'static str]; 2];
@@ -81,12 +78,10 @@ fn number<T>(result: std::io::Result<T>) -> Errno {
     Errno::from_raw(result.err().and_then(|error| error.raw_os_error()).expect("it fails"))
 }
 
-/// What `rtnet pool` says of a station's sockets.
-fn sockets(name: &str) -> Vec<Value> {
-    let output = rtnet().args(["pool", "-S", name, "--json"]).output().unwrap();
-    let shown: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let pools = shown["pools"].as_array().or(shown.as_array()).unwrap_or_else(|| panic!("{shown:#}")).clone();
-    pools.into_iter().filter(|pool| pool["pool"].as_str().unwrap().starts_with("udp")).collect()
+/// Everything that a station counts.
+fn stat(name: &str) -> Value {
+    let output = rtnet().args(["stat", "-S", name, "--json"]).output().unwrap();
+    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// How often a station's real-time thread has gone to sleep by itself.
@@ -185,69 +180,6 @@ fn programs_attach_again_once_a_station_that_was_gone_has_been_started_anew() {
     });
 }
 
-#[test]
-fn programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody() {
-    are_killed("programs_killed_while_they_send_and_receive_leave_nothing_and_harm_nobody", NOMAC, 1);
-}
-
-#[test]
-fn programs_killed_beside_time_slots_leave_nothing_and_harm_nobody() {
-    are_killed("programs_killed_beside_time_slots_leave_nothing_and_harm_nobody", TDMA, 4);
-}
-
-/// Kills programs one after the other, each after up to 20 ms, or so many times that.
-fn are_killed(test: &str, shares: Shares, slower: u64) {
-    if let Ok(name) = std::env::var(VICTIM_OF) {
-        be_a_victim(&name);
-    }
-    network(test, || {
-        let kills = std::env::var("RTNET_VICTIMS").map_or(KILLS, |kills| kills.parse().unwrap());
-        let medium = Medium::new();
-        let [(a, _first), (b, _second)] = stations(&medium, shares);
-        until_heard(&a, &b);
-        let (ask, echo) = (attach(&a), bound(&b, 36_000));
-        // A victim sends to whatever port it has itself.
-        ask.connect(Some(to(AT_B, 36_000))).unwrap();
-        let (mut exchanged, mut lost) = (0u64, 0u64);
-        for kill in 0..kills {
-            let mut victim = victim(&b, test);
-            // It is in the middle of it from some moment on: which one, chance says.
-            let until =
-                Instant::now() + Duration::from_micros(slower * (4_000 + (kill as u64 * 7_919) % 16_000));
-            while Instant::now() < until {
-                lost += u64::from(!exchange(&ask, &echo, exchanged));
-                exchanged += 1;
-            }
-            victim.kill().unwrap();
-            victim.wait().unwrap();
-        }
-        let deadline = Instant::now() + PATIENCE;
-        while sockets(&b).len() > 1 {
-            assert!(Instant::now() < deadline, "all are closed: {:?}", sockets(&b));
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        assert!(exchange(&ask, &echo, exchanged));
-        let left = sockets(&b);
-        assert_eq!((&left[0]["free"], &left[0]["dropped"]), (&left[0]["capacity"], &0.into()), "{left:#?}");
-        let (at_a, at_b) = (stat(&a), stat(&b));
-        for malformed in ["ip_length", "ip_checksum", "udp_length", "udp_checksum", "truncated"] {
-            let refused = at_a["refused"][malformed].as_u64().unwrap_or(0);
-            assert_eq!(refused, 0, "{malformed}: {at_a:#}");
-        }
-        // A host that stands still while others send loses frames before any station sees them.
-        let dropped_by_host = [&at_a, &at_b].map(|stat| stat["port"]["socket_full"].as_u64().unwrap_or(0));
-        assert!(lost == 0 || dropped_by_host.iter().sum::<u64>() > 0, "{lost} lost: {at_a:#} {at_b:#}");
-        figure(
-            test,
-            &format!(
-                "{kills} programs killed, beside {exchanged} round trips of others, {lost} of them lost; the host dropped \
-                 {} frames",
-                dropped_by_host.iter().sum::<u64>()
-            ),
-        );
-    });
-}
-
 /// Waits until what one sends comes to the other: with slots, both must have found into the cycle.
 fn until_heard(a: &str, b: &str) {
     let (from, at) = (attach(a), bound(b, 35_999));
@@ -265,58 +197,6 @@ fn until_heard(a: &str, b: &str) {
             }
         }
         assert!(Instant::now() < deadline, "they do not hear each other: {:#} {:#}", stat(a), stat(b));
-    }
-}
-
-/// Everything that a station counts.
-fn stat(name: &str) -> Value {
-    let output = rtnet().args(["stat", "-S", name, "--json"]).output().unwrap();
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-/// One round trip of programs that are not killed; `false`: a frame of it was lost.
-fn exchange(ask: &UdpSocket, echo: &UdpSocket, number: u64) -> bool {
-    ask.send_to(&number.to_be_bytes(), to(AT_B, 36_000)).unwrap();
-    let Some(from) = hear(echo, number) else { return false };
-    echo.send_to(&number.to_be_bytes(), from).unwrap();
-    hear(ask, number).is_some()
-}
-
-/// Waits for this number; what is left of earlier ones is passed over.
-fn hear(socket: &UdpSocket, number: u64) -> Option<SocketAddrV4> {
-    let mut room = [0; 64];
-    loop {
-        let received = match socket.receive(&mut room) {
-            Err(error) if error.raw_os_error() == Some(Errno::ETIMEDOUT as i32) => return None,
-            other => other.unwrap(),
-        };
-        let Sender::Udp(from) = received.from else { panic!("{received:?}") };
-        let heard = u64::from_be_bytes(room[..received.len].try_into().expect("as it was sent"));
-        assert!(heard <= number, "as it was sent");
-        if heard == number {
-            return Some(from);
-        }
-    }
-}
-
-/// Another process of this very test.
-fn victim(station: &str, test: &str) -> Child {
-    let mut command = Command::new(std::env::current_exe().unwrap());
-    command.args(["--exact", &format!("programs::{test}"), "--nocapture"]).env(VICTIM_OF, station);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
-}
-
-/// Sends and receives to itself and to others, until it is killed.
-fn be_a_victim(station: &str) -> ! {
-    let socket = attach(station);
-    let port = socket.local_addr().unwrap().port();
-    let mut room = [0; 4_000];
-    loop {
-        for ip in [AT_A, AT_B] {
-            // Full, or refused for lack of a socket there: it tries again.
-            let _ = socket.send_to(&[0x5a; 3_000], to(ip, port));
-        }
-        let _ = socket.receive_with(&mut room, Flags::DONTWAIT);
     }
 }
 

@@ -156,7 +156,8 @@ fn rows(document: &str, section: &str) -> Vec<Vec<String>> {
         .enumerate()
         .take_while(|(i, line)| *i == 0 || section.is_empty() || !line.starts_with("## "));
     let cells = |line: &str| line.trim_matches('|').split(" |").map(|cell| cell.trim().to_owned()).collect();
-    let is_head = |row: &Vec<String>| matches!(row[0].as_str(), "row" | "of") || row[0].starts_with("--");
+    let is_head =
+        |row: &Vec<String>| matches!(row[0].as_str(), "row" | "of" | "#") || row[0].starts_with("--");
     let rows = lines.filter(|(_, line)| line.starts_with('|')).map(|(_, line)| cells(line));
     rows.filter(|row| !is_head(row)).collect()
 }
@@ -178,6 +179,21 @@ fn every_statement_of_the_reference_has_a_test_or_a_reason() {
         assert!(shown.contains('`'), "no test: {row:?}");
     }
     assert!(kept.len() > 80 && different.len() > 45, "{} and {} rows", kept.len(), different.len());
+}
+
+#[test]
+fn every_complaint_of_rtnets_users_has_a_line_and_what_is_solved_names_who_shows_it() {
+    let all = rows("SPECIFICATION.md", "What RTnet's users complained of (section 12");
+    let numbers: Vec<_> = all.iter().map(|row| row[0].parse::<u32>().ok()).collect();
+    assert_eq!(numbers, (1..=18).map(Some).collect::<Vec<_>>());
+    for row in &all {
+        let [_, complaint, here] = &row[..] else { panic!("not three cells: {row:?}") };
+        assert!(!complaint.is_empty() && !here.is_empty(), "{row:?}");
+        // A test that it names exists: see above.
+        let names = |word: &str| word.contains('_') || word.starts_with("rtnet ");
+        let shown = here.split('`').skip(1).step_by(2).any(names);
+        assert!(shown || !here.starts_with("solved"), "neither a test nor a command: {row:?}");
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use rtmac::tdma::DEFAULT_LEAD;
 use serde::Serialize;
 
 use super::Failure;
@@ -76,9 +77,13 @@ struct Spread {
 struct Scheduled {
     best_ns: u64,
     worst_ns: u64,
+    /// A frame is chosen by so much before its slot at the most: chosen later, both are quicker.
+    lead_ns: u64,
     /// By how much 19 of 20 rests are beside their middle at the most: what is no waiting for the slot takes always the
     /// same time by the schedule.
     jitter_ns: u64,
+    /// Round trips quicker than the best by more than lead and jitter.
+    quicker: u64,
     /// Round trips longer than the worst and the jitter.
     longer: u64,
     /// Slots that the two have missed meanwhile: each may be the reason of one of those.
@@ -263,9 +268,11 @@ impl<'a> Run<'a> {
     /// What the schedule says, and how much of it is otherwise.
     fn beside(&self, [best_ns, worst_ns]: [u64; 2], slots_missed: u64) -> Scheduled {
         let jitter_ns = jitter(self.answers.iter().filter_map(Answer::rest).collect());
-        let trips = self.answers.iter().filter_map(|answer| answer.round_trip_ns);
-        let longer = trips.filter(|&trip| trip > worst_ns + jitter_ns).count() as u64;
-        Scheduled { best_ns, worst_ns, jitter_ns, longer, slots_missed }
+        let lead_ns = DEFAULT_LEAD.nanos().unsigned_abs();
+        let trips = || self.answers.iter().filter_map(|answer| answer.round_trip_ns);
+        let quicker = trips().filter(|&trip| trip + lead_ns + jitter_ns < best_ns).count() as u64;
+        let longer = trips().filter(|&trip| trip > worst_ns + jitter_ns).count() as u64;
+        Scheduled { best_ns, worst_ns, lead_ns, jitter_ns, quicker, longer, slots_missed }
     }
 
     fn round(self, schedule: Option<Scheduled>) -> Round {
@@ -347,11 +354,12 @@ fn summary(round: &Round) -> String {
         let [min, p50, p99, max] = [min, p50, p99, max].map(|ns| micros(ns as i64));
         text += &format!("{what}: min {min}, p50 {p50}, p99 {p99}, max {max} us\n");
     }
-    if let Some(Scheduled { best_ns, worst_ns, jitter_ns, longer, slots_missed }) = round.schedule {
-        let [best, worst, jitter] = [best_ns, worst_ns, jitter_ns].map(|ns| micros(ns as i64));
+    if let Some(scheduled) = round.schedule {
+        let Scheduled { best_ns, worst_ns, lead_ns, jitter_ns, quicker, longer, slots_missed } = scheduled;
+        let [best, worst, lead, jitter] = [best_ns, worst_ns, lead_ns, jitter_ns].map(|ns| micros(ns as i64));
         text += &format!(
-            "schedule: best {best}, worst {worst} us; by more than the jitter of {jitter} us {longer} took longer, while the \
-             two stations missed {slots_missed} slots\n"
+            "schedule: best {best}, worst {worst} us, or up to {lead} us less; by more than the jitter of {jitter} us {quicker} \
+             were quicker and {longer} took longer, while the two stations missed {slots_missed} slots\n"
         );
     }
     text

@@ -65,22 +65,27 @@ fn what_fails_counts_by_its_reason_and_the_rest_as_lost_or_received() {
 fn round_trips_are_compared_with_the_schedule_beyond_the_jitter_of_what_is_no_waiting() {
     let args = args("-S a --json 10.0.0.1");
     let mut run = Run::new(&args.which, &args);
-    // A rest of 300 us, one in 20 of them 5 us longer, and one that was a cycle late.
+    // A rest of 300 us, one in 20 of them 5 us longer, one that was a cycle late, and one that came before it can.
     run.answers = (0..100)
         .map(|n| {
             let rest = 300_000 + if n % 20 == 7 { 5_000 } else { n };
             let late = if n == 50 { 1_000_000 } else { 0 };
-            let waited = 50_000 + n * 10_000;
+            // The first was chosen as late as can be, the last before it can have been.
+            let waited = if n % 99 == 0 { 0 } else { 50_000 + n * 10_000 };
+            let rest = if n == 99 { 200_000 } else { rest };
             let (round_trip_ns, waited_ns) = (Some(rest + late + waited), Some(waited));
             Answer { sequence: n as u16, bytes: 56, round_trip_ns, waited_ns }
         })
         .collect();
     let beside = run.beside([350_000, 1_350_000], 2);
-    assert_eq!((beside.longer, beside.slots_missed), (1, 2));
+    assert_eq!((beside.quicker, beside.longer, beside.slots_missed), (1, 1, 2));
     assert!((1..=5_000).contains(&beside.jitter_ns), "{beside:?}");
     let text = summary(&run.round(Some(beside)));
-    assert!(text.contains("schedule: best 350, worst 1 350 us; "), "{text}");
-    assert!(text.ends_with("1 took longer, while the two stations missed 2 slots\n"), "{text}");
+    assert!(text.contains("schedule: best 350, worst 1 350 us, or up to 50.0 us less; "), "{text}");
+    assert!(
+        text.ends_with("1 were quicker and 1 took longer, while the two stations missed 2 slots\n"),
+        "{text}"
+    );
 }
 
 #[test]

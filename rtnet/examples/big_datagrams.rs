@@ -4,8 +4,10 @@
 // Programs wait, and measure, by their own clock.
 #![allow(clippy::disallowed_methods)]
 
-use std::error::Error;
+mod shared;
+
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::process::ExitCode;
 use std::time::Duration;
 
 use rtnet::api::Station;
@@ -14,22 +16,27 @@ use rtnet::api::Station;
 const LONGEST: usize = 65_507;
 const BUFFERS: u32 = 45;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> ExitCode {
+    shared::end(run())
+}
+
+fn run() -> Result<(), String> {
     let mut args = std::env::args().skip(1);
     let name = args.next().ok_or("usage: big_datagrams STATION [ADDRESS:PORT]")?;
-    let socket = Station::named(&name)?.udp_with(2 * BUFFERS)?;
+    let failed = shared::of(&name);
+    let socket = Station::named(&name).and_then(|station| station.udp_with(2 * BUFFERS)).map_err(&failed)?;
     let content = |number: u8| (0..LONGEST).map(move |n| number.wrapping_add((n % 251) as u8));
     if let Some(to) = args.next() {
-        let to: SocketAddrV4 = to.parse()?;
+        let to: SocketAddrV4 = shared::read(&to, "ADDRESS:PORT, as 10.0.0.2:37000")?;
         for number in (0..=u8::MAX).cycle() {
-            socket.send_to(&content(number).collect::<Vec<_>>(), to)?;
+            socket.send_to(&content(number).collect::<Vec<_>>(), to).map_err(&failed)?;
             std::thread::sleep(Duration::from_millis(500));
         }
     }
-    socket.bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 37_000))?;
+    socket.bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 37_000)).map_err(&failed)?;
     let mut room = vec![0; LONGEST];
     loop {
-        let received = socket.receive(&mut room)?;
+        let received = socket.receive(&mut room).map_err(&failed)?;
         let is_whole = received.len == LONGEST && content(room[0]).eq(room.iter().copied());
         println!("{} bytes, {}", received.whole, if is_whole { "as they were sent" } else { "CHANGED" });
     }

@@ -9,6 +9,7 @@ mod backups;
 mod calibrate;
 mod cell;
 mod changes;
+mod examples;
 mod host;
 mod interface;
 mod lab;

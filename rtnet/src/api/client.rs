@@ -36,7 +36,8 @@ pub struct UdpSocket(pub(super) End);
 pub struct PacketSocket(pub(super) End);
 
 impl Station {
-    /// The station of this user that is called `[LAB/]STATION`, as behind `rtnet -S`.
+    /// The station of this user that is called `[LAB/]STATION`, as behind `rtnet -S`: without its lab one of its own, or else
+    /// one of the only lab that runs.
     pub fn named(name: &str) -> io::Result<Self> {
         place::socket_of(name).map(Self::at)
     }

@@ -1,12 +1,19 @@
 //! Where the control sockets of running stations are.
 
+use std::fs::{self, File};
 use std::io::{Error, ErrorKind, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use socket2::{Domain, SockAddr, Socket, Type};
 
 /// For root.
 const SYSTEM: &str = "/run/rtnet";
 /// Behind a station's name.
 pub const SOCKET: &str = ".sock";
+/// A lab's own file in its directory, held as long as it runs; behind a station's name its own.
+pub const LOCK: &str = ".lock";
 
 /// The directory of this user's stations: `/run/rtnet` for root, else `$XDG_RUNTIME_DIR/rtnet`, else `/tmp/rtnet-UID`.
 /// To be asked before entering a user namespace.
@@ -21,8 +28,29 @@ pub fn directory() -> PathBuf {
     }
 }
 
-/// The control socket of the station that is called `[LAB/]STATION`.
+/// The control socket of the station that is called `[LAB/]STATION`: without its lab one of its own, or else one of the only
+/// lab.
 pub fn socket_of(name: &str) -> Result<PathBuf> {
+    find(&directory(), name)
+}
+
+/// Whether somebody holds this lock. For a moment it is ours, shared with others who look.
+pub fn is_held(path: &Path) -> bool {
+    let Ok(file) = File::open(path) else { return false };
+    matches!(Flock::lock(file, FlockArg::LockSharedNonblock), Err((_, Errno::EWOULDBLOCK)))
+}
+
+/// Whether somebody listens at this socket: its file outlives a process that was killed.
+pub fn is_served(path: &Path) -> bool {
+    let connected = Socket::new(Domain::UNIX, Type::SEQPACKET, None).and_then(|socket| {
+        socket.set_nonblocking(true)?;
+        socket.connect(&SockAddr::unix(path)?)
+    });
+    // There may be too many who wait to be let in.
+    connected.map_or_else(|error| error.kind() == ErrorKind::WouldBlock, |()| true)
+}
+
+fn find(home: &Path, name: &str) -> Result<PathBuf> {
     let (lab, station) = match name.split_once('/') {
         Some((lab, station)) => (Some(lab), station),
         None => (None, name),
@@ -32,8 +60,35 @@ pub fn socket_of(name: &str) -> Result<PathBuf> {
         let why = format!("'{name}' is no station: write STATION, or LAB/STATION");
         return Err(Error::new(ErrorKind::InvalidInput, why));
     }
-    let home = lab.map_or_else(directory, |lab| directory().join(lab));
-    Ok(home.join(format!("{station}{SOCKET}")))
+    let file = format!("{station}{SOCKET}");
+    let own = lab.map_or(home.to_owned(), |lab| home.join(lab)).join(&file);
+    if lab.is_some() || is_served(&own) {
+        return Ok(own);
+    }
+    match labs(home).as_slice() {
+        [] => Ok(own),
+        [only] => Ok(only.join(file)),
+        labs => {
+            let there = labs.iter().filter(|lab| is_served(&lab.join(&file)));
+            let there: Vec<String> = there
+                .map(|lab| format!("{}/{station}", lab.file_name().unwrap_or_default().to_string_lossy()))
+                .collect();
+            if there.is_empty() {
+                return Ok(own);
+            }
+            let why = format!("which station '{station}' is meant: {}?", there.join(" or "));
+            Err(Error::new(ErrorKind::InvalidInput, why))
+        }
+    }
+}
+
+/// The directories of the labs that run.
+fn labs(home: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(home).into_iter().flatten().flatten();
+    let mut labs: Vec<PathBuf> =
+        entries.map(|entry| entry.path()).filter(|path| is_held(&path.join(LOCK))).collect();
+    labs.sort();
+    labs
 }
 
 #[cfg(test)]
@@ -42,12 +97,43 @@ mod tests {
 
     #[test]
     fn a_name_leads_nowhere_but_to_a_socket_of_this_user() {
-        let home = directory();
-        assert_eq!(socket_of("arm").unwrap(), home.join("arm.sock"));
-        assert_eq!(socket_of("cell/arm").unwrap(), home.join("cell").join("arm.sock"));
+        let home = tempfile::tempdir().unwrap();
+        let home = home.path();
+        assert_eq!(find(home, "arm").unwrap(), home.join("arm.sock"));
+        assert_eq!(find(home, "cell/arm").unwrap(), home.join("cell").join("arm.sock"));
         for bad in ["", "/", "cell/", "/arm", "../arm", "cell/../arm", "a/b/c", ".", "cell/.lock"] {
-            let error = socket_of(bad).unwrap_err();
+            let error = find(home, bad).unwrap_err();
             assert!(error.to_string().contains(&format!("'{bad}'")), "{error}");
         }
+    }
+
+    #[test]
+    fn a_station_without_its_lab_is_one_of_its_own_or_one_of_the_only_lab() {
+        let home = tempfile::tempdir().unwrap();
+        let home = home.path();
+        let lab = |name: &str| {
+            fs::create_dir(home.join(name)).unwrap();
+            let file = File::create(home.join(name).join(LOCK)).unwrap();
+            Flock::lock(file, FlockArg::LockExclusiveNonblock).unwrap()
+        };
+        let serve = |path: &Path| {
+            let socket = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
+            socket.bind(&SockAddr::unix(path).unwrap()).unwrap();
+            socket.listen(1).unwrap();
+            socket
+        };
+        // Of a lab that was killed its directory is left.
+        drop(lab("dead"));
+        assert_eq!(find(home, "arm").unwrap(), home.join("arm.sock"));
+        let _cell = lab("cell");
+        assert_eq!(find(home, "arm").unwrap(), home.join("cell/arm.sock"));
+        let _other = lab("other");
+        assert_eq!(find(home, "arm").unwrap(), home.join("arm.sock"), "none of them has it");
+        let _arm = serve(&home.join("cell/arm.sock"));
+        let _leg = serve(&home.join("other/arm.sock"));
+        let error = find(home, "arm").unwrap_err().to_string();
+        assert_eq!(error, "which station 'arm' is meant: cell/arm or other/arm?");
+        let _own = serve(&home.join("arm.sock"));
+        assert_eq!(find(home, "arm").unwrap(), home.join("arm.sock"));
     }
 }

@@ -12,7 +12,7 @@
 //! is readable to its owner only.
 
 use std::fs::{self, DirBuilder, File};
-use std::io::{ErrorKind, Read, Seek, Write};
+use std::io::{Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -21,13 +21,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
-use rtnet::api::place::{self, SOCKET};
-use socket2::{Domain, SockAddr, Socket, Type};
+pub(super) use rtnet::api::place::is_held;
+use rtnet::api::place::{self, LOCK, SOCKET, is_served};
 
 /// A socket's path must fit `sun_path`, 108 bytes; two of these and the directory do.
 const NAME_AT_MOST: usize = 32;
-/// A lab's own file in its directory; behind a station's name its own.
-const LOCK: &str = ".lock";
 /// How long a lock is waited for that somebody may only have looked at.
 const LOCKED_WITHIN: Duration = Duration::from_millis(50);
 
@@ -259,22 +257,6 @@ pub(super) fn names(directory: &Path, of: impl Fn(&Path) -> Option<String>) -> V
     let mut names: Vec<String> = entries.filter_map(|entry| of(&entry.path())).collect();
     names.sort();
     names
-}
-
-/// Whether somebody holds this lock. For a moment it is ours, shared with others who look.
-pub(super) fn is_held(path: &Path) -> bool {
-    let Ok(file) = File::open(path) else { return false };
-    matches!(Flock::lock(file, FlockArg::LockSharedNonblock), Err((_, Errno::EWOULDBLOCK)))
-}
-
-/// Whether somebody listens at this socket: its file outlives a process that was killed.
-fn is_served(path: &Path) -> bool {
-    let connected = Socket::new(Domain::UNIX, Type::SEQPACKET, None).and_then(|socket| {
-        socket.set_nonblocking(true)?;
-        socket.connect(&SockAddr::unix(path)?)
-    });
-    // There may be too many who wait to be let in.
-    connected.map_or_else(|error| error.kind() == ErrorKind::WouldBlock, |()| true)
 }
 
 fn file_name(path: &Path) -> String {

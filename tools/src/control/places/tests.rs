@@ -1,3 +1,5 @@
+use socket2::{Domain, SockAddr, Socket, Type};
+
 use super::*;
 use crate::control::Server;
 

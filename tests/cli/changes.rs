@@ -118,3 +118,17 @@ fn joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained() {
         assert!(frames(2) > 1.5 * frames(1), "twice in a cycle: {account:#}");
     });
 }
+
+/// The remedy is one that a lab of a file has, too.
+#[test]
+fn a_slot_that_only_the_guard_band_keeps_out_is_refused_with_what_makes_room() {
+    network("a_slot_that_only_the_guard_band_keeps_out_is_refused_with_what_makes_room", || {
+        let cell = Cell::up("guarded");
+        let refused = cell.slot("slave2", &["set", "0=2900us"]);
+        assert_eq!(refused.status.code(), Some(2));
+        let why = text(&refused.stderr);
+        let remedy = "bring the lab up with a smaller one (`guard` in its file, --guard without a file)";
+        assert!(why.contains("guard band 600us") && why.contains(remedy), "{why}");
+        cell.down();
+    });
+}

@@ -82,8 +82,8 @@ impl Keeper {
         changed.stations[station].slots.clone_from(&slots);
         if let Some(conflict) = changed.schedule().conflicts().first() {
             let bare = Schedule { guard: Span::ZERO, ..changed.schedule() };
-            let room =
-                "; without the guard band there is room: bring the lab up with a smaller one (--guard)";
+            let room = "; without the guard band there is room: bring the lab up with a smaller one (`guard` in its \
+                        file, --guard without a file)";
             bail!("{conflict}{}", if bare.conflicts().is_empty() { room } else { "" });
         }
         let load = load(&changed);

@@ -22,6 +22,7 @@ mod programs;
 mod requests;
 mod rights;
 mod socket_options;
+mod silent;
 mod sockets;
 mod station;
 mod wait_on_cycle;

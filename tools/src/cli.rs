@@ -129,6 +129,19 @@ pub struct Which {
     #[arg(short = 'S', long = "station", value_name = "[LAB/]STATION")]
     pub place: Place,
     /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The same, on either side of what is to be done with it. `-S` must be there, too; but clap knows of what can stand on either
+/// side only that it need not.
+#[derive(Debug, Args)]
+pub struct WhichOf {
+    /// The station, which has to be named: by its --name, or, in a lab, LAB/STATION; where there is only one lab, LAB/ can be
+    /// left out
+    #[arg(short = 'S', long = "station", value_name = "[LAB/]STATION", global = true)]
+    pub place: Option<Place>,
+    /// Print JSON
     #[arg(long, global = true)]
     pub json: bool,
 }
@@ -138,7 +151,7 @@ pub struct Which {
 pub struct TdmaArgs {
     /// Which.
     #[command(flatten)]
-    pub which: Which,
+    pub which: WhichOf,
     /// What to do with it.
     #[command(subcommand)]
     pub verb: TdmaVerb,
@@ -196,7 +209,7 @@ pub enum TdmaVerb {
 pub struct SlotArgs {
     /// Which.
     #[command(flatten)]
-    pub which: Which,
+    pub which: WhichOf,
     /// What to do with them.
     #[command(subcommand)]
     pub verb: SlotVerb,

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use rtnet::ip::route::Network;
 use rtnet::time::Span;
 
-use super::Which;
+use super::{Which, WhichOf};
 use crate::station::stack::{OwnIp, parse_ports};
 use crate::units::parse_positive_span;
 
@@ -71,7 +71,7 @@ pub struct ShowArgs {
 pub struct RouteArgs {
     /// Which.
     #[command(flatten)]
-    pub which: Which,
+    pub which: WhichOf,
     /// What to do with them.
     #[command(subcommand)]
     pub verb: RouteVerb,

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::Failure;
 use super::interface::{asked, unasked};
-use super::tdma::found;
+use super::tdma::found_of;
 use crate::cli::{RouteArgs, RouteVerb, Which};
 use crate::control::{RouteSaid, RoutesShown, StackReply, StackRequest, Way};
 use crate::report::text::{Column, table};
@@ -28,7 +28,7 @@ const AT_ONCE: usize = 8;
 
 /// Looks at a station's routes, or changes them.
 pub fn route(args: &RouteArgs) -> Result<u8, Failure> {
-    let which = &found(&args.which)?;
+    let which = &found_of(&args.which)?;
     match &args.verb {
         RouteVerb::List => {
             super::print(which.json, &routes(which)?, list).map_err(Failure::Run)?;

@@ -3,13 +3,13 @@
 use anyhow::Result;
 
 use super::Failure;
-use super::tdma::{applied, by_lab, found, slots, status, told};
+use super::tdma::{applied, by_lab, found_of, slots, status, told};
 use crate::cli::{SlotArgs, SlotVerb, Which};
 use crate::control::{LabRequest, Request, SlotChange};
 
 /// Looks at a station's slots, or changes them.
 pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
-    let which = &found(&args.which)?;
+    let which = &found_of(&args.which)?;
     let (from, what) = match &args.verb {
         SlotVerb::List => {
             let status = status(which).map_err(Failure::Usage)?;

@@ -6,7 +6,7 @@ use anyhow::{Result, anyhow, bail};
 use rtnet::time::Span;
 
 use super::Failure;
-use crate::cli::{TdmaArgs, TdmaVerb, Which};
+use crate::cli::{TdmaArgs, TdmaVerb, Which, WhichOf};
 use crate::control::{
     self, Directory, LabReply, LabRequest, MemberStatus, Place, Question, Reply, Request, RoleRequest,
     SlotRequest, SlotShown, StationStatus,
@@ -24,7 +24,7 @@ const NAMED_WITHIN: Duration = Duration::from_millis(200);
 
 /// Looks at a station, or changes its role.
 pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
-    let which = &found(&args.which)?;
+    let which = &found_of(&args.which)?;
     let role = match args.verb {
         TdmaVerb::Status { misses: only } => {
             let status = with_names(which, status(which).map_err(Failure::Usage)?);
@@ -59,6 +59,17 @@ pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
 pub fn found(which: &Which) -> Result<Which, Failure> {
     let place = Directory::of_user().find(&which.place).map_err(Failure::Usage)?;
     Ok(Which { place, json: which.json })
+}
+
+/// The same where `-S` stands on either side, and so may not.
+pub fn found_of(which: &WhichOf) -> Result<Which, Failure> {
+    let Some(place) = which.place.clone() else {
+        let there = Directory::of_user().stations();
+        let there =
+            if there.is_empty() { "none runs here".into() } else { format!("there is {}", there.join(", ")) };
+        return Err(Failure::Usage(anyhow!("which station is meant? Say it: -S [LAB/]STATION; {there}")));
+    };
+    found(&Which { place, json: which.json })
 }
 
 /// Waits until a station that listens before it gives the time does so; its cycle then.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use rtnet::api::{Station, UdpSocket};
 use serde_json::Value;
 
-use crate::cell::{Cell, json, text};
+use crate::cell::{Cell, json, text, wait_until};
 use crate::host::{figure, network, skip};
 use crate::rtnet;
 
@@ -58,7 +58,11 @@ fn stations_of_a_lab_have_addresses_know_each_other_and_have_sockets_for_program
         let cell = lab("addresses");
         let shown = ask(&cell, "if", "leg", &[]);
         assert_eq!((&shown["ip"], &shown["prefix"]), (&LEG.into(), &24.into()), "{shown:#}");
-        assert_eq!(shown["channels"]["1"]["payload"], 1_500, "{shown:#}");
+        assert_eq!(
+            shown["channels"],
+            serde_json::json!({"0": {"payload": 1_500}}),
+            "its only slot: {shown:#}"
+        );
         let routes = ask(&cell, "route", "arm", &["list"]);
         let hosts = routes["hosts"].as_array().unwrap();
         let hosts: Vec<_> =
@@ -91,6 +95,25 @@ fn a_station_of_a_lab_that_is_started_anew_has_its_address_and_knows_the_others(
         let cell = lab("anew");
         cell.restart("arm");
         assert_eq!(came_back(ping(&cell, MASTER)), 50, "it knows them, and they know it");
+    });
+}
+
+#[test]
+fn an_echo_that_does_not_fit_the_slot_of_who_would_answer_is_refused() {
+    network("an_echo_that_does_not_fit_the_slot_of_who_would_answer_is_refused", || {
+        let cell = lab("answers");
+        let offset = cell.station("leg")["slots"][0]["offset_ns"].as_u64().unwrap();
+        assert!(cell.slot("leg", &["set", &format!("0={offset}ns,size=100")]).status.success());
+        wait_until("its slot is smaller", || cell.station("leg")["slots"][0]["size"] == 100);
+        let output = rtnet()
+            .args(["ping", "-S", &cell.place("arm"), "--size", "73", "-c", "1", LEG])
+            .output()
+            .unwrap();
+        let why = text(&output.stderr);
+        let whose = format!("slot 0 of station '{}', which takes 100", cell.place("leg"));
+        assert_eq!(output.status.code(), Some(2), "{why}");
+        assert!(why.contains(&whose) && why.contains("ask with --size 72 or less"), "{why}");
+        cell.down();
     });
 }
 

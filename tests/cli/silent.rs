@@ -1,12 +1,13 @@
 //! One station with slots: what its slots take, what it refuses to ask of others, and on which side its name may stand.
 
 use std::process::Output;
+use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::host::network;
 use crate::rtnet;
-use crate::station::{Medium, Station};
+use crate::station::{Medium, PATIENCE, Station};
 
 /// A master with an address, and slots of which the second takes little.
 fn master(medium: &Medium, name: &str) -> Station {
@@ -28,11 +29,82 @@ fn said(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+fn shown(name: &str) -> Value {
+    serde_json::from_str(&said(&["if", "-S", name, "--json"])).unwrap()
+}
+
 fn refused(arguments: &[&str]) -> String {
     let output = ask(arguments);
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!((output.status.code(), message.lines().count()), (Some(2), 1), "{message}");
     message
+}
+
+fn wait_until(name: &str, what: &str, holds: impl Fn(&Value) -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !holds(&shown(name)) {
+        assert!(Instant::now() < deadline, "in vain: {what}: {:#}", shown(name));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn a_station_shows_every_slot_that_it_has_and_no_other() {
+    network("a_station_shows_every_slot_that_it_has_and_no_other", || {
+        let (medium, name) = (Medium::new(), format!("slots-{}", std::process::id()));
+        let _station = master(&medium, &name);
+        let takes = |payload: u64| json!({ "payload": payload });
+        let all = json!({"0": takes(1500), "3": takes(200), "5": takes(1500)});
+        assert_eq!(shown(&name)["channels"], all);
+        assert!(said(&["if", "-S", &name]).contains("channel 3: a payload of up to 200 bytes\n"));
+        said(&["slot", "-S", &name, "remove", "5"]);
+        said(&["slot", "-S", &name, "set", "1=4ms,size=100"]);
+        let all = json!({"0": takes(1500), "1": takes(100), "3": takes(200)});
+        wait_until(&name, "its slots are others", |shown| shown["channels"] == all);
+    });
+}
+
+#[test]
+fn an_echo_that_does_not_fit_one_frame_is_refused_with_what_does() {
+    network("an_echo_that_does_not_fit_one_frame_is_refused_with_what_does", || {
+        let (medium, name) = (Medium::new(), format!("fits-{}", std::process::id()));
+        let _station = master(&medium, &name);
+        let long = refused(&["ping", "-S", &name, "10.0.0.2", "--channel", "3", "--size", "173"]);
+        assert!(
+            long.contains(&format!("slot 3 of station '{name}', which takes 200"))
+                && long.contains("--size 172 or less"),
+            "{long}"
+        );
+        let fits = ask(&["ping", "-S", &name, "10.0.0.2", "--channel", "3", "--size", "172", "-c", "1"]);
+        assert!(
+            String::from_utf8(fits.stdout).unwrap().contains("seq=1 was not asked: no route to 10.0.0.2")
+        );
+        // As slot 0, which takes what is sent in 1.
+        said(&["slot", "-S", &name, "set", "0=1ms,size=100"]);
+        wait_until(&name, "slot 0 takes 100", |shown| shown["channels"]["0"]["payload"] == 100);
+        let long = refused(&["ping", "-S", &name, "10.0.0.2", "--size", "100"]);
+        assert!(long.contains("does not fit slot 0") && long.contains("--size 72 or less"), "{long}");
+        // To itself it needs no slot.
+        said(&["ping", "-S", &name, "10.0.0.1", "--size", "100", "-c", "1"]);
+    });
+}
+
+#[test]
+fn a_detached_station_says_so_instead_of_asking_others_in_vain() {
+    network("a_detached_station_says_so_instead_of_asking_others_in_vain", || {
+        let (medium, name) = (Medium::new(), format!("detached-{}", std::process::id()));
+        let _station = master(&medium, &name);
+        assert!(shown(&name).get("silent").is_none());
+        said(&["tdma", "-S", &name, "detach"]);
+        wait_until(&name, "it is detached", |shown| shown["silent"].is_string());
+        let why = format!(
+            "it is detached, and silent until it is told to be slave or master again (`rtnet tdma -S {name} slave`)"
+        );
+        assert!(said(&["if", "-S", &name]).contains(&format!("nothing leaves: {why}\n")));
+        assert!(refused(&["ping", "-S", &name, "10.0.0.2"]).contains(&why));
+        assert!(refused(&["route", "-S", &name, "solicit", "10.0.0.2"]).contains(&why));
+        said(&["ping", "-S", &name, "10.0.0.1", "-c", "1"]);
+    });
 }
 
 #[test]

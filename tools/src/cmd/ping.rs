@@ -12,7 +12,7 @@ use rtmac::tdma::DEFAULT_LEAD;
 use serde::Serialize;
 
 use super::Failure;
-use super::interface::{asked, unasked};
+use super::interface::{asked, of_interface, unasked};
 use super::tdma::found;
 use crate::cli::{PingArgs, Which};
 use crate::control::{EchoRequest, EchoShown, EchoesShown, StackReply, StackRequest};
@@ -113,7 +113,9 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone())
         .map_err(|error| Failure::Run(error.into()))?;
+    let own = of_interface(which)?;
     let plan = Plan::of(which, args.ip, args.channel);
+    plan.check(which, args, &own)?;
     let mut run = Run::new(which, args);
     let mut begun = Instant::now();
     while !stop.load(Ordering::Relaxed) && args.count.is_none_or(|count| run.sent < count) {

@@ -10,7 +10,7 @@ use rtnet::wire::ethernet::Address;
 use serde::Serialize;
 
 use super::Failure;
-use super::interface::{asked, unasked};
+use super::interface::{asked, check_asked, of_interface, unasked};
 use super::tdma::found_of;
 use crate::cli::{RouteArgs, RouteVerb, Which};
 use crate::control::{RouteSaid, RoutesShown, StackReply, StackRequest, Way};
@@ -116,6 +116,7 @@ fn way(which: &Which, ip: Ipv4Addr) -> Result<Way, Failure> {
 }
 
 fn solicit(which: &Which, ip: Ipv4Addr) -> Result<u8, Failure> {
+    check_asked(which, &of_interface(which)?, ip)?;
     if !matches!(asked(which, StackRequest::Solicit(ip))?, StackReply::Done) {
         return Err(unasked(which));
     }

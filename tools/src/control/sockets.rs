@@ -93,8 +93,14 @@ pub struct InterfaceShown {
     pub link: String,
     /// Largest payload of a frame.
     pub mtu: usize,
-    /// What its slots take, by channel: bytes, or why none.
+    /// What each of its slots takes, by channel. Where there are no slots all channels are as 0.
     pub channels: BTreeMap<u8, ChannelShown>,
+    /// `tdma`, `nomac` or `direct`.
+    #[serde(default)]
+    pub discipline: String,
+    /// Why nothing leaves at all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub silent: Option<String>,
     /// What the interface has counted.
     pub counters: BTreeMap<String, u64>,
 }

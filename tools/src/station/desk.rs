@@ -10,7 +10,8 @@ use crossbeam::queue::ArrayQueue;
 use nix::errno::Errno;
 use nix::sys::eventfd::EventFd;
 use rtmac::tdma::{
-    DEFAULT_ROUNDS, MasterConfig, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig, TdmaCommand,
+    DEFAULT_ROUNDS, MasterConfig, NON_RT_SLOT, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig,
+    TdmaCommand,
 };
 use rtnet::api::door::{Attached, Descriptors};
 use rtnet::api::handshake::{Answer, Ask};
@@ -243,8 +244,10 @@ impl Desk {
             StackRequest::Interface => {
                 let (name, interface) = (self.name.clone(), self.wire.name().into());
                 let (link, counters) = (self.link().name().into(), port);
-                let own = self.sockets.interface()?;
-                let shown = InterfaceShown { name, interface, link, counters, ..own };
+                let own = self.sockets.interface(&self.newest.as_ref().map_or(Vec::new(), channels))?;
+                let newest = self.newest.as_ref().ok_or("the station has only just started: ask again")?;
+                let (discipline, silent) = (newest.status.name().into(), silent(&newest.status));
+                let shown = InterfaceShown { name, interface, link, counters, discipline, silent, ..own };
                 Ok(StackReply::Interface(Box::new(shown)))
             }
             StackRequest::Counters => {
@@ -435,6 +438,21 @@ impl Desk {
             control: traffic.named(),
         }))
     }
+}
+
+/// Those that may be of a slot: what is sent in 1 where that is none goes by slot 0. Without slots all are alike: the first.
+fn channels(newest: &Snapshot<AccessStatus>) -> Vec<u8> {
+    let Some(tdma) = newest.status.tdma() else { return vec![0] };
+    // Not all may be in what is seen of it, but the lowest are.
+    let has_non_rt = tdma.slots.iter().flatten().any(|slot| slot.config.id == NON_RT_SLOT);
+    (0..=u8::MAX).filter(|&channel| channel != NON_RT_SLOT || has_non_rt).collect()
+}
+
+/// Why nothing of a station's leaves, whatever its slots take.
+fn silent(status: &AccessStatus) -> Option<String> {
+    let is_detached = status.tdma().is_some_and(|tdma| tdma.role == RoleName::Detached);
+    let why = "it is detached, and silent until it is told to be slave or master again (`rtnet tdma slave`)";
+    is_detached.then(|| why.into())
 }
 
 /// Who was stopped was woken late, but by no timer.

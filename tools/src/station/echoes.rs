@@ -36,8 +36,10 @@ const CAME: usize = 128;
 const ROUNDS: usize = 8;
 /// Answers of a round that nobody has read; later ones are lost.
 const UNREAD: usize = 256;
+/// Bytes before what an echo takes along.
+pub const ECHO_HEADERS: usize = ipv4::HEADER_LEN + icmpv4::HEADER_LEN;
 /// Bytes that an echo takes along at the most: what a frame has room for.
-const ECHO_AT_MOST: usize = MTU - ipv4::HEADER_LEN - icmpv4::HEADER_LEN;
+pub const ECHO_AT_MOST: usize = MTU - ECHO_HEADERS;
 
 /// Between the two threads. Pointers are swapped: neither waits for the other, and the memory of a question goes back to
 /// who brought it.

@@ -25,9 +25,6 @@ use crate::control::{
     StackReply, StackRequest, Way,
 };
 
-/// Channels of which is told what they take.
-const CHANNELS: u8 = 2;
-
 /// The control thread's way to the sockets.
 pub struct Sockets {
     visits: Arc<Visits>,
@@ -106,22 +103,23 @@ impl Sockets {
         }
     }
 
-    /// Its place in the Internet Protocol, as far as the stack knows it.
-    pub fn interface(&self) -> Result<InterfaceShown, String> {
-        type Limits = [Option<Result<usize, SendError>>; CHANNELS as usize];
-        let brought: (Option<Interface>, Limits) = (None, [None; CHANNELS as usize]);
+    /// Its place in the Internet Protocol, as far as the stack knows it, and what those of these channels take that
+    /// there are.
+    pub fn interface(&self, channels: &[u8]) -> Result<InterfaceShown, String> {
+        type Limits = Vec<(u8, Option<Result<usize, SendError>>)>;
+        let limits: Limits = channels.iter().map(|&channel| (channel, None)).collect();
+        let brought: (Option<Interface>, Limits) = (None, limits);
         let (own, limits) = self.visit(brought, |(own, limits), stack, exit| {
             *own = Some(*stack.routes().own());
-            for (channel, limit) in (0..).zip(limits) {
-                *limit = Some(exit.limit(channel));
+            for (channel, limit) in limits {
+                *limit = Some(exit.limit(*channel));
             }
         })?;
         let own = own.ok_or("it has not looked")?;
-        let shown = |limit: Result<usize, SendError>| ChannelShown {
-            payload: limit.ok(),
-            refused: limit.err().map(|error| error.to_string()),
-        };
-        let channels = (0..).zip(limits).filter_map(|(channel, limit)| Some((channel, shown(limit?))));
+        let channels = limits.into_iter().filter_map(|(channel, limit)| {
+            let payload = limit?.ok()?;
+            Some((channel, ChannelShown { payload: Some(payload), refused: None }))
+        });
         Ok(InterfaceShown {
             name: String::new(),
             interface: String::new(),
@@ -132,6 +130,8 @@ impl Sockets {
             link: String::new(),
             mtu: MTU,
             channels: channels.collect(),
+            discipline: String::new(),
+            silent: None,
             counters: BTreeMap::new(),
         })
     }

@@ -1,15 +1,18 @@
 //! What round trips are to take by the schedule, where the command can look at both stations: in a lab.
 
+use anyhow::anyhow;
 use rtmac::tdma::schedule::{self, Slot, Wait};
 use rtmac::tdma::{DEFAULT_LEAD, NON_RT_SLOT};
 use rtnet::time::Span;
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-use crate::cli::Which;
-use crate::cmd::interface::asked;
+use crate::cli::{PingArgs, Which};
+use crate::cmd::Failure;
+use crate::cmd::interface::{asked, check_asked};
 use crate::cmd::tdma::{stations, status};
-use crate::control::{Place, SlotShown, StackReply, StackRequest, StationStatus};
+use crate::control::{InterfaceShown, Place, SlotShown, StackReply, StackRequest, StationStatus};
+use crate::station::echoes::ECHO_HEADERS;
 
 /// The channel of echoes that are answered.
 const ANSWERS: u8 = NON_RT_SLOT;
@@ -22,6 +25,8 @@ pub struct Plan {
     pub cycle: Option<Duration>,
     /// Which the two are, and the round trip by their slots.
     both: Option<([Which; 2], Wait)>,
+    /// The other station, its slot for answers, and what that takes.
+    answers: Option<(String, u8, usize)>,
     /// What they had missed by then.
     missed: u64,
 }
@@ -31,23 +36,40 @@ impl Plan {
     pub fn of(which: &Which, to: Ipv4Addr, channel: u8) -> Self {
         let own = status(which).ok();
         let cycle = own.as_ref().and_then(|own| own.period_ns);
-        let both = own.and_then(|own| Self::both(which, own, to, channel));
-        let mut plan =
-            Self { cycle: cycle.map(|ns| Duration::from_nanos(ns.unsigned_abs())), both, missed: 0 };
+        let cycle = cycle.map(|ns| Duration::from_nanos(ns.unsigned_abs()));
+        let mut plan = Self { cycle, both: None, answers: None, missed: 0 };
+        let Some((other, theirs)) = other(which, to) else { return plan };
+        plan.answers = slot(&theirs, ANSWERS).map(|slot| (other.place.to_string(), slot.id, slot.size));
+        let wait = own.and_then(|own| round_trip(&own, &theirs, channel));
+        let own = Which { place: which.place.clone(), json: which.json };
+        plan.both = wait.map(|wait| ([own, other], wait));
         plan.missed = plan.missed_so_far();
         plan
     }
 
-    fn both(which: &Which, own: StationStatus, to: Ipv4Addr, channel: u8) -> Option<([Which; 2], Wait)> {
-        let StackReply::Way(way) = asked(which, StackRequest::Lookup(to)).ok()? else { return None };
-        let (address, lab) = (way.address.filter(|_| way.via.is_none())?, which.place.lab.clone()?);
-        let name = stations(&lab)?.into_iter().find(|station| station.address == address)?.name;
-        let place = Place { lab: Some(lab), station: name };
-        let other = Which { place, json: which.json };
-        let theirs = status(&other).ok()?;
-        let wait = round_trip(&own, &theirs, channel)?;
-        let own = Which { place: which.place.clone(), json: which.json };
-        Some(([own, other], wait))
+    /// Refuses questions of which none could be answered.
+    pub fn check(&self, which: &Which, args: &PingArgs, own: &InterfaceShown) -> Result<(), Failure> {
+        if args.ip == own.ip || args.ip.is_loopback() {
+            return Ok(());
+        }
+        check_asked(which, own, args.ip)?;
+        // What is sent in 1 where that is no slot goes by slot 0, and without slots all channels are alike.
+        let is_like_0 = own.discipline != "tdma"
+            || args.channel == NON_RT_SLOT && !own.channels.contains_key(&NON_RT_SLOT);
+        let channel = if is_like_0 { RT_SLOT } else { args.channel };
+        // Of one that is not defined the station tells.
+        let takes = own.channels.get(&channel).and_then(|takes| takes.payload);
+        let asks = takes.map(|takes| (which.place.to_string(), channel, takes));
+        for (station, slot, takes) in asks.iter().chain(&self.answers) {
+            let (size, fits) = (args.size, takes.saturating_sub(ECHO_HEADERS));
+            if usize::from(size) > fits {
+                return Err(Failure::Usage(anyhow!(
+                    "an echo of {size} bytes and {ECHO_HEADERS} of headers does not fit slot {slot} of station '{station}', \
+                     which takes {takes}, and echoes are answered in one frame only: ask with --size {fits} or less"
+                )));
+            }
+        }
+        Ok(())
     }
 
     /// Best and worst by the schedule.
@@ -66,6 +88,17 @@ impl Plan {
             .map(|status| status.misses.causes.values().sum::<u64>())
             .sum()
     }
+}
+
+/// Who has an address, in a lab, and how it stands.
+fn other(which: &Which, to: Ipv4Addr) -> Option<(Which, StationStatus)> {
+    let StackReply::Way(way) = asked(which, StackRequest::Lookup(to)).ok()? else { return None };
+    let (address, lab) = (way.address.filter(|_| way.via.is_none())?, which.place.lab.clone()?);
+    let name = stations(&lab)?.into_iter().find(|station| station.address == address)?.name;
+    let place = Place { lab: Some(lab), station: name };
+    let other = Which { place, json: which.json };
+    let theirs = status(&other).ok()?;
+    Some((other, theirs))
 }
 
 /// From a question's being asked to the answer, by the slots of both. None where slots are joint: what waits for one

@@ -1,7 +1,7 @@
 //! Stations with an address: `rtnet if`, `route`, `ping`, `pool` and `stat`.
 
 use std::net::SocketAddrV4;
-use std::process::Output;
+use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -151,8 +151,9 @@ fn a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited() {
         let words = String::from_utf8(unknown.stdout).unwrap();
         assert_eq!((unknown.status.code(), unknown.stderr.len()), (Some(1), 0), "{words}");
         assert!(words.contains("seq=1 was not asked: no route to 10.0.0.1"), "{words}");
+        assert!(words.contains(&format!("`rtnet route -S {} solicit`", two.b)), "{words}");
         assert!(
-            words.contains("2 sent, 0 came back, 0.0 % lost, 2 were not asked:\n  2 times: no route"),
+            words.contains("0 sent, 0 came back, 0.0 % lost, 2 were not asked:\n  2 times: no route"),
             "{words}"
         );
         said("route", &two.b, &["add", "10.0.0.1", A]);
@@ -166,6 +167,13 @@ fn a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited() {
         assert!(words.contains("56 bytes from 10.0.0.2: seq=1 time="), "{words}");
         assert!(words.contains("2 sent, ") && words.contains("waiting for the slot: min "), "{words}");
         said("route", &two.a, &["add", "10.0.0.9", "02:00:00:00:00:09"]);
+        // Its own address asks for nothing on the medium.
+        let own = said("ping", &two.a, &["-c", "1", "10.0.0.1"]);
+        assert!(own.contains("seq=1 time=") && !own.contains("waiting"), "{own}");
+        let own = json("ping", &two.a, &["-c", "1", "10.0.0.1"]);
+        assert!(!own.to_string().contains("waited_ns"), "{own:#}");
+        let all = refused("ping", &two.a, &["-c", "1", "10.0.0.255"], 2);
+        assert!(all.contains("it is the broadcast address; name one that another station has"), "{all}");
         let nobody = ask("ping", &two.a, &["-c", "1", "10.0.0.9"]);
         assert_eq!(nobody.status.code(), Some(1), "nothing came back");
         let stat = json("stat", &two.b, &[]);
@@ -229,6 +237,28 @@ fn what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool()
             std::thread::sleep(Duration::from_millis(20));
         }
     });
+}
+
+#[test]
+fn of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is_a_failure() {
+    network(
+        "of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is_a_failure",
+        || {
+            let mut two = Two::start("killed");
+            said("route", &two.b, &["add", "10.0.0.1", A]);
+            let mut command = rtnet();
+            command.args(["ping", "-S", &two.a, "--json", "-c", "30", "-i", "50ms", "10.0.0.2"]);
+            let ping = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+            std::thread::sleep(Duration::from_millis(600));
+            two.stations[0].child.kill().unwrap();
+            let output = ping.wait_with_output().unwrap();
+            let round: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let [sent, received, failed] =
+                ["sent", "received", "failed"].map(|of| round[of].as_u64().unwrap());
+            assert_eq!((output.status.code(), sent + failed), (Some(1), 30), "{round:#}");
+            assert!(0 < received && received <= sent && sent < 30, "{round:#}");
+        },
+    );
 }
 
 #[test]

@@ -84,7 +84,8 @@ pub enum Verb {
     /// question waited for its slot is told, too. Questions come at other moments of the cycle each time,
     /// so that the best and the worst case show; in a lab, what the schedule says of them stands below.
     ///
-    /// Exit status: 0; 1 nothing came back, or nothing could be sent; 2 bad usage.
+    /// Exit status: 0; 1 nothing came back, or nothing could be sent, or the station went and not everything came back;
+    /// 2 bad usage.
     Ping(PingArgs),
     /// Show the buffers of a running station: how many each of its pools has, and what was lost for want of one
     Pool(ShowArgs),

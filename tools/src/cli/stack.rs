@@ -7,8 +7,10 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use rtnet::ip::route::Network;
 use rtnet::time::Span;
+use rtnet::wire::ethernet::MTU;
 
 use super::{Which, WhichOf};
+use crate::station::echoes::{ECHO_AT_MOST, ECHO_HEADERS};
 use crate::station::stack::{OwnIp, parse_ports};
 use crate::units::parse_positive_span;
 
@@ -126,7 +128,7 @@ pub struct PingArgs {
     #[arg(short, long, default_value = "1s", value_parser = parse_positive_span)]
     pub interval: Span,
     /// Bytes behind the header of the echo
-    #[arg(short, long, default_value_t = 56, value_name = "B", value_parser = clap::value_parser!(u16).range(0..=1472))]
+    #[arg(short, long, default_value_t = 56, value_name = "B", value_parser = parse_echo)]
     pub size: u16,
     /// How urgent the questions are: 0 first, 30 last
     #[arg(long, default_value_t = 30, value_name = "P", value_parser = clap::value_parser!(u8).range(0..=30))]
@@ -134,4 +136,15 @@ pub struct PingArgs {
     /// The slot that they leave in
     #[arg(long, default_value_t = 1, value_name = "C")]
     pub channel: u8,
+}
+
+/// How much an echo takes along.
+fn parse_echo(text: &str) -> Result<u16, String> {
+    let size = text.parse().ok().filter(|&size: &u16| usize::from(size) <= ECHO_AT_MOST);
+    size.ok_or_else(|| {
+        format!(
+            "'{text}' is no number from 0 to {ECHO_AT_MOST}: an echo is answered in one frame only, whose {MTU} bytes have \
+             {ECHO_HEADERS} of headers"
+        )
+    })
 }

@@ -9,13 +9,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rtmac::tdma::DEFAULT_LEAD;
+use rtnet::api::place::is_served;
 use serde::Serialize;
 
 use super::Failure;
-use super::interface::{asked, of_interface, unasked};
+use super::interface::{asked, of_interface, unasked, with_place};
 use super::tdma::found;
 use crate::cli::{PingArgs, Which};
-use crate::control::{EchoRequest, EchoShown, EchoesShown, StackReply, StackRequest};
+use crate::control::{Directory, EchoRequest, EchoShown, EchoesShown, StackReply, StackRequest};
 use crate::report::text::micros;
 use plan::Plan;
 
@@ -37,6 +38,7 @@ const GOLDEN: f64 = 0.618_033_988_749_894_9;
 #[derive(Debug, Serialize)]
 struct Round {
     to: Ipv4Addr,
+    /// Questions that the station took.
     sent: u64,
     received: u64,
     /// Questions that could not be asked, and why.
@@ -46,9 +48,11 @@ struct Round {
     loss: f64,
     /// From asking until the answer came.
     round_trip_ns: Option<Spread>,
-    /// How much of it the question waited for its slot.
+    /// How much of it the question waited for its slot, unless it needed none.
+    #[serde(skip_serializing_if = "Option::is_none")]
     waited_ns: Option<Spread>,
     /// The rest: on the way, and at the other station.
+    #[serde(skip_serializing_if = "Option::is_none")]
     rest_ns: Option<Spread>,
     /// What the schedule says of it, in a lab.
     schedule: Option<Scheduled>,
@@ -61,6 +65,7 @@ struct Answer {
     sequence: u16,
     bytes: usize,
     round_trip_ns: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     waited_ns: Option<u64>,
 }
 
@@ -118,8 +123,8 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
     plan.check(which, args, &own)?;
     let mut run = Run::new(which, args);
     let mut begun = Instant::now();
-    while !stop.load(Ordering::Relaxed) && args.count.is_none_or(|count| run.sent < count) {
-        let moment = begun + due(run.sent, args, plan.cycle);
+    while !stop.load(Ordering::Relaxed) && args.count.is_none_or(|count| run.tried < count) {
+        let moment = begun + due(run.tried, args, plan.cycle);
         run.listen(moment, &stop, |_| false)?;
         if stop.load(Ordering::Relaxed) {
             break;
@@ -132,9 +137,10 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
         std::thread::sleep(TOLD_WITHIN);
         run.beside([wait.best, wait.worst].map(|span| span.nanos().unsigned_abs()), plan.missed())
     });
+    let (tried, has_gone) = (run.tried, run.has_gone);
     let round = run.round(schedule);
     super::print(which.json, &round, summary).map_err(Failure::Run)?;
-    Ok(u8::from(round.received == 0))
+    Ok(u8::from(round.received == 0 || has_gone && round.received < tried))
 }
 
 /// When a question is asked, from the begin on. Where there is a cycle they are spread over it: all asked in the same
@@ -160,8 +166,11 @@ struct Run<'a> {
     which: &'a Which,
     args: &'a PingArgs,
     identifier: u16,
-    sent: u64,
+    /// Questions so far, also those that could not be asked.
+    tried: u64,
     received: u64,
+    /// Whether the station was not there at a time.
+    has_gone: bool,
     failures: BTreeMap<String, u64>,
     /// Questions without an answer.
     open: BTreeMap<u16, Open>,
@@ -177,30 +186,38 @@ struct Open {
 impl<'a> Run<'a> {
     fn new(which: &'a Which, args: &'a PingArgs) -> Self {
         let (failures, open, answers) = Default::default();
-        Self { which, args, identifier: identifier(), sent: 0, received: 0, failures, open, answers }
+        let (tried, received, has_gone) = (0, 0, false);
+        Self { which, args, identifier: identifier(), tried, received, has_gone, failures, open, answers }
     }
 
     /// Asks the next question. Where not even the first can be asked, there is nothing to be measured.
     fn ask(&mut self) -> Result<(), Failure> {
         let &PingArgs { ip: to, size, priority, channel, .. } = self.args;
-        let (identifier, sequence, size) = (self.identifier, (self.sent + 1) as u16, size.into());
+        let (identifier, sequence, size) = (self.identifier, (self.tried + 1) as u16, size.into());
         let echo = EchoRequest { to, identifier, sequence, size, priority, channel };
         match asked(self.which, StackRequest::Echo(echo)) {
             Ok(StackReply::Asked(at)) => {
-                self.sent += 1;
+                self.tried += 1;
                 self.open.insert(sequence, Open { asked: at, since: Instant::now() });
                 Ok(())
             }
             Ok(_) => Err(unasked(self.which)),
-            Err(error) if self.sent == 0 => Err(error),
+            Err(error) if self.tried == 0 => Err(error),
             Err(error) => {
-                self.sent += 1;
+                self.tried += 1;
+                self.look_for_station();
                 self.fails(sequence, &format!("{:#}", into_error(error)))
             }
         }
     }
 
+    /// One that is stopped, or has too much to do, is there.
+    fn look_for_station(&mut self) {
+        self.has_gone |= !is_served(&Directory::of_user().station(&self.which.place));
+    }
+
     fn fails(&mut self, sequence: u16, why: &str) -> Result<(), Failure> {
+        let why = &with_place(self.which, why);
         if !self.which.json {
             super::say(&format!("seq={sequence} was not asked: {why}\n")).map_err(Failure::Run)?;
         }
@@ -245,7 +262,10 @@ impl<'a> Run<'a> {
             Ok(StackReply::Echoes(echoes)) => echoes,
             Ok(_) => return Err(unasked(self.which)),
             // Who does not answer now may do so the next time; its questions count as lost.
-            Err(_) => return Ok(()),
+            Err(_) => {
+                self.look_for_station();
+                return Ok(());
+            }
         };
         for failed in failed {
             if self.open.remove(&failed.sequence).is_some() {
@@ -278,9 +298,10 @@ impl<'a> Run<'a> {
     }
 
     fn round(self, schedule: Option<Scheduled>) -> Round {
-        let Self { sent, received, failures, answers, .. } = self;
+        let Self { tried, received, failures, answers, .. } = self;
         let failed = failures.values().sum();
-        let lost = sent.saturating_sub(received + failed);
+        let sent = tried.saturating_sub(failed);
+        let lost = sent.saturating_sub(received);
         let spread = |of: fn(&Answer) -> Option<u64>| Spread::of(answers.iter().filter_map(of).collect());
         Round {
             to: self.args.ip,
@@ -334,12 +355,11 @@ fn answer(echo: &EchoShown, asked: u64) -> Answer {
 }
 
 fn line(from: Ipv4Addr, answer: &Answer) -> String {
-    let us = |ns: Option<u64>| ns.map_or("?".into(), |ns| micros(ns as i64));
-    let (all, waited) = (us(answer.round_trip_ns), us(answer.waited_ns));
-    format!(
-        "{} bytes from {from}: seq={} time={all} us, of which {waited} waiting for the slot\n",
-        answer.bytes, answer.sequence
-    )
+    let Answer { sequence, bytes, round_trip_ns, waited_ns } = *answer;
+    let us = |ns: u64| micros(ns as i64);
+    let all = round_trip_ns.map_or("?".into(), us);
+    let waited = waited_ns.map_or(String::new(), |ns| format!(", of which {} waiting for the slot", us(ns)));
+    format!("{bytes} bytes from {from}: seq={sequence} time={all} us{waited}\n")
 }
 
 fn summary(round: &Round) -> String {

@@ -45,19 +45,16 @@ fn questions_come_as_often_as_was_said_and_everywhere_in_a_cycle() {
 fn what_fails_counts_by_its_reason_and_the_rest_as_lost_or_received() {
     let args = args("-S a -i 4ms --json 10.0.0.1");
     let mut run = Run::new(&args.which, &args);
-    run.sent = 100;
+    run.tried = 100;
     (0..30).for_each(|n| run.fails(n, &format!("reason {}", n / 2)).unwrap());
     (0..10).for_each(|n| run.fails(n, &format!("later reason {n}")).unwrap());
     run.received = 40;
     let round = run.round(None);
-    assert_eq!((round.failed, round.lost, round.loss), (40, 20, 0.2));
+    assert_eq!((round.sent, round.failed, round.lost, round.loss), (60, 40, 20, 20.0 / 60.0));
     assert_eq!((round.failures.len(), round.failures["reason 3"]), (17, 2));
     assert_eq!(round.failures["another reason"], 9);
     let text = summary(&round);
-    assert!(
-        text.starts_with("10.0.0.1: 100 sent, 40 came back, 20.0 % lost, 40 were not asked:\n"),
-        "{text}"
-    );
+    assert!(text.starts_with("10.0.0.1: 60 sent, 40 came back, 33.3 % lost, 40 were not asked:\n"), "{text}");
     assert!(text.contains("\n  2 times: reason 3\n"), "{text}");
 }
 

@@ -287,10 +287,16 @@ fn tables_and_pools_are_as_large_as_was_said_at_the_start() {
         };
         assert!(["10.0.0.2", "10.0.0.3"].iter().all(|ip| add(ip).status.success()));
         let full = String::from_utf8(add("10.0.0.4").stderr).unwrap();
-        assert!(
-            full.contains("it takes 2 (delete one, or start the station with a larger one: `--hosts`"),
-            "{full}"
-        );
+        let remedy = "delete one (`rtnet route del`), or start the station with a larger one (`rtnet station --hosts`, \
+                      `--networks`; ";
+        assert!(full.contains(&format!("host routes is full: it takes 2; {remedy}")), "{full}");
+        let network =
+            |to: &str| rtnet().args(["route", "-S", &name, "add", to, "via", "10.0.0.2"]).output().unwrap();
+        assert!(network("10.1.0.0/16").status.success());
+        let full = network("10.2.0.0/16");
+        assert_eq!(full.status.code(), Some(2));
+        let full = String::from_utf8(full.stderr).unwrap();
+        assert!(full.contains(&format!("network routes is full: it takes 1; {remedy}")), "{full}");
         let routes = json(&["route", "list"]);
         assert_eq!(
             (&routes["hosts_at_most"], &routes["networks_at_most"]),

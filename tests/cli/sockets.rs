@@ -103,11 +103,19 @@ fn routes_are_said_asked_for_and_deleted_by_hand() {
         assert!(route(&["list"]).contains(&format!("10.0.0.1 {B} static")));
         route(&["del", "10.9.0.0/16"]);
         route(&["del", "10.0.0.1"]);
-        let gone = refused("route", &two.b, &["del", "10.0.0.1"], 2);
+        let gone = refused("route", &two.b, &["del", "10.0.0.1"], 1);
         assert!(gone.contains("there is no route to 10.0.0.1"), "{gone}");
         for (arguments, why) in [
             (&["add", "10.0.0.2", A][..], "10.0.0.2 is no station's address: it is this station's own"),
             (&["add", "10.0.0.7", "ff:ff:ff:ff:ff:ff"], "is a group: a route leads to one station"),
+            (&["add", "10.0.0.7", "01:00:5e:00:00:07"], "is a group: a route leads to one station"),
+            (
+                &["add", "10.0.0.7", "00:00:00:00:00:00"],
+                "00:00:00:00:00:00 is no station's: write the address",
+            ),
+            (&["solicit", "10.0.0.2"], "10.0.0.2 is no station's address: it is this station's own"),
+            (&["solicit", "10.0.0.255"], "10.0.0.255 is no station's address: it is the broadcast address"),
+            (&["solicit", "127.0.0.1"], "127.0.0.1 is no station's address: it is a loopback address"),
             (&["add", "10.0.0.7", "02:00"], "'02:00' is not an Ethernet address: write six bytes"),
             (&["add", "10.9.0.0/16", "10.0.0.1"], "write IP MAC, or NET/PREFIX via IP"),
         ] {
@@ -128,6 +136,7 @@ fn of_a_file_with_a_bad_line_no_route_is_taken() {
         for (line, why) in [
             ("10.0.0.201 02:00", "routes, line 198: '02:00' is not an Ethernet address"),
             ("10.0.0.2 02:00:00:00:00:02", "routes, line 198: 10.0.0.2 is no station's address"),
+            ("10.0.0.201 00:00:00:00:00:00", "routes, line 198: 00:00:00:00:00:00 is no station's"),
         ] {
             std::fs::write(&file, format!("{many}{line}\n")).unwrap();
             let message = refused("route", &two.b, &["load", load], 2);

@@ -71,8 +71,8 @@ pub enum Hop {
 pub enum RouteError {
     /// No room.
     #[error(
-        "the table of {what} is full: it takes {capacity} (delete one, or start the station with a larger one: `--hosts`, \
-         `--networks`)"
+        "the table of {what} is full: it takes {capacity}; delete one (`rtnet route del`), or start the station with a larger \
+         one (`rtnet station --hosts`, `--networks`; the tables of a lab's stations are as they are)"
     )]
     TableFull {
         /// Host routes or network routes.

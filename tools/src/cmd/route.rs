@@ -38,7 +38,7 @@ pub fn route(args: &RouteArgs) -> Result<u8, Failure> {
             let said = parse_words(&route.join(" ")).map_err(|why| Failure::Usage(anyhow!(why)))?;
             done(which, StackRequest::AddRoutes(vec![said]))
         }
-        RouteVerb::Del { network } => done(which, StackRequest::DeleteRoute(network.to_string())),
+        RouteVerb::Del { network } => delete(which, *network),
         RouteVerb::Solicit { ip } => solicit(which, *ip),
         RouteVerb::Get { ip } => get(which, *ip),
         RouteVerb::Load { file } => load(which, file),
@@ -53,7 +53,12 @@ pub fn parse_route(text: &str) -> Result<RouteSaid, String> {
 
 /// Reads a file of routes, each with where it stands; a line that is none is named.
 pub fn read_routes(file: &Path) -> anyhow::Result<Vec<(String, RouteSaid)>> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{} cannot be read", file.display()))?;
+    let bytes = std::fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?;
+    let text = String::from_utf8(bytes).map_err(|error| {
+        let before = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let n = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
+        anyhow!("{}, line {n}: this is no text: write routes and comments in UTF-8", file.display())
+    })?;
     let mut routes = Vec::new();
     for (line, n) in text.lines().zip(1..) {
         let line = line.split('#').next().unwrap_or_default().trim();
@@ -113,6 +118,18 @@ fn way(which: &Which, ip: Ipv4Addr) -> Result<Way, Failure> {
         StackReply::Way(way) => Ok(way),
         _ => Err(unasked(which)),
     }
+}
+
+fn delete(which: &Which, network: Network) -> Result<u8, Failure> {
+    let RoutesShown { hosts, networks, .. } = routes(which)?;
+    let is_host = hosts.iter().any(|host| Network::host(host.ip) == network);
+    if !is_host && networks.iter().all(|there| there.network != network.to_string()) {
+        let place = &which.place;
+        return Err(Failure::Run(anyhow!(
+            "station '{place}': there is no route to {network}: `rtnet route -S {place} list` shows those that there are"
+        )));
+    }
+    done(which, StackRequest::DeleteRoute(network.to_string()))
 }
 
 fn solicit(which: &Which, ip: Ipv4Addr) -> Result<u8, Failure> {
@@ -248,7 +265,7 @@ mod tests {
         let mut load = |line| add(&mut copy, &parse(&parse_words(line).unwrap()).unwrap());
         load("10.0.0.5 02:00:00:00:00:05").unwrap();
         let full = load("10.0.0.6 02:00:00:00:00:06").unwrap_err().to_string();
-        assert!(full.contains("start the station with a larger one: `--hosts`"), "{full}");
+        assert!(full.contains("start the station with a larger one (`rtnet station --hosts`"), "{full}");
         let left: Vec<u8> = copy.hosts().iter().map(|host| host.ip.octets()[3]).collect();
         assert_eq!(left, [2, 4, 5]);
     }
@@ -275,5 +292,12 @@ mod tests {
             let error = read_routes(&file).unwrap_err().to_string();
             assert!(error.contains("routes, line 5: ") && error.contains(expected), "{error}");
         }
+        std::fs::write(&file, [good.as_bytes(), b"10.0.0.8 02:00:00:00:00:08 # Achse \xfc\n"].concat())
+            .unwrap();
+        let error = read_routes(&file).unwrap_err().to_string();
+        assert!(
+            error.contains("routes, line 5: this is no text: write routes and comments in UTF-8"),
+            "{error}"
+        );
     }
 }

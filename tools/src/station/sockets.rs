@@ -15,7 +15,7 @@ use rtnet::ip::{Exit, PoolStatus, Stack, StackCounters};
 use rtnet::live::{Driver, Errand, Visitor, Visits};
 use rtnet::room;
 use rtnet::socket::{SocketCounters, SocketId};
-use rtnet::wire::ethernet::MTU;
+use rtnet::wire::ethernet::{Address, MTU};
 
 use super::access::Access;
 use super::desk::{ANSWER_WITHIN, LOOK_EVERY};
@@ -297,7 +297,12 @@ pub enum Route {
 pub fn parse(said: &RouteSaid) -> Result<Route, String> {
     Ok(match said {
         RouteSaid::Host { ip, address } => {
-            let address = address.parse().map_err(text)?;
+            let address: Address = address.parse().map_err(text)?;
+            if address == Address::default() {
+                return Err(format!(
+                    "{address} is no station's: write the address that its interface has, see `rtnet if` there"
+                ));
+            }
             Route::Host(HostRoute { ip: *ip, address, origin: Origin::Static })
         }
         RouteSaid::Network { network, via } => {

@@ -71,9 +71,15 @@ fn sockperf(way: Way, core: usize, arguments: &[&str]) -> Command {
     command
 }
 
-/// From lines such as `sockperf: ---> percentile 99.000 =   32.421`, in microseconds.
+/// From lines such as `sockperf: ---> percentile 99.000 =   32.421`, in microseconds, and how many messages it counted.
 fn figures(said: &str) -> Option<Value> {
     let mut figures = Map::new();
+    let counted = |what: &str| -> Option<u64> {
+        let (_, number) = said.split_once(what)?;
+        number.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
+    };
+    figures.insert("n".into(), counted("ReceivedMessages=")?.into());
+    figures.insert("lost".into(), counted("# dropped messages = ")?.into());
     for line in said.lines() {
         let Some((what, value)) = line.rsplit_once('=') else { continue };
         let name = match what.rsplit_once("---> ").map(|(_, what)| what.trim()) {
@@ -87,5 +93,5 @@ fn figures(said: &str) -> Option<Value> {
         let micros: f64 = value.trim().parse().ok()?;
         figures.insert(name.into(), (micros * 1_000.0).into());
     }
-    (figures.len() == 5).then_some(Value::Object(figures))
+    (figures.len() == 7).then_some(Value::Object(figures))
 }

@@ -254,6 +254,11 @@ fn what_a_program_sends_without_a_slot_is_refused_at_once_where_no_master_is_hea
             assert_eq!(refused.raw_os_error(), Some(Errno::EAGAIN as i32), "{refused}");
             took.push(begun.elapsed());
         }
+        let output = rtnet().args(["stat", "-S", &name, "--json"]).output().unwrap();
+        let shown: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let own = shown["sockets"].as_object().unwrap().values().next().unwrap();
+        assert!(own["refused_no_slot"].as_u64() >= Some(20), "{shown:#}");
+        assert_eq!(own["refused_no_slot"], own["refused"], "{shown:#}");
         took.sort();
         figure(test, &format!("refused after {:?}, half of them", took[took.len() / 2]));
         assert!(took[took.len() / 2] < Duration::from_millis(20), "it is rung for: {took:?}");

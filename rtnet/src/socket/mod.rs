@@ -83,8 +83,14 @@ pub struct SocketCounters {
     pub sent: u64,
     /// Sends that were refused for want of a buffer.
     pub no_buffers: u64,
-    /// Sends that were refused for another reason.
+    /// Sends that were refused for another reason...
     pub refused: u64,
+    /// ... of them, for want of a route...
+    pub no_route: u64,
+    /// ... since no datagram, or no slot, takes as much...
+    pub too_long: u64,
+    /// ... and since the station has no such slot.
+    pub no_slot: u64,
     /// Datagrams whose later fragments the discipline did not take: what had left is no datagram.
     pub cut_short: u64,
 }

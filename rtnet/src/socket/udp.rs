@@ -132,7 +132,19 @@ impl Stack {
                 Err(SocketError::NoBuffers { .. } | SocketError::Discipline(SendError::QueueFull(_))) => {
                     &mut counters.no_buffers
                 }
-                Err(_) => &mut counters.refused,
+                Err(error) => {
+                    counters.refused += 1;
+                    match error {
+                        SocketError::NoRoute(_) => &mut counters.no_route,
+                        SocketError::TooLong(_) | SocketError::Discipline(SendError::TooLong { .. }) => {
+                            &mut counters.too_long
+                        }
+                        SocketError::Discipline(SendError::NoSlot(_) | SendError::UnknownChannel { .. }) => {
+                            &mut counters.no_slot
+                        }
+                        _ => return result,
+                    }
+                }
             };
             *count += 1;
         }

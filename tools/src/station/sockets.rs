@@ -380,6 +380,9 @@ fn of_socket(counters: &SocketCounters) -> BTreeMap<String, u64> {
         ("sent", counters.sent),
         ("no_buffers", counters.no_buffers),
         ("refused", counters.refused),
+        ("refused_no_route", counters.no_route),
+        ("refused_too_long", counters.too_long),
+        ("refused_no_slot", counters.no_slot),
         ("cut_short", counters.cut_short),
     ])
 }

@@ -21,7 +21,7 @@ struct Two {
     a: String,
     b: String,
     stations: [Station; 2],
-    _medium: Medium,
+    medium: Medium,
 }
 
 impl Two {
@@ -40,7 +40,7 @@ impl Two {
         };
         let first = start(&medium.a, of(&a, "10.0.0.1/24", &["--route", &format!("10.0.0.2={B}")]));
         let second = start(&medium.b, of(&b, "10.0.0.2/24", &["--sockets", "8", "--ports", "2000-2009"]));
-        Self { a, b, stations: [first, second], _medium: medium }
+        Self { a, b, stations: [first, second], medium }
     }
 }
 
@@ -266,6 +266,9 @@ fn of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is
                 ["sent", "received", "failed"].map(|of| round[of].as_u64().unwrap());
             assert_eq!((output.status.code(), sent + failed), (Some(1), 30), "{round:#}");
             assert!(0 < received && received <= sent && sent < 30, "{round:#}");
+            // Whoever has its name next takes along what it has left.
+            let options = ["--interface", "rt0", "--discipline", "direct", "--name", &two.a];
+            Station::start(&two.medium.a, &options).wait_for("Ctrl-C ends it");
         },
     );
 }

@@ -20,6 +20,7 @@ fn run() -> Result<(), String> {
     let failed = shared::of(&name);
     let socket = Station::named(&name).and_then(|station| station.udp()).map_err(&failed)?;
     socket.bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port)).map_err(&failed)?;
+    let port = socket.local_addr().map_err(&failed)?.port();
     println!("{name} echoes what comes to port {port}");
     let mut room = [0; 1500];
     loop {

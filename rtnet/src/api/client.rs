@@ -1,6 +1,7 @@
 //! A program's end: sockets as those of the standard library, of a station that is another process.
 
 use core::net::SocketAddrV4;
+use core::sync::atomic::Ordering;
 use core::time::Duration;
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
@@ -93,7 +94,9 @@ impl UdpSocket {
     }
     /// From now on it sends to this peer and hears nobody else; `None`: to nobody, and all.
     pub fn connect(&self, peer: Option<SocketAddrV4>) -> io::Result<()> {
-        self.0.ask(Ask::Connect(peer)).map(drop)
+        self.0.ask(Ask::Connect(peer))?;
+        self.0.is_connected.store(peer.is_some(), Ordering::Relaxed);
+        Ok(())
     }
     /// Where it hears.
     pub fn local_addr(&self) -> io::Result<SocketAddrV4> {
@@ -106,8 +109,8 @@ impl UdpSocket {
 
     /// Hands a datagram of at most 65 507 bytes to the station. It does not wait: where the station has not taken what was
     /// sent before, that is ENOBUFS. An earlier one that could not leave, for want of a route, of a slot, or of buffers since
-    /// nobody reads what has come, is told of at the next call, once: here, and then this one is not sent, or by a receive
-    /// that finds nothing. Of a station that was killed it is told at the second datagram after that, ENODEV.
+    /// nobody reads what has come, is told of once: here, and then this one is not sent; by a receive that finds nothing,
+    /// if the socket is connected; or by `take_error`. Of a station that was killed it is told at the second datagram after that, ENODEV.
     pub fn send_to(&self, data: &[u8], to: SocketAddrV4) -> io::Result<()> {
         self.send_to_with(data, to, Flags::NONE)
     }

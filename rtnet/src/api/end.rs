@@ -35,6 +35,8 @@ pub(super) struct End {
     pub(super) doorbell: File,
     /// How many errors of earlier sends this program has been told of.
     errors_told: AtomicU32,
+    /// Whoever receives waits for one peer's answers, and is told why there can be none.
+    pub(super) is_connected: AtomicBool,
     /// How often it has looked without waiting, and found nothing.
     looks_in_vain: AtomicU32,
     /// Somebody waits until it is ready by his own means.
@@ -67,6 +69,7 @@ impl End {
             timeout: Mutex::new(None),
             doorbell: File::from(doorbell),
             errors_told: AtomicU32::new(0),
+            is_connected: AtomicBool::new(false),
             looks_in_vain: AtomicU32::new(0),
             is_watched: AtomicBool::new(false),
             is_closed: AtomicBool::new(false),
@@ -131,7 +134,7 @@ impl End {
             Some(received) => Ok(received),
             // All that comes is there before it is said that no more will.
             None if self.is_gone()? => self.take(into, flags)?.ok_or(Errno::ENODEV.into()),
-            None => Err(self.take_error().unwrap_or(Errno::EAGAIN.into())),
+            None => Err(self.no_answer().unwrap_or(Errno::EAGAIN.into())),
         }
     }
 
@@ -179,7 +182,7 @@ impl End {
         // All that comes is there before it is said that no more will.
         let open = self.check_open();
         let received = self.take(into, flags)?;
-        let error = if received.is_none() { self.take_error() } else { None };
+        let error = if received.is_none() { self.no_answer() } else { None };
         if received.is_some() || error.is_some() || open.is_err() {
             // More may have come with it, and what was told of is read away: whoever waits looks for himself.
             self.ready.ring_again();
@@ -215,6 +218,11 @@ impl End {
 
     fn is_served(&self) -> bool {
         self.memory[STATE].load(Ordering::Acquire) == SERVED
+    }
+
+    /// Why there is no answer to what was sent. Who hears all goes on with the others.
+    fn no_answer(&self) -> Option<io::Error> {
+        if self.is_connected.load(Ordering::Relaxed) { self.take_error() } else { None }
     }
 
     /// The last error of an earlier send, once.

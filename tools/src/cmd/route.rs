@@ -23,6 +23,8 @@ const WIDTH: usize = 100;
 /// How long an answer is waited for, and how often to look for it.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(1);
 const LOOK_EVERY: Duration = Duration::from_millis(5);
+/// Characters of a line that is no route, in an error; a route has fewer.
+const SHOWN_AT_MOST: usize = 60;
 /// Routes in one request, which is short.
 const AT_ONCE: usize = 8;
 
@@ -48,7 +50,12 @@ pub fn route(args: &RouteArgs) -> Result<u8, Failure> {
 /// Reads `IP=MAC`.
 pub fn parse_route(text: &str) -> Result<RouteSaid, String> {
     let (ip, address) = text.split_once('=').ok_or("write IP=MAC, as 10.0.0.7=02:00:00:00:00:07")?;
-    parse_words(&format!("{ip} {address}"))
+    match parse_words(&format!("{ip} {address}"))? {
+        RouteSaid::Network { .. } => {
+            Err("write IP=MAC; networks are for a file of routes, `--routes`".into())
+        }
+        host => Ok(host),
+    }
 }
 
 /// Reads a file of routes, each with where it stands; a line that is none is named.
@@ -75,6 +82,11 @@ pub fn read_routes(file: &Path) -> anyhow::Result<Vec<(String, RouteSaid)>> {
 }
 
 fn parse_words(text: &str) -> Result<RouteSaid, String> {
+    let none = || format!("'{}' is no route: write IP MAC, or NET/PREFIX via IP", shown(text));
+    // What goes on with parts of it is to show them as they are.
+    if text.len() > SHOWN_AT_MOST || text.contains(|char: char| char.is_control() && char != '\t') {
+        return Err(none());
+    }
     let ip = |text: &str| {
         text.parse::<Ipv4Addr>().map_err(|_| format!("'{text}' is no IPv4 address: write one, as 10.0.0.7"))
     };
@@ -87,8 +99,15 @@ fn parse_words(text: &str) -> Result<RouteSaid, String> {
             let network: Network = network.parse().map_err(|error| format!("{error}"))?;
             Ok(RouteSaid::Network { network: network.to_string(), via: ip(gateway)? })
         }
-        _ => Err(format!("'{text}' is no route: write IP MAC, or NET/PREFIX via IP")),
+        _ => Err(none()),
     }
+}
+
+/// The begin of what somebody wrote, such that no terminal takes it for commands.
+fn shown(text: &str) -> String {
+    let (begin, rest) = text.split_at(text.floor_char_boundary(SHOWN_AT_MOST));
+    let more = if rest.is_empty() { "" } else { "..." };
+    format!("{}{more}", begin.escape_debug())
 }
 
 fn done(which: &Which, request: StackRequest) -> Result<u8, Failure> {

@@ -179,7 +179,9 @@ fn prefix_of_class(ip: Ipv4Addr) -> u8 {
 pub fn parse_ports(text: &str) -> Result<RangeInclusive<u16>, String> {
     let range = || {
         let (first, last) = text.split_once('-')?;
-        let (first, last) = (first.parse::<u16>().ok()?, last.parse::<u16>().ok()?);
+        // A number may have a sign, a port has none.
+        let port = |text: &str| text.parse::<u16>().ok().filter(|_| !text.starts_with('+'));
+        let (first, last) = (port(first)?, port(last)?);
         (first > 0 && first <= last).then_some(first..=last)
     };
     range().ok_or_else(|| {
@@ -226,7 +228,7 @@ mod tests {
     #[test]
     fn ports_are_a_range() {
         assert_eq!(parse_ports("2000-2099"), Ok(2000..=2099));
-        for text in ["", "2000", "0-9", "9-8", "1-65536", "a-b"] {
+        for text in ["", "2000", "0-9", "9-8", "1-65536", "a-b", "+1-9", "1-+9"] {
             assert!(parse_ports(text).unwrap_err().contains(&format!("'{text}'")), "{text}");
         }
     }

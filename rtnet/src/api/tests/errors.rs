@@ -42,6 +42,7 @@ fn who_waits_for_an_answer_to_what_could_not_leave_is_told_why_there_is_none() {
     let pair = Pair::new();
     let [a, b] = pair.sockets();
     let nowhere = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 99), 1);
+    a.connect(Some(to_second())).unwrap();
     a.set_timeout(None);
     a.send_to(b"", nowhere).unwrap();
     assert_eq!(number(a.receive(&mut [])), Errno::EHOSTUNREACH);
@@ -54,6 +55,11 @@ fn who_waits_for_an_answer_to_what_could_not_leave_is_told_why_there_is_none() {
     let error = (0..).find_map(|_| a.take_error()).unwrap();
     assert_eq!(number::<()>(Err(error)), Errno::EHOSTUNREACH);
     assert_eq!((a.take_error().is_none(), spins()), (true, Errno::EAGAIN));
+    // Who hears all goes on with the others.
+    b.send_to(b"", nowhere).unwrap();
+    b.set_timeout(Some(Duration::from_millis(50)));
+    assert_eq!(number(b.receive(&mut [])), Errno::ETIMEDOUT);
+    assert_eq!(b.take_error().map(|error| number::<()>(Err(error))), Some(Errno::EHOSTUNREACH));
 }
 
 #[test]

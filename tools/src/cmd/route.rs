@@ -319,4 +319,19 @@ mod tests {
             "{error}"
         );
     }
+
+    #[test]
+    fn what_is_no_route_is_shown_short_and_gives_a_terminal_no_commands() {
+        let why = parse_words(&format!("\u{1b}[2J{}", "x".repeat(5_000))).unwrap_err();
+        assert!(why.starts_with("'\\u{1b}[2Jxxx") && why.len() < 150, "{why}");
+        assert!(why.contains("...' is no route: write IP MAC"), "{why}");
+        assert!(parse_words("10.0.0.7 02:00:00:00:00:0\u{7}").unwrap_err().contains("\\u{7}"));
+        assert!(parse_words("10.0.0.7\t02:00:00:00:00:07").is_ok(), "in columns");
+    }
+
+    #[test]
+    fn what_stands_behind_route_is_a_host() {
+        assert!(parse_route("10.0.0.7=02:00:00:00:00:07").is_ok());
+        assert!(parse_route("10.1.0.0/16 via=10.0.0.7").unwrap_err().starts_with("write IP=MAC"));
+    }
 }

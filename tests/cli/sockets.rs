@@ -258,7 +258,10 @@ fn of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is
             let mut command = rtnet();
             command.args(["ping", "-S", &two.a, "--json", "-c", "30", "-i", "50ms", "10.0.0.2"]);
             let ping = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-            std::thread::sleep(Duration::from_millis(600));
+            let deadline = Instant::now() + PATIENCE;
+            while json("stat", &two.b, &[])["stack"]["echoes_answered"].as_u64() < Some(3) {
+                assert!(Instant::now() < deadline, "it answers");
+            }
             two.stations[0].child.kill().unwrap();
             let output = ping.wait_with_output().unwrap();
             let round: Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -47,8 +47,9 @@ pub(super) struct End {
 struct Sending {
     writer: Writer,
     options: Options,
-    /// What the station had read at the last send.
+    /// What the station had read at the last send, and how many sends in a row it has read nothing.
     read: u64,
+    unread: u32,
 }
 
 impl End {
@@ -64,7 +65,7 @@ impl End {
             ready: Ready::new(gate, control.try_clone()?)?,
             control: Mutex::new(control),
             received: Mutex::new(Reader::new(memory.clone(), segment::received())),
-            sending: Mutex::new(Sending { writer, options: Options::default(), read: 0 }),
+            sending: Mutex::new(Sending { writer, options: Options::default(), read: 0, unread: 0 }),
             memory,
             timeout: Mutex::new(None),
             doorbell: File::from(doorbell),
@@ -101,8 +102,11 @@ impl End {
         self.take_error().map_or(Ok(()), Err)?;
         let read = sending.writer.read();
         let is_stuck = std::mem::replace(&mut sending.read, read) == read && !sending.writer.is_drained();
-        // Who was killed has told nobody; that the last order has not been taken is the first sign of it.
-        if is_stuck && self.ready.has_hung_up()? {
+        sending.unread = if is_stuck { sending.unread.saturating_add(1) } else { 0 };
+        // Who was killed has told nobody; that the last order has not been taken is the first sign of it. Of a burst the
+        // station is asked after ever more seldom.
+        if sending.unread.is_power_of_two() && self.ready.has_hung_up()? {
+            sending.unread = 0;
             return Err(Errno::ENODEV.into());
         }
         let order = Order { to, options: sending.options, flags: flags.bits() };
@@ -181,7 +185,7 @@ impl End {
         core::sync::atomic::fence(Ordering::SeqCst);
         // All that comes is there before it is said that no more will.
         let open = self.check_open();
-        let received = self.take(into, flags)?;
+        let received = self.take(into, flags).inspect_err(|_| self.ready.ring_again())?;
         let error = if received.is_none() { self.no_answer() } else { None };
         if received.is_some() || error.is_some() || open.is_err() {
             // More may have come with it, and what was told of is read away: whoever waits looks for himself.
@@ -227,10 +231,12 @@ impl End {
 
     /// The last error of an earlier send, once.
     pub(super) fn take_error(&self) -> Option<io::Error> {
+        let told = self.errors_told.load(Ordering::Acquire);
         let word = self.memory[ERROR].load(Ordering::Acquire);
         let count = (word >> 32) as u32;
-        let is_new = self.errors_told.load(Ordering::Relaxed) != count
-            && self.errors_told.swap(count, Ordering::Relaxed) != count;
+        // Of several threads one is told.
+        let is_new = count != told
+            && self.errors_told.compare_exchange(told, count, Ordering::AcqRel, Ordering::Relaxed).is_ok();
         is_new.then(|| Errno::from_raw(word as u32 as i32).into())
     }
 

@@ -25,7 +25,7 @@ use super::memory::Memory;
 use super::ring::{Nonsense, Reader, Writer};
 use super::segment::{self, ASLEEP, ENDED, ERROR, Order, STATE, STATION_ASLEEP};
 use crate::live::Bells;
-use crate::socket::{Access, Flags, Program, SocketError, SocketId};
+use crate::socket::{Access, Flags, Lack, Program, SocketError, SocketId};
 use crate::wire::udp::MAX_PAYLOAD;
 
 /// Datagrams that are taken from one program in one turn: a flood does not hold up the others'.
@@ -186,9 +186,10 @@ impl Line {
                 segment::unpack_order(record.meta).filter(|_| record.len <= LONGEST).ok_or(Nonsense)?;
             let mut sent = sockets.set_options(self.socket, order.options);
             if sent.is_ok() {
-                if let Some(looks) = lacks_buffers(self.socket, sockets, &order, record.len) {
+                let lack = lacks_buffers(self.socket, sockets, &order, record.len);
+                lack.iter().for_each(|lack| work.spend(lack.looked));
+                if lack.is_some_and(|lack| lack.is_passing) {
                     self.waits = true;
-                    work.spend(looks);
                     return Ok(());
                 }
                 let copied = self.from_program.copy(&record, room);
@@ -222,7 +223,7 @@ impl Drop for Line {
     }
 }
 
-fn lacks_buffers(socket: SocketId, sockets: &Access<'_>, order: &Order, len: usize) -> Option<usize> {
+fn lacks_buffers(socket: SocketId, sockets: &Access<'_>, order: &Order, len: usize) -> Option<Lack> {
     let to = order.to.filter(|_| sockets.is_udp(socket).unwrap_or(false)).map(segment::unpack_udp);
     sockets.lacks_buffers(socket, len, to, Flags::from_bits(order.flags))
 }

@@ -65,6 +65,10 @@ impl Ready {
     /// From now on others may wait until the gate is readable: nobody takes note for them.
     pub fn share(&self) {
         self.is_shared.store(true, Ordering::SeqCst);
+        if self.is_quiet.swap(false, Ordering::SeqCst) {
+            // Who has taken note for himself has not said since then that he sleeps.
+            self.ring_again();
+        }
     }
 
     /// Somebody who finds nothing is about to say that he sleeps, and to wait.

@@ -3,7 +3,7 @@
 use core::any::Any;
 use core::net::{Ipv4Addr, SocketAddrV4};
 
-use super::{Flags, LinkType, Options, Received, Socket, SocketCounters, SocketError, SocketId};
+use super::{Flags, Lack, LinkType, Options, Received, Socket, SocketCounters, SocketError, SocketId};
 use crate::discipline::TimeView;
 use crate::ip::{Exit, Pong, Stack};
 use crate::queue::Priority;
@@ -107,16 +107,15 @@ impl<'a> Access<'a> {
     ) -> Result<(), SocketError> {
         self.stack.send_to(id, data, to, flags, self.exit)
     }
-    /// Whether what is sent now, `len` bytes, would be refused only because too many of the socket's buffers are on their way,
-    /// and not because what waits to be read has them: it is worth being tried again. Tells what it took to know it: so many places of its pool were looked at. To a packet socket
-    /// `to` is nothing.
+    /// Whether what is sent now, `len` bytes, would be refused for want of the socket's buffers, and whether that passes: then
+    /// it is worth being tried again. To a packet socket `to` is nothing.
     pub fn lacks_buffers(
         &self,
         id: SocketId,
         len: usize,
         to: Option<SocketAddrV4>,
         flags: Flags,
-    ) -> Option<usize> {
+    ) -> Option<Lack> {
         // What is wrong besides is said by who sends.
         self.stack.lacks_buffers(id, len, to, flags, self.exit).unwrap_or(None)
     }

@@ -31,6 +31,7 @@ pub use error::SocketError;
 pub(crate) use packet::Packet;
 pub use packet::{LinkAddress, LinkMode, LinkType};
 pub(crate) use table::Table;
+pub use udp::Lack;
 pub(crate) use udp::Udp;
 
 /// Buffers of a socket, unless it is said otherwise: RTnet's `socket_rtskbs`.

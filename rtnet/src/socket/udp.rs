@@ -26,6 +26,15 @@ impl Default for Udp {
     }
 }
 
+/// Too few of a socket's buffers are free for what is to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lack {
+    /// So many places of its pool were looked at to know it.
+    pub looked: usize,
+    /// As many as it takes are on their way, and come home by themselves: not so those in which something waits to be read.
+    pub is_passing: bool,
+}
+
 impl Stack {
     /// Binds a UDP socket to an address of this station's, or any (0.0.0.0), and to a port, or the one it has (0). Once.
     pub fn bind(&mut self, id: SocketId, to: SocketAddrV4) -> Result<(), SocketError> {
@@ -97,8 +106,7 @@ impl Stack {
         })
     }
 
-    /// Whether what is sent now would be refused only because too many of the socket's buffers are on their way, and come home
-    /// by themselves: not those in which something waits to be read. So many places were looked at to know it.
+    /// Whether what is sent now would be refused for want of the socket's buffers.
     pub(crate) fn lacks_buffers(
         &self,
         id: SocketId,
@@ -106,7 +114,7 @@ impl Stack {
         to: Option<SocketAddrV4>,
         flags: Flags,
         exit: &dyn Exit,
-    ) -> Result<Option<usize>, SocketError> {
+    ) -> Result<Option<Lack>, SocketError> {
         let socket = self.sockets.get(id)?;
         let needed = match socket.as_udp() {
             Ok(udp) => {
@@ -116,8 +124,10 @@ impl Stack {
             }
             Err(_) => 1,
         };
-        let lacking = socket.pool.lacks(needed);
-        Ok(lacking.filter(|_| needed + socket.waiting() <= socket.pool.capacity()))
+        Ok(socket.pool.lacks(needed).map(|looked| {
+            let waiting = socket.waiting();
+            Lack { looked: looked + waiting, is_passing: needed + waiting <= socket.pool.capacity() }
+        }))
     }
 
     pub(crate) fn count_send(

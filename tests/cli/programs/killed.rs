@@ -70,9 +70,9 @@ fn are_killed(test: &str, shares: Shares, slower: u64) {
             while Instant::now() < until {
                 beside.go_on();
             }
-            assert_eq!(victim.try_wait().unwrap(), None, "{number}: it still runs");
-            victim.kill().unwrap();
-            assert_eq!(victim.wait().unwrap().signal(), Some(9));
+            assert_eq!(victim.0.try_wait().unwrap(), None, "{number}: it still runs");
+            victim.0.kill().unwrap();
+            assert_eq!(victim.0.wait().unwrap().signal(), Some(9));
         }
         beside.until([&a, &b], &before);
         let (at_a, at_b) = (stat(&a), stat(&b));
@@ -220,14 +220,24 @@ fn hear(socket: &UdpSocket, number: u64) -> Option<SocketAddrV4> {
     }
 }
 
+/// A program that would go on for ever: it is killed also where the test fails before.
+struct Victim(Child);
+
+impl Drop for Victim {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Another process of this very test, and what it says.
-fn victim(station: &str, number: u64, test: &str) -> (Child, ChildStdout) {
+fn victim(station: &str, number: u64, test: &str) -> (Victim, ChildStdout) {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--exact", &format!("programs::killed::{test}"), "--nocapture"]);
     command.env(VICTIM_OF, format!("{station} {number}")).stdin(Stdio::null()).stdout(Stdio::piped());
     let mut victim = command.spawn().unwrap();
     let says = victim.stdout.take().unwrap();
-    (victim, says)
+    (Victim(victim), says)
 }
 
 /// Whether it has sent and received. Waits for nothing.

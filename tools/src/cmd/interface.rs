@@ -71,9 +71,7 @@ fn describe(shown: &InterfaceShown) -> String {
     text += &silent.as_ref().map_or(String::new(), |why| format!("nothing leaves: {why}\n"));
     for (channel, takes) in channels {
         let which = if discipline == "tdma" { format!("channel {channel}") } else { "every channel".into() };
-        let takes =
-            takes.payload.map_or(String::new(), |payload| format!(" a payload of up to {payload} bytes"));
-        text += &format!("{which}:{takes}\n");
+        text += &format!("{which}: a payload of up to {} bytes\n", takes.payload);
     }
     if channels.is_empty() {
         text += "no slots: nothing leaves until one is defined (`rtnet slot set`)\n";

@@ -109,10 +109,7 @@ pub struct InterfaceShown {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct ChannelShown {
     /// Largest payload behind the Ethernet header.
-    pub payload: Option<usize>,
-    /// Why there is none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused: Option<String>,
+    pub payload: usize,
 }
 
 /// A station's tables.
@@ -253,6 +250,7 @@ pub struct CountersShown {
     /// Frames refused, by reason.
     pub refused: BTreeMap<String, u64>,
     /// Of the sockets that programs of other processes have.
+    #[serde(default)]
     pub programs: BTreeMap<String, u64>,
     /// Of its stack.
     pub stack: BTreeMap<String, u64>,

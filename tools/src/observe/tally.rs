@@ -17,6 +17,8 @@ const STREAMS_AT_MOST: usize = 1_000;
 
 /// How much earlier than its slot a frame may seem to be, by clocks that are not quite the master's.
 const EARLY: Span = Span::from_micros(10);
+/// How much later than its slot's begin one that took it may be: later it is another slot's, in which nothing usual is sent.
+const LATE: Span = Span::from_micros(200);
 
 /// All that was counted.
 #[derive(Debug)]
@@ -143,14 +145,13 @@ impl Tally {
 
     /// What a program sends takes a turn from its station's usual frame: of the last slot that has begun by then.
     fn take_turn(&mut self, source: Address, cycle: u32, place: Span) {
+        let is_there = |offset: Span| offset <= place + EARLY && place <= offset + LATE;
         let of_source = self.streams.range_mut(Stream { source, which: Which::Sync }..);
         let begun = of_source
             .take_while(|(stream, _)| stream.source == source)
             .filter(|(stream, _)| matches!(stream.which, Which::Slot { .. }))
             .map(|(_, seen)| seen)
-            .filter(|seen| {
-                seen.offset.is_some_and(|offset| offset <= place + EARLY) && seen.turns.has(cycle)
-            });
+            .filter(|seen| seen.offset.is_some_and(is_there) && seen.turns.has(cycle));
         if let Some(seen) = begun.max_by_key(|seen| seen.offset) {
             seen.turns.note(cycle);
         }

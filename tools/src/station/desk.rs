@@ -244,8 +244,8 @@ impl Desk {
             StackRequest::Interface => {
                 let (name, interface) = (self.name.clone(), self.wire.name().into());
                 let (link, counters) = (self.link().name().into(), port);
-                let own = self.sockets.interface(&self.newest.as_ref().map_or(Vec::new(), channels))?;
-                let newest = self.newest.as_ref().ok_or("the station has only just started: ask again")?;
+                let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
+                let own = self.sockets.interface(&channels(newest))?;
                 let (discipline, silent) = (newest.status.name().into(), silent(&newest.status));
                 let shown = InterfaceShown { name, interface, link, counters, discipline, silent, ..own };
                 Ok(StackReply::Interface(Box::new(shown)))

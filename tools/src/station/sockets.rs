@@ -118,7 +118,7 @@ impl Sockets {
         let own = own.ok_or("it has not looked")?;
         let channels = limits.into_iter().filter_map(|(channel, limit)| {
             let payload = limit?.ok()?;
-            Some((channel, ChannelShown { payload: Some(payload), refused: None }))
+            Some((channel, ChannelShown { payload }))
         });
         Ok(InterfaceShown {
             name: String::new(),

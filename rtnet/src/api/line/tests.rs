@@ -118,6 +118,23 @@ fn who_reads_nothing_is_refused_what_he_sends_and_told_why() {
 }
 
 #[test]
+fn to_refuse_who_reads_nothing_is_work_of_a_turn_as_well() {
+    let (programs, buffers) = (30, 1_000);
+    let mut site = Site::new(programs, buffers);
+    for program in 0..programs {
+        while site.pools[program].available() > 0 {
+            site.hears(program, 1_400);
+            site.end.stack.rest();
+        }
+        site.order(program, 100);
+    }
+    let refused = |site: &Site| (0..programs).map(|program| site.sent(program).1).sum::<u64>();
+    let before = refused(&site);
+    site.turn();
+    assert!((1..=WORK_AT_ONCE.div_ceil(buffers) as u64).contains(&(refused(&site) - before)));
+}
+
+#[test]
 fn nobody_is_woken_before_the_turn_is_over() {
     let mut site = Site::new(4, 4);
     site.hears(0, 100);

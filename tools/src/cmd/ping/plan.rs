@@ -58,7 +58,7 @@ impl Plan {
             || args.channel == NON_RT_SLOT && !own.channels.contains_key(&NON_RT_SLOT);
         let channel = if is_like_0 { RT_SLOT } else { args.channel };
         // Of one that is not defined the station tells.
-        let takes = own.channels.get(&channel).and_then(|takes| takes.payload);
+        let takes = own.channels.get(&channel).map(|takes| takes.payload);
         let asks = takes.map(|takes| (which.place.to_string(), channel, takes));
         for (station, slot, takes) in asks.iter().chain(&self.answers) {
             let (size, fits) = (args.size, takes.saturating_sub(ECHO_HEADERS));

@@ -291,23 +291,6 @@ fn only_who_sleeps_is_woken() {
 }
 
 #[test]
-fn who_has_received_before_he_polls_for_the_first_time_is_told_of_what_came_with_it() {
-    let pair = Pair::new();
-    let [a, b] = pair.sockets();
-    for _ in 0..2 {
-        std::thread::scope(|scope| {
-            let waits = scope.spawn(|| b.receive(&mut [0; 20]).unwrap());
-            (0..3).for_each(|_| a.send_to(b"three at once", to_second()).unwrap());
-            waits.join().unwrap();
-        });
-        while b.receive_with(&mut [0; 20], Flags::DONTWAIT | Flags::PEEK).is_err() {}
-        let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
-        assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
-        while b.try_receive(&mut [0; 20]).is_ok() {}
-    }
-}
-
-#[test]
 fn who_waits_before_it_has_ever_looked_is_woken() {
     let pair = Pair::new();
     let [a, b] = pair.sockets();

@@ -28,7 +28,7 @@
 //!
 //! The descriptor of a socket works in `poll`, `epoll` and what is made of them: it is readable when something has come
 //! since [`UdpSocket::try_receive`] found nothing, or when the station is gone. Programs in the station's own thread have
-//! the same sockets by [`Access`](crate::socket::Access).
+//! the same sockets by [`Access`].
 
 pub mod client;
 mod connection;

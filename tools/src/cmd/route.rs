@@ -90,17 +90,19 @@ fn parse_words(text: &str) -> Result<RouteSaid, String> {
     let ip = |text: &str| {
         text.parse::<Ipv4Addr>().map_err(|_| format!("'{text}' is no IPv4 address: write one, as 10.0.0.7"))
     };
-    match text.split_whitespace().collect::<Vec<_>>()[..] {
+    let said = match text.split_whitespace().collect::<Vec<_>>()[..] {
         [host, address] if !host.contains('/') => {
             let (ip, address) = (ip(host)?, address.parse::<Address>().map_err(|error| error.to_string())?);
-            Ok(RouteSaid::Host { ip, address: address.to_string() })
+            RouteSaid::Host { ip, address: address.to_string() }
         }
         [network, "via", gateway] => {
             let network: Network = network.parse().map_err(|error| format!("{error}"))?;
-            Ok(RouteSaid::Network { network: network.to_string(), via: ip(gateway)? })
+            RouteSaid::Network { network: network.to_string(), via: ip(gateway)? }
         }
-        _ => Err(none()),
-    }
+        _ => return Err(none()),
+    };
+    // What no station takes is refused where it stands.
+    parse(&said).map(|_| said)
 }
 
 /// The begin of what somebody wrote, such that no terminal takes it for commands.

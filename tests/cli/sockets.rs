@@ -232,8 +232,15 @@ fn what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool()
         let to = SocketAddrV4::new([10, 0, 0, 2].into(), 36_000);
         let still = Pid::from_raw(two.stations[1].child.id() as i32);
         kill(still, Signal::SIGSTOP).unwrap();
-        // Far more than the kernel keeps for it; now and then the sender's own buffers are all on their way.
-        (0..5_000).for_each(|_| drop(socket.send_to(&[0; 1_000], to)));
+        let deadline = Instant::now() + PATIENCE;
+        // Far more than the kernel keeps for it.
+        for _ in 0..1_000 {
+            // Until the sender's station has taken what was sent before.
+            while socket.send_to(&[0; 1_000], to).is_err() {
+                assert!(Instant::now() < deadline, "it leaves");
+                std::thread::yield_now();
+            }
+        }
         kill(still, Signal::SIGCONT).unwrap();
         let deadline = Instant::now() + PATIENCE;
         loop {

@@ -140,7 +140,8 @@ impl<R: Rules> Discipline for AtOnce<R> {
         self.asking = Asking::Done;
         // There is no time but its own.
         let scheduled = GlobalTime::from_nanos(now.nanos());
-        Some(Opportunity { channel: 0, cycle: self.status.ticks, begin: now, scheduled })
+        let non_rt = Some(ethernet::MTU);
+        Some(Opportunity { channel: 0, cycle: self.status.ticks, begin: now, scheduled, non_rt })
     }
 
     fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {

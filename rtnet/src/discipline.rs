@@ -55,7 +55,7 @@ pub trait Discipline: Send {
     fn on_sent(&mut self, outcome: Sent) -> Option<Returned>;
     /// Queues a frame for the slot `channel`.
     fn enqueue(&mut self, frame: Buf, priority: Priority, channel: Channel) -> Result<(), (SendError, Buf)>;
-    /// Whether a real-time frame waits that the slot `channel` would take. Without slots none takes another's turn.
+    /// Whether a frame waits that the slot `channel` would take. Without slots none takes another's turn.
     fn is_waiting(&self, _channel: Channel) -> bool {
         false
     }
@@ -85,7 +85,8 @@ pub trait Discipline: Send {
     fn status(&self) -> Self::Status;
 }
 
-/// What sits beside the sockets: the lab's test traffic, later the tunnel and the package router.
+/// What sits beside the sockets: the tunnel, the lab's test traffic, later the package router. Who is named first is
+/// asked first.
 pub trait Service: Send {
     /// Whether frames of this EtherType are for it.
     fn claims(&self, ether_type: EtherType) -> bool;
@@ -95,13 +96,19 @@ pub trait Service: Send {
     fn on_sync_state(&mut self, _view: &TimeView) {}
     /// A slot is about to come: the last moment to queue a frame for it.
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>);
-    /// All have been asked, and nothing real-time waits for the slot: it is empty unless there is a frame now.
+    /// All have been asked, and nothing waits for the slot: it is empty unless there is a frame now.
     fn fill(&mut self, _slot: &Opportunity, _out: &mut Outlet<'_>) {}
     /// A frame of its own was chosen for the slot: the last moment to say so in it. It stays as long as it is.
     fn leaves(&mut self, _slot: &Opportunity, _frame: &mut [u8]) {}
     /// Whether a frame of its own that missed its slot is still worth sending in the next.
     fn still_wanted(&mut self, _frame: &[u8]) -> bool {
         true
+    }
+    /// The slot's frame has left: time for what takes longer.
+    fn rest(&mut self) {}
+    /// The station is about to wait until it is rung for, or is awake again. Tells whether it should not wait.
+    fn sleeps(&mut self, _is_asleep: bool) -> bool {
+        false
     }
 }
 
@@ -119,6 +126,8 @@ pub struct Opportunity {
     pub begin: Instant,
     /// Its begin on the master's clock, as the schedule has it.
     pub scheduled: GlobalTime,
+    /// If what is not real-time may leave in it: the largest payload behind the Ethernet header.
+    pub non_rt: Option<usize>,
 }
 
 /// What became of a frame that the discipline claimed.

@@ -83,14 +83,18 @@ impl<D: Discipline> Station<D> {
         }
     }
 
-    /// The slot's frame has left: programs with sockets may do what takes longer.
+    /// The slot's frame has left: programs with sockets, and services, may do what takes longer.
     pub fn rest(&mut self) {
         self.stack.iter_mut().for_each(|stack| stack.rest());
+        self.services.iter_mut().for_each(|service| service.rest());
     }
 
     /// It is about to wait until it is rung for, or is awake again. Tells whether it should not wait.
     pub fn sleeps(&mut self, is_asleep: bool) -> bool {
-        self.stack.as_mut().is_some_and(|stack| stack.sleeps(is_asleep))
+        let of_services =
+            self.services.iter_mut().filter_map(|service| service.sleeps(is_asleep).then_some(()));
+        let stays = of_services.count() > 0;
+        self.stack.as_mut().is_some_and(|stack| stack.sleeps(is_asleep)) || stays
     }
 
     /// When to wake next; `None` means on the next frame.
@@ -138,7 +142,7 @@ impl<D: Discipline> Station<D> {
         if is_disciplines {
             return match discipline.on_frame(rx, frame) {
                 Claimed::Kept => Ok(()),
-                Claimed::Tunnel(_) => Err(Refusal::NoTunnel),
+                Claimed::Tunnel(frame) => service.ok_or(Refusal::NoTunnel)?.on_frame(rx, frame),
                 Claimed::Refused(reason) => Err(reason),
             };
         }

@@ -120,7 +120,7 @@ fn what_a_program_queues_allocates_nothing() {
     for cycle in 0..1_000 {
         let at = u64::from(cycle) * 1_000_000 + 100_000;
         let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
-        let slot = Opportunity { channel: 0, cycle, begin, scheduled };
+        let slot = Opportunity { channel: 0, cycle, begin, scheduled, non_rt: None };
         traffic.poll(&slot, &mut |frame, _, _| {
             queued += 1;
             waiting.push(frame);

@@ -44,7 +44,7 @@ impl Receiver {
 fn genuine() -> Vec<u8> {
     let mut sender = traffic::of_a_lab((0, MASTER), SLAVE, 1, Arc::default());
     let scheduled = GlobalTime::from_nanos(1_000_100_400_000);
-    let slot = Opportunity { channel: 0, cycle: 100, begin: Instant::default(), scheduled };
+    let slot = Opportunity { channel: 0, cycle: 100, begin: Instant::default(), scheduled, non_rt: None };
     let mut sent = Vec::new();
     sender.fill(&slot, &mut |frame, _, _| {
         sent = frame.to_vec();

@@ -139,7 +139,7 @@ impl Service for TestTraffic {
             return;
         }
         let Some(mut frame) = self.pool.take() else { return };
-        let Opportunity { channel, cycle, begin, scheduled } = *slot;
+        let Opportunity { channel, cycle, begin, scheduled, .. } = *slot;
         self.tally.begin.store(begin.nanos(), Ordering::Relaxed);
         self.tally.scheduled.store(scheduled.nanos(), Ordering::Relaxed);
         let data = DataFrame { station: self.station, channel, cycle, scheduled };

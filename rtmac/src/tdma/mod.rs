@@ -257,7 +257,8 @@ impl Discipline for Tdma {
         let line = self.line()?;
         let slot = self.slots.get(turn.id)?;
         let scheduled = line.sched_of(turn.cycle) + slot.offset;
-        Some(Opportunity { channel: turn.id, cycle: turn.cycle, begin: turn.at, scheduled })
+        let non_rt = self.slots.takes_non_rt(slot).then_some(slot.size);
+        Some(Opportunity { channel: turn.id, cycle: turn.cycle, begin: turn.at, scheduled, non_rt })
     }
 
     fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
@@ -310,7 +311,7 @@ impl Discipline for Tdma {
     }
 
     fn is_waiting(&self, channel: Channel) -> bool {
-        self.slots.first_for(channel).is_some_and(|priority| priority <= Priority::LAST_REAL_TIME)
+        self.slots.first_for(channel).is_some()
     }
 
     fn put_back(&mut self, frame: Returned) {

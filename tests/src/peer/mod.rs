@@ -296,7 +296,7 @@ impl Discipline for Peer {
         let (Job::Slot(i), begin) = self.due(now)? else { return None };
         let (slot, clock) = (&self.config.slots[i], self.clock?);
         let scheduled = clock.offset.global(begin);
-        Some(Opportunity { channel: slot.id, cycle: clock.cycle, begin, scheduled })
+        Some(Opportunity { channel: slot.id, cycle: clock.cycle, begin, scheduled, non_rt: None })
     }
 
     fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {

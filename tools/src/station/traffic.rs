@@ -231,11 +231,14 @@ mod tests {
     fn sent(by: &mut Traffic, cycle: u32) -> Buf {
         let (begin, scheduled) = (Instant::default(), GlobalTime::from_nanos(77));
         let mut taken = None;
-        by.fill(&Opportunity { channel: 2, cycle, begin, scheduled }, &mut |frame, _, channel| {
-            assert_eq!(channel, 2);
-            taken = Some(frame);
-            Ok(())
-        });
+        by.fill(
+            &Opportunity { channel: 2, cycle, begin, scheduled, non_rt: None },
+            &mut |frame, _, channel| {
+                assert_eq!(channel, 2);
+                taken = Some(frame);
+                Ok(())
+            },
+        );
         taken.unwrap()
     }
 

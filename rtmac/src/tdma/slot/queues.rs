@@ -61,6 +61,12 @@ impl Slots {
         [id, shared].iter().filter_map(|&queue| self.table[usize::from(queue)].queue.first()).min()
     }
 
+    /// Whether what is queued for the slot of everything that is not real-time leaves in this one.
+    pub fn takes_non_rt(&self, slot: &SlotConfig) -> bool {
+        let non_rt = self.get(NON_RT_SLOT).or_else(|| self.get(RT_SLOT));
+        non_rt.is_some_and(|non_rt| non_rt.queue() == slot.queue())
+    }
+
     /// Whether a slot that is empty was used in its turn before this one.
     pub fn was_used(&mut self, id: Channel) -> bool {
         std::mem::take(&mut self.table[usize::from(id)].used)

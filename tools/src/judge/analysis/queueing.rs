@@ -122,7 +122,7 @@ every = "2ms"
             let start = u64::from(cycle) * 1_000_000;
             let (begin, scheduled) =
                 (Instant::from_nanos(start + SLOT), GlobalTime::from_nanos(start + SLOT));
-            let slot = Opportunity { channel: 0, cycle, begin, scheduled };
+            let slot = Opportunity { channel: 0, cycle, begin, scheduled, non_rt: None };
             let mut frame = None;
             traffic.poll(&slot, &mut |made, _, _| {
                 frame = Some(made);
@@ -223,10 +223,13 @@ every = "2ms"
             for cycle in [10_u32, 12] {
                 let at = u64::from(cycle) * 1_000_000 + SLOT;
                 let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
-                traffic.poll(&Opportunity { channel: 0, cycle, begin, scheduled }, &mut |frame, _, _| {
-                    made = Some(frame.to_vec());
-                    Ok(())
-                });
+                traffic.poll(
+                    &Opportunity { channel: 0, cycle, begin, scheduled, non_rt: None },
+                    &mut |frame, _, _| {
+                        made = Some(frame.to_vec());
+                        Ok(())
+                    },
+                );
             }
             let frame = made.unwrap();
             analysis.author_of(&frame).map(|(_, author)| author)

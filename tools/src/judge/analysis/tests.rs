@@ -86,6 +86,7 @@ impl Bench {
             cycle,
             begin: Instant::from_nanos(begin),
             scheduled: GlobalTime::from_nanos(begin),
+            non_rt: None,
         };
         let mut made: Option<Buf> = None;
         self.traffic[station].fill(&slot, &mut |frame, _, _| {

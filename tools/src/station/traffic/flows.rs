@@ -184,7 +184,7 @@ mod tests {
         fn poll_slot(&mut self, cycle: u32, channel: Channel) -> Vec<(u8, u64, u64)> {
             let at = u64::from(cycle) * 1_000_000 + 100_000 + u64::from(channel) * 100_000;
             let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));
-            let slot = Opportunity { channel, cycle, begin, scheduled };
+            let slot = Opportunity { channel, cycle, begin, scheduled, non_rt: None };
             let mut queued = Vec::new();
             let Self { traffic, waiting, left, room, .. } = self;
             let mut out = |frame: Buf, of: Priority, _| {

@@ -4,6 +4,7 @@ mod lab;
 mod listen;
 mod sim;
 mod stack;
+mod vnic;
 
 use std::path::PathBuf;
 
@@ -21,6 +22,7 @@ pub use lab::{
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
+pub use vnic::{VnicArgs, VnicMode, VnicVerb, VnicVerbArgs};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
 #[derive(Debug, Parser)]
@@ -91,6 +93,13 @@ pub enum Verb {
     Pool(ShowArgs),
     /// Show everything that a running station counts, by reason
     Stat(ShowArgs),
+    /// Look at the VNIC of a running station, or change it
+    ///
+    /// A VNIC is a network device of Linux whose frames go through the tunnel: in slot 1, each in a turn that nothing
+    /// real-time wants. For a station that was started with one (`rtnet station --vnic`).
+    ///
+    /// Exit status: 0; 2 bad usage, or the station has no VNIC, or Linux refuses.
+    Vnic(VnicVerbArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants
     ///
     /// Nothing is sent. Of a lab it listens on the bridge, as the user who owns the lab; on an interface as
@@ -357,6 +366,9 @@ pub struct StationArgs {
     /// Its address and its sockets.
     #[command(flatten)]
     pub stack: StackArgs,
+    /// The tunnel, and its device.
+    #[command(flatten)]
+    pub vnic: VnicArgs,
     /// What a lab adds, in JSON
     #[arg(long, hide = true)]
     pub lab: Option<String>,

@@ -28,6 +28,7 @@ fn main() -> ExitCode {
         Verb::Ping(args) => cmd::ping::ping(args),
         Verb::Pool(args) => cmd::pool::pool(args),
         Verb::Stat(args) => cmd::stat::stat(args),
+        Verb::Vnic(args) => cmd::vnic::vnic(args),
         Verb::Completions { shell } => cmd::manual::completions(*shell),
         Verb::Man { directory } => cmd::manual::man(directory),
         Verb::Jitter(args) => cmd::jitter::jitter(args),

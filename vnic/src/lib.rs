@@ -16,4 +16,7 @@
 //! mouth.send_packet(room, 16, Address::BROADCAST, EtherType::IPV4).expect("it is short enough");
 //! ```
 
+pub mod netlink;
+pub mod peers;
+pub mod tun;
 pub mod tunnel;

@@ -144,8 +144,8 @@ impl Service for Tunnel {
         {
             match out(frame, Priority::NON_RT, NON_RT) {
                 Ok(()) => left -= 1,
-                Err((SendError::TooLong { .. }, _)) => self.shared.counters.lose(Loss::TooLong),
-                Err(_) => self.shared.counters.lose(Loss::NotQueued),
+                Err((SendError::TooLong { .. }, _)) => self.shared.counters.lose(Loss::TooLong, 1),
+                Err(_) => self.shared.counters.lose(Loss::NotQueued, 1),
             }
         }
     }
@@ -256,8 +256,13 @@ impl Mouth {
 
     /// Counts what is lost at this end, and gives the reason back.
     pub fn lose(&self, why: Loss) -> Loss {
-        self.shared.counters.lose(why);
+        self.lose_many(why, 1);
         why
+    }
+
+    /// Counts so many.
+    pub fn lose_many(&self, why: Loss, n: u64) {
+        self.shared.counters.lose(why, n);
     }
 
     /// Counts a frame that came for Linux and did not go through the station.

@@ -23,6 +23,7 @@ const VLAN_TAG_PRESENT: u32 = (-0x1000i32 + 48) as u32;
 const ETHER_TYPE: u32 = 12;
 const TO_THIS_HOST: u32 = 0;
 const MULTICAST: u32 = 2;
+const TO_OTHERS: u32 = 3;
 /// RTmac's version, behind the Ethernet header and its type, and its flags; this one is of a tunnelled frame.
 const VERSION: u32 = 16;
 const OURS: u32 = 2;
@@ -70,6 +71,40 @@ pub fn accept_only_our_control(socket: &Socket) -> io::Result<()> {
         SockFilter::new(JUMP_IF_EQUAL, 0, 2, OURS),
         SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
         SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
+        SockFilter::new(RETURN, 0, 0, WHOLE),
+        SockFilter::new(RETURN, 0, 0, NOTHING),
+    ])
+}
+
+/// The same where all that is tunnelled has a socket of its own ([`accept_only_tunnelled`]).
+pub fn accept_only_discipline(socket: &Socket) -> io::Result<()> {
+    socket.attach_filter(&[
+        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
+        SockFilter::new(JUMP_IF_GREATER, 7, 0, MULTICAST),
+        SockFilter::new(LOAD_LENGTH, 0, 0, 0),
+        SockFilter::new(JUMP_IF_GREATER, 0, 4, FLAGS),
+        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, VERSION),
+        SockFilter::new(JUMP_IF_EQUAL, 0, 2, OURS),
+        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
+        SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
+        SockFilter::new(RETURN, 0, 0, WHOLE),
+        SockFilter::new(RETURN, 0, 0, NOTHING),
+    ])
+}
+
+/// Lets RTmac's frames through that have another frame inside: those to this host or to groups, or, for who forwards
+/// them to others, all but its own.
+pub fn accept_only_tunnelled(socket: &Socket, of_others: bool) -> io::Result<()> {
+    let last = if of_others { TO_OTHERS } else { MULTICAST };
+    socket.attach_filter(&[
+        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
+        SockFilter::new(JUMP_IF_GREATER, 7, 0, last),
+        SockFilter::new(LOAD_LENGTH, 0, 0, 0),
+        SockFilter::new(JUMP_IF_GREATER, 0, 5, FLAGS),
+        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, VERSION),
+        SockFilter::new(JUMP_IF_EQUAL, 0, 3, OURS),
+        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
+        SockFilter::new(JUMP_IF_SET, 0, 1, TUNNEL),
         SockFilter::new(RETURN, 0, 0, WHOLE),
         SockFilter::new(RETURN, 0, 0, NOTHING),
     ])

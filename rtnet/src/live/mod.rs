@@ -31,6 +31,7 @@ pub mod realtime;
 pub mod ring;
 mod time_board;
 mod time_page;
+mod tunnelled;
 mod visit;
 mod wait;
 
@@ -42,5 +43,6 @@ pub use guard::{Guard, GuardMode, GuardRefused};
 pub use impair::{Chances, Impaired, Impairment, ImpairmentRefused, LOGGED};
 pub use port::{Data, ETHER_TYPES_AT_MOST, OpenError, Port, PortCounters, RECEIVE_POOL};
 pub use time_board::{TimeBoard, TimePublisher};
+pub use tunnelled::Tunnelled;
 pub use visit::{NoSockets, Visitor, Visits};
 pub use wait::{Cycle, WaitError, Waiter};

@@ -54,18 +54,26 @@ pub fn ignore_outgoing(socket: &Socket) -> io::Result<()> {
     switch_on(socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING)
 }
 
-fn switch_on(socket: &Socket, level: libc::c_int, option: libc::c_int) -> io::Result<()> {
-    let on = 1i32;
-    // SAFETY: `on` is alive for the call, and its true size is passed.
-    let result = unsafe {
-        libc::setsockopt(
-            socket.as_raw_fd(),
-            level,
-            option,
-            (&raw const on).cast(),
-            size_of_val(&on) as libc::socklen_t,
-        )
+/// Takes in what is for others, too, as long as the socket is open.
+pub fn hear_everything(socket: &Socket, interface: libc::c_int) -> io::Result<()> {
+    let everything = libc::packet_mreq {
+        mr_ifindex: interface,
+        mr_type: libc::PACKET_MR_PROMISC as u16,
+        mr_alen: 0,
+        mr_address: [0; 8],
     };
+    set(socket, libc::SOL_PACKET, libc::PACKET_ADD_MEMBERSHIP, &everything)
+}
+
+fn switch_on(socket: &Socket, level: libc::c_int, option: libc::c_int) -> io::Result<()> {
+    set(socket, level, option, &1i32)
+}
+
+/// Sets an option whose value this is.
+pub fn set<T>(socket: &Socket, level: libc::c_int, option: libc::c_int, value: &T) -> io::Result<()> {
+    let (value, length) = (core::ptr::from_ref(value).cast(), size_of::<T>() as libc::socklen_t);
+    // SAFETY: the kernel reads at most the `size_of::<T>()` bytes that `value` refers to.
+    let result = unsafe { libc::setsockopt(socket.as_raw_fd(), level, option, value, length) };
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 

@@ -193,6 +193,11 @@ impl Port {
         self.guard.is_some()
     }
 
+    /// From now on what is tunnelled to this station is another socket's ([`Tunnelled`](super::Tunnelled)).
+    pub fn leave_tunnelled(&mut self) -> io::Result<()> {
+        filter::accept_only_discipline(&self.control)
+    }
+
     /// From now on the guard, if there is one, drops the frames of all other programs on the interface.
     pub fn keep_others_off(&mut self) {
         if let Some(guard) = &self.guard {
@@ -306,7 +311,7 @@ impl Port {
 
     /// What ends [`Self::wait_for_frame_until`] from any thread of the process, by being written. A loop that waits for a
     /// slot does not hear it.
-    pub(super) fn bell(&self) -> Arc<EventFd> {
+    pub fn bell(&self) -> Arc<EventFd> {
         self.bell.clone()
     }
 

@@ -110,20 +110,17 @@ impl CaptureRing {
         let socket = Socket::new(Domain::PACKET, Type::RAW, None)
             .map_err(failed("cannot open a packet socket (needs CAP_NET_RAW)"))?;
         let version = libc::tpacket_versions::TPACKET_V3 as c_int;
-        set(&socket, libc::PACKET_VERSION, &version).map_err(failed("no TPACKET_V3"))?;
+        packet::set(&socket, libc::SOL_PACKET, libc::PACKET_VERSION, &version)
+            .map_err(failed("no TPACKET_V3"))?;
         // Room to put a VLAN tag back where the kernel took it out.
-        set(&socket, libc::PACKET_RESERVE, &(VLAN_TAG as c_uint)).map_err(failed("no PACKET_RESERVE"))?;
-        set(&socket, libc::PACKET_IGNORE_OUTGOING, &1_i32).map_err(failed("no PACKET_IGNORE_OUTGOING"))?;
-        set(&socket, libc::PACKET_RX_RING, &request(&config))
+        packet::set(&socket, libc::SOL_PACKET, libc::PACKET_RESERVE, &(VLAN_TAG as c_uint))
+            .map_err(failed("no PACKET_RESERVE"))?;
+        packet::set(&socket, libc::SOL_PACKET, libc::PACKET_IGNORE_OUTGOING, &1_i32)
+            .map_err(failed("no PACKET_IGNORE_OUTGOING"))?;
+        packet::set(&socket, libc::SOL_PACKET, libc::PACKET_RX_RING, &request(&config))
             .map_err(failed("cannot make a ring of this size"))?;
         let mapping = Mapping::new(&socket, bytes).map_err(failed("cannot map the ring"))?;
-        let everything = libc::packet_mreq {
-            mr_ifindex: index,
-            mr_type: libc::PACKET_MR_PROMISC as u16,
-            mr_alen: 0,
-            mr_address: [0; 8],
-        };
-        set(&socket, libc::PACKET_ADD_MEMBERSHIP, &everything).map_err(failed("cannot be promiscuous"))?;
+        packet::hear_everything(&socket, index).map_err(failed("cannot be promiscuous"))?;
         bind(&socket, index).map_err(failed("cannot bind to it"))?;
         // This is how the kernel says that the interface is down.
         if let Some(error) = socket.take_error()? {
@@ -281,13 +278,6 @@ fn request(config: &RingConfig) -> libc::tpacket_req3 {
 }
 
 /// Sets an option of SOL_PACKET.
-fn set<T>(socket: &Socket, option: c_int, value: &T) -> io::Result<()> {
-    let (value, length) = (ptr::from_ref(value).cast(), size_of::<T>() as libc::socklen_t);
-    // SAFETY: the kernel reads at most the `size_of::<T>()` bytes that `value` refers to.
-    let result = unsafe { libc::setsockopt(socket.as_raw_fd(), libc::SOL_PACKET, option, value, length) };
-    Ok(Errno::result(result).map(drop)?)
-}
-
 fn bind(socket: &Socket, interface: c_int) -> io::Result<()> {
     let address = sockaddr_ll {
         sll_family: libc::AF_PACKET as u16,

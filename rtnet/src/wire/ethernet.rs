@@ -75,6 +75,8 @@ impl EtherType {
     pub const IPV4: EtherType = EtherType(0x0800);
     /// Who has which IPv4 address.
     pub const ARP: EtherType = EtherType(0x0806);
+    /// Packets of IPv6.
+    pub const IPV6: EtherType = EtherType(0x86dd);
     /// RTmac: TDMA's control frames and the tunnel.
     pub const RTMAC: EtherType = EtherType(0x9021);
     /// IEEE 802 local experimental 1: the lab's test traffic.

@@ -17,6 +17,7 @@ pub mod slot;
 pub mod stat;
 pub mod station;
 pub mod tdma;
+pub mod vnic;
 
 use std::io::{ErrorKind, Write};
 use std::os::unix::fs::MetadataExt;

@@ -20,6 +20,7 @@ use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::sockets::parse;
 use crate::station::stack::StackOptions;
+use crate::station::vnic::VnicOptions;
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
 
@@ -108,6 +109,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         guard,
         exclusive: args.exclusive,
         stack: stack(&args.stack)?,
+        vnic: vnic(args)?,
         lab,
     })
 }
@@ -139,6 +141,28 @@ fn stack(args: &StackArgs) -> anyhow::Result<Option<StackOptions>> {
     };
     options.check()?;
     Ok(Some(options))
+}
+
+/// Its VNIC, if it is to have one.
+fn vnic(args: &StationArgs) -> anyhow::Result<Option<VnicOptions>> {
+    let said = &args.vnic;
+    let Some(addresses) = &said.vnic else { return Ok(None) };
+    if args.discipline == DisciplineName::Direct {
+        bail!(
+            "--vnic goes with RTmac, which --discipline direct has not: leave it out, or run the station with \
+             --discipline nomac"
+        );
+    }
+    let usual = VnicOptions::usual(addresses.clone());
+    Ok(Some(VnicOptions {
+        mode: said.vnic_mode.unwrap_or_default().into(),
+        name: said.vnic_name.clone(),
+        mtu: said.vnic_mtu.map_or(usual.mtu, usize::from),
+        buffers: said.vnic_buffers.map_or(usual.buffers, usize::from),
+        peers: said.vnic_peer.clone(),
+        forwards: said.vnic_forward,
+        ..usual
+    }))
 }
 
 /// Refuses what only a discipline with time slots could do.

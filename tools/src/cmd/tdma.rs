@@ -111,9 +111,7 @@ pub fn applied(which: &Which, request: Request) -> Result<u32> {
     match control::ask(&Directory::of_user(), &which.place, request)? {
         Reply::Applied(from) => Ok(from),
         Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
-        Reply::Status(_) | Reply::Stack(_) => {
-            bail!("station '{}' answers what it was not asked", which.place)
-        }
+        _ => bail!("station '{}' answers what it was not asked", which.place),
     }
 }
 

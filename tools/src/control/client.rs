@@ -58,7 +58,7 @@ pub fn station_status(directory: &Directory, place: &Place) -> Result<StationSta
     match ask(directory, place, Request::Status)? {
         Reply::Status(status) => Ok(*status),
         Reply::Refused(why) => Err(anyhow!("station '{place}': {why}")),
-        Reply::Applied(_) | Reply::Stack(_) => bail!("station '{place}' answers what it was not asked"),
+        _ => bail!("station '{place}' answers what it was not asked"),
     }
 }
 
@@ -67,7 +67,7 @@ pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) ->
     match ask(directory, place, Request::Stack(request))? {
         Reply::Stack(reply) => Ok(*reply),
         Reply::Refused(why) => Err(anyhow!("station '{place}': {why}")),
-        Reply::Applied(_) | Reply::Status(_) => bail!("station '{place}' answers what it was not asked"),
+        _ => bail!("station '{place}' answers what it was not asked"),
     }
 }
 

@@ -18,6 +18,7 @@ mod programs;
 mod protocol;
 mod server;
 mod sockets;
+mod vnic;
 
 pub use client::{Question, ask, ask_lab, ask_stack, lab_status, put, station_status};
 pub use clock::{CalibrationShown, ClockShown, Progress};
@@ -33,3 +34,4 @@ pub use sockets::{
     ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,
     NetworkShown, PoolShown, RouteSaid, RoutesShown, StackReply, StackRequest, Way,
 };
+pub use vnic::{VnicChange, VnicRequest, VnicShown};

@@ -11,6 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::clock::ClockShown;
 use super::sockets::{StackReply, StackRequest};
+use super::vnic::{VnicRequest, VnicShown};
 use crate::judge::masters::Rivals;
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
@@ -75,6 +76,8 @@ pub enum Request {
     },
     /// About its sockets, addresses and routes.
     Stack(StackRequest),
+    /// About its VNIC.
+    Vnic(VnicRequest),
 }
 
 /// What it answers.
@@ -89,6 +92,8 @@ pub enum Reply {
     Refused(String),
     /// About its sockets, addresses and routes.
     Stack(Box<StackReply>),
+    /// How its VNIC is.
+    Vnic(Box<VnicShown>),
 }
 
 /// A slot as it is asked for.

@@ -62,6 +62,7 @@ pub struct Analysis {
     addresses: Vec<Address>,
     /// Whether programs may send in a station's slots, by station.
     has_sockets: Vec<bool>,
+    has_vnic: Vec<bool>,
     /// Which slots there are in which cycles.
     pub timetable: Timetable,
     window: Option<(u32, u32)>,
@@ -129,6 +130,7 @@ impl Analysis {
             rate: scenario.rate,
             addresses: (0..scenario.stations.len()).map(|station| scenario.address(station)).collect(),
             has_sockets: scenario.stations.iter().map(|station| station.ip.is_some()).collect(),
+            has_vnic: scenario.stations.iter().map(|station| station.vnic.is_some()).collect(),
             timetable: Timetable::of(scenario),
             window: None,
             current: None,
@@ -205,6 +207,9 @@ impl Analysis {
                 let author = Author::sync(self.givers.station(from), cycle);
                 self.occupy(at, air, Some(cycle), Some(author));
                 self.sync(at, author, (from, sched), air);
+            } else if let (Some(Rtmac::Tunnel(..)), Some(author)) = (rtmac, self.turn_of(at, header)) {
+                self.occupy(at, air, Some(author.cycle), Some(author));
+                self.data(at, None, author, air);
             } else {
                 self.occupy(at, air, self.current, None);
                 self.judge_rtmac(at, header, rtmac, air);

@@ -8,9 +8,12 @@ use super::run::INTERFACE;
 use crate::control::Home;
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
-use crate::scenario::{Happening, Scenario, ServoName};
+use crate::scenario::{Happening, Scenario, ServoName, VnicPlan};
 use crate::station::link::LabOptions;
 use crate::station::stack::OwnIp;
+
+/// A station's only VNIC, in a namespace of its own.
+const VNIC: &str = "vnic0";
 
 /// What all stations of a lab are started with.
 #[derive(Clone, Debug)]
@@ -84,6 +87,18 @@ pub fn arguments(
             of.ip.iter().for_each(|of| add("--route", format!("{}={}", of.ip, scenario.address(other))));
         }
     }
+    if let Some(VnicPlan { addresses, mode }) = &plan.vnic {
+        add("--vnic-mode", mode.name().into());
+        add("--vnic-name", VNIC.into());
+        for (other, of) in scenario.stations.iter().enumerate().filter(|(other, _)| *other != station) {
+            for prefix in of.vnic.iter().flat_map(|vnic| &vnic.addresses) {
+                add("--vnic-peer", format!("{}={}", prefix.ip, scenario.address(other)));
+            }
+        }
+        line.push("--vnic".into());
+        line.extend(addresses.iter().map(ToString::to_string));
+    }
+    let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
     let lab = LabOptions {
         station: station as u16,
         name: plan.name.clone(),

@@ -12,6 +12,7 @@
 //! servo = "linear"          # or "none", as in RTnet: each sync is the time line
 //! delay = "quartile"        # of all calibration rounds; or "median", or "mean", as in RTnet and with servo = "none"
 //! network = "10.0.0.0/24"   # only in a lab: stations have sockets, the master .1, the others .2, .3 ... in their order
+//! vnic_mode = "tap"         # or "tun", packets of IP only: what goes through VNICs
 //!
 //! [[station]]
 //! name = "master"
@@ -19,6 +20,7 @@
 //! backup = "100us"          # of a backup: how long after a cycle's start it sends a sync if there is none
 //! payload = 64
 //! ip = "10.0.0.7/24"        # only in a lab: an address of its own choice; slots hold 1500 bytes then, if they say no size
+//! vnic = "10.1.0.7/24"      # only in a lab: a VNIC with this address, or several, ["10.1.0.7/24", "fd00::7/64"], or none, []
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 },
 //!          { id = 2, offset = "500us", joint = 0 }]          # takes from slot 0's queue; of one size
@@ -54,6 +56,7 @@ pub use source::{FileError, Place, Source, read_text};
 use stations::{FileRole, StationFile};
 
 use super::{Conditions, DEFAULT_RATE, DelayName, Scenario, ServoName, SlotGuard, default_sync_window};
+use crate::cli::VnicMode;
 use crate::report::figures::Role;
 use crate::units::{FileRate, GuardBand, PositiveSpan};
 
@@ -85,6 +88,7 @@ struct NetworkFile {
     servo: Option<ServoName>,
     delay: Option<DelayName>,
     network: Option<Spanned<String>>,
+    vnic_mode: Option<VnicMode>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
     host: Option<HostFile>,
@@ -117,7 +121,7 @@ impl Source<'_> {
         let sync_window = network.sync_window.as_ref().map(|window| window.get_ref().0);
         let mut stations = Vec::new();
         for (entry, ip) in network.station.iter().zip(self.addresses(&network)?) {
-            stations.push(self.station(entry, ip)?);
+            stations.push(self.station(entry, ip, network.vnic_mode.unwrap_or_default())?);
         }
         let asked = network.guard.map(|guard| guard.0);
         let mut scenario = Scenario {

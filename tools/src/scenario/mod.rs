@@ -18,7 +18,9 @@ use rtnet::sim::Random;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{self, Address};
 use serde::Deserialize;
+use vnic::peers::Prefix;
 
+use crate::cli::VnicMode;
 use crate::report::figures::Role;
 use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
@@ -100,12 +102,23 @@ pub struct StationPlan {
     pub payload: usize,
     /// Its address of the Internet Protocol; with one it has sockets, in a lab.
     pub ip: Option<OwnIp>,
+    /// Its VNIC, in a lab.
+    pub vnic: Option<VnicPlan>,
     /// Calibration rounds.
     pub rounds: u32,
     /// Its slots.
     pub slots: Vec<SlotPlan>,
     /// What its program sends besides, most urgent first.
     pub flows: Vec<Flow>,
+}
+
+/// The VNIC of a station.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct VnicPlan {
+    /// Its addresses.
+    pub addresses: Vec<Prefix>,
+    /// What goes through it.
+    pub mode: VnicMode,
 }
 
 impl StationPlan {
@@ -116,7 +129,7 @@ impl StationPlan {
 
     /// What its slots hold where nothing else is said: whatever it may send.
     pub fn usual_size(&self) -> usize {
-        if self.ip.is_some() { ethernet::MTU } else { self.largest_payload() }
+        if self.ip.is_some() || self.vnic.is_some() { ethernet::MTU } else { self.largest_payload() }
     }
 }
 

@@ -76,6 +76,7 @@ impl Uniform {
                 clock_drift_ppb: 0,
                 payload,
                 ip: None,
+                vnic: None,
                 rounds: rtmac::tdma::DEFAULT_ROUNDS,
                 slots: vec![SlotPlan {
                     id: 0,

@@ -29,6 +29,7 @@ use super::misses::Misses;
 use super::programs::Programs;
 use super::sockets::{Sockets, by_reason};
 use super::traffic::TrafficCounts;
+use super::vnic::Told;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
@@ -43,6 +44,8 @@ use crate::scenario::{DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_s
 pub(super) const ANSWER_WITHIN: Duration = Duration::from_millis(400);
 /// How often to look for the answer: a cycle of the shortest that are in use.
 pub(super) const LOOK_EVERY: Duration = Duration::from_micros(200);
+/// Why nothing can be told of a VNIC.
+const NO_VNIC: &str = "it has no VNIC: start it with --vnic; if it was, it has said why there is none";
 /// Why nothing can be told yet.
 const NO_NEWS: &str = "the station has only just started: ask again";
 
@@ -63,6 +66,7 @@ pub struct Desk {
     errands: Arc<Errands<TdmaCommand, Refused>>,
     sockets: Sockets,
     programs: Option<Programs>,
+    vnic: Option<Told>,
     time: Arc<TimeBoard>,
     counts: Arc<TrafficCounts>,
     newest: Option<Snapshot<AccessStatus>>,
@@ -130,6 +134,7 @@ impl Desk {
             errands: driver.errands(),
             sockets: Sockets::new(driver, options.stack.as_ref().map(|stack| stack.room())),
             programs: None,
+            vnic: None,
             time: driver.time(),
             counts,
             newest: None,
@@ -146,6 +151,11 @@ impl Desk {
     /// The same with sockets for programs.
     pub fn with_programs(self, programs: Option<Programs>) -> Self {
         Self { programs, ..self }
+    }
+
+    /// The same with a VNIC.
+    pub fn with_vnic(self, vnic: Option<Told>) -> Self {
+        Self { vnic, ..self }
     }
 
     /// Closes some of what programs have left.
@@ -212,6 +222,7 @@ impl Desk {
         if let Some(newest) = std::iter::from_fn(|| self.snapshots.pop()).last() {
             self.newest = Some(newest);
             self.news = true;
+            self.vnic.iter().for_each(|vnic| vnic.follow(&newest.status));
         }
     }
 
@@ -231,6 +242,11 @@ impl Desk {
             Ok(Request::Calibrate { rounds }) => self.calibrate(rounds),
             Ok(Request::Stack(request)) => {
                 self.of_sockets(request).map_or_else(Reply::Refused, |reply| Reply::Stack(Box::new(reply)))
+            }
+            Ok(Request::Vnic(request)) => {
+                let told = self.vnic.as_ref().ok_or_else(|| NO_VNIC.to_owned());
+                let answered = told.and_then(|vnic| vnic.answer(request));
+                answered.map_or_else(Reply::Refused, |shown| Reply::Vnic(Box::new(shown)))
             }
         };
         Envelope::pack(reply)
@@ -261,7 +277,8 @@ impl Desk {
             }
             StackRequest::Pools => {
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
-                let pools = self.sockets.pools(newest.port.socket_full, newest.status.pool())?;
+                let mut pools = self.sockets.pools(newest.port.socket_full, newest.status.pool())?;
+                pools.extend(self.vnic.iter().map(Told::pool));
                 Ok(StackReply::Pools(pools))
             }
             StackRequest::Echo(echo) => {

@@ -15,6 +15,7 @@ pub mod sockets;
 pub mod stack;
 mod teller;
 pub mod traffic;
+pub mod vnic;
 mod wire;
 
 use std::io::BufRead;
@@ -47,6 +48,7 @@ use programs::Programs;
 use stack::StackOptions;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
+use vnic::{Opened, VnicOptions};
 use wire::Wire;
 
 /// Part of the sync window in which a Synchronisation may be begun; the rest is for its time on the air.
@@ -86,6 +88,8 @@ pub struct Options {
     pub exclusive: bool,
     /// Its address and its sockets, if it is to have some.
     pub stack: Option<StackOptions>,
+    /// Its VNIC, if it is to have one.
+    pub vnic: Option<VnicOptions>,
     /// Set by a lab.
     pub lab: Option<LabOptions>,
 }
@@ -124,6 +128,8 @@ pub struct Ready {
     realtime: RealTime,
     guarded: bool,
     guard_refused: Option<String>,
+    vnic: Option<Opened>,
+    vnic_refused: Option<String>,
     counts: Arc<TrafficCounts>,
     stop: Arc<AtomicBool>,
     in_lab: bool,
@@ -175,20 +181,31 @@ pub fn set_up(options: Options) -> Result<Ready> {
         changed: Some(changed.clone()),
     };
     let asker = programs.as_ref().map(|programs| programs.echoes.asker());
-    let driver = driver(&options, &interface, port, config, counts.clone(), asker)?;
+    let has_slots = options.access.tdma().is_some();
+    let opened = options.vnic.as_ref().map(|vnic| vnic::open(vnic, &interface, &mut port, has_slots, &stop));
+    let (vnic, tunnel, vnic_refused) = match opened {
+        Some(Ok((vnic, tunnel))) => (Some(vnic), Some(tunnel), None),
+        Some(Err(why)) => (None, None, Some(why)),
+        None => (None, None, None),
+    };
+    let driver = driver(&options, &interface, port, config, counts.clone(), asker, tunnel)?;
     let in_lab = options.lab.is_some();
     let is_master = options.access.is_master();
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
     let realtime = RealTime { priority: options.fifo.then_some(priority), cpu: options.cpu };
     let unseen = || format!("the interface '{}' cannot be looked at", interface.name);
     let wire = Wire::open(&interface).with_context(unseen)?;
-    let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone()).with_programs(programs);
+    let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone())
+        .with_programs(programs)
+        .with_vnic(vnic.as_ref().map(|vnic| vnic.told.clone()));
     let teller = Teller::new(&options, interface.address, guarded);
     Ok(Ready {
         driver,
         realtime,
         guarded,
         guard_refused,
+        vnic,
+        vnic_refused,
         counts,
         stop,
         in_lab,
@@ -210,8 +227,11 @@ impl Ready {
     /// Runs until told to stop, or until the station cannot go on.
     pub fn run(mut self) -> Result<()> {
         let clocks = self.in_lab.then(|| self.driver.clock_order());
+        // Before this thread gives up what that one needs.
+        let vnic = self.vnic.map(|vnic| vnic.start(self.realtime.cpu)).transpose()?;
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
+        refused.extend(self.vnic_refused);
         refused.extend(self.reach.refused);
         self.sockets.into_iter().for_each(limits::raise_locked);
         // What this thread may still do is what those that it starts may do. The other one may have said the same.
@@ -246,6 +266,8 @@ impl Ready {
                 bail!(why);
             }
             if ended {
+                // Its device is gone before the station is.
+                vnic.into_iter().for_each(|thread| drop(thread.join()));
                 return thread.join().map_err(|_| anyhow!("the real-time thread panicked"));
             }
         }
@@ -291,9 +313,11 @@ fn driver(
     config: DriverConfig,
     counts: Arc<TrafficCounts>,
     asker: Option<Asker>,
+    tunnel: Option<Box<dyn Service>>,
 ) -> Result<Driver<Access>> {
     let discipline = Access::new(&options.access, interface.address)?;
-    let mut services: Vec<Box<dyn Service>> = Vec::new();
+    // What it has goes before test traffic, which is there to fill slots.
+    let mut services: Vec<Box<dyn Service>> = tunnel.into_iter().collect();
     if let Some(lab) = &options.lab {
         let plan = TrafficPlan {
             station: lab.station,

@@ -72,8 +72,8 @@ impl Counters {
     pub(super) fn received(&self) {
         self.received.fetch_add(1, Ordering::Relaxed);
     }
-    pub(super) fn lose(&self, why: Loss) {
-        self.losses[why as usize].fetch_add(1, Ordering::Relaxed);
+    pub(super) fn lose(&self, why: Loss, n: u64) {
+        self.losses[why as usize].fetch_add(n, Ordering::Relaxed);
     }
 
     pub(super) fn now(&self) -> Counts {

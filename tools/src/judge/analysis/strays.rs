@@ -51,11 +51,15 @@ impl Analysis {
         }
     }
 
-    /// In which turn a frame of a station's sockets left. It does not say so, as test traffic does: in the last one that has
+    /// In which turn a frame of a station's sockets, or of its VNIC, left. It does not say so, as test traffic does: in the last one that has
     /// come, unless that is longer ago than a cycle.
     pub(super) fn turn_of(&self, at: True, header: &Header) -> Option<Author> {
-        let is_tests = header.ether_type() == EtherType::EXPERIMENTAL;
-        let station = self.station_of(header.source).filter(|&of| self.has_sockets[of] && !is_tests)?;
+        let sends = |of: &usize| match header.ether_type() {
+            EtherType::EXPERIMENTAL => false,
+            EtherType::RTMAC => self.has_vnic[*of],
+            _ => self.has_sockets[*of],
+        };
+        let station = self.station_of(header.source).filter(sends)?;
         // One that is a little early is of the turn that is about to come.
         let by = at.saturating_add_signed(self.clock_share.nanos());
         let now = self.cycle_at(by)?;

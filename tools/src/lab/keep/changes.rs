@@ -172,7 +172,7 @@ impl Keeper {
         let from = match reply {
             Reply::Applied(from) => from,
             Reply::Refused(why) => bail!("station '{name}': {why}"),
-            Reply::Status(_) | Reply::Stack(_) => bail!("station '{name}' answers what it was not asked"),
+            _ => bail!("station '{name}' answers what it was not asked"),
         };
         // One that was lost for long has no idea of the cycle any more, and changed at once.
         let current = self.lab.analysis.current().unwrap_or(from);

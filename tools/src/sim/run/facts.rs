@@ -66,6 +66,11 @@ impl Run<'_> {
 /// What of a scenario a simulation has not, in lines for the reader.
 pub(super) fn only_in_labs(scenario: &Scenario) -> Vec<String> {
     let has_addresses = scenario.stations.iter().any(|station| station.ip.is_some());
-    let line = "only in a lab (rtnet lab up), and not here: network and ip: stations have no sockets";
-    has_addresses.then(|| line.into()).into_iter().collect()
+    let has_vnics = scenario.stations.iter().any(|station| station.vnic.is_some());
+    let only = [
+        (has_addresses, "network and ip: stations have no sockets"),
+        (has_vnics, "vnic: stations have no devices"),
+    ];
+    let only = only.into_iter().filter(|(is_said, _)| *is_said);
+    only.map(|(_, what)| format!("only in a lab (rtnet lab up), and not here: {what}")).collect()
 }

@@ -1,0 +1,74 @@
+//! What is asked and answered of a station's VNIC.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::PoolShown;
+
+/// What its VNIC may be told.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum VnicRequest {
+    /// How it is.
+    Status,
+    /// Set the device up, or make it anew.
+    Up,
+    /// Set the device down.
+    Down,
+    /// Change it.
+    Set(VnicChange),
+}
+
+/// What is to be changed; addresses and stations as they are written on a command line.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct VnicChange {
+    /// Its MTU at the most.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mtu: Option<usize>,
+    /// Addresses that it is to have besides.
+    #[serde(default)]
+    pub add: Vec<String>,
+    /// Addresses that it is to have no more.
+    #[serde(default)]
+    pub remove: Vec<String>,
+    /// Stations, and what they are reached for.
+    #[serde(default)]
+    pub peers: Vec<String>,
+}
+
+/// How a VNIC is.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct VnicShown {
+    /// Its device's name.
+    pub device: String,
+    /// `tap` or `tun`.
+    pub mode: String,
+    /// `up`, `down`, or `gone`: deleted by somebody.
+    pub state: String,
+    /// Its MTU now; 0 if it is gone.
+    pub mtu: usize,
+    /// What was asked for, at the most.
+    pub mtu_at_most: usize,
+    /// What the slot takes of a packet.
+    pub slot_takes: usize,
+    /// Its addresses.
+    pub addresses: Vec<String>,
+    /// Which station has which address, where nobody can be asked.
+    pub peers: Vec<String>,
+    /// So fast Linux may send, bytes of frames in a second; none: nothing holds it back.
+    pub bytes_per_second: Option<u64>,
+    /// Why nothing holds it back.
+    pub not_held_back: Option<String>,
+    /// What the filter that holds it back has passed on, dropped, and keeps.
+    pub filter: BTreeMap<String, u64>,
+    /// What went through, by name.
+    pub counters: BTreeMap<String, u64>,
+    /// What was lost, by reason.
+    pub lost: BTreeMap<String, u64>,
+    /// Its buffers.
+    pub pool: PoolShown,
+    /// What became of the device that nobody has asked the station for.
+    pub news: Option<String>,
+}

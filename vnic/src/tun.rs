@@ -1,0 +1,180 @@
+//! The device that Linux sees, and the thread behind it, which is no real-time one.
+//!
+//! ```text
+//!          poll: device, socket, orders, changes of links
+//!  Linux ──► read ──► Mouth::send ── outward ──► the station's slot 1
+//!  Linux ◄── write ◄── Inner::of ◄── a socket that hears what is tunnelled to this station
+//! ```
+//!
+//! The real-time thread has no part in what comes, and none in the kernel's stack, which does its work in the calls to the
+//! device. The thread keeps one capability, CAP_NET_ADMIN: it lets the device's MTU follow the slots, and makes it anew.
+//!
+//! The driver's queue drops what finds it full, and whoever sends does not feel it before. So a token bucket filter stands
+//! in front of it, a little slower than the slots: there a connection's own bound holds, and Linux is told of what is dropped.
+
+#![allow(unsafe_code)]
+#![allow(clippy::disallowed_methods)]
+
+mod device;
+mod worker;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::time::Duration;
+
+use nix::sys::eventfd::EventFd;
+use rtnet::live::interface::Interface;
+
+use crate::netlink::{Refused, ShapingStatistics};
+use crate::peers::{Peer, PeerError, Prefix};
+use crate::tunnel::Counts;
+
+pub use device::{Device, Mode, OpenError};
+pub use worker::Vnic;
+
+/// An answer takes as long as a few requests to the kernel; on a busy host a little longer.
+const ANSWERED_WITHIN: Duration = Duration::from_secs(2);
+
+/// What a VNIC is to be.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The name of its device; not given: `vnic` with the first number that is free.
+    pub name: Option<String>,
+    /// What goes through it.
+    pub mode: Mode,
+    /// Its addresses.
+    pub addresses: Vec<Prefix>,
+    /// Its MTU at the most, 68 to 1496; it is what the slot takes if that is less.
+    pub mtu: usize,
+    /// Which station has which address, where nobody can be asked.
+    pub peers: Vec<Peer>,
+    /// What it is tunnelled through.
+    pub interface: Interface,
+}
+
+/// Why there is no VNIC. The station runs on without.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// No device.
+    #[error(transparent)]
+    Device(#[from] OpenError),
+    /// It cannot be what it is to be.
+    #[error("no VNIC: {0}")]
+    Link(#[from] Refused),
+    /// Nothing can be heard.
+    #[error("no VNIC: packet sockets on '{0}' (run as root, or give CAP_NET_RAW): {1}")]
+    Socket(String, #[source] io::Error),
+    /// A station that cannot be one.
+    #[error("no VNIC: {0}")]
+    Peer(#[from] PeerError),
+    /// The host is out of something.
+    #[error("no VNIC: {0}")]
+    Host(#[from] io::Error),
+}
+
+/// What a running VNIC may be told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Nothing: only tell how it is.
+    Status,
+    /// Set the device up, or make it anew if it is gone.
+    Up,
+    /// Set the device down.
+    Down,
+    /// Change it.
+    Set(Change),
+}
+
+/// What is to be changed of a VNIC.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Change {
+    /// Its MTU at the most.
+    pub mtu: Option<usize>,
+    /// Addresses that it is to have besides.
+    pub add: Vec<Prefix>,
+    /// Addresses that it is to have no more.
+    pub remove: Vec<Prefix>,
+    /// Stations, and what they are reached for.
+    pub peers: Vec<Peer>,
+}
+
+/// How a VNIC is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Status {
+    /// The device's name.
+    pub name: String,
+    /// What goes through it.
+    pub mode: Mode,
+    /// What Linux says of the device; none if it is gone.
+    pub device: Option<DeviceStatus>,
+    /// The MTU that was asked for, at the most.
+    pub most: usize,
+    /// What the slots take, bytes of inner payload.
+    pub slot: usize,
+    /// Which station has which address.
+    pub peers: Vec<Peer>,
+    /// What holds back what Linux sends, or why nothing does.
+    pub shaping: Result<Shaped, String>,
+    /// The last thing that happened to the device that nobody here has asked for.
+    pub news: Option<String>,
+    /// What went through, and what did not.
+    pub counts: Counts,
+}
+
+/// What Linux says of the device.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceStatus {
+    /// Whether it is up.
+    pub is_up: bool,
+    /// Its MTU now.
+    pub mtu: usize,
+    /// Its addresses.
+    pub addresses: Vec<Prefix>,
+    /// Frames from Linux that the driver's queue had no room for.
+    pub queue_full: u64,
+}
+
+/// What holds back what Linux sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shaped {
+    /// So fast it lets frames through, the largest.
+    pub bytes_per_second: u64,
+    /// What became of them.
+    pub statistics: ShapingStatistics,
+}
+
+/// Whoever has it may ask a VNIC, and tell it how often its slot comes.
+#[derive(Clone)]
+pub struct Handle {
+    orders: Sender<(Order, Sender<Result<Status, String>>)>,
+    bell: Arc<EventFd>,
+    turns: Arc<AtomicU64>,
+}
+
+impl Handle {
+    /// Gives an order, and waits for what came of it. For the control thread.
+    pub fn ask(&self, order: Order) -> Result<Status, String> {
+        let ended = |_| "the VNIC's thread has ended: start the station anew".to_owned();
+        let (answer, answered) = channel();
+        self.orders.send((order, answer)).map_err(|error| ended(error.to_string()))?;
+        self.ring();
+        answered
+            .recv_timeout(ANSWERED_WITHIN)
+            .map_err(|error| ended(error.to_string()))
+            .and_then(|answer| answer)
+    }
+
+    /// Says how often a frame may leave: so many turns in 1000 seconds; 0 where there are no slots.
+    pub fn set_turns(&self, in_1000_seconds: u64) {
+        if self.turns.swap(in_1000_seconds, Ordering::Relaxed) != in_1000_seconds {
+            self.ring();
+        }
+    }
+
+    fn ring(&self) {
+        // It does not block: one that was not read is readable already.
+        let _ = self.bell.write(1);
+    }
+}

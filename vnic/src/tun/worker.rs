@@ -1,0 +1,448 @@
+//! The thread behind a VNIC's device: moves frames, and keeps the device as it is to be.
+
+use std::io;
+use std::os::fd::AsFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Instant;
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::eventfd::EventFd;
+use rtnet::buf::{Buf, Pool};
+use rtnet::live::Tunnelled;
+use rtnet::wire::ethernet;
+
+use super::device::kind_of_packet;
+use super::{Change, Device, DeviceStatus, Handle, Mode, Options, Order, Shaped, StartError, Status};
+use crate::netlink::{ChangeKind, Heard, Links, Refused, Shaping, Watch};
+use crate::peers::{Peers, Prefix};
+use crate::tunnel::{HEAD, Inner, LEAST_MTU, Loss, MTU, Mouth};
+
+/// Frames moved one way before the other one is looked at.
+const AT_ONCE: usize = 32;
+/// How often it is looked whether slots have changed, milliseconds.
+const LOOK_EVERY: u16 = 100;
+/// The driver's queue: what waits behind the filter, which lets through less than the slots do.
+const DRIVER_QUEUE: u32 = 64;
+/// Of what slots allow, in per mille: so that a queue forms where Linux feels it, not behind.
+const SHAPED: u64 = 985;
+/// The filter's queue, in the time that it takes to empty it.
+const QUEUE_MILLIS: u64 = 100;
+/// At least so many of the largest frames.
+const QUEUE_LEAST: u64 = 16;
+/// What may leave at once after a pause, of the largest frames.
+const BURST: u32 = 4;
+
+type Answer = Sender<Result<Status, String>>;
+
+/// What is behind a device: to be run by a thread of its own.
+pub struct Vnic {
+    options: Options,
+    mouth: Mouth,
+    device: Option<Device>,
+    /// Its name now, which others may change.
+    name: String,
+    index: u32,
+    peers: Peers,
+    links: Links,
+    watch: Watch,
+    socket: Tunnelled,
+    /// Where one frame lies that has come.
+    came: Buf,
+    _room: Pool,
+    /// What ends its waits.
+    bell: Arc<EventFd>,
+    /// What ends the station's.
+    station: Arc<EventFd>,
+    turns: Arc<AtomicU64>,
+    orders: Receiver<(Order, Answer)>,
+    handle: Handle,
+    stop: Arc<AtomicBool>,
+    /// All buffers wait for their turns: the device is not read.
+    is_full: bool,
+    /// What the filter was set to last: bytes in a second; or why there is none.
+    shaped: Result<u64, String>,
+    /// For what it was tried last: turns and MTU.
+    tried: Option<(u64, usize)>,
+    mtu: usize,
+    looked: Instant,
+    news: Option<String>,
+    tell: Box<dyn Fn(&str) + Send>,
+}
+
+impl Vnic {
+    /// Makes the device as it is to be, in the network namespace of the calling thread. `bell` is what wakes this,
+    /// `station` what wakes the station; `tell` is told, a line each, what becomes of the device later.
+    pub fn open(
+        options: Options,
+        mouth: Mouth,
+        bells: [Arc<EventFd>; 2],
+        stop: Arc<AtomicBool>,
+        tell: Box<dyn Fn(&str) + Send>,
+    ) -> Result<Self, StartError> {
+        let mut peers = Peers::new(options.addresses.clone());
+        options.peers.iter().try_for_each(|&peer| peers.add(peer))?;
+        let refused = |error| StartError::Socket(options.interface.name.clone(), error);
+        let socket = Tunnelled::open(&options.interface, mouth.config().keeps_source).map_err(refused)?;
+        let (orders, told) = channel();
+        let [bell, station] = bells;
+        let turns = Arc::new(AtomicU64::new(0));
+        let room = Pool::new(1);
+        let came = room.take().ok_or(io::ErrorKind::OutOfMemory).map_err(io::Error::from)?;
+        let mut vnic = Self {
+            mouth,
+            device: None,
+            name: options.name.clone().unwrap_or_default(),
+            index: 0,
+            peers,
+            links: Links::open()?,
+            watch: Watch::open()?,
+            socket,
+            came,
+            _room: room,
+            handle: Handle { orders, bell: bell.clone(), turns: turns.clone() },
+            bell,
+            station,
+            turns,
+            orders: told,
+            stop,
+            is_full: false,
+            shaped: Err("no slot is known yet".into()),
+            tried: None,
+            mtu: 0,
+            looked: Instant::now(),
+            news: None,
+            tell,
+            options,
+        };
+        vnic.make()?;
+        Ok(vnic)
+    }
+
+    /// How others reach it.
+    pub fn handle(&self) -> Handle {
+        self.handle.clone()
+    }
+
+    /// The device's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Moves frames until it is to stop.
+    pub fn run(mut self) {
+        while !self.stop.load(Ordering::Relaxed) {
+            self.wait();
+            let _ = self.bell.read();
+            while let Some(heard) = self.watch.next() {
+                self.hear(heard);
+            }
+            while let Ok((order, answer)) = self.orders.try_recv() {
+                let done = self.obey(&order).and_then(|()| Ok(self.status()?));
+                // Who has asked may have given up.
+                let _ = answer.send(done.map_err(|refused| refused.to_string()));
+            }
+            self.take_in();
+            self.send_out();
+            self.follow();
+        }
+    }
+
+    fn wait(&self) {
+        // One that is not read need not be waited for.
+        let device = self.device.as_ref().filter(|_| !self.is_full).map_or(self.bell.as_fd(), AsFd::as_fd);
+        let waited_for = [self.bell.as_fd(), self.watch.as_fd(), self.socket.as_fd(), device];
+        let mut entries = waited_for.map(|fd| PollFd::new(fd, PollFlags::POLLIN));
+        // Whatever it says, everything is looked at.
+        let _ = poll(&mut entries, PollTimeout::from(LOOK_EVERY));
+    }
+
+    /// Gives Linux what has come.
+    fn take_in(&mut self) {
+        for _ in 0..AT_ONCE {
+            let Some(is_whole) = self.socket.receive(&mut self.came) else { break };
+            self.mouth.count_received();
+            if let Err(why) = self.give(is_whole) {
+                self.mouth.lose(why);
+            }
+        }
+    }
+
+    fn give(&self, is_whole: bool) -> Result<(), Loss> {
+        let inner = Inner::of(&self.came).filter(|_| is_whole).ok_or(Loss::Truncated)?;
+        let device = self.device.as_ref().ok_or(Loss::DeviceDown)?;
+        if device.mode() == Mode::Tun
+            && inner.payload().first().and_then(|&first| kind_of_packet(first)) != Some(inner.kind())
+        {
+            return Err(Loss::NotIp);
+        }
+        device.write(&inner).map_err(|error| match error.raw_os_error() {
+            Some(libc::EIO | libc::EBADFD | libc::ENETDOWN) => Loss::DeviceDown,
+            _ => Loss::DeviceRefused,
+        })
+    }
+
+    /// Leaves what Linux sends where the station finds it.
+    fn send_out(&mut self) {
+        let Some(device) = &self.device else { return };
+        self.is_full = false;
+        let mut is_gone = false;
+        for _ in 0..AT_ONCE {
+            let Some(mut frame) = self.mouth.take() else {
+                self.is_full = !self.mouth.wait_for_buffers();
+                break;
+            };
+            match device.read(&mut frame) {
+                Ok(Some(len)) => {
+                    // What is lost is counted there.
+                    let _ = match device.mode() {
+                        Mode::Tap => self.mouth.send_frame(frame, len),
+                        Mode::Tun => self.send_packet(frame, len),
+                    };
+                }
+                Ok(None) => break,
+                Err(error) => {
+                    is_gone = error.raw_os_error() == Some(libc::EBADFD);
+                    break;
+                }
+            }
+        }
+        if self.mouth.should_ring() {
+            let _ = self.station.write(1);
+        }
+        if is_gone {
+            self.lose_device();
+        }
+    }
+
+    fn send_packet(&self, mut packet: Buf, len: usize) -> Result<(), Loss> {
+        let bytes = packet.room_mut().get(HEAD..HEAD + len);
+        let Some(bytes) = bytes else { return Err(self.mouth.lose(Loss::TooLong)) };
+        let Some(kind) = bytes.first().and_then(|&first| kind_of_packet(first)) else {
+            return Err(self.mouth.lose(Loss::NotIp));
+        };
+        let Some(station) = self.peers.station_of(bytes) else {
+            return Err(self.mouth.lose(Loss::NoStation));
+        };
+        self.mouth.send_packet(packet, len, station, kind)
+    }
+
+    fn obey(&mut self, order: &Order) -> Result<(), StartError> {
+        match order {
+            Order::Status => {}
+            Order::Up if self.device.is_none() => self.make()?,
+            Order::Up => self.links.set_up(self.index, true)?,
+            Order::Down => self.links.set_up(self.index, false)?,
+            Order::Set(change) => self.change(change)?,
+        }
+        Ok(())
+    }
+
+    /// All of it or, where something is refused, what came before.
+    fn change(&mut self, change: &Change) -> Result<(), StartError> {
+        let mut peers = self.peers.clone();
+        change.peers.iter().try_for_each(|&peer| peers.add(peer))?;
+        for prefix in &change.add {
+            self.links.add_address(self.index, prefix.ip, prefix.length)?;
+        }
+        for prefix in &change.remove {
+            self.links.remove_address(self.index, prefix.ip, prefix.length)?;
+        }
+        let addresses = &mut self.options.addresses;
+        addresses.retain(|own| !change.remove.contains(own));
+        addresses.extend(
+            change.add.iter().filter(|added| !addresses.contains(added)).copied().collect::<Vec<_>>(),
+        );
+        self.peers = peers.with_own(addresses.clone());
+        if let Some(mtu) = change.mtu {
+            self.options.mtu = mtu;
+            self.follow_mtu()?;
+        }
+        Ok(())
+    }
+
+    /// Makes the device.
+    fn make(&mut self) -> Result<(), StartError> {
+        let wanted = Some(self.name.as_str()).filter(|name| !name.is_empty());
+        let device = Device::open(wanted, self.options.mode)?;
+        let name = device.name().to_owned();
+        let gone = || io::Error::other(format!("the device '{name}' is gone again"));
+        let link = self.links.find(&name)?.ok_or_else(gone)?;
+        self.index = link.index;
+        if device.mode() == Mode::Tap {
+            self.links.set_hardware_address(link.index, self.mouth.config().address.0)?;
+        }
+        (self.mtu, self.tried) = (0, None);
+        self.name = name;
+        self.follow_mtu()?;
+        self.allow_ipv6();
+        for prefix in &self.options.addresses {
+            self.links.add_address(self.index, prefix.ip, prefix.length)?;
+        }
+        self.links.set_up(self.index, true)?;
+        for prefix in self.options.addresses.iter().filter(|prefix| prefix.ip.is_ipv6()) {
+            // Setting a device down and up loses them.
+            self.links.add_address(self.index, prefix.ip, prefix.length)?;
+        }
+        self.device = Some(device);
+        self.news = None;
+        Ok(())
+    }
+
+    /// A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds.
+    fn allow_ipv6(&self) {
+        let switch = format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name);
+        // A kernel without IPv6 has no such switch.
+        let _ = std::fs::write(switch, "0");
+    }
+
+    /// Follows slots that have changed.
+    fn follow(&mut self) {
+        if self.looked.elapsed().as_millis() < LOOK_EVERY.into() {
+            return;
+        }
+        self.looked = Instant::now();
+        self.mouth.lose_many(Loss::QueueFull, self.socket.take_dropped());
+        if self.device.is_none() {
+            return;
+        }
+        if let Err(refused) = self.follow_mtu() {
+            self.report(format!("the MTU of '{}' does not follow the slots: {refused}", self.name));
+        }
+        self.shape();
+    }
+
+    fn follow_mtu(&mut self) -> Result<(), Refused> {
+        let mtu = self.mouth.mtu().min(self.options.mtu).clamp(LEAST_MTU, MTU);
+        if mtu != std::mem::replace(&mut self.mtu, mtu) {
+            self.links.set_mtu(self.index, mtu)?;
+        }
+        Ok(())
+    }
+
+    /// Holds Linux back to what slots allow.
+    fn shape(&mut self) {
+        let turns = self.turns.load(Ordering::Relaxed);
+        if self.tried.replace((turns, self.mtu)) == Some((turns, self.mtu)) {
+            return;
+        }
+        let set = if turns == 0 {
+            self.links
+                .unlimit_rate(self.index)
+                .map(|()| Err("there are no slots: nothing is held back".into()))
+        } else {
+            let shaping = shaping(turns, self.frame_len());
+            self.links.limit_rate(self.index, &shaping).and_then(|()| {
+                self.links.set_queue_length(self.index, DRIVER_QUEUE).map(|()| Ok(shaping.bytes_per_second))
+            })
+        };
+        self.shaped = set.unwrap_or_else(|refused| Err(refused.to_string()));
+    }
+
+    /// The largest frame of the device as Linux counts it.
+    fn frame_len(&self) -> usize {
+        match self.options.mode {
+            Mode::Tap => self.mtu + ethernet::HEADER_LEN,
+            Mode::Tun => self.mtu,
+        }
+    }
+
+    fn hear(&mut self, heard: Heard) {
+        let Heard::Change(change) = heard else {
+            return self.look_at_device();
+        };
+        if self.device.is_none() || change.index != self.index {
+            return;
+        }
+        match change.kind {
+            ChangeKind::Gone => self.look_at_device(),
+            ChangeKind::Is { mtu, .. } => {
+                // Set by somebody else: what the slots do not take would be lost.
+                self.mtu = mtu;
+                if change.name != self.name {
+                    let line = format!("the VNIC's device '{}' is called '{}' now", self.name, change.name);
+                    self.name = change.name;
+                    self.report(line);
+                }
+            }
+        }
+    }
+
+    fn look_at_device(&mut self) {
+        if let (Some(_), Ok(None)) = (&self.device, self.links.get(self.index)) {
+            self.lose_device();
+        }
+    }
+
+    fn lose_device(&mut self) {
+        self.device = None;
+        self.is_full = false;
+        let remedy = "`rtnet vnic up` makes it anew";
+        self.report(format!("the VNIC's device '{}' was deleted by somebody: {remedy}", self.name));
+    }
+
+    fn report(&mut self, line: String) {
+        if self.news.as_ref() != Some(&line) {
+            (self.tell)(&line);
+            self.news = Some(line);
+        }
+    }
+
+    fn status(&mut self) -> Result<Status, Refused> {
+        let device = match self.device.is_some().then(|| self.links.get(self.index)).transpose()?.flatten() {
+            Some(link) => {
+                let addresses = self.links.addresses(link.index)?.into_iter();
+                Some(DeviceStatus {
+                    is_up: link.is_up,
+                    mtu: link.mtu,
+                    addresses: addresses.map(|(ip, length)| Prefix { ip, length }).collect(),
+                    queue_full: link.statistics.send_dropped,
+                })
+            }
+            None => None,
+        };
+        let shaping = match (&self.shaped, &device) {
+            (_, None) => Err("there is no device".into()),
+            (Err(why), _) => Err(why.clone()),
+            (&Ok(bytes_per_second), _) => match self.links.shaping(self.index)? {
+                Some(statistics) => Ok(Shaped { bytes_per_second, statistics }),
+                None => Err("somebody has taken the filter away".into()),
+            },
+        };
+        Ok(Status {
+            name: self.name.clone(),
+            mode: self.options.mode,
+            device,
+            most: self.options.mtu,
+            slot: self.mouth.mtu(),
+            peers: self.peers.all().to_vec(),
+            shaping,
+            news: self.news.clone(),
+            counts: self.mouth.counts(),
+        })
+    }
+}
+
+/// What lets through a little less than so many of the largest frames in 1000 seconds: a small one takes a turn, too.
+fn shaping(turns: u64, frame: usize) -> Shaping {
+    let bytes_per_second = (turns * SHAPED / 1000 * frame as u64 / 1000).max(1);
+    let frames = (turns * QUEUE_MILLIS / 1_000_000).max(QUEUE_LEAST);
+    let (limit, least) = (frames as u32 * frame as u32, frame as u16);
+    Shaping { bytes_per_second, burst: BURST * frame as u32, limit, least }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn linux_is_held_back_to_a_little_less_than_the_turns_of_the_slots() {
+        let every_millisecond = shaping(1_000_000, 1510);
+        assert_eq!(every_millisecond.bytes_per_second, 985 * 1510);
+        assert_eq!((every_millisecond.limit, every_millisecond.least), (100 * 1510, 1510));
+        let seldom = shaping(1_000, 500);
+        assert_eq!((seldom.bytes_per_second, seldom.limit, seldom.burst), (492, 16 * 500, 2000));
+        assert_eq!(shaping(1, 60).bytes_per_second, 1);
+    }
+}

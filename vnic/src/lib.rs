@@ -1,10 +1,11 @@
 //! Everything that is not real-time goes through the tunnel: a network device whose frames leave inside RTmac frames, in
 //! turns that nothing real-time wants.
 //!
-//! [`tunnel`] is pure, and the same in virtual time; [`tun`] is the device that Linux sees, and the thread behind it.
+//! [`tunnel`] is pure, and the same in virtual time; [`tun`] is the device that Linux sees, and the thread behind it;
+//! [`netlink`] is what the
+//! kernel is asked about it, and [`peers`] says who has which address where nobody can be asked.
 //!
 //! ```
-//! use rtnet::buf::Pool;
 //! use rtnet::wire::ethernet::{Address, EtherType};
 //! use vnic::tunnel::{self, Config};
 //!

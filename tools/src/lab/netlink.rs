@@ -16,12 +16,11 @@ use netlink_packet_route::neighbour::{NeighbourAttribute, NeighbourFlags, Neighb
 use netlink_packet_route::{AddressFamily, RouteNetlinkMessage};
 use nix::errno::Errno;
 use pnet_datalink::MacAddr;
+use vnic::netlink::Exchange;
 
-use exchange::Exchange;
 pub use link::{Link, NAME_MAX};
 use link::{check_mac, check_name};
 
-mod exchange;
 mod host;
 mod link;
 
@@ -125,7 +124,8 @@ impl Netlink {
     /// There is no such interface, or it cannot be deleted (`lo`).
     pub fn delete_link(&mut self, index: u32) -> Result<()> {
         let message = RouteNetlinkMessage::DelLink(link_message(index));
-        self.kernel.request(&format!("delete interface #{index}"), message, NLM_F_ACK, &[]).map(drop)
+        self.kernel.request(&format!("delete interface #{index}"), message, NLM_F_ACK, &[])?;
+        Ok(())
     }
 
     /// The index of the interface called `name`.
@@ -272,12 +272,14 @@ impl Netlink {
     }
 
     fn create(&mut self, what: &str, message: RouteNetlinkMessage, remedies: &[(Errno, &str)]) -> Result<()> {
-        self.kernel.request(what, message, NLM_F_ACK | NLM_F_CREATE | NLM_F_EXCL, remedies).map(drop)
+        self.kernel.request(what, message, NLM_F_ACK | NLM_F_CREATE | NLM_F_EXCL, remedies)?;
+        Ok(())
     }
 
     fn change(&mut self, what: &str, link: LinkMessage) -> Result<()> {
         // RTM_NEWLINK without NLM_F_CREATE; RTM_SETLINK passes over the settings of bridge ports.
-        self.kernel.request(what, RouteNetlinkMessage::NewLink(link), NLM_F_ACK, &[]).map(drop)
+        self.kernel.request(what, RouteNetlinkMessage::NewLink(link), NLM_F_ACK, &[])?;
+        Ok(())
     }
 }
 

@@ -2,13 +2,14 @@
 
 use std::io;
 
-use anyhow::{Context, Result, bail};
 use netlink_packet_core::{
-    ErrorMessage, NLM_F_REQUEST, NetlinkHeader, NetlinkMessage, NetlinkPayload, NlasIterator,
+    DecodeError, ErrorMessage, NLM_F_REQUEST, NetlinkHeader, NetlinkMessage, NetlinkPayload, NlasIterator,
 };
 use netlink_packet_route::RouteNetlinkMessage;
 use netlink_sys::{Socket, SocketAddr, protocols::NETLINK_ROUTE};
 use nix::errno::Errno;
+
+use super::Refused;
 
 /// A netlink message is at least its header, and begins on a multiple of four bytes (netlink(7)).
 const HEADER_LEN: usize = 16;
@@ -18,7 +19,10 @@ const ALIGNMENT: usize = 4;
 const EXT_ACK_TEXT: u16 = 1;
 
 /// A socket on which one request at a time is answered.
-pub(super) struct Exchange {
+///
+/// It belongs to the network namespace of the thread that opened it, whichever thread uses it later; as long as it is
+/// open, it keeps that namespace alive.
+pub struct Exchange {
     socket: Socket,
     /// Number of the request under way; answers to earlier ones are passed over.
     sequence: u32,
@@ -26,7 +30,10 @@ pub(super) struct Exchange {
 
 impl Exchange {
     /// Opens a socket in the network namespace of the calling thread.
-    pub(super) fn open() -> Result<Self> {
+    ///
+    /// # Errors
+    /// The kernel gives no netlink socket.
+    pub fn open() -> Result<Self, Refused> {
         let open = || -> io::Result<Socket> {
             let mut socket = Socket::new(NETLINK_ROUTE)?;
             socket.bind_auto()?;
@@ -36,19 +43,23 @@ impl Exchange {
             socket.set_ext_ack(true)?;
             Ok(socket)
         };
-        let socket = open().context("cannot open a NETLINK_ROUTE socket: the kernel must have CONFIG_NET")?;
+        let socket = open().map_err(no_socket)?;
         Ok(Self { socket, sequence: 0 })
     }
 
-    /// Sends one request and collects the answers up to the acknowledgement, or up to the end of a
-    /// dump.
-    pub(super) fn request(
+    /// Sends one request and collects the answers up to the acknowledgement, or up to the end of a dump.
+    ///
+    /// `what` is wanted, in words that follow "cannot"; `remedies` are what helps against an errno.
+    ///
+    /// # Errors
+    /// The kernel refuses, or its answer does not come or cannot be understood.
+    pub fn request(
         &mut self,
         what: &str,
         message: RouteNetlinkMessage,
         flags: u16,
         remedies: &[(Errno, &str)],
-    ) -> Result<Vec<RouteNetlinkMessage>> {
+    ) -> Result<Vec<RouteNetlinkMessage>, Refused> {
         self.sequence = self.sequence.wrapping_add(1);
         let mut header = NetlinkHeader::default();
         header.flags = NLM_F_REQUEST | flags;
@@ -57,14 +68,18 @@ impl Exchange {
         request.finalize();
         let mut bytes = vec![0; request.buffer_len()];
         request.serialize(&mut bytes);
-        self.socket.send(&bytes, 0).with_context(|| format!("cannot {what}: the request cannot be sent"))?;
+        let broken = |said, source| Refused::broken(what, said, source);
+        self.socket.send(&bytes, 0).map_err(|error| broken("the request cannot be sent", Some(error)))?;
 
         let mut replies = Vec::new();
         loop {
             let datagram =
-                self.receive().with_context(|| format!("cannot {what}: no answer from the kernel"))?;
+                receive(&self.socket).map_err(|error| broken("no answer from the kernel", Some(error)))?;
             for reply in messages(&datagram) {
-                let reply = reply.with_context(|| format!("cannot {what}"))?;
+                let reply = reply.map_err(|error| {
+                    let error = io::Error::new(io::ErrorKind::InvalidData, error);
+                    broken("the kernel's answer cannot be understood", Some(error))
+                })?;
                 if reply.header.sequence_number != self.sequence {
                     continue; // the rest of an answer that was given up
                 }
@@ -72,61 +87,60 @@ impl Exchange {
                     NetlinkPayload::InnerMessage(inner) => replies.push(inner),
                     NetlinkPayload::Error(ErrorMessage { code: None, .. }) => return Ok(replies),
                     NetlinkPayload::Error(refusal) => {
-                        return Err(explain(what, &refusal, remedies));
+                        let errno = Errno::from_raw(refusal.raw_code().abs());
+                        return Err(Refused::because(what, kernel_text(&refusal.header), errno, remedies));
                     }
                     NetlinkPayload::Done(end) if end.code == 0 => return Ok(replies),
                     NetlinkPayload::Done(end) => {
                         let cause = io::Error::from_raw_os_error(end.code.abs());
-                        return Err(cause).with_context(|| format!("cannot {what}: the answer broke off"));
+                        return Err(broken("the answer broke off", Some(cause)));
                     }
                     NetlinkPayload::Overrun(_) => {
-                        bail!("cannot {what}: part of the answer was lost")
+                        return Err(broken("part of the answer was lost", None));
                     }
                     _ => {}
                 }
             }
         }
     }
+}
 
-    fn receive(&self) -> io::Result<Vec<u8>> {
-        loop {
-            match self.socket.recv_from_full() {
-                Ok((datagram, _)) => return Ok(datagram),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error),
-            }
+/// Why there is no conversation at all.
+pub(super) fn no_socket(error: io::Error) -> Refused {
+    let what = "open a NETLINK_ROUTE socket".to_owned();
+    Refused {
+        what,
+        said: None,
+        remedy: Some("the kernel must have CONFIG_NET".to_owned()),
+        source: Some(error),
+    }
+}
+
+/// The next datagram, whole.
+pub(super) fn receive(socket: &Socket) -> io::Result<Vec<u8>> {
+    loop {
+        match socket.recv_from_full() {
+            Ok((datagram, _)) => return Ok(datagram),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
         }
     }
 }
 
 /// The messages of one datagram.
-fn messages(mut datagram: &[u8]) -> impl Iterator<Item = Result<NetlinkMessage<RouteNetlinkMessage>>> {
+pub(super) fn messages(
+    mut datagram: &[u8],
+) -> impl Iterator<Item = Result<NetlinkMessage<RouteNetlinkMessage>, DecodeError>> {
     std::iter::from_fn(move || {
         if datagram.len() < HEADER_LEN {
             return None;
         }
-        let message =
-            NetlinkMessage::deserialize(datagram).context("the kernel's answer cannot be understood");
+        let message = NetlinkMessage::deserialize(datagram);
         let length = message.as_ref().map_or(datagram.len(), |message| message.header.length as usize);
         let next = length.max(HEADER_LEN).next_multiple_of(ALIGNMENT);
         datagram = datagram.get(next..).unwrap_or_default();
         Some(message)
     })
-}
-
-fn explain(what: &str, refusal: &ErrorMessage, remedies: &[(Errno, &str)]) -> anyhow::Error {
-    let errno = Errno::from_raw(refusal.raw_code().abs());
-    let remedy = match remedies.iter().find(|(code, _)| *code == errno) {
-        Some((_, remedy)) => Some(*remedy),
-        None if errno == Errno::EPERM => Some("this needs root (CAP_NET_ADMIN): run as root"),
-        None if errno == Errno::ENODEV => Some("no such interface in the namespace"),
-        None => None,
-    };
-    let mut text = format!("cannot {what}");
-    for reason in [kernel_text(&refusal.header), remedy.map(String::from)].into_iter().flatten() {
-        text = format!("{text}: {reason}");
-    }
-    anyhow::Error::new(refusal.to_io()).context(text)
 }
 
 /// What the kernel said in words, in the attributes after the header of the refused request.

@@ -1,0 +1,58 @@
+//! What became of a request that the kernel did not grant.
+
+use std::io;
+
+use nix::errno::Errno;
+
+/// What was asked of the kernel and did not come about: one line, `cannot WHAT: SAID: REMEDY`, and the errno as the source.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot {what}{}{}", after_colon(.said), after_colon(.remedy))]
+pub struct Refused {
+    /// What was wanted, after "cannot".
+    pub what: String,
+    /// What the kernel said in words, or where the conversation with it broke off.
+    pub said: Option<String>,
+    /// What helps, where it is known.
+    pub remedy: Option<String>,
+    /// The kernel's errno, or what could not be understood of its answer.
+    pub source: Option<io::Error>,
+}
+
+impl Refused {
+    /// By its errno, if it is one of those that a remedy is known for, or that always have the same.
+    pub(super) fn because(
+        what: &str,
+        said: Option<String>,
+        errno: Errno,
+        remedies: &[(Errno, &str)],
+    ) -> Self {
+        let remedy = match remedies.iter().find(|(code, _)| *code == errno) {
+            Some((_, remedy)) => Some(*remedy),
+            None if errno == Errno::EPERM => Some("this needs root (CAP_NET_ADMIN): run as root"),
+            None if errno == Errno::ENODEV => Some("no such interface in the namespace"),
+            None => None,
+        };
+        let (what, remedy) = (what.to_owned(), remedy.map(str::to_owned));
+        Self { what, said, remedy, source: Some(errno.into()) }
+    }
+
+    /// The conversation broke off.
+    pub(super) fn broken(what: &str, said: &str, source: Option<io::Error>) -> Self {
+        Self { what: what.to_owned(), said: Some(said.to_owned()), remedy: None, source }
+    }
+
+    /// The kernel's errno, if it gave one.
+    pub fn errno(&self) -> Option<Errno> {
+        self.source.as_ref()?.raw_os_error().map(Errno::from_raw)
+    }
+
+    /// Whether the kernel was built without what was wanted: it does not know the request (EOPNOTSUPP), or the queueing
+    /// discipline (ENOENT).
+    pub fn is_unsupported(&self) -> bool {
+        matches!(self.errno(), Some(Errno::EOPNOTSUPP | Errno::ENOENT))
+    }
+}
+
+fn after_colon(reason: &Option<String>) -> String {
+    reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"))
+}

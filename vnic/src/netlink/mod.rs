@@ -1,9 +1,16 @@
 //! What is asked of the kernel about network devices, and heard from it: rtnetlink(7), synchronous.
 //!
-//! A refusal is an error that names what was wanted, what the kernel said and, where it is known, the remedy.
+//! [`Links`] sets up what a VNIC's device is to be, in the network namespace of the thread that opened it. A refusal is an error that names what was wanted, what
+//! the kernel said and, where it is known, the remedy.
 
+mod addresses;
 mod exchange;
+mod link;
 mod refused;
 
 pub use exchange::Exchange;
+pub use link::{Link, LinkStatistics, Links};
 pub use refused::Refused;
+
+#[cfg(test)]
+mod tests;

@@ -7,10 +7,12 @@ mod addresses;
 mod exchange;
 mod link;
 mod refused;
+mod shaping;
 
 pub use exchange::Exchange;
 pub use link::{Link, LinkStatistics, Links};
 pub use refused::Refused;
+pub use shaping::{Shaping, ShapingStatistics};
 
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,8 @@
 //! Those that ask the kernel do so in a network namespace of their own, with the two ends of a veth; they need root, and
 //! say SKIP without.
 
+mod shaping;
+
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, UdpSocket};
 use std::thread;

@@ -1,0 +1,177 @@
+//! How fast a device is fed: a token bucket in front of it, tbf (tc-tbf(8)).
+//!
+//! ```text
+//!  TCA_OPTIONS
+//!    TCA_TBF_PARMS   struct tc_tbf_qopt
+//!      0        1            2        4            6    8     12
+//!      +--------+------------+--------+------------+----+-----+-------------------+-------+--------+-----+
+//!      |cell_log| link layer |overhead| cell_align | mpu| rate| peak rate, 12 of  | limit | buffer | mtu |
+//!      |        | 1: Ethernet|        |            |    |     | the same          |       |        |     |
+//!      +--------+------------+--------+------------+----+-----+-------------------+-------+--------+-----+
+//!    TCA_TBF_BURST   u32, bytes
+//!    TCA_TBF_RATE64  u64, bytes a second, where 32 bits are too few
+//! ```
+
+use netlink_packet_core::{DefaultNla, NLM_F_ACK, NLM_F_CREATE, NLM_F_ECHO, NLM_F_REPLACE};
+use netlink_packet_route::RouteNetlinkMessage;
+use netlink_packet_route::tc::{TcAttribute, TcHandle, TcMessage, TcOption, TcStats2};
+use nix::errno::Errno;
+
+use super::{Links, Refused};
+
+const KIND: &str = "tbf";
+/// linux/pkt_sched.h.
+pub(super) const TCA_TBF_PARMS: u16 = 1;
+pub(super) const TCA_TBF_RATE64: u16 = 4;
+pub(super) const TCA_TBF_BURST: u16 = 6;
+/// TC_LINKLAYER_ETHERNET: lengths are as they are, without a table of the times that they take.
+const ETHERNET: u8 = 1;
+
+/// A device fed by a token bucket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shaping {
+    /// What the device is fed on average, at least 1.
+    pub bytes_per_second: u64,
+    /// What it may be fed at once, in bytes. No longer packet, with its header, gets through.
+    pub burst: u32,
+    /// What may wait, in bytes; what comes then is dropped.
+    pub limit: u32,
+}
+
+/// What went through a token bucket.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ShapingStatistics {
+    /// Bytes that were passed on.
+    pub bytes: u64,
+    /// Packets that were passed on.
+    pub packets: u64,
+    /// Packets that were dropped: too many waited, or they were longer than the burst.
+    pub drops: u64,
+    /// Bytes that wait.
+    pub backlog: u64,
+}
+
+impl Links {
+    /// Puts a token bucket in front of the device, instead of what was there; its counts go on if that was one.
+    ///
+    /// # Errors
+    /// There is no such device, the rate or the burst is zero, or the kernel has no tbf ([`Refused::is_unsupported`]).
+    pub fn limit_rate(&mut self, index: u32, shaping: &Shaping) -> Result<(), Refused> {
+        let what = format!("limit the rate of interface #{index}");
+        let needs_tbf = "the kernel must have CONFIG_NET_SCH_TBF (try `modprobe sch_tbf`)";
+        let remedies = &[
+            (Errno::ENOENT, needs_tbf),
+            (Errno::EOPNOTSUPP, needs_tbf),
+            (Errno::EINVAL, "rate and burst must be more than zero"),
+        ];
+        if shaping.bytes_per_second == 0 {
+            // To the kernel that is no limit.
+            return Err(Refused::because(&what, None, Errno::EINVAL, remedies));
+        }
+        let mut message = root(index);
+        message.attributes = vec![TcAttribute::Kind(KIND.into()), TcAttribute::Options(shaping.options())];
+        let message = RouteNetlinkMessage::NewQueueDiscipline(message);
+        let flags = NLM_F_ACK | NLM_F_CREATE | NLM_F_REPLACE;
+        self.kernel.request(&what, message, flags, remedies).map(drop)
+    }
+
+    /// Takes the token bucket away, if there is one in front of the device: what waits in it is lost.
+    ///
+    /// # Errors
+    /// There is no such device.
+    pub fn unlimit_rate(&mut self, index: u32) -> Result<(), Refused> {
+        if self.shaping(index)?.is_none() {
+            return Ok(());
+        }
+        let mut message = root(index);
+        message.attributes = vec![TcAttribute::Kind(KIND.into())];
+        let what = format!("let interface #{index} be fed at any rate");
+        self.kernel.request(&what, RouteNetlinkMessage::DelQueueDiscipline(message), NLM_F_ACK, &[]).map(drop)
+    }
+
+    /// What went through the token bucket in front of the device, if there is one.
+    ///
+    /// # Errors
+    /// There is no such device, or the kernel's answer cannot be understood.
+    pub fn shaping(&mut self, index: u32) -> Result<Option<ShapingStatistics>, Refused> {
+        let discipline = self.root_discipline(index)?;
+        let is_tbf = discipline.contains(&TcAttribute::Kind(KIND.into()));
+        Ok(is_tbf.then(|| statistics(&discipline)))
+    }
+
+    /// The attributes of the queueing discipline in front of the device; none of one that frames go past.
+    pub(super) fn root_discipline(&mut self, index: u32) -> Result<Vec<TcAttribute>, Refused> {
+        let what = format!("look up what feeds interface #{index}");
+        let question = RouteNetlinkMessage::GetQueueDiscipline(root(index));
+        // Without NLM_F_ECHO the kernel answers those only who listen to all changes.
+        let replies = match self.kernel.request(&what, question, NLM_F_ACK | NLM_F_ECHO, &[]) {
+            // There is none, or the kernel has none at all (CONFIG_NET_SCHED).
+            Err(refused) if matches!(refused.errno(), Some(Errno::ENOENT | Errno::EOPNOTSUPP)) => {
+                return Ok(Vec::new());
+            }
+            replies => replies?,
+        };
+        let attributes = |reply| match reply {
+            RouteNetlinkMessage::NewQueueDiscipline(message) => Some(message.attributes),
+            _ => None,
+        };
+        Ok(replies.into_iter().find_map(attributes).unwrap_or_default())
+    }
+}
+
+impl Shaping {
+    /// As the kernel wants it. Neither `buffer`, the burst in the kernel's ticks, nor `mtu`, the burst at a peak rate, is
+    /// looked at with what is asked for here.
+    pub(super) fn options(&self) -> Vec<TcOption> {
+        let rate = u32::try_from(self.bytes_per_second);
+        let mut parameters = [0; 36];
+        parameters[1] = ETHERNET;
+        parameters[8..12].copy_from_slice(&rate.unwrap_or(u32::MAX).to_ne_bytes());
+        parameters[24..28].copy_from_slice(&self.limit.to_ne_bytes());
+        let option = |kind, value: &[u8]| TcOption::Other(DefaultNla::new(kind, value.to_vec()));
+        let mut options =
+            vec![option(TCA_TBF_PARMS, &parameters), option(TCA_TBF_BURST, &self.burst.to_ne_bytes())];
+        if rate.is_err() {
+            options.push(option(TCA_TBF_RATE64, &self.bytes_per_second.to_ne_bytes()));
+        }
+        options
+    }
+}
+
+fn root(index: u32) -> TcMessage {
+    // The kernel numbers devices from 1 up, in 31 bits.
+    let mut message = TcMessage::with_index(index as i32);
+    message.header.parent = TcHandle::ROOT;
+    message
+}
+
+/// From TCA_STATS2; TCA_STATS, in 32 bits, where a kernel has no other.
+fn statistics(discipline: &[TcAttribute]) -> ShapingStatistics {
+    let mut found = ShapingStatistics::default();
+    for attribute in discipline {
+        match attribute {
+            TcAttribute::Stats2(parts) => {
+                for part in parts {
+                    match part {
+                        TcStats2::Basic(it) => (found.bytes, found.packets) = (it.bytes, it.packets.into()),
+                        TcStats2::Queue(it) => {
+                            (found.drops, found.backlog) = (it.drops.into(), it.backlog.into())
+                        }
+                        _ => {}
+                    }
+                }
+                return found;
+            }
+            TcAttribute::Stats(it) => {
+                found = ShapingStatistics {
+                    bytes: it.bytes,
+                    packets: it.packets.into(),
+                    drops: it.drops.into(),
+                    backlog: it.backlog.into(),
+                }
+            }
+            _ => {}
+        }
+    }
+    found
+}

@@ -2,6 +2,7 @@
 //! say SKIP without.
 
 mod shaping;
+mod watch;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, UdpSocket};

@@ -34,6 +34,8 @@ pub struct Shaping {
     pub bytes_per_second: u64,
     /// What it may be fed at once, in bytes. No longer packet, with its header, gets through.
     pub burst: u32,
+    /// What a packet counts at least, in bytes, however short it is: where each takes as long as the longest.
+    pub least: u16,
     /// What may wait, in bytes; what comes then is dropped.
     pub limit: u32,
 }
@@ -126,6 +128,7 @@ impl Shaping {
         let rate = u32::try_from(self.bytes_per_second);
         let mut parameters = [0; 36];
         parameters[1] = ETHERNET;
+        parameters[6..8].copy_from_slice(&self.least.to_ne_bytes());
         parameters[8..12].copy_from_slice(&rate.unwrap_or(u32::MAX).to_ne_bytes());
         parameters[24..28].copy_from_slice(&self.limit.to_ne_bytes());
         let option = |kind, value: &[u8]| TcOption::Other(DefaultNla::new(kind, value.to_vec()));

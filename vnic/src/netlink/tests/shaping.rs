@@ -5,7 +5,7 @@ use netlink_packet_route::tc::{TcAttribute, TcOption};
 
 use crate::netlink::shaping::{TCA_TBF_BURST, TCA_TBF_PARMS, TCA_TBF_RATE64};
 
-const SHAPING: Shaping = Shaping { bytes_per_second: 125_000, burst: 2000, limit: 5000 };
+const SHAPING: Shaping = Shaping { bytes_per_second: 125_000, burst: 2000, least: 1000, limit: 5000 };
 
 fn bytes(option: &impl Nla) -> Vec<u8> {
     let mut bytes = vec![0; option.value_len()];
@@ -49,6 +49,7 @@ fn a_token_bucket_is_asked_for_as_the_kernel_lays_it_out() {
     let [parameters, burst] = SHAPING.options().try_into().unwrap();
     let mut expected = [0; 36];
     expected[1] = 1;
+    expected[6..8].copy_from_slice(&1000_u16.to_ne_bytes());
     expected[8..12].copy_from_slice(&125_000_u32.to_ne_bytes());
     expected[24..28].copy_from_slice(&5000_u32.to_ne_bytes());
     assert_eq!((parameters.kind(), bytes(&parameters)), (TCA_TBF_PARMS, expected.to_vec()));
@@ -73,7 +74,7 @@ fn a_device_is_fed_as_fast_as_is_asked_for() {
         assert_eq!(told(&mut links, a), (125_000, 16_000_000, 5000));
         assert_eq!(links.shaping(a).unwrap(), Some(ShapingStatistics::default()));
 
-        let fast = Shaping { bytes_per_second: 10_000_000_000, burst: 1_000_000, limit: 2_000_000 };
+        let fast = Shaping { bytes_per_second: 10_000_000_000, burst: 1_000_000, least: 0, limit: 2_000_000 };
         links.limit_rate(a, &fast).unwrap();
         let (rate, burst, limit) = told(&mut links, a);
         assert_eq!((rate, limit), (10_000_000_000, 2_000_000));
@@ -95,7 +96,9 @@ fn what_a_token_bucket_does_not_let_through_waits_or_is_dropped() {
             return;
         }
         // So slow that hardly anything leaves later.
-        links.limit_rate(a, &Shaping { bytes_per_second: 10, burst: 2000, limit: 5000 }).unwrap();
+        links
+            .limit_rate(a, &Shaping { bytes_per_second: 10, burst: 2000, least: 1000, limit: 5000 })
+            .unwrap();
         for _ in 0..20 {
             let _ = socket.send(&[0; 1000 - 42]); // ENOBUFS, for what is dropped
         }

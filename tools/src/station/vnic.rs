@@ -1,5 +1,6 @@
 //! A station's VNIC: what it is to be, its thread, and what the control thread says of it.
 
+use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
@@ -91,7 +92,10 @@ pub fn open(
         peers: options.peers.clone(),
         interface: interface.clone(),
     };
-    let tell = Box::new(|line: &str| eprintln!("rtnet: {line}"));
+    let tell = Box::new(|line: &str| {
+        // Nobody may read it any more; `rtnet vnic status` tells it, too.
+        let _ = writeln!(std::io::stderr(), "rtnet: {line}");
+    });
     let vnic = Vnic::open(wished, mouth, [bell.clone(), port.bell()], stop.clone(), tell);
     let vnic = vnic.map_err(|error| said(&error))?;
     port.leave_tunnelled().map_err(|error| said(&error))?;

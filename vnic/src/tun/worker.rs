@@ -34,6 +34,9 @@ const QUEUE_LEAST: u64 = 16;
 /// What may leave at once after a pause, of the largest frames.
 const BURST: u32 = 4;
 
+/// Below it Linux has no IPv6 on a device.
+const LEAST_MTU_OF_IPV6: usize = 1280;
+
 type Answer = Sender<Result<Status, String>>;
 
 /// What is behind a device: to be run by a thread of its own.
@@ -232,7 +235,7 @@ impl Vnic {
         match order {
             Order::Status => {}
             Order::Up if self.device.is_none() => self.make()?,
-            Order::Up => self.links.set_up(self.index, true)?,
+            Order::Up => self.set_up()?,
             Order::Down => self.links.set_up(self.index, false)?,
             Order::Set(change) => self.change(change)?,
         }
@@ -276,25 +279,27 @@ impl Vnic {
         (self.mtu, self.tried) = (0, None);
         self.name = name;
         self.follow_mtu()?;
-        self.allow_ipv6();
-        for prefix in &self.options.addresses {
-            self.links.add_address(self.index, prefix.ip, prefix.length)?;
-        }
-        self.links.set_up(self.index, true)?;
-        for prefix in self.options.addresses.iter().filter(|prefix| prefix.ip.is_ipv6()) {
-            // Setting a device down and up loses them.
-            self.links.add_address(self.index, prefix.ip, prefix.length)?;
-        }
+        self.set_up()?;
         self.device = Some(device);
         self.news = None;
         Ok(())
     }
 
-    /// A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds.
-    fn allow_ipv6(&self) {
-        let switch = format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name);
-        // A kernel without IPv6 has no such switch.
-        let _ = std::fs::write(switch, "0");
+    fn set_up(&mut self) -> Result<(), Refused> {
+        self.links.set_up(self.index, true)?;
+        self.give_addresses()
+    }
+
+    /// Gives it its addresses. Those of IPv6 Linux takes away while it is down, or its MTU is too small for them.
+    fn give_addresses(&mut self) -> Result<(), Refused> {
+        // A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds. A kernel
+        // without IPv6 has no such switch.
+        let _ = std::fs::write(format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name), "0");
+        let has_room = self.mtu >= LEAST_MTU_OF_IPV6;
+        for prefix in self.options.addresses.iter().filter(|prefix| prefix.ip.is_ipv4() || has_room) {
+            self.links.add_address(self.index, prefix.ip, prefix.length)?;
+        }
+        Ok(())
     }
 
     /// Follows slots that have changed.
@@ -315,10 +320,12 @@ impl Vnic {
 
     fn follow_mtu(&mut self) -> Result<(), Refused> {
         let mtu = self.mouth.mtu().min(self.options.mtu).clamp(LEAST_MTU, MTU);
-        if mtu != std::mem::replace(&mut self.mtu, mtu) {
+        let before = std::mem::replace(&mut self.mtu, mtu);
+        if mtu != before {
             self.links.set_mtu(self.index, mtu)?;
         }
-        Ok(())
+        let grows = (before + 1..=mtu).contains(&LEAST_MTU_OF_IPV6);
+        if grows && self.device.is_some() { self.give_addresses() } else { Ok(()) }
     }
 
     /// Holds Linux back to what slots allow.

@@ -102,6 +102,9 @@ pub struct LabExecArgs {
     /// Which station; without LAB/ one of the only lab, or of the one named 'lab'
     #[arg(value_name = "[LAB/]STATION")]
     pub place: Place,
+    /// On any core, also that of the lab's real-time threads, which it may hold up
+    #[arg(long)]
+    pub any_core: bool,
     /// What to run there, and its arguments
     #[arg(last = true, required = true, value_name = "COMMAND")]
     pub command: Vec<std::ffi::OsString>,

@@ -11,6 +11,8 @@ use rtnet::time::Span;
 
 use super::Failure;
 use super::account::{account, is_well};
+use rtnet::live::realtime::avoid;
+
 use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatusArgs};
 use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, Place};
 use crate::lab;
@@ -144,7 +146,7 @@ fn locked_within(cycle_ns: u64) -> Duration {
 /// Runs a command beside a station; returns only if it cannot.
 pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
     let (program, arguments) = args.command.split_first().context("no command").map_err(Failure::Usage)?;
-    enter(&args.place).map_err(Failure::Usage)?;
+    enter(&args.place, args.any_core).map_err(Failure::Usage)?;
     let error = Command::new(program).args(arguments).exec();
     let what = program.to_string_lossy().into_owned();
     let remedy = match error.kind() {
@@ -154,10 +156,16 @@ pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
     Err(Failure::Usage(anyhow!("{what} cannot be run: {error}{remedy}")))
 }
 
-/// Moves this process into a station's namespaces.
-fn enter(place: &Place) -> Result<()> {
+/// Moves this process into a station's namespaces, and off the core of the lab's real-time threads.
+fn enter(place: &Place, on_any_core: bool) -> Result<()> {
     let directory = Directory::of_user();
-    let place = Place { lab: Some(lab_of(&directory, place)), station: place.station.clone() };
+    let lab = lab_of(&directory, place);
+    if !on_any_core {
+        // What its calls have the kernel do would hold up whoever is real-time there.
+        avoid(control::lab_status(&directory, &lab)?.cpu)
+            .context("other cores cannot be had (--any-core goes without)")?;
+    }
+    let place = Place { lab: Some(lab), station: place.station.clone() };
     let pid = control::station_status(&directory, &place)?.pid;
     lab::enter::enter(pid, Path::new(&format!("/proc/{pid}/ns/net")))
         .with_context(|| format!("station '{place}'"))

@@ -80,6 +80,10 @@ pub struct SlotFigures {
     pub missed: u64,
     /// stamp - (scheduled + the line's offset).
     pub slot_error_ns: Summary,
+    /// |slot error - its median|.
+    pub slot_error_abs_ns: Summary,
+    /// All of the latter: a value, and how many frames have it, as far as the histogram tells them apart.
+    pub slot_errors_abs: Vec<(i64, u64)>,
 }
 
 /// A station's frames of one kind that do not say when they were scheduled.
@@ -136,6 +140,7 @@ impl JitterFigures {
         for (stream, seen) in &tally.streams {
             let (source, name) = (stream.source.to_string(), ear.names.get(&stream.source).cloned());
             let (frames, missed, times) = (seen.frames, seen.missed(), seen.times.summary());
+            let spread = seen.times.deviation_from(seen.times.median());
             let of_slot = |station, slot| SlotFigures {
                 source: source.clone(),
                 name: name.clone(),
@@ -144,6 +149,8 @@ impl JitterFigures {
                 frames,
                 missed,
                 slot_error_ns: times,
+                slot_error_abs_ns: spread.summary(),
+                slot_errors_abs: spread.iter().collect(),
             };
             match stream.which {
                 Which::Sync => figures.slots.push(of_slot(None, None)),
@@ -155,7 +162,7 @@ impl JitterFigures {
                     frames,
                     missed: matches!(which, Which::Foreign(_)).then_some(missed),
                     place_ns: times,
-                    place_spread_ns: seen.times.deviation_from(seen.times.median()).summary(),
+                    place_spread_ns: spread.summary(),
                 }),
             }
         }

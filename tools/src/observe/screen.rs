@@ -167,6 +167,7 @@ mod tests {
             frames: 1_234,
             missed: 2,
             slot_error_ns: summary,
+            ..SlotFigures::default()
         };
         let other = OtherFigures {
             source: "02:00:00:00:00:03".into(),

@@ -7,6 +7,7 @@ use std::io::{self, Write};
 use std::os::fd::AsFd;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::socket::{setsockopt, sockopt};
 use nix::unistd::{read, write};
 use rtnet::live::interface::Interface;
 use rtnet::wire::ethernet::{self, EtherType};
@@ -29,6 +30,8 @@ fn main() -> anyhow::Result<()> {
         return Ok(());
     };
     let socket = Bare::hearing(&Interface::find(interface)?, KIND)?;
+    // As large as the tunnel's.
+    setsockopt(&socket, sockopt::RcvBuf, &rtnet::live::TUNNELLED_QUEUE)?;
     let device = Device::open(Some(device), Mode::Tap)?;
     println!("ready");
     io::stdout().flush()?;

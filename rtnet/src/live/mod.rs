@@ -43,6 +43,6 @@ pub use guard::{Guard, GuardMode, GuardRefused};
 pub use impair::{Chances, Impaired, Impairment, ImpairmentRefused, LOGGED};
 pub use port::{Data, ETHER_TYPES_AT_MOST, OpenError, Port, PortCounters, RECEIVE_POOL};
 pub use time_board::{TimeBoard, TimePublisher};
-pub use tunnelled::Tunnelled;
+pub use tunnelled::{TUNNELLED_QUEUE, Tunnelled};
 pub use visit::{NoSockets, Visitor, Visits};
 pub use wait::{Cycle, WaitError, Waiter};

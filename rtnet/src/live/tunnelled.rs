@@ -10,8 +10,8 @@ use super::{filter, packet};
 use crate::buf::Buf;
 use crate::wire::ethernet::EtherType;
 
-/// Of frames that wait in the kernel, each with what the kernel has around it: some hundred of the largest.
-const QUEUE_BYTES: usize = 512 * 1024;
+/// Bytes of frames that wait in the kernel, each with what that has around it: some hundred of the largest.
+pub const TUNNELLED_QUEUE: usize = 512 * 1024;
 
 /// A socket that hears the RTmac frames that have another frame inside, and nothing else. A flood of them fills its queue
 /// only, and wakes only who waits for it.
@@ -26,7 +26,7 @@ impl Tunnelled {
         let socket = packet::open()?;
         filter::accept_only_tunnelled(&socket, of_others)?;
         // The host's limit holds.
-        let _ = socket.set_recv_buffer_size(QUEUE_BYTES);
+        let _ = socket.set_recv_buffer_size(TUNNELLED_QUEUE);
         packet::bind(&socket, interface.index, EtherType::RTMAC.0)?;
         if of_others {
             packet::hear_everything(&socket, interface.index as i32)?;

@@ -4,6 +4,8 @@
 mod sent;
 #[path = "vectors/stack.rs"]
 mod stack;
+#[path = "vectors/tunnel.rs"]
+mod tunnel;
 
 use pnet_packet::Packet;
 use pnet_packet::ethernet::EthernetPacket;

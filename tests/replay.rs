@@ -15,20 +15,25 @@
 //!   468    832  primary   467                         follows: the deviation is still from 465, so that of 467 is in it
 //! ```
 
+#[path = "replay/tunnelled.rs"]
+mod tunnelled;
+
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, RoleConfig, SlaveConfig, SlotConfig, Tdma, TdmaConfig,
     line,
 };
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::counters::Refusal;
-use rtnet::discipline::{Discipline, Event, EventKind, SyncState};
+use rtnet::discipline::{Discipline, Event, EventKind, Service, SyncState};
 use rtnet::station::Station;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 use tests::bench::Bench;
 use tests::captures::{self, Captured};
 use tests::traffic::{DataFrame, TestTraffic};
+use vnic::tunnel::Tunnel;
 
+const ADDRESS: Address = Address([2, 0, 0, 0, 0, 9]);
 const PERIOD: Span = Span::from_millis(100);
 const OFFSET: Span = Span::from_millis(30);
 /// What is no excursion: 30 us at p1 and p99, and twice that for the few beyond.
@@ -78,9 +83,9 @@ fn is_rtmac(frame: &Captured) -> bool {
     Header::parse(&frame.bytes).is_some_and(|(header, _)| header.ether_type() == EtherType::RTMAC)
 }
 
-/// A slave without calibration whose slot is at 30 ms and always has a frame to send.
-fn slave(start: Instant) -> Bench<Tdma> {
-    let address = Address([2, 0, 0, 0, 0, 9]);
+/// A slave without calibration whose slot is at 30 ms and always has a frame to send, with a tunnel or without.
+fn slave(start: Instant, tunnel: Option<Tunnel>) -> Bench<Tdma> {
+    let address = ADDRESS;
     let latest = Span::from_micros(100);
     let tdma = Tdma::new(&TdmaConfig {
         address,
@@ -91,11 +96,16 @@ fn slave(start: Instant) -> Bench<Tdma> {
         late: LatePolicy::Skip,
     });
     let traffic = TestTraffic::new(9, address, Address::BROADCAST);
-    Bench::new(Station::new(tdma.expect("a sound configuration"), vec![Box::new(traffic)]), start)
+    let mut services: Vec<Box<dyn Service>> = vec![Box::new(traffic)];
+    services.extend(tunnel.map(|tunnel| Box::new(tunnel) as Box<dyn Service>));
+    Bench::new(Station::new(tdma.expect("a sound configuration"), services), start)
 }
 
 fn replay(frames: &[Captured]) -> Replay {
-    let mut bench = slave(frames[0].at);
+    replay_to(slave(frames[0].at, None), frames)
+}
+
+fn replay_to(mut bench: Bench<Tdma>, frames: &[Captured]) -> Replay {
     let (mut predictions, mut events) = (Vec::new(), Vec::new());
     let mut before: Option<(u32, Instant)> = None;
     let mut carried = Span::ZERO;

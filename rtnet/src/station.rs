@@ -20,6 +20,8 @@ pub struct Station<D: Discipline> {
     stale: u64,
     discipline: D,
     refusals: Refusals,
+    /// The turn in which more frames leave than the one that was chosen for it, where there are no slots.
+    turn: Option<Opportunity>,
 }
 
 impl<D: Discipline> Station<D> {
@@ -33,6 +35,7 @@ impl<D: Discipline> Station<D> {
             stale: 0,
             announced: SyncState::Waiting,
             was_asked: false,
+            turn: None,
         }
     }
 
@@ -62,10 +65,14 @@ impl<D: Discipline> Station<D> {
             self.announce_sync_state();
             if let Some(mut chosen) = chosen {
                 self.leaves(&slot, &mut chosen.frame);
+                self.turn = self.discipline.has_queued().then_some(slot);
                 return Some(chosen);
             }
         }
-        let chosen = self.discipline.next_transmission(now);
+        let mut chosen = self.discipline.next_transmission(now);
+        if let (Some(chosen), Some(turn)) = (&mut chosen, self.turn) {
+            self.leaves(&turn, &mut chosen.frame);
+        }
         self.announce_sync_state();
         if chosen.is_none() && !core::mem::take(&mut self.was_asked) {
             self.looks_without_slot(now);

@@ -24,6 +24,7 @@ mod request_backlog;
 mod round_trips;
 mod scenarios;
 mod second_master_refuses;
+mod tunnel;
 mod two_primaries;
 mod virtual_machine;
 mod without_a_filter;

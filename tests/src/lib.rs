@@ -10,6 +10,7 @@
 //! ends       stacks by hand: frames in, calls of programs, and where every buffer is
 //! peer       an independent TDMA station with the habits of real RTnet's
 //! stacks     stations with sockets, and programs that use them
+//! tunnels    stations with tunnels, and a simulated Linux at the mouth of each
 //! ```
 
 pub mod bare;
@@ -25,6 +26,7 @@ pub mod observed;
 pub mod peer;
 pub mod stacks;
 pub mod traffic;
+pub mod tunnels;
 pub mod vectors;
 
 /// Whether network namespaces can be made; if not, says aloud, past the test harness, that `test` does not run.

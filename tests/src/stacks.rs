@@ -9,7 +9,7 @@ use rtmac::tdma::{
 };
 use rtnet::buf::Pool;
 use rtnet::clock::EmulatedClock;
-use rtnet::discipline::{Discipline, SyncState};
+use rtnet::discipline::{Channel, Discipline, SyncState};
 use rtnet::ip::route::{HostRoute, Interface, Origin};
 use rtnet::ip::{Stack, StackConfig};
 use rtnet::queue::Priority;
@@ -97,6 +97,11 @@ impl Own {
     pub fn with_priority(self, level: u8) -> Self {
         let priority = Priority::new(level).expect("a level");
         Self { options: Options { priority, ..self.options }, ..self }
+    }
+
+    /// The same that sends in another slot.
+    pub fn in_channel(self, channel: Channel) -> Self {
+        Self { options: Options { channel, ..self.options }, ..self }
     }
 
     /// Its name.

@@ -25,6 +25,7 @@ mod round_trips;
 mod scenarios;
 mod second_master_refuses;
 mod tunnel;
+mod tunnel_never_delays_rt;
 mod two_primaries;
 mod virtual_machine;
 mod without_a_filter;

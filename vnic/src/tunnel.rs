@@ -198,7 +198,8 @@ impl Mouth {
     /// Sends the Ethernet frame of `len` bytes that begins at [`FRAME`] of the buffer's room.
     pub fn send_frame(&self, mut frame: Buf, len: usize) -> Result<(), Loss> {
         let room = frame.room_mut();
-        let Some((header, _)) = room.get(FRAME..FRAME + len).and_then(Header::parse) else {
+        let bytes = room[FRAME..].get(..len);
+        let Some((header, _)) = bytes.and_then(Header::parse) else {
             return Err(self.lose(if len < ethernet::HEADER_LEN { Loss::Short } else { Loss::TooLong }));
         };
         let (destination, source, kind) = (header.destination, header.source, header.ether_type());

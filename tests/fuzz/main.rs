@@ -24,3 +24,4 @@ mod stack;
 mod station;
 mod steps;
 mod texts;
+mod tunnel;

@@ -8,6 +8,7 @@ mod buffers;
 mod live;
 mod other_processes;
 mod sockets;
+mod tunnels;
 mod virtual_time;
 mod without_slots;
 

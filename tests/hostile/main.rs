@@ -8,6 +8,7 @@ mod calibration;
 mod frames;
 mod stack;
 mod traffic;
+mod tunnel;
 
 use frames::hostile_frame;
 use proptest::prelude::*;

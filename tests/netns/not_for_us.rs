@@ -2,10 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use rtnet::buf::Pool;
 use rtnet::clock::EmulatedClock;
 use rtnet::live::interface::Interface;
 use rtnet::live::ring::{CaptureRing, RingConfig};
-use rtnet::live::{Data, GuardMode, Port};
+use rtnet::live::{Data, GuardMode, Port, Tunnelled};
 use rtnet::wire::ethernet::EtherType;
 use tests::bare::Bare;
 use tools::lab::namespace::{Namespace, Segment};
@@ -114,6 +115,58 @@ fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
         received += u64::from(wakes);
         assert_eq!(woken(&mut port, if wakes { LONG } else { SHORT }), (wakes, received), "{what}");
     }
+}
+
+#[test]
+fn what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_that_keeps_no_sync_away() {
+    let test =
+        "what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_that_keeps_no_sync_away";
+    if !as_root(test) {
+        return;
+    }
+    let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
+    let mut segment = Segment::new().unwrap();
+    segment.attach(&here, "port0", "rt0", SENDER).unwrap();
+    segment.attach(&there, "port1", "rt0", STATION).unwrap();
+    let sender = here.run(|| Bare::open(&Interface::find("rt0").unwrap()).unwrap()).unwrap();
+    let open = |of_others| {
+        let (mut port, _) = listening();
+        port.leave_tunnelled().unwrap();
+        (port, Tunnelled::open(&Interface::find("rt0").unwrap(), of_others).unwrap())
+    };
+    let (mut port, own) = there.run(|| open(false)).unwrap();
+    let (_, forwarding) = there.run(|| open(true)).unwrap();
+    let rtmac = |to, version, flags| {
+        let mut frame = frame(to, EtherType::RTMAC);
+        frame[14..18].copy_from_slice(&[0x08, 0x06, version, flags]);
+        frame
+    };
+    let room = Pool::new(1);
+    let hears = |socket: &Tunnelled| {
+        let mut buf = room.take().unwrap();
+        (0..).map_while(|_| socket.receive(&mut buf)).count()
+    };
+    let mut received = 0;
+    for (what, frame, heard) in [
+        ("to this station", &rtmac(STATION, 2, 1)[..], [false, true, true]),
+        ("to all, with a reserved flag", &rtmac(ALL, 2, 0x81), [false, true, true]),
+        ("to a host behind somebody", &rtmac(ANOTHER, 2, 1), [false, false, true]),
+        ("no tunnel", &rtmac(STATION, 2, 0x80), [true, false, false]),
+        ("of another version: counted, and refused", &rtmac(STATION, 1, 1), [true, false, false]),
+        ("too short to tell", &rtmac(STATION, 2, 1)[..17], [true, false, false]),
+    ] {
+        assert!(sender.send(frame), "{what}");
+        received += u64::from(heard[0]);
+        assert_eq!(woken(&mut port, if heard[0] { LONG } else { SHORT }), (heard[0], received), "{what}");
+        assert_eq!([hears(&own), hears(&forwarding)], [heard[1], heard[2]].map(usize::from), "{what}");
+    }
+    // Many times what any queue holds, and a sync behind it.
+    let flood = (0..20_000).filter(|_| sender.send(&rtmac(STATION, 2, 1))).count();
+    assert!(sender.send(&rtmac(STATION, 2, 0)));
+    assert_eq!(woken(&mut port, LONG), (true, received + 1));
+    assert_eq!(port.counters().socket_full, 0);
+    let (came, dropped) = (hears(&own), own.take_dropped());
+    assert!(dropped > 0 && came as u64 + dropped == flood as u64, "{came} and {dropped} of {flood}");
 }
 
 #[test]

@@ -24,6 +24,7 @@ const ETHER_TYPE: u32 = 12;
 const TO_THIS_HOST: u32 = 0;
 const MULTICAST: u32 = 2;
 const TO_OTHERS: u32 = 3;
+const NO_TYPE: u32 = u32::MAX;
 /// RTmac's version, behind the Ethernet header and its type, and its flags; this one is of a tunnelled frame.
 const VERSION: u32 = 16;
 const OURS: u32 = 2;
@@ -61,51 +62,37 @@ pub fn accept_only_our_data(socket: &Socket) -> io::Result<()> {
 /// The same for RTmac's frames, where others' tunnels are foreign traffic, too: tunnelled frames for groups stay
 /// out. One for this host alone, too short to tell, or of another version passes, and is counted as what it is.
 pub fn accept_only_our_control(socket: &Socket) -> io::Result<()> {
-    socket.attach_filter(&[
-        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
-        SockFilter::new(JUMP_IF_GREATER, 8, 0, MULTICAST),
-        SockFilter::new(JUMP_IF_EQUAL, 6, 0, TO_THIS_HOST),
-        SockFilter::new(LOAD_LENGTH, 0, 0, 0),
-        SockFilter::new(JUMP_IF_GREATER, 0, 4, FLAGS),
-        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, VERSION),
-        SockFilter::new(JUMP_IF_EQUAL, 0, 2, OURS),
-        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
-        SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
-        SockFilter::new(RETURN, 0, 0, WHOLE),
-        SockFilter::new(RETURN, 0, 0, NOTHING),
-    ])
+    socket.attach_filter(&by_what_is_inside(MULTICAST, TO_THIS_HOST, [WHOLE, NOTHING]))
 }
 
 /// The same where all that is tunnelled has a socket of its own ([`accept_only_tunnelled`]).
 pub fn accept_only_discipline(socket: &Socket) -> io::Result<()> {
-    socket.attach_filter(&[
-        SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
-        SockFilter::new(JUMP_IF_GREATER, 7, 0, MULTICAST),
-        SockFilter::new(LOAD_LENGTH, 0, 0, 0),
-        SockFilter::new(JUMP_IF_GREATER, 0, 4, FLAGS),
-        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, VERSION),
-        SockFilter::new(JUMP_IF_EQUAL, 0, 2, OURS),
-        SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
-        SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
-        SockFilter::new(RETURN, 0, 0, WHOLE),
-        SockFilter::new(RETURN, 0, 0, NOTHING),
-    ])
+    socket.attach_filter(&by_what_is_inside(MULTICAST, NO_TYPE, [WHOLE, NOTHING]))
 }
 
 /// Lets RTmac's frames through that have another frame inside: those to this host or to groups, or, for who forwards
 /// them to others, all but its own.
 pub fn accept_only_tunnelled(socket: &Socket, of_others: bool) -> io::Result<()> {
     let last = if of_others { TO_OTHERS } else { MULTICAST };
-    socket.attach_filter(&[
+    socket.attach_filter(&by_what_is_inside(last, NO_TYPE, [NOTHING, WHOLE]))
+}
+
+/// Of frames up to the type `last` these parts: of those that have no other one inside, or are of the type `whatever`, and
+/// of the others.
+fn by_what_is_inside(last: u32, whatever: u32, [plain, tunnelled]: [u32; 2]) -> [SockFilter; 11] {
+    // Where nothing is let through.
+    let out = if plain == NOTHING { 7 } else { 8 };
+    [
         SockFilter::new(LOAD_WORD_ABSOLUTE, 0, 0, PACKET_TYPE),
-        SockFilter::new(JUMP_IF_GREATER, 7, 0, last),
+        SockFilter::new(JUMP_IF_GREATER, out, 0, last),
+        SockFilter::new(JUMP_IF_EQUAL, 6, 0, whatever),
         SockFilter::new(LOAD_LENGTH, 0, 0, 0),
-        SockFilter::new(JUMP_IF_GREATER, 0, 5, FLAGS),
+        SockFilter::new(JUMP_IF_GREATER, 0, 4, FLAGS),
         SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, VERSION),
-        SockFilter::new(JUMP_IF_EQUAL, 0, 3, OURS),
+        SockFilter::new(JUMP_IF_EQUAL, 0, 2, OURS),
         SockFilter::new(LOAD_BYTE_ABSOLUTE, 0, 0, FLAGS),
-        SockFilter::new(JUMP_IF_SET, 0, 1, TUNNEL),
-        SockFilter::new(RETURN, 0, 0, WHOLE),
-        SockFilter::new(RETURN, 0, 0, NOTHING),
-    ])
+        SockFilter::new(JUMP_IF_SET, 1, 0, TUNNEL),
+        SockFilter::new(RETURN, 0, 0, plain),
+        SockFilter::new(RETURN, 0, 0, tunnelled),
+    ]
 }

@@ -98,6 +98,12 @@ impl Buf {
         self.storage_mut().start += n as u16;
     }
 
+    /// Takes in again all that was left out from its front.
+    #[inline]
+    pub fn untrim_front(&mut self) {
+        self.storage_mut().start = 0;
+    }
+
     /// Leaves out what is filled behind the first `n` bytes; a shorter frame stays as it is.
     #[inline]
     pub fn truncate(&mut self, n: usize) {

@@ -18,6 +18,7 @@ mod time_view;
 
 use crate::buf::Buf;
 use crate::counters::Refusal;
+use crate::ip::route::Routes;
 use crate::queue::Priority;
 use crate::time::{GlobalTime, Instant};
 use crate::wire::ethernet::{EtherType, Header};
@@ -92,16 +93,22 @@ pub trait Service: Send {
     fn claims(&self, ether_type: EtherType) -> bool;
     /// A frame that it claims. To keep it, it must be handed over to a pool of the service's own.
     fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) -> Result<(), Refusal>;
+    /// A sound packet for this station that its sockets and echoes have no part in, behind its Ethernet header and without
+    /// what it was padded by. Who has the station's address, too, takes it as it takes a frame that it claims; else it comes back.
+    fn on_unwanted(&mut self, packet: Buf) -> Result<(), Buf> {
+        Err(packet)
+    }
     /// Synchronisation was gained, bridged or lost.
     fn on_sync_state(&mut self, _view: &TimeView) {}
     /// A slot is about to come: the last moment to queue a frame for it.
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>);
-    /// All have been asked, and nothing waits for the slot: it is empty unless there is a frame now.
-    fn fill(&mut self, _slot: &Opportunity, _out: &mut Outlet<'_>) {}
+    /// All have been asked, and nothing waits for the slot: it is empty unless there is a frame now. Who sends packets finds
+    /// their way by the routes of the station's sockets, if it has some.
+    fn fill(&mut self, _slot: &Opportunity, _routes: Option<&Routes>, _out: &mut Outlet<'_>) {}
     /// A frame of its own was chosen for the slot: the last moment to say so in it. It stays as long as it is.
     fn leaves(&mut self, _slot: &Opportunity, _frame: &mut [u8]) {}
     /// Whether a frame of its own that missed its slot is still worth sending in the next.
-    fn still_wanted(&mut self, _frame: &[u8]) -> bool {
+    fn still_wanted(&mut self, _frame: &[u8], _priority: Priority) -> bool {
         true
     }
     /// The slot's frame has left: time for what takes longer.

@@ -3,7 +3,7 @@
 use crate::buf::Buf;
 use crate::counters::{Refusal, Refusals};
 use crate::discipline::{Claimed, Discipline, Opportunity, Sent, Service, SyncState, Transmission};
-use crate::ip::{Exit, Stack};
+use crate::ip::{Exit, Refused, Stack};
 use crate::time::Instant;
 use crate::wire::ethernet::Header;
 
@@ -83,7 +83,7 @@ impl<D: Discipline> Station<D> {
     /// What became of the transmission.
     pub fn on_sent(&mut self, outcome: Sent) {
         let Some(returned) = self.discipline.on_sent(outcome) else { return };
-        if self.services.iter_mut().all(|service| service.still_wanted(&returned.frame)) {
+        if self.services.iter_mut().all(|service| service.still_wanted(&returned.frame, returned.priority)) {
             self.discipline.put_back(returned);
         } else {
             self.stale += 1;
@@ -142,7 +142,8 @@ impl<D: Discipline> Station<D> {
         let service = services.iter_mut().find(|service| service.claims(ether_type));
         if let Some(stack) = stack {
             if !is_disciplines && service.is_none() {
-                return stack.on_frame(rx, frame, discipline);
+                let heard = stack.on_frame(rx, frame, discipline);
+                return heard.or_else(|refused| offer(refused, services));
             }
             stack.overhear(rx, &frame);
         }
@@ -166,10 +167,12 @@ impl<D: Discipline> Station<D> {
         if let Some(stack) = stack {
             stack.poll(slot.begin, discipline);
         }
+        let routes = stack.as_deref().map(Stack::routes);
         for service in services {
             if !discipline.is_waiting(slot.channel) {
-                service
-                    .fill(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
+                service.fill(slot, routes, &mut |frame, priority, channel| {
+                    discipline.enqueue(frame, priority, channel)
+                });
             }
         }
     }
@@ -201,4 +204,17 @@ impl<D: Discipline> Station<D> {
             }
         }
     }
+}
+
+/// What the sockets have no part in is a service's that has it, too.
+fn offer(refused: Refused, services: &mut [Box<dyn Service>]) -> Result<(), Refusal> {
+    let Refused { why, unwanted } = refused;
+    let Some(mut packet) = unwanted else { return Err(why) };
+    for service in services {
+        match service.on_unwanted(packet) {
+            Ok(()) => return Ok(()),
+            Err(back) => packet = back,
+        }
+    }
+    Err(why)
 }

@@ -91,7 +91,8 @@ impl End {
     fn offer(&mut self, bytes: &[u8], now: u64) -> Result<(), Refusal> {
         let mut frame = self.nic.take().expect("whoever keeps a frame pays for it");
         frame.fill(bytes);
-        self.stack.on_frame(Some(Instant::from_nanos(now)), frame, &mut self.queue)
+        let heard = self.stack.on_frame(Some(Instant::from_nanos(now)), frame, &mut self.queue);
+        heard.map_err(|refused| refused.why)
     }
 
     fn read(&mut self, into: &mut [u8]) -> usize {

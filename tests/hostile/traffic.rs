@@ -46,7 +46,7 @@ fn genuine() -> Vec<u8> {
     let scheduled = GlobalTime::from_nanos(1_000_100_400_000);
     let slot = Opportunity { channel: 0, cycle: 100, begin: Instant::default(), scheduled, non_rt: None };
     let mut sent = Vec::new();
-    sender.fill(&slot, &mut |frame, _, _| {
+    sender.fill(&slot, None, &mut |frame, _, _| {
         sent = frame.to_vec();
         Ok(())
     });

@@ -168,7 +168,8 @@ impl End {
         self.now += Span::from_micros(1);
         let mut frame = self.nic.take().expect("whoever keeps a frame pays for it");
         frame.fill(bytes);
-        self.stack.on_frame(Some(self.now), frame, &mut self.queue)
+        let heard = self.stack.on_frame(Some(self.now), frame, &mut self.queue);
+        heard.map_err(|refused| refused.why)
     }
 
     /// Time passes up to a slot.

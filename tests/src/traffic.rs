@@ -150,7 +150,7 @@ impl Service for TestTraffic {
     }
 
     /// Each frame is for one slot only.
-    fn still_wanted(&mut self, _frame: &[u8]) -> bool {
+    fn still_wanted(&mut self, _frame: &[u8], _priority: Priority) -> bool {
         false
     }
 }

@@ -1,9 +1,9 @@
 //! Everything that is not real-time goes through the tunnel: a network device whose frames leave inside RTmac frames, in
 //! turns that nothing real-time wants.
 //!
-//! [`tunnel`] is pure, and the same in virtual time; [`tun`] is the device that Linux sees, and the thread behind it;
-//! [`netlink`] is what the
-//! kernel is asked about it, and [`peers`] says who has which address where nobody can be asked.
+//! [`tunnel`] is pure, and the same in virtual time, and so is [`proxy`], which gives Linux the station's own address instead
+//! of another; [`tun`] is the device that Linux sees, and the thread behind it; [`netlink`] is what the kernel is asked about
+//! it, and [`peers`] says who has which address where nobody can be asked.
 //!
 //! ```
 //! use rtnet::wire::ethernet::{Address, EtherType};
@@ -19,5 +19,6 @@
 
 pub mod netlink;
 pub mod peers;
+pub mod proxy;
 pub mod tun;
 pub mod tunnel;

@@ -27,12 +27,15 @@ use rtmac::wire::{FLAG_TUNNEL, RTMAC_VERSION};
 use rtnet::buf::{Buf, Pool, hand_over};
 use rtnet::counters::Refusal;
 use rtnet::discipline::{Channel, Opportunity, Outlet, SendError, Service};
+use rtnet::ip::route::Routes;
 use rtnet::queue::Priority;
 use rtnet::time::Instant;
 use rtnet::wire::ethernet::{self, Address, EtherType, Header};
 
-use counts::Counters;
+pub(crate) use counts::Counters;
 pub use counts::{Counts, Loss};
+
+use crate::proxy;
 
 /// Bytes before the inner payload: the Ethernet header and RTmac's.
 pub const HEAD: usize = ethernet::HEADER_LEN + RTMAC;
@@ -73,31 +76,25 @@ impl Config {
 
 /// A tunnel: the station's end, and the other one.
 pub fn new(config: Config) -> (Tunnel, Mouth) {
-    let shared = Arc::new(Shared {
-        outward: ArrayQueue::new(config.buffers),
-        inward: ArrayQueue::new(config.buffers),
-        pool: Arc::new(Pool::new(config.buffers)),
-        mtu: AtomicU16::new(MTU as u16),
-        station_sleeps: AtomicBool::new(false),
-        mouth_waits: AtomicBool::new(false),
-        counters: Counters::default(),
-    });
-    let tunnel = Tunnel { shared: shared.clone(), per_turn: config.per_turn, bell: None };
-    (tunnel, Mouth { shared, config })
+    let mouth = Mouth::new(config, false);
+    let tunnel = Tunnel { shared: mouth.shared.clone(), per_turn: config.per_turn, bell: None };
+    (tunnel, mouth)
 }
 
 /// What both ends see.
-struct Shared {
-    outward: ArrayQueue<Buf>,
-    inward: ArrayQueue<Buf>,
-    pool: Arc<Pool>,
-    /// What the slot takes, less RTmac's header.
-    mtu: AtomicU16,
+pub(crate) struct Shared {
+    pub outward: ArrayQueue<Buf>,
+    pub inward: ArrayQueue<Buf>,
+    pub pool: Arc<Pool>,
+    /// What the slot takes, less RTmac's header where there is one.
+    pub mtu: AtomicU16,
+    pub counters: Counters,
     /// The station waits to be rung.
     station_sleeps: AtomicBool,
     /// The other end waits for buffers.
     mouth_waits: AtomicBool,
-    counters: Counters,
+    /// The other end waits for what comes.
+    mouth_sleeps: AtomicBool,
 }
 
 /// What wakes who waits at the mouth for buffers.
@@ -137,7 +134,7 @@ impl Service for Tunnel {
         }
     }
 
-    fn fill(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
+    fn fill(&mut self, slot: &Opportunity, _routes: Option<&Routes>, out: &mut Outlet<'_>) {
         let mut left = if slot.non_rt.is_some() { self.per_turn } else { 0 };
         while left > 0
             && let Some(frame) = self.shared.outward.pop()
@@ -157,7 +154,7 @@ impl Service for Tunnel {
     }
 
     /// It leaves in the next turn.
-    fn still_wanted(&mut self, frame: &[u8]) -> bool {
+    fn still_wanted(&mut self, frame: &[u8], _priority: Priority) -> bool {
         if is_tunnelled(frame) {
             self.shared.counters.put_off();
         }
@@ -165,31 +162,64 @@ impl Service for Tunnel {
     }
 
     fn rest(&mut self) {
-        let Some(bell) = &self.bell else { return };
-        let Shared { outward, mouth_waits, .. } = &*self.shared;
-        if mouth_waits.load(Ordering::Relaxed)
-            && outward.len() <= outward.capacity() / 2
-            && mouth_waits.swap(false, Ordering::SeqCst)
-        {
+        self.shared.rest(self.bell.as_ref());
+    }
+
+    fn sleeps(&mut self, is_asleep: bool) -> bool {
+        self.shared.sleeps(is_asleep)
+    }
+}
+
+impl Shared {
+    /// A slot's frame has left: rings for who waits for buffers, once half of them are home, or for what has come.
+    pub fn rest(&self, bell: Option<&Bell>) {
+        let Some(bell) = bell else { return };
+        let is_told =
+            |waits: &AtomicBool| waits.load(Ordering::Relaxed) && waits.swap(false, Ordering::SeqCst);
+        let has_buffers = self.outward.len() <= self.outward.capacity() / 2 && is_told(&self.mouth_waits);
+        let has_come = !self.inward.is_empty() && {
+            // Either it is seen here that the other end sleeps, or over there that something has come.
+            fence(Ordering::SeqCst);
+            is_told(&self.mouth_sleeps)
+        };
+        if has_buffers || has_come {
             bell();
         }
     }
 
-    fn sleeps(&mut self, is_asleep: bool) -> bool {
-        self.shared.station_sleeps.store(is_asleep, Ordering::SeqCst);
+    /// The station is about to wait, or is awake again. Tells whether it should not wait.
+    pub fn sleeps(&self, is_asleep: bool) -> bool {
+        self.station_sleeps.store(is_asleep, Ordering::SeqCst);
         // Either it is seen here that something waits, or over there that this end sleeps.
         fence(Ordering::SeqCst);
-        is_asleep && !self.shared.outward.is_empty()
+        is_asleep && !self.outward.is_empty()
     }
 }
 
 /// The other end: what Linux sends goes in here, and what comes for it is found here. For one thread.
 pub struct Mouth {
-    shared: Arc<Shared>,
+    pub(crate) shared: Arc<Shared>,
     config: Config,
+    /// A proxy's, not a tunnel's.
+    is_proxy: bool,
 }
 
 impl Mouth {
+    pub(crate) fn new(config: Config, is_proxy: bool) -> Self {
+        let most = if is_proxy { proxy::MTU } else { MTU };
+        let shared = Shared {
+            outward: ArrayQueue::new(config.buffers),
+            inward: ArrayQueue::new(config.buffers),
+            pool: Arc::new(Pool::new(config.buffers)),
+            mtu: AtomicU16::new(most as u16),
+            counters: Counters::default(),
+            station_sleeps: AtomicBool::new(false),
+            mouth_waits: AtomicBool::new(false),
+            mouth_sleeps: AtomicBool::new(false),
+        };
+        Self { shared: Arc::new(shared), config, is_proxy }
+    }
+
     /// An empty buffer for what is to be sent; none while all wait for their turns, or to be read.
     pub fn take(&self) -> Option<Buf> {
         self.shared.pool.take()
@@ -223,7 +253,12 @@ impl Mouth {
         room[TYPE..TYPE + 2].copy_from_slice(&EtherType::RTMAC.0.to_be_bytes());
         room[TYPE + 2..HEAD - 2].copy_from_slice(&kind.0.to_be_bytes());
         room[HEAD - 2..HEAD].copy_from_slice(&[RTMAC_VERSION, FLAG_TUNNEL]);
-        frame.set_len(HEAD + len);
+        self.leave(frame, HEAD + len)
+    }
+
+    /// Leaves a frame of `len` bytes where the station finds it.
+    pub(crate) fn leave(&self, mut frame: Buf, len: usize) -> Result<(), Loss> {
+        frame.set_len(len);
         frame.pad_to(ethernet::MIN_FRAME);
         // As many have room as there are buffers.
         self.shared.outward.push(frame).map_err(|_| self.lose(Loss::NotQueued))
@@ -248,6 +283,23 @@ impl Mouth {
     /// The oldest frame that has come and was not taken, as it came: for [`Inner::of`].
     pub fn received(&self) -> Option<Buf> {
         self.shared.inward.pop()
+    }
+
+    /// Has the station ring once something has come, or is awake again. Tells whether something has come already.
+    pub fn sleeps(&self, is_asleep: bool) -> bool {
+        self.shared.mouth_sleeps.store(is_asleep, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        is_asleep && !self.shared.inward.is_empty()
+    }
+
+    /// Whether it is a [`proxy`]'s, or a tunnel's.
+    pub fn is_proxy(&self) -> bool {
+        self.is_proxy
+    }
+
+    /// The largest payload that ever goes through.
+    pub fn most(&self) -> usize {
+        if self.is_proxy { proxy::MTU } else { MTU }
     }
 
     /// The largest inner payload that the slot takes now.
@@ -316,7 +368,7 @@ impl<'a> Inner<'a> {
 }
 
 /// The slot of everything that is not real-time, or its alias.
-const NON_RT: Channel = NON_RT_SLOT;
+pub(crate) const NON_RT: Channel = NON_RT_SLOT;
 
 /// Whether a frame of a station's own is one of its tunnel's.
 fn is_tunnelled(frame: &[u8]) -> bool {

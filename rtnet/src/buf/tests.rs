@@ -104,6 +104,8 @@ fn a_trimmed_header_no_longer_belongs_to_the_frame() {
     assert_eq!(&frame.room_mut()[..16], b"header, Payload,", "it is still in the room");
     frame.trim_front(7);
     assert!(frame.is_empty());
+    frame.untrim_front();
+    assert_eq!(&frame[..], b"header, Payload", "what was cut off behind it stays so");
 }
 
 #[test]

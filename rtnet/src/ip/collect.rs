@@ -15,6 +15,7 @@ use core::net::Ipv4Addr;
 
 use crate::buf::{Buf, Chain, Pool, hand_over};
 use crate::counters::Refusal;
+use crate::ip::Refused;
 use crate::socket::SocketId;
 use crate::time::{Instant, Span};
 use crate::wire::ipv4::{Header, Protocol};
@@ -110,7 +111,8 @@ impl Collectors {
         Ok(())
     }
 
-    /// A further fragment, `offset` bytes from the datagram's begin. `pool` finds the pool of the datagram's socket.
+    /// A further fragment, `offset` bytes from the datagram's begin. `pool` finds the pool of the datagram's socket. One of a
+    /// datagram that is not collected here comes back.
     pub fn go_on<'p>(
         &mut self,
         key: Key,
@@ -119,17 +121,19 @@ impl Collectors {
         fragment: Buf,
         now: Instant,
         pool: impl FnOnce(SocketId) -> Option<&'p Pool>,
-    ) -> Result<Option<Complete>, Refusal> {
-        let place = self.active.iter().position(|active| active.key == key).ok_or(Refusal::FragmentOrphan)?;
+    ) -> Result<Option<Complete>, Refused> {
+        let Some(place) = self.active.iter().position(|active| active.key == key) else {
+            return Err(Refused::unwanted(fragment, Refusal::FragmentOrphan));
+        };
         if self.active[place].len != offset {
             self.active.swap_remove(place);
             self.counters.out_of_order += 1;
-            return Err(Refusal::FragmentOrder);
+            return Err(Refusal::FragmentOrder.into());
         }
         let kept = pool(self.active[place].socket).and_then(|pool| hand_over(fragment, pool).ok());
         let Some(kept) = kept else {
             self.active.swap_remove(place);
-            return Err(self.no_buffer());
+            return Err(self.no_buffer().into());
         };
         let collector = &mut self.active[place];
         collector.len += kept.len();

@@ -3,7 +3,7 @@
 use core::net::SocketAddrV4;
 
 use super::collect::{Complete, Key};
-use super::{Exit, Stack};
+use super::{Exit, Refused, Stack};
 use crate::buf::{Buf, Chain, hand_over};
 use crate::counters::Refusal;
 use crate::socket::{Datagram, Sender, SocketId};
@@ -13,8 +13,8 @@ use crate::wire::ipv4::{self, Header, Protocol};
 use crate::wire::udp;
 
 impl Stack {
-    /// A frame that neither the discipline nor a service claims. What it refuses the station counts.
-    pub fn on_frame(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refusal> {
+    /// A frame that neither the discipline nor a service claims. What it refuses the station counts, or has somebody else for.
+    pub fn on_frame(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refused> {
         self.now = rx.unwrap_or(self.now);
         let (&header, _) = LinkHeader::parse(&frame).ok_or(Refusal::Runt)?;
         let is_ours = matches!(header.ether_type(), EtherType::IPV4 | EtherType::ARP);
@@ -23,27 +23,27 @@ impl Stack {
             self.overhear(rx, &frame);
         }
         let result = match header.ether_type() {
-            _ if is_ours && header.source.is_group() => Err(Refusal::ForgedSource),
+            _ if is_ours && header.source.is_group() => Err(Refusal::ForgedSource.into()),
             EtherType::IPV4 => self.medium_input(rx, frame, exit),
-            EtherType::ARP => self.arp_input(&header, &frame[LINK_HEADER..], exit),
-            _ => self.packet_input(rx, frame),
+            EtherType::ARP => Ok(self.arp_input(&header, &frame[LINK_HEADER..], exit)?),
+            _ => Ok(self.packet_input(rx, frame)?),
         };
         self.run_programs(exit);
         result
     }
 
     /// Nobody on the medium has this station's address, or one of a group.
-    fn medium_input(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refusal> {
+    fn medium_input(&mut self, rx: Option<Instant>, frame: Buf, exit: &mut dyn Exit) -> Result<(), Refused> {
         let (header, _) = ipv4::parse(&frame[LINK_HEADER..])?;
         let source = header.source();
         let own = self.routes.own();
         let forged =
             own.takes(source) || source.is_multicast() || source.is_loopback() || source.is_unspecified();
         if forged {
-            return Err(Refusal::ForgedSource);
+            return Err(Refusal::ForgedSource.into());
         }
         if !own.takes(header.destination()) {
-            return Err(Refusal::ForeignAddress);
+            return Err(Refusal::ForeignAddress.into());
         }
         self.ip_input(rx, frame, exit)
     }
@@ -54,7 +54,7 @@ impl Stack {
         rx: Option<Instant>,
         mut frame: Buf,
         exit: &mut dyn Exit,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), Refused> {
         let (&header, payload) = ipv4::parse(&frame[LINK_HEADER..])?;
         let content = LINK_HEADER + header.header_len();
         let len = payload.len();
@@ -63,26 +63,31 @@ impl Stack {
         match header.protocol() {
             Protocol::UDP if header.is_fragment() => self.fragment_input(rx, &header, frame),
             Protocol::UDP => self.udp_input(rx, &header, frame),
-            Protocol::ICMP if header.is_fragment() => Err(Refusal::IcmpFragmented),
-            Protocol::ICMP => self.icmp_input(rx, &header, &frame, exit),
-            _ => Err(Refusal::NoProtocol),
+            Protocol::ICMP if header.is_fragment() => Err(Refused::unwanted(frame, Refusal::IcmpFragmented)),
+            Protocol::ICMP => self.icmp_input(rx, &header, &frame, exit).map_err(|why| match why {
+                Refusal::IcmpType | Refusal::IcmpUnexpected => Refused::unwanted(frame, why),
+                why => why.into(),
+            }),
+            _ => Err(Refused::unwanted(frame, Refusal::NoProtocol)),
         }
     }
 
     /// A whole datagram in one packet.
-    fn udp_input(&mut self, rx: Option<Instant>, header: &Header, frame: Buf) -> Result<(), Refusal> {
+    fn udp_input(&mut self, rx: Option<Instant>, header: &Header, frame: Buf) -> Result<(), Refused> {
         let (head, _) = udp::parse(&frame)?;
         let len = usize::from(head.len());
         if len > frame.len() {
-            return Err(Refusal::UdpLength);
+            return Err(Refusal::UdpLength.into());
         }
         let (from, to) = ends(header, head);
-        let id = self.udp_socket(from, to)?;
+        let Some(id) = self.udp_socket(from, to) else {
+            return Err(Refused::unwanted(frame, Refusal::NoSocket));
+        };
         if head.checksum() != 0 {
             let mut sum = udp::pseudo_header(header.source(), header.destination(), head.len());
             sum.add(&frame[..len]);
             if sum.finish() != 0 {
-                return Err(Refusal::UdpChecksum);
+                return Err(Refusal::UdpChecksum.into());
             }
         }
         let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
@@ -90,22 +95,24 @@ impl Stack {
             Ok(kept) => self.deliver(id, Chain::of(kept), len, from, rx),
             Err(_) => {
                 socket.counters.dropped += 1;
-                return Err(Refusal::PoolEmpty);
+                return Err(Refusal::PoolEmpty.into());
             }
         }
         Ok(())
     }
 
     /// A part of a datagram: its first fragment says for which socket.
-    fn fragment_input(&mut self, rx: Option<Instant>, header: &Header, frame: Buf) -> Result<(), Refusal> {
+    fn fragment_input(&mut self, rx: Option<Instant>, header: &Header, frame: Buf) -> Result<(), Refused> {
         let (key, now) = (Key::of(header), self.now);
         if header.offset() == 0 {
             let (head, _) = udp::parse(&frame)?;
             let (from, to) = ends(header, head);
-            let id = self.udp_socket(from, to)?;
+            let Some(id) = self.udp_socket(from, to) else {
+                return Err(Refused::unwanted(frame, Refusal::NoSocket));
+            };
             let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
             let begun = self.collectors.begin(key, id, frame, &socket.pool, now);
-            return begun.inspect_err(|why| self.count_dropped(id, why));
+            return Ok(begun.inspect_err(|&why| self.count_dropped(id, why))?);
         }
         let (offset, is_last) = (usize::from(header.offset()), !header.more_fragments());
         let (sockets, mut of) = (&self.sockets, SocketId::NOBODY);
@@ -114,14 +121,14 @@ impl Stack {
             sockets.get(id).ok().map(|socket| &*socket.pool)
         };
         let gone_on = self.collectors.go_on(key, offset, is_last, frame, now, pool);
-        match gone_on.inspect_err(|why| self.count_dropped(of, why))? {
-            Some(complete) => self.complete(rx, header, complete),
+        match gone_on.inspect_err(|refused| self.count_dropped(of, refused.why))? {
+            Some(complete) => Ok(self.complete(rx, header, complete)?),
             None => Ok(()),
         }
     }
 
     /// A datagram that found none of its socket's buffers free is told of there, too.
-    fn count_dropped(&mut self, id: SocketId, why: &Refusal) {
+    fn count_dropped(&mut self, id: SocketId, why: Refusal) {
         if let (Refusal::PoolEmpty, Ok(socket)) = (why, self.sockets.get_mut(id)) {
             socket.counters.dropped += 1;
         }
@@ -149,8 +156,8 @@ impl Stack {
         Ok(())
     }
 
-    fn udp_socket(&self, from: SocketAddrV4, to: SocketAddrV4) -> Result<SocketId, Refusal> {
-        self.sockets.udp_for(self.routes.own(), from, to).ok_or(Refusal::NoSocket)
+    fn udp_socket(&self, from: SocketAddrV4, to: SocketAddrV4) -> Option<SocketId> {
+        self.sockets.udp_for(self.routes.own(), from, to)
     }
 
     /// Leaves a datagram of `len` bytes, its header among them, where its program finds it.

@@ -23,7 +23,7 @@ use core::any::Any;
 use core::ops::RangeInclusive;
 
 use crate::buf::{Buf, Pool, PoolStatistics};
-use crate::counters::Refusals;
+use crate::counters::{Refusal, Refusals};
 use crate::discipline::{Channel, Discipline, SendError, TimeView};
 use crate::queue::Priority;
 use crate::socket::{Access, Program, SocketId, Table};
@@ -81,6 +81,30 @@ impl StackConfig {
             fragment_timeout: collect::DEFAULT_TIMEOUT,
             fragment_checksums: false,
         }
+    }
+}
+
+/// What a stack does not take.
+#[derive(Debug)]
+pub struct Refused {
+    /// Why.
+    pub why: Refusal,
+    /// A sound packet for this station that its sockets and echoes have no part in, for whoever else has its address: behind
+    /// its Ethernet header, without what it was padded by.
+    pub unwanted: Option<Buf>,
+}
+
+impl Refused {
+    /// A packet, trimmed up to its content, that others may want.
+    fn unwanted(mut packet: Buf, why: Refusal) -> Self {
+        packet.untrim_front();
+        Self { why, unwanted: Some(packet) }
+    }
+}
+
+impl From<Refusal> for Refused {
+    fn from(why: Refusal) -> Self {
+        Self { why, unwanted: None }
     }
 }
 

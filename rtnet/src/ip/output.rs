@@ -137,7 +137,7 @@ impl Stack {
             match route.hop {
                 Hop::Loopback => {
                     let arrived = self.ip_input(Some(self.now), frame, exit);
-                    arrived.unwrap_or_else(|reason| self.counters.loopback.count(reason));
+                    arrived.unwrap_or_else(|refused| self.counters.loopback.count(refused.why));
                 }
                 Hop::Medium(_) => {
                     exit.send(frame, options.priority, options.channel).map_err(|(error, _)| error)?;

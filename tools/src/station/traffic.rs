@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
 use rtnet::discipline::{Channel, Opportunity, Outlet, Service};
+use rtnet::ip::route::Routes;
 use rtnet::queue::Priority;
 use rtnet::time::Instant;
 use rtnet::wire::ethernet::{self, Address, EtherType, Header};
@@ -183,7 +184,7 @@ impl Service for Traffic {
         flows.poll(slot, out, write, refused);
     }
 
-    fn fill(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {
+    fn fill(&mut self, slot: &Opportunity, _routes: Option<&Routes>, out: &mut Outlet<'_>) {
         let turn = Some((slot.cycle, slot.channel));
         if std::mem::replace(&mut self.sent, turn) == turn {
             return;
@@ -206,7 +207,7 @@ impl Service for Traffic {
     }
 
     /// The next slot has a usual frame of its own.
-    fn still_wanted(&mut self, frame: &[u8]) -> bool {
+    fn still_wanted(&mut self, frame: &[u8], _priority: Priority) -> bool {
         Tag::read(frame).is_none_or(|(tag, _)| tag.priority().is_some())
     }
 }
@@ -233,6 +234,7 @@ mod tests {
         let mut taken = None;
         by.fill(
             &Opportunity { channel: 2, cycle, begin, scheduled, non_rt: None },
+            None,
             &mut |frame, _, channel| {
                 assert_eq!(channel, 2);
                 taken = Some(frame);
@@ -306,7 +308,7 @@ mod tests {
     fn a_frame_that_missed_its_slot_is_not_wanted_any_more() {
         let (mut a, ..) = pair();
         let frame = sent(&mut a, 1);
-        assert!(!a.still_wanted(&frame));
-        assert!(a.still_wanted(&[0; 60]), "somebody else's");
+        assert!(!a.still_wanted(&frame, Priority::LAST_REAL_TIME));
+        assert!(a.still_wanted(&[0; 60], Priority::LAST_REAL_TIME), "somebody else's");
     }
 }

@@ -27,12 +27,14 @@ losses! {
     TooLong = "too_long",
     /// From Linux: the station took it for no slot.
     NotQueued = "not_queued",
-    /// Neither IPv4 nor IPv6, where only packets go through.
+    /// Neither IPv4 nor IPv6, where only packets go through, or not IPv4, where only that does.
     NotIp = "not_ip",
-    /// From Linux: a packet to an address that no station is known to have.
+    /// From Linux: a packet to an address that no station is known to have, or that no route leads to.
     NoStation = "no_station",
     /// For Linux: too short to have a frame inside.
     Truncated = "truncated",
+    /// For Linux: a packet of a real-time route while no buffer was free.
+    NoBuffer = "no_buffer",
     /// For Linux: the kernel's queue in front of the tunnel was full.
     QueueFull = "queue_full",
     /// For Linux, while the device was down or gone.
@@ -43,7 +45,7 @@ losses! {
 
 /// What both ends count.
 #[derive(Debug, Default)]
-pub(super) struct Counters {
+pub(crate) struct Counters {
     chosen: AtomicU64,
     put_off: AtomicU64,
     received: AtomicU64,
@@ -63,20 +65,20 @@ pub struct Counts {
 }
 
 impl Counters {
-    pub(super) fn sent(&self) {
+    pub(crate) fn sent(&self) {
         self.chosen.fetch_add(1, Ordering::Relaxed);
     }
-    pub(super) fn put_off(&self) {
+    pub(crate) fn put_off(&self) {
         self.put_off.fetch_add(1, Ordering::Relaxed);
     }
-    pub(super) fn received(&self) {
+    pub(crate) fn received(&self) {
         self.received.fetch_add(1, Ordering::Relaxed);
     }
-    pub(super) fn lose(&self, why: Loss, n: u64) {
+    pub(crate) fn lose(&self, why: Loss, n: u64) {
         self.losses[why as usize].fetch_add(n, Ordering::Relaxed);
     }
 
-    pub(super) fn now(&self) -> Counts {
+    pub(crate) fn now(&self) -> Counts {
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let put_off = of(&self.put_off);
         let sent = of(&self.chosen).saturating_sub(put_off);

@@ -22,7 +22,7 @@ fn turn(size: usize) -> Opportunity {
 fn filled(tunnel: &mut Tunnel, slot: &Opportunity) -> Vec<Vec<u8>> {
     let mut left = Vec::new();
     tunnel.poll(slot, &mut |_, _, _| panic!("it is not real-time"));
-    tunnel.fill(slot, &mut |mut frame, priority, channel| {
+    tunnel.fill(slot, None, &mut |mut frame, priority, channel| {
         assert_eq!((priority, channel), (Priority::NON_RT, 1));
         let limit = slot.non_rt.unwrap();
         if frame.len() > ethernet::HEADER_LEN + limit {
@@ -122,7 +122,7 @@ fn what_waited_while_its_slot_shrank_makes_room_for_what_fits() {
 fn a_station_that_takes_no_frame_has_it_counted() {
     let (mut tunnel, mouth) = small(2);
     send(&mouth, OTHER, STATION, ARP, &[0; 46]).unwrap();
-    tunnel.fill(&turn(1500), &mut |frame, _, channel| Err((SendError::NoSlot(channel), frame)));
+    tunnel.fill(&turn(1500), None, &mut |frame, _, channel| Err((SendError::NoSlot(channel), frame)));
     assert_eq!(mouth.counts().losses().collect::<Vec<_>>(), [(Loss::NotQueued, 1)]);
     assert_eq!(mouth.pool().statistics().free, 2);
 }
@@ -132,9 +132,9 @@ fn a_frame_that_missed_its_turn_is_not_counted_as_sent() {
     let (mut tunnel, mouth) = small(2);
     send(&mouth, OTHER, STATION, ARP, &[0; 46]).unwrap();
     let wire = filled(&mut tunnel, &turn(1500)).remove(0);
-    assert!(tunnel.still_wanted(&wire), "it leaves in the next");
+    assert!(tunnel.still_wanted(&wire, Priority::NON_RT), "it leaves in the next");
     assert_eq!((mouth.counts().sent, mouth.counts().put_off), (0, 1));
-    assert!(tunnel.still_wanted(&[0; 60]), "somebody else's");
+    assert!(tunnel.still_wanted(&[0; 60], Priority::LAST_REAL_TIME), "somebody else's");
     assert_eq!(mouth.counts().put_off, 1);
 }
 

@@ -5,13 +5,14 @@ mod echo;
 mod fragments;
 mod packets;
 mod sockets;
+mod unwanted;
 
 use core::net::{Ipv4Addr, SocketAddrV4};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::route::{HostRoute, Interface, Origin};
-use super::{Exit, Stack, StackConfig};
+use super::{Exit, Refused, Stack, StackConfig};
 use crate::buf::{Buf, Pool};
 use crate::counters::Refusal;
 use crate::discipline::{Channel, SendError, TimeView};
@@ -108,6 +109,11 @@ impl End {
 
     /// A frame comes, a microsecond after the last one.
     pub fn hears(&mut self, bytes: &[u8]) -> Result<(), Refusal> {
+        self.tells(bytes).map_err(|refused| refused.why)
+    }
+
+    /// The same, with what others may want of it.
+    pub fn tells(&mut self, bytes: &[u8]) -> Result<(), Refused> {
         self.now += 1_000;
         let mut frame = self.nic.take().expect("whoever keeps a frame pays for it");
         frame.fill(bytes);

@@ -129,7 +129,7 @@ every = "2ms"
                 Ok(())
             });
             if frame.is_none() {
-                traffic.fill(&slot, &mut |made, _, _| {
+                traffic.fill(&slot, None, &mut |made, _, _| {
                     frame = Some(made);
                     Ok(())
                 });

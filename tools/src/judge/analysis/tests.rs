@@ -89,7 +89,7 @@ impl Bench {
             non_rt: None,
         };
         let mut made: Option<Buf> = None;
-        self.traffic[station].fill(&slot, &mut |frame, _, _| {
+        self.traffic[station].fill(&slot, None, &mut |frame, _, _| {
             made = Some(frame);
             Ok(())
         });

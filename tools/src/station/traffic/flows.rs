@@ -199,7 +199,7 @@ mod tests {
             };
             traffic.poll(&slot, &mut out);
             if waiting.is_empty() {
-                traffic.fill(&slot, &mut |frame, of, channel| {
+                traffic.fill(&slot, None, &mut |frame, of, channel| {
                     assert_eq!((of, channel), (Priority::LAST_REAL_TIME, slot.channel));
                     let (tag, _) = Tag::read(&frame).unwrap();
                     queued.push((priority(&frame), tag.sequence(), tag.scheduled().nanos() / 1_000));
@@ -235,8 +235,8 @@ mod tests {
         let mut bench = Bench::new(&[FLOW]);
         bench.poll(2);
         bench.poll(3);
-        assert!(!bench.traffic.still_wanted(&bench.left[0]));
-        assert!(bench.traffic.still_wanted(&bench.left[1]));
+        assert!(!bench.traffic.still_wanted(&bench.left[0], Priority::LAST_REAL_TIME));
+        assert!(bench.traffic.still_wanted(&bench.left[1], Priority::LAST_REAL_TIME));
         bench.waiting.insert(0, bench.left.remove(1));
         assert_eq!([bench.poll(4), bench.poll(5)], [vec![], vec![]], "both wait");
         assert_eq!(bench.poll(6).len(), 2);

@@ -19,6 +19,7 @@ mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;
 mod promised_replies;
+mod proxy;
 mod receive_pool;
 mod request_backlog;
 mod round_trips;

@@ -19,6 +19,7 @@ mod nonsense;
 mod observe;
 mod program_limits;
 mod programs;
+mod proxy;
 mod requests;
 mod rights;
 mod silent;

@@ -6,7 +6,10 @@
 //!  Linux ◄── write ◄── Inner::of ◄── a socket that hears what is tunnelled to this station
 //! ```
 //!
-//! The real-time thread has no part in what comes, and none in the kernel's stack, which does its work in the calls to the
+//! Instead of a tunnel it is the end of a [`proxy`](crate::proxy) as well: what comes is found at its mouth then, and Linux,
+//! which has the station's own address, is kept from hearing the interface itself.
+//!
+//! The real-time thread has no part in what comes by a tunnel, and none in the kernel's stack, which does its work in the calls to the
 //! device. The thread keeps one capability, CAP_NET_ADMIN: it lets the device's MTU follow the slots, and makes it anew.
 //!
 //! The driver's queue drops what finds it full, and whoever sends does not feel it before. So a token bucket filter stands
@@ -15,6 +18,7 @@
 #![allow(unsafe_code)]
 #![allow(clippy::disallowed_methods)]
 
+mod aside;
 mod device;
 mod worker;
 
@@ -46,7 +50,7 @@ pub struct Options {
     pub mode: Mode,
     /// Its addresses.
     pub addresses: Vec<Prefix>,
-    /// Its MTU at the most, 68 to 1496; it is what the slot takes if that is less.
+    /// Its MTU at the most, 68 to 1496, or 1500 of a proxy's; it is what the slot takes if that is less.
     pub mtu: usize,
     /// Which station has which address, where nobody can be asked.
     pub peers: Vec<Peer>,
@@ -66,6 +70,21 @@ pub enum StartError {
     /// Nothing can be heard.
     #[error("no VNIC: packet sockets on '{0}' (run as root, or give CAP_NET_RAW): {1}")]
     Socket(String, #[source] io::Error),
+    /// Linux would hear the station's packets without it, and answer beside its slots.
+    #[error(
+        "no VNIC: Linux cannot be kept from the packets of '{0}': {1} (as root: `sysctl -w net.ipv4.conf.{0}.rp_filter=1 \
+         net.ipv4.conf.{0}.arp_ignore=1`)"
+    )]
+    Aside(String, #[source] io::Error),
+    /// Two would have the address, one of which answers beside the station's slots.
+    #[error(
+        "no VNIC: Linux has an address on '{0}' itself, {1}: take it away (`ip address del {1} dev {0}`), a proxy gives it the \
+         station's"
+    )]
+    HasAddress(String, Prefix),
+    /// What a proxy has from its station.
+    #[error("a proxy has the address of its station, and goes by its routes (`rtnet route`)")]
+    OfStation,
     /// A station that cannot be one.
     #[error("no VNIC: {0}")]
     Peer(#[from] PeerError),
@@ -107,6 +126,8 @@ pub struct Status {
     pub name: String,
     /// What goes through it.
     pub mode: Mode,
+    /// Whether Linux has the station's own address by it.
+    pub is_proxy: bool,
     /// What Linux says of the device; none if it is gone.
     pub device: Option<DeviceStatus>,
     /// The MTU that was asked for, at the most.

@@ -22,7 +22,11 @@ pub struct VnicArgs {
     /// Its device's name [default: vnic with the first number that is free]
     #[arg(long, value_name = "NAME", requires = "vnic")]
     pub vnic_name: Option<String>,
-    /// Its MTU, where slots take more; it follows them [default: 1496]
+    /// Share the station's own address (--ip) with Linux, as RTnet's proxy does: what real-time sockets do not take, as TCP, goes
+    /// through it, plainly and by the station's routes, instead of other addresses in a tunnel. With --vnic-mode tun
+    #[arg(long, requires = "vnic", conflicts_with_all = ["vnic_peer", "vnic_forward"])]
+    pub vnic_proxy: bool,
+    /// Its MTU, where slots take more; it follows them [default: 1496, a proxy's 1500]
     #[arg(long, value_name = "BYTES", requires = "vnic", value_parser = clap::value_parser!(u16).range(LEAST_MTU as i64..=MTU as i64))]
     pub vnic_mtu: Option<u16>,
     /// Its buffers, for both directions [default: 32]

@@ -10,10 +10,11 @@ use rtnet::clock::EmulatedClock;
 use rtnet::live::GuardMode;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
+use vnic::peers::Prefix;
 
 use super::Failure;
 use super::route::read_routes;
-use crate::cli::{DisciplineName, Late, Scheduling, StackArgs, StationArgs};
+use crate::cli::{DisciplineName, Late, Scheduling, StackArgs, StationArgs, VnicMode};
 use crate::control::SlotChange;
 use crate::scenario::{DelayName, SlotGuard, default_sync_window, parse_phase};
 use crate::station::access::AccessConfig;
@@ -147,15 +148,15 @@ fn stack(args: &StackArgs) -> anyhow::Result<Option<StackOptions>> {
 fn vnic(args: &StationArgs) -> anyhow::Result<Option<VnicOptions>> {
     let said = &args.vnic;
     let Some(addresses) = &said.vnic else { return Ok(None) };
-    if args.discipline == DisciplineName::Direct {
+    if args.discipline == DisciplineName::Direct && !said.vnic_proxy {
         bail!(
             "--vnic goes with RTmac, which --discipline direct has not: leave it out, or run the station with \
              --discipline nomac"
         );
     }
-    let usual = VnicOptions::usual(addresses.clone());
+    let usual = if said.vnic_proxy { proxy(args, addresses)? } else { VnicOptions::usual(addresses.clone()) };
     Ok(Some(VnicOptions {
-        mode: said.vnic_mode.unwrap_or_default().into(),
+        mode: if said.vnic_proxy { usual.mode } else { said.vnic_mode.unwrap_or_default().into() },
         name: said.vnic_name.clone(),
         mtu: said.vnic_mtu.map_or(usual.mtu, usize::from),
         buffers: said.vnic_buffers.map_or(usual.buffers, usize::from),
@@ -163,6 +164,25 @@ fn vnic(args: &StationArgs) -> anyhow::Result<Option<VnicOptions>> {
         forwards: said.vnic_forward,
         ..usual
     }))
+}
+
+/// Shares the address that it has already, and packets only.
+fn proxy(args: &StationArgs, addresses: &[Prefix]) -> anyhow::Result<VnicOptions> {
+    let Some(ip) = args.stack.ip else {
+        bail!("--vnic-proxy shares the station's own address: give it one by --ip");
+    };
+    let usual = VnicOptions::proxy(ip);
+    if args.vnic.vnic_mode != Some(VnicMode::Tun) {
+        bail!("--vnic-proxy is about packets of IP, without an Ethernet of their own: add --vnic-mode tun");
+    }
+    if let Some(other) = addresses.iter().find(|address| !usual.addresses.contains(address)) {
+        bail!(
+            "--vnic-proxy shares the station's own address, {}: leave {other} out, or run the station with a VNIC that has \
+             addresses of its own, without --vnic-proxy",
+            usual.addresses[0]
+        );
+    }
+    Ok(usual)
 }
 
 /// Refuses what only a discipline with time slots could do.

@@ -43,7 +43,8 @@ pub fn vnic(args: &VnicVerbArgs) -> Result<u8, Failure> {
 fn describe(shown: &VnicShown) -> String {
     let VnicShown { device, mode, state, mtu, mtu_at_most, slot_takes, addresses, peers, .. } = shown;
     let addresses = if addresses.is_empty() { "no address".into() } else { addresses.join(", ") };
-    let mut text = format!("{device} ({mode}, {state}): {addresses}\n");
+    let kind = if shown.proxy { "proxy" } else { mode };
+    let mut text = format!("{device} ({kind}, {state}): {addresses}\n");
     text += &match mtu {
         0 => String::new(),
         _ => format!("MTU {mtu}: the slot takes {slot_takes}, {mtu_at_most} at the most\n"),

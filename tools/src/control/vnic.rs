@@ -45,6 +45,8 @@ pub struct VnicShown {
     pub device: String,
     /// `tap` or `tun`.
     pub mode: String,
+    /// Whether Linux has the station's own address by it.
+    pub proxy: bool,
     /// `up`, `down`, or `gone`: deleted by somebody.
     pub state: String,
     /// Its MTU now; 0 if it is gone.

@@ -14,10 +14,12 @@ use rtnet::live::Port;
 use rtnet::live::interface::Interface;
 use rtnet::live::realtime::avoid;
 use vnic::peers::{Peer, Prefix};
+use vnic::proxy;
 use vnic::tun::{self, Change, Handle, Mode, Order, Shaped, Status, Vnic};
 use vnic::tunnel::{self, AT_ONCE, Config};
 
 use super::access::AccessStatus;
+use super::stack::OwnIp;
 use crate::control::{PoolShown, VnicChange, VnicRequest, VnicShown};
 
 /// Stack of its thread.
@@ -40,13 +42,21 @@ pub struct VnicOptions {
     pub peers: Vec<Peer>,
     /// Whether hosts are behind the device.
     pub forwards: bool,
+    /// Whether it has the station's own address, of IP and routes, instead of a tunnel's end.
+    pub proxy: bool,
 }
 
 impl VnicOptions {
     /// As usual, with these addresses.
     pub fn usual(addresses: Vec<Prefix>) -> Self {
         let (mode, mtu, buffers) = (Mode::default(), tunnel::MTU, tunnel::DEFAULT_BUFFERS);
-        Self { addresses, mode, name: None, mtu, buffers, peers: Vec::new(), forwards: false }
+        Self { addresses, mode, name: None, mtu, buffers, peers: Vec::new(), forwards: false, proxy: false }
+    }
+
+    /// A proxy for a station with this address.
+    pub fn proxy(ip: OwnIp) -> Self {
+        let address = Prefix { ip: ip.ip.into(), length: ip.prefix };
+        Self { mode: Mode::Tun, mtu: proxy::MTU, proxy: true, ..Self::usual(vec![address]) }
     }
 }
 
@@ -80,10 +90,21 @@ pub fn open(
         keeps_source: options.forwards,
         ..Config::of(interface.address)
     };
-    let (tunnel, mouth) = tunnel::new(config);
-    let pool = mouth.pool().clone();
     let bell = EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC);
     let bell = Arc::new(bell.map_err(|error| said(&error))?);
+    let rung = bell.clone();
+    let ring = Box::new(move || {
+        // It does not block: one that was not read is readable already.
+        let _ = rung.write(1);
+    });
+    let (service, mouth): (Box<dyn Service>, _) = if options.proxy {
+        let (proxy, mouth) = proxy::new(config);
+        (Box::new(proxy.ringing(ring)), mouth)
+    } else {
+        let (tunnel, mouth) = tunnel::new(config);
+        (Box::new(tunnel.ringing(ring)), mouth)
+    };
+    let pool = mouth.pool().clone();
     let wished = tun::Options {
         name: options.name.clone(),
         mode: options.mode,
@@ -96,15 +117,13 @@ pub fn open(
         // Nobody may read it any more; `rtnet vnic status` tells it, too.
         let _ = writeln!(std::io::stderr(), "rtnet: {line}");
     });
-    let vnic = Vnic::open(wished, mouth, [bell.clone(), port.bell()], stop.clone(), tell);
+    let vnic = Vnic::open(wished, mouth, [bell, port.bell()], stop.clone(), tell);
     let vnic = vnic.map_err(|error| said(&error))?;
-    port.leave_tunnelled().map_err(|error| said(&error))?;
-    let ring = Box::new(move || {
-        // It does not block: one that was not read is readable already.
-        let _ = bell.write(1);
-    });
+    if !options.proxy {
+        port.leave_tunnelled().map_err(|error| said(&error))?;
+    }
     let told = Told { handle: vnic.handle(), pool };
-    Ok((Opened { vnic, told }, Box::new(tunnel.ringing(ring))))
+    Ok((Opened { vnic, told }, service))
 }
 
 impl Opened {
@@ -168,7 +187,7 @@ fn read(change: &VnicChange) -> Result<Change, String> {
 }
 
 fn shown(status: Status, pool: PoolShown) -> VnicShown {
-    let Status { name, mode, device, most, slot, peers, shaping, news, counts } = status;
+    let Status { name, mode, is_proxy, device, most, slot, peers, shaping, news, counts } = status;
     let state = device.as_ref().map_or("gone", |device| if device.is_up { "up" } else { "down" });
     let mut lost: std::collections::BTreeMap<String, u64> =
         counts.losses().map(|(why, n)| (why.name().to_owned(), n)).collect();
@@ -188,7 +207,8 @@ fn shown(status: Status, pool: PoolShown) -> VnicShown {
         }
         Err(why) => (None, Some(why), Default::default()),
     };
-    let counters = [("sent", counts.sent), ("put_off", counts.put_off), ("received", counts.received)];
+    let [sent, received] = if is_proxy { ["proxied_out", "proxied_in"] } else { ["sent", "received"] };
+    let counters = [(sent, counts.sent), ("put_off", counts.put_off), (received, counts.received)];
     let addresses = device.as_ref().map(|device| device.addresses.clone()).unwrap_or_default();
     VnicShown {
         device: name,
@@ -196,6 +216,7 @@ fn shown(status: Status, pool: PoolShown) -> VnicShown {
             Mode::Tap => "tap".into(),
             Mode::Tun => "tun".into(),
         },
+        proxy: is_proxy,
         state: state.into(),
         mtu: device.map_or(0, |device| device.mtu),
         mtu_at_most: most,

@@ -9,7 +9,7 @@ use nix::sys::uio::{readv, writev};
 use rtnet::buf::Buf;
 use rtnet::wire::ethernet::EtherType;
 
-use crate::tunnel::{FRAME, HEAD, Inner};
+use crate::tunnel::Inner;
 
 /// Where the driver is.
 const DRIVER: &str = "/dev/net/tun";
@@ -96,13 +96,9 @@ impl Device {
         self.mode
     }
 
-    /// Reads what Linux sends next, to where it stays when it is wrapped; its length, which may be more than there is room
-    /// for. `None` when there is nothing.
-    pub fn read(&self, to: &mut Buf) -> io::Result<Option<usize>> {
-        let at = match self.mode {
-            Mode::Tap => FRAME,
-            Mode::Tun => HEAD,
-        };
+    /// Reads what Linux sends next, to where it stays from there on; its length, which may be more than there is room for.
+    /// `None` when there is nothing.
+    pub fn read(&self, to: &mut Buf, at: usize) -> io::Result<Option<usize>> {
         let mut beyond = [0; BEYOND];
         let mut parts = [IoSliceMut::new(&mut to.room_mut()[at..]), IoSliceMut::new(&mut beyond)];
         match readv(&self.file, &mut parts) {
@@ -122,6 +118,12 @@ impl Device {
         let mut parts = [IoSlice::new(&[]); 3];
         let filled = parts.iter_mut().zip(pieces).map(|(part, piece)| *part = IoSlice::new(piece)).count();
         writev(&self.file, &parts[..filled])?;
+        Ok(())
+    }
+
+    /// Gives Linux a packet, where the device takes packets.
+    pub fn write_packet(&self, packet: &[u8]) -> io::Result<()> {
+        writev(&self.file, &[IoSlice::new(packet)])?;
         Ok(())
     }
 }

@@ -11,13 +11,16 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
+use rtnet::live::interface::Interface;
 use rtnet::wire::ethernet;
 
+use super::aside::Aside;
 use super::device::kind_of_packet;
 use super::{Change, Device, DeviceStatus, Handle, Mode, Options, Order, Shaped, StartError, Status};
 use crate::netlink::{ChangeKind, Heard, Links, Refused, Shaping, Watch};
 use crate::peers::{Peers, Prefix};
-use crate::tunnel::{HEAD, Inner, LEAST_MTU, Loss, MTU, Mouth};
+use crate::proxy::PACKET;
+use crate::tunnel::{FRAME, HEAD, Inner, LEAST_MTU, Loss, Mouth};
 
 /// Frames moved one way before the other one is looked at.
 const AT_ONCE: usize = 32;
@@ -50,7 +53,9 @@ pub struct Vnic {
     peers: Peers,
     links: Links,
     watch: Watch,
-    socket: Tunnelled,
+    /// Where what is tunnelled to the station comes; what is for a proxy comes by its mouth.
+    socket: Option<Tunnelled>,
+    _aside: Option<Aside>,
     /// Where one frame lies that has come.
     came: Buf,
     _room: Pool,
@@ -87,7 +92,14 @@ impl Vnic {
         let mut peers = Peers::new(options.addresses.clone());
         options.peers.iter().try_for_each(|&peer| peers.add(peer))?;
         let refused = |error| StartError::Socket(options.interface.name.clone(), error);
-        let socket = Tunnelled::open(&options.interface, mouth.config().keeps_source).map_err(refused)?;
+        let mut links = Links::open()?;
+        let (socket, aside) = match mouth.is_proxy() {
+            true => (None, Some(stand_aside(&options.interface, &mut links)?)),
+            false => {
+                let socket = Tunnelled::open(&options.interface, mouth.config().keeps_source);
+                (Some(socket.map_err(refused)?), None)
+            }
+        };
         let (orders, told) = channel();
         let [bell, station] = bells;
         let turns = Arc::new(AtomicU64::new(0));
@@ -99,9 +111,10 @@ impl Vnic {
             name: options.name.clone().unwrap_or_default(),
             index: 0,
             peers,
-            links: Links::open()?,
+            links,
             watch: Watch::open()?,
             socket,
+            _aside: aside,
             came,
             _room: room,
             handle: Handle { orders, bell: bell.clone(), turns: turns.clone() },
@@ -155,32 +168,48 @@ impl Vnic {
     fn wait(&self) {
         // One that is not read need not be waited for.
         let device = self.device.as_ref().filter(|_| !self.is_full).map_or(self.bell.as_fd(), AsFd::as_fd);
-        let waited_for = [self.bell.as_fd(), self.watch.as_fd(), self.socket.as_fd(), device];
+        let socket = self.socket.as_ref().map_or(self.bell.as_fd(), AsFd::as_fd);
+        let waited_for = [self.bell.as_fd(), self.watch.as_fd(), socket, device];
         let mut entries = waited_for.map(|fd| PollFd::new(fd, PollFlags::POLLIN));
+        let most = if self.mouth.sleeps(true) { 0 } else { LOOK_EVERY };
         // Whatever it says, everything is looked at.
-        let _ = poll(&mut entries, PollTimeout::from(LOOK_EVERY));
+        let _ = poll(&mut entries, PollTimeout::from(most));
+        self.mouth.sleeps(false);
     }
 
     /// Gives Linux what has come.
     fn take_in(&mut self) {
         for _ in 0..AT_ONCE {
-            let Some(is_whole) = self.socket.receive(&mut self.came) else { break };
-            self.mouth.count_received();
-            if let Err(why) = self.give(is_whole) {
+            let given = match &self.socket {
+                Some(socket) => {
+                    let Some(is_whole) = socket.receive(&mut self.came) else { break };
+                    self.mouth.count_received();
+                    self.give_inner(is_whole)
+                }
+                None => {
+                    let Some(frame) = self.mouth.received() else { break };
+                    self.give(|device| device.write_packet(&frame[PACKET..]))
+                }
+            };
+            if let Err(why) = given {
                 self.mouth.lose(why);
             }
         }
     }
 
-    fn give(&self, is_whole: bool) -> Result<(), Loss> {
+    fn give_inner(&self, is_whole: bool) -> Result<(), Loss> {
         let inner = Inner::of(&self.came).filter(|_| is_whole).ok_or(Loss::Truncated)?;
-        let device = self.device.as_ref().ok_or(Loss::DeviceDown)?;
-        if device.mode() == Mode::Tun
+        if self.options.mode == Mode::Tun
             && inner.payload().first().and_then(|&first| kind_of_packet(first)) != Some(inner.kind())
         {
             return Err(Loss::NotIp);
         }
-        device.write(&inner).map_err(|error| match error.raw_os_error() {
+        self.give(|device| device.write(&inner))
+    }
+
+    fn give(&self, write: impl FnOnce(&Device) -> io::Result<()>) -> Result<(), Loss> {
+        let device = self.device.as_ref().ok_or(Loss::DeviceDown)?;
+        write(device).map_err(|error| match error.raw_os_error() {
             Some(libc::EIO | libc::EBADFD | libc::ENETDOWN) => Loss::DeviceDown,
             _ => Loss::DeviceRefused,
         })
@@ -191,16 +220,24 @@ impl Vnic {
         let Some(device) = &self.device else { return };
         self.is_full = false;
         let mut is_gone = false;
+        let is_proxy = self.mouth.is_proxy();
+        let at = match device.mode() {
+            Mode::Tap => FRAME,
+            Mode::Tun if is_proxy => PACKET,
+            Mode::Tun => HEAD,
+        };
         for _ in 0..AT_ONCE {
-            let Some(mut frame) = self.mouth.take() else {
+            let taken = if is_proxy { self.mouth.take_for_packet() } else { self.mouth.take() };
+            let Some(mut frame) = taken else {
                 self.is_full = !self.mouth.wait_for_buffers();
                 break;
             };
-            match device.read(&mut frame) {
+            match device.read(&mut frame, at) {
                 Ok(Some(len)) => {
                     // What is lost is counted there.
                     let _ = match device.mode() {
                         Mode::Tap => self.mouth.send_frame(frame, len),
+                        Mode::Tun if is_proxy => self.mouth.send_plain(frame, len),
                         Mode::Tun => self.send_packet(frame, len),
                     };
                 }
@@ -244,6 +281,10 @@ impl Vnic {
 
     /// All of it or, where something is refused, what came before.
     fn change(&mut self, change: &Change) -> Result<(), StartError> {
+        let Change { add, remove, peers, .. } = change;
+        if self.mouth.is_proxy() && !(add.is_empty() && remove.is_empty() && peers.is_empty()) {
+            return Err(StartError::OfStation);
+        }
         let mut peers = self.peers.clone();
         change.peers.iter().try_for_each(|&peer| peers.add(peer))?;
         for prefix in &change.add {
@@ -292,9 +333,10 @@ impl Vnic {
 
     /// Gives it its addresses. Those of IPv6 Linux takes away while it is down, or its MTU is too small for them.
     fn give_addresses(&mut self) -> Result<(), Refused> {
-        // A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds. A kernel
-        // without IPv6 has no such switch.
-        let _ = std::fs::write(format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name), "0");
+        // A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds, and no real-time
+        // route leads there. A kernel without IPv6 has no such switch.
+        let is_off = if self.mouth.is_proxy() { "1" } else { "0" };
+        let _ = std::fs::write(format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name), is_off);
         let has_room = self.mtu >= LEAST_MTU_OF_IPV6;
         for prefix in self.options.addresses.iter().filter(|prefix| prefix.ip.is_ipv4() || has_room) {
             self.links.add_address(self.index, prefix.ip, prefix.length)?;
@@ -308,7 +350,8 @@ impl Vnic {
             return;
         }
         self.looked = Instant::now();
-        self.mouth.lose_many(Loss::QueueFull, self.socket.take_dropped());
+        let dropped = self.socket.as_ref().map_or(0, Tunnelled::take_dropped);
+        self.mouth.lose_many(Loss::QueueFull, dropped);
         if self.device.is_none() {
             return;
         }
@@ -319,7 +362,7 @@ impl Vnic {
     }
 
     fn follow_mtu(&mut self) -> Result<(), Refused> {
-        let mtu = self.mouth.mtu().min(self.options.mtu).clamp(LEAST_MTU, MTU);
+        let mtu = self.mouth.mtu().min(self.options.mtu).clamp(LEAST_MTU, self.mouth.most());
         let before = std::mem::replace(&mut self.mtu, mtu);
         if mtu != before {
             self.links.set_mtu(self.index, mtu)?;
@@ -420,6 +463,7 @@ impl Vnic {
         Ok(Status {
             name: self.name.clone(),
             mode: self.options.mode,
+            is_proxy: self.mouth.is_proxy(),
             device,
             most: self.options.mtu,
             slot: self.mouth.mtu(),
@@ -429,6 +473,15 @@ impl Vnic {
             counts: self.mouth.counts(),
         })
     }
+}
+
+/// Linux has the station's address by the device alone.
+fn stand_aside(interface: &Interface, links: &mut Links) -> Result<Aside, StartError> {
+    let addresses = links.addresses(interface.index)?;
+    if let Some(&(ip, length)) = addresses.iter().find(|(ip, _)| ip.is_ipv4()) {
+        return Err(StartError::HasAddress(interface.name.clone(), Prefix { ip, length }));
+    }
+    Aside::at(&interface.name).map_err(|error| StartError::Aside(interface.name.clone(), error))
 }
 
 /// What lets through a little less than so many of the largest frames in 1000 seconds: a small one takes a turn, too.

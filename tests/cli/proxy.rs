@@ -1,0 +1,209 @@
+//! One address for real-time sockets and Linux: what cannot be is refused, and two hosts that share theirs.
+
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::process::Output;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use socket2::{Domain, Protocol, Socket, Type};
+use tools::lab::namespace::Namespace;
+
+use crate::host::network;
+use crate::rtnet;
+use crate::station::{Medium, PATIENCE, Station};
+
+const IP_A: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 1);
+const IP_B: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 2);
+/// More than all buffers take, and more than a second of turns.
+const BYTES: usize = 300_000;
+/// What keeps Linux from the interface.
+const ASKED: [&str; 2] = ["rp_filter", "arp_ignore"];
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn station(arguments: &[&str]) -> Output {
+    let slave = ["station", "--interface", "nosuch0", "--slave", "--rounds", "0", "--vnic-proxy"];
+    rtnet().args(slave).args(arguments).output().unwrap()
+}
+
+#[test]
+fn a_proxy_that_cannot_be_is_refused_with_what_to_do() {
+    for (arguments, why) in [
+        (&["--vnic", "--vnic-mode", "tun"][..], "give it one by --ip"),
+        (&["--vnic", "--ip", "10.0.0.2/24"], "add --vnic-mode tun"),
+        (&["--vnic", "--ip", "10.0.0.2/24", "--vnic-mode", "tap"], "add --vnic-mode tun"),
+        (
+            &["--vnic", "10.0.0.3/24", "--ip", "10.0.0.2/24", "--vnic-mode", "tun"],
+            "shares the station's own address, 10.0.0.2/24: leave 10.0.0.3/24 out",
+        ),
+        (
+            &["--vnic", "--ip", "10.0.0.2/24", "--vnic-mode", "tun", "--vnic-forward"],
+            "'--vnic-proxy' cannot be used with '--vnic-forward'",
+        ),
+        (&["--ip", "10.0.0.2/24"], "--vnic"),
+    ] {
+        let output = station(arguments);
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(why), "{message}");
+    }
+}
+
+/// A station with a proxy in slots 0 and 1.
+fn start(namespace: &Namespace, role: &[&str], slots: [&str; 2], name: &str, ip: Ipv4Addr) -> Station {
+    let other =
+        if ip == IP_A { format!("{IP_B}=02:00:00:00:00:0b") } else { format!("{IP_A}=02:00:00:00:00:0a") };
+    let ip = format!("{ip}/24");
+    let [first, second] = slots;
+    let mut arguments = vec!["--interface", "rt0", "--name", name, "--slot", first, "--slot", second];
+    arguments.extend(role);
+    arguments.extend(["--ip", &ip, "--route", &other, "--vnic", "--vnic-mode", "tun", "--vnic-proxy"]);
+    Station::start(namespace, &arguments)
+}
+
+fn vnic(name: &str, verb: &[&str]) -> Output {
+    rtnet().args(["vnic", "-S", name]).args(verb).output().unwrap()
+}
+
+fn status(name: &str) -> Value {
+    let output = vnic(name, &["status", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn asked(namespace: &Namespace) -> [String; 2] {
+    let read = |name| std::fs::read_to_string(format!("/proc/sys/net/ipv4/conf/rt0/{name}")).unwrap();
+    namespace.run(|| ASKED.map(|name| read(name).trim().to_owned())).unwrap()
+}
+
+/// Sends back all that comes by one connection.
+fn echo_server(listener: TcpListener) -> std::thread::JoinHandle<()> {
+    std::thread::spawn(move || {
+        let (mut stream, from) = listener.accept().unwrap();
+        assert_eq!(from.ip(), IP_B);
+        let mut room = [0; 4096];
+        while let Ok(len @ 1..) = stream.read(&mut room) {
+            stream.write_all(&room[..len]).unwrap();
+        }
+    })
+}
+
+fn tcp(medium: &Medium) {
+    let listener = medium.a.run(|| TcpListener::bind((IP_A, 5_001))).unwrap().unwrap();
+    let server = echo_server(listener);
+    let to = SocketAddrV4::new(IP_A, 5_001).into();
+    let connected = medium.b.run(|| TcpStream::connect_timeout(&to, PATIENCE)).unwrap();
+    let mut stream = connected.expect("Linux answers by its proxy");
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let sent: Vec<u8> = (0..BYTES).map(|n| (n * 7 + n / 251) as u8).collect();
+    let mut writes = stream.try_clone().unwrap();
+    let content = sent.clone();
+    let writer = std::thread::spawn(move || {
+        writes.write_all(&content).unwrap();
+        writes.shutdown(std::net::Shutdown::Write).unwrap();
+    });
+    let mut came = Vec::new();
+    stream.read_to_end(&mut came).unwrap();
+    assert!(came == sent, "{} of {BYTES} bytes came back", came.len());
+    writer.join().unwrap();
+    server.join().unwrap();
+}
+
+/// A datagram of Linux's, in fragments, to a port that no real-time socket has.
+fn udp(medium: &Medium) {
+    let hears = medium.a.run(|| UdpSocket::bind((IP_A, 5_002))).unwrap().unwrap();
+    let sends = medium.b.run(|| UdpSocket::bind((IP_B, 5_003))).unwrap().unwrap();
+    hears.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+    let (data, mut room) = ([7; 4_000], [0; 5_000]);
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        sends.send_to(&data, (IP_A, 5_002)).unwrap();
+        match hears.recv_from(&mut room) {
+            Ok((len, from)) => break assert_eq!((len, from), (4_000, SocketAddrV4::new(IP_B, 5_003).into())),
+            Err(_) => assert!(Instant::now() < deadline, "no datagram came"),
+        }
+    }
+}
+
+/// The kernel asks, and the other station's stack answers, once.
+fn echo(medium: &Medium) {
+    let open = || {
+        std::fs::write("/proc/sys/net/ipv4/ping_group_range", "0 2147483647").unwrap();
+        Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::ICMPV4)).unwrap()
+    };
+    let socket: UdpSocket = medium.b.run(open).unwrap().into();
+    socket.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+    let mut room = [0; 100];
+    let deadline = Instant::now() + PATIENCE;
+    let answer = loop {
+        socket.send_to(&[8, 0, 0, 0, 0, 0, 0, 1, 42], (IP_A, 0)).unwrap();
+        match socket.recv_from(&mut room) {
+            Ok((len, from)) => break (len, from.ip()),
+            Err(_) => assert!(Instant::now() < deadline, "no echo came"),
+        }
+    };
+    assert_eq!((answer, room[0], room[8]), ((9, IP_A.into()), 0, 42));
+    assert!(socket.recv_from(&mut room).is_err(), "the kernel of the other has not answered, too");
+}
+
+#[test]
+fn two_stations_share_their_addresses_with_linux() {
+    network("two_stations_share_their_addresses_with_linux", || {
+        let medium = Medium::new();
+        let (is_master, is_slave) = (["--master", "--cycle", "2ms"], ["--slave", "--rounds", "10"]);
+        let a = start(&medium.a, &is_master, ["0=300us", "1=600us"], "proxy-a", IP_A);
+        a.wait_for("master_active");
+        let b = start(&medium.b, &is_slave, ["0=1ms", "1=1400us"], "proxy-b", IP_B);
+        b.wait_for("locked, cycle");
+        assert_eq!([asked(&medium.a), asked(&medium.b)].concat(), ["1"; 4]);
+
+        let ping =
+            rtnet().args(["ping", "-S", "proxy-b", "10.0.0.1", "-c", "5", "-i", "20ms", "--json"]).output();
+        let ping = ping.unwrap();
+        assert_eq!(ping.status.code(), Some(0), "{}{}", text(&ping.stdout), text(&ping.stderr));
+        echo(&medium);
+        udp(&medium);
+        tcp(&medium);
+        let ping =
+            rtnet().args(["ping", "-S", "proxy-a", "10.0.0.2", "-c", "5", "-i", "20ms"]).output().unwrap();
+        assert_eq!(ping.status.code(), Some(0), "{}", text(&ping.stderr));
+
+        for name in ["proxy-a", "proxy-b"] {
+            let status = status(name);
+            assert_eq!(
+                (&status["mode"], &status["proxy"], &status["mtu"]),
+                (&"tun".into(), &true.into(), &1500.into())
+            );
+            let count = |name: &str| status["counters"][name].as_u64().unwrap();
+            assert!(count("proxied_in") > 200 && count("proxied_out") > 200, "{status:#}");
+            assert_eq!(status["lost"].get("device_refused"), None, "{status:#}");
+            let shown = text(&vnic(name, &["status"]).stdout);
+            assert!(shown.contains("(proxy, up): 10.0.0.") && shown.contains("proxied_out"), "{shown}");
+        }
+        let refused = vnic("proxy-a", &["set", "--address", "10.0.0.9/24"]);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(
+            text(&refused.stderr).contains("has the address of its station"),
+            "{}",
+            text(&refused.stderr)
+        );
+        assert_eq!([a.end(), b.end()], [Some(0), Some(0)]);
+        assert_eq!([asked(&medium.a), asked(&medium.b)].concat(), ["0"; 4]);
+    });
+}
+
+#[test]
+fn an_interface_with_an_address_of_linux_has_no_proxy() {
+    network("an_interface_with_an_address_of_linux_has_no_proxy", || {
+        let medium = Medium::new();
+        let mut netlink = medium.a.netlink().unwrap();
+        let index = netlink.link_index("rt0").unwrap();
+        netlink.add_address(index, IP_A, 24).unwrap();
+        let a = start(&medium.a, &["--master", "--cycle", "5ms"], ["0=1ms", "1=2ms"], "proxy-c", IP_A);
+        let line = a.wait_for("no VNIC");
+        assert!(line.contains("Linux has an address on 'rt0' itself, 10.0.0.1/24"), "{line}");
+    });
+}

@@ -1,8 +1,8 @@
 //! Which station has an address, where only packets go through the tunnel and nobody can be asked.
 
 use core::fmt;
+use core::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use core::str::FromStr;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use rtnet::wire::ethernet::{Address, NotAnAddress};
 

@@ -52,14 +52,14 @@ fn a_proxy_that_cannot_be_is_refused_with_what_to_do() {
     }
 }
 
-/// A station with a proxy in slots 0 and 1.
-fn start(namespace: &Namespace, role: &[&str], slots: [&str; 2], name: &str, ip: Ipv4Addr) -> Station {
+/// A station with a proxy.
+fn start(namespace: &Namespace, role: &[&str], slots: &[&str], name: &str, ip: Ipv4Addr) -> Station {
     let other =
         if ip == IP_A { format!("{IP_B}=02:00:00:00:00:0b") } else { format!("{IP_A}=02:00:00:00:00:0a") };
     let ip = format!("{ip}/24");
-    let [first, second] = slots;
-    let mut arguments = vec!["--interface", "rt0", "--name", name, "--slot", first, "--slot", second];
+    let mut arguments = vec!["--interface", "rt0", "--name", name];
     arguments.extend(role);
+    slots.iter().for_each(|slot| arguments.extend(["--slot", slot]));
     arguments.extend(["--ip", &ip, "--route", &other, "--vnic", "--vnic-mode", "tun", "--vnic-proxy"]);
     Station::start(namespace, &arguments)
 }
@@ -154,9 +154,9 @@ fn two_stations_share_their_addresses_with_linux() {
     network("two_stations_share_their_addresses_with_linux", || {
         let medium = Medium::new();
         let (is_master, is_slave) = (["--master", "--cycle", "2ms"], ["--slave", "--rounds", "10"]);
-        let a = start(&medium.a, &is_master, ["0=300us", "1=600us"], "proxy-a", IP_A);
+        let a = start(&medium.a, &is_master, &["0=300us", "1=600us"], "proxy-a", IP_A);
         a.wait_for("master_active");
-        let b = start(&medium.b, &is_slave, ["0=1ms", "1=1400us"], "proxy-b", IP_B);
+        let b = start(&medium.b, &is_slave, &["0=1ms", "1=1400us"], "proxy-b", IP_B);
         b.wait_for("locked, cycle");
         assert_eq!([asked(&medium.a), asked(&medium.b)].concat(), ["1"; 4]);
 
@@ -196,13 +196,32 @@ fn two_stations_share_their_addresses_with_linux() {
 }
 
 #[test]
+fn stations_without_rtmac_share_their_addresses_with_linux() {
+    network("stations_without_rtmac_share_their_addresses_with_linux", || {
+        let medium = Medium::new();
+        let direct = ["--discipline", "direct"];
+        let stations = [(&medium.a, "proxy-d", IP_A), (&medium.b, "proxy-e", IP_B)];
+        let stations = stations.map(|(namespace, name, ip)| start(namespace, &direct, &[], name, ip));
+        let deadline = Instant::now() + PATIENCE;
+        while ["proxy-d", "proxy-e"].iter().any(|name| !vnic(name, &["status"]).status.success()) {
+            assert!(Instant::now() < deadline, "they do not answer");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        echo(&medium);
+        udp(&medium);
+        tcp(&medium);
+        assert_eq!(stations.map(Station::end), [Some(0); 2]);
+    });
+}
+
+#[test]
 fn an_interface_with_an_address_of_linux_has_no_proxy() {
     network("an_interface_with_an_address_of_linux_has_no_proxy", || {
         let medium = Medium::new();
         let mut netlink = medium.a.netlink().unwrap();
         let index = netlink.link_index("rt0").unwrap();
         netlink.add_address(index, IP_A, 24).unwrap();
-        let a = start(&medium.a, &["--master", "--cycle", "5ms"], ["0=1ms", "1=2ms"], "proxy-c", IP_A);
+        let a = start(&medium.a, &["--master", "--cycle", "5ms"], &["0=1ms", "1=2ms"], "proxy-c", IP_A);
         let line = a.wait_for("no VNIC");
         assert!(line.contains("Linux has an address on 'rt0' itself, 10.0.0.1/24"), "{line}");
     });

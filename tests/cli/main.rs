@@ -15,6 +15,7 @@ mod interface;
 mod lab;
 mod live;
 mod manual;
+mod never_left;
 mod nonsense;
 mod observe;
 mod program_limits;

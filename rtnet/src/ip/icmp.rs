@@ -53,16 +53,27 @@ pub(super) struct Icmp {
     /// Its own count, as real stations have.
     output: Output,
     /// The rounds of questions whose answers are waited for, oldest first.
-    asking: ArrayVec<u16, MOST_ROUNDS>,
+    asking: ArrayVec<Round, MOST_ROUNDS>,
     pongs: ArrayVec<Pong, MOST_PONGS>,
     /// The newest questions that have left, by round and number, and when.
     left: ArrayVec<((u16, u16), Instant), MOST_PONGS>,
+}
+
+/// Questions whose answers are waited for together.
+struct Round {
+    identifier: u16,
+    /// Of which so many were chosen for a slot.
+    left: u64,
 }
 
 impl Icmp {
     pub fn new(pool: Pool) -> Self {
         let (asking, pongs, left) = (ArrayVec::new(), ArrayVec::new(), ArrayVec::new());
         Self { pool, output: Output::default(), asking, pongs, left }
+    }
+
+    fn round(&mut self, identifier: u16) -> Option<&mut Round> {
+        self.asking.iter_mut().find(|round| round.identifier == identifier)
     }
 }
 
@@ -96,7 +107,7 @@ impl Stack {
             Kind::Reply => {
                 let from = header.source();
                 let (identifier, sequence) = (echo.identifier(), echo.sequence());
-                let waited = self.icmp.asking.contains(&identifier);
+                let waited = self.icmp.round(identifier).is_some();
                 let which = (identifier, sequence);
                 let left = self.icmp.left.iter().rev().find(|(of, _)| *of == which).map(|(_, at)| *at);
                 let pong = Pong { from, identifier, sequence, len: data.len(), rx, left };
@@ -115,12 +126,12 @@ impl Stack {
         options: Options,
         exit: &mut dyn Exit,
     ) -> Result<(), SocketError> {
-        let asking = &mut self.icmp.asking;
-        if !asking.contains(&identifier) {
+        if self.icmp.round(identifier).is_none() {
+            let asking = &mut self.icmp.asking;
             if asking.is_full() {
                 asking.remove(0);
             }
-            asking.push(identifier);
+            asking.push(Round { identifier, left: 0 });
         }
         let echo = Echo::new(Kind::Request, identifier, sequence, data);
         self.send_echo((Ipv4Addr::UNSPECIFIED, to), echo, data, options, exit)
@@ -129,6 +140,12 @@ impl Stack {
     /// The oldest answer that nobody has looked at.
     pub fn next_pong(&mut self) -> Option<Pong> {
         self.icmp.pongs.pop_at(0)
+    }
+
+    /// How many questions of a round were chosen for a slot: none of one that is not waited for any more.
+    pub fn echoes_left(&self, identifier: u16) -> u64 {
+        let mut rounds = self.icmp.asking.iter();
+        rounds.find(|round| round.identifier == identifier).map_or(0, |round| round.left)
     }
 
     /// A frame was chosen for a slot that begins then: one that asks for an echo has waited until now.
@@ -145,15 +162,20 @@ impl Stack {
             return;
         }
         let Ok((echo, _)) = icmpv4::parse(message) else { return };
-        if echo.kind() == Kind::Request && self.icmp.asking.contains(&echo.identifier()) {
-            let (left, which) = (&mut self.icmp.left, (echo.identifier(), echo.sequence()));
-            // One that missed its slot leaves again.
-            left.retain(|(of, _)| *of != which);
-            if left.is_full() {
-                left.remove(0);
-            }
-            left.push((which, begin));
+        if echo.kind() != Kind::Request {
+            return;
         }
+        let which = (echo.identifier(), echo.sequence());
+        // One that missed its slot leaves again.
+        let is_first = !self.icmp.left.iter().any(|(of, _)| *of == which);
+        let Some(round) = self.icmp.round(echo.identifier()) else { return };
+        round.left += u64::from(is_first);
+        let left = &mut self.icmp.left;
+        left.retain(|(of, _)| *of != which);
+        if left.is_full() {
+            left.remove(0);
+        }
+        left.push((which, begin));
     }
 
     fn send_echo(

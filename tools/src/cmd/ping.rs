@@ -16,7 +16,7 @@ use super::Failure;
 use super::interface::{asked, of_interface, unasked, with_place};
 use super::tdma::found;
 use crate::cli::{PingArgs, Which};
-use crate::control::{Directory, EchoRequest, EchoShown, EchoesShown, StackReply, StackRequest};
+use crate::control::{Directory, EchoRequest, EchoShown, EchoesShown, Place, StackReply, StackRequest};
 use crate::report::text::micros;
 use plan::Plan;
 
@@ -31,6 +31,8 @@ const TOLD_WITHIN: Duration = Duration::from_millis(100);
 const ANSWERS_AT_MOST: usize = 100_000;
 /// Reasons why questions fail that are told apart.
 const REASONS_AT_MOST: usize = 16;
+/// Why questions wait at a station that could send.
+const SLOT_NOT_COME: &str = "their slot has not come yet, or was removed (`rtnet slot list`)";
 /// Multiples of the golden ratio, their whole parts left out, lie as far apart as can be, however many there are.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
@@ -46,6 +48,11 @@ struct Round {
     failures: BTreeMap<String, u64>,
     lost: u64,
     loss: f64,
+    /// Of all, questions that had not left by the end, or for which those had taken the room.
+    never_left: u64,
+    /// Why, as far as the station knows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    why_never_left: Option<String>,
     /// From asking until the answer came.
     round_trip_ns: Option<Spread>,
     /// How much of it the question waited for its slot, unless it needed none.
@@ -133,13 +140,15 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
         begun += held_up(moment.elapsed(), args, plan.cycle);
     }
     run.listen(Instant::now() + DUE_WITHIN, &stop, |run| !run.is_due(Instant::now()))?;
+    // Without slots whatever is sent leaves.
+    let left = if own.discipline == "tdma" { run.left() } else { None };
     let schedule = plan.wait().map(|wait| {
         std::thread::sleep(TOLD_WITHIN);
         run.beside([wait.best, wait.worst].map(|span| span.nanos().unsigned_abs()), plan.missed())
     });
     let (tried, has_gone) = (run.tried, run.has_gone);
-    let round = run.round(schedule);
-    super::print(which.json, &round, summary).map_err(Failure::Run)?;
+    let round = run.round(left, schedule);
+    super::print(which.json, &round, |round| summary(&which.place, round)).map_err(Failure::Run)?;
     Ok(u8::from(round.received == 0 || has_gone && round.received < tried))
 }
 
@@ -172,6 +181,10 @@ struct Run<'a> {
     /// Whether the station was not there at a time.
     has_gone: bool,
     failures: BTreeMap<String, u64>,
+    /// Those that failed since others before them had not left.
+    behind: u64,
+    /// Why nothing left when a question last waited for that, and whether it is so still.
+    silent: Option<(String, bool)>,
     /// Questions without an answer.
     open: BTreeMap<u16, Open>,
     answers: VecDeque<Answer>,
@@ -186,8 +199,9 @@ struct Open {
 impl<'a> Run<'a> {
     fn new(which: &'a Which, args: &'a PingArgs) -> Self {
         let (failures, open, answers) = Default::default();
-        let (tried, received, has_gone) = (0, 0, false);
-        Self { which, args, identifier: identifier(), tried, received, has_gone, failures, open, answers }
+        let (identifier, tried, received, behind, silent) = (identifier(), 0, 0, 0, None);
+        let has_gone = false;
+        Self { which, args, identifier, tried, received, has_gone, failures, behind, silent, open, answers }
     }
 
     /// Asks the next question. Where not even the first can be asked, there is nothing to be measured.
@@ -258,20 +272,29 @@ impl<'a> Run<'a> {
     }
 
     fn look(&mut self) -> Result<(), Failure> {
-        let EchoesShown { came, failed } = match asked(self.which, StackRequest::Echoes(self.identifier)) {
-            Ok(StackReply::Echoes(echoes)) => echoes,
-            Ok(_) => return Err(unasked(self.which)),
-            // Who does not answer now may do so the next time; its questions count as lost.
-            Err(_) => {
-                self.look_for_station();
-                return Ok(());
-            }
-        };
+        let EchoesShown { came, failed, silent } =
+            match asked(self.which, StackRequest::Echoes(self.identifier)) {
+                Ok(StackReply::Echoes(echoes)) => echoes,
+                Ok(_) => return Err(unasked(self.which)),
+                // Who does not answer now may do so the next time; its questions count as lost.
+                Err(_) => {
+                    self.look_for_station();
+                    return Ok(());
+                }
+            };
         for failed in failed {
             if self.open.remove(&failed.sequence).is_some() {
-                self.fails(failed.sequence, &failed.why)?;
+                self.behind += u64::from(failed.is_behind);
+                let why = failed.why;
+                let why = match silent.as_ref().filter(|_| failed.is_behind) {
+                    Some(silent) => format!("{why}: {silent}"),
+                    None => why,
+                };
+                self.fails(failed.sequence, &why)?;
             }
         }
+        let before = || self.silent.take().map(|(why, _)| (why, false));
+        self.silent = silent.map(|why| (why, true)).or_else(before);
         for echo in came {
             let Some(Open { asked, .. }) = self.open.remove(&echo.sequence) else { continue };
             let answer = answer(&echo, asked);
@@ -287,6 +310,18 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// How many questions have left, where that is the question.
+    fn left(&self) -> Option<u64> {
+        if self.open.is_empty() && self.behind == 0 {
+            return None;
+        }
+        match asked(self.which, StackRequest::EchoesLeft(self.identifier)) {
+            Ok(StackReply::EchoesLeft(left)) => Some(left),
+            // One that is gone, or of another version: nobody knows.
+            _ => None,
+        }
+    }
+
     /// What the schedule says, and how much of it is otherwise.
     fn beside(&self, [best_ns, worst_ns]: [u64; 2], slots_missed: u64) -> Scheduled {
         let jitter_ns = jitter(self.answers.iter().filter_map(Answer::rest).collect());
@@ -297,11 +332,20 @@ impl<'a> Run<'a> {
         Scheduled { best_ns, worst_ns, lead_ns, jitter_ns, quicker, longer, slots_missed }
     }
 
-    fn round(self, schedule: Option<Scheduled>) -> Round {
-        let Self { tried, received, failures, answers, .. } = self;
+    fn round(self, left: Option<u64>, schedule: Option<Scheduled>) -> Round {
+        let Self { tried, received, failures, behind, silent, answers, .. } = self;
         let failed = failures.values().sum();
         let sent = tried.saturating_sub(failed);
         let lost = sent.saturating_sub(received);
+        let never_left = left.map_or(0, |left| behind + sent.saturating_sub(left).min(lost));
+        let why_never_left = (never_left > 0).then(|| {
+            let why = match silent {
+                Some((why, true)) => why,
+                Some((why, false)) => format!("for a while nothing did: {why}"),
+                None => SLOT_NOT_COME.into(),
+            };
+            with_place(self.which, &why)
+        });
         let spread = |of: fn(&Answer) -> Option<u64>| Spread::of(answers.iter().filter_map(of).collect());
         Round {
             to: self.args.ip,
@@ -311,6 +355,8 @@ impl<'a> Run<'a> {
             failures,
             lost,
             loss: if sent == 0 { 0.0 } else { lost as f64 / sent as f64 },
+            never_left,
+            why_never_left,
             round_trip_ns: spread(|answer| answer.round_trip_ns),
             waited_ns: spread(|answer| answer.waited_ns),
             rest_ns: spread(Answer::rest),
@@ -362,11 +408,15 @@ fn line(from: Ipv4Addr, answer: &Answer) -> String {
     format!("{bytes} bytes from {from}: seq={sequence} time={all} us{waited}\n")
 }
 
-fn summary(round: &Round) -> String {
+fn summary(place: &Place, round: &Round) -> String {
     let Round { to, sent, received, failed, failures, loss, .. } = round;
     let mut text = format!("{to}: {sent} sent, {received} came back, {:.1} % lost", loss * 100.0);
     text += &if *failed > 0 { format!(", {failed} were not asked:\n") } else { "\n".into() };
     failures.iter().for_each(|(why, n)| text += &format!("  {n} times: {why}\n"));
+    if let Some(why) = &round.why_never_left {
+        let (never, all) = (round.never_left, sent + failed);
+        text += &format!("station '{place}': {never} of {all} questions never left: {why}\n");
+    }
     for (what, spread) in [
         ("round trip", round.round_trip_ns),
         ("waiting for the slot", round.waited_ns),

@@ -26,6 +26,8 @@ pub enum StackRequest {
     Echo(EchoRequest),
     /// What has come of a round of questions, by its identifier, since this was last asked.
     Echoes(u16),
+    /// How many questions of a round have left.
+    EchoesLeft(u16),
     /// Its pools.
     Pools,
     /// Everything that it counts.
@@ -48,6 +50,8 @@ pub enum StackReply {
     Asked(u64),
     /// What has come of a round of questions.
     Echoes(EchoesShown),
+    /// So many questions of a round were chosen for a slot.
+    EchoesLeft(u64),
     /// Its pools.
     Pools(Vec<PoolShown>),
     /// Everything that it counts.
@@ -187,6 +191,9 @@ pub struct EchoesShown {
     pub came: Vec<EchoShown>,
     /// Questions that could not leave.
     pub failed: Vec<EchoFailed>,
+    /// Why nothing leaves now, be it for a moment.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub silent: Option<String>,
 }
 
 /// A question that could not leave.
@@ -196,6 +203,9 @@ pub struct EchoFailed {
     pub sequence: u16,
     /// Why.
     pub why: String,
+    /// Whether it is for those before it, which have not left and keep all the buffers.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_behind: bool,
 }
 
 /// An echo that has come.

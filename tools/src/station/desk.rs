@@ -33,8 +33,8 @@ use super::vnic::Told;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots, sync_latest};
 use crate::control::{
-    Answers, ClockShown, CountersShown, Envelope, InterfaceShown, Reply, Request, RoleRequest, SlotChange,
-    StackReply, StackRequest, StationStatus, Traffic, read,
+    Answers, ClockShown, CountersShown, EchoesShown, Envelope, InterfaceShown, Reply, Request, RoleRequest,
+    SlotChange, StackReply, StackRequest, StationStatus, Traffic, read,
 };
 use crate::report::figures::GuardName;
 use crate::scenario::{DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_sync_window};
@@ -287,7 +287,9 @@ impl Desk {
                 Ok(StackReply::Asked(asked.nanos()))
             }
             StackRequest::Echoes(round) => {
-                Ok(StackReply::Echoes(with_sockets(&mut self.programs)?.echoes.of(round)))
+                let silent = self.newest.as_ref().and_then(|newest| held_back(&newest.status));
+                let news = with_sockets(&mut self.programs)?.echoes.of(round);
+                Ok(StackReply::Echoes(EchoesShown { silent, ..news }))
             }
             other => self.sockets.answer(other),
         }
@@ -470,6 +472,24 @@ fn silent(status: &AccessStatus) -> Option<String> {
     let is_detached = status.tdma().is_some_and(|tdma| tdma.role == RoleName::Detached);
     let why = "it is detached, and silent until it is told to be slave or master again (`rtnet tdma slave`)";
     is_detached.then(|| why.into())
+}
+
+/// Why nothing of a station's leaves now, though it may a moment later.
+fn held_back(status: &AccessStatus) -> Option<String> {
+    let tdma = status.tdma()?;
+    let state = tdma.state.name();
+    let unsynchronised = |what| format!("it is not synchronised ({state}): {what} (`rtnet tdma status`)");
+    silent(status).or_else(|| match tdma.state {
+        SyncState::Calibrating => Some(unsynchronised("wait until it is locked, or see how far it is")),
+        SyncState::Waiting | SyncState::Lost if tdma.role == RoleName::Slave => {
+            Some(unsynchronised("start a master, or see whom it hears"))
+        }
+        SyncState::Waiting | SyncState::Lost => Some(unsynchronised("wait, or see how it goes on")),
+        SyncState::Locked | SyncState::Holdover => {
+            let has_none = tdma.slots.iter().flatten().next().is_none();
+            has_none.then(|| "it has no slots: define one (`rtnet slot set`)".into())
+        }
+    })
 }
 
 /// Who was stopped was woken late, but by no timer.

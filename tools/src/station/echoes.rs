@@ -36,6 +36,8 @@ const CAME: usize = 128;
 const ROUNDS: usize = 8;
 /// Answers of a round that nobody has read; later ones are lost.
 const UNREAD: usize = 256;
+/// Why a question finds no buffer: nothing else takes those of echoes for longer than a slot is away.
+const BEHIND: &str = "the echoes before it wait for a slot still, and no buffer is left";
 /// Bytes before what an echo takes along.
 pub const ECHO_HEADERS: usize = ipv4::HEADER_LEN + icmpv4::HEADER_LEN;
 /// Bytes that an echo takes along at the most: what a frame has room for.
@@ -174,7 +176,9 @@ impl Echoes {
                 && let Some(news) = news_of(rounds, identifier)
                 && news.failed.len() < UNREAD
             {
-                news.failed.push(EchoFailed { sequence, why: refused.to_string() });
+                let is_behind = matches!(refused, SocketError::NoBuffers { .. });
+                let why = if is_behind { BEHIND.to_owned() } else { refused.to_string() };
+                news.failed.push(EchoFailed { sequence, why, is_behind });
             }
         }
         while let Some(pong) = way.came.pop() {
@@ -277,7 +281,7 @@ mod tests {
         bench.ask(Ipv4Addr::new(10, 0, 0, 9), 1, 1).unwrap();
         bench.ask(OWN, 1, 2).unwrap();
         bench.slot();
-        let EchoesShown { came, failed } = bench.echoes.of(1);
+        let EchoesShown { came, failed, .. } = bench.echoes.of(1);
         assert_eq!((came.len(), failed.len(), failed[0].sequence), (1, 1, 1));
         assert!(failed[0].why.starts_with("no route to 10.0.0.9"), "{}", failed[0].why);
         let long = EchoRequest { to: OWN, identifier: 1, sequence: 3, size: 1_473, priority: 30, channel: 1 };

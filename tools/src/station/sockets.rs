@@ -95,6 +95,10 @@ impl Sockets {
                 asked.map(|()| StackReply::Done).map_err(text)
             }
             StackRequest::Lookup(ip) => self.lookup(ip).map(StackReply::Way),
+            StackRequest::EchoesLeft(round) => {
+                let left = self.change(round, |round, stack, _| stack.echoes_left(*round))?;
+                Ok(StackReply::EchoesLeft(left))
+            }
             StackRequest::Interface
             | StackRequest::Pools
             | StackRequest::Counters

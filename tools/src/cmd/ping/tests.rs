@@ -49,11 +49,11 @@ fn what_fails_counts_by_its_reason_and_the_rest_as_lost_or_received() {
     (0..30).for_each(|n| run.fails(n, &format!("reason {}", n / 2)).unwrap());
     (0..10).for_each(|n| run.fails(n, &format!("later reason {n}")).unwrap());
     run.received = 40;
-    let round = run.round(None);
+    let round = run.round(None, None);
     assert_eq!((round.sent, round.failed, round.lost, round.loss), (60, 40, 20, 20.0 / 60.0));
     assert_eq!((round.failures.len(), round.failures["reason 3"]), (17, 2));
     assert_eq!(round.failures["another reason"], 9);
-    let text = summary(&round);
+    let text = summary(&args.which.place, &round);
     assert!(text.starts_with("10.0.0.1: 60 sent, 40 came back, 33.3 % lost, 40 were not asked:\n"), "{text}");
     assert!(text.contains("\n  2 times: reason 3\n"), "{text}");
 }
@@ -77,7 +77,7 @@ fn round_trips_are_compared_with_the_schedule_beyond_the_jitter_of_what_is_no_wa
     let beside = run.beside([350_000, 1_350_000], 2);
     assert_eq!((beside.quicker, beside.longer, beside.slots_missed), (1, 1, 2));
     assert!((1..=5_000).contains(&beside.jitter_ns), "{beside:?}");
-    let text = summary(&run.round(Some(beside)));
+    let text = summary(&args.which.place, &run.round(None, Some(beside)));
     assert!(text.contains("schedule: best 350, worst 1 350 us, or up to 50.0 us less; "), "{text}");
     assert!(
         text.ends_with("1 were quicker and 1 took longer, while the two stations missed 2 slots\n"),
@@ -100,4 +100,33 @@ fn an_answer_that_is_lost_is_looked_for_no_longer_than_it_may_take_and_one_that_
     assert!(run.open.contains_key(&1), "it may come late");
     run.forget(since + FORGOTTEN_AFTER);
     assert!(run.open.is_empty());
+}
+
+#[test]
+fn what_never_left_is_told_with_its_reason_and_the_remedy_at_that_station() {
+    let args = args("-S a --json 10.0.0.1");
+    let silent = |is_still| Some(("it is silent (`rtnet tdma status`)".to_owned(), is_still));
+    let round = |received, silent, left| {
+        let mut run = Run::new(&args.which, &args);
+        (run.tried, run.received, run.silent, run.behind) = (10, received, silent, 2);
+        (8..10).for_each(|n| run.fails(n, "it is behind others").unwrap());
+        run.round(left, None)
+    };
+    let told = |round: Round| {
+        let text = summary(&args.which.place, &round);
+        text.lines().find(|line| line.starts_with("station 'a': ")).map(|line| line[13..].to_owned())
+    };
+    let why = "it is silent (`rtnet tdma -S a status`)";
+    let all = format!("10 of 10 questions never left: {why}");
+    assert_eq!(told(round(0, silent(true), Some(0))), Some(all));
+    let midway = round(5, silent(false), Some(6));
+    assert_eq!(midway.lost, 3, "one of them on its way");
+    let for_a_while = format!("4 of 10 questions never left: for a while nothing did: {why}");
+    assert_eq!(told(midway), Some(for_a_while));
+    let slow = told(round(6, None, Some(6))).unwrap();
+    assert!(slow.starts_with("4 of 10 questions never left: their slot has not come yet"), "{slow}");
+    // To itself no question leaves.
+    assert_eq!(round(8, silent(false), Some(0)).never_left, 2);
+    // Nobody knows.
+    assert_eq!(told(round(0, silent(true), None)), None);
 }

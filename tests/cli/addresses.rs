@@ -70,6 +70,15 @@ fn stations_of_a_lab_have_addresses_know_each_other_and_have_sockets_for_program
         let to = |ip: &str, address: &str| (Value::from(ip), Value::from(address), Value::from("static"));
         let (master, leg) = (to(MASTER, "02:00:00:00:00:01"), to(LEG, "02:00:00:00:00:03"));
         assert_eq!(hosts, [(&master.0, &master.1, &master.2), (&leg.0, &leg.1, &leg.2)]);
+        let status = cell.status();
+        let ips: Vec<&Value> = status["stations"].as_array().unwrap().iter().map(|of| &of["ip"]).collect();
+        assert_eq!(ips, ["10.0.0.1/24", "10.0.0.2/24", "10.0.0.7/24"]);
+        let words = rtnet().args(["lab", "status", &cell.name]).output().unwrap();
+        let words = text(&words.stdout);
+        assert!(
+            words.contains(" ip          ") && words.contains(" 02:00:00:00:00:03 10.0.0.7/24 "),
+            "{words}"
+        );
         // Two who ask at once have each their own answers.
         let both = [MASTER, LEG].map(|to| ping(&cell, to));
         assert_eq!(both.map(came_back), [50, 50]);

@@ -252,6 +252,8 @@ impl Carry {
 
 #[cfg(test)]
 mod tests {
+    use core::sync::atomic::AtomicBool;
+
     use super::*;
     use proptest::collection::vec;
     use proptest::prelude::*;
@@ -339,29 +341,56 @@ mod tests {
     }
 
     #[test]
-    fn two_threads_pass_records_without_a_lock() {
+    fn nothing_of_a_record_is_there_to_be_read_before_all_of_it_is() {
         let (_memory, mut writer, mut reader) = ring();
-        let sent = 100_000u64;
-        std::thread::scope(|scope| {
+        for records in 0..20 {
+            // Whoever writes is between any two of these when the reader looks.
+            let parts = [&[records; 3][..], &[records; 8], &[records; 13], &[]];
+            let looked = parts.iter().map(|part| {
+                assert!(reader.is_empty() && reader.front() == Ok(None), "{records}");
+                *part
+            });
+            assert!(writer.write([records.into(); META], 24, looked).unwrap());
+            assert_eq!(read(&mut reader), Some(([records.into(); META], vec![records; 24])));
+        }
+    }
+
+    /// Records of several words, and their last word alone, which is written behind all parts.
+    #[test]
+    fn two_threads_pass_whole_records_without_a_lock() {
+        let (_memory, mut writer, mut reader) = ring();
+        let (sent, is_over) = (100_000u64, AtomicBool::new(false));
+        let record = |n: u64| ([n; META], vec![n as u8; (n % 50) as usize + 1]);
+        let torn = std::thread::scope(|scope| {
             scope.spawn(|| {
-                for n in 0..sent {
-                    let content = n.to_ne_bytes();
-                    let len = (n % 8) as usize + 1;
-                    while !writer.write([n; META], len, [&content[..len]].into_iter()).unwrap() {
+                for (meta, content) in (0..sent).map(record) {
+                    while !writer.write(meta, content.len(), [&content[..]].into_iter()).unwrap() {
+                        // A reader that gives up makes no room.
+                        if is_over.load(Ordering::Relaxed) {
+                            return;
+                        }
                         std::thread::yield_now();
                     }
                 }
             });
-            for n in 0..sent {
-                let (meta, content) = loop {
-                    match read(&mut reader) {
-                        Some(record) => break record,
-                        None => std::thread::yield_now(),
+            let mut room = [0; 512];
+            let mut next = || loop {
+                match reader.peek(&mut room) {
+                    Ok(Some(record)) => {
+                        reader.take(record);
+                        return Ok((record.meta, room[..record.copied].to_vec()));
                     }
-                };
-                assert_eq!(meta, [n; META]);
-                assert_eq!(content, n.to_ne_bytes()[..(n % 8) as usize + 1]);
-            }
+                    Ok(None) => std::thread::yield_now(),
+                    Err(nonsense) => return Err(nonsense),
+                }
+            };
+            let torn = (0..sent).find_map(|n| {
+                let came = next();
+                (came != Ok(record(n))).then_some((n, came))
+            });
+            is_over.store(true, Ordering::Relaxed);
+            torn
         });
+        assert_eq!(torn, None);
     }
 }

@@ -41,7 +41,7 @@ pub fn account(status: &LabStatus) -> String {
     let left = |head, cell: fn(&MemberStatus) -> String| Column::left(["", head], stations.iter().map(cell));
     let right =
         |head, cell: fn(&MemberStatus) -> String| Column::right(["", head], stations.iter().map(cell));
-    let columns = [
+    let mut columns = vec![
         left("station", |s| s.name.clone()),
         left("role", |s| s.role.clone()),
         left("state", |s| s.state.clone()),
@@ -54,6 +54,9 @@ pub fn account(status: &LabStatus) -> String {
         right("bad", |s| grouped(s.payload_errors)),
         right("lost", |s| grouped(s.frames_lost)),
     ];
+    if stations.iter().any(|station| station.ip.is_some()) {
+        columns.insert(4, left("ip", |s| s.ip.clone().unwrap_or("-".into())));
+    }
     text += &(table(&columns, WIDTH).join("\n") + "\n");
     let refused = |s: &MemberStatus| {
         let counts: Vec<String> = s.refusals.iter().map(|(reason, n)| format!("{reason} {n}")).collect();

@@ -398,6 +398,9 @@ pub struct MemberStatus {
     pub pid: u32,
     /// Its address.
     pub address: String,
+    /// Its IP address, as 10.0.0.1/24, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ip: Option<String>,
     /// Frames in its slots.
     pub frames_seen: u64,
     /// Slots without their frame.

@@ -23,6 +23,7 @@ use crate::judge::findings::{Author, Finding};
 use crate::scenario::Scenario;
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, WORST};
+use crate::station::stack::OwnIp;
 use changes::Pending;
 
 /// How often what was found is judged: records are told twenty times a second.
@@ -328,6 +329,7 @@ impl Keeper {
             state: self.state(station),
             pid: member.pid(),
             address: self.scenario.address(station).to_string(),
+            ip: plan.ip.map(|OwnIp { ip, prefix }| format!("{ip}/{prefix}")),
             frames_seen: seen.frames,
             slots_missed: self.lab.analysis.expected(station).saturating_sub(seen.frames),
             stray: seen.stray,

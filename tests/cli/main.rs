@@ -27,6 +27,7 @@ mod silent;
 mod socket_options;
 mod sockets;
 mod station;
+mod vnic;
 mod wait_on_cycle;
 mod wires;
 

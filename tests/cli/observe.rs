@@ -252,7 +252,8 @@ fn an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does() 
 /// So late a master may be, and often is, on a busy host.
 const BIAS_NS: i64 = 25_000;
 
-fn each_frame(pcap: &Path, mut f: impl FnMut(u64, &[u8])) {
+/// Every frame of a capture, with its time.
+pub fn each_frame(pcap: &Path, mut f: impl FnMut(u64, &[u8])) {
     let mut reader = PcapNgReader::new(fs::File::open(pcap).unwrap()).unwrap();
     while let Some(block) = reader.next_block() {
         if let (Block::EnhancedPacket(packet), _) = block.expect("a whole block") {

@@ -93,6 +93,23 @@ pub enum StartError {
     Host(#[from] io::Error),
 }
 
+/// Why a running VNIC does not do as it is told.
+#[derive(Debug, thiserror::Error)]
+pub enum OrderError {
+    /// It has no device to be changed.
+    #[error("the VNIC's device '{0}' is gone: `rtnet vnic up` makes it anew")]
+    Gone(String),
+    /// It cannot be made anew.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// Linux refuses.
+    #[error(transparent)]
+    Link(#[from] Refused),
+    /// A station that cannot be one.
+    #[error(transparent)]
+    Peer(#[from] PeerError),
+}
+
 /// What a running VNIC may be told.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Order {

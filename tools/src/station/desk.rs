@@ -44,8 +44,8 @@ use crate::scenario::{DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_s
 pub(super) const ANSWER_WITHIN: Duration = Duration::from_millis(400);
 /// How often to look for the answer: a cycle of the shortest that are in use.
 pub(super) const LOOK_EVERY: Duration = Duration::from_micros(200);
-/// Why nothing can be told of a VNIC.
-const NO_VNIC: &str = "it has no VNIC: start it with --vnic; if it was, it has said why there is none";
+/// Why nothing can be told of a VNIC where none was wanted.
+const NO_VNIC: &str = "it has no VNIC: start it with --vnic";
 /// Why nothing can be told yet.
 const NO_NEWS: &str = "the station has only just started: ask again";
 
@@ -66,7 +66,8 @@ pub struct Desk {
     errands: Arc<Errands<TdmaCommand, Refused>>,
     sockets: Sockets,
     programs: Option<Programs>,
-    vnic: Option<Told>,
+    /// Its VNIC, or why it has none.
+    vnic: Result<Told, String>,
     time: Arc<TimeBoard>,
     counts: Arc<TrafficCounts>,
     newest: Option<Snapshot<AccessStatus>>,
@@ -134,7 +135,7 @@ impl Desk {
             errands: driver.errands(),
             sockets: Sockets::new(driver, options.stack.as_ref().map(|stack| stack.room())),
             programs: None,
-            vnic: None,
+            vnic: Err(NO_VNIC.to_owned()),
             time: driver.time(),
             counts,
             newest: None,
@@ -153,9 +154,9 @@ impl Desk {
         Self { programs, ..self }
     }
 
-    /// The same with a VNIC.
-    pub fn with_vnic(self, vnic: Option<Told>) -> Self {
-        Self { vnic, ..self }
+    /// The same with a VNIC that was wanted, or with why there is none.
+    pub fn with_vnic(self, wanted: Option<Result<Told, String>>) -> Self {
+        Self { vnic: wanted.unwrap_or(self.vnic), ..self }
     }
 
     /// Closes some of what programs have left.
@@ -244,8 +245,7 @@ impl Desk {
                 self.of_sockets(request).map_or_else(Reply::Refused, |reply| Reply::Stack(Box::new(reply)))
             }
             Ok(Request::Vnic(request)) => {
-                let told = self.vnic.as_ref().ok_or_else(|| NO_VNIC.to_owned());
-                let answered = told.and_then(|vnic| vnic.answer(request));
+                let answered = self.vnic.clone().and_then(|vnic| vnic.answer(request));
                 answered.map_or_else(Reply::Refused, |shown| Reply::Vnic(Box::new(shown)))
             }
         };

@@ -197,7 +197,9 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let wire = Wire::open(&interface).with_context(unseen)?;
     let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone())
         .with_programs(programs)
-        .with_vnic(vnic.as_ref().map(|vnic| vnic.told.clone()));
+        .with_vnic(
+            vnic.as_ref().map(|vnic| vnic.told.clone()).map(Ok).or_else(|| vnic_refused.clone().map(Err)),
+        );
     let teller = Teller::new(&options, interface.address, guarded);
     Ok(Ready {
         driver,

@@ -16,7 +16,9 @@ use rtnet::wire::ethernet;
 
 use super::aside::Aside;
 use super::device::kind_of_packet;
-use super::{Change, Device, DeviceStatus, Handle, Mode, Options, Order, Shaped, StartError, Status};
+use super::{
+    Change, Device, DeviceStatus, Handle, Mode, Options, Order, OrderError, Shaped, StartError, Status,
+};
 use crate::netlink::{ChangeKind, Heard, Links, Refused, Shaping, Watch};
 use crate::peers::{Peers, Prefix};
 use crate::proxy::PACKET;
@@ -268,42 +270,63 @@ impl Vnic {
         self.mouth.send_packet(packet, len, station, kind)
     }
 
-    fn obey(&mut self, order: &Order) -> Result<(), StartError> {
+    fn obey(&mut self, order: &Order) -> Result<(), OrderError> {
         match order {
-            Order::Status => {}
+            Order::Status => return Ok(()),
             Order::Up if self.device.is_none() => self.make()?,
             Order::Up => self.set_up()?,
+            Order::Down | Order::Set(_) if self.device.is_none() => {
+                return Err(OrderError::Gone(self.name.clone()));
+            }
             Order::Down => self.links.set_up(self.index, false)?,
             Order::Set(change) => self.change(change)?,
         }
+        // Who asks is told how fast it is fed now, not how fast it was.
+        self.shape();
         Ok(())
     }
 
-    /// All of it or, where something is refused, what came before.
-    fn change(&mut self, change: &Change) -> Result<(), StartError> {
+    /// All of it or, where something is refused, nothing.
+    fn change(&mut self, change: &Change) -> Result<(), OrderError> {
         let Change { add, remove, peers, .. } = change;
         if self.mouth.is_proxy() && !(add.is_empty() && remove.is_empty() && peers.is_empty()) {
-            return Err(StartError::OfStation);
+            return Err(StartError::OfStation.into());
         }
         let mut peers = self.peers.clone();
         change.peers.iter().try_for_each(|&peer| peers.add(peer))?;
+        let (before, mtu) = (self.links.addresses(self.index)?, self.options.mtu);
+        let had = |prefix: &Prefix| before.contains(&(prefix.ip, prefix.length));
+        if let Err(refused) = self.change_device(change) {
+            // What has just been done can be undone, but for what somebody else has done meanwhile.
+            for prefix in change.add.iter().filter(|prefix| !had(prefix)) {
+                let _ = self.links.remove_address(self.index, prefix.ip, prefix.length);
+            }
+            for prefix in change.remove.iter().filter(|prefix| had(prefix)) {
+                let _ = self.links.add_address(self.index, prefix.ip, prefix.length);
+            }
+            self.options.mtu = mtu;
+            return Err(refused.into());
+        }
+        let addresses = &mut self.options.addresses;
+        for added in &change.add {
+            if !addresses.contains(added) {
+                addresses.push(*added);
+            }
+        }
+        addresses.retain(|own| !change.remove.contains(own));
+        self.peers = peers.with_own(addresses.clone());
+        Ok(())
+    }
+
+    fn change_device(&mut self, change: &Change) -> Result<(), Refused> {
         for prefix in &change.add {
             self.links.add_address(self.index, prefix.ip, prefix.length)?;
         }
         for prefix in &change.remove {
             self.links.remove_address(self.index, prefix.ip, prefix.length)?;
         }
-        let addresses = &mut self.options.addresses;
-        addresses.retain(|own| !change.remove.contains(own));
-        addresses.extend(
-            change.add.iter().filter(|added| !addresses.contains(added)).copied().collect::<Vec<_>>(),
-        );
-        self.peers = peers.with_own(addresses.clone());
-        if let Some(mtu) = change.mtu {
-            self.options.mtu = mtu;
-            self.follow_mtu()?;
-        }
-        Ok(())
+        self.options.mtu = change.mtu.unwrap_or(self.options.mtu);
+        self.follow_mtu()
     }
 
     /// Makes the device.

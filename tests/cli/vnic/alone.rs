@@ -1,0 +1,102 @@
+//! Stations in the foreground: without a TUN device, without the right to one, and two of them in one namespace.
+
+use std::process::Command;
+
+use tools::lab::namespace::{Namespace, Segment};
+
+use super::{are_there, refused, status_of, vnic_of};
+use crate::cell::wait_until;
+use crate::host::network;
+use crate::station::{Medium, Station};
+
+/// A station with a VNIC, of which a shell in a mount namespace of its own has said `exec "$0" "$@"` in this way.
+fn started_by(script: &str, medium: &Medium, name: &str) -> Station {
+    let mut command = Command::new("unshare");
+    command.args(["--mount", "sh", "-c", script, env!("CARGO_BIN_EXE_rtnet"), "station"]);
+    command.args(["--interface", "rt0", "--discipline", "nomac", "--vnic", "10.1.0.1/24", "--name", name]);
+    Station::run_after(&medium.a, command, || ())
+}
+
+#[test]
+fn without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on() {
+    let test = "without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on";
+    network(test, || {
+        if !are_there(test, &[("unshare", "util-linux"), ("setpriv", "util-linux")]) {
+            return;
+        }
+        let (medium, name) = (Medium::new(), format!("refused-{}", std::process::id()));
+        for (script, line) in [
+            (
+                "mount -t tmpfs none /dev/net && exec \"$0\" \"$@\"",
+                "there is no /dev/net/tun: load the driver (`modprobe tun`, CONFIG_TUN)",
+            ),
+            (
+                "mount -t tmpfs none /dev/net && mknod -m 000 /dev/net/tun c 10 200 && \
+                 exec setpriv --bounding-set -dac_override \"$0\" \"$@\"",
+                "/dev/net/tun: Permission denied (os error 13) (run as root, or give the user the device file)",
+            ),
+            (
+                "exec setpriv --bounding-set -net_admin \"$0\" \"$@\"",
+                "a device may not be made here: Operation not permitted (os error 1) (run as root, or give \
+                 CAP_NET_ADMIN)",
+            ),
+        ] {
+            let station = started_by(script, &medium, &name);
+            assert_eq!(station.wait_for("VNIC"), format!("{name}: no VNIC: {line}"));
+            for verb in [&["status"][..], &["up"], &["set", "--mtu", "900"]] {
+                let message = refused(vnic_of(&name, verb));
+                assert_eq!(message, format!("rtnet: station '{name}': no VNIC: {line}\n"));
+            }
+            assert_eq!(station.end(), Some(0));
+        }
+    });
+}
+
+#[test]
+fn a_station_that_was_not_to_have_one_says_what_to_start_it_with() {
+    network("a_station_that_was_not_to_have_one_says_what_to_start_it_with", || {
+        let (medium, name) = (Medium::new(), format!("plain-{}", std::process::id()));
+        let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name];
+        let _station = started(&medium.a, &options);
+        let message = refused(vnic_of(&name, &["status"]));
+        assert!(message.ends_with("': it has no VNIC: start it with --vnic\n"), "{message}");
+    });
+}
+
+fn started(namespace: &Namespace, options: &[&str]) -> Station {
+    let station = Station::start(namespace, options);
+    station.wait_for("Ctrl-C ends it");
+    station
+}
+
+#[test]
+fn two_stations_of_one_namespace_have_a_device_each() {
+    network("two_stations_of_one_namespace_have_a_device_each", || {
+        let (host, other) = (Namespace::new().unwrap(), Namespace::new().unwrap());
+        let mut segment = Segment::new().unwrap();
+        segment.attach(&host, "port0", "rt0", [2, 0, 0, 0, 0, 0xa]).unwrap();
+        segment.attach(&host, "port1", "rt1", [2, 0, 0, 0, 0, 0xb]).unwrap();
+        segment.attach(&other, "port2", "rt0", [2, 0, 0, 0, 0, 0xc]).unwrap();
+        let [a, b, c] = ["a", "b", "c"].map(|which| format!("two-{which}-{}", std::process::id()));
+        let nomac = |name, interface, more: &[&'static str]| {
+            let all = ["--discipline", "nomac", "--name", name, "--interface", interface];
+            [&all[..], more].concat()
+        };
+        let _a = started(&host, &nomac(&a, "rt0", &["--vnic", "10.1.0.1/24"]));
+        let _b = started(&host, &nomac(&b, "rt1", &["--vnic", "10.2.0.1/24"]));
+        let _c = started(&other, &nomac(&c, "rt0", &["--vnic", "10.1.0.3/24", "10.2.0.3/24"]));
+        let devices = [&a, &b, &c].map(|name| status_of(name)["device"].as_str().unwrap().to_owned());
+        assert_eq!(devices, ["vnic0", "vnic1", "vnic0"]);
+        for to in ["10.1.0.1", "10.2.0.1"] {
+            wait_until(to, || {
+                let ping = || Command::new("ping").args(["-c", "1", "-W", "1", to]).output().unwrap();
+                other.run(ping).unwrap().status.success()
+            });
+        }
+        wait_until("it is known that there are no slots", || {
+            status_of(&b)["not_held_back"] == "there are no slots: nothing is held back"
+        });
+        let shown = status_of(&b);
+        assert!(shown["counters"]["received"].as_u64() > Some(0), "{shown:#}");
+    });
+}

@@ -1,0 +1,168 @@
+//! What somebody does to its device, and what `rtnet vnic` and `rtnet slot` do.
+
+use serde_json::Value;
+
+use super::{MODES, TUNNEL, answers, assert_answers, done, lab, refused, said, status, vnic};
+use crate::cell::{Cell, wait_until};
+use crate::host::network;
+
+const MASTER: &str = "10.1.0.1";
+
+fn strings(value: &Value) -> Vec<&str> {
+    value.as_array().unwrap().iter().map(|one| one.as_str().unwrap()).collect()
+}
+
+/// Linux's own addresses of a link are of no interest here.
+fn addresses(status: &Value) -> Vec<String> {
+    let all = strings(&status["addresses"]);
+    let mut all: Vec<_> = all.into_iter().filter(|a| !a.starts_with("fe80")).map(str::to_owned).collect();
+    all.sort();
+    all
+}
+
+fn set(cell: &Cell, arguments: &[&str]) {
+    done(vnic(cell, "slave1", &[&["set"], arguments].concat()));
+}
+
+#[test]
+fn a_device_that_is_deleted_is_told_of_and_made_anew_on_request() {
+    network("a_device_that_is_deleted_is_told_of_and_made_anew_on_request", || {
+        for mode in MODES {
+            let cell = lab("deleted", TUNNEL, mode);
+            assert_answers(&cell, "slave1", MASTER);
+            said(&cell, "slave1", &["ip", "link", "del", "vnic0"]);
+            wait_until("it is told", || status(&cell, "slave1")["state"] == "gone");
+            let news = "the VNIC's device 'vnic0' was deleted by somebody: `rtnet vnic up` makes it anew";
+            assert_eq!(status(&cell, "slave1")["news"], news);
+            assert!(done(vnic(&cell, "slave1", &["status"])).ends_with(&format!("{news}\n")));
+            let before = status(&cell, "slave1")["lost"]["device_down"].as_u64().unwrap_or(0);
+            assert!(!answers(&cell, "master", "10.1.0.2"));
+            let lost = status(&cell, "slave1")["lost"]["device_down"].as_u64().unwrap_or(0);
+            assert!(lost > before, "what comes for it meanwhile is counted: {lost}");
+            let gone = "the VNIC's device 'vnic0' is gone: `rtnet vnic up` makes it anew";
+            for wish in [&["down"][..], &["set", "--mtu", "900"], &["set", "--address", "10.8.0.2/24"]] {
+                assert!(refused(vnic(&cell, "slave1", wish)).contains(gone));
+            }
+            let up = done(vnic(&cell, "slave1", &["up"]));
+            assert!(up.starts_with(&format!("vnic0 ({mode}, up): 10.1.0.2/24")), "{up}");
+            assert!(up.contains("MTU 1496: ") && up.contains("Linux is held back to 1 4"), "{up}");
+            for to in [MASTER, "fd00::1"] {
+                assert_answers(&cell, "slave1", to);
+            }
+            let now = status(&cell, "slave1");
+            assert_eq!((&now["news"], &now["lost"]["device_down"]), (&Value::Null, &lost.into()), "{now:#}");
+            assert_eq!(cell.down()["unexplained"], 0);
+        }
+    });
+}
+
+#[test]
+fn a_device_that_is_renamed_is_followed() {
+    network("a_device_that_is_renamed_is_followed", || {
+        let cell = lab("renamed", TUNNEL, "tap");
+        // Linux renames none that is up, on some kernels.
+        done(vnic(&cell, "slave1", &["down"]));
+        said(&cell, "slave1", &["ip", "link", "set", "vnic0", "name", "office"]);
+        wait_until("it is told", || status(&cell, "slave1")["device"] == "office");
+        let shown = status(&cell, "slave1");
+        assert_eq!(shown["news"], "the VNIC's device 'vnic0' is called 'office' now");
+        assert_eq!(shown["state"], "down");
+        done(vnic(&cell, "slave1", &["up"]));
+        assert_answers(&cell, "slave1", MASTER);
+        // Also where it is made anew.
+        said(&cell, "slave1", &["ip", "link", "del", "office"]);
+        wait_until("it is gone", || status(&cell, "slave1")["state"] == "gone");
+        assert!(done(vnic(&cell, "slave1", &["up"])).starts_with("office (tap, up): "));
+        assert_answers(&cell, "slave1", MASTER);
+        cell.down();
+    });
+}
+
+#[test]
+fn the_mtu_follows_the_slot_both_ways_and_what_was_asked_for() {
+    network("the_mtu_follows_the_slot_both_ways_and_what_was_asked_for", || {
+        let cell = lab("mtu", TUNNEL, "tap");
+        let is = |mtu: u64| {
+            wait_until(&format!("its MTU is {mtu}"), || status(&cell, "slave1")["mtu"] == mtu);
+            let linux = said(&cell, "slave1", &["ip", "-o", "link", "show", "dev", "vnic0"]);
+            assert!(linux.contains(&format!(" mtu {mtu} ")), "{linux}");
+        };
+        let resize = |size: &str| {
+            assert!(cell.slot("slave1", &["set", &format!("1=625us,size={size}")]).status.success());
+        };
+        is(1_496);
+        resize("500");
+        is(496);
+        assert_eq!(addresses(&status(&cell, "slave1")), ["10.1.0.2/24"], "IPv6 needs 1280");
+        assert_answers(&cell, "slave1", MASTER);
+        resize("1500");
+        is(1_496);
+        wait_until("its address of IPv6 is back", || {
+            addresses(&status(&cell, "slave1")) == ["10.1.0.2/24", "fd00::2/64"]
+        });
+        assert_answers(&cell, "slave1", "fd00::1");
+        set(&cell, &["--mtu", "1300"]);
+        is(1_300);
+        resize("1000");
+        is(996);
+        resize("1400");
+        is(1_300);
+        let shown = status(&cell, "slave1");
+        assert_eq!((&shown["mtu_at_most"], &shown["slot_takes"]), (&1_300.into(), &1_396.into()));
+        // What somebody else sets is no more than the slots take, either.
+        said(&cell, "slave1", &["ip", "link", "set", "vnic0", "mtu", "1450"]);
+        is(1_300);
+        cell.down();
+    });
+}
+
+#[test]
+fn a_vnic_is_set_down_and_up_and_changed_while_it_runs() {
+    network("a_vnic_is_set_down_and_up_and_changed_while_it_runs", || {
+        for mode in MODES {
+            let cell = lab("set", TUNNEL, mode);
+            assert_answers(&cell, "slave1", MASTER);
+            assert!(done(vnic(&cell, "slave1", &["down"])).contains(&format!("vnic0 ({mode}, down): ")));
+            assert!(!answers(&cell, "master", "10.1.0.2"));
+            done(vnic(&cell, "slave1", &["up"]));
+            for to in [MASTER, "fd00::1"] {
+                assert_answers(&cell, "slave1", to);
+            }
+            // Two stations move to another network.
+            for (station, old, new, peer) in [
+                ("slave1", "10.1.0.2/24", "10.7.0.1/24", "10.7.0.2=02:00:00:00:00:01"),
+                ("master", "10.1.0.1/24", "10.7.0.2/24", "10.7.0.1=02:00:00:00:00:02"),
+            ] {
+                done(vnic(&cell, station, &["set", "--address", new, "--no-address", old, "--peer", peer]));
+            }
+            let shown = status(&cell, "slave1");
+            assert_eq!(addresses(&shown), ["10.7.0.1/24", "fd00::2/64"]);
+            assert!(strings(&shown["peers"]).contains(&"10.7.0.2/32=02:00:00:00:00:01"), "{shown:#}");
+            assert_answers(&cell, "slave1", "10.7.0.2");
+            cell.down();
+        }
+    });
+}
+
+#[test]
+fn what_is_refused_changes_nothing() {
+    network("what_is_refused_changes_nothing", || {
+        let cell = lab("nothing", TUNNEL, "tap");
+        let before = status(&cell, "slave1");
+        let group = ["set", "--mtu", "900", "--peer", "10.7.0.3=ff:ff:ff:ff:ff:ff"];
+        let message = refused(vnic(&cell, "slave1", &group));
+        assert!(
+            message.ends_with("slave1': ff:ff:ff:ff:ff:ff is the address of a group: name a station's\n"),
+            "{message}"
+        );
+        // The first can be done, the second cannot.
+        let foreign = ["set", "--address", "10.7.0.2/24", "--no-address", "10.9.0.9/24", "--mtu", "900"];
+        let message = refused(vnic(&cell, "slave1", &foreign));
+        assert!(message.contains("10.9.0.9/24") && message.contains("it has no such address"), "{message}");
+        let after = status(&cell, "slave1");
+        for what in ["mtu", "mtu_at_most", "peers", "addresses"] {
+            assert_eq!(before[what], after[what]);
+        }
+        cell.down();
+    });
+}

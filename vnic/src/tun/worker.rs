@@ -1,5 +1,7 @@
 //! The thread behind a VNIC's device: moves frames, and keeps the device as it is to be.
 
+mod keep;
+
 use std::io;
 use std::os::fd::AsFd;
 use std::sync::Arc;
@@ -12,36 +14,19 @@ use nix::sys::eventfd::EventFd;
 use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
 use rtnet::live::interface::Interface;
-use rtnet::wire::ethernet;
 
 use super::aside::Aside;
 use super::device::kind_of_packet;
-use super::{
-    Change, Device, DeviceStatus, Handle, Mode, Options, Order, OrderError, Shaped, StartError, Status,
-};
-use crate::netlink::{ChangeKind, Heard, Links, Refused, Shaping, Watch};
+use super::{Device, Handle, Mode, Options, Order, StartError, Status};
+use crate::netlink::{Links, Watch};
 use crate::peers::{Peers, Prefix};
 use crate::proxy::PACKET;
-use crate::tunnel::{FRAME, HEAD, Inner, LEAST_MTU, Loss, Mouth};
+use crate::tunnel::{FRAME, HEAD, Inner, Loss, Mouth};
 
 /// Frames moved one way before the other one is looked at.
 const AT_ONCE: usize = 32;
 /// How often it is looked whether slots have changed, milliseconds.
 const LOOK_EVERY: u16 = 100;
-/// The driver's queue: what waits behind the filter, which lets through less than the slots do.
-const DRIVER_QUEUE: u32 = 64;
-/// Of what slots allow, in per mille: so that a queue forms where Linux feels it, not behind.
-const SHAPED: u64 = 985;
-/// The filter's queue, in the time that it takes to empty it.
-const QUEUE_MILLIS: u64 = 100;
-/// At least so many of the largest frames.
-const QUEUE_LEAST: u64 = 16;
-/// What may leave at once after a pause, of the largest frames.
-const BURST: u32 = 4;
-
-/// Below it Linux has no IPv6 on a device.
-const LEAST_MTU_OF_IPV6: usize = 1280;
-
 type Answer = Sender<Result<Status, String>>;
 
 /// What is behind a device: to be run by a thread of its own.
@@ -269,233 +254,6 @@ impl Vnic {
         };
         self.mouth.send_packet(packet, len, station, kind)
     }
-
-    fn obey(&mut self, order: &Order) -> Result<(), OrderError> {
-        match order {
-            Order::Status => return Ok(()),
-            Order::Up if self.device.is_none() => self.make()?,
-            Order::Up => self.set_up()?,
-            Order::Down | Order::Set(_) if self.device.is_none() => {
-                return Err(OrderError::Gone(self.name.clone()));
-            }
-            Order::Down => self.links.set_up(self.index, false)?,
-            Order::Set(change) => self.change(change)?,
-        }
-        // Who asks is told how fast it is fed now, not how fast it was.
-        self.shape();
-        Ok(())
-    }
-
-    /// All of it or, where something is refused, nothing.
-    fn change(&mut self, change: &Change) -> Result<(), OrderError> {
-        let Change { add, remove, peers, .. } = change;
-        if self.mouth.is_proxy() && !(add.is_empty() && remove.is_empty() && peers.is_empty()) {
-            return Err(StartError::OfStation.into());
-        }
-        let mut peers = self.peers.clone();
-        change.peers.iter().try_for_each(|&peer| peers.add(peer))?;
-        let (before, mtu) = (self.links.addresses(self.index)?, self.options.mtu);
-        let had = |prefix: &Prefix| before.contains(&(prefix.ip, prefix.length));
-        if let Err(refused) = self.change_device(change) {
-            // What has just been done can be undone, but for what somebody else has done meanwhile.
-            for prefix in change.add.iter().filter(|prefix| !had(prefix)) {
-                let _ = self.links.remove_address(self.index, prefix.ip, prefix.length);
-            }
-            for prefix in change.remove.iter().filter(|prefix| had(prefix)) {
-                let _ = self.links.add_address(self.index, prefix.ip, prefix.length);
-            }
-            self.options.mtu = mtu;
-            return Err(refused.into());
-        }
-        let addresses = &mut self.options.addresses;
-        for added in &change.add {
-            if !addresses.contains(added) {
-                addresses.push(*added);
-            }
-        }
-        addresses.retain(|own| !change.remove.contains(own));
-        self.peers = peers.with_own(addresses.clone());
-        Ok(())
-    }
-
-    fn change_device(&mut self, change: &Change) -> Result<(), Refused> {
-        for prefix in &change.add {
-            self.links.add_address(self.index, prefix.ip, prefix.length)?;
-        }
-        for prefix in &change.remove {
-            self.links.remove_address(self.index, prefix.ip, prefix.length)?;
-        }
-        self.options.mtu = change.mtu.unwrap_or(self.options.mtu);
-        self.follow_mtu()
-    }
-
-    /// Makes the device.
-    fn make(&mut self) -> Result<(), StartError> {
-        let wanted = Some(self.name.as_str()).filter(|name| !name.is_empty());
-        let device = Device::open(wanted, self.options.mode)?;
-        let name = device.name().to_owned();
-        let gone = || io::Error::other(format!("the device '{name}' is gone again"));
-        let link = self.links.find(&name)?.ok_or_else(gone)?;
-        self.index = link.index;
-        if device.mode() == Mode::Tap {
-            self.links.set_hardware_address(link.index, self.mouth.config().address.0)?;
-        }
-        (self.mtu, self.tried) = (0, None);
-        self.name = name;
-        self.follow_mtu()?;
-        self.set_up()?;
-        self.device = Some(device);
-        self.news = None;
-        Ok(())
-    }
-
-    fn set_up(&mut self) -> Result<(), Refused> {
-        self.links.set_up(self.index, true)?;
-        self.give_addresses()
-    }
-
-    /// Gives it its addresses. Those of IPv6 Linux takes away while it is down, or its MTU is too small for them.
-    fn give_addresses(&mut self) -> Result<(), Refused> {
-        // A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds, and no real-time
-        // route leads there. A kernel without IPv6 has no such switch.
-        let is_off = if self.mouth.is_proxy() { "1" } else { "0" };
-        let _ = std::fs::write(format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name), is_off);
-        let has_room = self.mtu >= LEAST_MTU_OF_IPV6;
-        for prefix in self.options.addresses.iter().filter(|prefix| prefix.ip.is_ipv4() || has_room) {
-            self.links.add_address(self.index, prefix.ip, prefix.length)?;
-        }
-        Ok(())
-    }
-
-    /// Follows slots that have changed.
-    fn follow(&mut self) {
-        if self.looked.elapsed().as_millis() < LOOK_EVERY.into() {
-            return;
-        }
-        self.looked = Instant::now();
-        let dropped = self.socket.as_ref().map_or(0, Tunnelled::take_dropped);
-        self.mouth.lose_many(Loss::QueueFull, dropped);
-        if self.device.is_none() {
-            return;
-        }
-        if let Err(refused) = self.follow_mtu() {
-            self.report(format!("the MTU of '{}' does not follow the slots: {refused}", self.name));
-        }
-        self.shape();
-    }
-
-    fn follow_mtu(&mut self) -> Result<(), Refused> {
-        let mtu = self.mouth.mtu().min(self.options.mtu).clamp(LEAST_MTU, self.mouth.most());
-        let before = std::mem::replace(&mut self.mtu, mtu);
-        if mtu != before {
-            self.links.set_mtu(self.index, mtu)?;
-        }
-        let grows = (before + 1..=mtu).contains(&LEAST_MTU_OF_IPV6);
-        if grows && self.device.is_some() { self.give_addresses() } else { Ok(()) }
-    }
-
-    /// Holds Linux back to what slots allow.
-    fn shape(&mut self) {
-        let turns = self.turns.load(Ordering::Relaxed);
-        if self.tried.replace((turns, self.mtu)) == Some((turns, self.mtu)) {
-            return;
-        }
-        let set = if turns == 0 {
-            self.links
-                .unlimit_rate(self.index)
-                .map(|()| Err("there are no slots: nothing is held back".into()))
-        } else {
-            let shaping = shaping(turns, self.frame_len());
-            self.links.limit_rate(self.index, &shaping).and_then(|()| {
-                self.links.set_queue_length(self.index, DRIVER_QUEUE).map(|()| Ok(shaping.bytes_per_second))
-            })
-        };
-        self.shaped = set.unwrap_or_else(|refused| Err(refused.to_string()));
-    }
-
-    /// The largest frame of the device as Linux counts it.
-    fn frame_len(&self) -> usize {
-        match self.options.mode {
-            Mode::Tap => self.mtu + ethernet::HEADER_LEN,
-            Mode::Tun => self.mtu,
-        }
-    }
-
-    fn hear(&mut self, heard: Heard) {
-        let Heard::Change(change) = heard else {
-            return self.look_at_device();
-        };
-        if self.device.is_none() || change.index != self.index {
-            return;
-        }
-        match change.kind {
-            ChangeKind::Gone => self.look_at_device(),
-            ChangeKind::Is { mtu, .. } => {
-                // Set by somebody else: what the slots do not take would be lost.
-                self.mtu = mtu;
-                if change.name != self.name {
-                    let line = format!("the VNIC's device '{}' is called '{}' now", self.name, change.name);
-                    self.name = change.name;
-                    self.report(line);
-                }
-            }
-        }
-    }
-
-    fn look_at_device(&mut self) {
-        if let (Some(_), Ok(None)) = (&self.device, self.links.get(self.index)) {
-            self.lose_device();
-        }
-    }
-
-    fn lose_device(&mut self) {
-        self.device = None;
-        self.is_full = false;
-        let remedy = "`rtnet vnic up` makes it anew";
-        self.report(format!("the VNIC's device '{}' was deleted by somebody: {remedy}", self.name));
-    }
-
-    fn report(&mut self, line: String) {
-        if self.news.as_ref() != Some(&line) {
-            (self.tell)(&line);
-            self.news = Some(line);
-        }
-    }
-
-    fn status(&mut self) -> Result<Status, Refused> {
-        let device = match self.device.is_some().then(|| self.links.get(self.index)).transpose()?.flatten() {
-            Some(link) => {
-                let addresses = self.links.addresses(link.index)?.into_iter();
-                Some(DeviceStatus {
-                    is_up: link.is_up,
-                    mtu: link.mtu,
-                    addresses: addresses.map(|(ip, length)| Prefix { ip, length }).collect(),
-                    queue_full: link.statistics.send_dropped,
-                })
-            }
-            None => None,
-        };
-        let shaping = match (&self.shaped, &device) {
-            (_, None) => Err("there is no device".into()),
-            (Err(why), _) => Err(why.clone()),
-            (&Ok(bytes_per_second), _) => match self.links.shaping(self.index)? {
-                Some(statistics) => Ok(Shaped { bytes_per_second, statistics }),
-                None => Err("somebody has taken the filter away".into()),
-            },
-        };
-        Ok(Status {
-            name: self.name.clone(),
-            mode: self.options.mode,
-            is_proxy: self.mouth.is_proxy(),
-            device,
-            most: self.options.mtu,
-            slot: self.mouth.mtu(),
-            peers: self.peers.all().to_vec(),
-            shaping,
-            news: self.news.clone(),
-            counts: self.mouth.counts(),
-        })
-    }
 }
 
 /// Linux has the station's address by the device alone.
@@ -505,27 +263,4 @@ fn stand_aside(interface: &Interface, links: &mut Links) -> Result<Aside, StartE
         return Err(StartError::HasAddress(interface.name.clone(), Prefix { ip, length }));
     }
     Aside::at(&interface.name).map_err(|error| StartError::Aside(interface.name.clone(), error))
-}
-
-/// What lets through a little less than so many of the largest frames in 1000 seconds: a small one takes a turn, too.
-fn shaping(turns: u64, frame: usize) -> Shaping {
-    let bytes_per_second = (turns * SHAPED / 1000 * frame as u64 / 1000).max(1);
-    let frames = (turns * QUEUE_MILLIS / 1_000_000).max(QUEUE_LEAST);
-    let (limit, least) = (frames as u32 * frame as u32, frame as u16);
-    Shaping { bytes_per_second, burst: BURST * frame as u32, limit, least }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn linux_is_held_back_to_a_little_less_than_the_turns_of_the_slots() {
-        let every_millisecond = shaping(1_000_000, 1510);
-        assert_eq!(every_millisecond.bytes_per_second, 985 * 1510);
-        assert_eq!((every_millisecond.limit, every_millisecond.least), (100 * 1510, 1510));
-        let seldom = shaping(1_000, 500);
-        assert_eq!((seldom.bytes_per_second, seldom.limit, seldom.burst), (492, 16 * 500, 2000));
-        assert_eq!(shaping(1, 60).bytes_per_second, 1);
-    }
 }

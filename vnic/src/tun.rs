@@ -25,7 +25,7 @@ mod worker;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use nix::sys::eventfd::EventFd;
@@ -194,14 +194,18 @@ pub struct Handle {
 impl Handle {
     /// Gives an order, and waits for what came of it. For the control thread.
     pub fn ask(&self, order: Order) -> Result<Status, String> {
-        let ended = |_| "the VNIC's thread has ended: start the station anew".to_owned();
+        let ended = || "the VNIC's thread has ended: start the station anew".to_owned();
         let (answer, answered) = channel();
-        self.orders.send((order, answer)).map_err(|error| ended(error.to_string()))?;
+        self.orders.send((order, answer)).map_err(|_| ended())?;
         self.ring();
-        answered
-            .recv_timeout(ANSWERED_WITHIN)
-            .map_err(|error| ended(error.to_string()))
-            .and_then(|answer| answer)
+        answered.recv_timeout(ANSWERED_WITHIN).map_err(|error| match error {
+            RecvTimeoutError::Disconnected => ended(),
+            RecvTimeoutError::Timeout => {
+                format!(
+                    "the VNIC's thread has not answered within {ANSWERED_WITHIN:?}: ask how it is, and again"
+                )
+            }
+        })?
     }
 
     /// Says how often a frame may leave: so many turns in 1000 seconds; 0 where there are no slots.

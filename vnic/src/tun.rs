@@ -14,6 +14,7 @@
 //!
 //! The driver's queue drops what finds it full, and whoever sends does not feel it before. So a token bucket filter stands
 //! in front of it, a little slower than the slots: there a connection's own bound holds, and Linux is told of what is dropped.
+//! What waits there is bounded in packets, however short they are: each takes a turn.
 
 #![allow(unsafe_code)]
 #![allow(clippy::disallowed_methods)]

@@ -54,11 +54,11 @@ fn describe(shown: &VnicShown) -> String {
         (Some(rate), _) => {
             let count = |name: &str| grouped(shown.filter.get(name).copied().unwrap_or(0));
             format!(
-                "Linux is held back to {} bytes/s: {} packets passed on, {} dropped, {} bytes wait\n",
+                "Linux is held back to {} bytes/s: {} packets passed on, {} dropped, {} wait\n",
                 grouped(*rate),
                 count("packets"),
                 count("dropped"),
-                count("waiting_bytes")
+                count("waiting")
             )
         }
         (None, Some(why)) => format!("Linux is not held back: {why}\n"),

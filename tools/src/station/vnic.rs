@@ -200,6 +200,7 @@ fn shown(status: Status, pool: PoolShown) -> VnicShown {
                 ("packets", statistics.packets),
                 ("bytes", statistics.bytes),
                 ("dropped", statistics.drops),
+                ("waiting", statistics.waiting),
                 ("waiting_bytes", statistics.backlog),
             ];
             let all = all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect();

@@ -19,7 +19,7 @@ const DRIVER_QUEUE: u32 = 64;
 const SHAPED: u64 = 985;
 /// The filter's queue, in the time that it takes to empty it.
 const QUEUE_MILLIS: u64 = 100;
-/// At least so many of the largest frames.
+/// At least so many frames.
 const QUEUE_LEAST: u64 = 16;
 /// What may leave at once after a pause, of the largest frames.
 const BURST: u32 = 4;
@@ -163,12 +163,18 @@ impl Vnic {
                 .unlimit_rate(self.index)
                 .map(|()| Err("there are no slots: nothing is held back".into()))
         } else {
-            let shaping = shaping(turns, self.frame_len());
-            self.links.limit_rate(self.index, &shaping).and_then(|()| {
-                self.links.set_queue_length(self.index, DRIVER_QUEUE).map(|()| Ok(shaping.bytes_per_second))
-            })
+            self.feed(&shaping(turns, self.frame_len())).map(Ok)
         };
         self.shaped = set.unwrap_or_else(|refused| Err(refused.to_string()));
+    }
+
+    /// At so many bytes a second.
+    fn feed(&mut self, shaping: &Shaping) -> Result<u64, Refused> {
+        if let Some(refused) = self.links.limit_rate(self.index, shaping)? {
+            self.report(format!("short packets may wait longer in front of '{}': {refused}", self.name));
+        }
+        self.links.set_queue_length(self.index, DRIVER_QUEUE)?;
+        Ok(shaping.bytes_per_second)
     }
 
     /// The largest frame of the device as Linux counts it.
@@ -259,9 +265,8 @@ impl Vnic {
 /// What lets through a little less than so many of the largest frames in 1000 seconds: a small one takes a turn, too.
 fn shaping(turns: u64, frame: usize) -> Shaping {
     let bytes_per_second = (turns * SHAPED / 1000 * frame as u64 / 1000).max(1);
-    let frames = (turns * QUEUE_MILLIS / 1_000_000).max(QUEUE_LEAST);
-    let (limit, least) = (frames as u32 * frame as u32, frame as u16);
-    Shaping { bytes_per_second, burst: BURST * frame as u32, limit, least }
+    let limit = (turns * QUEUE_MILLIS / 1_000_000).max(QUEUE_LEAST) as u32;
+    Shaping { bytes_per_second, burst: BURST * frame as u32, longest: frame as u16, limit }
 }
 
 #[cfg(test)]
@@ -272,9 +277,9 @@ mod tests {
     fn linux_is_held_back_to_a_little_less_than_the_turns_of_the_slots() {
         let every_millisecond = shaping(1_000_000, 1510);
         assert_eq!(every_millisecond.bytes_per_second, 985 * 1510);
-        assert_eq!((every_millisecond.limit, every_millisecond.least), (100 * 1510, 1510));
+        assert_eq!((every_millisecond.limit, every_millisecond.longest), (100, 1510));
         let seldom = shaping(1_000, 500);
-        assert_eq!((seldom.bytes_per_second, seldom.limit, seldom.burst), (492, 16 * 500, 2000));
+        assert_eq!((seldom.bytes_per_second, seldom.limit, seldom.burst), (492, 16, 2000));
         assert_eq!(shaping(1, 60).bytes_per_second, 1);
     }
 }

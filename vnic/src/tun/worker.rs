@@ -1,5 +1,6 @@
 //! The thread behind a VNIC's device: moves frames, and keeps the device as it is to be.
 
+mod hold_back;
 mod keep;
 
 use std::io;

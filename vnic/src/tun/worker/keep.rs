@@ -1,28 +1,15 @@
-//! What keeps a VNIC's device as it is to be: its name, addresses, MTU and rate, also where slots change and others do.
+//! What keeps a VNIC's device as it is to be: its name, addresses and MTU, also where slots change and others do.
 
 use std::io;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use rtnet::live::Tunnelled;
-use rtnet::wire::ethernet;
 
-use super::super::{Change, Device, DeviceStatus, Mode, Order, OrderError, Shaped, StartError, Status};
+use super::super::{Change, Device, DeviceStatus, Mode, Order, OrderError, StartError, Status};
 use super::{LOOK_EVERY, Vnic};
-use crate::netlink::{ChangeKind, Heard, Refused, Shaping};
+use crate::netlink::{ChangeKind, Heard, Refused};
 use crate::peers::Prefix;
 use crate::tunnel::{LEAST_MTU, Loss};
-
-/// The driver's queue: what waits behind the filter, which lets through less than the slots do.
-const DRIVER_QUEUE: u32 = 64;
-/// Of what slots allow, in per mille: so that a queue forms where Linux feels it, not behind.
-const SHAPED: u64 = 985;
-/// The filter's queue, in the time that it takes to empty it.
-const QUEUE_MILLIS: u64 = 100;
-/// At least so many frames.
-const QUEUE_LEAST: u64 = 16;
-/// What may leave at once after a pause, of the largest frames.
-const BURST: u32 = 4;
 
 /// Below it Linux has no IPv6 on a device.
 const LEAST_MTU_OF_IPV6: usize = 1280;
@@ -152,39 +139,6 @@ impl Vnic {
         if grows && self.device.is_some() { self.give_addresses() } else { Ok(()) }
     }
 
-    /// Holds Linux back to what slots allow.
-    fn shape(&mut self) {
-        let turns = self.turns.load(Ordering::Relaxed);
-        if self.tried.replace((turns, self.mtu)) == Some((turns, self.mtu)) {
-            return;
-        }
-        let set = if turns == 0 {
-            self.links
-                .unlimit_rate(self.index)
-                .map(|()| Err("there are no slots: nothing is held back".into()))
-        } else {
-            self.feed(&shaping(turns, self.frame_len())).map(Ok)
-        };
-        self.shaped = set.unwrap_or_else(|refused| Err(refused.to_string()));
-    }
-
-    /// At so many bytes a second.
-    fn feed(&mut self, shaping: &Shaping) -> Result<u64, Refused> {
-        if let Some(refused) = self.links.limit_rate(self.index, shaping)? {
-            self.report(format!("short packets may wait longer in front of '{}': {refused}", self.name));
-        }
-        self.links.set_queue_length(self.index, DRIVER_QUEUE)?;
-        Ok(shaping.bytes_per_second)
-    }
-
-    /// The largest frame of the device as Linux counts it.
-    fn frame_len(&self) -> usize {
-        match self.options.mode {
-            Mode::Tap => self.mtu + ethernet::HEADER_LEN,
-            Mode::Tun => self.mtu,
-        }
-    }
-
     pub(super) fn hear(&mut self, heard: Heard) {
         let Heard::Change(change) = heard else {
             return self.look_at_device();
@@ -219,7 +173,7 @@ impl Vnic {
         self.report(format!("the VNIC's device '{}' was deleted by somebody: {remedy}", self.name));
     }
 
-    fn report(&mut self, line: String) {
+    pub(super) fn report(&mut self, line: String) {
         if self.news.as_ref() != Some(&line) {
             (self.tell)(&line);
             self.news = Some(line);
@@ -239,14 +193,7 @@ impl Vnic {
             }
             None => None,
         };
-        let shaping = match (&self.shaped, &device) {
-            (_, None) => Err("there is no device".into()),
-            (Err(why), _) => Err(why.clone()),
-            (&Ok(bytes_per_second), _) => match self.links.shaping(self.index)? {
-                Some(statistics) => Ok(Shaped { bytes_per_second, statistics }),
-                None => Err("somebody has taken the filter away".into()),
-            },
-        };
+        let shaping = self.shaping(device.is_some())?;
         Ok(Status {
             name: self.name.clone(),
             mode: self.options.mode,
@@ -259,27 +206,5 @@ impl Vnic {
             news: self.news.clone(),
             counts: self.mouth.counts(),
         })
-    }
-}
-
-/// What lets through a little less than so many of the largest frames in 1000 seconds: a small one takes a turn, too.
-fn shaping(turns: u64, frame: usize) -> Shaping {
-    let bytes_per_second = (turns * SHAPED / 1000 * frame as u64 / 1000).max(1);
-    let limit = (turns * QUEUE_MILLIS / 1_000_000).max(QUEUE_LEAST) as u32;
-    Shaping { bytes_per_second, burst: BURST * frame as u32, longest: frame as u16, limit }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn linux_is_held_back_to_a_little_less_than_the_turns_of_the_slots() {
-        let every_millisecond = shaping(1_000_000, 1510);
-        assert_eq!(every_millisecond.bytes_per_second, 985 * 1510);
-        assert_eq!((every_millisecond.limit, every_millisecond.longest), (100, 1510));
-        let seldom = shaping(1_000, 500);
-        assert_eq!((seldom.bytes_per_second, seldom.limit, seldom.burst), (492, 16, 2000));
-        assert_eq!(shaping(1, 60).bytes_per_second, 1);
     }
 }

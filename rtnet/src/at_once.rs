@@ -163,11 +163,10 @@ impl<R: Rules> Discipline for AtOnce<R> {
                 None
             }
             Sent::Late(_, frame) | Sent::Guarded(_, frame) => Some(Returned { frame, priority, channel }),
-            // Trying again would keep the loop from ever waiting while the interface is down.
-            Sent::Failed(errno, _) => {
+            Sent::Failed(errno, frame) => {
                 self.status.send_failed += 1;
                 self.note_failed(errno);
-                None
+                Some(Returned { frame, priority, channel })
             }
         }
     }
@@ -183,6 +182,11 @@ impl<R: Rules> Discipline for AtOnce<R> {
 
     fn has_queued(&self) -> bool {
         !self.queue.is_empty()
+    }
+
+    /// Trying again would keep the loop from ever waiting while the interface is down.
+    fn tries_again(&self) -> bool {
+        false
     }
 
     fn put_back(&mut self, frame: Returned) {

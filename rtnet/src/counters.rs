@@ -107,6 +107,8 @@ refusals! {
     IcmpBroadcast = "icmp_broadcast",
     /// An echo that nobody here asked for, or asks for any more.
     IcmpUnexpected = "icmp_unexpected",
+    /// The answer to an echo while as many as are kept have not been looked at by who asked.
+    IcmpBacklog = "icmp_backlog",
     /// An answer is due to an address without a route.
     NoRoute = "no_route",
     /// An answer is due, and the discipline does not take it: no slot, or one too small.

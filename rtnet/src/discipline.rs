@@ -64,6 +64,10 @@ pub trait Discipline: Send {
     fn has_queued(&self) -> bool {
         false
     }
+    /// Whether what the kernel refused is tried again: in the next slot.
+    fn tries_again(&self) -> bool {
+        true
+    }
     /// Puts a frame that missed its slot back before the others of its priority.
     fn put_back(&mut self, frame: Returned);
     /// Largest payload behind the Ethernet header that fits the slot.
@@ -111,6 +115,8 @@ pub trait Service: Send {
     fn still_wanted(&mut self, _frame: &[u8], _priority: Priority) -> bool {
         true
     }
+    /// A frame of its own that the kernel refused does not leave any more.
+    fn given_up(&mut self, _frame: &[u8], _priority: Priority) {}
     /// The slot's frame has left: time for what takes longer.
     fn rest(&mut self) {}
     /// The station is about to wait until it is rung for, or is awake again. Tells whether it should not wait.

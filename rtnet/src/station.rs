@@ -2,7 +2,7 @@
 
 use crate::buf::Buf;
 use crate::counters::{Refusal, Refusals};
-use crate::discipline::{Claimed, Discipline, Opportunity, Sent, Service, SyncState, Transmission};
+use crate::discipline::{Claimed, Discipline, Opportunity, Returned, Sent, Service, SyncState, Transmission};
 use crate::ip::{Exit, Refused, Stack};
 use crate::time::Instant;
 use crate::wire::ethernet::Header;
@@ -82,8 +82,16 @@ impl<D: Discipline> Station<D> {
 
     /// What became of the transmission.
     pub fn on_sent(&mut self, outcome: Sent) {
+        let is_refused = matches!(outcome, Sent::Failed(..));
         let Some(returned) = self.discipline.on_sent(outcome) else { return };
-        if self.services.iter_mut().all(|service| service.still_wanted(&returned.frame, returned.priority)) {
+        if is_refused && !self.discipline.tries_again() {
+            let Returned { frame, priority, .. } = returned;
+            self.services.iter_mut().for_each(|service| service.given_up(&frame, priority));
+        } else if self
+            .services
+            .iter_mut()
+            .all(|service| service.still_wanted(&returned.frame, returned.priority))
+        {
             self.discipline.put_back(returned);
         } else {
             self.stale += 1;

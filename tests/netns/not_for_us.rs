@@ -118,6 +118,26 @@ fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
 }
 
 #[test]
+fn what_was_tunnelled_before_the_vnic_was_there_is_let_go() {
+    if !as_root("what_was_tunnelled_before_the_vnic_was_there_is_let_go") {
+        return;
+    }
+    let (sender, mut port, mut observer, _medium) = network();
+    let mut frame = frame(STATION, EtherType::RTMAC);
+    frame[14..18].copy_from_slice(&[0x08, 0x06, 2, 1]);
+    for sent in 1..=3 {
+        assert!(sender.send(&frame));
+        assert_eq!(seen(&mut observer), 1, "the {sent}. waits in the port's socket now");
+    }
+    port.leave_tunnelled().unwrap();
+    let free = port.pool().available();
+    assert_eq!((woken(&mut port, SHORT), port.pool().available()), ((false, 0), free), "nobody gets it");
+    frame[17] = 0;
+    assert!(sender.send(&frame));
+    assert_eq!(woken(&mut port, LONG), (true, 1), "what is no tunnel's still comes");
+}
+
+#[test]
 fn what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_that_keeps_no_sync_away() {
     let test =
         "what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_that_keeps_no_sync_away";

@@ -16,12 +16,9 @@
 //! socket of its own or for its Linux. So whatever a station sends, the other end need not know whose it was. Routes are the
 //! station's, in both directions: nothing is asked of the medium. Instead of a tunnel, not beside one.
 
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
-
 use rtnet::buf::{Buf, hand_over};
 use rtnet::counters::Refusal;
-use rtnet::discipline::{Opportunity, Outlet, SendError, Service};
+use rtnet::discipline::{Opportunity, Outlet, Service};
 use rtnet::ip::route::{Hop, Routes};
 use rtnet::queue::Priority;
 use rtnet::time::Instant;
@@ -29,33 +26,26 @@ use rtnet::wire::ethernet::{self, Address, EtherType, HEADER_LEN, Header};
 use rtnet::wire::ipv4;
 use zerocopy::IntoBytes;
 
-use crate::tunnel::{Bell, Config, Loss, Mouth, NON_RT, Shared};
+use crate::tunnel::{Bell, Config, End, Loss, Mouth, Shared};
 
 /// Where a packet is put that is to leave, and where it is in a frame that has come.
 pub const PACKET: usize = HEADER_LEN;
 /// The largest packet, in a slot of the largest size.
 pub const MTU: usize = ethernet::MTU;
-/// Packets that are looked at for one turn: those that lead nowhere are not worth more of the time before a slot.
-const LOOKED_AT: usize = 2 * crate::tunnel::AT_ONCE;
 
 /// A proxy: the station's end, and the other one.
 pub fn new(config: Config) -> (Proxy, Mouth) {
     let mouth = Mouth::new(config, true);
-    let proxy = Proxy { shared: mouth.shared.clone(), per_turn: config.per_turn, bell: None };
-    (proxy, mouth)
+    (Proxy(End::of(&mouth)), mouth)
 }
 
 /// The station's end: takes what its sockets have no part in, and sends Linux's packets in turns that nothing else wants.
-pub struct Proxy {
-    shared: Arc<Shared>,
-    per_turn: usize,
-    bell: Option<Bell>,
-}
+pub struct Proxy(End);
 
 impl Proxy {
     /// The same, which rings for who waits at the mouth, for buffers or for what has come: after a slot's send.
     pub fn ringing(self, bell: Bell) -> Self {
-        Self { bell: Some(bell), ..self }
+        Self(self.0.ringing(bell))
     }
 }
 
@@ -71,56 +61,48 @@ impl Service for Proxy {
 
     fn on_unwanted(&mut self, packet: Buf) -> Result<(), Buf> {
         // As many have room as there are buffers.
-        let kept = hand_over(packet, &self.shared.pool).is_ok_and(|own| self.shared.inward.push(own).is_ok());
-        match kept {
-            true => self.shared.counters.received(),
-            false => self.shared.counters.lose(Loss::NoBuffer, 1),
+        let Shared { inward, pool, counters, .. } = &*self.0.shared;
+        match hand_over(packet, pool).is_ok_and(|own| inward.push(own).is_ok()) {
+            true => counters.received(),
+            false => counters.lose(Loss::NoBuffer, 1),
         }
         Ok(())
     }
 
     fn poll(&mut self, slot: &Opportunity, _out: &mut Outlet<'_>) {
-        if let Some(limit) = slot.non_rt {
-            self.shared.mtu.store(limit.min(MTU) as u16, Ordering::Relaxed);
-        }
+        self.0.poll(slot.non_rt.map(|limit| limit.min(MTU)));
     }
 
     fn fill(&mut self, slot: &Opportunity, routes: Option<&Routes>, out: &mut Outlet<'_>) {
-        let Shared { outward, counters, .. } = &*self.shared;
-        let mut left = if slot.non_rt.is_some() { self.per_turn } else { 0 };
-        for _ in 0..LOOKED_AT {
-            let Some(mut frame) = (left > 0).then(|| outward.pop()).flatten() else { break };
-            let Some(station) = routes.and_then(|routes| station_of(&frame, routes)) else {
-                counters.lose(Loss::NoStation, 1);
-                continue;
-            };
+        let queued = self.0.fill(slot, out, |frame| {
+            let station = routes.and_then(|routes| station_of(frame, routes)).ok_or(Loss::NoStation)?;
             frame[..station.0.len()].copy_from_slice(&station.0);
-            match out(frame, Priority::NON_RT, NON_RT) {
-                Ok(()) => {
-                    left -= 1;
-                    counters.sent();
-                }
-                Err((SendError::TooLong { .. }, _)) => counters.lose(Loss::TooLong, 1),
-                Err(_) => counters.lose(Loss::NotQueued, 1),
-            }
-        }
+            Ok(())
+        });
+        self.0.shared.counters.chose(queued);
     }
 
     /// It leaves in the next turn. Nothing in it shows whose it is, but nobody else sends what is not real-time.
     fn still_wanted(&mut self, _frame: &[u8], priority: Priority) -> bool {
         if priority == Priority::NON_RT {
-            self.shared.counters.put_off();
-            self.shared.counters.sent();
+            self.0.shared.counters.put_off();
+            self.0.shared.counters.chose(1);
         }
         true
     }
 
+    fn given_up(&mut self, _frame: &[u8], priority: Priority) {
+        if priority == Priority::NON_RT {
+            self.0.shared.counters.lose(Loss::KernelRefused, 1);
+        }
+    }
+
     fn rest(&mut self) {
-        self.shared.rest(self.bell.as_ref());
+        self.0.rest();
     }
 
     fn sleeps(&mut self, is_asleep: bool) -> bool {
-        self.shared.sleeps(is_asleep)
+        self.0.sleeps(is_asleep)
     }
 }
 

@@ -17,23 +17,26 @@
 //! has a socket of its own for it ([`tun`](crate::tun)), and unwraps it by [`Inner::of`], too.
 
 mod counts;
+mod end;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU16, Ordering, fence};
+use std::sync::atomic::Ordering;
 
-use crossbeam::queue::ArrayQueue;
 use rtmac::tdma::NON_RT_SLOT;
 use rtmac::wire::{FLAG_TUNNEL, RTMAC_VERSION};
 use rtnet::buf::{Buf, Pool, hand_over};
 use rtnet::counters::Refusal;
-use rtnet::discipline::{Channel, Opportunity, Outlet, SendError, Service};
+use rtnet::discipline::{Channel, Opportunity, Outlet, Service};
 use rtnet::ip::route::Routes;
 use rtnet::queue::Priority;
 use rtnet::time::Instant;
 use rtnet::wire::ethernet::{self, Address, EtherType, Header};
 
-pub(crate) use counts::Counters;
 pub use counts::{Counts, Loss};
+pub use end::Bell;
+#[cfg(test)]
+pub(crate) use end::LOOKED_AT;
+pub(crate) use end::{End, Shared};
 
 use crate::proxy;
 
@@ -77,40 +80,16 @@ impl Config {
 /// A tunnel: the station's end, and the other one.
 pub fn new(config: Config) -> (Tunnel, Mouth) {
     let mouth = Mouth::new(config, false);
-    let tunnel = Tunnel { shared: mouth.shared.clone(), per_turn: config.per_turn, bell: None };
-    (tunnel, mouth)
+    (Tunnel(End::of(&mouth)), mouth)
 }
-
-/// What both ends see.
-pub(crate) struct Shared {
-    pub outward: ArrayQueue<Buf>,
-    pub inward: ArrayQueue<Buf>,
-    pub pool: Arc<Pool>,
-    /// What the slot takes, less RTmac's header where there is one.
-    pub mtu: AtomicU16,
-    pub counters: Counters,
-    /// The station waits to be rung.
-    station_sleeps: AtomicBool,
-    /// The other end waits for buffers.
-    mouth_waits: AtomicBool,
-    /// The other end waits for what comes.
-    mouth_sleeps: AtomicBool,
-}
-
-/// What wakes who waits at the mouth for buffers.
-pub type Bell = Box<dyn Fn() + Send>;
 
 /// The station's end: sends what waits in turns that nothing else wants.
-pub struct Tunnel {
-    shared: Arc<Shared>,
-    per_turn: usize,
-    bell: Option<Bell>,
-}
+pub struct Tunnel(End);
 
 impl Tunnel {
     /// The same, which rings once half of the buffers are home if somebody waits for them: after a slot's send.
     pub fn ringing(self, bell: Bell) -> Self {
-        Self { bell: Some(bell), ..self }
+        Self(self.0.ringing(bell))
     }
 }
 
@@ -121,78 +100,47 @@ impl Service for Tunnel {
 
     fn on_frame(&mut self, _rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
         Inner::of(&frame).ok_or(Refusal::Truncated)?;
-        let own = hand_over(frame, &self.shared.pool).map_err(|_| Refusal::PoolEmpty)?;
+        let own = hand_over(frame, &self.0.shared.pool).map_err(|_| Refusal::PoolEmpty)?;
         // As many have room as there are buffers.
-        self.shared.inward.push(own).map_err(|_| Refusal::PoolEmpty)?;
-        self.shared.counters.received();
+        self.0.shared.inward.push(own).map_err(|_| Refusal::PoolEmpty)?;
+        self.0.shared.counters.received();
         Ok(())
     }
 
     fn poll(&mut self, slot: &Opportunity, _out: &mut Outlet<'_>) {
-        if let Some(limit) = slot.non_rt {
-            self.shared.mtu.store(limit.saturating_sub(RTMAC) as u16, Ordering::Relaxed);
-        }
+        self.0.poll(slot.non_rt.map(|limit| limit.saturating_sub(RTMAC)));
     }
 
     fn fill(&mut self, slot: &Opportunity, _routes: Option<&Routes>, out: &mut Outlet<'_>) {
-        let mut left = if slot.non_rt.is_some() { self.per_turn } else { 0 };
-        while left > 0
-            && let Some(frame) = self.shared.outward.pop()
-        {
-            match out(frame, Priority::NON_RT, NON_RT) {
-                Ok(()) => left -= 1,
-                Err((SendError::TooLong { .. }, _)) => self.shared.counters.lose(Loss::TooLong, 1),
-                Err(_) => self.shared.counters.lose(Loss::NotQueued, 1),
-            }
-        }
+        self.0.fill(slot, out, |_| Ok(()));
     }
 
     fn leaves(&mut self, _slot: &Opportunity, frame: &mut [u8]) {
         if is_tunnelled(frame) {
-            self.shared.counters.sent();
+            self.0.shared.counters.chose(1);
         }
     }
 
     /// It leaves in the next turn.
     fn still_wanted(&mut self, frame: &[u8], _priority: Priority) -> bool {
         if is_tunnelled(frame) {
-            self.shared.counters.put_off();
+            self.0.shared.counters.put_off();
         }
         true
     }
 
-    fn rest(&mut self) {
-        self.shared.rest(self.bell.as_ref());
-    }
-
-    fn sleeps(&mut self, is_asleep: bool) -> bool {
-        self.shared.sleeps(is_asleep)
-    }
-}
-
-impl Shared {
-    /// A slot's frame has left: rings for who waits for buffers, once half of them are home, or for what has come.
-    pub fn rest(&self, bell: Option<&Bell>) {
-        let Some(bell) = bell else { return };
-        let is_told =
-            |waits: &AtomicBool| waits.load(Ordering::Relaxed) && waits.swap(false, Ordering::SeqCst);
-        let has_buffers = self.outward.len() <= self.outward.capacity() / 2 && is_told(&self.mouth_waits);
-        let has_come = !self.inward.is_empty() && {
-            // Either it is seen here that the other end sleeps, or over there that something has come.
-            fence(Ordering::SeqCst);
-            is_told(&self.mouth_sleeps)
-        };
-        if has_buffers || has_come {
-            bell();
+    fn given_up(&mut self, frame: &[u8], _priority: Priority) {
+        if is_tunnelled(frame) {
+            self.0.shared.counters.lose(Loss::KernelRefused, 1);
         }
     }
 
-    /// The station is about to wait, or is awake again. Tells whether it should not wait.
-    pub fn sleeps(&self, is_asleep: bool) -> bool {
-        self.station_sleeps.store(is_asleep, Ordering::SeqCst);
-        // Either it is seen here that something waits, or over there that this end sleeps.
-        fence(Ordering::SeqCst);
-        is_asleep && !self.outward.is_empty()
+    fn rest(&mut self) {
+        self.0.rest();
+    }
+
+    fn sleeps(&mut self, is_asleep: bool) -> bool {
+        self.0.sleeps(is_asleep)
     }
 }
 
@@ -207,16 +155,7 @@ pub struct Mouth {
 impl Mouth {
     pub(crate) fn new(config: Config, is_proxy: bool) -> Self {
         let most = if is_proxy { proxy::MTU } else { MTU };
-        let shared = Shared {
-            outward: ArrayQueue::new(config.buffers),
-            inward: ArrayQueue::new(config.buffers),
-            pool: Arc::new(Pool::new(config.buffers)),
-            mtu: AtomicU16::new(most as u16),
-            counters: Counters::default(),
-            station_sleeps: AtomicBool::new(false),
-            mouth_waits: AtomicBool::new(false),
-            mouth_sleeps: AtomicBool::new(false),
-        };
+        let shared = Shared::new(config.buffers, most);
         Self { shared: Arc::new(shared), config, is_proxy }
     }
 
@@ -266,18 +205,12 @@ impl Mouth {
 
     /// Whether the station waits to be rung for what was sent: once for all of it.
     pub fn should_ring(&self) -> bool {
-        fence(Ordering::SeqCst);
-        let asleep = &self.shared.station_sleeps;
-        !self.shared.outward.is_empty()
-            && asleep.load(Ordering::Relaxed)
-            && asleep.swap(false, Ordering::SeqCst)
+        self.shared.should_ring()
     }
 
     /// Has the station ring once there are buffers again ([`Tunnel::ringing`]). Tells whether there are some already.
     pub fn wait_for_buffers(&self) -> bool {
-        self.shared.mouth_waits.store(true, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        self.shared.outward.len() <= self.shared.outward.capacity() / 2
+        self.shared.wait_for_buffers()
     }
 
     /// The oldest frame that has come and was not taken, as it came: for [`Inner::of`].
@@ -287,9 +220,7 @@ impl Mouth {
 
     /// Has the station ring once something has come, or is awake again. Tells whether something has come already.
     pub fn sleeps(&self, is_asleep: bool) -> bool {
-        self.shared.mouth_sleeps.store(is_asleep, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        is_asleep && !self.shared.inward.is_empty()
+        self.shared.mouth_sleeps(is_asleep)
     }
 
     /// Whether it is a [`proxy`]'s, or a tunnel's.

@@ -63,7 +63,8 @@ fn a_frame_that_the_kernel_refuses_is_gone_and_told_of() {
     direct.on_timeout(NOW);
     direct.enqueue(data(&pool, 1), Priority::FIRST, 0).unwrap();
     let chosen = direct.next_transmission(NOW).unwrap();
-    assert!(direct.on_sent(Sent::Failed(100, chosen.frame)).is_none());
+    assert!(direct.on_sent(Sent::Failed(100, chosen.frame)).is_some(), "for who wants to know");
+    assert!(!direct.tries_again());
     let told = direct.next_event().unwrap();
     assert_eq!((told.kind, told.span), (EventKind::SendFailed, Span::from_nanos(100)));
     assert_eq!((sent(&mut direct), direct.status().send_failed, pool.available()), (None, 1, 1));

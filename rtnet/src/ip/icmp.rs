@@ -111,8 +111,10 @@ impl Stack {
                 let which = (identifier, sequence);
                 let left = self.icmp.left.iter().rev().find(|(of, _)| *of == which).map(|(_, at)| *at);
                 let pong = Pong { from, identifier, sequence, len: data.len(), rx, left };
-                let kept = waited && self.icmp.pongs.try_push(pong).is_ok();
-                kept.then_some(()).ok_or(Refusal::IcmpUnexpected)
+                if !waited {
+                    return Err(Refusal::IcmpUnexpected);
+                }
+                self.icmp.pongs.try_push(pong).map_err(|_| Refusal::IcmpBacklog)
             }
         }
     }

@@ -194,7 +194,11 @@ impl Port {
 
     /// From now on what is tunnelled to this station is another socket's ([`Tunnelled`](super::Tunnelled)).
     pub fn leave_tunnelled(&mut self) -> io::Result<()> {
-        filter::accept_only_discipline(&self.control)
+        filter::accept_only_discipline(&self.control)?;
+        // What has come already is let go, as if it had come before: what is tunnelled of it has nobody here to take it.
+        let mut uncounted = PortCounters::default();
+        while drain(&self.control, &self.pool, &mut uncounted, DRAIN_AT_MOST, |_, _| ()) == DRAIN_AT_MOST {}
+        Ok(())
     }
 
     /// From now on the guard, if there is one, drops the frames of all other programs on the interface.

@@ -63,6 +63,38 @@ fn a_station_that_was_not_to_have_one_says_what_to_start_it_with() {
     });
 }
 
+/// Ticks that a process has had of any core, and how many of them make a second.
+fn ticks_of(station: &Station) -> [u64; 2] {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", station.child.id())).unwrap();
+    // Behind the name, which may have spaces, the 12th and 13th: proc(5).
+    let (_, fields) = stat.rsplit_once(')').unwrap();
+    let of = |field: usize| fields.split_whitespace().nth(field).unwrap().parse::<u64>().unwrap();
+    let a_second = nix::unistd::sysconf(nix::unistd::SysconfVar::CLK_TCK).unwrap().unwrap();
+    [of(11) + of(12), a_second as u64]
+}
+
+#[test]
+fn a_station_without_a_master_sleeps_though_linux_has_something_to_send() {
+    network("a_station_without_a_master_sleeps_though_linux_has_something_to_send", || {
+        for more in [&["--ip", "10.0.0.2/24"][..], &[]] {
+            let (medium, name) = (Medium::new(), format!("alone-{}", std::process::id()));
+            let role =
+                ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--slot", "1=2ms", "--name", &name];
+            let station = started(&medium.a, &[&role[..], &["--vnic", "10.1.0.1/24"], more].concat());
+            // Who is the other? Linux asks, and its question waits for a slot.
+            let ping =
+                medium.a.run(|| Command::new("ping").args(["-c", "3", "-W", "1", "10.1.0.9"]).output());
+            assert!(!ping.unwrap().unwrap().status.success());
+            let pool = status_of(&name)["pool"].clone();
+            assert!(pool["free"].as_u64() < pool["capacity"].as_u64(), "something waits: {pool}");
+            let [before, a_second] = ticks_of(&station);
+            std::thread::sleep(std::time::Duration::from_secs(1));
+            let [after, _] = ticks_of(&station);
+            assert!(after - before < a_second / 2, "{} of {a_second} ticks, with {more:?}", after - before);
+        }
+    });
+}
+
 fn started(namespace: &Namespace, options: &[&str]) -> Station {
     let station = Station::start(namespace, options);
     station.wait_for("Ctrl-C ends it");

@@ -1,12 +1,15 @@
 use core::net::Ipv4Addr;
-use std::sync::atomic::AtomicUsize;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rtnet::buf::Pool;
+use rtnet::discipline::SendError;
 use rtnet::ip::route::{HostRoute, Interface, Network, NetworkRoute, Origin};
 use rtnet::time::GlobalTime;
 use rtnet::wire::ipv4::{Fields, Protocol};
 
 use super::*;
+use crate::tunnel::LOOKED_AT;
 
 const STATION: Address = Address([2, 0, 0, 0, 0, 3]);
 const OTHER: Address = Address([2, 0, 0, 0, 0, 1]);

@@ -27,13 +27,15 @@ losses! {
     TooLong = "too_long",
     /// From Linux: the station took it for no slot.
     NotQueued = "not_queued",
+    /// From Linux: the kernel refused it on the station's interface, and without slots there is no next turn.
+    KernelRefused = "kernel_refused",
     /// Neither IPv4 nor IPv6, where only packets go through, or not IPv4, where only that does.
     NotIp = "not_ip",
     /// From Linux: a packet to an address that no station is known to have, or that no route leads to.
     NoStation = "no_station",
     /// For Linux: too short to have a frame inside.
     Truncated = "truncated",
-    /// For Linux: a packet of a real-time route while no buffer was free.
+    /// For Linux: a packet that the station's sockets had no part in, while no buffer of the proxy's was free.
     NoBuffer = "no_buffer",
     /// For Linux: the kernel's queue in front of the tunnel was full.
     QueueFull = "queue_full",
@@ -65,8 +67,8 @@ pub struct Counts {
 }
 
 impl Counters {
-    pub(crate) fn sent(&self) {
-        self.chosen.fetch_add(1, Ordering::Relaxed);
+    pub(crate) fn chose(&self, n: usize) {
+        self.chosen.fetch_add(n as u64, Ordering::Relaxed);
     }
     pub(crate) fn put_off(&self) {
         self.put_off.fetch_add(1, Ordering::Relaxed);
@@ -81,7 +83,9 @@ impl Counters {
     pub(crate) fn now(&self) -> Counts {
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let put_off = of(&self.put_off);
-        let sent = of(&self.chosen).saturating_sub(put_off);
+        // Those are chosen again, or never left.
+        let not_sent = put_off + of(&self.losses[Loss::KernelRefused as usize]);
+        let sent = of(&self.chosen).saturating_sub(not_sent);
         Counts { sent, put_off, received: of(&self.received), losses: self.losses.each_ref().map(of) }
     }
 }

@@ -1,4 +1,5 @@
 use proptest::prelude::*;
+use rtnet::discipline::SendError;
 use rtnet::time::GlobalTime;
 
 use super::*;
@@ -22,22 +23,18 @@ fn turn(size: usize) -> Opportunity {
 fn filled(tunnel: &mut Tunnel, slot: &Opportunity) -> Vec<Vec<u8>> {
     let mut left = Vec::new();
     tunnel.poll(slot, &mut |_, _, _| panic!("it is not real-time"));
-    tunnel.fill(slot, None, &mut |mut frame, priority, channel| {
+    tunnel.fill(slot, None, &mut |frame, priority, channel| {
         assert_eq!((priority, channel), (Priority::NON_RT, 1));
         let limit = slot.non_rt.unwrap();
         if frame.len() > ethernet::HEADER_LEN + limit {
             let got = frame.len() - ethernet::HEADER_LEN;
             return Err((SendError::TooLong { channel, got, limit }, frame));
         }
-        tunnel_leaves(&mut left, &mut frame);
+        left.push(frame.to_vec());
         Ok(())
     });
     left.iter_mut().for_each(|frame| tunnel.leaves(slot, frame));
     left
-}
-
-fn tunnel_leaves(left: &mut Vec<Vec<u8>>, frame: &mut Buf) {
-    left.push(frame.to_vec());
 }
 
 /// Sends an Ethernet frame as the device has read it.
@@ -141,7 +138,7 @@ fn a_frame_that_missed_its_turn_is_not_counted_as_sent() {
 #[test]
 fn whoever_sends_waits_for_buffers_and_is_rung_when_half_of_them_are_home() {
     use std::sync::atomic::AtomicUsize;
-    let (rung, counted) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+    let rung = Arc::new(AtomicUsize::new(0));
     let (tunnel, mouth) = small(4);
     let by = rung.clone();
     let mut tunnel = tunnel.ringing(Box::new(move || {
@@ -152,8 +149,7 @@ fn whoever_sends_waits_for_buffers_and_is_rung_when_half_of_them_are_home() {
     for (sent, expected) in [(1, 0), (2, 1), (3, 1), (4, 1)] {
         filled(&mut tunnel, &turn(1500));
         tunnel.rest();
-        counted.store(rung.load(Ordering::Relaxed), Ordering::Relaxed);
-        assert_eq!(counted.load(Ordering::Relaxed), expected, "after {sent}");
+        assert_eq!(rung.load(Ordering::Relaxed), expected, "after {sent}");
     }
     assert!(mouth.take().is_some() && mouth.wait_for_buffers());
 }
@@ -167,7 +163,51 @@ fn a_station_that_sleeps_is_rung_once_for_all_that_was_sent() {
     assert!(mouth.should_ring() && !mouth.should_ring());
     assert!(!tunnel.sleeps(false));
     assert!(!mouth.should_ring(), "it is awake");
+    tunnel.poll(&turn(1500), &mut |_, _, _| Ok(()));
     assert!(tunnel.sleeps(true), "it had better not: something waits");
+}
+
+#[test]
+fn a_station_without_turns_sleeps_whatever_waits_for_one() {
+    let (mut tunnel, mouth) = small(4);
+    send(&mouth, OTHER, STATION, ARP, &[0; 46]).unwrap();
+    assert!(!tunnel.sleeps(true), "no turn has come");
+    filled(&mut tunnel, &Opportunity { non_rt: None, ..turn(64) });
+    assert!(!tunnel.sleeps(true), "that was none for it");
+    tunnel.poll(&turn(1500), &mut |_, _, _| Ok(()));
+    assert!(tunnel.sleeps(true) && !tunnel.sleeps(true), "once for each time that it was awake");
+}
+
+#[test]
+fn whoever_sends_waits_while_the_last_buffer_is_on_its_way() {
+    let (_tunnel, mouth) = small(1);
+    let frame = mouth.take();
+    assert!(frame.is_some() && mouth.take().is_none());
+    assert!(!mouth.wait_for_buffers(), "nothing waits for a turn, but there is none");
+    drop(frame);
+    assert!(mouth.wait_for_buffers());
+}
+
+#[test]
+fn a_crowd_that_is_too_long_by_now_takes_no_more_time_than_some() {
+    let (mut tunnel, mouth) = small(4 * LOOKED_AT);
+    (0..LOOKED_AT + 1).for_each(|_| send(&mouth, OTHER, STATION, ARP, &[0; 1000]).unwrap());
+    send(&mouth, OTHER, STATION, ARP, &[1; 100]).unwrap();
+    assert!(filled(&mut tunnel, &turn(500)).is_empty());
+    assert_eq!(mouth.counts().lost(Loss::TooLong), LOOKED_AT as u64);
+    assert_eq!(filled(&mut tunnel, &turn(500))[0][18], 1);
+}
+
+#[test]
+fn what_the_kernel_refused_for_good_is_lost_not_sent() {
+    let (mut tunnel, mouth) = small(2);
+    (0..2).for_each(|_| send(&mouth, OTHER, STATION, ARP, &[0; 46]).unwrap());
+    let wire = filled(&mut tunnel, &turn(1500)).remove(0);
+    filled(&mut tunnel, &turn(1500));
+    tunnel.given_up(&wire, Priority::NON_RT);
+    tunnel.given_up(&[0; 60], Priority::LAST_REAL_TIME);
+    let counts = mouth.counts();
+    assert_eq!((counts.sent, counts.losses().collect::<Vec<_>>()), (1, vec![(Loss::KernelRefused, 1)]));
 }
 
 #[test]

@@ -76,6 +76,17 @@ fn a_storm_of_echoes_takes_the_buffers_of_echoes_only() {
 }
 
 #[test]
+fn more_answers_than_are_kept_are_told_from_those_that_nobody_asked_for() {
+    let (mut a, mut b) = pair();
+    ask(&mut a, IP_B, (1, 1), b"").unwrap();
+    assert_eq!(cross(&mut a, &mut b), []);
+    let answer = b.sent().remove(0);
+    let heard: Vec<_> = (0..34).map(|_| a.hears(&answer)).collect();
+    assert!(heard[..32].iter().all(Result::is_ok));
+    assert_eq!(heard[32..], [Err(Refusal::IcmpBacklog); 2]);
+}
+
+#[test]
 fn an_echo_to_all_is_answered_by_nobody_and_one_to_itself_at_once() {
     let (mut a, mut b) = pair();
     ask(&mut a, Ipv4Addr::new(10, 0, 0, 255), (1, 1), b"").unwrap();

@@ -10,31 +10,39 @@ use caps::{CapSet, Capability};
 
 use crate::cell::{Cell, STATIONS};
 use crate::host::{network, skip};
+use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
 /// Of a thread: what it can do now, could take, could pass on, and would pass on.
 const SETS: [&str; 4] = ["CapEff", "CapPrm", "CapInh", "CapAmb"];
 
-/// Threads of a process, and which of their sets of capabilities are not empty.
+/// Threads of a process, and which of their sets of capabilities are not empty: a thread's name, and what is left to it.
 fn capabilities(pid: u32) -> (usize, Vec<String>) {
     let threads: Vec<_> = fs::read_dir(format!("/proc/{pid}/task")).unwrap().flatten().collect();
     let left = |thread: &fs::DirEntry| {
         // One that has just ended has none.
         let status = fs::read_to_string(thread.path().join("status")).unwrap_or_default();
-        let sets = status.lines().filter_map(|line| Some((line, line.split_once(":\t")?)));
-        let some = sets.filter(|(_, (set, bits))| SETS.contains(set) && bits.contains(|bit| bit != '0'));
-        some.map(|(line, _)| line.to_owned()).collect::<Vec<_>>()
+        let lines = || status.lines().filter_map(|line| line.split_once(":\t"));
+        let name = lines().find(|(key, _)| *key == "Name").map_or("", |(_, name)| name);
+        let some = lines().filter(|(set, bits)| SETS.contains(set) && bits.contains(|bit| bit != '0'));
+        some.map(|(set, bits)| format!("{name}: {set} {bits}")).collect::<Vec<_>>()
     };
     (threads.len(), threads.iter().flat_map(left).collect())
 }
 
 #[track_caller]
 fn assert_gives_up_all(pid: u32) -> usize {
+    assert_keeps(pid, &[], 2)
+}
+
+/// Waits until its threads, so many at the least, have these and no others: how many threads there are.
+#[track_caller]
+fn assert_keeps(pid: u32, kept: &[&str], least: usize) -> usize {
     let deadline = Instant::now() + PATIENCE;
     loop {
         let (threads, left) = capabilities(pid);
         // The real-time thread is there from the set-up on.
-        if left.is_empty() && threads >= 2 {
+        if left == kept && threads >= least {
             return threads;
         }
         assert!(Instant::now() < deadline, "still in vain: {threads} threads, {left:?}");
@@ -62,6 +70,27 @@ fn no_thread_of_a_labs_stations_keeps_a_capability() {
             let pid = cell.station(station)["pid"].as_u64().unwrap();
             assert_gives_up_all(pid as u32);
         }
+    });
+}
+
+#[test]
+fn the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything() {
+    network("the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything", || {
+        let medium = Medium::new();
+        let name = format!("admin-{}", std::process::id());
+        let options =
+            ["--interface", "rt0", "--discipline", "nomac", "--vnic", "10.1.0.1/24", "--name", &name];
+        let station = Station::start(&medium.a, &options);
+        station.wait_for("Ctrl-C ends it");
+        // CAP_NET_ADMIN is the twelfth; what it may take is what it has.
+        let kept = ["vnic: CapPrm 0000000000001000", "vnic: CapEff 0000000000001000"];
+        assert_keeps(station.child.id(), &kept, 3);
+        // It does with it what it has it for, and has no more afterwards.
+        for order in [&["set", "--mtu", "900", "--address", "10.1.0.9/24"][..], &["down"], &["up"]] {
+            let output = rtnet().args(["vnic", "-S", &name]).args(order).output().unwrap();
+            assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+        assert_keeps(station.child.id(), &kept, 3);
     });
 }
 

@@ -5,6 +5,7 @@ mod behind;
 mod device;
 mod flood;
 mod packets;
+mod proxied;
 mod seen;
 mod transfers;
 

@@ -18,7 +18,7 @@ use super::sight::Sight;
 use super::timetable::{Timetable, before};
 use super::worst::Worst;
 use crate::report::histogram::SignedHistogram;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, StationPlan};
 use crate::station::traffic::Tag;
 
 pub use queueing::Queueing;
@@ -62,7 +62,8 @@ pub struct Analysis {
     addresses: Vec<Address>,
     /// Whether programs may send in a station's slots, by station.
     has_sockets: Vec<bool>,
-    has_vnic: Vec<bool>,
+    /// Whether what is tunnelled may be, by station.
+    has_tunnel: Vec<bool>,
     /// Which slots there are in which cycles.
     pub timetable: Timetable,
     window: Option<(u32, u32)>,
@@ -130,7 +131,7 @@ impl Analysis {
             rate: scenario.rate,
             addresses: (0..scenario.stations.len()).map(|station| scenario.address(station)).collect(),
             has_sockets: scenario.stations.iter().map(|station| station.ip.is_some()).collect(),
-            has_vnic: scenario.stations.iter().map(|station| station.vnic.is_some()).collect(),
+            has_tunnel: scenario.stations.iter().map(StationPlan::has_tunnel).collect(),
             timetable: Timetable::of(scenario),
             window: None,
             current: None,

@@ -87,13 +87,16 @@ pub fn arguments(
             of.ip.iter().for_each(|of| add("--route", format!("{}={}", of.ip, scenario.address(other))));
         }
     }
-    if let Some(VnicPlan { addresses, mode }) = &plan.vnic {
+    if let Some(VnicPlan { addresses, mode, proxy }) = &plan.vnic {
         add("--vnic-mode", mode.name().into());
         add("--vnic-name", VNIC.into());
         for (other, of) in scenario.stations.iter().enumerate().filter(|(other, _)| *other != station) {
             for prefix in of.vnic.iter().flat_map(|vnic| &vnic.addresses) {
                 add("--vnic-peer", format!("{}={}", prefix.ip, scenario.address(other)));
             }
+        }
+        if *proxy {
+            line.push("--vnic-proxy".into());
         }
         line.push("--vnic".into());
         line.extend(addresses.iter().map(ToString::to_string));

@@ -12,7 +12,7 @@
 //! servo = "linear"          # or "none", as in RTnet: each sync is the time line
 //! delay = "quartile"        # of all calibration rounds; or "median", or "mean", as in RTnet and with servo = "none"
 //! network = "10.0.0.0/24"   # only in a lab: stations have sockets, the master .1, the others .2, .3 ... in their order
-//! vnic_mode = "tap"         # or "tun", packets of IP only: what goes through VNICs
+//! vnic_mode = "tap"         # or "tun", packets of IP only: what goes through VNICs, but for proxies, which are always of packets
 //!
 //! [[station]]
 //! name = "master"
@@ -21,6 +21,7 @@
 //! payload = 64
 //! ip = "10.0.0.7/24"        # only in a lab: an address of its own choice; slots hold 1500 bytes then, if they say no size
 //! vnic = "10.1.0.7/24"      # only in a lab: a VNIC with this address, or several, ["10.1.0.7/24", "fd00::7/64"], or none, []
+//! vnic_proxy = true         # instead of vnic: Linux shares the address that the station has by network or ip
 //! clock = { offset = "120ms", drift_ppm = 12.5 }   # default: random, by the seed
 //! slots = [{ id = 0, offset = "50us", phase = "1/2", size = 64 },
 //!          { id = 2, offset = "500us", joint = 0 }]          # takes from slot 0's queue; of one size
@@ -42,6 +43,7 @@ mod conditions;
 mod shape;
 mod source;
 mod stations;
+mod vnics;
 
 use std::path::Path;
 
@@ -88,7 +90,7 @@ struct NetworkFile {
     servo: Option<ServoName>,
     delay: Option<DelayName>,
     network: Option<Spanned<String>>,
-    vnic_mode: Option<VnicMode>,
+    vnic_mode: Option<Spanned<VnicMode>>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
     host: Option<HostFile>,
@@ -121,7 +123,8 @@ impl Source<'_> {
         let sync_window = network.sync_window.as_ref().map(|window| window.get_ref().0);
         let mut stations = Vec::new();
         for (entry, ip) in network.station.iter().zip(self.addresses(&network)?) {
-            stations.push(self.station(entry, ip, network.vnic_mode.unwrap_or_default())?);
+            let vnic = self.vnic(entry.get_ref(), ip, network.vnic_mode.as_ref())?;
+            stations.push(self.station(entry, ip, vnic)?);
         }
         let asked = network.guard.map(|guard| guard.0);
         let mut scenario = Scenario {

@@ -115,16 +115,23 @@ pub struct StationPlan {
 /// The VNIC of a station.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VnicPlan {
-    /// Its addresses.
+    /// Its addresses; none of a proxy's, which has its station's.
     pub addresses: Vec<Prefix>,
     /// What goes through it.
     pub mode: VnicMode,
+    /// Whether Linux shares the station's address by it, instead of a tunnel's end.
+    pub proxy: bool,
 }
 
 impl StationPlan {
     /// Bytes behind the Ethernet header of the largest frame that it sends.
     pub fn largest_payload(&self) -> usize {
         self.flows.iter().map(|flow| flow.payload).fold(self.payload, usize::max)
+    }
+
+    /// Whether what Linux sends by its VNIC is tunnelled: a proxy's packets are as those of sockets.
+    pub fn has_tunnel(&self) -> bool {
+        self.vnic.as_ref().is_some_and(|vnic| !vnic.proxy)
     }
 
     /// What its slots hold where nothing else is said: whatever it may send.

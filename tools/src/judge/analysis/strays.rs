@@ -56,7 +56,7 @@ impl Analysis {
     pub(super) fn turn_of(&self, at: True, header: &Header) -> Option<Author> {
         let sends = |of: &usize| match header.ether_type() {
             EtherType::EXPERIMENTAL => false,
-            EtherType::RTMAC => self.has_vnic[*of],
+            EtherType::RTMAC => self.has_tunnel[*of],
             _ => self.has_sockets[*of],
         };
         let station = self.station_of(header.source).filter(sends)?;

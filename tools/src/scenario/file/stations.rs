@@ -5,11 +5,10 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet;
 use serde::Deserialize;
 use toml::Spanned;
-use vnic::peers::NotAPrefix;
 
 use super::conditions::{ExpectFile, HostFile, WanderFile};
+use super::vnics::VnicFile;
 use super::{DEFAULT_PAYLOAD, FileError, MAX_DRIFT_PPM, MAX_OFFSET, Source, parse_phase};
-use crate::cli::VnicMode;
 use crate::report::figures::Role;
 use crate::scenario::{MAX_STATIONS, MIN_PAYLOAD, SlotPlan, StationPlan, VnicPlan};
 use crate::station::stack::OwnIp;
@@ -33,6 +32,7 @@ pub(super) struct StationFile {
     pub payload: Option<Spanned<usize>>,
     pub ip: Option<Spanned<String>>,
     pub vnic: Option<Spanned<VnicFile>>,
+    pub vnic_proxy: Option<Spanned<bool>>,
     rounds: Option<Spanned<u32>>,
     pub clock: Option<ClockFile>,
     pub host: Option<HostFile>,
@@ -40,14 +40,6 @@ pub(super) struct StationFile {
     #[serde(default)]
     pub traffic: Vec<Spanned<TrafficFile>>,
     pub slots: Option<Vec<Spanned<SlotFile>>>,
-}
-
-/// The addresses of a station's VNIC: one, or a list, which may be empty.
-#[derive(Deserialize)]
-#[serde(untagged)]
-pub(super) enum VnicFile {
-    One(String),
-    Several(Vec<String>),
 }
 
 #[derive(Clone, Copy, Deserialize, PartialEq)]
@@ -147,7 +139,7 @@ impl Source<'_> {
         &self,
         entry: &Spanned<StationFile>,
         ip: Option<OwnIp>,
-        mode: VnicMode,
+        vnic: Option<VnicPlan>,
     ) -> Result<StationPlan, FileError> {
         let station = entry.get_ref();
         let payload = station.payload.as_ref().map_or(DEFAULT_PAYLOAD, |payload| *payload.get_ref());
@@ -158,11 +150,8 @@ impl Source<'_> {
         }
         let flows = station.traffic.iter().filter_map(|flow| flow.get_ref().payload);
         // A slot that says no size has room for all that its station may send.
-        let widest = if ip.is_some() || station.vnic.is_some() {
-            ethernet::MTU
-        } else {
-            flows.fold(payload, usize::max)
-        };
+        let widest =
+            if ip.is_some() || vnic.is_some() { ethernet::MTU } else { flows.fold(payload, usize::max) };
         let slots = station.slots.iter().flatten().map(|slot| self.slot(slot, payload, widest));
         let mut slots = slots.collect::<Result<Vec<_>, _>>()?;
         for (i, slot) in slots.iter().enumerate() {
@@ -189,22 +178,11 @@ impl Source<'_> {
             clock_drift_ppb: 0,
             payload,
             ip,
-            vnic: station.vnic.as_ref().map(|vnic| self.vnic(vnic, mode)).transpose()?,
+            vnic,
             rounds: station.rounds.as_ref().map_or(DEFAULT_ROUNDS, |rounds| *rounds.get_ref()),
             flows: self.flows(station, payload, &slots)?,
             slots,
         })
-    }
-
-    fn vnic(&self, file: &Spanned<VnicFile>, mode: VnicMode) -> Result<VnicPlan, FileError> {
-        let said = match file.get_ref() {
-            VnicFile::One(one) => std::slice::from_ref(one),
-            VnicFile::Several(several) => several,
-        };
-        let prefix = |said: &String| {
-            said.parse().map_err(|error: NotAPrefix| self.impossible(file.span().start, error))
-        };
-        Ok(VnicPlan { addresses: said.iter().map(prefix).collect::<Result<_, _>>()?, mode })
     }
 
     /// How far it is ahead, and its rate error in parts per billion.

@@ -25,6 +25,7 @@ fn scenario(stations: usize, cycles: u64) -> Scenario {
         rate: Rate::from_bits_per_second(1_000_000_000),
         guard: None,
         seed: 1,
+        vnic: None,
     };
     let mut scenario = uniform.scenario().expect("such a network can be");
     // Joining is not what is measured.

@@ -4,6 +4,7 @@ mod alone;
 mod behind;
 mod device;
 mod flood;
+mod options;
 mod packets;
 mod proxied;
 mod seen;

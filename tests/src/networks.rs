@@ -85,7 +85,16 @@ impl Plan {
         let Verb::Lab(LabVerb::Run(LabRunArgs { stations, cycle, payload, rate, guard, .. })) = verb else {
             panic!("{line}");
         };
-        Uniform { stations, cycle, duration: Span::from_millis(10_000), payload, rate, guard, seed: 1 }
+        Uniform {
+            stations,
+            cycle,
+            duration: Span::from_millis(10_000),
+            payload,
+            rate,
+            guard,
+            seed: 1,
+            vnic: None,
+        }
     }
 
     /// The network that a lab with these options would be.

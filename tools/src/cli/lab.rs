@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use rtmac::tdma::schedule::Rate;
+use rtnet::ip::route::Network;
 use rtnet::time::Span;
 
+use super::VnicMode;
 use crate::control::{Place, parse_name};
 use crate::scenario::SlotGuard;
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
@@ -137,6 +139,13 @@ pub struct LabRunArgs {
     /// [default: the rest of the slot]
     #[arg(long, value_parser = parse_nonnegative_span, conflicts_with = "file")]
     pub guard: Option<Span>,
+    /// Give every station a VNIC with an address of this network, as 10.1.0.0/24: the master .1, the others .2, .3 ... Slots hold
+    /// 1500 bytes then
+    #[arg(long, value_name = "NETWORK", conflicts_with = "file")]
+    pub vnic: Option<Network>,
+    /// What goes through VNICs: tap, Ethernet frames of any type; tun, packets of IP only [default: tap]
+    #[arg(long, value_name = "MODE", requires = "vnic", conflicts_with = "file")]
+    pub vnic_mode: Option<VnicMode>,
     /// What keeps stations from sending later than their slots allow [default: auto, or what the file says]
     #[arg(long)]
     pub slot_guard: Option<SlotGuard>,

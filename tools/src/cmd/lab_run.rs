@@ -8,7 +8,7 @@ use crate::cli::LabRunArgs;
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
 use crate::report::screen;
-use crate::scenario::{self, MAX_LAB_STATIONS, Scenario, Uniform};
+use crate::scenario::{self, MAX_LAB_STATIONS, Scenario, Uniform, UniformVnic};
 use crate::sim;
 
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
@@ -67,6 +67,7 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
             rate: args.rate,
             guard: args.guard,
             seed: args.seed.unwrap_or(DEFAULT_SEED),
+            vnic: args.vnic.map(|network| UniformVnic { network, mode: args.vnic_mode.unwrap_or_default() }),
         }
         .scenario()?,
     };

@@ -201,7 +201,7 @@ pub fn share_later(histogram: &SignedHistogram, limit: Span) -> f64 {
 fn network(stations: usize, cycle: Span) -> Option<Scenario> {
     let duration = Span::from_millis(1_000);
     let (payload, rate) = (PAYLOAD, RATE);
-    Uniform { stations, cycle, duration, payload, rate, guard: None, seed: 1 }.scenario().ok()
+    Uniform { stations, cycle, duration, payload, rate, guard: None, seed: 1, vnic: None }.scenario().ok()
 }
 
 /// The share of time in which a slave has woken in time but must be silent: the last sync and the one

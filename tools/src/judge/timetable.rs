@@ -200,6 +200,7 @@ mod tests {
             rate: Rate::from_bits_per_second(1_000_000_000),
             guard: None,
             seed: 1,
+            vnic: None,
         };
         let scenario = uniform.scenario().unwrap();
         (Timetable::of(&scenario), scenario.stations[1].slots[0])

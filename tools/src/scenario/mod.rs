@@ -7,6 +7,7 @@ mod conditions;
 mod expectation;
 mod file;
 mod follow;
+mod places;
 mod uniform;
 mod wires;
 
@@ -30,7 +31,7 @@ pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Place, Source, load, parse_phase, read_text};
 pub use follow::{DelayName, DelayPolicy, ServoName};
-pub use uniform::{ScenarioError, Uniform};
+pub use uniform::{ScenarioError, Uniform, UniformVnic};
 pub use wires::{Direction, Effects, Wire};
 
 use uniform::divide;

@@ -2,14 +2,19 @@
 
 use rtmac::tdma::schedule::{self, Conflict, Rate};
 use rtmac::tdma::{LatePolicy, Refused, check_cycle};
+use rtnet::ip::route::Network;
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
+use vnic::peers::Prefix;
 
+use super::places::{self, TooSmall};
 use super::{
     Conditions, MAX_STATIONS, MIN_PAYLOAD, SYNC_WINDOW, SYNC_WINDOW_PARTS, Scenario, ServoName, SlotGuard,
-    SlotPlan, StationPlan,
+    SlotPlan, StationPlan, VnicPlan,
 };
+use crate::cli::VnicMode;
 use crate::report::figures::Role;
+use crate::station::stack::NotOwnIp;
 
 /// Where a cycle is divided among many stations so much for each: a lab's master delivers its Synchronisation to one port
 /// of the bridge after the other, while it sends it.
@@ -32,6 +37,17 @@ pub struct Uniform {
     pub guard: Option<Span>,
     /// Everything random follows from it.
     pub seed: u64,
+    /// What VNIC every station has, if any.
+    pub vnic: Option<UniformVnic>,
+}
+
+/// A VNIC for every station.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UniformVnic {
+    /// Where they have their addresses: the master the first one, the others the next.
+    pub network: Network,
+    /// What goes through them.
+    pub mode: VnicMode,
 }
 
 /// Why a network cannot be.
@@ -46,6 +62,15 @@ pub enum ScenarioError {
     /// The slots do not go together.
     #[error("{0}")]
     Conflict(Conflict),
+    /// They do without VNICs, perhaps.
+    #[error("{0}; with --vnic slots hold {max} bytes, for what is tunnelled", max = ethernet::MTU)]
+    ConflictOfVnics(Conflict),
+    /// No addresses for all VNICs.
+    #[error("{0}: say --vnic {larger}", larger = .0.larger)]
+    TooSmall(TooSmall),
+    /// No addresses of VNICs.
+    #[error("--vnic {0}: {1}")]
+    NotOwnIp(Network, NotOwnIp),
     /// No station would take it.
     #[error(transparent)]
     Refused(#[from] Refused),
@@ -55,7 +80,7 @@ impl Uniform {
     /// The network: slots of equal length after the sync window, the master's first. A guard band that is less than
     /// the rest of the slot moves no slot, but makes less of it usable.
     pub fn scenario(&self) -> Result<Scenario, ScenarioError> {
-        let &Uniform { stations: n, cycle, duration, payload, rate, guard, seed } = self;
+        let &Uniform { stations: n, cycle, duration, payload, rate, guard, seed, vnic } = self;
         if !(2..=MAX_STATIONS).contains(&n) {
             return Err(ScenarioError::Stations(n));
         }
@@ -63,11 +88,14 @@ impl Uniform {
             return Err(ScenarioError::Payload(payload));
         }
         check_cycle(cycle)?;
-        let (sync_window, length) =
-            divide(cycle, None, rate, n, payload, guard).map_err(ScenarioError::Conflict)?;
-        let air = rate.air_time(payload + ethernet::HEADER_LEN);
+        let vnics = vnic.map_or_else(|| Ok(vec![None; n]), |vnic| vnic.plans(n))?;
+        let conflict = if vnic.is_some() { ScenarioError::ConflictOfVnics } else { ScenarioError::Conflict };
+        let size = if vnic.is_some() { ethernet::MTU } else { payload };
+        let (sync_window, length) = divide(cycle, None, rate, n, size, guard).map_err(conflict)?;
+        let air = rate.air_time(size + ethernet::HEADER_LEN);
         let stations = (0..n)
-            .map(|k| StationPlan {
+            .zip(vnics)
+            .map(|(k, vnic)| StationPlan {
                 name: if k == 0 { "master".into() } else { format!("slave{k}") },
                 role: if k == 0 { Role::Master } else { Role::Slave },
                 backup: None,
@@ -76,14 +104,14 @@ impl Uniform {
                 clock_drift_ppb: 0,
                 payload,
                 ip: None,
-                vnic: None,
+                vnic,
                 rounds: rtmac::tdma::DEFAULT_ROUNDS,
                 slots: vec![SlotPlan {
                     id: 0,
                     offset: sync_window + length * k as i64,
                     phase: 0,
                     period: 1,
-                    size: payload,
+                    size,
                     joint: None,
                 }],
                 flows: Vec::new(),
@@ -107,6 +135,20 @@ impl Uniform {
             conditions,
         };
         Ok(scenario.with_random_clocks())
+    }
+}
+
+impl UniformVnic {
+    /// Of each station, the master's first.
+    fn plans(self, stations: usize) -> Result<Vec<Option<VnicPlan>>, ScenarioError> {
+        let Self { network, mode } = self;
+        places::check(network, stations).map_err(ScenarioError::TooSmall)?;
+        let plan = |place| {
+            let own = places::address(network, place).map_err(|why| ScenarioError::NotOwnIp(network, why))?;
+            let addresses = vec![Prefix { ip: own.ip.into(), length: own.prefix }];
+            Ok(Some(VnicPlan { addresses, mode, proxy: false }))
+        };
+        (0..stations as u32).map(plan).collect()
     }
 }
 
@@ -147,7 +189,43 @@ mod tests {
             rate: Rate::from_bits_per_second(1_000_000_000),
             guard: None,
             seed: 1,
+            vnic: None,
         }
+    }
+
+    fn with_vnics(stations: usize, network: &str, mode: VnicMode) -> Uniform {
+        let vnic = Some(UniformVnic { network: network.parse().unwrap(), mode });
+        Uniform { vnic, ..uniform(stations, Span::from_millis(1)) }
+    }
+
+    #[test]
+    fn vnics_mean_the_same_as_an_option_and_in_a_file() {
+        for (mode, line) in [(VnicMode::Tap, ""), (VnicMode::Tun, "vnic_mode = \"tun\"\n")] {
+            let names = [("master", "master", 1), ("slave1", "slave", 2), ("slave2", "slave", 3)];
+            let stations = names.map(|(name, role, n)| {
+                format!("[[station]]\nname = \"{name}\"\nrole = \"{role}\"\nvnic = \"10.1.0.{n}/24\"\n")
+            });
+            let text = format!("cycle = \"1ms\"\nduration = \"1s\"\n{line}{}", stations.concat());
+            let by_file = Source::new("net.toml", &text).parse().unwrap();
+            assert_eq!(with_vnics(3, "10.1.0.0/24", mode).scenario().unwrap(), by_file);
+        }
+    }
+
+    #[test]
+    fn vnics_that_cannot_be_are_refused_with_the_remedy() {
+        let refused = |uniform: Uniform| uniform.scenario().unwrap_err().to_string();
+        assert_eq!(
+            refused(with_vnics(4, "10.1.0.0/30", VnicMode::Tap)),
+            "10.1.0.0/30 has addresses for 2 stations, and there are 4: say --vnic 10.1.0.0/29"
+        );
+        let loopback = refused(with_vnics(2, "127.0.0.0/8", VnicMode::Tap));
+        assert!(
+            loopback.starts_with("--vnic 127.0.0.0/8: '127.0.0.1/8' is a loopback address"),
+            "{loopback}"
+        );
+        let short = Uniform { cycle: Span::from_micros(50), ..with_vnics(4, "10.1.0.0/24", VnicMode::Tap) };
+        let short = refused(short);
+        assert!(short.ends_with("; with --vnic slots hold 1500 bytes, for what is tunnelled"), "{short}");
     }
 
     #[test]

@@ -40,6 +40,7 @@ impl Bench {
             rate: Rate::from_bits_per_second(100_000_000),
             guard: None,
             seed: 1,
+            vnic: None,
         };
         let mut scenario = scenario.scenario().unwrap().with_ideal_clocks();
         change(&mut scenario);

@@ -7,12 +7,8 @@ use toml::Spanned;
 
 use super::stations::{FileRole, StationFile};
 use super::{FileError, NetworkFile, Source};
+use crate::scenario::places::{self, TooSmall};
 use crate::station::stack::OwnIp;
-
-/// Addresses of a network with so many leading bits that stations may have: neither its own nor the one of all.
-fn room(prefix: u8) -> u64 {
-    (1_u64 << (32 - u32::from(prefix.min(32)))).saturating_sub(2)
-}
 
 impl Source<'_> {
     /// The address of each station that has one, in the order of the file. With a `network` all have: the master the first
@@ -54,22 +50,14 @@ impl Source<'_> {
     fn network(&self, said: &Spanned<String>, stations: usize) -> Result<Network, FileError> {
         let at = said.span().start;
         let network: Network = said.get_ref().parse().map_err(|error| self.impossible(at, error))?;
-        let (room_of, needed) = (room(network.prefix()), stations as u64);
-        if room_of >= needed {
-            return Ok(network);
-        }
-        let enough = (1..=30).rev().find(|&prefix| room(prefix) >= needed).unwrap_or(8);
-        let larger = Network::new(network.address(), enough);
-        let what = format!(
-            "{network} has addresses for {room_of} stations, and there are {stations}: write network = \"{larger}\""
-        );
-        Err(self.impossible(at, what))
+        let small = |small: TooSmall| format!("{small}: write network = \"{}\"", small.larger);
+        places::check(network, stations).map_err(|error| self.impossible(at, small(error)))?;
+        Ok(network)
     }
 
     fn by_place(&self, file: &NetworkFile, network: Network, place: u32) -> Result<OwnIp, FileError> {
-        let ip = Ipv4Addr::from_bits(network.address().to_bits() + place + 1);
         let at = file.network.as_ref().map_or(0, |said| said.span().start);
-        format!("{ip}/{}", network.prefix()).parse().map_err(|error| self.impossible(at, error))
+        places::address(network, place).map_err(|error| self.impossible(at, error))
     }
 
     /// What a station says of its own; in a network the prefix is that one's.

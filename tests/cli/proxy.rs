@@ -196,6 +196,45 @@ fn two_stations_share_their_addresses_with_linux() {
 }
 
 #[test]
+fn what_a_killed_proxy_leaves_the_next_station_at_its_interface_puts_back() {
+    network("what_a_killed_proxy_leaves_the_next_station_at_its_interface_puts_back", || {
+        let medium = Medium::new();
+        let direct = ["--discipline", "direct"];
+        let proxy = |name| {
+            let station = start(&medium.a, &direct, &[], name, IP_A);
+            station.wait_for("Ctrl-C ends it");
+            station
+        };
+        let plain = |namespace, name| {
+            let station =
+                Station::start(namespace, &[&direct[..], &["--interface", "rt0", "--name", name]].concat());
+            station.wait_for("Ctrl-C ends it");
+            station
+        };
+        let kill = |mut station: Station| {
+            station.child.kill().unwrap();
+            station.child.wait().unwrap();
+        };
+        // What is somebody's own stays.
+        medium.a.run(|| std::fs::write("/proc/sys/net/ipv4/conf/rt0/rp_filter", "1").unwrap()).unwrap();
+        kill(proxy("killed-1"));
+        assert_eq!(asked(&medium.a), ["1", "1"]);
+        assert_eq!(plain(&medium.b, "elsewhere").end(), Some(0));
+        assert_eq!(asked(&medium.a), ["1", "1"], "another interface, of another namespace");
+        assert_eq!(plain(&medium.a, "next-1").end(), Some(0));
+        assert_eq!(asked(&medium.a), ["1", "0"], "put back, by one without a proxy");
+        medium.a.run(|| std::fs::write("/proc/sys/net/ipv4/conf/rt0/rp_filter", "0").unwrap()).unwrap();
+        kill(proxy("killed-2"));
+        let next = proxy("next-2");
+        assert_eq!(asked(&medium.a), ["1", "1"]);
+        assert_eq!(plain(&medium.a, "beside").end(), Some(0));
+        assert_eq!(asked(&medium.a), ["1", "1"], "a proxy that runs keeps what it has");
+        assert_eq!(next.end(), Some(0));
+        assert_eq!(asked(&medium.a), ["0", "0"], "as before the one that was killed");
+    });
+}
+
+#[test]
 fn stations_without_rtmac_share_their_addresses_with_linux() {
     network("stations_without_rtmac_share_their_addresses_with_linux", || {
         let medium = Medium::new();

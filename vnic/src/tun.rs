@@ -24,6 +24,7 @@ mod device;
 mod worker;
 
 use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -36,6 +37,7 @@ use crate::netlink::{Refused, ShapingStatistics};
 use crate::peers::{Peer, PeerError, Prefix};
 use crate::tunnel::Counts;
 
+pub use aside::put_back;
 pub use device::{Device, Mode, OpenError};
 pub use worker::Vnic;
 
@@ -57,6 +59,8 @@ pub struct Options {
     pub peers: Vec<Peer>,
     /// What it is tunnelled through.
     pub interface: Interface,
+    /// A directory in which a proxy notes what it changes of Linux's, for [`put_back`] if it is killed.
+    pub notes: Option<PathBuf>,
 }
 
 /// Why there is no VNIC. The station runs on without.

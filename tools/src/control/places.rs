@@ -6,6 +6,7 @@
 //!   LAB/.lock  LAB/.sock          a lab; no station's name begins with a dot
 //!   LAB/STATION.sock              a station of it
 //!   .load-PID                     what a lab takes of a core, see `loads.rs`
+//!   .aside-NAMESPACE-INTERFACE    what a proxy has changed of Linux's there, see `vnic::tun`
 //! ```
 //!
 //! A name belongs to whoever holds the lock on its file; the kernel gives it up with the process. Everything

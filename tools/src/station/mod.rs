@@ -24,6 +24,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use ::vnic::tun::put_back;
 use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
 use nix::sys::eventfd::{EfdFlags, EventFd};
@@ -182,7 +183,13 @@ pub fn set_up(options: Options) -> Result<Ready> {
     };
     let asker = programs.as_ref().map(|programs| programs.echoes.asker());
     let has_slots = options.access.tdma().is_some();
-    let opened = options.vnic.as_ref().map(|vnic| vnic::open(vnic, &interface, &mut port, has_slots, &stop));
+    // A lab's namespaces go with it.
+    let notes = options.lab.is_none().then(vnic::notes).flatten();
+    if let Some(notes) = &notes {
+        put_back(&interface, notes);
+    }
+    let opened = options.vnic.as_ref();
+    let opened = opened.map(|vnic| vnic::open(vnic, (&interface, notes), &mut port, has_slots, &stop));
     let (vnic, tunnel, vnic_refused) = match opened {
         Some(Ok((vnic, tunnel))) => (Some(vnic), Some(tunnel), None),
         Some(Err(why)) => (None, None, Some(why)),

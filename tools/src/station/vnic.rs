@@ -1,6 +1,7 @@
 //! A station's VNIC: what it is to be, its thread, and what the control thread says of it.
 
 use std::io::Write;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
@@ -20,7 +21,7 @@ use vnic::tunnel::{self, AT_ONCE, Config};
 
 use super::access::AccessStatus;
 use super::stack::OwnIp;
-use crate::control::{PoolShown, VnicChange, VnicRequest, VnicShown};
+use crate::control::{Directory, PoolShown, VnicChange, VnicRequest, VnicShown};
 
 /// Stack of its thread.
 const STACK: usize = 256 * 1024;
@@ -74,11 +75,17 @@ pub struct Told {
     pool: Arc<Pool>,
 }
 
+/// Where this user's stations note what they change of Linux's: beside their sockets, if there are to be any.
+pub fn notes() -> Option<PathBuf> {
+    let directory = Directory::of_user();
+    (directory.path().exists() && directory.check().is_ok()).then(|| directory.path().to_owned())
+}
+
 /// Makes the device, and what the station has of the tunnel. Where that cannot be, a line says why, and the station goes
 /// without.
 pub fn open(
     options: &VnicOptions,
-    interface: &Interface,
+    (interface, notes): (&Interface, Option<PathBuf>),
     port: &mut Port,
     has_slots: bool,
     stop: &Arc<AtomicBool>,
@@ -112,6 +119,7 @@ pub fn open(
         mtu: options.mtu,
         peers: options.peers.clone(),
         interface: interface.clone(),
+        notes,
     };
     let tell = Box::new(|line: &str| {
         // Nobody may read it any more; `rtnet vnic status` tells it, too.

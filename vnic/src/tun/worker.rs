@@ -14,7 +14,6 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
-use rtnet::live::interface::Interface;
 
 use super::aside::Aside;
 use super::device::kind_of_packet;
@@ -82,7 +81,7 @@ impl Vnic {
         let refused = |error| StartError::Socket(options.interface.name.clone(), error);
         let mut links = Links::open()?;
         let (socket, aside) = match mouth.is_proxy() {
-            true => (None, Some(stand_aside(&options.interface, &mut links)?)),
+            true => (None, Some(stand_aside(&options, &mut links)?)),
             false => {
                 let socket = Tunnelled::open(&options.interface, mouth.config().keeps_source);
                 (Some(socket.map_err(refused)?), None)
@@ -258,10 +257,11 @@ impl Vnic {
 }
 
 /// Linux has the station's address by the device alone.
-fn stand_aside(interface: &Interface, links: &mut Links) -> Result<Aside, StartError> {
+fn stand_aside(options: &Options, links: &mut Links) -> Result<Aside, StartError> {
+    let Options { interface, notes, .. } = options;
     let addresses = links.addresses(interface.index)?;
     if let Some(&(ip, length)) = addresses.iter().find(|(ip, _)| ip.is_ipv4()) {
         return Err(StartError::HasAddress(interface.name.clone(), Prefix { ip, length }));
     }
-    Aside::at(&interface.name).map_err(|error| StartError::Aside(interface.name.clone(), error))
+    Aside::at(interface, notes.as_deref()).map_err(|error| StartError::Aside(interface.name.clone(), error))
 }

@@ -193,7 +193,7 @@ fn driver(
             GuardMode::Auto,
         );
         let mut port = port.unwrap();
-        let (vnic, tunnel) = vnic::open(&options, &interface, &mut port, true, &stop).unwrap();
+        let (vnic, tunnel) = vnic::open(&options, (&interface, None), &mut port, true, &stop).unwrap();
         (port, vnic, tunnel)
     };
     let (port, vnic, tunnel) = namespace.run(open).unwrap();

@@ -47,6 +47,11 @@ pub enum PeerError {
     Group(Address),
 }
 
+/// Not an address that a host may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0} is the address of a group, of all or of nobody: a device has one of its own, as 10.0.0.2/24")]
+pub struct NotAHosts(pub Prefix);
+
 impl Peers {
     /// A table for a device with these addresses.
     pub fn new(own: Vec<Prefix>) -> Self {
@@ -100,6 +105,15 @@ impl Prefix {
     /// Whether an address is one of these.
     pub fn contains(&self, ip: IpAddr) -> bool {
         Prefix { ip, ..*self }.masked() == self.masked() && ip.is_ipv4() == self.ip.is_ipv4()
+    }
+
+    /// The same, if its address may be a host's.
+    pub fn of_a_host(self) -> Result<Self, NotAHosts> {
+        let is_of_one = match self.ip {
+            IpAddr::V4(ip) => !(ip.is_multicast() || ip.is_broadcast() || self.is_all(ip)),
+            IpAddr::V6(ip) => !ip.is_multicast(),
+        };
+        if is_of_one && !self.ip.is_unspecified() { Ok(self) } else { Err(NotAHosts(self)) }
     }
 
     /// Whether it is the address of all hosts of an IPv4 network.

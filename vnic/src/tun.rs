@@ -34,7 +34,7 @@ use nix::sys::eventfd::EventFd;
 use rtnet::live::interface::Interface;
 
 use crate::netlink::{Refused, ShapingStatistics};
-use crate::peers::{Peer, PeerError, Prefix};
+use crate::peers::{NotAHosts, Peer, PeerError, Prefix};
 use crate::tunnel::Counts;
 
 pub use aside::put_back;
@@ -93,6 +93,9 @@ pub enum StartError {
     /// A station that cannot be one.
     #[error("no VNIC: {0}")]
     Peer(#[from] PeerError),
+    /// An address that cannot be a device's.
+    #[error("no VNIC: {0}")]
+    Address(#[from] NotAHosts),
     /// The host is out of something.
     #[error("no VNIC: {0}")]
     Host(#[from] io::Error),
@@ -113,6 +116,12 @@ pub enum OrderError {
     /// A station that cannot be one.
     #[error(transparent)]
     Peer(#[from] PeerError),
+    /// An address that cannot be a device's.
+    #[error(transparent)]
+    Address(#[from] NotAHosts),
+    /// Linux has an address of IPv6 only once, and the device is to have it with another prefix already.
+    #[error("it is to have {0} already: take that away (`--no-address {0}`), or leave {1} out")]
+    OtherPrefix(Prefix, Prefix),
 }
 
 /// What a running VNIC may be told.
@@ -158,6 +167,8 @@ pub struct Status {
     pub slot: usize,
     /// Which station has which address.
     pub peers: Vec<Peer>,
+    /// What keeps the device from what it is to be, a line each.
+    pub remarks: Vec<String>,
     /// What holds back what Linux sends, or why nothing does.
     pub shaping: Result<Shaped, String>,
     /// The last thing that happened to the device that nobody here has asked for.

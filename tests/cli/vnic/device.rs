@@ -93,7 +93,13 @@ fn the_mtu_follows_the_slot_both_ways_and_what_was_asked_for() {
         is(1_496);
         resize("500");
         is(496);
-        assert_eq!(addresses(&status(&cell, "slave1")), ["10.1.0.2/24"], "IPv6 needs 1280");
+        let waits = "IPv6 waits: it needs an MTU of 1280 (fd00::2/64)";
+        let shown = status(&cell, "slave1");
+        assert_eq!(
+            (addresses(&shown), strings(&shown["remarks"])),
+            (vec!["10.1.0.2/24".into()], vec![waits])
+        );
+        assert!(done(vnic(&cell, "slave1", &["status"])).contains(&format!("{waits}\n")));
         assert_answers(&cell, "slave1", MASTER);
         resize("1500");
         is(1_496);
@@ -138,6 +144,11 @@ fn a_vnic_is_set_down_and_up_and_changed_while_it_runs() {
             let shown = status(&cell, "slave1");
             assert_eq!(addresses(&shown), ["10.7.0.1/24", "fd00::2/64"]);
             assert!(strings(&shown["peers"]).contains(&"10.7.0.2/32=02:00:00:00:00:01"), "{shown:#}");
+            assert_answers(&cell, "slave1", "10.7.0.2");
+            // Within their network, too: with an address Linux takes those away that came after it.
+            set(&cell, &["--address", "10.7.0.9/24", "--no-address", "10.7.0.1/24"]);
+            assert_eq!(addresses(&status(&cell, "slave1")), ["10.7.0.9/24", "fd00::2/64"]);
+            set(&cell, &["--address", "10.7.0.1/24", "--no-address", "10.7.0.9/24"]);
             assert_answers(&cell, "slave1", "10.7.0.2");
             cell.down();
         }

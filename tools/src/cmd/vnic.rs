@@ -49,6 +49,7 @@ fn describe(shown: &VnicShown) -> String {
         0 => String::new(),
         _ => format!("MTU {mtu}: the slot takes {slot_takes}, {mtu_at_most} at the most\n"),
     };
+    text += &shown.remarks.iter().map(|remark| format!("{remark}\n")).collect::<String>();
     text += &peers.iter().map(|peer| format!("station {}\n", peer.replace('=', " is "))).collect::<String>();
     text += &match (&shown.bytes_per_second, &shown.not_held_back) {
         (Some(rate), _) => {

@@ -59,6 +59,8 @@ pub struct VnicShown {
     pub addresses: Vec<String>,
     /// Which station has which address, where nobody can be asked.
     pub peers: Vec<String>,
+    /// What keeps the device from what it is to be, a line each.
+    pub remarks: Vec<String>,
     /// So fast Linux may send, bytes of frames in a second; none: nothing holds it back.
     pub bytes_per_second: Option<u64>,
     /// Why nothing holds it back.

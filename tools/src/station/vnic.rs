@@ -195,7 +195,7 @@ fn read(change: &VnicChange) -> Result<Change, String> {
 }
 
 fn shown(status: Status, pool: PoolShown) -> VnicShown {
-    let Status { name, mode, is_proxy, device, most, slot, peers, shaping, news, counts } = status;
+    let Status { name, mode, is_proxy, device, most, slot, peers, remarks, shaping, news, counts } = status;
     let state = device.as_ref().map_or("gone", |device| if device.is_up { "up" } else { "down" });
     let mut lost: std::collections::BTreeMap<String, u64> =
         counts.losses().map(|(why, n)| (why.name().to_owned(), n)).collect();
@@ -232,6 +232,7 @@ fn shown(status: Status, pool: PoolShown) -> VnicShown {
         slot_takes: slot,
         addresses: addresses.iter().map(Prefix::to_string).collect(),
         peers: peers.iter().map(Peer::to_string).collect(),
+        remarks,
         bytes_per_second,
         not_held_back,
         filter,

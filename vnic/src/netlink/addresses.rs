@@ -30,7 +30,7 @@ impl Links {
     /// that it has already is no error.
     ///
     /// # Errors
-    /// There is no such device, the prefix is too long, or the device has no IPv6.
+    /// There is no such device, the prefix is too long, the device has no IPv6, or the address with another prefix.
     pub fn add_address(&mut self, index: u32, ip: IpAddr, prefix: u8) -> Result<(), Refused> {
         let mut message = message(index, ip, prefix);
         match ip {
@@ -53,8 +53,15 @@ impl Links {
             ],
         );
         match added {
-            Err(refused) if refused.errno() != Some(Errno::EEXIST) => Err(refused),
-            _ => Ok(()),
+            Err(refused) if refused.errno() == Some(Errno::EEXIST) => {
+                // With IPv6 the kernel says so of the address alone, whatever its prefix.
+                if self.addresses(index)?.contains(&(ip, prefix)) {
+                    return Ok(());
+                }
+                let remedy = "it has this address with another prefix length: take that away";
+                Err(Refused { remedy: Some(remedy.into()), ..refused })
+            }
+            other => other.map(drop),
         }
     }
 

@@ -18,4 +18,4 @@ pub use shaping::{Shaping, ShapingStatistics};
 pub use watch::{ChangeKind, Heard, LinkChange, Watch};
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -24,7 +24,7 @@ const NOWHERE: u32 = 9999;
 const ADDRESS: [u8; 6] = [2, 0, 0, 0, 0, 0x0a];
 
 /// Runs the test on a thread that is alone in a new network namespace.
-fn in_a_namespace(name: &'static str, test: fn()) {
+pub(crate) fn in_a_namespace(name: &'static str, test: fn()) {
     let alone = move || match unshare(CloneFlags::CLONE_NEWNET) {
         Ok(()) => test(),
         Err(errno) => {
@@ -44,7 +44,7 @@ fn add(name: &str, kind: Vec<LinkInfo>) {
 }
 
 /// The indices of the two ends.
-fn veth(links: &mut Links) -> [u32; 2] {
+pub(crate) fn veth(links: &mut Links) -> [u32; 2] {
     let mut peer = LinkMessage::default();
     peer.attributes = vec![LinkAttribute::IfName(B.into())];
     add(A, vec![LinkInfo::Kind(InfoKind::Veth), LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer)))]);
@@ -151,6 +151,9 @@ fn a_device_has_the_addresses_that_it_was_given_and_they_are_there_at_once() {
         match links.add_address(a, v6, 64) {
             Ok(()) => {
                 links.add_address(a, v6, 64).unwrap();
+                let refused = links.add_address(a, v6, 48).unwrap_err();
+                let text = "it has this address with another prefix length: take that away";
+                assert!(refused.to_string().ends_with(text), "{refused}");
                 assert_eq!(links.addresses(a).unwrap(), [(v4, 24), (v6, 64)]);
                 links.remove_address(a, v6, 64).unwrap();
             }

@@ -61,6 +61,8 @@ pub struct Vnic {
     /// For what it was tried last: turns and MTU.
     tried: Option<(u64, usize)>,
     mtu: usize,
+    /// It may lack addresses of its own.
+    owes_addresses: bool,
     looked: Instant,
     news: Option<String>,
     tell: Box<dyn Fn(&str) + Send>,
@@ -76,6 +78,7 @@ impl Vnic {
         stop: Arc<AtomicBool>,
         tell: Box<dyn Fn(&str) + Send>,
     ) -> Result<Self, StartError> {
+        options.addresses.iter().try_for_each(|address| address.of_a_host().map(drop))?;
         let mut peers = Peers::new(options.addresses.clone());
         options.peers.iter().try_for_each(|&peer| peers.add(peer))?;
         let refused = |error| StartError::Socket(options.interface.name.clone(), error);
@@ -114,6 +117,7 @@ impl Vnic {
             shaped: Err("no slot is known yet".into()),
             tried: None,
             mtu: 0,
+            owes_addresses: false,
             looked: Instant::now(),
             news: None,
             tell,

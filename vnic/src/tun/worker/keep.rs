@@ -1,18 +1,18 @@
 //! What keeps a VNIC's device as it is to be: its name, addresses and MTU, also where slots change and others do.
 
+mod addresses;
+
 use std::io;
 use std::time::Instant;
 
 use rtnet::live::Tunnelled;
 
-use super::super::{Change, Device, DeviceStatus, Mode, Order, OrderError, StartError, Status};
+use addresses::LEAST_MTU_OF_IPV6;
+
+use super::super::{Device, DeviceStatus, Mode, Order, OrderError, StartError, Status};
 use super::{LOOK_EVERY, Vnic};
 use crate::netlink::{ChangeKind, Heard, Refused};
-use crate::peers::Prefix;
 use crate::tunnel::{LEAST_MTU, Loss};
-
-/// Below it Linux has no IPv6 on a device.
-const LEAST_MTU_OF_IPV6: usize = 1280;
 
 impl Vnic {
     pub(super) fn obey(&mut self, order: &Order) -> Result<(), OrderError> {
@@ -29,49 +29,6 @@ impl Vnic {
         // Who asks is told how fast it is fed now, not how fast it was.
         self.shape();
         Ok(())
-    }
-
-    /// All of it or, where something is refused, nothing.
-    fn change(&mut self, change: &Change) -> Result<(), OrderError> {
-        let Change { add, remove, peers, .. } = change;
-        if self.mouth.is_proxy() && !(add.is_empty() && remove.is_empty() && peers.is_empty()) {
-            return Err(StartError::OfStation.into());
-        }
-        let mut peers = self.peers.clone();
-        change.peers.iter().try_for_each(|&peer| peers.add(peer))?;
-        let (before, mtu) = (self.links.addresses(self.index)?, self.options.mtu);
-        let had = |prefix: &Prefix| before.contains(&(prefix.ip, prefix.length));
-        if let Err(refused) = self.change_device(change) {
-            // What has just been done can be undone, but for what somebody else has done meanwhile.
-            for prefix in change.add.iter().filter(|prefix| !had(prefix)) {
-                let _ = self.links.remove_address(self.index, prefix.ip, prefix.length);
-            }
-            for prefix in change.remove.iter().filter(|prefix| had(prefix)) {
-                let _ = self.links.add_address(self.index, prefix.ip, prefix.length);
-            }
-            self.options.mtu = mtu;
-            return Err(refused.into());
-        }
-        let addresses = &mut self.options.addresses;
-        for added in &change.add {
-            if !addresses.contains(added) {
-                addresses.push(*added);
-            }
-        }
-        addresses.retain(|own| !change.remove.contains(own));
-        self.peers = peers.with_own(addresses.clone());
-        Ok(())
-    }
-
-    fn change_device(&mut self, change: &Change) -> Result<(), Refused> {
-        for prefix in &change.add {
-            self.links.add_address(self.index, prefix.ip, prefix.length)?;
-        }
-        for prefix in &change.remove {
-            self.links.remove_address(self.index, prefix.ip, prefix.length)?;
-        }
-        self.options.mtu = change.mtu.unwrap_or(self.options.mtu);
-        self.follow_mtu()
     }
 
     /// Makes the device.
@@ -96,20 +53,7 @@ impl Vnic {
 
     fn set_up(&mut self) -> Result<(), Refused> {
         self.links.set_up(self.index, true)?;
-        self.give_addresses()
-    }
-
-    /// Gives it its addresses. Those of IPv6 Linux takes away while it is down, or its MTU is too small for them.
-    fn give_addresses(&mut self) -> Result<(), Refused> {
-        // A host may have switched it off for all devices, so that they are silent: in the tunnel nobody minds, and no real-time
-        // route leads there. A kernel without IPv6 has no such switch.
-        let is_off = if self.mouth.is_proxy() { "1" } else { "0" };
-        let _ = std::fs::write(format!("/proc/sys/net/ipv6/conf/{}/disable_ipv6", self.name), is_off);
-        let has_room = self.mtu >= LEAST_MTU_OF_IPV6;
-        for prefix in self.options.addresses.iter().filter(|prefix| prefix.ip.is_ipv4() || has_room) {
-            self.links.add_address(self.index, prefix.ip, prefix.length)?;
-        }
-        Ok(())
+        self.give_addresses(&[])
     }
 
     /// Follows slots that have changed.
@@ -125,18 +69,23 @@ impl Vnic {
         }
         if let Err(refused) = self.follow_mtu() {
             self.report(format!("the MTU of '{}' does not follow the slots: {refused}", self.name));
+        } else if self.owes_addresses
+            && let Err(refused) = self.give_addresses(&[])
+        {
+            self.report(format!("'{}' lacks an address: {refused}", self.name));
         }
         self.shape();
     }
 
+    /// Until it has succeeded it is tried again.
     fn follow_mtu(&mut self) -> Result<(), Refused> {
         let mtu = self.mouth.mtu().min(self.options.mtu).clamp(LEAST_MTU, self.mouth.most());
-        let before = std::mem::replace(&mut self.mtu, mtu);
-        if mtu != before {
+        if mtu != self.mtu {
             self.links.set_mtu(self.index, mtu)?;
+            self.owes_addresses |= (self.mtu + 1..=mtu).contains(&LEAST_MTU_OF_IPV6);
+            self.mtu = mtu;
         }
-        let grows = (before + 1..=mtu).contains(&LEAST_MTU_OF_IPV6);
-        if grows && self.device.is_some() { self.give_addresses() } else { Ok(()) }
+        Ok(())
     }
 
     pub(super) fn hear(&mut self, heard: Heard) {
@@ -183,16 +132,17 @@ impl Vnic {
     pub(super) fn status(&mut self) -> Result<Status, Refused> {
         let device = match self.device.is_some().then(|| self.links.get(self.index)).transpose()?.flatten() {
             Some(link) => {
-                let addresses = self.links.addresses(link.index)?.into_iter();
+                let addresses = self.addresses()?;
                 Some(DeviceStatus {
                     is_up: link.is_up,
                     mtu: link.mtu,
-                    addresses: addresses.map(|(ip, length)| Prefix { ip, length }).collect(),
+                    addresses,
                     queue_full: link.statistics.send_dropped,
                 })
             }
             None => None,
         };
+        let remarks = self.ipv6_waits().filter(|_| device.is_some()).into_iter().collect();
         let shaping = self.shaping(device.is_some())?;
         Ok(Status {
             name: self.name.clone(),
@@ -202,9 +152,13 @@ impl Vnic {
             most: self.options.mtu,
             slot: self.mouth.mtu(),
             peers: self.peers.all().to_vec(),
+            remarks,
             shaping,
             news: self.news.clone(),
             counts: self.mouth.counts(),
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

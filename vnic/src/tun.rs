@@ -32,6 +32,7 @@ use std::time::Duration;
 
 use nix::sys::eventfd::EventFd;
 use rtnet::live::interface::Interface;
+use rtnet::wire::ethernet::Address;
 
 use crate::netlink::{Refused, ShapingStatistics};
 use crate::peers::{NotAHosts, Peer, PeerError, Prefix};
@@ -184,6 +185,8 @@ pub struct DeviceStatus {
     pub is_up: bool,
     /// Its MTU now.
     pub mtu: usize,
+    /// Its Ethernet address, if it has one.
+    pub address: Option<Address>,
     /// Its addresses.
     pub addresses: Vec<Prefix>,
     /// Frames from Linux that the driver's queue had no room for.

@@ -32,7 +32,8 @@ fn a_device_that_is_deleted_is_told_of_and_made_anew_on_request() {
             assert_answers(&cell, "slave1", MASTER);
             said(&cell, "slave1", &["ip", "link", "del", "vnic0"]);
             wait_until("it is told", || status(&cell, "slave1")["state"] == "gone");
-            let news = "the VNIC's device 'vnic0' was deleted by somebody: `rtnet vnic up` makes it anew";
+            let news = "the VNIC's device 'vnic0' was deleted or moved to another namespace by somebody: `rtnet vnic up` \
+                        makes it anew";
             assert_eq!(status(&cell, "slave1")["news"], news);
             assert!(done(vnic(&cell, "slave1", &["status"])).ends_with(&format!("{news}\n")));
             let before = status(&cell, "slave1")["lost"]["device_down"].as_u64().unwrap_or(0);
@@ -115,9 +116,39 @@ fn the_mtu_follows_the_slot_both_ways_and_what_was_asked_for() {
         is(1_300);
         let shown = status(&cell, "slave1");
         assert_eq!((&shown["mtu_at_most"], &shown["slot_takes"]), (&1_300.into(), &1_396.into()));
-        // What somebody else sets is no more than the slots take, either.
-        said(&cell, "slave1", &["ip", "link", "set", "vnic0", "mtu", "1450"]);
-        is(1_300);
+        // What somebody else sets is set back, and told.
+        for mtu in ["1450", "1000"] {
+            said(&cell, "slave1", &["ip", "link", "set", "vnic0", "mtu", mtu]);
+            let news = format!(
+                "the MTU of 'vnic0' was set to {mtu} by somebody: set back to 1300; `rtnet vnic set --mtu` sets it"
+            );
+            wait_until("it is told", || status(&cell, "slave1")["news"] == news);
+            is(1_300);
+        }
+        assert_answers(&cell, "slave1", "fd00::1");
+        resize("64");
+        let small = "the slot takes 60 bytes of inner payload, a device of Linux at least 68: what is longer is lost; make \
+                     slot 1, or what stands for it, 72 or more";
+        wait_until("it is told", || strings(&status(&cell, "slave1")["remarks"]).contains(&small));
+        is(68);
+        cell.down();
+    });
+}
+
+#[test]
+fn another_ethernet_address_than_its_stations_is_set_back_and_told() {
+    network("another_ethernet_address_than_its_stations_is_set_back_and_told", || {
+        let cell = lab("mac", TUNNEL, "tap");
+        assert_answers(&cell, "slave1", MASTER);
+        said(&cell, "slave1", &["ip", "link", "set", "vnic0", "address", "02:00:00:00:00:99"]);
+        let own = "02:00:00:00:00:02";
+        let news = format!(
+            "the address of 'vnic0' was set to 02:00:00:00:00:99 by somebody: set back to {own}, its station's"
+        );
+        wait_until("it is told", || status(&cell, "slave1")["news"] == news);
+        assert_eq!(status(&cell, "slave1")["mac"], own);
+        assert!(done(vnic(&cell, "slave1", &["status"])).contains(&format!("\nMAC {own}\n")));
+        assert_answers(&cell, "slave1", MASTER);
         cell.down();
     });
 }

@@ -45,6 +45,7 @@ fn describe(shown: &VnicShown) -> String {
     let addresses = if addresses.is_empty() { "no address".into() } else { addresses.join(", ") };
     let kind = if shown.proxy { "proxy" } else { mode };
     let mut text = format!("{device} ({kind}, {state}): {addresses}\n");
+    text += &shown.mac.as_ref().map_or(String::new(), |mac| format!("MAC {mac}\n"));
     text += &match mtu {
         0 => String::new(),
         _ => format!("MTU {mtu}: the slot takes {slot_takes}, {mtu_at_most} at the most\n"),

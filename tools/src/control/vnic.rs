@@ -55,6 +55,8 @@ pub struct VnicShown {
     pub mtu_at_most: usize,
     /// What the slot takes of a packet.
     pub slot_takes: usize,
+    /// Its Ethernet address; none of packets only, or if it is gone.
+    pub mac: Option<String>,
     /// Its addresses.
     pub addresses: Vec<String>,
     /// Which station has which address, where nobody can be asked.

@@ -227,6 +227,7 @@ fn shown(status: Status, pool: PoolShown) -> VnicShown {
         },
         proxy: is_proxy,
         state: state.into(),
+        mac: device.as_ref().and_then(|device| device.address).map(|address| address.to_string()),
         mtu: device.map_or(0, |device| device.mtu),
         mtu_at_most: most,
         slot_takes: slot,

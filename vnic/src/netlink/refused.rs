@@ -41,6 +41,18 @@ impl Refused {
         Self { what: what.to_owned(), said: Some(said.to_owned()), remedy: None, source }
     }
 
+    /// The same in words of who knows the device with this number by a name.
+    pub fn naming(mut self, index: u32, name: &str) -> Self {
+        let number = format!("interface #{index}");
+        // Not of one whose number begins alike.
+        if let Some((before, after)) = self.what.split_once(&number)
+            && !after.starts_with(|c: char| c.is_ascii_digit())
+        {
+            self.what = format!("{before}'{name}'{after}");
+        }
+        self
+    }
+
     /// The kernel's errno, if it gave one.
     pub fn errno(&self) -> Option<Errno> {
         self.source.as_ref()?.raw_os_error().map(Errno::from_raw)

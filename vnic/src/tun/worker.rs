@@ -63,6 +63,12 @@ pub struct Vnic {
     mtu: usize,
     /// It may lack addresses of its own.
     owes_addresses: bool,
+    /// It was down, or its MTU too small for IPv6.
+    lost_ipv6: bool,
+    /// Something was heard of it.
+    is_changed: bool,
+    /// What was said of a slot that is too small.
+    small: Option<String>,
     looked: Instant,
     news: Option<String>,
     tell: Box<dyn Fn(&str) + Send>,
@@ -118,6 +124,9 @@ impl Vnic {
             tried: None,
             mtu: 0,
             owes_addresses: false,
+            lost_ipv6: false,
+            is_changed: false,
+            small: None,
             looked: Instant::now(),
             news: None,
             tell,
@@ -143,8 +152,9 @@ impl Vnic {
             self.wait();
             let _ = self.bell.read();
             while let Some(heard) = self.watch.next() {
-                self.hear(heard);
+                self.hear(&heard);
             }
+            self.look();
             while let Ok((order, answer)) = self.orders.try_recv() {
                 let done = self.obey(&order).and_then(|()| Ok(self.status()?));
                 // Who has asked may have given up.

@@ -1,6 +1,7 @@
 //! What is asked of a device, and what others do to it, in a network namespace of the test's own.
 
-use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 
 use nix::sys::eventfd::EventFd;
 use rtnet::live::interface::Interface;
@@ -8,8 +9,8 @@ use rtnet::wire::ethernet::Address;
 
 use super::super::super::{Change, Options};
 use super::*;
-use crate::netlink::Links;
 use crate::netlink::tests::{in_a_namespace, veth};
+use crate::netlink::{Link, Links};
 use crate::peers::Prefix;
 use crate::tunnel::{Config, MTU, Tunnel, new};
 
@@ -21,6 +22,7 @@ struct Alone {
     vnic: Vnic,
     /// As others have it.
     links: Links,
+    told: Arc<Mutex<Vec<String>>>,
     _tunnel: Tunnel,
 }
 
@@ -44,9 +46,11 @@ impl Alone {
             interface,
         };
         let bell = || Arc::new(EventFd::new().unwrap());
-        let tell = Box::new(|_: &str| ());
+        let told = Arc::new(Mutex::new(Vec::new()));
+        let lines = told.clone();
+        let tell = Box::new(move |line: &str| lines.lock().unwrap().push(line.to_owned()));
         let vnic = Vnic::open(options, mouth, [bell(), bell()], Arc::default(), tell).unwrap();
-        Self { vnic, links, _tunnel: tunnel }
+        Self { vnic, links, told, _tunnel: tunnel }
     }
 
     fn set(&mut self, change: Change) -> Result<(), String> {
@@ -68,6 +72,14 @@ impl Alone {
         self.vnic.follow();
     }
 
+    /// What its thread does once something is heard.
+    fn hear(&mut self) {
+        while let Some(heard) = self.vnic.watch.next() {
+            self.vnic.hear(&heard);
+        }
+        self.vnic.look();
+    }
+
     /// Linux's own of a link are of no interest here.
     fn addresses(&mut self) -> Vec<String> {
         let all = self.links.addresses(self.vnic.index).unwrap().into_iter();
@@ -75,6 +87,14 @@ impl Alone {
         let mut all: Vec<_> = all.filter(|address| !address.starts_with("fe80")).collect();
         all.sort();
         all
+    }
+
+    fn link(&mut self) -> Link {
+        self.links.get(self.vnic.index).unwrap().expect("it is there")
+    }
+
+    fn told(&self) -> Vec<String> {
+        std::mem::take(&mut self.told.lock().unwrap())
     }
 }
 
@@ -169,5 +189,151 @@ fn no_device_has_the_address_of_a_group() {
             assert_eq!(refused, format!("{group} {text}"));
         }
         alone.change(&["10.1.0.1/31", "10.1.0.255/16"], &[]).unwrap();
+    });
+}
+
+#[test]
+fn an_ethernet_address_that_somebody_sets_is_set_back_and_told() {
+    in_a_namespace("an_ethernet_address_that_somebody_sets_is_set_back_and_told", || {
+        const OTHER: [u8; 6] = [2, 0, 0, 0, 0, 0x99];
+        let mut alone = Alone::new(&[], false);
+        alone.hear();
+        assert_eq!((alone.told(), alone.link().address), (vec![], Some(STATION.0)));
+        alone.links.set_hardware_address(alone.vnic.index, OTHER).unwrap();
+        alone.hear();
+        let line = "the address of 'vnic0' was set to 02:00:00:00:00:99 by somebody: set back to 02:00:00:00:00:01, its station's";
+        assert_eq!((alone.told(), alone.link().address), (vec![line.into()], Some(STATION.0)));
+        assert_eq!(alone.vnic.status().unwrap().device.unwrap().address, Some(STATION));
+        // Before it is heard.
+        alone.links.set_hardware_address(alone.vnic.index, OTHER).unwrap();
+        alone.vnic.obey(&Order::Up).unwrap();
+        assert_eq!(alone.link().address, Some(STATION.0));
+    });
+}
+
+#[test]
+fn with_hosts_behind_it_a_device_may_have_any_ethernet_address() {
+    in_a_namespace("with_hosts_behind_it_a_device_may_have_any_ethernet_address", || {
+        const OTHER: [u8; 6] = [2, 0, 0, 0, 0, 0x99];
+        let mut alone = Alone::new(&[], true);
+        assert_eq!(alone.link().address, Some(STATION.0));
+        alone.links.set_hardware_address(alone.vnic.index, OTHER).unwrap();
+        alone.hear();
+        alone.vnic.obey(&Order::Up).unwrap();
+        assert_eq!((alone.told(), alone.link().address), (vec![], Some(OTHER)));
+    });
+}
+
+#[test]
+fn an_mtu_that_somebody_sets_is_set_back_and_told() {
+    in_a_namespace("an_mtu_that_somebody_sets_is_set_back_and_told", || {
+        let mut alone = Alone::new(&["fd00::2/64"], false);
+        alone.set_mtu(1300);
+        alone.hear();
+        assert_eq!(alone.told(), [""; 0]);
+        for mtu in [1000, 1450] {
+            alone.links.set_mtu(alone.vnic.index, mtu).unwrap();
+            alone.hear();
+            let line = format!(
+                "the MTU of 'vnic0' was set to {mtu} by somebody: set back to 1300; `rtnet vnic set --mtu` sets it"
+            );
+            assert_eq!((alone.told(), alone.link().mtu), (vec![line], 1300));
+        }
+        alone.follow();
+        assert_eq!(alone.addresses(), ["fd00::2/64"]);
+    });
+}
+
+#[test]
+fn what_linux_takes_away_for_a_moment_is_given_again() {
+    in_a_namespace("what_linux_takes_away_for_a_moment_is_given_again", || {
+        let mut alone = Alone::new(&["fd00::2/64"], false);
+        let index = alone.vnic.index;
+        alone.hear();
+        alone.follow();
+        for times in [0, 1] {
+            match times {
+                0 => [1000, MTU].map(|mtu| alone.links.set_mtu(index, mtu).unwrap()),
+                _ => [false, true].map(|is_up| alone.links.set_up(index, is_up).unwrap()),
+            };
+            assert_eq!(alone.addresses(), [""; 0]);
+            alone.hear();
+            alone.follow();
+            assert_eq!((alone.addresses(), alone.told()), (vec!["fd00::2/64".into()], vec![]));
+        }
+    });
+}
+
+#[test]
+fn who_has_missed_something_looks_at_all_of_the_device() {
+    in_a_namespace("who_has_missed_something_looks_at_all_of_the_device", || {
+        let mut alone = Alone::new(&[], false);
+        alone.links.set_mtu(alone.vnic.index, 1000).unwrap();
+        alone.links.set_hardware_address(alone.vnic.index, [2, 0, 0, 0, 0, 0x99]).unwrap();
+        alone.vnic.hear(&Heard::Missed);
+        alone.vnic.look();
+        let link = alone.link();
+        assert_eq!((link.mtu, link.address, alone.told().len()), (MTU, Some(STATION.0), 2));
+    });
+}
+
+#[test]
+fn an_mtu_that_could_not_be_set_is_tried_again() {
+    in_a_namespace("an_mtu_that_could_not_be_set_is_tried_again", || {
+        let mut alone = Alone::new(&[], false);
+        alone.vnic.mouth.shared.mtu.store(1000, Ordering::Relaxed);
+        let index = std::mem::replace(&mut alone.vnic.index, 9999);
+        for _ in 0..2 {
+            alone.follow();
+        }
+        let line = "the MTU of 'vnic0' does not follow the slots: cannot set the MTU of 'vnic0' to 1000: no such interface \
+                    in the namespace";
+        assert_eq!(alone.told(), [line]);
+        alone.vnic.index = index;
+        alone.follow();
+        assert_eq!(alone.link().mtu, 1000);
+    });
+}
+
+#[test]
+fn an_address_that_could_not_be_given_is_tried_again() {
+    in_a_namespace("an_address_that_could_not_be_given_is_tried_again", || {
+        let mut alone = Alone::new(&["fd00::2/64"], false);
+        let index = alone.vnic.index;
+        alone.set_mtu(600);
+        alone.set_mtu(MTU);
+        let own = "fd00::2".parse().unwrap();
+        alone.links.remove_address(index, own, 64).unwrap();
+        // Somebody is in the way.
+        alone.links.add_address(index, own, 48).unwrap();
+        alone.vnic.owes_addresses = true;
+        for _ in 0..2 {
+            alone.follow();
+        }
+        let line = "'vnic0' lacks an address: cannot give 'vnic0' the address fd00::2/64: ";
+        let told = alone.told();
+        assert!(told.len() == 1 && told[0].starts_with(line), "{told:?}");
+        alone.links.remove_address(index, own, 48).unwrap();
+        alone.follow();
+        assert_eq!(alone.addresses(), ["fd00::2/64"]);
+    });
+}
+
+#[test]
+fn a_slot_too_small_for_linux_is_told_of_once_and_in_the_status() {
+    in_a_namespace("a_slot_too_small_for_linux_is_told_of_once_and_in_the_status", || {
+        let mut alone = Alone::new(&[], false);
+        let line = "the slot takes 60 bytes of inner payload, a device of Linux at least 68: what is longer is lost; make slot 1, \
+                    or what stands for it, 72 or more";
+        for (takes, remarks) in [(60, vec![line]), (68, vec![]), (60, vec![line])] {
+            alone.vnic.mouth.shared.mtu.store(takes, Ordering::Relaxed);
+            alone.follow();
+            alone.follow();
+            assert_eq!(
+                (alone.told(), alone.link().mtu),
+                (remarks.iter().map(|line| line.to_string()).collect(), 68)
+            );
+            assert_eq!(alone.vnic.status().unwrap().remarks, remarks);
+        }
     });
 }

@@ -190,6 +190,11 @@ fn two_stations_share_their_addresses_with_linux() {
             "{}",
             text(&refused.stderr)
         );
+        for mtu in [1400, 1500] {
+            let set = vnic("proxy-a", &["set", "--mtu", &mtu.to_string()]);
+            assert_eq!(set.status.code(), Some(0), "{}", text(&set.stderr));
+            assert_eq!(status("proxy-a")["mtu"], mtu);
+        }
         assert_eq!([a.end(), b.end()], [Some(0), Some(0)]);
         assert_eq!([asked(&medium.a), asked(&medium.b)].concat(), ["0"; 4]);
     });

@@ -16,7 +16,6 @@
 //! in front of it, a little slower than the slots: there a connection's own bound holds, and Linux is told of what is dropped.
 //! What waits there is bounded in packets, however short they are: each takes a turn.
 
-#![allow(unsafe_code)]
 #![allow(clippy::disallowed_methods)]
 
 mod aside;
@@ -36,7 +35,8 @@ use rtnet::wire::ethernet::Address;
 
 use crate::netlink::{Refused, ShapingStatistics};
 use crate::peers::{NotAHosts, Peer, PeerError, Prefix};
-use crate::tunnel::Counts;
+use crate::proxy::MTU as PROXY_MTU;
+use crate::tunnel::{Counts, MTU};
 
 pub use aside::put_back;
 pub use device::{Device, Mode, OpenError};
@@ -120,6 +120,9 @@ pub enum OrderError {
     /// An address that cannot be a device's.
     #[error(transparent)]
     Address(#[from] NotAHosts),
+    /// RTmac's header has its place in a slot, too.
+    #[error("an MTU of {0} is too much: say {1} or less (a tunnel takes {MTU}, a proxy {PROXY_MTU})")]
+    Mtu(usize, usize),
     /// Linux has an address of IPv6 only once, and the device is to have it with another prefix already.
     #[error("it is to have {0} already: take that away (`--no-address {0}`), or leave {1} out")]
     OtherPrefix(Prefix, Prefix),

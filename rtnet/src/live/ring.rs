@@ -277,7 +277,6 @@ fn request(config: &RingConfig) -> libc::tpacket_req3 {
     }
 }
 
-/// Sets an option of SOL_PACKET.
 fn bind(socket: &Socket, interface: c_int) -> io::Result<()> {
     let address = sockaddr_ll {
         sll_family: libc::AF_PACKET as u16,

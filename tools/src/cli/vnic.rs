@@ -2,9 +2,10 @@
 
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Deserialize;
-use vnic::peers::{Peer, Prefix};
+use vnic::peers::{NotAPrefix, Peer, Prefix};
+use vnic::proxy;
 use vnic::tun::Mode;
-use vnic::tunnel::{LEAST_MTU, MTU};
+use vnic::tunnel::LEAST_MTU;
 
 use super::WhichOf;
 
@@ -14,7 +15,7 @@ use super::WhichOf;
 pub struct VnicArgs {
     /// Give it a VNIC: a network device of Linux, whose frames leave in slot 1, after everything that is real-time. With
     /// addresses or without
-    #[arg(long, value_name = "IP/PREFIX", num_args = 0..)]
+    #[arg(long, value_name = "IP/PREFIX", num_args = 0.., value_parser = of_a_host)]
     pub vnic: Option<Vec<Prefix>>,
     /// What goes through it: tap, Ethernet frames of any type, as with RTnet; tun, packets of IP only [default: tap]
     #[arg(long, value_name = "MODE", requires = "vnic")]
@@ -26,8 +27,8 @@ pub struct VnicArgs {
     /// through it, plainly and by the station's routes, instead of other addresses in a tunnel. With --vnic-mode tun
     #[arg(long, requires = "vnic", conflicts_with_all = ["vnic_peer", "vnic_forward"])]
     pub vnic_proxy: bool,
-    /// Its MTU, where slots take more; it follows them [default: 1496, a proxy's 1500]
-    #[arg(long, value_name = "BYTES", requires = "vnic", value_parser = clap::value_parser!(u16).range(LEAST_MTU as i64..=MTU as i64))]
+    /// Its MTU, where slots take more; it follows them. A tunnel's is at most 1496 [default: 1496, a proxy's 1500]
+    #[arg(long, value_name = "BYTES", requires = "vnic", value_parser = clap::value_parser!(u16).range(LEAST_MTU as i64..=proxy::MTU as i64))]
     pub vnic_mtu: Option<u16>,
     /// Its buffers, for both directions [default: 32]
     #[arg(long, value_name = "N", requires = "vnic", value_parser = clap::value_parser!(u16).range(1..=4096))]
@@ -92,11 +93,11 @@ pub enum VnicVerb {
     Down,
     /// Change it: all that is said, or nothing
     Set {
-        /// The MTU, where slots take more
-        #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u16).range(LEAST_MTU as i64..=MTU as i64))]
+        /// The MTU, where slots take more: at most 1496, a proxy's 1500
+        #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u16).range(LEAST_MTU as i64..=proxy::MTU as i64))]
         mtu: Option<u16>,
         /// An address that it is to have. Can be given several times
-        #[arg(long, value_name = "IP/PREFIX")]
+        #[arg(long, value_name = "IP/PREFIX", value_parser = of_a_host)]
         address: Vec<Prefix>,
         /// An address that it is to have no more. Can be given several times
         #[arg(long, value_name = "IP/PREFIX")]
@@ -105,4 +106,10 @@ pub enum VnicVerb {
         #[arg(long, value_name = "IP[/PREFIX]=MAC")]
         peer: Vec<Peer>,
     },
+}
+
+/// An address that a device may have.
+fn of_a_host(text: &str) -> Result<Prefix, String> {
+    let address: Prefix = text.parse().map_err(|error: NotAPrefix| error.to_string())?;
+    address.of_a_host().map_err(|error| error.to_string())
 }

@@ -11,6 +11,7 @@ use rtnet::live::GuardMode;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 use vnic::peers::Prefix;
+use vnic::tunnel::MTU;
 
 use super::Failure;
 use super::route::read_routes;
@@ -152,6 +153,11 @@ fn vnic(args: &StationArgs) -> anyhow::Result<Option<VnicOptions>> {
         bail!(
             "--vnic goes with RTmac, which --discipline direct has not: leave it out, or run the station with \
              --discipline nomac"
+        );
+    }
+    if let Some(mtu) = said.vnic_mtu.map(usize::from).filter(|&mtu| mtu > MTU && !said.vnic_proxy) {
+        bail!(
+            "--vnic-mtu {mtu} is too much for a tunnel, which takes {MTU}: say {MTU} or less, or add --vnic-proxy"
         );
     }
     let usual = if said.vnic_proxy { proxy(args, addresses)? } else { VnicOptions::usual(addresses.clone()) };

@@ -1,5 +1,7 @@
 //! The device that Linux sees, as the kernel's TUN driver has it: one frame by one system call.
 
+#![allow(unsafe_code)]
+
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice, IoSliceMut};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
@@ -50,8 +52,16 @@ pub enum OpenError {
     /// Somebody else has a device of this name.
     #[error("no VNIC: the name '{0}' is taken: choose another by `--vnic-name`")]
     Taken(String),
+    /// So has somebody since the device of this name is gone.
+    #[error(
+        "no VNIC: the name '{0}' is taken meanwhile: free it (`ip link set {0} down name ANOTHER`), or start the station anew \
+         with another `--vnic-name`"
+    )]
+    TakenMeanwhile(String),
     /// The kernel does not take the name.
-    #[error("no VNIC: '{0}' is no name for a device: 1 to 15 characters without spaces and slashes")]
+    #[error(
+        "no VNIC: '{0}' is no name for a device: 1 to 15 characters without spaces, '/', ':' and '%', and neither '.' nor '..'"
+    )]
     Name(String),
     /// Whatever else the kernel says.
     #[error("no VNIC: {0}")]
@@ -76,13 +86,14 @@ impl Device {
             Mode::Tap => libc::IFF_TAP,
             Mode::Tun => libc::IFF_TUN,
         };
-        let name =
-            attach(&file, wanted, flags | libc::IFF_NO_PI).map_err(|error| match error.raw_os_error() {
-                Some(libc::EPERM | libc::EACCES) => OpenError::Right(error),
-                Some(libc::EBUSY | libc::EEXIST) => OpenError::Taken(wanted.to_owned()),
-                Some(libc::EINVAL) => OpenError::Taken(wanted.to_owned()),
-                _ => OpenError::Other(error),
-            })?;
+        // A new one: the driver would attach this to a device of somebody else's that outlives its maker.
+        let flags = flags | libc::IFF_NO_PI | libc::IFF_TUN_EXCL;
+        let name = attach(&file, wanted, flags).map_err(|error| match error.raw_os_error() {
+            Some(libc::EPERM | libc::EACCES) => OpenError::Right(error),
+            Some(libc::EBUSY | libc::EEXIST) => OpenError::Taken(wanted.to_owned()),
+            Some(libc::EINVAL) => OpenError::Name(wanted.to_owned()),
+            _ => OpenError::Other(error),
+        })?;
         Ok(Self { file, name, mode })
     }
 
@@ -125,6 +136,16 @@ impl Device {
     pub fn write_packet(&self, packet: &[u8]) -> io::Result<()> {
         writev(&self.file, &[IoSlice::new(packet)])?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+impl Device {
+    /// It is not gone when this is dropped.
+    pub fn outlive(&self) {
+        // SAFETY: the driver takes the number itself.
+        let result = unsafe { libc::ioctl(self.file.as_raw_fd(), libc::TUNSETPERSIST as _, 1) };
+        assert_eq!(result, 0);
     }
 }
 

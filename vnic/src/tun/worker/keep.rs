@@ -10,7 +10,7 @@ use rtnet::wire::ethernet::{self, Address};
 
 use addresses::LEAST_MTU_OF_IPV6;
 
-use super::super::{Device, DeviceStatus, Mode, Order, OrderError, StartError, Status};
+use super::super::{Device, DeviceStatus, Mode, OpenError, Order, OrderError, StartError, Status};
 use super::{LOOK_EVERY, Vnic};
 use crate::netlink::{ChangeKind, Heard, Link, Refused};
 use crate::tunnel::{LEAST_MTU, Loss};
@@ -33,7 +33,10 @@ impl Vnic {
     fn obey_unnamed(&mut self, order: &Order) -> Result<(), OrderError> {
         match order {
             Order::Status => return Ok(()),
-            Order::Up if self.device.is_none() => self.make()?,
+            Order::Up if self.device.is_none() => self.make().map_err(|error| match error {
+                StartError::Device(OpenError::Taken(name)) => OpenError::TakenMeanwhile(name).into(),
+                other => other,
+            })?,
             Order::Up => self.set_up()?,
             Order::Down | Order::Set(_) if self.device.is_none() => {
                 return Err(OrderError::Gone(self.name.clone()));

@@ -15,6 +15,9 @@ impl Vnic {
         if self.mouth.is_proxy() && !(add.is_empty() && remove.is_empty() && peers.is_empty()) {
             return Err(StartError::OfStation.into());
         }
+        if let Some(mtu) = change.mtu.filter(|&mtu| mtu > self.mouth.most()) {
+            return Err(OrderError::Mtu(mtu, self.mouth.most()));
+        }
         add.iter().try_for_each(|added| self.check(added, remove))?;
         let mut table = self.peers.clone();
         peers.iter().try_for_each(|&peer| table.add(peer))?;

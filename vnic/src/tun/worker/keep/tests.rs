@@ -337,3 +337,43 @@ fn a_slot_too_small_for_linux_is_told_of_once_and_in_the_status() {
         }
     });
 }
+
+#[test]
+fn a_name_that_somebody_else_has_taken_is_said_with_what_can_be_done() {
+    in_a_namespace("a_name_that_somebody_else_has_taken_is_said_with_what_can_be_done", || {
+        let mut alone = Alone::new(&[], false);
+        let told = |refused: OpenError| refused.to_string();
+        for (name, why) in [
+            ("b0", "the name 'b0' is taken: choose another by `--vnic-name`"),
+            (NAME, "the name 'vnic0' is taken: choose another by `--vnic-name`"),
+            (".", "'.' is no name for a device"),
+            ("a%s", "'a%s' is no name for a device"),
+            ("a/b", "'a/b' is no name for a device"),
+        ] {
+            let refused = Device::open(Some(name), Mode::Tap).err().map(told).expect(name);
+            assert!(refused.starts_with(&format!("no VNIC: {why}")), "{refused}");
+        }
+        alone.links.set_up(alone.vnic.index, false).unwrap();
+        alone.vnic.lose_device();
+        let line = "the VNIC's device 'vnic0' was deleted or moved to another namespace by somebody: `rtnet vnic up` makes it \
+                    anew";
+        assert_eq!(alone.told(), [line]);
+        // Nobody is behind it, but it outlives its maker: its driver would have it.
+        let device = Device::open(Some(NAME), Mode::Tap).unwrap();
+        device.outlive();
+        drop(device);
+        let refused = alone.vnic.obey(&Order::Up).unwrap_err().to_string();
+        let remedy = "free it (`ip link set vnic0 down name ANOTHER`), or start the station anew with another `--vnic-name`";
+        assert_eq!(refused, format!("no VNIC: the name 'vnic0' is taken meanwhile: {remedy}"));
+    });
+}
+
+#[test]
+fn an_mtu_that_no_tunnel_takes_is_refused() {
+    in_a_namespace("an_mtu_that_no_tunnel_takes_is_refused", || {
+        let mut alone = Alone::new(&[], false);
+        let refused = alone.set(Change { mtu: Some(1497), ..Change::default() }).unwrap_err();
+        let line = "an MTU of 1497 is too much: say 1496 or less (a tunnel takes 1496, a proxy 1500)";
+        assert_eq!((refused.as_str(), alone.vnic.options.mtu), (line, MTU));
+    });
+}

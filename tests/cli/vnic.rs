@@ -4,6 +4,7 @@ mod alone;
 mod behind;
 mod device;
 mod flood;
+mod held_back;
 mod options;
 mod packets;
 mod proxied;

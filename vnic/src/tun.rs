@@ -24,9 +24,8 @@ mod worker;
 
 use std::io;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use nix::sys::eventfd::EventFd;
@@ -175,6 +174,10 @@ pub struct Status {
     pub remarks: Vec<String>,
     /// What holds back what Linux sends, or why nothing does.
     pub shaping: Result<Shaped, String>,
+    /// What became of what Linux sends, in all filters that this VNIC has had.
+    pub filter: ShapingStatistics,
+    /// Frames from Linux that the driver's queue had no room for, of all devices that this VNIC has had.
+    pub queue_full: u64,
     /// The last thing that happened to the device that nobody here has asked for.
     pub news: Option<String>,
     /// What went through, and what did not.
@@ -192,17 +195,29 @@ pub struct DeviceStatus {
     pub address: Option<Address>,
     /// Its addresses.
     pub addresses: Vec<Prefix>,
-    /// Frames from Linux that the driver's queue had no room for.
-    pub queue_full: u64,
 }
 
 /// What holds back what Linux sends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shaped {
     /// So fast it lets frames through, the largest.
     pub bytes_per_second: u64,
-    /// What became of them.
-    pub statistics: ShapingStatistics,
+    /// Why that is what slots allowed before, if it is not what they allow now.
+    pub as_before: Option<String>,
+}
+
+/// How often a frame may leave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Turns {
+    /// No cycle is known, yet or any more.
+    #[default]
+    NoCycle,
+    /// The station has slots, but none from which the tunnel may take.
+    NoSlot,
+    /// At once: there are no slots.
+    AtOnce,
+    /// So many times in 1000 seconds.
+    In1000Seconds(u64),
 }
 
 /// Whoever has it may ask a VNIC, and tell it how often its slot comes.
@@ -210,7 +225,7 @@ pub struct Shaped {
 pub struct Handle {
     orders: Sender<(Order, Sender<Result<Status, String>>)>,
     bell: Arc<EventFd>,
-    turns: Arc<AtomicU64>,
+    turns: Arc<Mutex<Turns>>,
 }
 
 impl Handle {
@@ -230,9 +245,12 @@ impl Handle {
         })?
     }
 
-    /// Says how often a frame may leave: so many turns in 1000 seconds; 0 where there are no slots.
-    pub fn set_turns(&self, in_1000_seconds: u64) {
-        if self.turns.swap(in_1000_seconds, Ordering::Relaxed) != in_1000_seconds {
+    /// Says how often a frame may leave.
+    pub fn set_turns(&self, turns: Turns) {
+        // Neither thread that has it is real-time, and neither fails with it in hand.
+        let before =
+            std::mem::replace(&mut *self.turns.lock().unwrap_or_else(PoisonError::into_inner), turns);
+        if before != turns {
             self.ring();
         }
     }

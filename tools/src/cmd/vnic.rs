@@ -56,8 +56,9 @@ fn describe(shown: &VnicShown) -> String {
         (Some(rate), _) => {
             let count = |name: &str| grouped(shown.filter.get(name).copied().unwrap_or(0));
             format!(
-                "Linux is held back to {} bytes/s: {} packets passed on, {} dropped, {} wait\n",
+                "Linux is held back to {} bytes/s{}: {} packets passed on, {} dropped, {} wait\n",
                 grouped(*rate),
+                shown.held_back_as_before.as_ref().map_or(String::new(), |why| format!(" as before ({why})")),
                 count("packets"),
                 count("dropped"),
                 count("waiting")
@@ -68,9 +69,57 @@ fn describe(shown: &VnicShown) -> String {
     };
     let named = |(name, n): (&String, &u64)| format!("{name} {}", grouped(*n));
     text += &format!("frames: {}\n", shown.counters.iter().map(named).collect::<Vec<_>>().join(", "));
-    let lost: Vec<String> = shown.lost.iter().map(named).collect();
+    let lost: Vec<String> = shown.lost.iter().filter(|(_, n)| **n > 0).map(named).collect();
     text += &format!("lost: {}\n", if lost.is_empty() { "none".into() } else { lost.join(", ") });
     let pool = &shown.pool;
     text += &format!("buffers: {} of {} free, {} at the least\n", pool.free, pool.capacity, pool.least);
     text + &shown.news.as_ref().map_or(String::new(), |news| format!("{news}\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::PoolShown;
+    use std::collections::BTreeMap;
+
+    fn named(counts: &[(&str, u64)]) -> BTreeMap<String, u64> {
+        counts.iter().map(|&(name, n)| (name.to_owned(), n)).collect()
+    }
+
+    #[test]
+    fn what_is_lost_is_told_by_reason_and_the_rate_with_what_stands_in_its_way() {
+        let pool = "vnic".into();
+        let mut shown = VnicShown {
+            device: "vnic0".into(),
+            mode: "tap".into(),
+            proxy: false,
+            state: "up".into(),
+            mtu: 1_496,
+            mtu_at_most: 1_496,
+            slot_takes: 1_496,
+            addresses: Vec::new(),
+            peers: Vec::new(),
+            bytes_per_second: Some(1_487_350),
+            held_back_as_before: None,
+            not_held_back: None,
+            filter: named(&[("packets", 50), ("dropped", 49_117), ("waiting", 5)]),
+            counters: named(&[("sent", 50)]),
+            lost: named(&[("filter_dropped", 49_117), ("too_long", 0)]),
+            pool: PoolShown { pool, capacity: 64, free: 64, least: 60, exhausted: 0, dropped: 0 },
+            news: None,
+        };
+        let lines = |shown: &VnicShown| describe(shown).lines().map(str::to_owned).collect::<Vec<_>>();
+        let told = lines(&shown);
+        let counted = ": 50 packets passed on, 49 117 dropped, 5 wait";
+        assert_eq!(told[2], format!("Linux is held back to 1 487 350 bytes/s{counted}"));
+        assert_eq!(told[4], "lost: filter_dropped 49 117");
+        shown.held_back_as_before = Some("no cycle is known any more".into());
+        let before = " as before (no cycle is known any more)";
+        assert_eq!(lines(&shown)[2], format!("Linux is held back to 1 487 350 bytes/s{before}{counted}"));
+        (shown.bytes_per_second, shown.held_back_as_before) = (None, None);
+        shown.not_held_back = Some("there are no slots".into());
+        shown.lost = named(&[("filter_dropped", 0), ("too_long", 0)]);
+        let told = lines(&shown);
+        assert_eq!((&*told[2], &*told[4]), ("Linux is not held back: there are no slots", "lost: none"));
+    }
 }

@@ -65,13 +65,15 @@ pub struct VnicShown {
     pub remarks: Vec<String>,
     /// So fast Linux may send, bytes of frames in a second; none: nothing holds it back.
     pub bytes_per_second: Option<u64>,
+    /// Why that is what slots allowed before, if it is not what they allow now.
+    pub held_back_as_before: Option<String>,
     /// Why nothing holds it back.
     pub not_held_back: Option<String>,
-    /// What the filter that holds it back has passed on, dropped, and keeps.
+    /// What the filters that have held it back have passed on and dropped, and what the one that does keeps.
     pub filter: BTreeMap<String, u64>,
     /// What went through, by name.
     pub counters: BTreeMap<String, u64>,
-    /// What was lost, by reason.
+    /// What was lost, by reason, also those for which nothing was.
     pub lost: BTreeMap<String, u64>,
     /// Its buffers.
     pub pool: PoolShown,

@@ -1,5 +1,6 @@
 //! A station's VNIC: what it is to be, its thread, and what the control thread says of it.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -16,8 +17,8 @@ use rtnet::live::interface::Interface;
 use rtnet::live::realtime::avoid;
 use vnic::peers::{Peer, Prefix};
 use vnic::proxy;
-use vnic::tun::{self, Change, Handle, Mode, Order, Shaped, Status, Vnic};
-use vnic::tunnel::{self, AT_ONCE, Config};
+use vnic::tun::{self, Change, Handle, Mode, Order, Status, Turns, Vnic};
+use vnic::tunnel::{self, AT_ONCE, Config, Loss};
 
 use super::access::AccessStatus;
 use super::stack::OwnIp;
@@ -195,27 +196,32 @@ fn read(change: &VnicChange) -> Result<Change, String> {
 }
 
 fn shown(status: Status, pool: PoolShown) -> VnicShown {
-    let Status { name, mode, is_proxy, device, most, slot, peers, remarks, shaping, news, counts } = status;
+    let Status {
+        name,
+        mode,
+        is_proxy,
+        device,
+        most,
+        slot,
+        peers,
+        remarks,
+        shaping,
+        filter,
+        queue_full,
+        news,
+        counts,
+    } = status;
     let state = device.as_ref().map_or("gone", |device| if device.is_up { "up" } else { "down" });
-    let mut lost: std::collections::BTreeMap<String, u64> =
-        counts.losses().map(|(why, n)| (why.name().to_owned(), n)).collect();
-    if let Some(full) = device.as_ref().map(|device| device.queue_full).filter(|&n| n > 0) {
-        lost.insert("device_queue_full".into(), full);
-    }
-    let (bytes_per_second, not_held_back, filter) = match shaping {
-        Ok(Shaped { bytes_per_second, statistics }) => {
-            let all = [
-                ("packets", statistics.packets),
-                ("bytes", statistics.bytes),
-                ("dropped", statistics.drops),
-                ("waiting", statistics.waiting),
-                ("waiting_bytes", statistics.backlog),
-            ];
-            let all = all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect();
-            (Some(bytes_per_second), None, all)
-        }
-        Err(why) => (None, Some(why), Default::default()),
-    };
+    let by_linux = [("filter_dropped", filter.drops), ("device_queue_full", queue_full)];
+    let lost = Loss::ALL.iter().map(|&why| (why.name(), counts.lost(why))).chain(by_linux);
+    let filtered = [
+        ("packets", filter.packets),
+        ("bytes", filter.bytes),
+        ("dropped", filter.drops),
+        ("waiting", filter.waiting),
+        ("waiting_bytes", filter.backlog),
+    ];
+    let (shaped, not_held_back) = shaping.map_or_else(|why| (None, Some(why)), |shaped| (Some(shaped), None));
     let [sent, received] = if is_proxy { ["proxied_out", "proxied_in"] } else { ["sent", "received"] };
     let counters = [(sent, counts.sent), ("put_off", counts.put_off), (received, counts.received)];
     let addresses = device.as_ref().map(|device| device.addresses.clone()).unwrap_or_default();
@@ -234,24 +240,106 @@ fn shown(status: Status, pool: PoolShown) -> VnicShown {
         addresses: addresses.iter().map(Prefix::to_string).collect(),
         peers: peers.iter().map(Peer::to_string).collect(),
         remarks,
-        bytes_per_second,
+        bytes_per_second: shaped.as_ref().map(|shaped| shaped.bytes_per_second),
+        held_back_as_before: shaped.and_then(|shaped| shaped.as_before),
         not_held_back,
-        filter,
-        counters: counters.into_iter().map(|(name, n)| (name.to_owned(), n)).collect(),
-        lost,
+        filter: named(filtered),
+        counters: named(counters),
+        lost: named(lost),
         pool,
         news,
     }
 }
 
+fn named(counts: impl IntoIterator<Item = (&'static str, u64)>) -> BTreeMap<String, u64> {
+    counts.into_iter().map(|(name, n)| (name.to_owned(), n)).collect()
+}
+
 /// How often what is not real-time may leave: turns of every slot that takes from the queue of slot 1, or of slot 0 while
-/// that has no other name. 0 without slots.
-fn turns_in_1000_seconds(status: &AccessStatus) -> u64 {
-    let Some((tdma, period)) = status.tdma().and_then(|tdma| Some((tdma, tdma.period?))) else { return 0 };
+/// that has no other name.
+fn turns_in_1000_seconds(status: &AccessStatus) -> Turns {
+    let Some(tdma) = status.tdma() else { return Turns::AtOnce };
     let slots = || tdma.slots.iter().flatten().map(|slot| slot.config);
     let queue = |id| slots().find(|slot| slot.id == id).map(|slot| slot.joint.unwrap_or(slot.id));
-    let Some(non_rt) = queue(1).or_else(|| queue(0)) else { return 0 };
+    let Some(non_rt) = queue(1).or_else(|| queue(0)) else { return Turns::NoSlot };
+    let Some(period) = tdma.period else { return Turns::NoCycle };
     let takes = slots().filter(|slot| slot.joint.unwrap_or(slot.id) == non_rt);
     let turns = takes.map(|slot| 1e12 / (period.nanos() as f64 * f64::from(slot.period)));
-    turns.sum::<f64>() as u64
+    Turns::In1000Seconds(turns.sum::<f64>() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::station::access::{Access, AccessConfig};
+    use rtmac::tdma::{DEFAULT_LEAD, LatePolicy, RoleConfig, SlaveConfig, SlotConfig, TdmaConfig};
+    use rtnet::discipline::Discipline;
+    use rtnet::time::Span;
+    use rtnet::wire::ethernet::{Address, MTU};
+    use vnic::netlink::ShapingStatistics;
+    use vnic::tun::Shaped;
+
+    fn turns(access: &AccessConfig) -> Turns {
+        turns_in_1000_seconds(&Access::new(access, Address::default()).unwrap().status())
+    }
+
+    /// With these slots, in each of so many cycles.
+    fn tdma(role: RoleConfig, slots: &[(u8, u32)]) -> AccessConfig {
+        let slot = |&(id, period)| SlotConfig {
+            id,
+            offset: Span::from_micros(100 + 100 * i64::from(id)),
+            phase: 0,
+            period,
+            size: MTU,
+            joint: None,
+            latest: Span::from_micros(50),
+        };
+        AccessConfig::Tdma(TdmaConfig {
+            address: Address::default(),
+            role,
+            slots: slots.iter().map(slot).collect(),
+            max_slot_id: 7,
+            lead: DEFAULT_LEAD,
+            late: LatePolicy::Skip,
+        })
+    }
+
+    #[test]
+    fn what_is_known_of_turns_is_told_apart_from_why_none_is() {
+        let slave = || RoleConfig::Slave(SlaveConfig { rounds: 0, ..SlaveConfig::default() });
+        assert_eq!(turns(&AccessConfig::NoMac), Turns::AtOnce);
+        // Before its master.
+        assert_eq!(turns(&tdma(slave(), &[(0, 1), (1, 1)])), Turns::NoCycle);
+        assert_eq!(turns(&tdma(slave(), &[(2, 1)])), Turns::NoSlot);
+        assert_eq!(turns(&tdma(slave(), &[])), Turns::NoSlot);
+    }
+
+    #[test]
+    fn all_reasons_of_losses_are_shown_what_filter_and_driver_dropped_among_them() {
+        let filter = ShapingStatistics { drops: 49_117, packets: 3, ..ShapingStatistics::default() };
+        let shaped = Shaped { bytes_per_second: 985, as_before: Some("why".into()) };
+        let status = Status {
+            name: "vnic0".into(),
+            mode: Mode::Tap,
+            is_proxy: false,
+            device: None,
+            most: 1_496,
+            slot: 1_496,
+            peers: Vec::new(),
+            shaping: Ok(shaped),
+            filter,
+            queue_full: 7,
+            news: None,
+            counts: Default::default(),
+        };
+        let pool = || PoolShown::new("vnic".into(), Pool::new(1).statistics(), 0);
+        let it = shown(status.clone(), pool());
+        assert_eq!((it.lost["filter_dropped"], it.lost["device_queue_full"]), (49_117, 7));
+        assert_eq!((it.lost.len(), it.lost["too_long"]), (Loss::ALL.len() + 2, 0));
+        assert_eq!((it.bytes_per_second, it.held_back_as_before.as_deref()), (Some(985), Some("why")));
+        // What was counted outlasts the filter.
+        let without = shown(Status { shaping: Err("it is gone".into()), ..status }, pool());
+        assert_eq!((without.bytes_per_second, without.not_held_back.as_deref()), (None, Some("it is gone")));
+        assert_eq!((&without.filter, without.filter["dropped"]), (&it.filter, 49_117));
+    }
 }

@@ -138,9 +138,14 @@ impl Links {
     /// # Errors
     /// There is no such device, or the kernel's answer cannot be understood.
     pub fn shaping(&mut self, index: u32) -> Result<Option<ShapingStatistics>, Refused> {
-        let discipline = self.discipline(index, TcHandle::ROOT)?.attributes;
-        let is_tbf = discipline.contains(&TcAttribute::Kind(KIND.into()));
-        Ok(is_tbf.then(|| statistics(&discipline)))
+        Ok(self.bucket(index)?.map(|(_, statistics)| statistics))
+    }
+
+    /// The same, with the number that the kernel has given to the token bucket: one that is made anew has another.
+    pub(crate) fn bucket(&mut self, index: u32) -> Result<Option<(u32, ShapingStatistics)>, Refused> {
+        let TcMessage { header, attributes, .. } = self.discipline(index, TcHandle::ROOT)?;
+        let is_tbf = attributes.contains(&TcAttribute::Kind(KIND.into()));
+        Ok(is_tbf.then(|| (header.handle.into(), statistics(&attributes))))
     }
 
     /// The queueing discipline there: without attributes where is none, or one that frames go past.

@@ -5,9 +5,9 @@ mod keep;
 
 use std::io;
 use std::os::fd::AsFd;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -15,9 +15,10 @@ use nix::sys::eventfd::EventFd;
 use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
 
+use self::hold_back::HeldBack;
 use super::aside::Aside;
 use super::device::kind_of_packet;
-use super::{Device, Handle, Mode, Options, Order, StartError, Status};
+use super::{Device, Handle, Mode, Options, Order, StartError, Status, Turns};
 use crate::netlink::{Links, Watch};
 use crate::peers::{Peers, Prefix};
 use crate::proxy::PACKET;
@@ -50,16 +51,14 @@ pub struct Vnic {
     bell: Arc<EventFd>,
     /// What ends the station's.
     station: Arc<EventFd>,
-    turns: Arc<AtomicU64>,
+    turns: Arc<Mutex<Turns>>,
     orders: Receiver<(Order, Answer)>,
     handle: Handle,
     stop: Arc<AtomicBool>,
     /// All buffers wait for their turns: the device is not read.
     is_full: bool,
-    /// What the filter was set to last: bytes in a second; or why there is none.
-    shaped: Result<u64, String>,
-    /// For what it was tried last: turns and MTU.
-    tried: Option<(u64, usize)>,
+    /// What Linux is held back by.
+    held_back: HeldBack,
     mtu: usize,
     /// It may lack addresses of its own.
     owes_addresses: bool,
@@ -98,7 +97,7 @@ impl Vnic {
         };
         let (orders, told) = channel();
         let [bell, station] = bells;
-        let turns = Arc::new(AtomicU64::new(0));
+        let turns = Arc::<Mutex<Turns>>::default();
         let room = Pool::new(1);
         let came = room.take().ok_or(io::ErrorKind::OutOfMemory).map_err(io::Error::from)?;
         let mut vnic = Self {
@@ -120,8 +119,7 @@ impl Vnic {
             orders: told,
             stop,
             is_full: false,
-            shaped: Err("no slot is known yet".into()),
-            tried: None,
+            held_back: HeldBack::default(),
             mtu: 0,
             owes_addresses: false,
             lost_ipv6: false,

@@ -1,12 +1,16 @@
-//! How Linux is held back to what slots allow: a filter in front of the device, which follows them.
+//! How Linux is held back to what slots allow: a filter in front of the device, which follows them; and what is counted there,
+//! which goes on where a filter or a device begins anew.
 
-use std::sync::atomic::Ordering;
+mod sums;
+
+use std::sync::PoisonError;
 
 use rtnet::wire::ethernet;
 
-use super::super::{Mode, Shaped};
+use super::super::{Mode, Shaped, Turns};
 use super::Vnic;
-use crate::netlink::{Refused, Shaping};
+use crate::netlink::{Link, Links, Refused, Shaping, ShapingStatistics};
+use sums::{FilterSums, Sum};
 
 /// The driver's queue: what waits behind the filter, which lets through less than the slots do.
 const DRIVER_QUEUE: u32 = 64;
@@ -19,30 +23,66 @@ const QUEUE_LEAST: u64 = 16;
 /// What may leave at once after a pause, of the largest frames.
 const BURST: u32 = 4;
 
+/// What Linux is held back by.
+pub(super) struct HeldBack {
+    /// For what it was set last, or tried to be: turns, and the largest frame.
+    tried: Option<(Turns, usize)>,
+    /// Turns in 1000 seconds when some were known last.
+    known: Option<u64>,
+    /// What came of it.
+    outcome: Result<Shaped, String>,
+    /// Whether there was a device at the last look.
+    has_device: bool,
+    filter: FilterSums,
+    queue_full: Sum,
+}
+
+impl Default for HeldBack {
+    fn default() -> Self {
+        let outcome = Err("no cycle is known yet".into());
+        let (filter, queue_full) = Default::default();
+        Self { tried: None, known: None, outcome, has_device: false, filter, queue_full }
+    }
+}
+
+/// What is asked of the kernel; tests answer themselves.
+trait Kernel {
+    fn link(&mut self, index: u32) -> Result<Option<Link>, Refused>;
+    fn filter(&mut self, index: u32) -> Result<Option<(u32, ShapingStatistics)>, Refused>;
+    fn limit(&mut self, index: u32, shaping: &Shaping) -> Result<Option<Refused>, Refused>;
+    fn unlimit(&mut self, index: u32) -> Result<(), Refused>;
+}
+
+impl Kernel for Links {
+    fn link(&mut self, index: u32) -> Result<Option<Link>, Refused> {
+        self.get(index)
+    }
+    fn filter(&mut self, index: u32) -> Result<Option<(u32, ShapingStatistics)>, Refused> {
+        self.bucket(index)
+    }
+    fn limit(&mut self, index: u32, shaping: &Shaping) -> Result<Option<Refused>, Refused> {
+        let only_bytes = self.limit_rate(index, shaping)?;
+        self.set_queue_length(index, DRIVER_QUEUE).map(|()| only_bytes)
+    }
+    fn unlimit(&mut self, index: u32) -> Result<(), Refused> {
+        self.unlimit_rate(index)
+    }
+}
+
 impl Vnic {
     /// Holds Linux back to what slots allow.
     pub(super) fn shape(&mut self) {
-        let turns = self.turns.load(Ordering::Relaxed);
-        if self.tried.replace((turns, self.mtu)) == Some((turns, self.mtu)) {
-            return;
-        }
-        let set = if turns == 0 {
-            self.links
-                .unlimit_rate(self.index)
-                .map(|()| Err("there are no slots: nothing is held back".into()))
-        } else {
-            self.feed(&shaping(turns, self.frame_len())).map(Ok)
-        };
-        self.shaped = set.unwrap_or_else(|refused| Err(refused.to_string()));
-    }
-
-    /// At so many bytes a second.
-    fn feed(&mut self, shaping: &Shaping) -> Result<u64, Refused> {
-        if let Some(refused) = self.links.limit_rate(self.index, shaping)? {
+        let turns = *self.turns.lock().unwrap_or_else(PoisonError::into_inner);
+        let frame = self.frame_len();
+        if let Some(refused) = self.held_back.follow(&mut self.links, self.index, turns, frame) {
             self.report(format!("short packets may wait longer in front of '{}': {refused}", self.name));
         }
-        self.links.set_queue_length(self.index, DRIVER_QUEUE)?;
-        Ok(shaping.bytes_per_second)
+    }
+
+    /// Looks what the filter and the device have counted.
+    pub(super) fn count(&mut self) -> Result<(), Refused> {
+        let index = self.device.is_some().then_some(self.index);
+        self.held_back.count(&mut self.links, index)
     }
 
     /// The largest frame of the device as Linux counts it.
@@ -52,17 +92,91 @@ impl Vnic {
             Mode::Tun => self.mtu,
         }
     }
+}
 
-    /// What holds it back, or why nothing does.
-    pub(super) fn shaping(&mut self, has_device: bool) -> Result<Result<Shaped, String>, Refused> {
-        Ok(match &self.shaped {
-            _ if !has_device => Err("there is no device".into()),
-            Err(why) => Err(why.clone()),
-            &Ok(bytes_per_second) => match self.links.shaping(self.index)? {
-                Some(statistics) => Ok(Shaped { bytes_per_second, statistics }),
-                None => Err("somebody has taken the filter away".into()),
-            },
-        })
+impl HeldBack {
+    /// Sets the filter, if turns or frames are others. Told is why what waits is not bounded in packets, if it is not.
+    fn follow(
+        &mut self,
+        kernel: &mut impl Kernel,
+        index: u32,
+        turns: Turns,
+        frame: usize,
+    ) -> Option<Refused> {
+        if self.tried.replace((turns, frame)) == Some((turns, frame)) {
+            return None;
+        }
+        let why = match turns {
+            Turns::In1000Seconds(known) => {
+                self.known = Some(known);
+                None
+            }
+            Turns::AtOnce => {
+                self.known = None;
+                Some("there are no slots")
+            }
+            Turns::NoSlot => Some("the station has no slot 1 or 0 for it"),
+            Turns::NoCycle if self.known.is_none() => Some("no cycle is known yet"),
+            Turns::NoCycle => Some("no cycle is known any more"),
+        };
+        let mut only_bytes = None;
+        let set = match self.known {
+            // Nothing leaves meanwhile, and what waits would be lost with the filter: it stays.
+            Some(known) => {
+                let shaping = shaping(known, frame);
+                kernel.limit(index, &shaping).map(|why_not_packets| {
+                    only_bytes = why_not_packets;
+                    let as_before = why.map(str::to_owned);
+                    Ok(Shaped { bytes_per_second: shaping.bytes_per_second, as_before })
+                })
+            }
+            None => self
+                .count(kernel, Some(index))
+                .and_then(|()| kernel.unlimit(index))
+                .map(|()| Err(why.unwrap_or_default().into())),
+        };
+        self.outcome = set.unwrap_or_else(|refused| Err(format!("{refused}: `rtnet vnic up` tries again")));
+        only_bytes
+    }
+
+    /// Whatever it was set to, it is set again.
+    pub(super) fn try_again(&mut self) {
+        self.tried = None;
+    }
+
+    /// Looks what filter and device have counted, if there is a device.
+    fn count(&mut self, kernel: &mut impl Kernel, index: Option<u32>) -> Result<(), Refused> {
+        let link = index.map(|index| kernel.link(index)).transpose()?.flatten();
+        self.has_device = link.is_some();
+        let Some(link) = link else {
+            self.filter.is_now(None, false);
+            self.queue_full.begins_anew();
+            return Ok(());
+        };
+        self.queue_full.is_now(link.statistics.send_dropped);
+        self.filter.is_now(kernel.filter(link.index)?, link.is_up);
+        Ok(())
+    }
+
+    /// What holds Linux back, or why nothing does, as of the last look.
+    pub(super) fn shaping(&self) -> Result<Shaped, String> {
+        match &self.outcome {
+            _ if !self.has_device => Err("there is no device".into()),
+            Ok(_) if !self.filter.is_there() => {
+                Err("somebody has taken the filter away: `rtnet vnic up` puts it back".into())
+            }
+            outcome => outcome.clone(),
+        }
+    }
+
+    /// What all filters have counted.
+    pub(super) fn filter(&self) -> ShapingStatistics {
+        self.filter.all()
+    }
+
+    /// Frames for which the drivers' queues had no room.
+    pub(super) fn queue_full(&self) -> u64 {
+        self.queue_full.all()
     }
 }
 
@@ -74,16 +188,4 @@ fn shaping(turns: u64, frame: usize) -> Shaping {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn linux_is_held_back_to_a_little_less_than_the_turns_of_the_slots() {
-        let every_millisecond = shaping(1_000_000, 1510);
-        assert_eq!(every_millisecond.bytes_per_second, 985 * 1510);
-        assert_eq!((every_millisecond.limit, every_millisecond.longest), (100, 1510));
-        let seldom = shaping(1_000, 500);
-        assert_eq!((seldom.bytes_per_second, seldom.limit, seldom.burst), (492, 16, 2000));
-        assert_eq!(shaping(1, 60).bytes_per_second, 1);
-    }
-}
+mod tests;

@@ -37,11 +37,18 @@ impl Vnic {
                 StartError::Device(OpenError::Taken(name)) => OpenError::TakenMeanwhile(name).into(),
                 other => other,
             })?,
-            Order::Up => self.set_up()?,
+            Order::Up => {
+                self.set_up()?;
+                self.held_back.try_again();
+            }
             Order::Down | Order::Set(_) if self.device.is_none() => {
                 return Err(OrderError::Gone(self.name.clone()));
             }
-            Order::Down => self.links.set_up(self.index, false)?,
+            Order::Down => {
+                // Linux empties the filter without a word.
+                self.count()?;
+                self.links.set_up(self.index, false)?;
+            }
             Order::Set(change) => self.change(change)?,
         }
         // Who asks is told how fast it is fed now, not how fast it was.
@@ -60,7 +67,8 @@ impl Vnic {
         if device.mode() == Mode::Tap {
             self.links.set_hardware_address(link.index, self.mouth.config().address.0)?;
         }
-        (self.mtu, self.tried) = (0, None);
+        self.mtu = 0;
+        self.held_back.try_again();
         self.name = name;
         self.follow_mtu()?;
         self.set_up()?;
@@ -102,6 +110,8 @@ impl Vnic {
             self.report(format!("'{}' lacks an address: {refused}", self.name));
         }
         self.shape();
+        // What is lost with a filter or a device is known as of the last look.
+        let _ = self.count();
     }
 
     fn report_mtu(&mut self, refused: Refused) {
@@ -208,6 +218,8 @@ impl Vnic {
 
     pub(super) fn lose_device(&mut self) {
         self.device = None;
+        // Of none nothing is asked.
+        let _ = self.count();
         self.is_full = false;
         let remedy = "`rtnet vnic up` makes it anew";
         self.report(format!(
@@ -232,14 +244,13 @@ impl Vnic {
                     mtu: link.mtu,
                     address: link.address.map(Address),
                     addresses,
-                    queue_full: link.statistics.send_dropped,
                 })
             }
             None => None,
         };
         let remarks = [self.ipv6_waits(), self.small_slot()].into_iter().flatten();
         let remarks = remarks.filter(|_| device.is_some()).collect();
-        let shaping = self.shaping(device.is_some())?;
+        self.count()?;
         Ok(Status {
             name: self.name.clone(),
             mode: self.options.mode,
@@ -249,7 +260,9 @@ impl Vnic {
             slot: self.mouth.mtu(),
             peers: self.peers.all().to_vec(),
             remarks,
-            shaping,
+            shaping: self.held_back.shaping(),
+            filter: self.held_back.filter(),
+            queue_full: self.held_back.queue_full(),
             news: self.news.clone(),
             counts: self.mouth.counts(),
         })

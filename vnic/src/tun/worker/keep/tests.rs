@@ -44,6 +44,7 @@ impl Alone {
             mtu: MTU,
             peers: Vec::new(),
             interface,
+            notes: None,
         };
         let bell = || Arc::new(EventFd::new().unwrap());
         let told = Arc::new(Mutex::new(Vec::new()));

@@ -270,3 +270,17 @@ fn an_interface_with_an_address_of_linux_has_no_proxy() {
         assert!(line.contains("Linux has an address on 'rt0' itself, 10.0.0.1/24"), "{line}");
     });
 }
+
+#[test]
+fn a_master_with_a_proxy_that_makes_way_for_another_leaves_the_interface_to_linux_as_it_was() {
+    let test = "a_master_with_a_proxy_that_makes_way_for_another_leaves_the_interface_to_linux_as_it_was";
+    network(test, || {
+        let medium = Medium::new();
+        let _first = Station::master(&medium, "proxy-first");
+        let cycle = ["--master", "--cycle", "5ms"];
+        let mut second = start(&medium.b, &cycle, &["0=300us", "1=600us"], "proxy-second", IP_B);
+        assert_eq!(second.ended().and_then(|status| status.code()), Some(1));
+        second.wait_for("another master (02:00:00:00:00:0a) is active on this medium");
+        assert_eq!(asked(&medium.b), ["0"; 2]);
+    });
+}

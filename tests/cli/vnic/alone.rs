@@ -132,3 +132,17 @@ fn two_stations_of_one_namespace_have_a_device_each() {
         assert!(shown["counters"]["received"].as_u64() > Some(0), "{shown:#}");
     });
 }
+
+#[test]
+fn a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line() {
+    network("a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line", || {
+        let (mut medium, name) = (Medium::new(), format!("gone-{}", std::process::id()));
+        let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name];
+        let mut station = started(&medium.a, &[&options[..], &["--vnic", "10.1.0.1/24"]].concat());
+        wait_until("it has its device", || status_of(&name)["state"] == "up");
+        medium.segment.detach("port0").unwrap();
+        assert_eq!(station.ended().and_then(|status| status.code()), Some(1));
+        let line = station.wait_for("rtnet: ");
+        assert!(line.contains("the interface 'rt0' is gone"), "{line}");
+    });
+}

@@ -49,7 +49,7 @@ use programs::Programs;
 use stack::StackOptions;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
-use vnic::{Opened, VnicOptions};
+use vnic::{Opened, Running, VnicOptions};
 use wire::Wire;
 
 /// Part of the sync window in which a Synchronisation may be begun; the rest is for its time on the air.
@@ -236,8 +236,15 @@ impl Ready {
     /// Runs until told to stop, or until the station cannot go on.
     pub fn run(mut self) -> Result<()> {
         let clocks = self.in_lab.then(|| self.driver.clock_order());
-        // Before this thread gives up what that one needs.
-        let vnic = self.vnic.map(|vnic| vnic.start(self.realtime.cpu)).transpose()?;
+        // Before this thread gives up what that one needs. However the station ends, its device is gone before it is.
+        let vnic = match self.vnic.map(|vnic| vnic.start(self.realtime.cpu)).transpose() {
+            Ok(vnic) => vnic,
+            Err(why) => {
+                self.desk = self.desk.with_vnic(Some(Err(why.clone())));
+                self.vnic_refused = Some(why);
+                None
+            }
+        };
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
         refused.extend(self.vnic_refused);
@@ -275,12 +282,16 @@ impl Ready {
                 bail!(why);
             }
             if ended {
-                // Its device is gone before the station is.
-                vnic.into_iter().for_each(|thread| drop(thread.join()));
-                return thread.join().map_err(|_| anyhow!("the real-time thread panicked"));
+                return self::ended(thread, vnic);
             }
         }
     }
+}
+
+/// What a station ends with whose real-time thread has. Its device is gone before it is.
+fn ended(thread: JoinHandle<()>, vnic: Option<Running>) -> Result<()> {
+    drop(vnic);
+    thread.join().map_err(|_| anyhow!("the real-time thread panicked"))
 }
 
 /// Starts the real-time thread; with what the host refused it.

@@ -1,13 +1,14 @@
 //! A station's VNIC: what it is to be, its thread, and what the control thread says of it.
 
+mod running;
+
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::thread::JoinHandle;
+use std::thread::Builder;
 
-use anyhow::Result;
 use caps::{CapSet, Capability, CapsHashSet};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtnet::buf::Pool;
@@ -23,6 +24,7 @@ use vnic::tunnel::{self, AT_ONCE, Config, Loss};
 use super::access::AccessStatus;
 use super::stack::OwnIp;
 use crate::control::{Directory, PoolShown, VnicChange, VnicRequest, VnicShown};
+pub use running::Running;
 
 /// Stack of its thread.
 const STACK: usize = 256 * 1024;
@@ -65,6 +67,8 @@ impl VnicOptions {
 /// A VNIC whose thread has not started.
 pub struct Opened {
     vnic: Vnic,
+    stop: Arc<AtomicBool>,
+    bell: Arc<EventFd>,
     /// What the control thread keeps.
     pub told: Told,
 }
@@ -126,27 +130,27 @@ pub fn open(
         // Nobody may read it any more; `rtnet vnic status` tells it, too.
         let _ = writeln!(std::io::stderr(), "rtnet: {line}");
     });
-    let vnic = Vnic::open(wished, mouth, [bell, port.bell()], stop.clone(), tell);
+    let vnic = Vnic::open(wished, mouth, [bell.clone(), port.bell()], stop.clone(), tell);
     let vnic = vnic.map_err(|error| said(&error))?;
     if !options.proxy {
         port.leave_tunnelled().map_err(|error| said(&error))?;
     }
     let told = Told { handle: vnic.handle(), pool };
-    Ok((Opened { vnic, told }, service))
+    Ok((Opened { vnic, stop: stop.clone(), bell, told }, service))
 }
 
 impl Opened {
-    /// Starts its thread, on any core but that of the real-time thread.
-    pub fn start(self, not_on: Option<usize>) -> Result<JoinHandle<()>> {
-        let builder = std::thread::Builder::new().name("vnic".into()).stack_size(STACK);
-        Ok(builder.spawn(move || {
+    /// Starts its thread, on any core but that of the real-time thread; a line says why it does not.
+    pub fn start(self, not_on: Option<usize>) -> Result<Running, String> {
+        let Self { vnic, stop, bell, .. } = self;
+        Running::start(Builder::new().stack_size(STACK), stop, bell, move || {
             if let Some(cpu) = not_on {
                 // It runs wherever it may, then.
                 let _ = avoid(cpu);
             }
             keep_only_what_devices_need();
-            self.vnic.run();
-        })?)
+            vnic.run();
+        })
     }
 }
 

@@ -71,7 +71,8 @@ pub enum Verb {
     Slot(SlotArgs),
     /// Show the address of a running station, what its slots take, and what its interface has counted
     ///
-    /// For a station that was started with an address (`rtnet station --ip`), as are `route`, `ping`, `pool` and `stat`.
+    /// For a station that was started with an address (`rtnet station --ip`), as are `route` and `ping`; `pool` and `stat` are
+    /// for one with a VNIC (`rtnet station --vnic`), too.
     If(ShowArgs),
     /// Look at the routes of a running station, or change them
     ///

@@ -5,8 +5,9 @@ use std::process::Command;
 use tools::lab::namespace::{Namespace, Segment};
 
 use super::{are_there, refused, status_of, vnic_of};
-use crate::cell::wait_until;
+use crate::cell::{json, text, wait_until};
 use crate::host::network;
+use crate::rtnet;
 use crate::station::{Medium, Station};
 
 /// A station with a VNIC, of which a shell in a mount namespace of its own has said `exec "$0" "$@"` in this way.
@@ -130,6 +131,45 @@ fn two_stations_of_one_namespace_have_a_device_each() {
         });
         let shown = status_of(&b);
         assert!(shown["counters"]["received"].as_u64() > Some(0), "{shown:#}");
+    });
+}
+
+#[test]
+fn a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools() {
+    network("a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools", || {
+        let (medium, name) = (Medium::new(), format!("counts-{}", std::process::id()));
+        for with_ip in [&[][..], &["--ip", "10.0.0.1/24"]] {
+            let options = ["--interface", "rt0", "--master", "--cycle", "5ms", "--slot", "0=1ms"];
+            let vnic = ["--slot", "1=2ms,size=500", "--name", &name, "--vnic", "10.1.0.1/24"];
+            let station = Station::start(&medium.a, &[&options[..], &vnic, with_ip].concat());
+            station.wait_for("master_active");
+            let stat = || json(rtnet().args(["stat", "-S", &name, "--json"]));
+            wait_until("something was sent", || {
+                let shown = stat();
+                let counts = [&shown["vnic"]["counters"]["sent"], &shown["station"]["syncs_sent"]];
+                counts.iter().all(|count| count.as_u64() > Some(0))
+            });
+            let shown = stat();
+            assert!(
+                shown["vnic"]["lost"].is_object() && shown["refused"]["no_protocol"].is_u64(),
+                "{shown:#}"
+            );
+            assert_eq!(shown["stack"].as_object().unwrap().is_empty(), with_ip.is_empty(), "{shown:#}");
+            let said = text(&rtnet().args(["stat", "-S", &name]).output().unwrap().stdout);
+            assert!(said.contains("\nVNIC: ") && said.contains("\nVNIC, lost: "), "{said}");
+            assert_eq!(said.contains("\nstack: "), !with_ip.is_empty(), "{said}");
+            let pools = json(rtnet().args(["pool", "-S", &name, "--json"]));
+            let names: Vec<_> =
+                pools.as_array().unwrap().iter().map(|pool| pool["pool"].as_str().unwrap()).collect();
+            assert_eq!((&names[..2], names.last()), (&["receive", "control"][..], Some(&"vnic")));
+            assert_eq!(names.len() > 3, !with_ip.is_empty(), "{names:?}");
+            // What is about addresses is for who has some.
+            for verb in [&["if"][..], &["route", "list"]] {
+                let done = rtnet().arg(verb[0]).args(["-S", &name]).args(&verb[1..]).output().unwrap();
+                assert_eq!(done.status.success(), !with_ip.is_empty(), "{verb:?}");
+            }
+            assert_eq!(station.end(), Some(0));
+        }
     });
 }
 

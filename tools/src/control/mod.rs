@@ -34,4 +34,4 @@ pub use sockets::{
     ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,
     NetworkShown, PoolShown, RouteSaid, RoutesShown, StackReply, StackRequest, Way,
 };
-pub use vnic::{VnicChange, VnicRequest, VnicShown};
+pub use vnic::{VnicChange, VnicCounted, VnicRequest, VnicShown};

@@ -6,6 +6,8 @@ use std::net::Ipv4Addr;
 use rtnet::buf::PoolStatistics;
 use serde::{Deserialize, Serialize};
 
+use super::VnicCounted;
+
 /// What a station with sockets may be asked.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -268,4 +270,7 @@ pub struct CountersShown {
     pub loopback: BTreeMap<String, u64>,
     /// Of its sockets.
     pub sockets: BTreeMap<String, BTreeMap<String, u64>>,
+    /// Of its VNIC, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vnic: Option<VnicCounted>,
 }

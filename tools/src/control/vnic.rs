@@ -80,3 +80,17 @@ pub struct VnicShown {
     /// What became of the device that nobody has asked the station for.
     pub news: Option<String>,
 }
+
+/// What a VNIC counts, among what its station does.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub struct VnicCounted {
+    /// What went through, by name.
+    pub counters: BTreeMap<String, u64>,
+    /// What was lost, by reason.
+    pub lost: BTreeMap<String, u64>,
+    /// What the filter that holds Linux back has passed on, dropped, and keeps.
+    pub filter: BTreeMap<String, u64>,
+    /// Why nothing of that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unknown: Option<String>,
+}

@@ -262,7 +262,7 @@ impl Desk {
                 Ok(StackReply::Interface(Box::new(shown)))
             }
             StackRequest::Counters => {
-                let (name, own) = (self.name.clone(), self.sockets.counters()?);
+                let (name, own) = (self.name.clone(), self.counted()?);
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
                 let (mut station, refused) =
                     (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
@@ -272,7 +272,10 @@ impl Desk {
             }
             StackRequest::Pools => {
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
-                let mut pools = self.sockets.pools(newest.port.socket_full, newest.status.pool())?;
+                let mut pools = self.sockets.pools_below(newest.port.socket_full, newest.status.pool());
+                if self.sockets.are_there() || self.vnic.is_err() {
+                    pools.extend(self.sockets.pools()?);
+                }
                 pools.extend(self.vnic.iter().map(Told::pool));
                 Ok(StackReply::Pools(pools))
             }
@@ -288,6 +291,15 @@ impl Desk {
             }
             other => self.sockets.answer(other),
         }
+    }
+
+    /// What is above the discipline counts. Who has neither sockets nor a VNIC is told what to start it with.
+    fn counted(&self) -> Result<CountersShown, String> {
+        let own = match &self.vnic {
+            Ok(_) if !self.sockets.are_there() => CountersShown::default(),
+            _ => self.sockets.counters()?,
+        };
+        Ok(CountersShown { vnic: self.vnic.as_ref().ok().map(Told::counted), ..own })
     }
 
     fn status(&mut self, traffic: Traffic) -> Reply {

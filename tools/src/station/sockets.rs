@@ -205,24 +205,35 @@ impl Sockets {
         Ok(Way { ip, address, via: via.map(|route| route.gateway), is_awaited })
     }
 
-    /// All pools. What is below the stack is the port's to know, and the discipline's: frames that found no buffer wait in the
-    /// kernel, so that what is lost is what found no room there.
-    pub fn pools(&self, lost: u64, control: Option<PoolStatistics>) -> Result<Vec<PoolShown>, String> {
+    /// Whether there can be any.
+    pub fn are_there(&self) -> bool {
+        self.room.is_some()
+    }
+
+    /// The pools below the stack, also where there is none. Frames that found no buffer wait in the kernel, so that what is
+    /// lost is what found no room there.
+    pub fn pools_below(&self, lost: u64, control: Option<PoolStatistics>) -> Vec<PoolShown> {
+        let control =
+            control.map(|statistics| PoolShown::new("control".into(), statistics, statistics.exhausted));
+        let receive = PoolShown::new("receive".into(), self.receive.statistics(), lost);
+        [receive].into_iter().chain(control).collect()
+    }
+
+    /// Those of the stack and of its sockets.
+    pub fn pools(&self) -> Result<Vec<PoolShown>, String> {
         let brought: (Option<[PoolStatus; 2]>, _) = (None, room::vec(self.room()?.sockets));
         let (own, sockets) = self.visit(brought, |(own, sockets), stack, _| {
             *own = Some(stack.pools());
             find_sockets(stack, sockets);
         })?;
-        let mut pools = vec![PoolShown::new("receive".into(), self.receive.statistics(), lost)];
-        let control = control.map(|statistics| PoolStatus { name: "control", statistics });
-        for PoolStatus { name, statistics } in control.into_iter().chain(own.into_iter().flatten()) {
-            pools.push(PoolShown::new(name.to_owned(), statistics, statistics.exhausted));
-        }
-        pools.extend(sockets.iter().map(|found| {
+        let own = own.into_iter().flatten().map(|PoolStatus { name, statistics }| {
+            PoolShown::new(name.to_owned(), statistics, statistics.exhausted)
+        });
+        let of_sockets = sockets.iter().map(|found| {
             let lost = found.counters.dropped + found.counters.no_buffers;
             PoolShown::new(found.name(), found.pool.statistics(), lost)
-        }));
-        Ok(pools)
+        });
+        Ok(own.chain(of_sockets).collect())
     }
 
     fn room(&self) -> Result<Room, String> {

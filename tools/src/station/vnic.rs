@@ -23,7 +23,7 @@ use vnic::tunnel::{self, AT_ONCE, Config, Loss};
 
 use super::access::AccessStatus;
 use super::stack::OwnIp;
-use crate::control::{Directory, PoolShown, VnicChange, VnicRequest, VnicShown};
+use crate::control::{Directory, PoolShown, VnicChange, VnicCounted, VnicRequest, VnicShown};
 pub use running::Running;
 
 /// Stack of its thread.
@@ -177,6 +177,16 @@ impl Told {
     /// Tells it how often its slot comes.
     pub fn follow(&self, status: &AccessStatus) {
         self.handle.set_turns(turns_in_1000_seconds(status));
+    }
+
+    /// What it counts, as far as its thread says so.
+    pub fn counted(&self) -> VnicCounted {
+        match self.answer(VnicRequest::Status) {
+            Ok(VnicShown { counters, lost, filter, .. }) => {
+                VnicCounted { counters, lost, filter, unknown: None }
+            }
+            Err(why) => VnicCounted { unknown: Some(why), ..VnicCounted::default() },
+        }
     }
 
     /// Does what is asked, and tells how it is then.

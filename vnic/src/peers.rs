@@ -34,6 +34,8 @@ pub struct Peers {
     all: Vec<Peer>,
     /// The networks that the device is part of: what is for all of one is for all stations.
     own: Vec<Prefix>,
+    /// Whose table it is.
+    itself: Address,
 }
 
 /// Why a table does not take a peer.
@@ -45,6 +47,9 @@ pub enum PeerError {
     /// A group's address is no station's.
     #[error("{0} is the address of a group: name a station's")]
     Group(Address),
+    /// Nothing is tunnelled to oneself.
+    #[error("{0} is this station itself: name another")]
+    Itself(Address),
 }
 
 /// Not an address that a host may have.
@@ -53,9 +58,9 @@ pub enum PeerError {
 pub struct NotAHosts(pub Prefix);
 
 impl Peers {
-    /// A table for a device with these addresses.
-    pub fn new(own: Vec<Prefix>) -> Self {
-        Self { all: Vec::new(), own }
+    /// A table for this station's device, with these addresses.
+    pub fn new(itself: Address, own: Vec<Prefix>) -> Self {
+        Self { all: Vec::new(), own, itself }
     }
 
     /// The same for a device with other addresses.
@@ -67,6 +72,9 @@ impl Peers {
     pub fn add(&mut self, peer: Peer) -> Result<(), PeerError> {
         if peer.station.is_group() {
             return Err(PeerError::Group(peer.station));
+        }
+        if peer.station == self.itself {
+            return Err(PeerError::Itself(peer.station));
         }
         self.all.retain(|other| other.network.masked() != peer.network.masked());
         if self.all.len() == MOST {

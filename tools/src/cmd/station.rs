@@ -160,9 +160,21 @@ fn vnic(args: &StationArgs) -> anyhow::Result<Option<VnicOptions>> {
             "--vnic-mtu {mtu} is too much for a tunnel, which takes {MTU}: say {MTU} or less, or add --vnic-proxy"
         );
     }
+    let mode = said.vnic_mode.unwrap_or_default();
+    if mode == VnicMode::Tun && said.vnic_forward {
+        bail!(
+            "--vnic-forward is about frames of hosts behind a bridge, of which --vnic-mode tun has only the packets: leave \
+             one of the two out; Linux routes packets to hosts behind it without"
+        );
+    }
+    if mode == VnicMode::Tap && !said.vnic_peer.is_empty() {
+        bail!(
+            "--vnic-peer is for --vnic-mode tun; with --vnic-mode tap Linux asks who has an address: leave it out"
+        );
+    }
     let usual = if said.vnic_proxy { proxy(args, addresses)? } else { VnicOptions::usual(addresses.clone()) };
     Ok(Some(VnicOptions {
-        mode: if said.vnic_proxy { usual.mode } else { said.vnic_mode.unwrap_or_default().into() },
+        mode: if said.vnic_proxy { usual.mode } else { mode.into() },
         name: said.vnic_name.clone(),
         mtu: said.vnic_mtu.map_or(usual.mtu, usize::from),
         buffers: said.vnic_buffers.map_or(usual.buffers, usize::from),

@@ -5,6 +5,7 @@ use rtnet::clock::{EmulatedClock, True};
 use rtnet::time::{GlobalTime, Offset};
 
 use super::run::INTERFACE;
+use crate::cli::VnicMode;
 use crate::control::Home;
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
@@ -90,7 +91,9 @@ pub fn arguments(
     if let Some(VnicPlan { addresses, mode, proxy }) = &plan.vnic {
         add("--vnic-mode", mode.name().into());
         add("--vnic-name", VNIC.into());
-        for (other, of) in scenario.stations.iter().enumerate().filter(|(other, _)| *other != station) {
+        // Linux asks for the others' with Ethernet frames, but not with packets.
+        let is_needed = |other: &usize| *other != station && *mode == VnicMode::Tun;
+        for (other, of) in scenario.stations.iter().enumerate().filter(|(other, _)| is_needed(other)) {
             for prefix in of.vnic.iter().flat_map(|vnic| &vnic.addresses) {
                 add("--vnic-peer", format!("{}={}", prefix.ip, scenario.address(other)));
             }
@@ -158,6 +161,21 @@ mod tests {
         let line = arguments(&scenario, station, &launch, &Resume::default()).unwrap();
         let pairs = line.windows(2).filter(|pair| ["--ip", "--route"].contains(&pair[0].as_str()));
         pairs.map(|pair| pair.join(" ")).collect()
+    }
+
+    #[test]
+    fn only_packets_need_to_be_told_which_station_has_an_address_of_a_vnic() {
+        for (mode, expected) in [("tap", 0), ("tun", 2)] {
+            let ips = ["10.1.0.1/24", "10.1.0.2/24", "10.1.0.3/24"].into_iter();
+            let mut text = format!("vnic_mode = \"{mode}\"\n");
+            for (lines, ip) in NETWORK.split_inclusive("\"\nrole").zip(ips.chain([""])) {
+                text += &lines.replace("\"\nrole", &format!("\"\nvnic = \"{ip}\"\nrole"));
+            }
+            let scenario = Source::new("net.toml", &text).parse().unwrap();
+            let launch = Launch { anchor: 0, epoch: Offset::default(), cpu: 0, fifo: false, home: None };
+            let line = arguments(&scenario, 1, &launch, &Resume::default()).unwrap();
+            assert_eq!(line.iter().filter(|word| *word == "--vnic-peer").count(), expected, "{line:?}");
+        }
     }
 
     #[test]

@@ -1,7 +1,9 @@
 use super::*;
 
+const ITSELF: Address = Address([2, 0, 0, 0, 0, 0xa]);
+
 fn table(own: &[&str], peers: &[&str]) -> Peers {
-    let mut table = Peers::new(own.iter().map(|text| text.parse().unwrap()).collect());
+    let mut table = Peers::new(ITSELF, own.iter().map(|text| text.parse().unwrap()).collect());
     peers.iter().for_each(|text| table.add(text.parse().unwrap()).unwrap());
     table
 }
@@ -72,6 +74,8 @@ fn the_same_addresses_are_entered_once_and_the_table_ends() {
     assert_eq!(table.add(peer(7)), Ok(()), "it is known");
     let group = Peer { station: Address::BROADCAST, ..peer(1) };
     assert_eq!(table.add(group), Err(PeerError::Group(Address::BROADCAST)));
+    let itself = Peer { station: ITSELF, ..peer(1) };
+    assert_eq!(table.add(itself), Err(PeerError::Itself(ITSELF)));
 }
 
 #[test]

@@ -84,7 +84,7 @@ impl Vnic {
         tell: Box<dyn Fn(&str) + Send>,
     ) -> Result<Self, StartError> {
         options.addresses.iter().try_for_each(|address| address.of_a_host().map(drop))?;
-        let mut peers = Peers::new(options.addresses.clone());
+        let mut peers = Peers::new(options.interface.address, options.addresses.clone());
         options.peers.iter().try_for_each(|&peer| peers.add(peer))?;
         let refused = |error| StartError::Socket(options.interface.name.clone(), error);
         let mut links = Links::open()?;

@@ -19,6 +19,8 @@ const HEAD_OF_UDP: usize = 28;
 /// Of a hundred datagrams that leave at half the speed of the slots. None is lost by the tunnel; the host may
 /// stand still for longer than its queues hold.
 const FEW: f64 = 5.0;
+/// Who has many others on its cores waits for a turn there, not for one on the medium.
+const TRIES: usize = 4;
 
 fn iperf3(cell: &Cell, options: &[&str]) -> Value {
     let server = program(cell, "master", &["iperf3", "-s", "-1"]);
@@ -27,6 +29,19 @@ fn iperf3(cell: &Cell, options: &[&str]) -> Value {
     let report: Value = serde_json::from_str(&said(cell, "slave1", &words)).unwrap();
     server.ended(PATIENCE);
     report["end"].clone()
+}
+
+/// Goodput by TCP, and what the slots carried that the host did not let them miss meanwhile, in bits a second.
+fn tcp(cell: &Cell, allowed: f64) -> (f64, f64) {
+    let share_missed = |before: &Value, after: &Value| {
+        let [expected, missed] = ["frames_expected", "slots_missed"]
+            .map(|of| after[of].as_f64().unwrap() - before[of].as_f64().unwrap());
+        missed / expected
+    };
+    let before = cell.status();
+    let report = iperf3(cell, &[]);
+    let missed = share_missed(&before, &cell.status());
+    (report["sum_received"]["bits_per_second"].as_f64().unwrap(), allowed * (1.0 - missed))
 }
 
 fn quiet(mut command: Command) -> Command {
@@ -46,10 +61,12 @@ fn iperf3_fills_the_slots_and_loses_nothing_below_them() {
             assert_answers(&cell, "slave1", MASTER);
             // A frame leaves in each cycle of a millisecond.
             let allowed = |head| (MTU - head) as f64 * 8.0 * 1_000.0;
-            let tcp = iperf3(&cell, &[]);
-            let received = tcp["sum_received"]["bytes"].as_u64().unwrap();
-            let goodput = tcp["sum_received"]["bits_per_second"].as_f64().unwrap();
-            assert!(received > 0, "{tcp:#}");
+            let mut tries = Vec::new();
+            while tries.last().is_none_or(|&(goodput, carried)| goodput * 2.0 < carried) {
+                assert!(tries.len() < TRIES, "less than half of what slots carried, each time: {tries:?}");
+                tries.push(tcp(&cell, allowed(HEAD_OF_TCP)));
+            }
+            let (goodput, carried) = tries[tries.len() - 1];
             let half = format!("{}", (allowed(HEAD_OF_UDP) / 2.0) as u64);
             let length = format!("{}", MTU - HEAD_OF_UDP);
             let udp = iperf3(&cell, &["-u", "-b", &half, "-l", &length]);
@@ -58,9 +75,12 @@ fn iperf3_fills_the_slots_and_loses_nothing_below_them() {
             figure(
                 test,
                 &format!(
-                    "{mode}: TCP {:.2} of the {:.2} Mbit/s that slots allow, UDP at half of it lost {lost} of {sent}",
+                    "{mode}: TCP {:.2} of the {:.2} Mbit/s that slots allow and the {:.2} that this host let them carry, \
+                     at the {}. try; UDP at half of it lost {lost} of {sent}",
                     goodput / 1e6,
-                    allowed(HEAD_OF_TCP) / 1e6
+                    allowed(HEAD_OF_TCP) / 1e6,
+                    carried / 1e6,
+                    tries.len()
                 ),
             );
             cell.down();

@@ -31,6 +31,17 @@ mod vnic;
 mod wait_on_cycle;
 mod wires;
 
+// Of the other tests, whose package depends on the command's, which cannot depend on it: not all of it is used here.
+#[allow(dead_code)]
+#[path = "../src/bare.rs"]
+mod bare;
+#[allow(dead_code)]
+#[path = "../src/captures.rs"]
+mod captures;
+#[allow(dead_code)]
+#[path = "../src/vectors.rs"]
+mod vectors;
+
 use std::path::Path;
 use std::process::Command;
 

@@ -8,12 +8,14 @@ mod held_back;
 mod options;
 mod packets;
 mod proxied;
+mod replayed;
 mod seen;
 mod transfers;
 
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use rtnet::wire::ethernet::EtherType;
 use serde_json::Value;
 
 use crate::cell::{Cell, json, text, wait_until};
@@ -26,6 +28,8 @@ const TUNNEL: &str = include_str!("tunnel.toml");
 const MODES: [&str; 2] = ["tap", "tun"];
 /// The largest inner payload.
 const MTU: usize = 1_496;
+/// ETH_P_ALL: a socket hears every frame.
+const EVERY: EtherType = EtherType(3);
 /// Longer than anything takes but a large transfer.
 const PATIENCE: Duration = Duration::from_secs(60);
 

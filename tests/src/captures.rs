@@ -18,7 +18,8 @@ pub struct Captured {
 
 /// Every frame of `vectors/NAME`, in order.
 pub fn read(name: &str) -> Vec<Captured> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors").join(name);
+    // Also the tests of the command, which are another package's, read them.
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/vectors").join(name);
     let file = std::fs::File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut reader = PcapReader::new(file).expect("a pcap file");
     let mut frames = Vec::new();

@@ -187,6 +187,44 @@ fn a_vnic_is_set_down_and_up_and_changed_while_it_runs() {
 }
 
 #[test]
+fn a_station_that_is_restarted_has_its_device_again() {
+    network("a_station_that_is_restarted_has_its_device_again", || {
+        for mode in MODES {
+            let cell = lab("restarted", TUNNEL, mode);
+            assert_answers(&cell, "slave1", MASTER);
+            let before = status(&cell, "slave1");
+            // Of what was asked of it while it ran nothing is left: it is started as its file has it.
+            set(&cell, &["--mtu", "1300", "--no-address", "10.1.0.2/24"]);
+            cell.restart("slave1");
+            let shown = || {
+                let output = vnic(&cell, "slave1", &["status", "--json"]);
+                serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
+            };
+            wait_until("its device is there", || shown()["mtu"] == before["mtu"]);
+            cell.wait_until_locked();
+            for to in [MASTER, "fd00::1"] {
+                assert_answers(&cell, "slave1", to);
+            }
+            for to in ["10.1.0.2", "fd00::2"] {
+                assert_answers(&cell, "master", to);
+            }
+            let after = status(&cell, "slave1");
+            for what in ["device", "mode", "state", "mtu", "mtu_at_most", "slot_takes", "peers", "news"] {
+                assert_eq!(before[what], after[what], "{what}");
+            }
+            assert_eq!(addresses(&before), addresses(&after));
+            let linux = said(&cell, "slave1", &["ip", "-o", "link"]);
+            assert_eq!(linux.matches("vnic").count(), 1, "{linux}");
+            let account = cell.down();
+            assert_eq!(
+                (&account["unexplained"], &account["stations"][1]["restarts"]),
+                (&0.into(), &1.into())
+            );
+        }
+    });
+}
+
+#[test]
 fn what_is_refused_changes_nothing() {
     network("what_is_refused_changes_nothing", || {
         let cell = lab("nothing", TUNNEL, "tap");

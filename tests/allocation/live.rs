@@ -48,11 +48,12 @@ fn real_time_threads_allocate_nothing_after_start() {
     let (mut snapshots, mut control) = (Vec::new(), Vec::new());
     let heard: [Arc<TrafficCounts>; 2] = Default::default();
     let (mut threads, mut others, mut tunnels) = (Vec::new(), Vec::new(), Vec::new());
+    let mut vnics = Vec::new();
     for (station, namespace) in namespaces.iter().enumerate() {
         segment.attach(namespace, &format!("port{station}"), "rt0", ADDRESSES[station].0).unwrap();
         let (mut driver, vnic) = driver(station, namespace, stop.clone(), heard[station].clone());
         tunnels.push(vnic.told.clone());
-        others.push(vnic.start(None).unwrap());
+        vnics.push(vnic.start(None).unwrap());
         snapshots.push(driver.snapshots());
         control.push(driver.errands());
         threads.push(std::thread::spawn(move || {
@@ -97,6 +98,7 @@ fn real_time_threads_allocate_nothing_after_start() {
     stop.store(true, Ordering::Relaxed);
     let allocations: Vec<u64> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
     others.into_iter().for_each(|thread| thread.join().unwrap());
+    drop(vnics);
 
     assert!(later.counters.frames_sent > locked.counters.frames_sent, "they were at work");
     assert!(

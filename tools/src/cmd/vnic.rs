@@ -106,6 +106,8 @@ mod tests {
             counters: named(&[("sent", 50)]),
             lost: named(&[("filter_dropped", 49_117), ("too_long", 0)]),
             pool: PoolShown { pool, capacity: 64, free: 64, least: 60, exhausted: 0, dropped: 0 },
+            mac: None,
+            remarks: Vec::new(),
             news: None,
         };
         let lines = |shown: &VnicShown| describe(shown).lines().map(str::to_owned).collect::<Vec<_>>();

@@ -340,6 +340,7 @@ mod tests {
             most: 1_496,
             slot: 1_496,
             peers: Vec::new(),
+            remarks: Vec::new(),
             shaping: Ok(shaped),
             filter,
             queue_full: 7,

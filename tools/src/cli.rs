@@ -22,7 +22,7 @@ pub use lab::{
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
-pub use vnic::{VnicArgs, VnicMode, VnicVerb, VnicVerbArgs};
+pub use vnic::{VnicArgs, VnicMode, VnicVerb, VnicVerbArgs, of_a_device};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
 #[derive(Debug, Parser)]

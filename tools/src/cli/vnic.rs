@@ -15,7 +15,7 @@ use super::WhichOf;
 pub struct VnicArgs {
     /// Give it a VNIC: a network device of Linux, whose frames leave in slot 1, after everything that is real-time. With
     /// addresses or without
-    #[arg(long, value_name = "IP/PREFIX", num_args = 0.., value_parser = of_a_host)]
+    #[arg(long, value_name = "IP/PREFIX", num_args = 0.., value_parser = of_a_device)]
     pub vnic: Option<Vec<Prefix>>,
     /// What goes through it: tap, Ethernet frames of any type, as with RTnet; tun, packets of IP only [default: tap]
     #[arg(long, value_name = "MODE", requires = "vnic")]
@@ -99,7 +99,7 @@ pub enum VnicVerb {
         #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u16).range(LEAST_MTU as i64..=proxy::MTU as i64))]
         mtu: Option<u16>,
         /// An address that it is to have. Can be given several times
-        #[arg(long, value_name = "IP/PREFIX", value_parser = of_a_host)]
+        #[arg(long, value_name = "IP/PREFIX", value_parser = of_a_device)]
         address: Vec<Prefix>,
         /// An address that it is to have no more. Can be given several times
         #[arg(long, value_name = "IP/PREFIX")]
@@ -110,8 +110,12 @@ pub enum VnicVerb {
     },
 }
 
-/// An address that a device may have.
-fn of_a_host(text: &str) -> Result<Prefix, String> {
+/// An address that a device may have, with the length of its network's prefix.
+pub fn of_a_device(text: &str) -> Result<Prefix, String> {
     let address: Prefix = text.parse().map_err(|error: NotAPrefix| error.to_string())?;
+    if !text.contains('/') {
+        let usual = if address.ip.is_ipv4() { 24 } else { 64 };
+        return Err(format!("'{text}' reaches no other station: say of which network, as in {text}/{usual}"));
+    }
     address.of_a_host().map_err(|error| error.to_string())
 }

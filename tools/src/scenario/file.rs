@@ -121,9 +121,13 @@ impl Source<'_> {
             |entry: &&Spanned<StationFile>| entry.get_ref().slots.as_ref().is_none_or(Vec::is_empty);
         let divided = network.station.iter().all(|entry| without(&entry));
         let sync_window = network.sync_window.as_ref().map(|window| window.get_ref().0);
+        let (mode, addresses) = (network.vnic_mode.as_ref(), self.addresses(&network)?);
+        let of_each = network.station.iter().zip(&addresses);
+        let vnics = of_each.map(|(entry, ip)| self.vnic(entry.get_ref(), *ip, mode));
+        let vnics: Vec<_> = vnics.collect::<Result<_, _>>()?;
+        self.check_vnics(&network.station, &vnics, mode)?;
         let mut stations = Vec::new();
-        for (entry, ip) in network.station.iter().zip(self.addresses(&network)?) {
-            let vnic = self.vnic(entry.get_ref(), ip, network.vnic_mode.as_ref())?;
+        for ((entry, ip), vnic) in network.station.iter().zip(addresses).zip(vnics) {
             stations.push(self.station(entry, ip, vnic)?);
         }
         let asked = network.guard.map(|guard| guard.0);

@@ -2,17 +2,20 @@
 
 use serde::Deserialize;
 use toml::Spanned;
-use vnic::peers::{NotAPrefix, Prefix};
+use vnic::peers::Prefix;
 
 use super::stations::StationFile;
 use super::{FileError, Source};
-use crate::cli::VnicMode;
+use crate::cli::{VnicMode, of_a_device};
 use crate::scenario::VnicPlan;
 use crate::station::stack::OwnIp;
 
 /// The addresses of a station's VNIC: one, or a list, which may be empty.
 #[derive(Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "expected an address, as \"10.1.0.2/24\", or a list of addresses, which may be empty"
+)]
 pub(super) enum VnicFile {
     One(String),
     Several(Vec<String>),
@@ -64,8 +67,36 @@ impl Source<'_> {
             VnicFile::One(one) => std::slice::from_ref(one),
             VnicFile::Several(several) => several,
         };
-        let refuse = |error: NotAPrefix| self.impossible(file.span().start, error);
-        said.iter().map(|said| said.parse().map_err(refuse)).collect()
+        let refuse = |error: String| self.impossible(file.span().start, error);
+        said.iter().map(|said| of_a_device(said).map_err(refuse)).collect()
+    }
+
+    /// No two have the same address, and what is said of all is said of somebody.
+    pub(super) fn check_vnics(
+        &self,
+        file: &[Spanned<StationFile>],
+        plans: &[Option<VnicPlan>],
+        mode: Option<&Spanned<VnicMode>>,
+    ) -> Result<(), FileError> {
+        if let Some(mode) = mode.filter(|_| plans.iter().all(Option::is_none)) {
+            let what = "no station has a VNIC that this could be about: give some of them vnic = \"10.1.0.1/24\", or leave it out";
+            return Err(self.impossible(mode.span().start, what));
+        }
+        let addresses = |i: usize| plans[i].iter().flat_map(|plan| &plan.addresses);
+        for (i, entry) in file.iter().enumerate() {
+            for own in addresses(i) {
+                let same = |other: &usize| addresses(*other).any(|others| others.ip == own.ip);
+                let Some(other) = (0..i).find(same) else { continue };
+                let [one, two] = [&file[other], entry].map(|of| of.get_ref().name.get_ref());
+                let what = format!(
+                    "the VNICs of '{one}' and '{two}' would both have {}: give one of them another",
+                    own.ip
+                );
+                let said = entry.get_ref().vnic.as_ref().map_or(entry.span(), Spanned::span);
+                return Err(self.impossible(said.start, what));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -132,6 +163,36 @@ mod tests {
             ),
             (network, "vnic_proxy = \"yes\"", "net.toml:6:14: "),
             (network, "vnic = \"10.1.0\"", "net.toml:6:8: '10.1.0' is no IP address with a prefix length"),
+        ] {
+            let error = vnics(top, first).unwrap_err();
+            assert!(error.starts_with(expected), "{top} {first}: {error}");
+        }
+    }
+
+    #[test]
+    fn vnics_that_cannot_be_name_the_place_and_the_remedy() {
+        for (top, first, expected) in [
+            (
+                "",
+                "vnic = true",
+                "net.toml:6:8: expected an address, as \"10.1.0.2/24\", or a list of addresses",
+            ),
+            (
+                "",
+                "vnic = \"10.1.0.2\"",
+                "net.toml:6:8: '10.1.0.2' reaches no other station: say of which network, as in 10.1.0.2/24",
+            ),
+            ("", "vnic = \"224.0.0.1/24\"", "net.toml:6:8: 224.0.0.1/24 is the address of a group"),
+            (
+                "vnic_mode = \"tun\"",
+                "",
+                "net.toml:2:13: no station has a VNIC that this could be about: give some of",
+            ),
+            (
+                "",
+                "vnic = \"10.1.0.2/24\"\n[[station]]\nname = \"leg\"\nrole = \"slave\"\nvnic = [\"fd00::1/64\", \"10.1.0.2/16\"]",
+                "net.toml:10:8: the VNICs of 'm' and 'leg' would both have 10.1.0.2: give one of them another",
+            ),
         ] {
             let error = vnics(top, first).unwrap_err();
             assert!(error.starts_with(expected), "{top} {first}: {error}");

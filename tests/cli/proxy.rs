@@ -227,17 +227,17 @@ fn what_a_killed_proxy_leaves_the_next_station_at_its_interface_puts_back() {
             station.child.kill().unwrap();
             station.child.wait().unwrap();
         };
-        // What is somebody's own stays.
+        // Who comes next has the name of who was killed, too: nothing is left of it. What is somebody's own stays.
         medium.a.run(|| std::fs::write("/proc/sys/net/ipv4/conf/rt0/rp_filter", "1").unwrap()).unwrap();
         kill(proxy("killed-1"));
         assert_eq!(asked(&medium.a), ["1", "1"]);
         assert_eq!(plain(&medium.b, "elsewhere").end(), Some(0));
         assert_eq!(asked(&medium.a), ["1", "1"], "another interface, of another namespace");
-        assert_eq!(plain(&medium.a, "next-1").end(), Some(0));
+        assert_eq!(plain(&medium.a, "killed-1").end(), Some(0));
         assert_eq!(asked(&medium.a), ["1", "0"], "put back, by one without a proxy");
         medium.a.run(|| std::fs::write("/proc/sys/net/ipv4/conf/rt0/rp_filter", "0").unwrap()).unwrap();
         kill(proxy("killed-2"));
-        let next = proxy("next-2");
+        let next = proxy("killed-2");
         assert_eq!(asked(&medium.a), ["1", "1"]);
         assert_eq!(plain(&medium.a, "beside").end(), Some(0));
         assert_eq!(asked(&medium.a), ["1", "1"], "a proxy that runs keeps what it has");

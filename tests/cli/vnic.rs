@@ -39,6 +39,13 @@ fn lab(what: &str, file: &str, mode: &str) -> Cell {
     Cell::with(&format!("{what}-{mode}"), |_| file)
 }
 
+/// A network whose tunnels are tried by ping, as nearly all of these are.
+fn network(test: &str, body: impl Fn()) {
+    if are_there(test, &[("ping", "iputils-ping")]) {
+        crate::host::network(test, body);
+    }
+}
+
 /// A program in a station's namespace: its process is the program's.
 fn program(cell: &Cell, station: &str, words: &[&str]) -> Command {
     let mut command = rtnet();

@@ -116,9 +116,17 @@ pub enum OrderError {
     /// A station that cannot be one.
     #[error(transparent)]
     Peer(#[from] PeerError),
+    /// Nobody looks them up there.
+    #[error(
+        "peers are for mode tun; this VNIC is a tap, by which Linux asks who has an address: leave --peer out"
+    )]
+    NoPeers,
     /// An address that cannot be a device's.
     #[error(transparent)]
     Address(#[from] NotAHosts),
+    /// Neither has the device it, nor is it to.
+    #[error("cannot take {0} away: it has no such address")]
+    NoSuchAddress(Prefix),
     /// RTmac's header has its place in a slot, too.
     #[error("an MTU of {0} is too much: say {1} or less (a tunnel takes {MTU}, a proxy {PROXY_MTU})")]
     Mtu(usize, usize),

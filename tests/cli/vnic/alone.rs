@@ -4,9 +4,8 @@ use std::process::Command;
 
 use tools::lab::namespace::{Namespace, Segment};
 
-use super::{are_there, refused, status_of, vnic_of};
+use super::{are_there, network, refused, status_of, vnic_of};
 use crate::cell::{json, text, wait_until};
-use crate::host::network;
 use crate::rtnet;
 use crate::station::{Medium, Station};
 

@@ -6,9 +6,8 @@ use std::process::{Command, Output};
 use rtnet::wire::ethernet::EtherType;
 use tools::lab::namespace::Namespace;
 
-use super::{are_there, done, status_of};
+use super::{are_there, done, network, status_of};
 use crate::cell::wait_until;
-use crate::host::network;
 use crate::observe::each_frame;
 use crate::rtnet;
 use crate::station::Station;

@@ -2,9 +2,8 @@
 
 use serde_json::Value;
 
-use super::{MODES, TUNNEL, answers, assert_answers, done, lab, refused, said, status, vnic};
+use super::{MODES, TUNNEL, answers, assert_answers, done, lab, network, refused, said, status, vnic};
 use crate::cell::{Cell, wait_until};
-use crate::host::network;
 
 const MASTER: &str = "10.1.0.1";
 
@@ -170,11 +169,15 @@ fn a_vnic_is_set_down_and_up_and_changed_while_it_runs() {
                 ("slave1", "10.1.0.2/24", "10.7.0.1/24", "10.7.0.2=02:00:00:00:00:01"),
                 ("master", "10.1.0.1/24", "10.7.0.2/24", "10.7.0.1=02:00:00:00:00:02"),
             ] {
-                done(vnic(&cell, station, &["set", "--address", new, "--no-address", old, "--peer", peer]));
+                let moves = ["set", "--address", new, "--no-address", old, "--peer", peer];
+                // By a tap Linux asks.
+                let words = if mode == "tun" { &moves[..] } else { &moves[..5] };
+                done(vnic(&cell, station, words));
             }
             let shown = status(&cell, "slave1");
             assert_eq!(addresses(&shown), ["10.7.0.1/24", "fd00::2/64"]);
-            assert!(strings(&shown["peers"]).contains(&"10.7.0.2/32=02:00:00:00:00:01"), "{shown:#}");
+            let knows = strings(&shown["peers"]).contains(&"10.7.0.2/32=02:00:00:00:00:01");
+            assert_eq!(knows, mode == "tun", "{shown:#}");
             assert_answers(&cell, "slave1", "10.7.0.2");
             // Within their network, too: with an address Linux takes those away that came after it.
             set(&cell, &["--address", "10.7.0.9/24", "--no-address", "10.7.0.1/24"]);
@@ -227,7 +230,15 @@ fn a_station_that_is_restarted_has_its_device_again() {
 #[test]
 fn what_is_refused_changes_nothing() {
     network("what_is_refused_changes_nothing", || {
+        let peer = ["set", "--mtu", "900", "--peer", "10.7.0.3=02:00:00:00:00:03"];
         let cell = lab("nothing", TUNNEL, "tap");
+        let before = status(&cell, "slave1");
+        let message = refused(vnic(&cell, "slave1", &peer));
+        assert!(message.ends_with("by which Linux asks who has an address: leave --peer out\n"), "{message}");
+        assert_eq!(before["mtu"], status(&cell, "slave1")["mtu"]);
+        cell.down();
+
+        let cell = lab("nothing", TUNNEL, "tun");
         let before = status(&cell, "slave1");
         let group = ["set", "--mtu", "900", "--peer", "10.7.0.3=ff:ff:ff:ff:ff:ff"];
         let message = refused(vnic(&cell, "slave1", &group));

@@ -13,10 +13,10 @@ use rtnet::live::interface::Interface;
 use serde_json::Value;
 use tools::lab::enter::enter;
 
-use super::{EVERY, MODES, Running, TUNNEL, assert_answers, done, lab, program, said, status, vnic};
+use super::{EVERY, MODES, Running, TUNNEL, assert_answers, done, lab, network, program, said, status, vnic};
 use crate::bare::Bare;
 use crate::cell::{Cell, STATIONS, json, wait_until};
-use crate::host::{figure, network};
+use crate::host::figure;
 use crate::rtnet;
 
 /// Many times what the slots take, of the largest datagrams.

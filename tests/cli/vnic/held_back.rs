@@ -2,9 +2,8 @@
 
 use serde_json::Value;
 
-use super::{Running, TUNNEL, are_there, assert_answers, done, lab, program, said, status, vnic};
+use super::{Running, TUNNEL, are_there, assert_answers, done, lab, network, program, said, status, vnic};
 use crate::cell::{Cell, wait_until};
-use crate::host::network;
 use crate::rtnet;
 
 const MASTER: &str = "10.1.0.1";

@@ -1,8 +1,7 @@
 //! Labs without a file.
 
-use super::{MODES, assert_answers, status};
+use super::{MODES, assert_answers, network, status};
 use crate::cell::{Cell, text};
-use crate::host::network;
 use crate::rtnet;
 
 #[test]

@@ -1,8 +1,7 @@
 //! Single packets: the largest that goes through, and who is found by IPv6.
 
-use super::{MODES, MTU, TUNNEL, assert_answers, lab, program, said};
+use super::{MODES, MTU, TUNNEL, assert_answers, lab, network, program, said};
 use crate::cell::text;
-use crate::host::network;
 
 /// Headers of an echo: of IPv4 or IPv6, and of its own.
 const HEAD: usize = 28;

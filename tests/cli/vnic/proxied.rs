@@ -3,9 +3,9 @@
 use std::fs::{self, File};
 use std::process::{Command, Stdio};
 
-use super::{PATIENCE, Running, assert_answers, bytes, program, status, vnic};
+use super::{PATIENCE, Running, assert_answers, bytes, network, program, status, vnic};
 use crate::cell::{Cell, text};
-use crate::host::{network, skip};
+use crate::host::skip;
 use crate::rtnet;
 
 /// Three stations, of which the first two share theirs.

@@ -7,10 +7,10 @@ use rtnet::live::interface::Interface;
 use rtnet::wire::ethernet::EtherType;
 use tools::lab::namespace::{Namespace, Segment};
 
-use super::EVERY;
+use super::{EVERY, network};
 use crate::bare::Bare;
 use crate::captures;
-use crate::host::{figure, network};
+use crate::host::figure;
 use crate::station::{PATIENCE, Station};
 use crate::vectors::vector;
 

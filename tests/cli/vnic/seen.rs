@@ -2,9 +2,9 @@
 
 use std::process::Command;
 
-use super::{MODES, TUNNEL, are_there, assert_answers, done, lab, said};
+use super::{MODES, TUNNEL, are_there, assert_answers, done, lab, network, said};
 use crate::cell::text;
-use crate::host::{figure, network};
+use crate::host::figure;
 use crate::rtnet;
 
 const PINGS: usize = 5;

@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use super::{MODES, MTU, PATIENCE, Running, TUNNEL, are_there, assert_answers, bytes, lab, program, said};
+use super::{
+    MODES, MTU, PATIENCE, Running, TUNNEL, are_there, assert_answers, bytes, lab, network, program, said,
+};
 use crate::cell::{Cell, text};
-use crate::host::{figure, network, skip};
+use crate::host::{figure, skip};
 
 /// Seven turns a cycle for who serves.
 const DOWNLOAD: &str = include_str!("../download.toml");

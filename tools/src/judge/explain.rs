@@ -1,4 +1,4 @@
-//! Which findings have a record of the same cycle and slot, or of an earlier turn whose program's frame it was that came late:
+//! Which findings have a record of the same cycle and slot, or of an earlier turn whose frame it was that came late:
 //! what a station noticed itself is explained, what it did not is not. A slot that was silent for want of a sync needs the
 //! record of why there was none. What a station missed that was not there is explained by its absence only if it could not
 //! tell of it later.
@@ -25,7 +25,7 @@ const MASTER: usize = 0;
 /// A sync that is missing is bridged for so many cycles.
 const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
 
-/// A program's frame may be of a turn that was so long ago: for longer the kernel takes no core from a thread.
+/// A frame that does not say of which turn it is may be of one that was so long ago: for longer the kernel takes no core from a thread.
 const HELD_UP_FOR: Span = Span::from_millis(100);
 
 /// By what a slot is missed.
@@ -58,8 +58,9 @@ pub struct Records {
     in_time: Span,
     /// Who may give the time instead of the master.
     backups: Vec<usize>,
-    /// In whose slots programs may send, and how soon one of its turns can follow another.
-    with_sockets: Vec<(usize, Span)>,
+    /// Who may send frames that do not say of which turn they are, of sockets or tunnelled ones; and how soon one of its
+    /// turns can follow another.
+    unmarked: Vec<(usize, Span)>,
     /// When stations were not there.
     pub absences: Absences,
     /// Whose clocks were set.
@@ -90,10 +91,11 @@ impl Records {
         let in_time = scenario.sync_window + scenario.latest();
         let all = scenario.stations.iter().enumerate();
         let backups = all.filter(|(_, plan)| plan.role == Role::Backup).map(|(station, _)| station).collect();
-        let with_sockets = scenario.stations.iter().enumerate().filter(|(_, plan)| plan.ip.is_some());
-        let with_sockets = with_sockets.map(|(of, plan)| (of, nearest_turns(plan, scenario.cycle))).collect();
+        let unmarked = |plan: &StationPlan| plan.ip.is_some() || plan.has_tunnel();
+        let unmarked = scenario.stations.iter().enumerate().filter(|(_, plan)| unmarked(plan));
+        let unmarked = unmarked.map(|(of, plan)| (of, nearest_turns(plan, scenario.cycle))).collect();
         let addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
-        Self { cycle: scenario.cycle, in_time, backups, with_sockets, addresses, ..Self::default() }
+        Self { cycle: scenario.cycle, in_time, backups, unmarked, addresses, ..Self::default() }
     }
 
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
@@ -185,7 +187,7 @@ impl Records {
                 // Who is gone is silent for that, not for want of a sync.
                 let gone =
                     || self.untold(author).filter(|_| self.told(author, EventKind::SlotSilent).is_none());
-                let told = self.told_of(author, &MISSED_BY).or_else(|| self.programs_frame(author));
+                let told = self.told_of(author, &MISSED_BY).or_else(|| self.unmarked_frame(author));
                 let told = told.or_else(gone).or_else(|| self.silence(author));
                 self.missing(author, told)
             }),
@@ -210,13 +212,14 @@ impl Records {
         explains.then(|| self.told(author, EventKind::StalledInSend)).flatten()
     }
 
-    /// A program's frame does not say of which turn it is: one that was held up for long was taken for another's.
-    fn programs_frame(&self, author: Author) -> Option<&'static str> {
+    /// A program's frame does not say of which turn it is, nor does a tunnelled one: held up for long, it was taken for
+    /// another's.
+    fn unmarked_frame(&self, author: Author) -> Option<&'static str> {
         self.between_turns(author.station)?;
         self.told(author, EventKind::StalledInSend)
     }
 
-    /// Whether a frame was held up at all: this turn's, or a program's that is taken for it.
+    /// Whether a frame was held up at all: this turn's, or one that is taken for it.
     fn stalled(&self, author: Author) -> Option<&'static str> {
         let told = self.told(author, EventKind::StalledInSend);
         told.or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
@@ -240,9 +243,9 @@ impl Records {
         })
     }
 
-    /// How soon a turn of a station can follow another, if programs may send there.
+    /// How soon a turn of a station can follow another, if what it sends may not say which it is.
     fn between_turns(&self, station: usize) -> Option<Span> {
-        self.with_sockets.iter().find(|(of, _)| *of == station).map(|&(_, between)| between)
+        self.unmarked.iter().find(|(of, _)| *of == station).map(|&(_, between)| between)
     }
 
     /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves

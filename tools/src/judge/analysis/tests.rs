@@ -1,3 +1,4 @@
+mod held_up;
 mod sockets;
 mod strays;
 

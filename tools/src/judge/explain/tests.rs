@@ -49,8 +49,8 @@ fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
 #[test]
 fn a_programs_frame_that_was_held_up_into_a_later_cycle_is_explained_by_who_told_of_it() {
     let ms = Span::from_millis(1);
-    let with = |with_sockets| {
-        let mut records = Records { with_sockets, cycle: ms, ..Records::default() };
+    let with = |unmarked| {
+        let mut records = Records { unmarked, cycle: ms, ..Records::default() };
         records.note(author(7, 2), EventKind::StalledInSend, ms * 3, Some(Cause::Preempted));
         records
     };

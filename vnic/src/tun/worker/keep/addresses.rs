@@ -1,6 +1,6 @@
 //! The addresses of a VNIC's device: it has a list of its own, and is given again what the kernel takes away with others.
 
-use super::super::super::{Change, OrderError, StartError};
+use super::super::super::{Change, Mode, OrderError, StartError};
 use super::super::Vnic;
 use crate::netlink::Refused;
 use crate::peers::Prefix;
@@ -15,6 +15,9 @@ impl Vnic {
         if self.mouth.is_proxy() && !(add.is_empty() && remove.is_empty() && peers.is_empty()) {
             return Err(StartError::OfStation.into());
         }
+        if self.options.mode == Mode::Tap && !peers.is_empty() {
+            return Err(OrderError::NoPeers);
+        }
         if let Some(mtu) = change.mtu.filter(|&mtu| mtu > self.mouth.most()) {
             return Err(OrderError::Mtu(mtu, self.mouth.most()));
         }
@@ -23,7 +26,11 @@ impl Vnic {
         peers.iter().try_for_each(|&peer| table.add(peer))?;
 
         let (mut before, mtu) = (self.addresses()?, self.options.mtu);
-        let changed = self.change_device(change, &before);
+        let is_known = |own: &&Prefix| before.contains(own) || self.options.addresses.contains(own);
+        if let Some(&unknown) = remove.iter().find(|gone| !is_known(gone)) {
+            return Err(OrderError::NoSuchAddress(unknown));
+        }
+        let changed = self.change_device(change);
         if changed.is_ok() {
             before.retain(|had| !remove.contains(had));
             let own = &mut self.options.addresses;
@@ -56,25 +63,24 @@ impl Vnic {
         other.map_or(Ok(()), |&other| Err(OrderError::OtherPrefix(other, *added)))
     }
 
-    fn change_device(&mut self, change: &Change, before: &[Prefix]) -> Result<(), Refused> {
+    fn change_device(&mut self, change: &Change) -> Result<(), Refused> {
         self.options.mtu = change.mtu.unwrap_or(self.options.mtu);
         self.follow_mtu()?;
         // Another prefix of the same address would be in the way; the last one of all takes routes along.
         let is_first = |gone: &&Prefix| change.add.iter().any(|new| new.ip == gone.ip && new != *gone);
         let (first, then): (Vec<_>, Vec<_>) = change.remove.iter().partition(is_first);
         for removed in first {
-            self.take_address(removed, before)?;
+            self.take_address(removed)?;
         }
         for added in change.add.iter().filter(|added| has_room(self.mtu, added)) {
             self.links.add_address(self.index, added.ip, added.length)?;
         }
-        then.into_iter().try_for_each(|removed| self.take_address(removed, before))
+        then.into_iter().try_for_each(|removed| self.take_address(removed))
     }
 
-    /// One that it is to have, or had just now, may be gone already.
-    fn take_address(&mut self, removed: &Prefix, before: &[Prefix]) -> Result<(), Refused> {
-        let is_known = self.options.addresses.contains(removed) || before.contains(removed);
-        if is_known && !self.addresses()?.contains(removed) {
+    /// It may be gone already: with another of its network.
+    fn take_address(&mut self, removed: &Prefix) -> Result<(), Refused> {
+        if !self.addresses()?.contains(removed) {
             return Ok(());
         }
         self.links.remove_address(self.index, removed.ip, removed.length)

@@ -1,5 +1,6 @@
 //! What is asked of a device, and what others do to it, in a network namespace of the test's own.
 
+use std::net::IpAddr;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
@@ -113,11 +114,15 @@ fn an_address_that_goes_takes_no_other_of_its_network_along() {
         alone.change(&[], &["10.1.0.3/24", "10.1.0.5/24"]).unwrap();
         assert_eq!(alone.addresses(), ["10.1.0.4/24"]);
 
-        // Nor does it where all is undone, as the second is not there.
+        // Nor does it where nothing is done, as the second is not there.
         alone.change(&["10.1.0.6/24"], &[]).unwrap();
         let refused = alone.change(&["10.2.0.1/24"], &["10.1.0.4/24", "10.9.0.9/24"]).unwrap_err();
         assert!(refused.contains("it has no such address"), "{refused}");
-        assert_eq!(alone.addresses(), ["10.1.0.4/24", "10.1.0.6/24"]);
+        // Nor where all is undone, as somebody else has given it the last with another prefix.
+        let others = IpAddr::from([0xfd00, 0, 0, 0, 0, 0, 0, 5]);
+        alone.links.add_address(alone.vnic.index, others, 64).unwrap();
+        alone.change(&["10.2.0.1/24", "fd00::5/48"], &["10.1.0.4/24"]).unwrap_err();
+        assert_eq!(alone.addresses(), ["10.1.0.4/24", "10.1.0.6/24", "fd00::5/64"]);
         assert_eq!(alone.vnic.options.addresses, all(&["10.1.0.4/24", "10.1.0.6/24"]));
     });
 }

@@ -29,6 +29,7 @@ mod packet;
 mod port;
 pub mod realtime;
 pub mod ring;
+pub mod sealed;
 mod time_board;
 mod time_page;
 mod tunnelled;

@@ -1,0 +1,333 @@
+//! What a component and the broker tell each other: packets on the broker's socket. A connection is one component's: who hangs up
+//! gives up its mailboxes.
+//!
+//! ```text
+//! ask     "RTP1"  what 1  when full 1  unused 2  name 4  from 4  slots 4  body 4  senders 4  place 4  lane 4   numbers little-endian
+//!         and, to `Create`: the owner's file, the lanes'
+//! answer  "RTP1"  error 4 (0: done)  name 4  detail 8  generation 8  place 4  lane 4  lane's generation 4  when full 1  unused 3
+//!         slots 4  body 4  senders 4
+//!         and, to `Attach`: the board; to `Create`: the router's file; to `Bind`: the owner's file, the lanes'
+//! ```
+
+use zerocopy::byteorder::little_endian::{U32, U64};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
+use crate::mailbox::{Shape, ShapeError, WhenFull};
+use crate::name::MailboxName;
+use crate::registry::Refused;
+
+/// Begins every packet.
+const MAGIC: [u8; 4] = *b"RTP1";
+/// Bytes of an ask.
+pub const ASK_LEN: usize = size_of::<RawAsk>();
+/// Bytes of an answer.
+pub const ANSWER_LEN: usize = size_of::<RawAnswer>();
+/// Files that come with a packet at the most.
+pub const FILES: usize = 2;
+
+/// What a component asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// To be let in.
+    Attach,
+    /// A mailbox, whose memory comes along.
+    Create(MailboxName, Shape),
+    /// A mailbox is not needed any more.
+    Delete(MailboxName),
+    /// A lane from a mailbox of its own to another.
+    Bind {
+        /// Its own.
+        from: MailboxName,
+        /// The other.
+        to: MailboxName,
+    },
+    /// A lane that was reserved is ready.
+    Ready(Lane),
+    /// A lane is not needed any more.
+    Unbind(Lane),
+}
+
+/// Which lane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lane {
+    /// Of which mailbox.
+    pub place: usize,
+    /// Which of it.
+    pub lane: usize,
+}
+
+/// What the broker answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// It is done.
+    Done,
+    /// It is not.
+    Refused(Refused),
+    /// The packet was none, or there is something else wrong with it: a number of `errno`.
+    Failed(i32),
+    /// The mailbox is there.
+    Created {
+        /// Where on the board.
+        place: usize,
+        /// Which it is of all that were there.
+        generation: u64,
+    },
+    /// A lane is reserved.
+    Reserved {
+        /// Which.
+        lane: Lane,
+        /// Of which mailbox there.
+        generation: u64,
+        /// What that is.
+        shape: Shape,
+    },
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Default)]
+#[repr(C)]
+struct RawAsk {
+    magic: [u8; 4],
+    what: u8,
+    shape: RawShape,
+    name: U32,
+    from: U32,
+    lane: RawLane,
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Default)]
+#[repr(C)]
+struct RawAnswer {
+    magic: [u8; 4],
+    what: u8,
+    shape: RawShape,
+    name: U32,
+    detail: [U64; 3],
+    generation: U64,
+    lane: RawLane,
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Clone, Copy, Default)]
+#[repr(C)]
+struct RawShape {
+    when_full: u8,
+    slots: U32,
+    largest_body: U32,
+    senders: U32,
+}
+
+#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Clone, Copy, Default)]
+#[repr(C)]
+struct RawLane {
+    place: U32,
+    lane: U32,
+}
+
+impl Ask {
+    /// As a packet.
+    pub fn to_bytes(&self) -> [u8; ASK_LEN] {
+        let mut raw = RawAsk { magic: MAGIC, ..RawAsk::default() };
+        match *self {
+            Ask::Attach => raw.what = 1,
+            Ask::Create(name, shape) => {
+                (raw.what, raw.name, raw.shape) = (2, U32::new(name.0), RawShape::of(&shape));
+            }
+            Ask::Delete(name) => (raw.what, raw.name) = (3, U32::new(name.0)),
+            Ask::Bind { from, to } => {
+                (raw.what, raw.name, raw.from) = (4, U32::new(to.0), U32::new(from.0));
+            }
+            Ask::Ready(lane) => (raw.what, raw.lane) = (5, RawLane::of(lane)),
+            Ask::Unbind(lane) => (raw.what, raw.lane) = (6, RawLane::of(lane)),
+        }
+        zerocopy::transmute!(raw)
+    }
+
+    /// Reads a packet; `None`: nothing that could be asked.
+    pub fn parse(packet: &[u8]) -> Option<Self> {
+        let raw = RawAsk::ref_from_bytes(packet).ok().filter(|raw| raw.magic == MAGIC)?;
+        let name = MailboxName(raw.name.get());
+        Some(match raw.what {
+            1 => Ask::Attach,
+            2 => Ask::Create(name, raw.shape.shape()?),
+            3 => Ask::Delete(name),
+            4 => Ask::Bind { from: MailboxName(raw.from.get()), to: name },
+            5 => Ask::Ready(raw.lane.lane()),
+            6 => Ask::Unbind(raw.lane.lane()),
+            _ => return None,
+        })
+    }
+}
+
+const DONE: u8 = 0;
+const FAILED: u8 = 1;
+const CREATED: u8 = 2;
+const RESERVED: u8 = 3;
+const TAKEN: u8 = 16;
+const NO_NAME: u8 = 17;
+const TOO_MANY: u8 = 18;
+const NO_MAILBOX: u8 = 19;
+const NOT_OWN: u8 = 20;
+const NO_LANE: u8 = 21;
+const SLOTS: u8 = 32;
+const BODY: u8 = 33;
+const SENDERS: u8 = 34;
+const MEMORY: u8 = 35;
+
+impl Answer {
+    /// As a packet.
+    pub fn to_bytes(&self) -> [u8; ANSWER_LEN] {
+        let mut raw = RawAnswer { magic: MAGIC, ..RawAnswer::default() };
+        match *self {
+            Answer::Done => raw.what = DONE,
+            Answer::Failed(errno) => (raw.what, raw.detail[0]) = (FAILED, U64::new(errno as u64)),
+            Answer::Created { place, generation } => {
+                (raw.what, raw.generation) = (CREATED, U64::new(generation));
+                raw.lane = RawLane::of(Lane { place, lane: 0 });
+            }
+            Answer::Reserved { lane, generation, shape } => {
+                (raw.what, raw.generation) = (RESERVED, U64::new(generation));
+                (raw.lane, raw.shape) = (RawLane::of(lane), RawShape::of(&shape));
+            }
+            Answer::Refused(refused) => raw.refuse(refused),
+        }
+        zerocopy::transmute!(raw)
+    }
+
+    /// Reads a packet; `None`: nothing that could be answered.
+    pub fn parse(packet: &[u8]) -> Option<Self> {
+        let raw = RawAnswer::ref_from_bytes(packet).ok().filter(|raw| raw.magic == MAGIC)?;
+        let generation = raw.generation.get();
+        Some(match raw.what {
+            DONE => Answer::Done,
+            FAILED => Answer::Failed(raw.detail[0].get() as i32),
+            CREATED => Answer::Created { place: raw.lane.lane().place, generation },
+            RESERVED => Answer::Reserved { lane: raw.lane.lane(), generation, shape: raw.shape.shape()? },
+            _ => Answer::Refused(raw.refused()?),
+        })
+    }
+}
+
+impl RawAnswer {
+    fn refuse(&mut self, refused: Refused) {
+        let (what, name, detail) = match refused {
+            Refused::Taken(name) => (TAKEN, name, [0; 3]),
+            Refused::NoName(name) => (NO_NAME, name, [0; 3]),
+            Refused::TooMany => (TOO_MANY, MailboxName::NOBODY, [0; 3]),
+            Refused::NoMailbox(name) => (NO_MAILBOX, name, [0; 3]),
+            Refused::NotOwn(name) => (NOT_OWN, name, [0; 3]),
+            Refused::NoLane(name, senders) => (NO_LANE, name, [senders, 0, 0]),
+            Refused::Shape(ShapeError::Slots(n)) => (SLOTS, MailboxName::NOBODY, [n, 0, 0]),
+            Refused::Shape(ShapeError::Body(n)) => (BODY, MailboxName::NOBODY, [n, 0, 0]),
+            Refused::Shape(ShapeError::Senders(n)) => (SENDERS, MailboxName::NOBODY, [n, 0, 0]),
+            Refused::Shape(ShapeError::Memory(bytes, slots, senders)) => {
+                (MEMORY, MailboxName::NOBODY, [bytes, slots, senders])
+            }
+        };
+        (self.what, self.name, self.detail) = (what, U32::new(name.0), detail.map(|n| U64::new(n as u64)));
+    }
+
+    fn refused(&self) -> Option<Refused> {
+        let name = MailboxName(self.name.get());
+        let [n, slots, senders] = self.detail.map(|n| n.get() as usize);
+        Some(match self.what {
+            TAKEN => Refused::Taken(name),
+            NO_NAME => Refused::NoName(name),
+            TOO_MANY => Refused::TooMany,
+            NO_MAILBOX => Refused::NoMailbox(name),
+            NOT_OWN => Refused::NotOwn(name),
+            NO_LANE => Refused::NoLane(name, n),
+            SLOTS => Refused::Shape(ShapeError::Slots(n)),
+            BODY => Refused::Shape(ShapeError::Body(n)),
+            SENDERS => Refused::Shape(ShapeError::Senders(n)),
+            MEMORY => Refused::Shape(ShapeError::Memory(n, slots, senders)),
+            _ => return None,
+        })
+    }
+}
+
+impl RawShape {
+    /// Numbers that do not fit are larger than any that can be.
+    fn of(shape: &Shape) -> Self {
+        let number = |n: usize| U32::new(u32::try_from(n).unwrap_or(u32::MAX));
+        Self {
+            when_full: match shape.when_full {
+                WhenFull::Refuse => 0,
+                WhenFull::Replace => 1,
+            },
+            slots: number(shape.slots),
+            largest_body: number(shape.largest_body),
+            senders: number(shape.senders),
+        }
+    }
+
+    fn shape(&self) -> Option<Shape> {
+        let when_full = match self.when_full {
+            0 => WhenFull::Refuse,
+            1 => WhenFull::Replace,
+            _ => return None,
+        };
+        let [slots, largest_body, senders] =
+            [self.slots, self.largest_body, self.senders].map(|n| n.get() as usize);
+        Some(Shape { slots, largest_body, senders, when_full })
+    }
+}
+
+impl RawLane {
+    fn of(lane: Lane) -> Self {
+        Self { place: U32::new(lane.place as u32), lane: U32::new(lane.lane as u32) }
+    }
+    fn lane(&self) -> Lane {
+        Lane { place: self.place.get() as usize, lane: self.lane.get() as usize }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::collection::vec;
+    use proptest::prelude::*;
+
+    const NAME: MailboxName = MailboxName(0x0012_0103);
+    const SHAPE: Shape = Shape::new(7, 240).senders(3).replacing();
+    const LANE: Lane = Lane { place: 255, lane: 127 };
+
+    #[test]
+    fn what_is_asked_and_answered_comes_over_as_it_is() {
+        let bind = Ask::Bind { from: NAME, to: MailboxName(9) };
+        let create = Ask::Create(NAME, SHAPE);
+        for ask in [Ask::Attach, create, Ask::Delete(NAME), bind, Ask::Ready(LANE), Ask::Unbind(LANE)] {
+            assert_eq!(Ask::parse(&ask.to_bytes()), Some(ask));
+        }
+        let refused = [
+            Refused::Taken(NAME),
+            Refused::NoName(MailboxName::NOBODY),
+            Refused::TooMany,
+            Refused::NoMailbox(NAME),
+            Refused::NotOwn(NAME),
+            Refused::NoLane(NAME, 16),
+            Refused::Shape(ShapeError::Slots(0)),
+            Refused::Shape(ShapeError::Body(usize::MAX)),
+            Refused::Shape(ShapeError::Senders(500)),
+            Refused::Shape(ShapeError::Memory(1, 2, 3)),
+        ];
+        let created = Answer::Created { place: 3, generation: u64::MAX };
+        let reserved = Answer::Reserved { lane: LANE, generation: 5, shape: SHAPE };
+        for answer in [Answer::Done, Answer::Failed(-7), created, reserved]
+            .into_iter()
+            .chain(refused.map(Answer::Refused))
+        {
+            assert_eq!(Answer::parse(&answer.to_bytes()), Some(answer));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_packet_is_read_or_refused(packet in vec(any::<u8>(), 0..ANSWER_LEN + 2), is_ours in any::<bool>(), len in 0..3usize) {
+            let mut packet = packet;
+            packet.resize([packet.len(), ASK_LEN, ANSWER_LEN][len], 0);
+            if is_ours && packet.len() >= 4 {
+                packet[..4].copy_from_slice(&MAGIC);
+            }
+            let _ = (Ask::parse(&packet), Answer::parse(&packet));
+        }
+    }
+}

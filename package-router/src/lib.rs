@@ -1,0 +1,16 @@
+//! Packages: components send them to names, the most urgent first; where the receiver runs is hidden.
+
+pub mod board;
+pub mod body;
+pub mod broker;
+pub mod component;
+pub mod handshake;
+mod letters;
+pub mod mailbox;
+pub mod name;
+pub mod priority;
+pub mod registry;
+pub mod route;
+pub mod shared;
+mod wait;
+pub mod wire;

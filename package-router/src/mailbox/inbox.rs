@@ -1,0 +1,395 @@
+//! The owner's end: all lanes of a mailbox, merged by priority. Nothing that a sender writes is believed: the worst that comes
+//! of it is that its own packages are lost.
+
+use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::package::{Package, TooSmall};
+use super::sender::Stamps;
+use super::shape::{Shape, WhenFull};
+use super::statistics::bucket;
+use super::urgency::{Node, Urgency};
+use super::word::{Segment, Word};
+use crate::name::MailboxName;
+use crate::wire::{HEAD_LEN, Head};
+
+/// The receiving end of a mailbox. `Own` is its segment, `Theirs` those of its senders.
+pub struct Inbox<Own, Theirs> {
+    own: Own,
+    layout: Layout,
+    lanes: Box<[Lane<Theirs>]>,
+    urgency: Urgency,
+    /// The number of the package that was last found in each node, and not replaced since.
+    known: Box<[u64]>,
+    /// Where those that were announced while nobody looked are sorted.
+    overtaken: Vec<(u64, u16)>,
+}
+
+/// What is known of a lane.
+struct Lane<Theirs> {
+    sender: Option<Attached<Theirs>>,
+    /// How many of its slots were given back, whoever had it.
+    returned: u64,
+}
+
+struct Attached<Theirs> {
+    segment: Theirs,
+    /// Whose packages these are; a router's are anybody's.
+    from: MailboxName,
+    /// The number of the newest that was looked at.
+    seen: u64,
+    /// It sends no more: the lane is free once what it has sent is read.
+    has_left: bool,
+    /// It has written what cannot be: it is not looked at any more.
+    is_broken: bool,
+}
+
+/// A lane that is not free.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("that lane has a sender whose packages are not all read yet")]
+pub struct Taken;
+
+/// A package that is about to be read.
+pub struct Found {
+    pub(super) head: Head,
+    pub(super) stamps: Stamps,
+    node: Node,
+    number: u64,
+    /// When it was found, and how long it took until then.
+    now: u64,
+    took: u64,
+}
+
+impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
+    /// An empty mailbox of a shape that [can be](Shape::check), whose segment has the words that its layout says, all zero.
+    pub fn new(own: Own, shape: &Shape) -> Self {
+        let layout = Layout::of(shape);
+        assert!(own.count() >= layout.owner_words(shape.senders), "the owner's segment has all lanes");
+        let nodes = shape.slots * shape.senders;
+        let lanes = (0..shape.senders).map(|_| Lane { sender: None, returned: 0 }).collect();
+        let known = vec![0; nodes].into_boxed_slice();
+        let overtaken = Vec::with_capacity(shape.slots);
+        Self { own, layout, lanes, urgency: Urgency::new(nodes), known, overtaken }
+    }
+
+    /// Lets a sender in, whose packages are from that mailbox; from [nobody](MailboxName::NOBODY): it says of each whose it is.
+    pub fn attach(&mut self, lane: usize, from: MailboxName, segment: Theirs) -> Result<(), Taken> {
+        assert!(segment.count() >= self.layout.sender_words(), "a sender's segment has room for its slots");
+        if self.lanes[lane].sender.is_some() {
+            return Err(Taken);
+        }
+        let slots = self.layout.slots;
+        self.known[lane * slots..][..slots].fill(0);
+        self.lanes[lane].sender =
+            Some(Attached { segment, from, seen: 0, has_left: false, is_broken: false });
+        Ok(())
+    }
+
+    /// A sender has gone. What it had sent is still there to be read. Tells whether that is new.
+    pub fn leave(&mut self, lane: usize) -> bool {
+        let sender = self.lanes[lane].sender.as_mut();
+        sender.is_some_and(|sender| !core::mem::replace(&mut sender.has_left, true))
+    }
+
+    /// A lane whose sender has gone, or wrote what cannot be, and whose packages are all read; with its segment.
+    pub fn next_left(&mut self, now: u64) -> Option<(usize, Theirs)> {
+        self.look(now);
+        let slots = self.layout.slots;
+        let lane = (0..self.lanes.len()).find(|&lane| {
+            let is_over = self.lanes[lane].sender.as_ref().is_some_and(|sender| sender.has_left);
+            is_over && (lane * slots..(lane + 1) * slots).all(|node| !self.urgency.waits(node as Node))
+        })?;
+        let sender = self.lanes[lane].sender.take()?;
+        Some((lane, sender.segment))
+    }
+
+    /// What is to be read next.
+    #[inline]
+    pub(crate) fn find(&mut self, now: u64) -> Option<Found> {
+        self.look(now);
+        self.take(now)
+    }
+
+    /// Lends what was found.
+    #[inline]
+    pub(crate) fn lend(&mut self, found: Found) -> Package<'_, Own, Theirs> {
+        Package::new(self, found)
+    }
+
+    /// The most urgent package: it stays where it is until it is let go. `now` is this host's monotonic clock.
+    #[inline]
+    pub fn receive(&mut self, now: u64) -> Option<Package<'_, Own, Theirs>> {
+        self.find(now).map(|found| self.lend(found))
+    }
+
+    /// Copies the most urgent package's body; one that is too long for it stays, and says how long it is.
+    pub fn receive_into(&mut self, now: u64, into: &mut [u8]) -> Result<Option<(Head, usize)>, TooSmall> {
+        let Some(package) = self.receive(now) else { return Ok(None) };
+        let (head, len) = (*package.head(), package.body().len());
+        if len > into.len() {
+            package.put_back();
+            return Err(TooSmall { got: into.len(), needed: len });
+        }
+        package.body().copy_to(0, into);
+        Ok(Some((head, len)))
+    }
+
+    /// Throws away what waits: how many.
+    pub fn clean(&mut self, now: u64) -> usize {
+        self.look(now);
+        let mut cleaned = 0;
+        while let Some(found) = self.take(now) {
+            self.give_back(&found, false);
+            cleaned += 1;
+        }
+        self.count(of_owner::CLEANED, cleaned as u64);
+        cleaned
+    }
+
+    /// How many wait.
+    pub fn depth(&mut self, now: u64) -> usize {
+        self.look(now);
+        self.urgency.len()
+    }
+
+    /// Says that it sleeps, and looks once more: whether there is nothing, so that it may. Who sends then says that it is to be woken.
+    pub fn falls_asleep(&mut self, now: u64) -> bool {
+        self.own.at(of_owner::ASLEEP).set(1);
+        // Either a sender sees that, or what it has sent is seen here.
+        Own::Word::fence();
+        self.look(now);
+        if self.urgency.len() == 0 {
+            return true;
+        }
+        self.wakes_up();
+        false
+    }
+
+    /// It does not sleep any more.
+    pub fn wakes_up(&mut self) {
+        self.own.at(of_owner::ASLEEP).set(0);
+    }
+
+    /// What moves with each package that comes, and what it was when it was last looked at: one of each sender.
+    pub fn awaited(&self) -> impl Iterator<Item = (&Theirs::Word, u64)> {
+        let senders = self.lanes.iter().filter_map(|lane| lane.sender.as_ref());
+        senders
+            .filter(|sender| !sender.is_broken)
+            .map(|sender| (sender.segment.at(of_sender::PUBLISHED), sender.seen))
+    }
+
+    /// Whether something has come since it was last looked at: for who spins.
+    #[inline]
+    pub fn has_news(&self) -> bool {
+        self.awaited().any(|(word, seen)| word.get() != seen)
+    }
+
+    /// What is where in its memory.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+    /// Its segment, for who shows what it counts.
+    pub fn segment(&self) -> &Own {
+        &self.own
+    }
+
+    /// Sees what has come.
+    #[inline]
+    fn look(&mut self, now: u64) {
+        let before = self.urgency.len();
+        for lane in 0..self.lanes.len() {
+            let Some(sender) = &self.lanes[lane].sender else { continue };
+            if sender.segment.at(of_sender::PUBLISHED).get_acquire() != sender.seen && !sender.is_broken {
+                self.look_into(lane, now);
+            }
+        }
+        let depth = self.urgency.len();
+        if depth > before {
+            self.own.at(of_owner::DEPTH).set(depth as u64);
+            if self.own.at(of_owner::MOST).get() < depth as u64 {
+                self.own.at(of_owner::MOST).set(depth as u64);
+            }
+        }
+    }
+
+    fn look_into(&mut self, lane: usize, now: u64) {
+        let Self { lanes, layout, urgency, known, .. } = self;
+        let Some(sender) = &mut lanes[lane].sender else { return };
+        let newest = sender.segment.at(of_sender::PUBLISHED).get_acquire();
+        while sender.seen != newest {
+            let next = sender.seen.wrapping_add(1);
+            let entry = Entry::from_word(sender.segment.at(layout.announced(next)).get_acquire());
+            let is_overtaken =
+                newest.wrapping_sub(sender.seen) > layout.ring as u64 || entry.number() != next;
+            if is_overtaken {
+                sender.seen = newest;
+                return self.look_at_all_of(lane, newest, now);
+            }
+            sender.seen = next;
+            if entry.slot() < layout.slots {
+                let node = lane * layout.slots + entry.slot();
+                note(
+                    &sender.segment,
+                    layout,
+                    entry.slot(),
+                    (node as Node, &mut known[node]),
+                    newest,
+                    urgency,
+                    now,
+                );
+            } else {
+                sender.is_broken = true;
+                return self.count(of_owner::NONSENSE, 1);
+            }
+        }
+    }
+
+    /// A sender has announced more than its ring holds: each slot says what is in it.
+    #[cold]
+    fn look_at_all_of(&mut self, lane: usize, newest: u64, now: u64) {
+        let Self { lanes, layout, urgency, known, overtaken, .. } = self;
+        let Some(sender) = &mut lanes[lane].sender else { return };
+        if layout.when_full == WhenFull::Refuse {
+            // It has no more slots than that: nobody has read so many.
+            sender.is_broken = true;
+            return self.count(of_owner::NONSENSE, 1);
+        }
+        overtaken.clear();
+        let number = |slot| sender.segment.at(layout.slot(slot) + of_slot::NUMBER).get_acquire();
+        overtaken.extend((0..layout.slots).map(|slot| (number(slot), slot as u16)));
+        overtaken.sort_unstable();
+        for &(_, slot) in overtaken.iter() {
+            let node = lane * layout.slots + usize::from(slot);
+            note(
+                &sender.segment,
+                layout,
+                slot.into(),
+                (node as Node, &mut known[node]),
+                newest,
+                urgency,
+                now,
+            );
+        }
+    }
+
+    /// The most urgent package that is still there.
+    #[inline]
+    fn take(&mut self, now: u64) -> Option<Found> {
+        loop {
+            let node = self.urgency.first()?;
+            self.urgency.remove(node);
+            let (lane, slot) = self.place(node);
+            let number = self.known[node as usize];
+            if self.layout.when_full == WhenFull::Replace {
+                self.own.at(self.layout.lane(lane) + of_lane::TAKING).set(number);
+                // Either the sender sees that, or what it has replaced is seen here.
+                Own::Word::fence();
+            }
+            let Some(sender) = &self.lanes[lane].sender else { continue };
+            let base = self.layout.slot(slot);
+            let at = |place| sender.segment.at(base + place).get();
+            let is_there = sender.segment.at(base + of_slot::NUMBER).get_acquire() == number;
+            let halves = [at(of_slot::HEAD), at(of_slot::HEAD + 1)].map(u64::to_ne_bytes);
+            let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
+            let [sent, left, came] = [of_slot::SENT, of_slot::LEFT, of_slot::CAME].map(at);
+            let some = |stamp: u64| (stamp != 0).then_some(stamp);
+            let stamps = Stamps { sent, left: some(left), came: some(came) };
+            let from = sender.from;
+            let parsed = Head::parse(&bytes);
+            let head = parsed.unwrap_or_default();
+            let found = Found { head, stamps, node, number, now, took: now.saturating_sub(sent) };
+            if !is_there {
+                // It was replaced; what it made way for is announced, or will be.
+                self.known[node as usize] = 0;
+                self.give_back(&found, true);
+                continue;
+            }
+            let is_sound = parsed.is_ok() && head.body_len() <= self.layout.largest_body;
+            if !is_sound || (from != MailboxName::NOBODY && head.from != from) {
+                self.count(if is_sound { of_owner::FORGED } else { of_owner::NONSENSE }, 1);
+                self.give_back(&found, false);
+                continue;
+            }
+            return Some(found);
+        }
+    }
+
+    /// It was read, and its slot is its sender's again.
+    #[inline]
+    pub(super) fn let_go(&mut self, found: &Found) {
+        self.count(of_owner::RECEIVED, 1);
+        self.count(of_owner::LATENCIES + bucket(found.took), 1);
+        self.give_back(found, false);
+    }
+
+    /// It was not read, and is the first of its priority again, for all that is known of it.
+    pub(super) fn put_back(&mut self, found: &Found) {
+        let (lane, slot) = self.place(found.node);
+        self.own.at(self.layout.lane(lane) + of_lane::TAKING).set(0);
+        let Some(sender) = &self.lanes[lane].sender else { return };
+        // Whoever was to make way for another while it was looked at does so now.
+        let number = sender.segment.at(self.layout.slot(slot) + of_slot::NUMBER).get_acquire();
+        if number == found.number {
+            self.urgency.insert(found.node, found.head.priority, found.stamps.sent.min(found.now));
+        } else {
+            self.known[found.node as usize] = 0;
+            self.give_back(found, true);
+        }
+    }
+
+    /// The body of a package that is being read.
+    pub(super) fn body(&self, found: &Found) -> Option<(&Theirs, usize)> {
+        let (lane, slot) = self.place(found.node);
+        let sender = self.lanes[lane].sender.as_ref()?;
+        Some((&sender.segment, self.layout.slot(slot) + of_slot::BODY))
+    }
+
+    fn give_back(&mut self, found: &Found, is_unread: bool) {
+        let (lane, slot) = self.place(found.node);
+        let entry = Entry::new(found.number, slot);
+        let entry = if is_unread { entry.unread() } else { entry };
+        let Lane { returned, .. } = &mut self.lanes[lane];
+        self.own.at(self.layout.returned(lane, *returned)).set(entry.word());
+        *returned += 1;
+        let begin = self.layout.lane(lane);
+        // Nothing of the slot is read any more once that is there.
+        self.own.at(begin + of_lane::RETURNED).set_release(*returned);
+        if self.layout.when_full == WhenFull::Replace {
+            // Who sees that it is not taken any more sees that it was given back.
+            self.own.at(begin + of_lane::TAKING).set_release(0);
+        }
+    }
+
+    fn place(&self, node: Node) -> (usize, usize) {
+        let (node, slots) = (node as usize, self.layout.slots);
+        (node / slots, node % slots)
+    }
+
+    /// Only this side writes there.
+    #[inline]
+    fn count(&self, place: usize, more: u64) {
+        let word = self.own.at(place);
+        word.set(word.get().wrapping_add(more));
+    }
+}
+
+/// Lets what is in a slot wait, if that is not known yet.
+#[inline]
+fn note<Theirs: Segment>(
+    segment: &Theirs,
+    layout: &Layout,
+    slot: usize,
+    (node, known): (Node, &mut u64),
+    newest: u64,
+    urgency: &mut Urgency,
+    now: u64,
+) {
+    let base = layout.slot(slot);
+    let number = segment.at(base + of_slot::NUMBER).get_acquire();
+    // What was announced since then is noted with all that was before it.
+    if number == 0 || number == *known || number > newest {
+        return;
+    }
+    *known = number;
+    let [_, _, priority, ..] = segment.at(base + of_slot::HEAD).get().to_ne_bytes();
+    // Who says that he has sent it later than now does not get the others to wait for him.
+    urgency.insert(node, priority, segment.at(base + of_slot::SENT).get().min(now));
+}

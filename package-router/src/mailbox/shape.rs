@@ -1,0 +1,111 @@
+//! What a mailbox is, as its owner says: all memory follows from it, and is reserved then.
+
+use crate::wire::{HEAD_LEN, MAX_LEN};
+
+/// Slots of each sender: as many numbers as are sorted at once (20 us) for who was overtaken.
+pub const MOST_SLOTS: usize = 1024;
+/// Senders of a mailbox: `futex_waitv` waits for 128 words, one of which is the owner's own.
+pub const MOST_SENDERS: usize = 127;
+/// The largest body, as on the wire.
+pub const LARGEST_BODY: usize = MAX_LEN - HEAD_LEN;
+/// Memory of all slots of a mailbox together: what a mistaken number would take from everybody.
+pub const MOST_BYTES: usize = 64 << 20;
+
+/// What a mailbox is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// How many packages of each sender may wait: whoever sends too much fills its own slots and nobody else's.
+    pub slots: usize,
+    /// Bytes of the largest body.
+    pub largest_body: usize,
+    /// How many may send to it.
+    pub senders: usize,
+    /// What becomes of a package that finds no slot.
+    pub when_full: WhenFull,
+}
+
+/// What becomes of a package whose sender has no free slot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WhenFull {
+    /// It is refused.
+    #[default]
+    Refuse,
+    /// It takes the place of the oldest of the least urgent that its sender has waiting there, unless that is more urgent.
+    Replace,
+}
+
+/// A mailbox that cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ShapeError {
+    /// Too few or too many slots.
+    #[error("{0} slots: a mailbox has 1 to {MOST_SLOTS} for each sender")]
+    Slots(usize),
+    /// Bodies that no package has.
+    #[error("bodies of {0} bytes: a package carries {LARGEST_BODY} at the most")]
+    Body(usize),
+    /// Too few or too many senders.
+    #[error("{0} senders: a mailbox has 1 to {MOST_SENDERS}")]
+    Senders(usize),
+    /// More memory than a mailbox may take.
+    #[error(
+        "{0} bytes for {1} slots of {2} senders: a mailbox takes {MOST_BYTES} at the most; fewer slots, senders or smaller bodies do"
+    )]
+    Memory(usize, usize, usize),
+}
+
+impl Shape {
+    /// So many slots for each sender, for bodies of so many bytes; 16 senders, and what finds no slot is refused.
+    pub const fn new(slots: usize, largest_body: usize) -> Self {
+        Self { slots, largest_body, senders: 16, when_full: WhenFull::Refuse }
+    }
+
+    /// The same with so many senders.
+    pub const fn senders(self, senders: usize) -> Self {
+        Self { senders, ..self }
+    }
+
+    /// The same for a mailbox that prefers what is new.
+    pub const fn replacing(self) -> Self {
+        Self { when_full: WhenFull::Replace, ..self }
+    }
+
+    /// Whether there can be such a mailbox.
+    pub fn check(&self) -> Result<(), ShapeError> {
+        let Self { slots, largest_body, senders, .. } = *self;
+        if !(1..=MOST_SLOTS).contains(&slots) {
+            return Err(ShapeError::Slots(slots));
+        }
+        if largest_body > LARGEST_BODY {
+            return Err(ShapeError::Body(largest_body));
+        }
+        if !(1..=MOST_SENDERS).contains(&senders) {
+            return Err(ShapeError::Senders(senders));
+        }
+        let bytes = senders * super::layout::Layout::of(self).sender_words() * size_of::<u64>();
+        if bytes > MOST_BYTES {
+            return Err(ShapeError::Memory(bytes, slots, senders));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mailbox_that_cannot_be_says_why() {
+        assert_eq!(Shape::new(16, 240).check(), Ok(()));
+        assert_eq!(Shape::new(1, 0).senders(1).check(), Ok(()));
+        assert_eq!(Shape::new(MOST_SLOTS, 0).senders(MOST_SENDERS).check(), Ok(()));
+        assert_eq!(Shape::new(1, LARGEST_BODY).check(), Ok(()));
+        assert_eq!(Shape::new(0, 1).check(), Err(ShapeError::Slots(0)));
+        assert_eq!(Shape::new(MOST_SLOTS + 1, 1).check(), Err(ShapeError::Slots(1025)));
+        assert_eq!(Shape::new(1, LARGEST_BODY + 1).check(), Err(ShapeError::Body(262_129)));
+        for senders in [0, MOST_SENDERS + 1] {
+            assert_eq!(Shape::new(1, 1).senders(senders).check(), Err(ShapeError::Senders(senders)));
+        }
+        let error = Shape::new(1024, LARGEST_BODY).check().unwrap_err();
+        assert!(error.to_string().contains("67108864 at the most; fewer slots"), "{error}");
+    }
+}

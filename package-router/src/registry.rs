@@ -1,0 +1,355 @@
+//! Which mailboxes a station has, whose they are, and who may send to them. Pure: the [broker](crate::broker) does what follows.
+//!
+//! ```text
+//! a lane   Free ─ bind ─► Reserved ─ ready ─► Bound ─ unbind, or its component has ended ─► Left ─ all is read ─► Free
+//!                            └──────────── unbind, or its component has ended ─────────────────────────────────► Free
+//! ```
+
+use crate::mailbox::{Shape, ShapeError};
+use crate::name::MailboxName;
+
+/// Mailboxes of a station: as many as the board shows.
+pub const MOST_MAILBOXES: usize = 256;
+
+/// A program that has come to the broker; another one has another number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ComponentId(pub u64);
+
+/// All mailboxes of a station.
+pub struct Registry {
+    places: Vec<Option<Registered>>,
+    generations: u64,
+}
+
+/// A mailbox that is there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Registered {
+    /// What it is called.
+    pub name: MailboxName,
+    /// Whose it is.
+    pub owner: ComponentId,
+    /// What it is.
+    pub shape: Shape,
+    /// Tells it from all that were called so before.
+    pub generation: u64,
+    /// Who may send to it; the first lane is the router's.
+    pub lanes: Vec<Lane>,
+}
+
+/// A way into a mailbox.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lane {
+    /// How many have had it.
+    pub generation: u32,
+    /// Who has it.
+    pub state: LaneState,
+}
+
+/// Who has a lane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LaneState {
+    /// Nobody.
+    Free,
+    /// Somebody who makes it ready.
+    Reserved(ComponentId, MailboxName),
+    /// Who sends what comes through it; from nobody: the router, for whoever sends from elsewhere.
+    Bound(ComponentId, MailboxName),
+    /// Nobody any more; the owner has not read all yet of who had it.
+    Left(MailboxName),
+}
+
+/// The router's lane.
+pub const ROUTER: usize = 0;
+/// Who has it.
+pub const ROUTERS: ComponentId = ComponentId(0);
+
+/// Why something is not done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// Another mailbox has that name.
+    #[error("{0} is there already: a name is one mailbox's, as long as its owner lives")]
+    Taken(MailboxName),
+    /// Nobody's name.
+    #[error("{0} is nobody's name: a mailbox has one of its own")]
+    NoName(MailboxName),
+    /// It cannot be.
+    #[error(transparent)]
+    Shape(#[from] ShapeError),
+    /// There are too many.
+    #[error("the station has {MOST_MAILBOXES} mailboxes: delete some")]
+    TooMany,
+    /// There is none of that name here.
+    #[error("{0} is no mailbox of this station")]
+    NoMailbox(MailboxName),
+    /// It is somebody else's.
+    #[error("{0} is not this component's: it sends from mailboxes that it has, and deletes those")]
+    NotOwn(MailboxName),
+    /// All of its lanes are taken.
+    #[error("{0} has all the senders that it takes, {1}: its owner says how many")]
+    NoLane(MailboxName, usize),
+}
+
+impl Registry {
+    /// None is there yet.
+    pub fn new() -> Self {
+        Self { places: vec![None; MOST_MAILBOXES], generations: 0 }
+    }
+
+    /// A mailbox of a component: its place.
+    pub fn create(&mut self, owner: ComponentId, name: MailboxName, shape: Shape) -> Result<usize, Refused> {
+        if name == MailboxName::NOBODY {
+            return Err(Refused::NoName(name));
+        }
+        shape.check()?;
+        if self.find(name).is_some() {
+            return Err(Refused::Taken(name));
+        }
+        let place = self.places.iter().position(Option::is_none).ok_or(Refused::TooMany)?;
+        self.generations += 1;
+        let free = Lane { generation: 0, state: LaneState::Free };
+        let mut lanes = vec![free; shape.senders + 1];
+        lanes[ROUTER] = Lane { generation: 1, state: LaneState::Bound(ROUTERS, MailboxName::NOBODY) };
+        self.places[place] = Some(Registered { name, owner, shape, generation: self.generations, lanes });
+        Ok(place)
+    }
+
+    /// Deletes a mailbox of a component.
+    pub fn delete(&mut self, owner: ComponentId, name: MailboxName) -> Result<usize, Refused> {
+        let place = self.find(name).ok_or(Refused::NoMailbox(name))?;
+        match &self.places[place] {
+            Some(mailbox) if mailbox.owner == owner => self.places[place] = None,
+            _ => return Err(Refused::NotOwn(name)),
+        }
+        Ok(place)
+    }
+
+    /// A lane for what a component sends from one of its mailboxes to another. `is_drained` tells of a lane whether its owner has
+    /// read everything of who had it as such a one.
+    pub fn bind(
+        &mut self,
+        component: ComponentId,
+        from: MailboxName,
+        to: MailboxName,
+        is_drained: impl Fn(usize, u32) -> bool,
+    ) -> Result<(usize, usize), Refused> {
+        let is_own =
+            self.find(from).and_then(|place| self.get(place)).is_some_and(|own| own.owner == component);
+        if !is_own {
+            return Err(Refused::NotOwn(from));
+        }
+        let place = self.find(to).ok_or(Refused::NoMailbox(to))?;
+        let Some(mailbox) = &mut self.places[place] else { return Err(Refused::NoMailbox(to)) };
+        for (at, lane) in mailbox.lanes.iter_mut().enumerate() {
+            if matches!(lane.state, LaneState::Left(_)) && is_drained(at, lane.generation) {
+                lane.state = LaneState::Free;
+            }
+        }
+        let free = mailbox.lanes.iter().position(|lane| lane.state == LaneState::Free);
+        let lane = free.ok_or(Refused::NoLane(to, mailbox.shape.senders))?;
+        mailbox.lanes[lane] = Lane {
+            generation: mailbox.lanes[lane].generation + 1,
+            state: LaneState::Reserved(component, from),
+        };
+        Ok((place, lane))
+    }
+
+    /// A component has made a lane ready that it has reserved; `false`: it has none there.
+    pub fn ready(&mut self, component: ComponentId, place: usize, lane: usize) -> bool {
+        match self.lane(place, lane).map(|lane| &mut lane.state) {
+            Some(state @ &mut LaneState::Reserved(by, from)) if by == component => {
+                *state = LaneState::Bound(component, from);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// A component does not use a lane any more; `false`: it has none there.
+    pub fn unbind(&mut self, component: ComponentId, place: usize, lane: usize) -> bool {
+        match self.lane(place, lane).map(|lane| &mut lane.state) {
+            Some(state) if lane != ROUTER => state.leave(component),
+            _ => false,
+        }
+    }
+
+    /// A component has gone: its mailboxes are there no more. Whether it still writes to lanes is another question: see
+    /// [`Registry::ended`]. Tells which places have changed.
+    pub fn left(&mut self, component: ComponentId) -> Vec<usize> {
+        let of_it =
+            |place: &Option<Registered>| place.as_ref().is_some_and(|mailbox| mailbox.owner == component);
+        let changed: Vec<usize> = (0..self.places.len()).filter(|&at| of_it(&self.places[at])).collect();
+        changed.iter().for_each(|&at| self.places[at] = None);
+        changed
+    }
+
+    /// Its process has ended: its lanes are not written any more. Tells which places have changed.
+    pub fn ended(&mut self, component: ComponentId) -> Vec<usize> {
+        let mut changed = Vec::new();
+        for (at, mailbox) in self.places.iter_mut().enumerate() {
+            let lanes = mailbox.iter_mut().flat_map(|mailbox| mailbox.lanes.iter_mut().skip(1));
+            if lanes.fold(false, |any, lane| lane.state.leave(component) | any) {
+                changed.push(at);
+            }
+        }
+        changed
+    }
+
+    /// Whether a component has lanes anywhere.
+    pub fn has_lanes(&self, component: ComponentId) -> bool {
+        let states = self.all().flat_map(|(_, mailbox)| &mailbox.lanes).map(|lane| lane.state);
+        states.into_iter().any(
+            |state| matches!(state, LaneState::Reserved(by, _) | LaneState::Bound(by, _) if by == component),
+        )
+    }
+
+    /// Where the mailbox of a name is.
+    pub fn find(&self, name: MailboxName) -> Option<usize> {
+        self.places.iter().position(|place| place.as_ref().is_some_and(|mailbox| mailbox.name == name))
+    }
+    /// What is in a place.
+    pub fn get(&self, place: usize) -> Option<&Registered> {
+        self.places.get(place)?.as_ref()
+    }
+    /// All that are there.
+    pub fn all(&self) -> impl Iterator<Item = (usize, &Registered)> {
+        self.places.iter().enumerate().filter_map(|(place, mailbox)| Some((place, mailbox.as_ref()?)))
+    }
+
+    fn lane(&mut self, place: usize, lane: usize) -> Option<&mut Lane> {
+        self.places.get_mut(place)?.as_mut()?.lanes.get_mut(lane)
+    }
+}
+
+impl Default for Registry {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl LaneState {
+    /// Whether it was this component's.
+    fn leave(&mut self, component: ComponentId) -> bool {
+        *self = match *self {
+            LaneState::Reserved(by, _) if by == component => LaneState::Free,
+            LaneState::Bound(by, from) if by == component => LaneState::Left(from),
+            _ => return false,
+        };
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::name::Class;
+
+    const ARM: ComponentId = ComponentId(1);
+    const CAMERA: ComponentId = ComponentId(2);
+
+    fn name(instance: u8) -> MailboxName {
+        MailboxName::new(0, Class(0x80), instance, 0)
+    }
+
+    /// The arm has mailbox 1, for two senders, the camera has mailbox 2.
+    fn two() -> Registry {
+        let mut registry = Registry::new();
+        assert_eq!(registry.create(ARM, name(1), Shape::new(4, 8).senders(2)), Ok(0));
+        assert_eq!(registry.create(CAMERA, name(2), Shape::new(4, 8)), Ok(1));
+        registry
+    }
+
+    fn never(_: usize, _: u32) -> bool {
+        false
+    }
+
+    #[test]
+    fn a_name_is_one_mailbox_s_as_long_as_its_owner_lives() {
+        let mut registry = two();
+        let again = |registry: &mut Registry| registry.create(CAMERA, name(1), Shape::new(1, 1));
+        assert_eq!(again(&mut registry), Err(Refused::Taken(name(1))));
+        assert_eq!(registry.delete(CAMERA, name(1)), Err(Refused::NotOwn(name(1))));
+        assert_eq!(registry.left(ARM), [0]);
+        let before = two().get(0).unwrap().generation;
+        assert_eq!(again(&mut registry), Ok(0));
+        assert!(registry.get(0).unwrap().generation > before);
+        assert_eq!(registry.delete(CAMERA, name(1)), Ok(0));
+        assert_eq!(registry.delete(CAMERA, name(1)), Err(Refused::NoMailbox(name(1))));
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_and_changes_nothing() {
+        let mut registry = two();
+        assert_eq!(
+            registry.create(ARM, MailboxName::NOBODY, Shape::new(1, 1)),
+            Err(Refused::NoName(MailboxName::NOBODY))
+        );
+        assert_eq!(
+            registry.create(ARM, name(3), Shape::new(0, 1)),
+            Err(Refused::Shape(ShapeError::Slots(0)))
+        );
+        assert_eq!(registry.bind(ARM, name(2), name(2), never), Err(Refused::NotOwn(name(2))));
+        assert_eq!(registry.bind(ARM, name(9), name(2), never), Err(Refused::NotOwn(name(9))));
+        assert_eq!(registry.bind(ARM, name(1), name(9), never), Err(Refused::NoMailbox(name(9))));
+        for instance in 3..=255 {
+            if let Err(refused) = registry.create(ARM, name(instance), Shape::new(1, 1)) {
+                panic!("{refused}");
+            }
+        }
+        let (mut more, is_free) = (0, |more: u8| MailboxName::new(1, Class(0x80), more, 0));
+        while registry.create(ARM, is_free(more), Shape::new(1, 1)).is_ok() {
+            more += 1;
+        }
+        assert_eq!(registry.all().count(), MOST_MAILBOXES);
+        assert_eq!(registry.create(ARM, is_free(more), Shape::new(1, 1)), Err(Refused::TooMany));
+    }
+
+    #[test]
+    fn a_lane_is_free_again_once_its_sender_is_gone_and_all_of_it_is_read() {
+        let mut registry = two();
+        let first = registry.bind(CAMERA, name(2), name(1), never).unwrap();
+        let second = registry.bind(CAMERA, name(2), name(1), never).unwrap();
+        assert_eq!((first, second), ((0, 1), (0, 2)));
+        let full = Err(Refused::NoLane(name(1), 2));
+        assert_eq!(registry.bind(CAMERA, name(2), name(1), never), full);
+        assert!(registry.ready(CAMERA, 0, 1));
+        assert!(!registry.ready(CAMERA, 0, 1) && !registry.ready(ARM, 0, 2) && !registry.ready(CAMERA, 0, 9));
+        assert!(!registry.unbind(ARM, 0, 1) && !registry.unbind(ROUTERS, 0, ROUTER));
+        // One was never ready, so nothing of it is there to be read.
+        assert!(registry.has_lanes(CAMERA));
+        assert_eq!(registry.ended(CAMERA), [0]);
+        assert!(!registry.has_lanes(CAMERA));
+        let lanes = &registry.get(0).unwrap().lanes;
+        assert_eq!((lanes[1].state, lanes[2].state), (LaneState::Left(name(2)), LaneState::Free));
+        registry.bind(CAMERA, name(2), name(1), never).unwrap();
+        assert_eq!(registry.bind(CAMERA, name(2), name(1), never), full);
+        let drained = |lane, generation| (lane, generation) == (1, 1);
+        assert_eq!(registry.bind(CAMERA, name(2), name(1), drained), Ok((0, 1)));
+        assert_eq!(registry.get(0).unwrap().lanes[1].generation, 2);
+    }
+
+    /// Every state of a lane, and everything that can happen to it, by who has it and by others.
+    #[test]
+    fn every_state_of_a_lane_answers_every_event() {
+        use LaneState::{Bound, Free, Left, Reserved};
+        let from = name(2);
+        let states = [Free, Reserved(CAMERA, from), Bound(CAMERA, from), Left(from)];
+        type Event = fn(&mut Registry, ComponentId);
+        let ready: Event = |registry, by| _ = registry.ready(by, 0, 1);
+        let unbind: Event = |registry, by| _ = registry.unbind(by, 0, 1);
+        let ended: Event = |registry, by| _ = registry.ended(by);
+        for (event, expected) in [
+            (ready, [Free, Bound(CAMERA, from), Bound(CAMERA, from), Left(from)]),
+            (unbind, [Free, Free, Left(from), Left(from)]),
+            (ended, [Free, Free, Left(from), Left(from)]),
+        ] {
+            for (state, expected) in states.into_iter().zip(expected) {
+                for (by, expected) in [(CAMERA, expected), (ARM, state)] {
+                    let mut registry = two();
+                    registry.lane(0, 1).unwrap().state = state;
+                    event(&mut registry, by);
+                    assert_eq!(registry.lane(0, 1).unwrap().state, expected, "{state:?}");
+                }
+            }
+        }
+    }
+}

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! each place   0  the mailbox's generation, 0: none   1  changes: moves with each   8  lanes
+//! behind all   moves: moves when a name may be somewhere else than before
 //! a lane       sender's name << 32 | the lane's generation << 2 | 0 free, 1 bound, 2 left
 //! ```
 
@@ -23,7 +24,8 @@ const GENERATION: usize = 0;
 const CHANGES: usize = 1;
 const LANES: usize = 8;
 const BLOCK: usize = LANES + MOST_LANES.next_multiple_of(8);
-const WORDS: usize = MOST_MAILBOXES * BLOCK;
+const MOVES: usize = MOST_MAILBOXES * BLOCK;
+const WORDS: usize = MOVES + 1;
 
 const FREE: u64 = 0;
 const BOUND: u64 = 1;
@@ -85,6 +87,13 @@ impl Shown {
     }
 }
 
+impl Shown {
+    /// A mailbox has come, or routes have changed: what is sent elsewhere may belong elsewhere now.
+    pub fn moved(&self) {
+        self.0[MOVES].fetch_add(1, Ordering::Release);
+    }
+}
+
 impl AsFd for Shown {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.0.as_fd()
@@ -101,6 +110,12 @@ impl Board {
     #[inline]
     pub fn has(&self, place: usize, generation: u64) -> bool {
         self.0[place * BLOCK + GENERATION].load(Ordering::Acquire) == generation
+    }
+
+    /// What moves when a name may be somewhere else than before.
+    #[inline]
+    pub fn moves(&self) -> u64 {
+        self.0[MOVES].load(Ordering::Acquire)
     }
 
     /// What moves with each change of a mailbox.

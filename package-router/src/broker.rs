@@ -21,9 +21,11 @@ use socket2::{Domain, SockAddr, Socket, Type};
 use crate::board::Shown;
 use crate::handshake::{ASK_LEN, Answer, Ask, FILES, Lane};
 use crate::letters;
-use crate::mailbox::{Layout, Segment, Shape, Word, of_owner};
+use crate::mailbox::{Layout, Segment, Shape, Word};
 use crate::name::MailboxName;
+use crate::priority::Priorities;
 use crate::registry::{ComponentId, Refused, Registry};
+use crate::route::{RouteError, Routes};
 use crate::shared::lane_at;
 
 /// Components at a time.
@@ -44,18 +46,33 @@ pub struct Broker {
     /// Those that have hung up, and whose processes may still write to their lanes.
     lingering: Vec<(ComponentId, OwnedFd)>,
     components: u64,
+    priorities: Priorities,
+    beyond: Option<Box<dyn Beyond>>,
+}
+
+/// What is beyond a station's own mailboxes.
+pub trait Beyond: Send {
+    /// A mailbox is there, of that owner: what of it comes from beyond lies in the file that this gives.
+    fn created(&mut self, name: MailboxName, layout: &Layout, owner: OwnedFd) -> io::Result<OwnedFd>;
+    /// It is there no more.
+    fn deleted(&mut self, name: MailboxName);
+    /// Which station has which mailboxes.
+    fn routes(&mut self) -> &mut Routes;
 }
 
 /// A component that is there.
 struct Seat {
     id: ComponentId,
     socket: Socket,
-    /// Becomes readable when its process has ended; `None`: that cannot be seen from here.
+    /// Its process, and what becomes readable when that has ended, as far as it can be seen from here.
+    pid: u32,
     process: Option<OwnedFd>,
 }
 
 /// What a mailbox lies in.
 struct Memory {
+    name: MailboxName,
+    layout: Layout,
     owner: Sealed,
     lanes: OwnedFd,
 }
@@ -81,23 +98,37 @@ impl Broker {
             seats: Vec::new(),
             lingering: Vec::new(),
             components: 0,
+            priorities: Priorities::default(),
+            beyond: None,
         })
+    }
+
+    /// The same for a system whose packages are as urgent as that.
+    pub fn with_priorities(mut self, priorities: Priorities) -> Self {
+        self.priorities = priorities;
+        self
+    }
+
+    /// The same with a way to and from elsewhere.
+    pub fn with_beyond(mut self, beyond: Box<dyn Beyond>) -> Self {
+        self.beyond = Some(beyond);
+        self
     }
 
     /// Waits for asks, at most so long, and answers one of each component.
     pub fn serve(&mut self, at_most: Duration) {
         let ready = self.wait(at_most);
-        let mut ready = ready.into_iter();
-        let is_ready = |ready: &mut std::vec::IntoIter<bool>| ready.next().unwrap_or(false);
-        for seat in std::mem::take(&mut self.seats) {
-            if !is_ready(&mut ready) || self.answer(&seat) {
+        let (seats, lingering) = (std::mem::take(&mut self.seats), std::mem::take(&mut self.lingering));
+        let (of_seats, of_lingering) = ready.split_at(seats.len());
+        for (seat, is_ready) in seats.into_iter().zip(of_seats) {
+            if !is_ready || self.answer(&seat) {
                 self.seats.push(seat);
             } else {
                 self.left(seat);
             }
         }
-        for (id, process) in std::mem::take(&mut self.lingering) {
-            if is_ready(&mut ready) {
+        for ((id, process), has_ended) in lingering.into_iter().zip(of_lingering) {
+            if *has_ended {
                 self.ended(id);
             } else {
                 self.lingering.push((id, process));
@@ -136,8 +167,8 @@ impl Broker {
                 continue;
             }
             self.components += 1;
-            let process = process_of(&socket);
-            self.seats.push(Seat { id: ComponentId(self.components), socket, process });
+            let (pid, process) = process_of(&socket);
+            self.seats.push(Seat { id: ComponentId(self.components), socket, pid, process });
         }
     }
 
@@ -170,10 +201,12 @@ impl Broker {
                 Ok((answer, files)) => return (answer, files),
                 Err(refused) => refused,
             },
-            Ask::Create(name, shape) => self.create(by, name, shape, files),
+            Ask::Create(name, shape) => return self.create(by, name, shape, files),
+            Ask::Look(place) => return self.look(place).unwrap_or((Answer::NoMore, Vec::new())),
+            Ask::RouteAt(_) | Ask::AddRoute(..) | Ask::DeleteRoute(_) => self.routed(ask),
             Ask::Delete(name) => match self.registry.delete(by, name) {
                 Ok(place) => {
-                    self.show(place);
+                    self.gone(place);
                     Answer::Done
                 }
                 Err(refused) => Answer::Refused(refused),
@@ -196,22 +229,34 @@ impl Broker {
         Answer::Done
     }
 
-    fn create(&mut self, by: ComponentId, name: MailboxName, shape: Shape, files: Vec<OwnedFd>) -> Answer {
+    fn create(
+        &mut self,
+        by: ComponentId,
+        name: MailboxName,
+        shape: Shape,
+        files: Vec<OwnedFd>,
+    ) -> (Answer, Vec<OwnedFd>) {
         let place = match self.registry.create(by, name, shape) {
             Ok(place) => place,
-            Err(refused) => return Answer::Refused(refused),
+            Err(refused) => return (Answer::Refused(refused), Vec::new()),
         };
-        match memory(&shape, files) {
-            Ok(memory) => {
+        let made = Memory::new(name, &shape, files).and_then(|memory| {
+            let owner = memory.owner.as_fd().try_clone_to_owned()?;
+            let beyond = self.beyond.as_mut().map(|beyond| beyond.created(name, &Layout::of(&shape), owner));
+            Ok((memory, beyond.transpose()?))
+        });
+        match made {
+            Ok((memory, of_router)) => {
                 self.memories[place] = Some(memory);
                 self.show(place);
+                self.board.moved();
                 let generation = self.registry.get(place).map_or(0, |mailbox| mailbox.generation);
-                Answer::Created { place, generation }
+                (Answer::Created { place, generation }, of_router.into_iter().collect())
             }
             Err(error) => {
                 // It was never shown.
                 let _ = self.registry.delete(by, name);
-                failed(&error)
+                (failed(&error), Vec::new())
             }
         }
     }
@@ -222,14 +267,13 @@ impl Broker {
         from: MailboxName,
         to: MailboxName,
     ) -> Result<(Answer, Vec<OwnedFd>), Answer> {
-        let memory = self.registry.find(to).and_then(|place| self.memories[place].as_ref());
-        let layout =
-            self.registry.find(to).and_then(|place| self.registry.get(place)).map(|m| Layout::of(&m.shape));
-        let (Some(memory), Some(layout)) = (memory, layout) else {
-            return Err(Answer::Refused(Refused::NoMailbox(to)));
+        let priority = self.priorities.package(from.class());
+        let Some(memory) = self.registry.find(to).and_then(|place| self.memories[place].as_ref()) else {
+            return Ok((self.away(by, from, to, priority).map_err(Answer::Refused)?, Vec::new()));
         };
-        let drained =
-            |lane, generation| memory.owner.at(layout.drained(lane)).get_acquire() == u64::from(generation);
+        let drained = |at, generation| {
+            memory.owner.at(memory.layout.drained(at)).get_acquire() == u64::from(generation)
+        };
         let (place, lane) = self.registry.bind(by, from, to, drained).map_err(Answer::Refused)?;
         let clones = || Ok(vec![memory.owner.as_fd().try_clone_to_owned()?, memory.lanes.try_clone()?]);
         let files = clones().map_err(|error: io::Error| failed(&error));
@@ -237,17 +281,27 @@ impl Broker {
             self.registry.unbind(by, place, lane);
         }
         let Some(mailbox) = self.registry.get(place) else { return Err(Answer::Failed(libc::EINVAL)) };
-        let reserved = Answer::Reserved {
-            lane: Lane { place, lane },
-            generation: mailbox.generation,
-            shape: mailbox.shape,
-        };
-        Ok((reserved, files?))
+        let (lane, generation, shape) = (Lane { place, lane }, mailbox.generation, mailbox.shape);
+        Ok((Answer::Reserved { lane, generation, shape, priority }, files?))
+    }
+
+    /// To a mailbox that is not here.
+    fn away(
+        &mut self,
+        by: ComponentId,
+        from: MailboxName,
+        to: MailboxName,
+        priority: u8,
+    ) -> Result<Answer, Refused> {
+        self.registry.check_own(by, from)?;
+        let station = self.beyond.as_mut().and_then(|beyond| beyond.routes().find(to));
+        let station = station.ok_or(Refused::NoMailbox(to))?;
+        Ok(Answer::Away { station, priority, channel: self.priorities.channel(from.class()) })
     }
 
     /// A component has hung up.
     fn left(&mut self, seat: Seat) {
-        self.registry.left(seat.id).into_iter().for_each(|place| self.show(place));
+        self.registry.left(seat.id).into_iter().for_each(|place| self.gone(place));
         match seat.process {
             Some(process) if self.registry.has_lanes(seat.id) && !has_ended(process.as_fd()) => {
                 self.lingering.push((seat.id, process));
@@ -260,22 +314,49 @@ impl Broker {
         self.registry.ended(id).into_iter().for_each(|place| self.show(place));
     }
 
-    fn show(&mut self, place: usize) {
-        let mailbox = self.registry.get(place);
-        if mailbox.is_none() {
-            self.memories[place] = None;
-        }
-        self.board.show(place, mailbox);
+    /// The first mailbox from there on, with its memory to be read.
+    fn look(&self, from: usize) -> Option<(Answer, Vec<OwnedFd>)> {
+        let (place, mailbox) = self.registry.all().find(|(place, _)| *place >= from)?;
+        let memory = self.memories[place].as_ref()?;
+        let files = [memory.owner.as_fd().try_clone_to_owned().ok()?, memory.lanes.try_clone().ok()?];
+        let process = self.seats.iter().find(|seat| seat.id == mailbox.owner).map_or(0, |seat| seat.pid);
+        let (name, shape) = (mailbox.name, mailbox.shape);
+        Some((Answer::Mailbox { place, name, shape, process }, files.into()))
     }
 
-    /// What a mailbox has counted, as its owner shows it.
-    pub fn counted(&self, place: usize) -> Option<Vec<u64>> {
-        let memory = self.memories.get(place)?.as_ref()?;
-        Some(
-            (of_owner::RECEIVED..of_owner::LATENCIES)
-                .map(|place| Word::get(memory.owner.at(place)))
-                .collect(),
-        )
+    fn routed(&mut self, ask: Ask) -> Answer {
+        let Some(beyond) = &mut self.beyond else { return Answer::Failed(libc::EOPNOTSUPP) };
+        let done = match ask {
+            Ask::RouteAt(n) => {
+                let route = beyond.routes().iter().nth(n);
+                return route.map_or(Answer::NoMore, |route| Answer::Route(route.to, route.station));
+            }
+            Ask::AddRoute(to, station) => beyond.routes().add(to, station).map(drop),
+            Ask::DeleteRoute(to) => beyond.routes().remove(to).map(drop),
+            _ => return Answer::Failed(libc::EINVAL),
+        };
+        match done {
+            Ok(()) => {
+                self.board.moved();
+                Answer::Done
+            }
+            Err(RouteError::Full) => Answer::Failed(libc::ENOSPC),
+            Err(RouteError::NotAStation(..)) => Answer::Failed(libc::EADDRNOTAVAIL),
+            Err(RouteError::Unknown(_)) => Answer::Failed(libc::ENOENT),
+        }
+    }
+
+    fn show(&self, place: usize) {
+        self.board.show(place, self.registry.get(place));
+    }
+
+    /// A mailbox is there no more.
+    fn gone(&mut self, place: usize) {
+        self.show(place);
+        let memory = self.memories[place].take();
+        if let (Some(memory), Some(beyond)) = (memory, &mut self.beyond) {
+            beyond.deleted(memory.name);
+        }
     }
 }
 
@@ -288,18 +369,20 @@ impl Drop for Broker {
     }
 }
 
-/// What an owner has brought for its mailbox.
-fn memory(shape: &Shape, files: Vec<OwnedFd>) -> io::Result<Memory> {
-    let odd = |why| io::Error::new(ErrorKind::InvalidInput, why);
-    let [owner, lanes]: [OwnedFd; FILES] =
-        files.try_into().map_err(|_| odd("two files come with a mailbox"))?;
-    let layout = Layout::of(shape);
-    let owner = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
-    let bytes = (lane_at(&layout, shape.senders + 1) * size_of::<u64>()) as i64;
-    if fstat(&lanes)?.st_size < bytes {
-        return Err(odd("the lanes of a mailbox are all there"));
+impl Memory {
+    /// What an owner has brought for its mailbox.
+    fn new(name: MailboxName, shape: &Shape, files: Vec<OwnedFd>) -> io::Result<Self> {
+        let odd = |why| io::Error::new(ErrorKind::InvalidInput, why);
+        let [owner, lanes]: [OwnedFd; FILES] =
+            files.try_into().map_err(|_| odd("two files come with a mailbox"))?;
+        let layout = Layout::of(shape);
+        let owner = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
+        let bytes = (lane_at(&layout, shape.senders + 1) * size_of::<u64>()) as i64;
+        if fstat(&lanes)?.st_size < bytes {
+            return Err(odd("the lanes of a mailbox are all there"));
+        }
+        Ok(Self { name, layout, owner, lanes })
     }
-    Ok(Memory { owner, lanes })
 }
 
 fn failed(error: &io::Error) -> Answer {
@@ -308,14 +391,15 @@ fn failed(error: &io::Error) -> Answer {
 
 /// The process at the other end, as something that becomes readable when it ends.
 #[allow(unsafe_code)]
-fn process_of(socket: &Socket) -> Option<OwnedFd> {
+fn process_of(socket: &Socket) -> (u32, Option<OwnedFd>) {
     use std::os::fd::FromRawFd;
-    let credentials =
-        nix::sys::socket::getsockopt(socket, nix::sys::socket::sockopt::PeerCredentials).ok()?;
+    let credentials = nix::sys::socket::getsockopt(socket, nix::sys::socket::sockopt::PeerCredentials);
+    let pid = credentials.map_or(0, |credentials| credentials.pid());
     // SAFETY: it takes numbers, and gives a descriptor of its own or -1.
-    let process = Errno::result(unsafe { libc::syscall(libc::SYS_pidfd_open, credentials.pid(), 0) }).ok()?;
+    let process = Errno::result(unsafe { libc::syscall(libc::SYS_pidfd_open, pid, 0) });
     // SAFETY: it was just made, and is nobody else's.
-    Some(unsafe { OwnedFd::from_raw_fd(process as i32) })
+    let process = process.map(|process| unsafe { OwnedFd::from_raw_fd(process as i32) });
+    (pid.unsigned_abs(), process.ok())
 }
 
 fn has_ended(process: BorrowedFd<'_>) -> bool {

@@ -2,18 +2,20 @@
 //! gives up its mailboxes.
 //!
 //! ```text
-//! ask     "RTP1"  what 1  when full 1  unused 2  name 4  from 4  slots 4  body 4  senders 4  place 4  lane 4   numbers little-endian
+//! ask     "RTP1"  what 1  shape 13  name 4  from 4  lane 8  pattern 8  station 4
 //!         and, to `Create`: the owner's file, the lanes'
-//! answer  "RTP1"  error 4 (0: done)  name 4  detail 8  generation 8  place 4  lane 4  lane's generation 4  when full 1  unused 3
-//!         slots 4  body 4  senders 4
-//!         and, to `Attach`: the board; to `Create`: the router's file; to `Bind`: the owner's file, the lanes'
+//! answer  "RTP1"  what 1  shape 13  name 4  detail 24  generation 8  lane 8  station 4  priority 1  channel 1
+//!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Bind` here, and to `Look`: the owner's, the lanes'
+//! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4            numbers little-endian
 //! ```
+
+use core::net::Ipv4Addr;
 
 use zerocopy::byteorder::little_endian::{U32, U64};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use crate::mailbox::{Shape, ShapeError, WhenFull};
-use crate::name::MailboxName;
+use crate::name::{MailboxName, Pattern};
 use crate::registry::Refused;
 
 /// Begins every packet.
@@ -45,6 +47,14 @@ pub enum Ask {
     Ready(Lane),
     /// A lane is not needed any more.
     Unbind(Lane),
+    /// The first mailbox in that place, or behind it.
+    Look(usize),
+    /// Which route is that one, counted from the most specific.
+    RouteAt(usize),
+    /// From now on these mailboxes are at that station.
+    AddRoute(Pattern, Ipv4Addr),
+    /// There is no such route any more.
+    DeleteRoute(Pattern),
 }
 
 /// Which lane.
@@ -80,7 +90,33 @@ pub enum Answer {
         generation: u64,
         /// What that is.
         shape: Shape,
+        /// How urgent what is sent by it is, unless that is said.
+        priority: u8,
     },
+    /// It is elsewhere: what is for it goes there by real-time UDP.
+    Away {
+        /// The station.
+        station: Ipv4Addr,
+        /// How urgent what is sent by it is, unless that is said.
+        priority: u8,
+        /// The slot that it leaves in.
+        channel: u8,
+    },
+    /// A mailbox that is there.
+    Mailbox {
+        /// Where.
+        place: usize,
+        /// What it is called.
+        name: MailboxName,
+        /// What it is.
+        shape: Shape,
+        /// Its owner's process, as the broker sees it; 0: not at all.
+        process: u32,
+    },
+    /// A route.
+    Route(Pattern, Ipv4Addr),
+    /// There is no other.
+    NoMore,
 }
 
 #[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Default)]
@@ -92,6 +128,8 @@ struct RawAsk {
     name: U32,
     from: U32,
     lane: RawLane,
+    pattern: U64,
+    station: [u8; 4],
 }
 
 #[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Default)]
@@ -104,6 +142,9 @@ struct RawAnswer {
     detail: [U64; 3],
     generation: U64,
     lane: RawLane,
+    station: [u8; 4],
+    priority: u8,
+    channel: u8,
 }
 
 #[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Clone, Copy, Default)]
@@ -137,6 +178,12 @@ impl Ask {
             }
             Ask::Ready(lane) => (raw.what, raw.lane) = (5, RawLane::of(lane)),
             Ask::Unbind(lane) => (raw.what, raw.lane) = (6, RawLane::of(lane)),
+            Ask::Look(place) => (raw.what, raw.lane) = (7, RawLane::of(Lane { place, lane: 0 })),
+            Ask::RouteAt(place) => (raw.what, raw.lane) = (8, RawLane::of(Lane { place, lane: 0 })),
+            Ask::AddRoute(to, station) => {
+                (raw.what, raw.pattern, raw.station) = (9, U64::new(to.to_bits()), station.octets());
+            }
+            Ask::DeleteRoute(to) => (raw.what, raw.pattern) = (10, U64::new(to.to_bits())),
         }
         zerocopy::transmute!(raw)
     }
@@ -152,6 +199,10 @@ impl Ask {
             4 => Ask::Bind { from: MailboxName(raw.from.get()), to: name },
             5 => Ask::Ready(raw.lane.lane()),
             6 => Ask::Unbind(raw.lane.lane()),
+            7 => Ask::Look(raw.lane.lane().place),
+            8 => Ask::RouteAt(raw.lane.lane().place),
+            9 => Ask::AddRoute(Pattern::from_bits(raw.pattern.get())?, raw.station.into()),
+            10 => Ask::DeleteRoute(Pattern::from_bits(raw.pattern.get())?),
             _ => return None,
         })
     }
@@ -161,6 +212,10 @@ const DONE: u8 = 0;
 const FAILED: u8 = 1;
 const CREATED: u8 = 2;
 const RESERVED: u8 = 3;
+const AWAY: u8 = 4;
+const MAILBOX: u8 = 5;
+const ROUTE: u8 = 6;
+const NO_MORE: u8 = 7;
 const TAKEN: u8 = 16;
 const NO_NAME: u8 = 17;
 const TOO_MANY: u8 = 18;
@@ -183,10 +238,22 @@ impl Answer {
                 (raw.what, raw.generation) = (CREATED, U64::new(generation));
                 raw.lane = RawLane::of(Lane { place, lane: 0 });
             }
-            Answer::Reserved { lane, generation, shape } => {
-                (raw.what, raw.generation) = (RESERVED, U64::new(generation));
+            Answer::Reserved { lane, generation, shape, priority } => {
+                (raw.what, raw.generation, raw.priority) = (RESERVED, U64::new(generation), priority);
                 (raw.lane, raw.shape) = (RawLane::of(lane), RawShape::of(&shape));
             }
+            Answer::Away { station, priority, channel } => {
+                (raw.what, raw.station) = (AWAY, station.octets());
+                (raw.priority, raw.channel) = (priority, channel);
+            }
+            Answer::Mailbox { place, name, shape, process } => {
+                (raw.what, raw.name, raw.shape) = (MAILBOX, U32::new(name.0), RawShape::of(&shape));
+                (raw.lane, raw.detail[0]) = (RawLane::of(Lane { place, lane: 0 }), U64::new(process.into()));
+            }
+            Answer::Route(to, station) => {
+                (raw.what, raw.detail[0], raw.station) = (ROUTE, U64::new(to.to_bits()), station.octets());
+            }
+            Answer::NoMore => raw.what = NO_MORE,
             Answer::Refused(refused) => raw.refuse(refused),
         }
         zerocopy::transmute!(raw)
@@ -200,7 +267,21 @@ impl Answer {
             DONE => Answer::Done,
             FAILED => Answer::Failed(raw.detail[0].get() as i32),
             CREATED => Answer::Created { place: raw.lane.lane().place, generation },
-            RESERVED => Answer::Reserved { lane: raw.lane.lane(), generation, shape: raw.shape.shape()? },
+            RESERVED => {
+                let (lane, priority) = (raw.lane.lane(), raw.priority);
+                Answer::Reserved { lane, generation, shape: raw.shape.shape()?, priority }
+            }
+            AWAY => {
+                Answer::Away { station: raw.station.into(), priority: raw.priority, channel: raw.channel }
+            }
+            MAILBOX => Answer::Mailbox {
+                place: raw.lane.lane().place,
+                name: MailboxName(raw.name.get()),
+                shape: raw.shape.shape()?,
+                process: raw.detail[0].get() as u32,
+            },
+            ROUTE => Answer::Route(Pattern::from_bits(raw.detail[0].get())?, raw.station.into()),
+            NO_MORE => Answer::NoMore,
             _ => Answer::Refused(raw.refused()?),
         })
     }
@@ -293,6 +374,12 @@ mod tests {
     #[test]
     fn what_is_asked_and_answered_comes_over_as_it_is() {
         let bind = Ask::Bind { from: NAME, to: MailboxName(9) };
+        let (pattern, station) = ("0.Pilot.*".parse().unwrap(), [10, 0, 0, 9].into());
+        let routes =
+            [Ask::Look(3), Ask::RouteAt(255), Ask::AddRoute(pattern, station), Ask::DeleteRoute(pattern)];
+        for ask in routes {
+            assert_eq!(Ask::parse(&ask.to_bytes()), Some(ask));
+        }
         let create = Ask::Create(NAME, SHAPE);
         for ask in [Ask::Attach, create, Ask::Delete(NAME), bind, Ask::Ready(LANE), Ask::Unbind(LANE)] {
             assert_eq!(Ask::parse(&ask.to_bytes()), Some(ask));
@@ -310,10 +397,21 @@ mod tests {
             Refused::Shape(ShapeError::Memory(1, 2, 3)),
         ];
         let created = Answer::Created { place: 3, generation: u64::MAX };
-        let reserved = Answer::Reserved { lane: LANE, generation: 5, shape: SHAPE };
-        for answer in [Answer::Done, Answer::Failed(-7), created, reserved]
-            .into_iter()
-            .chain(refused.map(Answer::Refused))
+        let reserved = Answer::Reserved { lane: LANE, generation: 5, shape: SHAPE, priority: 255 };
+        let mailbox = Answer::Mailbox { place: 9, name: NAME, shape: SHAPE, process: u32::MAX };
+        let away = Answer::Away { station: [10, 0, 0, 9].into(), priority: 7, channel: 5 };
+        for answer in [
+            Answer::Done,
+            Answer::Failed(-7),
+            created,
+            reserved,
+            away,
+            mailbox,
+            Answer::Route(pattern, station),
+            Answer::NoMore,
+        ]
+        .into_iter()
+        .chain(refused.map(Answer::Refused))
         {
             assert_eq!(Answer::parse(&answer.to_bytes()), Some(answer));
         }

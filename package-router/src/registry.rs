@@ -79,7 +79,7 @@ pub enum Refused {
     #[error("the station has {MOST_MAILBOXES} mailboxes: delete some")]
     TooMany,
     /// There is none of that name here.
-    #[error("{0} is no mailbox of this station")]
+    #[error("{0} is no mailbox of this station, and no route leads to it")]
     NoMailbox(MailboxName),
     /// It is somebody else's.
     #[error("{0} is not this component's: it sends from mailboxes that it has, and deletes those")]
@@ -132,11 +132,7 @@ impl Registry {
         to: MailboxName,
         is_drained: impl Fn(usize, u32) -> bool,
     ) -> Result<(usize, usize), Refused> {
-        let is_own =
-            self.find(from).and_then(|place| self.get(place)).is_some_and(|own| own.owner == component);
-        if !is_own {
-            return Err(Refused::NotOwn(from));
-        }
+        self.check_own(component, from)?;
         let place = self.find(to).ok_or(Refused::NoMailbox(to))?;
         let Some(mailbox) = &mut self.places[place] else { return Err(Refused::NoMailbox(to)) };
         for (at, lane) in mailbox.lanes.iter_mut().enumerate() {
@@ -151,6 +147,12 @@ impl Registry {
             state: LaneState::Reserved(component, from),
         };
         Ok((place, lane))
+    }
+
+    /// Whoever sends does so from a mailbox of its own.
+    pub fn check_own(&self, component: ComponentId, from: MailboxName) -> Result<(), Refused> {
+        let own = self.find(from).and_then(|place| self.get(place));
+        own.filter(|own| own.owner == component).map(drop).ok_or(Refused::NotOwn(from))
     }
 
     /// A component has made a lane ready that it has reserved; `false`: it has none there.

@@ -2,6 +2,9 @@
 
 mod exchange;
 mod killed;
+mod rpc;
+mod lan;
+mod model;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

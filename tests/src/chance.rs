@@ -165,6 +165,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
         slot_guard: SlotGuard::User,
         servo: ServoName::Linear,
         delay: None,
+        packages: None,
         stations,
         conditions: Conditions::default(),
     };

@@ -2,6 +2,7 @@
 
 mod lab;
 mod listen;
+mod packages;
 mod sim;
 mod stack;
 mod vnic;
@@ -20,6 +21,9 @@ pub use lab::{
     DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
 };
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
+pub use packages::{
+    MailboxArgs, MailboxVerb, PackageArgs, PackageRouteVerb, PackageVerb, PackageVerbArgs, duration,
+};
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
 pub use vnic::{VnicArgs, VnicMode, VnicVerb, VnicVerbArgs, of_a_device};
@@ -101,6 +105,18 @@ pub enum Verb {
     ///
     /// Exit status: 0; 2 bad usage, or the station has no VNIC, or Linux refuses.
     Vnic(VnicVerbArgs),
+    /// Look at the mailboxes of a running station: whose they are, what waits in them, what was refused, how long packages took
+    ///
+    /// Nobody is asked but the station's broker: no component notices. For a station that was started with `--packages`.
+    ///
+    /// Exit status: 0; 2 bad usage, or the station has no packages.
+    Mailbox(MailboxArgs),
+    /// Send packages, receive them, ask for answers, and say where mailboxes are that are not here
+    ///
+    /// As a component of the station does, with a mailbox that is there as long as the command.
+    ///
+    /// Exit status: 0; 1 nothing came, or a package could not be sent; 2 bad usage, or the station refuses.
+    Package(PackageVerbArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants
     ///
     /// Nothing is sent. Of a lab it listens on the bridge, as the user who owns the lab; on an interface as
@@ -370,6 +386,9 @@ pub struct StationArgs {
     /// The tunnel, and its device.
     #[command(flatten)]
     pub vnic: VnicArgs,
+    /// What its programs send each other.
+    #[command(flatten)]
+    pub packages: PackageArgs,
     /// What a lab adds, in JSON
     #[arg(long, hide = true)]
     pub lab: Option<String>,

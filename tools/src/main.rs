@@ -29,6 +29,8 @@ fn main() -> ExitCode {
         Verb::Pool(args) => cmd::pool::pool(args),
         Verb::Stat(args) => cmd::stat::stat(args),
         Verb::Vnic(args) => cmd::vnic::vnic(args),
+        Verb::Mailbox(args) => cmd::package::mailbox(args),
+        Verb::Package(args) => cmd::package::package(args),
         Verb::Completions { shell } => cmd::manual::completions(*shell),
         Verb::Man { directory } => cmd::manual::man(directory),
         Verb::Jitter(args) => cmd::jitter::jitter(args),

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! a sender's segment: it writes, the owner reads                 the owner's segment: it writes, senders read
-//!    0  published: the number of its newest package                 0  asleep   1  state
+//!    0  published: the number of its newest package   1  begun      0  asleep
 //!    8  sent, full, too large, replaced                             8  statistics
 //!   16  announced: ring of entries, one for each package           16  latencies
 //!    …  slots, each in whole cache lines:                           …  lanes, one for each sender:
@@ -16,6 +16,7 @@
 //! than the ring holds: who finds that it was overtaken looks at all slots.
 
 use super::shape::{Shape, WhenFull};
+use super::word::{Segment, Word};
 
 /// Words of a cache line.
 pub const LINE: usize = 8;
@@ -24,6 +25,8 @@ pub const LINE: usize = 8;
 pub mod of_sender {
     /// The number of its newest package.
     pub const PUBLISHED: usize = 0;
+    /// How many slots of the lane had been returned when it came.
+    pub const BEGUN: usize = 1;
     /// Packages that it has sent.
     pub const SENT: usize = 8;
     /// Such that found no slot.
@@ -143,6 +146,14 @@ impl Layout {
     #[inline]
     pub fn returned(&self, lane: usize, count: u64) -> usize {
         self.lane(lane) + of_lane::RING + self.in_ring(count)
+    }
+
+    /// How many packages of a lane wait to be read, by what both sides show.
+    pub fn waiting(&self, owner: &impl Segment, sender: &impl Segment, lane: usize) -> u64 {
+        let returned = owner.at(self.lane(lane) + of_lane::RETURNED).get();
+        let back = returned.wrapping_sub(sender.at(of_sender::BEGUN).get());
+        // What made way came back, or never will.
+        sender.at(of_sender::PUBLISHED).get().saturating_sub(back).min(self.slots as u64)
     }
 
     fn in_ring(&self, count: u64) -> usize {

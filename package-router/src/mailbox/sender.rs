@@ -61,16 +61,21 @@ struct Held {
     in_limbo: bool,
 }
 
-/// A free slot that a package is written into. It is free again unless it is published.
+/// A free slot that a package is written into. It is free again unless it is published, or put aside.
 pub struct Slot<'a, Own: Segment, Theirs: Segment> {
     sender: &'a mut LaneSender<Own, Theirs>,
+    begun: Option<Begun>,
+}
+
+/// A package that is written into a slot of a sender's, and whose rest comes later. It is that sender's to go on with.
+#[derive(Debug)]
+pub struct Begun {
     slot: u16,
     /// Where the body goes on, and what of a word was written so far.
     at: usize,
     carry: u64,
     written: usize,
     room: usize,
-    is_published: bool,
 }
 
 impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
@@ -80,6 +85,7 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         assert!(theirs.count() >= layout.lane(lane + 1), "the owner's segment has that lane");
         // A lane that had another sender before goes on where that ended.
         let returned = theirs.at(layout.lane(lane) + of_lane::RETURNED).get_acquire();
+        own.at(of_sender::BEGUN).set(returned);
         // The last one first, which is still in the cache; at the beginning the first.
         let free = (0..layout.slots as u16).rev().collect();
         let held = vec![Held::default(); layout.slots].into_boxed_slice();
@@ -112,7 +118,38 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
             return Err(SendError::Full(self.layout.slots));
         };
         let at = self.layout.slot(slot.into()) + of_slot::BODY;
-        Ok(Slot { sender: self, slot, at, carry: 0, written: 0, room: len, is_published: false })
+        Ok(self.go_on(Begun { slot, at, carry: 0, written: 0, room: len }))
+    }
+
+    /// Goes on with what was put aside, or, if the slot is dropped then, gives it up.
+    #[inline]
+    pub fn go_on(&mut self, begun: Begun) -> Slot<'_, Own, Theirs> {
+        Slot { sender: self, begun: Some(begun) }
+    }
+
+    #[inline]
+    fn publish(&mut self, begun: &Begun, head: &Head, stamps: &Stamps) -> bool {
+        let Self { own, theirs, layout, newest, held, .. } = self;
+        let (number, slot) = (*newest + 1, usize::from(begun.slot));
+        let base = layout.slot(slot);
+        let head = Head { len: (HEAD_LEN + begun.written) as u32, ..*head };
+        let bytes: [[u8; 8]; 2] = zerocopy::transmute!(head.to_bytes());
+        own.at(base + of_slot::SENT).set(stamps.sent);
+        own.at(base + of_slot::LEFT).set(stamps.left.unwrap_or(0));
+        own.at(base + of_slot::CAME).set(stamps.came.unwrap_or(0));
+        for (place, half) in (base + of_slot::HEAD..).zip(bytes) {
+            own.at(place).set(u64::from_ne_bytes(half));
+        }
+        *newest = number;
+        held[slot] = Held { number, priority: head.priority, in_limbo: false };
+        own.at(base + of_slot::NUMBER).set_release(number);
+        own.at(layout.announced(number)).set_release(Entry::new(number, slot).word());
+        let sent = own.at(of_sender::SENT);
+        sent.set(sent.get().wrapping_add(1));
+        own.at(of_sender::PUBLISHED).set_release(number);
+        // Either the receiver has said that it sleeps, and that is seen here, or it looks once more and sees the package.
+        Own::Word::fence();
+        theirs.at(of_owner::ASLEEP).get() != 0
     }
 
     /// How many of its packages wait to be read, as far as it knows.
@@ -196,70 +233,61 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
 impl<Own: Segment, Theirs: Segment> Slot<'_, Own, Theirs> {
     /// Appends bytes of the body, as far as there was said to be room: how many.
     #[inline]
-    pub fn write(&mut self, mut part: &[u8]) -> usize {
+    pub fn write(&mut self, part: &[u8]) -> usize {
+        self.begun.as_mut().map_or(0, |begun| begun.write(&self.sender.own, part))
+    }
+
+    /// The rest of the body comes later.
+    pub fn put_aside(mut self) -> Option<Begun> {
+        self.begun.take()
+    }
+
+    /// Lets the receiver see it, with the body as far as it was written: whether the receiver sleeps, and is to be woken.
+    #[inline]
+    pub fn publish(mut self, head: &Head, stamps: &Stamps) -> bool {
+        self.begun.take().is_some_and(|begun| self.sender.publish(&begun, head, stamps))
+    }
+}
+
+impl Begun {
+    #[inline]
+    fn write<Own: Segment>(&mut self, own: &Own, mut part: &[u8]) -> usize {
+        const WORD: usize = size_of::<u64>();
         let len = part.len().min(self.room - self.written);
         part = &part[..len];
-        let own = &self.sender.own;
-        let begun = self.written % size_of::<u64>();
+        let begun = self.written % WORD;
         self.written += len;
         if begun > 0 {
-            let n = len.min(size_of::<u64>() - begun);
+            let n = len.min(WORD - begun);
             let mut bytes = self.carry.to_ne_bytes();
             bytes[begun..begun + n].copy_from_slice(&part[..n]);
             self.carry = u64::from_ne_bytes(bytes);
             own.at(self.at).set(self.carry);
             part = &part[n..];
-            if begun + n < size_of::<u64>() {
+            if begun + n < WORD {
                 return len;
             }
             self.at += 1;
         }
-        let (words, rest) = part.as_chunks::<{ size_of::<u64>() }>();
+        let (words, rest) = part.as_chunks::<WORD>();
         for word in words {
             own.at(self.at).set(u64::from_ne_bytes(*word));
             self.at += 1;
         }
         if !rest.is_empty() {
-            let mut bytes = [0; size_of::<u64>()];
+            let mut bytes = [0; WORD];
             bytes[..rest.len()].copy_from_slice(rest);
             self.carry = u64::from_ne_bytes(bytes);
             own.at(self.at).set(self.carry);
         }
         len
     }
-
-    /// Lets the receiver see it, with the body as far as it was written: whether the receiver sleeps, and is to be woken.
-    #[inline]
-    pub fn publish(mut self, head: &Head, stamps: &Stamps) -> bool {
-        self.is_published = true;
-        let (written, number, slot) = (self.written, self.sender.newest + 1, usize::from(self.slot));
-        let LaneSender { own, theirs, layout, newest, held, .. } = &mut *self.sender;
-        let base = layout.slot(slot);
-        let head = Head { len: (HEAD_LEN + written) as u32, ..*head };
-        let bytes: [[u8; 8]; 2] = zerocopy::transmute!(head.to_bytes());
-        own.at(base + of_slot::SENT).set(stamps.sent);
-        own.at(base + of_slot::LEFT).set(stamps.left.unwrap_or(0));
-        own.at(base + of_slot::CAME).set(stamps.came.unwrap_or(0));
-        for (place, half) in (base + of_slot::HEAD..).zip(bytes) {
-            own.at(place).set(u64::from_ne_bytes(half));
-        }
-        *newest = number;
-        held[slot] = Held { number, priority: head.priority, in_limbo: false };
-        own.at(base + of_slot::NUMBER).set_release(number);
-        own.at(layout.announced(number)).set_release(Entry::new(number, slot).word());
-        let sent = own.at(of_sender::SENT);
-        sent.set(sent.get().wrapping_add(1));
-        own.at(of_sender::PUBLISHED).set_release(number);
-        // Either the receiver has said that it sleeps, and that is seen here, or it looks once more and sees the package.
-        Own::Word::fence();
-        theirs.at(of_owner::ASLEEP).get() != 0
-    }
 }
 
 impl<Own: Segment, Theirs: Segment> Drop for Slot<'_, Own, Theirs> {
     fn drop(&mut self) {
-        if !self.is_published {
-            self.sender.free.push(self.slot);
+        if let Some(begun) = self.begun.take() {
+            self.sender.free.push(begun.slot);
         }
     }
 }

@@ -52,6 +52,18 @@ impl Pattern {
         }
     }
 
+    /// As a number, for who passes it on.
+    pub const fn to_bits(self) -> u64 {
+        (self.mask as u64) << 32 | self.value as u64
+    }
+
+    /// The reverse; `None`: it is none.
+    pub fn from_bits(bits: u64) -> Option<Self> {
+        let (mask, value) = ((bits >> 32) as u32, bits as u32);
+        let is_mask = mask.to_be_bytes().into_iter().all(|byte| byte == 0 || byte == 0xff);
+        (is_mask && value & !mask == 0).then_some(Self { mask, value })
+    }
+
     /// One mailbox and no other.
     pub const fn exact(name: MailboxName) -> Self {
         Self { mask: u32::MAX, value: name.0 }

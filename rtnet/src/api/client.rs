@@ -120,11 +120,15 @@ impl UdpSocket {
     }
     /// As [`UdpSocket::send_to`], with flags: `DONTROUTE` is for who is on the medium itself, `DONTWAIT` goes without saying.
     pub fn send_to_with(&self, data: &[u8], to: SocketAddrV4, flags: Flags) -> io::Result<()> {
-        self.0.send(data, Some(segment::pack_udp(to)), MAX_PAYLOAD, flags, UDP_FLAGS)
+        self.0.send(&[data], Some(segment::pack_udp(to)), MAX_PAYLOAD, flags, UDP_FLAGS)
     }
     /// The same to the peer that it is connected to.
     pub fn send_with(&self, data: &[u8], flags: Flags) -> io::Result<()> {
-        self.0.send(data, None, MAX_PAYLOAD, flags, UDP_FLAGS)
+        self.send_parts(&[data], flags)
+    }
+    /// The same for one datagram whose parts lie in several places: nobody need put them together first.
+    pub fn send_parts(&self, parts: &[&[u8]], flags: Flags) -> io::Result<()> {
+        self.0.send(parts, None, MAX_PAYLOAD, flags, UDP_FLAGS)
     }
 }
 
@@ -145,7 +149,7 @@ impl PacketSocket {
         ether_type: EtherType,
         flags: Flags,
     ) -> io::Result<()> {
-        self.0.send(data, Some(segment::pack_link(to, ether_type)), ROOM, flags, Flags::DONTWAIT)
+        self.0.send(&[data], Some(segment::pack_link(to, ether_type)), ROOM, flags, Flags::DONTWAIT)
     }
     /// Hands a whole frame to the station, from its destination on.
     pub fn send(&self, frame: &[u8]) -> io::Result<()> {
@@ -153,7 +157,7 @@ impl PacketSocket {
     }
     /// The same with flags.
     pub fn send_with(&self, frame: &[u8], flags: Flags) -> io::Result<()> {
-        self.0.send(frame, None, ROOM, flags, Flags::DONTWAIT)
+        self.0.send(&[frame], None, ROOM, flags, Flags::DONTWAIT)
     }
 }
 
@@ -177,6 +181,10 @@ macro_rules! of_both {
             /// The last error of an earlier send that nobody was told of yet, as `SO_ERROR`: what could not leave.
             pub fn take_error(&self) -> Option<io::Error> {
                 self.0.take_error()
+            }
+            /// Whether the station has taken all that was sent: what it has not is lost with the socket.
+            pub fn is_drained(&self) -> bool {
+                self.0.is_drained()
             }
             /// How long to wait; `None`: for ever.
             pub fn set_timeout(&self, timeout: Option<Duration>) {

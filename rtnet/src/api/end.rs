@@ -84,10 +84,10 @@ impl End {
         Ok(answer)
     }
 
-    /// Hands over at most so many bytes, by one of the known flags.
+    /// Hands over at most so many bytes, in parts as they lie, by one of the known flags.
     pub(super) fn send(
         &self,
-        data: &[u8],
+        parts: &[&[u8]],
         to: Option<u64>,
         most: usize,
         flags: Flags,
@@ -95,7 +95,8 @@ impl End {
     ) -> io::Result<()> {
         self.check_open()?;
         flags.check(known).map_err(|error| Errno::from_raw(error.errno()))?;
-        if data.len() > most {
+        let len = parts.iter().map(|part| part.len()).sum();
+        if len > most {
             return Err(Errno::EMSGSIZE.into());
         }
         let mut sending = locked(&self.sending);
@@ -110,7 +111,7 @@ impl End {
             return Err(Errno::ENODEV.into());
         }
         let order = Order { to, options: sending.options, flags: flags.bits() };
-        let written = sending.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
+        let written = sending.writer.write(segment::pack_order(&order), len, parts.iter().copied());
         match written {
             Ok(true) => {}
             Ok(false) => return Err(Errno::ENOBUFS.into()),
@@ -123,6 +124,11 @@ impl End {
             let _ = (&self.doorbell).write(&ONE);
         }
         Ok(())
+    }
+
+    /// Whether the station has taken all that was handed over: then it leaves, whether this program is there or not.
+    pub(super) fn is_drained(&self) -> bool {
+        locked(&self.sending).writer.is_drained()
     }
 
     pub(super) fn receive(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {

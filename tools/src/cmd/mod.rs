@@ -9,6 +9,7 @@ pub mod lab;
 pub mod lab_run;
 pub mod lab_up;
 pub mod manual;
+pub mod package;
 pub mod ping;
 pub mod pool;
 pub mod route;

@@ -1,8 +1,12 @@
 //! `rtnet station`.
 
+use std::net::Ipv4Addr;
+use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::{Context, anyhow, bail};
+use package_router::priority::Priorities;
+use package_router::route::Routes;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
@@ -15,11 +19,13 @@ use vnic::tunnel::MTU;
 
 use super::Failure;
 use super::route::read_routes;
-use crate::cli::{DisciplineName, Late, Scheduling, StackArgs, StationArgs, VnicMode};
+use crate::cli::{DisciplineName, Late, PackageArgs, Scheduling, StationArgs, VnicMode};
 use crate::control::SlotChange;
+use crate::scenario::read_text;
 use crate::scenario::{DelayName, SlotGuard, default_sync_window, parse_phase};
 use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
+use crate::station::packages::PackagesOptions;
 use crate::station::sockets::parse;
 use crate::station::stack::StackOptions;
 use crate::station::vnic::VnicOptions;
@@ -110,14 +116,16 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         spin: args.lead,
         guard,
         exclusive: args.exclusive,
-        stack: stack(&args.stack)?,
+        stack: stack(args)?,
         vnic: vnic(args)?,
+        packages: packages(args)?,
         lab,
     })
 }
 
 /// Its address and sockets, with routes that can be.
-fn stack(args: &StackArgs) -> anyhow::Result<Option<StackOptions>> {
+fn stack(args: &StationArgs) -> anyhow::Result<Option<StackOptions>> {
+    let StationArgs { stack: args, packages: PackageArgs { packages, .. }, .. } = args;
     let Some(ip) = args.ip else { return Ok(None) };
     let mut said: Vec<_> = args.route.iter().map(|said| ("--route".to_owned(), said.clone())).collect();
     if let Some(file) = &args.routes {
@@ -140,9 +148,33 @@ fn stack(args: &StackArgs) -> anyhow::Result<Option<StackOptions>> {
         receive_buffers: or(args.receive_buffers, usual.receive_buffers),
         icmp_buffers: or(args.icmp_buffers, usual.icmp_buffers),
         arp_buffers: or(args.arp_buffers, usual.arp_buffers),
+        packages: *packages,
     };
     options.check()?;
     Ok(Some(options))
+}
+
+/// Where its packages go, and how urgent they are.
+fn packages(args: &StationArgs) -> anyhow::Result<Option<PackagesOptions>> {
+    let said = &args.packages;
+    if !said.packages {
+        return Ok(None);
+    }
+    let read = |file: &Path| read_text(file).with_context(|| file.display().to_string());
+    let own = args.stack.ip.map_or(Ipv4Addr::UNSPECIFIED, |own| own.ip);
+    let mut routes = match &said.package_routes {
+        // A station by itself knows others by their addresses only.
+        Some(file) => Routes::parse(&read(file)?, &file.display().to_string(), own, |_| None)?,
+        None => Routes::new(own),
+    };
+    for &(to, station) in &said.package_route {
+        routes.add(to, station).with_context(|| format!("--package-route {to}={station}"))?;
+    }
+    let priorities = match &said.package_priorities {
+        Some(file) => Priorities::parse(&read(file)?, &file.display().to_string())?,
+        None => Priorities::default(),
+    };
+    Ok(Some(PackagesOptions { routes, priorities }))
 }
 
 /// Its VNIC, if it is to have one.

@@ -138,6 +138,11 @@ impl Server {
         self.waker = Some(waker);
     }
 
+    /// Where it listens.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// What was counted so far.
     pub fn traffic(&self) -> Traffic {
         self.traffic

@@ -104,6 +104,17 @@ pub fn arguments(
         line.push("--vnic".into());
         line.extend(addresses.iter().map(ToString::to_string));
     }
+    if let Some(packages) = &scenario.packages {
+        line.push("--packages".into());
+        let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
+        if plan.ip.is_some() {
+            packages
+                .routes
+                .iter()
+                .for_each(|route| add("--package-route", format!("{}={}", route.to, route.station)));
+        }
+        packages.priorities.iter().for_each(|file| add("--package-priorities", file.display().to_string()));
+    }
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
     let lab = LabOptions {
         station: station as u16,

@@ -12,6 +12,9 @@
 //! servo = "linear"          # or "none", as in RTnet: each sync is the time line
 //! delay = "quartile"        # of all calibration rounds; or "median", or "mean", as in RTnet and with servo = "none"
 //! network = "10.0.0.0/24"   # only in a lab: stations have sockets, the master .1, the others .2, .3 ... in their order
+//! packages = true           # only in a lab: stations' programs send each other packages
+//! package_routes = "routes.toml"          # beside this file: which station has which mailboxes; names are those of this file
+//! package_priorities = "priorities.toml"  # beside this file: how urgent whose packages are
 //! vnic_mode = "tap"         # or "tun", packets of IP only: what goes through VNICs, but for proxies, which are always of packets
 //!
 //! [[station]]
@@ -40,6 +43,7 @@
 mod addresses;
 mod checks;
 mod conditions;
+mod packages;
 mod shape;
 mod source;
 mod stations;
@@ -91,6 +95,9 @@ struct NetworkFile {
     delay: Option<DelayName>,
     network: Option<Spanned<String>>,
     vnic_mode: Option<Spanned<VnicMode>>,
+    packages: Option<bool>,
+    package_routes: Option<Spanned<String>>,
+    package_priorities: Option<Spanned<String>>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
     host: Option<HostFile>,
@@ -142,6 +149,7 @@ impl Source<'_> {
             slot_guard: network.slot_guard.unwrap_or_default(),
             servo: network.servo.unwrap_or_default(),
             delay: network.delay,
+            packages: self.packages(&network, &stations)?,
             stations,
             conditions: self.conditions(&mut network)?,
         };

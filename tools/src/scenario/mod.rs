@@ -19,6 +19,9 @@ use rtnet::sim::Random;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{self, Address};
 use serde::Deserialize;
+use std::path::PathBuf;
+
+use package_router::route::Route;
 use vnic::peers::Prefix;
 
 use crate::cli::VnicMode;
@@ -78,10 +81,21 @@ pub struct Scenario {
     pub servo: ServoName,
     /// What all calibration rounds say together of the delay; `None`: as the servo has it.
     pub delay: Option<DelayName>,
+    /// What its stations' packages are to be, in a lab.
+    pub packages: Option<PackagesPlan>,
     /// The first is the master.
     pub stations: Vec<StationPlan>,
     /// What it goes through.
     pub conditions: Conditions,
+}
+
+/// What all stations know of packages.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PackagesPlan {
+    /// Which station has which mailboxes.
+    pub routes: Vec<Route>,
+    /// Where it stands how urgent whose packages are.
+    pub priorities: Option<PathBuf>,
 }
 
 /// One station.

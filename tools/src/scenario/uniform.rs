@@ -131,6 +131,7 @@ impl Uniform {
             slot_guard,
             servo,
             delay: None,
+            packages: None,
             stations,
             conditions,
         };

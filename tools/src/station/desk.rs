@@ -59,7 +59,7 @@ pub struct Desk {
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<AccessStatus>>>,
     errands: Arc<Errands<TdmaCommand, Refused>>,
-    sockets: Sockets,
+    sockets: Arc<Sockets>,
     programs: Option<Programs>,
     /// Its VNIC, or why it has none.
     vnic: Result<Told, String>,
@@ -128,7 +128,7 @@ impl Desk {
             records: driver.records(),
             snapshots: driver.snapshots(),
             errands: driver.errands(),
-            sockets: Sockets::new(driver, options.stack.as_ref().map(|stack| stack.room())),
+            sockets: Arc::new(Sockets::new(driver, options.stack.as_ref().map(|stack| stack.room()))),
             programs: None,
             vnic: Err(NO_VNIC.to_owned()),
             time: driver.time(),
@@ -147,6 +147,11 @@ impl Desk {
     /// The same with sockets for programs.
     pub fn with_programs(self, programs: Option<Programs>) -> Self {
         Self { programs, ..self }
+    }
+
+    /// Its way to the sockets, for another thread.
+    pub fn sockets(&self) -> Arc<Sockets> {
+        self.sockets.clone()
     }
 
     /// The same with a VNIC that was wanted, or with why there is none.

@@ -10,6 +10,7 @@ mod limits;
 pub mod link;
 pub mod misses;
 mod own_slots;
+pub mod packages;
 mod programs;
 pub mod sockets;
 pub mod stack;
@@ -45,7 +46,9 @@ pub use desk::epoch;
 use echoes::Asker;
 use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
+use packages::PackagesOptions;
 use programs::Programs;
+use sockets::Sockets;
 use stack::StackOptions;
 use teller::Teller;
 use traffic::{Traffic, TrafficCounts, TrafficPlan};
@@ -91,6 +94,8 @@ pub struct Options {
     pub stack: Option<StackOptions>,
     /// Its VNIC, if it is to have one.
     pub vnic: Option<VnicOptions>,
+    /// Its packages, if it is to have a broker.
+    pub packages: Option<PackagesOptions>,
     /// Set by a lab.
     pub lab: Option<LabOptions>,
 }
@@ -141,6 +146,7 @@ pub struct Ready {
     /// Of programs, at the most.
     sockets: Option<usize>,
     reach: Reach,
+    packages: Option<PackagesOptions>,
     /// Wakes the control thread.
     changed: Arc<EventFd>,
 }
@@ -223,6 +229,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         desk,
         sockets: options.stack.as_ref().map(|stack| stack.room().sockets),
         reach,
+        packages: options.packages,
         changed,
     })
 }
@@ -255,6 +262,12 @@ impl Ready {
         if let Some(clocks) = clocks {
             obey_lab(&self.stop, clocks)?;
         }
+        let has_sockets = self.sockets.is_some();
+        let packages = start_packages(
+            self.packages,
+            self.reach.server.as_ref(),
+            has_sockets.then(|| self.desk.sockets()),
+        )?;
         self.desk.watch_wire(LOOK_EVERY, self.changed)?;
         self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;
@@ -282,6 +295,8 @@ impl Ready {
                 bail!(why);
             }
             if ended {
+                // Nobody waits for a mailbox of a station that is gone.
+                drop(packages);
                 return self::ended(thread, vnic);
             }
         }
@@ -292,6 +307,16 @@ impl Ready {
 fn ended(thread: JoinHandle<()>, vnic: Option<Running>) -> Result<()> {
     drop(vnic);
     thread.join().map_err(|_| anyhow!("the real-time thread panicked"))
+}
+
+/// Starts the broker of who wants one, and can be found.
+fn start_packages(
+    options: Option<PackagesOptions>,
+    server: Option<&Server>,
+    sockets: Option<Arc<Sockets>>,
+) -> Result<Option<packages::Running>> {
+    let Some((options, server)) = options.zip(server) else { return Ok(None) };
+    packages::start(options, server.path(), sockets).map(Some)
 }
 
 /// Starts the real-time thread; with what the host refused it.

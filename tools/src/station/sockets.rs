@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddrV4};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use rtnet::api::line::{LineCounters, Lines};
@@ -25,9 +25,11 @@ use crate::control::{
     StackReply, StackRequest, Way,
 };
 
-/// The control thread's way to the sockets.
+/// The way of other threads to the sockets.
 pub struct Sockets {
     visits: Arc<Visits>,
+    /// Threads that ask do so one after the other.
+    turn: Mutex<()>,
     receive: Arc<Pool>,
     /// What there can be of sockets and routes, if there are any: visitors bring room for that.
     room: Option<Room>,
@@ -76,7 +78,7 @@ impl Found {
 impl Sockets {
     /// To those of this driver's station.
     pub fn new(driver: &Driver<Access>, room: Option<Room>) -> Self {
-        Self { visits: driver.visits(), receive: driver.receive_pool(), room }
+        Self { visits: driver.visits(), turn: Mutex::new(()), receive: driver.receive_pool(), room }
     }
 
     /// Answers what needs nothing but the stack.
@@ -266,6 +268,8 @@ impl Sockets {
 
     /// Sends a visitor, and waits for it. One that has not been let in by then is taken back.
     pub(super) fn let_in(&self, visitor: Box<dyn Visitor>) -> Result<Box<dyn Visitor>, NotLetIn> {
+        // One at a time: what comes back is whose turn it is.
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         if let Err(visitor) = self.visits.send(visitor) {
             let why = "what was asked of its sockets before is not answered yet: ask again";
             return Err((why.into(), Some(visitor)));

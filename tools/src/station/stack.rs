@@ -14,6 +14,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::echoes::Asker;
+use super::packages;
 use super::sockets::{Room, Route};
 
 /// What is said of a station's stack.
@@ -43,6 +44,8 @@ pub struct StackOptions {
     pub icmp_buffers: usize,
     /// Buffers for address resolution.
     pub arp_buffers: usize,
+    /// Whether packages come by the LAN.
+    pub packages: bool,
 }
 
 impl StackOptions {
@@ -62,6 +65,7 @@ impl StackOptions {
             receive_buffers: RECEIVE_POOL,
             icmp_buffers: config.icmp_buffers,
             arp_buffers: config.arp_buffers,
+            packages: false,
         }
     }
 
@@ -85,7 +89,13 @@ impl StackOptions {
         };
         let mut programs: Vec<Box<dyn Program>> = vec![Box::new(Lines::new(self.sockets.into()))];
         programs.extend(asker.map(|asker| Box::new(asker) as Box<dyn Program>));
+        if self.packages {
+            programs.push(packages::router());
+        }
         let mut stack = Stack::new(config, programs);
+        if self.packages {
+            packages::listen(&mut stack)?;
+        }
         self.add_to(stack.routes_mut())?;
         Ok(stack)
     }

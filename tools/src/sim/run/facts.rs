@@ -70,6 +70,7 @@ pub(super) fn only_in_labs(scenario: &Scenario) -> Vec<String> {
     let only = [
         (has_addresses, "network and ip: stations have no sockets"),
         (has_vnics, "vnic and vnic_proxy: stations have no devices"),
+        (scenario.packages.is_some(), "packages: stations have no programs"),
     ];
     let only = only.into_iter().filter(|(is_said, _)| *is_said);
     only.map(|(_, what)| format!("only in a lab (rtnet lab up), and not here: {what}")).collect()

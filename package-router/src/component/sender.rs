@@ -1,0 +1,191 @@
+//! A way from a mailbox of this component to another, wherever that is.
+
+use std::os::fd::OwnedFd;
+use std::sync::Arc;
+
+use rtnet::live::clock::monotonic;
+use rtnet::live::sealed::Sealed;
+
+use super::away::Away;
+use super::{Error, Link, odd, short};
+use crate::handshake::{Answer, Ask, Lane};
+use crate::mailbox::{self, LaneSender, Layout, Segment, Shape, Stamps, Word};
+use crate::name::MailboxName;
+use crate::shared::Room;
+use crate::wait;
+use crate::wire::Head;
+
+/// A way from a mailbox of this component to another, of this station or of one on the LAN.
+pub struct Sender {
+    link: Arc<Link>,
+    way: Way,
+    /// What of the board was so when it was bound.
+    moves: u64,
+    from: MailboxName,
+    to: MailboxName,
+    priority: u8,
+    id: u8,
+}
+
+enum Way {
+    /// Straight into it.
+    Here(Here),
+    /// To the station that has it.
+    Away(Box<Away>),
+}
+
+/// A lane of a mailbox of this station.
+struct Here {
+    link: Arc<Link>,
+    lane: Option<LaneSender<Room, Sealed>>,
+    which: Lane,
+    generation: u64,
+}
+
+/// Why a package was not sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SendError {
+    /// The mailbox takes none.
+    #[error(transparent)]
+    Mailbox(#[from] mailbox::SendError),
+    /// It is there no more.
+    #[error("{0} is there no more: bind to it anew once it is there again")]
+    NoMailbox(MailboxName),
+    /// The station does not take it: a number of `errno`, as its sockets have them.
+    #[error("the station does not take it: {}", std::io::Error::from_raw_os_error(*.0))]
+    Station(i32),
+}
+
+impl Sender {
+    pub(super) fn bind(link: &Arc<Link>, from: MailboxName, to: MailboxName) -> Result<Self, Error> {
+        let moves = link.board.moves();
+        let (answer, files) = link.ask(Ask::Bind { from, to }, &[])?;
+        let (way, priority) = match answer {
+            Answer::Reserved { lane, generation, shape, priority } => {
+                (Way::Here(Here::new(link, lane, generation, &shape, files)?), priority)
+            }
+            Answer::Away { station, priority, channel } => {
+                (Way::Away(Box::new(Away::new(&link.station, station, channel)?)), priority)
+            }
+            answer => return Err(odd(&answer).into()),
+        };
+        Ok(Self { link: link.clone(), way, moves, from, to, priority, id: 0 })
+    }
+
+    /// To which mailbox.
+    pub fn to(&self) -> MailboxName {
+        self.to
+    }
+
+    /// Whether that is a mailbox of this station.
+    pub fn is_here(&self) -> bool {
+        matches!(self.way, Way::Here(_))
+    }
+
+    /// Whether it still leads to where the name is: a mailbox of this station that is there, or, elsewhere, as long as none has
+    /// come here and no route has changed.
+    pub fn is_current(&self) -> bool {
+        match &self.way {
+            Way::Here(here) => here.is_there(),
+            Way::Away(_) => self.link.board.moves() == self.moves,
+        }
+    }
+
+    /// Leads to where the name is now, if that may be elsewhere. It asks the broker, so it is not for who must be on time.
+    pub fn follow(&mut self) -> Result<(), Error> {
+        if !self.is_current() {
+            let Self { id, priority, .. } = *self;
+            *self = Self { id, priority, ..Self::bind(&self.link, self.from, self.to)? };
+        }
+        Ok(())
+    }
+
+    /// Waits until the station has taken what goes elsewhere: with this sender the rest is lost.
+    pub fn drained(&self) -> Result<(), SendError> {
+        match &self.way {
+            Way::Here(_) => Ok(()),
+            Way::Away(away) => away.drained(),
+        }
+    }
+
+    /// How urgent its packages are, unless they say it.
+    pub fn priority(&self) -> u8 {
+        self.priority
+    }
+
+    /// How urgent its packages are, unless they say it: larger is more urgent.
+    pub fn set_priority(&mut self, priority: u8) {
+        self.priority = priority;
+    }
+
+    /// Sends a package. It does not wait, whatever its receiver does. Tells the package's number, which a reply has, too.
+    #[inline]
+    pub fn send(&mut self, kind: i8, body: &[u8]) -> Result<u8, SendError> {
+        self.id = self.id.wrapping_add(1);
+        let head = Head { kind, priority: self.priority, id: self.id, ..Head::default() };
+        self.send_with(&head, body)?;
+        Ok(self.id)
+    }
+
+    /// Sends a package with this head, but for whose it is, whom it is for and how long it is.
+    #[inline]
+    pub fn send_with(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
+        let head = Head { from: self.from, to: self.to, ..*head };
+        match &mut self.way {
+            Way::Here(here) => here.send(&head, body),
+            Way::Away(away) => away.send(head, body),
+        }
+    }
+
+    /// Its own memory, where it counts: see [`mailbox::of_sender`]. What goes elsewhere the station counts.
+    pub fn counted(&self, what: usize) -> u64 {
+        match &self.way {
+            Way::Here(Here { lane: Some(lane), .. }) => Word::get(lane.segment().at(what)),
+            _ => 0,
+        }
+    }
+}
+
+impl Here {
+    fn new(
+        link: &Arc<Link>,
+        which: Lane,
+        generation: u64,
+        shape: &Shape,
+        files: Vec<OwnedFd>,
+    ) -> Result<Self, Error> {
+        // From now on it is given back when this is dropped.
+        let mut here = Self { link: link.clone(), lane: None, which, generation };
+        let [owner, lanes]: [OwnedFd; 2] = files.try_into().map_err(|_| short())?;
+        let layout = Layout::of(shape);
+        let theirs = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
+        here.lane =
+            Some(LaneSender::new(Room::open(&lanes, &layout, which.lane)?, theirs, layout, which.lane));
+        link.ask(Ask::Ready(which), &[])?;
+        Ok(here)
+    }
+
+    #[inline]
+    fn is_there(&self) -> bool {
+        self.link.board.has(self.which.place, self.generation)
+    }
+
+    #[inline]
+    fn send(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
+        let is_there = self.is_there();
+        let lane = self.lane.as_mut().filter(|_| is_there).ok_or(SendError::NoMailbox(head.to))?;
+        let stamps = Stamps { sent: monotonic(), left: None, came: None };
+        if lane.send(head, body, &stamps)? {
+            wait::wake(lane.published());
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Here {
+    fn drop(&mut self) {
+        // It is not written any more before another may have it.
+        self.lane = None;
+        let _ = self.link.ask(Ask::Unbind(self.which), &[]);
+    }
+}

@@ -1,0 +1,366 @@
+//! The station's part in packages from elsewhere: a program in its thread, which brings what comes by the LAN into mailboxes.
+//! What goes to the LAN does not come by here: components hand it to the stack themselves.
+//!
+//! ```text
+//!   UDP port 8192 ─ peek at the head ─► whose? ─► a slot of the router's lane there ─ receive straight into it ─► wake, after
+//!                                         └─ nobody's: counted, and a command is answered                       the slot's send
+//! ```
+
+use core::net::SocketAddrV4;
+
+use rtnet::discipline::Channel;
+use rtnet::room;
+use rtnet::socket::{Access, Flags, Options, Program, Received, Sender, SocketId};
+
+use crate::mailbox::{Begun, LaneSender, Segment, SendError, Stamps};
+use crate::name::MailboxName;
+use crate::priority::level_of;
+use crate::registry::MOST_MAILBOXES;
+use crate::wire::{HEAD_LEN, Head, Joining, NOT_AVAILABLE, Part};
+
+/// Where real-time stations hear packages.
+pub const LAN_PORT: u16 = 0x2000;
+/// Packages that are taken in one turn: a turn may come just before a slot.
+const PACKAGES_AT_ONCE: usize = 8;
+/// Bytes that are copied in one turn, or one package more.
+const WORK_AT_ONCE: usize = 16 * 1024;
+/// What a package costs besides its bytes takes as long as copying so many.
+const EACH: usize = 256;
+/// Packages of several datagrams that a mailbox may wait for the rest of: each keeps a slot.
+const MOST_JOINS: usize = 4;
+/// How long the next datagram of one is waited for, nanoseconds: as RTnet waits for fragments, a hundred cycles of 1 ms.
+const JOIN_TIMEOUT: u64 = 100_000_000;
+
+/// Takes packages out of a socket of the station's and brings them into mailboxes. `Own` are segments of its lanes, `Theirs` the owners'.
+pub struct Router<Own: Segment, Theirs: Segment> {
+    socket: Option<SocketId>,
+    /// By name. Each in the box that it came in: out of it that would be freed in the station's thread.
+    #[allow(clippy::vec_box)]
+    ways: Vec<Box<Way<Own, Theirs>>>,
+    host: Host<Own>,
+    /// How many ways have somebody to be woken.
+    sleepers: usize,
+    joins: usize,
+    counters: RouterCounters,
+}
+
+/// What the router needs of the world.
+pub struct Host<Own: Segment> {
+    /// The clock of mailboxes, nanoseconds.
+    pub clock: fn() -> u64,
+    /// Wakes whoever waits for a word.
+    pub wake: fn(&Own::Word),
+    /// The slot in which it answers.
+    pub channel: Channel,
+}
+
+/// Into one mailbox.
+pub struct Way<Own: Segment, Theirs: Segment> {
+    name: MailboxName,
+    lane: LaneSender<Own, Theirs>,
+    joins: Vec<Join>,
+    wakes: bool,
+}
+
+/// A package of which more is to come.
+struct Join {
+    joining: Joining,
+    begun: Begun,
+    /// When the last of it came.
+    since: u64,
+}
+
+/// What became of what came by the LAN.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RouterCounters {
+    /// Packages that were brought into mailboxes.
+    pub delivered: u64,
+    /// Such as no mailbox here is for.
+    pub no_route: u64,
+    /// Of them, commands that were answered: not available.
+    pub answered: u64,
+    /// Such that found the mailbox full.
+    pub full: u64,
+    /// Such that no slot of it takes.
+    pub too_large: u64,
+    /// Such that said to be from a mailbox of this station.
+    pub forged: u64,
+    /// Datagrams that are no package, or lie about their length.
+    pub malformed: u64,
+    /// Parts that fit no package, and packages whose next part was another, or did not come.
+    pub incomplete: u64,
+    /// Readers that were woken: each cost a system call.
+    pub wakes: u64,
+}
+
+impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
+    /// Into the mailbox of this name, through its router's lane.
+    pub fn new(name: MailboxName, lane: LaneSender<Own, Theirs>) -> Box<Self> {
+        Box::new(Self { name, lane, joins: room::vec(MOST_JOINS), wakes: false })
+    }
+}
+
+impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
+    /// One that knows no mailbox yet.
+    pub fn new(host: Host<Own>) -> Self {
+        let ways = room::vec(MOST_MAILBOXES);
+        Self { socket: None, ways, host, sleepers: 0, joins: 0, counters: RouterCounters::default() }
+    }
+
+    /// From now on it reads there.
+    pub fn reads(&mut self, socket: SocketId) {
+        self.socket = Some(socket);
+    }
+
+    /// Knows another mailbox. A way comes back where there is no room, or one of that name.
+    pub fn add(&mut self, way: Box<Way<Own, Theirs>>) -> Result<(), Box<Way<Own, Theirs>>> {
+        match self.place(way.name) {
+            Err(place) if self.ways.len() < self.ways.capacity() => self.ways.insert(place, way),
+            _ => return Err(way),
+        }
+        Ok(())
+    }
+
+    /// A mailbox is gone. What it had is to be freed where memory may be.
+    pub fn remove(&mut self, name: MailboxName) -> Option<Box<Way<Own, Theirs>>> {
+        let way = self.place(name).ok().map(|place| self.ways.remove(place))?;
+        self.sleepers -= usize::from(way.wakes);
+        self.joins -= way.joins.len();
+        Some(way)
+    }
+
+    /// What became of what came.
+    pub fn counters(&self) -> RouterCounters {
+        self.counters
+    }
+
+    fn place(&self, name: MailboxName) -> Result<usize, usize> {
+        self.ways.binary_search_by_key(&name.0, |way| way.name.0)
+    }
+
+    /// The oldest datagram: how many bytes it had.
+    fn take_in(&mut self, socket: SocketId, sockets: &mut Access<'_>) -> Option<usize> {
+        let mut bytes = [0; HEAD_LEN];
+        let received = sockets.receive(socket, &mut bytes, Flags::PEEK).ok()?;
+        let head = Head::parse(&bytes[..received.len]).ok().filter(|head| fits(head, received.whole));
+        let mut taken = Outcome::Malformed;
+        if let Some(head) = head {
+            taken = match self.place(head.to) {
+                Ok(_) if self.place(head.from).is_ok() => Outcome::Forged,
+                Ok(place) => self.ways[place].receive(&head, &self.host, socket, sockets, &received),
+                Err(_) => Outcome::NoRoute,
+            };
+            if taken == Outcome::NoRoute && head.is_command() && head.is_whole() {
+                self.answer(&head, socket, sockets, &received);
+            }
+        }
+        if !taken.is_consumed() {
+            let _ = sockets.pass_on(socket, |_, _| true);
+        }
+        self.note(taken, head.map(|head| head.to));
+        if head.is_some_and(|head| !head.is_whole()) {
+            self.count_joins();
+        }
+        Some(received.whole)
+    }
+
+    /// Nobody here has that name.
+    fn answer(&mut self, head: &Head, socket: SocketId, sockets: &mut Access<'_>, received: &Received) {
+        let Sender::Udp(to) = received.from else { return };
+        let options = Options { priority: level_of(head.priority), channel: self.host.channel, tos: 0 };
+        let _ = sockets.set_options(socket, options);
+        let to = SocketAddrV4::new(*to.ip(), LAN_PORT);
+        let sent = sockets.send_to(socket, &head.answer(NOT_AVAILABLE).to_bytes(), to);
+        self.counters.answered += u64::from(sent.is_ok());
+    }
+
+    fn note(&mut self, taken: Outcome, to: Option<MailboxName>) {
+        let counters = &mut self.counters;
+        match taken {
+            Outcome::Delivered(sleeps) => {
+                counters.delivered += 1;
+                if sleeps && let Some(Ok(place)) = to.map(|to| self.place(to)) {
+                    self.sleepers += usize::from(!core::mem::replace(&mut self.ways[place].wakes, true));
+                }
+            }
+            Outcome::Begun => {}
+            Outcome::NoRoute => counters.no_route += 1,
+            Outcome::Full => counters.full += 1,
+            Outcome::TooLarge => counters.too_large += 1,
+            Outcome::Forged => counters.forged += 1,
+            Outcome::Malformed => counters.malformed += 1,
+            Outcome::Incomplete => counters.incomplete += 1,
+        }
+    }
+
+    fn count_joins(&mut self) {
+        self.joins = self.ways.iter().map(|way| way.joins.len()).sum();
+    }
+
+    fn give_up_old(&mut self) {
+        let now = (self.host.clock)();
+        for way in &mut self.ways {
+            let before = way.joins.len();
+            while let Some(old) =
+                way.joins.iter().position(|join| now.saturating_sub(join.since) > JOIN_TIMEOUT)
+            {
+                way.give_up(old);
+            }
+            self.counters.incomplete += (before - way.joins.len()) as u64;
+        }
+        self.count_joins();
+    }
+}
+
+/// What became of a datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    /// A package is there; whether its reader sleeps.
+    Delivered(bool),
+    /// More is to come.
+    Begun,
+    NoRoute,
+    Full,
+    TooLarge,
+    Forged,
+    Malformed,
+    Incomplete,
+}
+
+impl Outcome {
+    fn is_consumed(self) -> bool {
+        matches!(self, Outcome::Delivered(_) | Outcome::Begun)
+    }
+}
+
+/// A datagram is a package, or a part of it: the first part says how long the whole is.
+fn fits(head: &Head, datagram: usize) -> bool {
+    match head.part {
+        Part::First => head.len as usize > datagram,
+        _ => head.len as usize == datagram,
+    }
+}
+
+impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
+    fn receive(
+        &mut self,
+        head: &Head,
+        host: &Host<Own>,
+        socket: SocketId,
+        sockets: &mut Access<'_>,
+        received: &Received,
+    ) -> Outcome {
+        let now = (host.clock)();
+        let stamps = Stamps { sent: now, left: None, came: received.global.map(|global| global.nanos()) };
+        if head.part == Part::Whole {
+            let mut slot = match self.lane.reserve(head.priority, head.body_len()) {
+                Ok(slot) => slot,
+                Err(error) => return refusal(error),
+            };
+            receive_into(socket, sockets, |part| slot.write(part));
+            return Outcome::Delivered(slot.publish(head, &stamps));
+        }
+        let begun = match head.part {
+            Part::First => self.begin(head, received.whole, now),
+            _ => self.next(head, received.whole),
+        };
+        let (join, is_complete) = match begun {
+            Ok(begun) => begun,
+            Err(outcome) => return outcome,
+        };
+        let mut slot = self.lane.go_on(join.begun);
+        receive_into(socket, sockets, |part| slot.write(part));
+        if is_complete {
+            return Outcome::Delivered(slot.publish(join.joining.head(), &stamps));
+        }
+        if let Some(begun) = slot.put_aside() {
+            self.joins.push(Join { joining: join.joining, begun, since: now });
+        }
+        Outcome::Begun
+    }
+
+    /// The first part of a package. One of the same two mailboxes that was not complete is given up.
+    fn begin(&mut self, head: &Head, datagram: usize, now: u64) -> Result<(Join, bool), Outcome> {
+        let (joining, _) = Joining::begin(head, datagram - HEAD_LEN).map_err(|_| Outcome::Malformed)?;
+        if let Some(old) = self.find(head.from) {
+            self.give_up(old);
+        }
+        if self.joins.len() == self.joins.capacity() {
+            return Err(Outcome::Full);
+        }
+        let slot = self.lane.reserve(head.priority, head.body_len()).map_err(refusal)?;
+        let begun = slot.put_aside().ok_or(Outcome::Incomplete)?;
+        Ok((Join { joining, begun, since: now }, false))
+    }
+
+    fn next(&mut self, head: &Head, datagram: usize) -> Result<(Join, bool), Outcome> {
+        let place = self.find(head.from).ok_or(Outcome::Incomplete)?;
+        match self.joins[place].joining.next(head, datagram - HEAD_LEN) {
+            Ok(placed) => Ok((self.joins.swap_remove(place), placed.is_complete)),
+            Err(_) => {
+                self.give_up(place);
+                Err(Outcome::Incomplete)
+            }
+        }
+    }
+
+    fn find(&self, from: MailboxName) -> Option<usize> {
+        self.joins.iter().position(|join| join.joining.head().from == from)
+    }
+
+    fn give_up(&mut self, place: usize) {
+        let join = self.joins.swap_remove(place);
+        drop(self.lane.go_on(join.begun));
+    }
+}
+
+fn refusal(error: SendError) -> Outcome {
+    match error {
+        SendError::TooLarge { .. } => Outcome::TooLarge,
+        SendError::Full(_) | SendError::Nonsense => Outcome::Full,
+    }
+}
+
+/// The one copy: from the buffers of the frames, behind the head, to where it stays.
+fn receive_into(socket: SocketId, sockets: &mut Access<'_>, mut write: impl FnMut(&[u8]) -> usize) {
+    let _ = sockets.pass_on(socket, |_, parts| {
+        let mut skip = HEAD_LEN;
+        for part in parts {
+            let behind = &part[skip.min(part.len())..];
+            skip -= part.len() - behind.len();
+            write(behind);
+        }
+        true
+    });
+}
+
+impl<Own, Theirs> Program for Router<Own, Theirs>
+where
+    Own: Segment + Send + 'static,
+    Theirs: Segment + Send + 'static,
+{
+    fn run(&mut self, sockets: &mut Access<'_>) {
+        let Some(socket) = self.socket else { return };
+        if self.joins > 0 {
+            self.give_up_old();
+        }
+        let mut work = WORK_AT_ONCE;
+        for _ in 0..PACKAGES_AT_ONCE {
+            let Some(bytes) = self.take_in(socket, sockets).filter(|_| work > 0) else { return };
+            work = work.saturating_sub(EACH + bytes);
+        }
+    }
+
+    /// Who sleeps is woken after the slot's send.
+    fn rest(&mut self) {
+        if self.sleepers == 0 {
+            return;
+        }
+        self.sleepers = 0;
+        for way in self.ways.iter_mut().filter(|way| way.wakes) {
+            way.wakes = false;
+            self.counters.wakes += 1;
+            (self.host.wake)(way.lane.published());
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! The command line of what is about packages and mailboxes.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use package_router::name::{MailboxName, Pattern};
+use rtnet::time::Span;
+
+use super::WhichOf;
+use crate::units::{parse_nonnegative_span, parse_positive_span};
+
+/// What `station` is told of packages.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Packages")]
+pub struct PackageArgs {
+    /// Let this user's programs send each other packages by the names of mailboxes; with an address (--ip) those of other
+    /// stations, too
+    #[arg(long)]
+    pub packages: bool,
+    /// Which station has a mailbox, or all that a pattern means: 0.Pilot.*=10.0.0.3. Can be given several times
+    #[arg(long, value_name = "PATTERN=IP", requires_all = ["packages", "ip"], value_parser = crate::cmd::package::parse_route)]
+    pub package_route: Vec<(Pattern, std::net::Ipv4Addr)>,
+    /// The same for all stations of a system: a file of `[[route]]` with `to` and `station`
+    #[arg(long, value_name = "FILE", requires_all = ["packages", "ip"])]
+    pub package_routes: Option<PathBuf>,
+    /// How urgent whose packages are: a file with a `[class.NAME]` for each that is not as its class says
+    #[arg(long, value_name = "FILE", requires = "packages")]
+    pub package_priorities: Option<PathBuf>,
+}
+
+/// Arguments of `mailbox`.
+#[derive(Debug, Args)]
+pub struct MailboxArgs {
+    /// Which station.
+    #[command(flatten)]
+    pub which: WhichOf,
+    /// What of it.
+    #[command(subcommand)]
+    pub verb: MailboxVerb,
+}
+
+/// What can be seen of mailboxes.
+#[derive(Debug, Subcommand)]
+pub enum MailboxVerb {
+    /// Which there are, whose, and how many wait in each
+    List,
+    /// Everything that is counted of one, or of all: who sends to it, what was refused, how long packages took
+    Stat {
+        /// As 0.Pilot.0
+        name: Option<MailboxName>,
+    },
+}
+
+/// Arguments of `package`.
+#[derive(Debug, Args)]
+pub struct PackageVerbArgs {
+    /// Which station.
+    #[command(flatten)]
+    pub which: WhichOf,
+    /// What to do.
+    #[command(subcommand)]
+    pub verb: PackageVerb,
+}
+
+/// What can be done with packages.
+#[derive(Debug, Subcommand)]
+pub enum PackageVerb {
+    /// Send a package
+    Send {
+        /// To which mailbox, as 0.Pilot.0
+        to: MailboxName,
+        /// Its body
+        #[arg(default_value = "")]
+        body: String,
+        /// Its type: above 0 a command, else a reply or data
+        #[arg(long = "type", default_value_t = 1, allow_negative_numbers = true)]
+        kind: i8,
+        /// How urgent it is: 255 first [default: as the class of who sends says]
+        #[arg(long)]
+        priority: Option<u8>,
+        /// From a mailbox of this name, which is there that long
+        #[arg(long, default_value = "0.0xff.0")]
+        from: MailboxName,
+    },
+    /// Have a mailbox, and show what comes
+    Receive {
+        /// What it is called
+        name: MailboxName,
+        /// So many packages; without, until it is ended
+        #[arg(short, long)]
+        count: Option<u64>,
+        /// How long to wait for the next [default: for ever]
+        #[arg(short, long, value_parser = parse_positive_span)]
+        timeout: Option<Span>,
+        /// Answer commands with their body: for `rtnet package ping`
+        #[arg(long)]
+        echo: bool,
+    },
+    /// Ask who answers every command (`receive --echo`, or a module): how long that takes
+    Ping {
+        /// Which mailbox
+        to: MailboxName,
+        /// So many questions
+        #[arg(short, long, default_value_t = 10)]
+        count: u64,
+        /// How long after the last one
+        #[arg(short, long, default_value = "100ms", value_parser = parse_nonnegative_span)]
+        interval: Span,
+        /// Bytes of their bodies
+        #[arg(short, long, default_value_t = 64)]
+        size: usize,
+        /// How long an answer is waited for
+        #[arg(short = 'W', long, default_value = "1s", value_parser = parse_positive_span)]
+        timeout: Span,
+        /// From a mailbox of this name
+        #[arg(long, default_value = "0.0xff.1")]
+        from: MailboxName,
+    },
+    /// Which mailboxes are at which other stations, and changes of it
+    Route {
+        /// What to do [default: show them]
+        #[command(subcommand)]
+        verb: Option<PackageRouteVerb>,
+    },
+}
+
+/// What can be done with routes of packages.
+#[derive(Debug, Subcommand)]
+pub enum PackageRouteVerb {
+    /// From now on these mailboxes are there
+    Add {
+        /// As 0.Pilot.*=10.0.0.3
+        #[arg(value_parser = crate::cmd::package::parse_route)]
+        route: (Pattern, std::net::Ipv4Addr),
+    },
+    /// They are not any more
+    Delete {
+        /// As it is shown
+        to: Pattern,
+    },
+}
+
+/// As the standard library has it.
+pub fn duration(span: Span) -> Duration {
+    Duration::from_nanos(span.nanos().max(0).unsigned_abs())
+}

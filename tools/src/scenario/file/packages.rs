@@ -1,0 +1,107 @@
+//! The part of it that lets stations' programs send each other packages, in a lab.
+
+use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
+
+use package_router::priority::Priorities;
+use package_router::route::Routes;
+use toml::Spanned;
+
+use super::source::read_text;
+use super::{FileError, NetworkFile, Source};
+use crate::scenario::{PackagesPlan, StationPlan};
+
+impl Source<'_> {
+    /// What its stations' packages are to be: files that it names are beside it, and name stations as it does.
+    pub(super) fn packages(
+        &self,
+        network: &NetworkFile,
+        stations: &[StationPlan],
+    ) -> Result<Option<PackagesPlan>, FileError> {
+        let NetworkFile { packages, package_routes, package_priorities, .. } = network;
+        if !packages.unwrap_or(false) {
+            let said = package_routes.as_ref().or(package_priorities.as_ref());
+            return said.map_or(Ok(None), |said| {
+                let what = "this is about packages, and stations have none: write packages = true, too";
+                Err(self.impossible(said.span().start, what))
+            });
+        }
+        let resolve = |name: &str| {
+            let station = stations.iter().find(|station| station.name == name)?;
+            station.ip.map(|own| own.ip)
+        };
+        let mut routes = Vec::new();
+        if let Some(said) = package_routes {
+            let (file, text) = self.beside(said)?;
+            // Which is one's own each station says for itself.
+            let read = Routes::parse(&text, &file.display().to_string(), Ipv4Addr::UNSPECIFIED, resolve);
+            let read = read.map_err(|error| self.impossible(said.span().start, error))?;
+            routes.extend(read.iter().copied());
+        }
+        let priorities = package_priorities.as_ref().map(|said| {
+            let (file, text) = self.beside(said)?;
+            let read = Priorities::parse(&text, &file.display().to_string());
+            read.map(|_| file).map_err(|error| self.impossible(said.span().start, error))
+        });
+        Ok(Some(PackagesPlan { routes, priorities: priorities.transpose()? }))
+    }
+
+    /// A file that is named from where this one is.
+    fn beside(&self, said: &Spanned<String>) -> Result<(PathBuf, String), FileError> {
+        let file = Path::new(self.file).parent().unwrap_or(Path::new("")).join(said.get_ref());
+        let text = read_text(&file);
+        let text = text.map_err(|why| {
+            self.impossible(said.span().start, format!("{} cannot be read: {why}", file.display()))
+        })?;
+        Ok((file, text))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    const STATIONS: &str = "cycle = \"1ms\"\nnetwork = \"10.0.0.0/24\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n\
+                            [[station]]\nname = \"arm\"\nrole = \"slave\"\n";
+
+    fn read(dir: &Path, head: &str) -> Result<Option<PackagesPlan>, String> {
+        let file = dir.join("lab.toml");
+        let text = format!("{head}\n{STATIONS}");
+        let scenario = Source::new(file.to_str().unwrap(), &text).parse();
+        scenario.map(|scenario| scenario.packages).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn routes_of_packages_name_stations_as_the_labs_file_does_and_are_beside_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let dir = dir.path();
+        fs::write(dir.join("routes.toml"), "[[route]]\nto = \"0.Pilot.*\"\nstation = \"arm\"\n").unwrap();
+        fs::write(dir.join("urgent.toml"), "[class.Pilot]\nlevel = 3\n").unwrap();
+        assert_eq!(read(dir, ""), Ok(None));
+        assert_eq!(read(dir, "packages = false"), Ok(None));
+        let plan = read(dir, "packages = true").unwrap().unwrap();
+        assert_eq!((plan.routes.len(), plan.priorities), (0, None));
+        let all = "packages = true\npackage_routes = \"routes.toml\"\npackage_priorities = \"urgent.toml\"";
+        let plan = read(dir, all).unwrap().unwrap();
+        assert_eq!(plan.routes[0].station, Ipv4Addr::new(10, 0, 0, 2));
+        assert_eq!(plan.priorities, Some(dir.join("urgent.toml")));
+    }
+
+    #[test]
+    fn packages_that_cannot_be_say_where_and_what_to_do() {
+        let dir = tempfile::tempdir().unwrap();
+        let dir = dir.path();
+        fs::write(dir.join("routes.toml"), "[[route]]\nto = \"0.Pilot.*\"\nstation = \"leg\"\n").unwrap();
+        fs::write(dir.join("urgent.toml"), "[class.Pilot]\nlevel = 31\n").unwrap();
+        for (head, told) in [
+            ("package_routes = \"routes.toml\"", ":1:18: this is about packages, and stations have none"),
+            ("packages = true\npackage_routes = \"none.toml\"", ":2:18: "),
+            ("packages = true\npackage_routes = \"routes.toml\"", "'leg' is neither an IPv4 address"),
+            ("packages = true\npackage_priorities = \"urgent.toml\"", "urgent.toml:2"),
+        ] {
+            let error = read(dir, head).unwrap_err();
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

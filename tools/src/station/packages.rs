@@ -1,0 +1,152 @@
+//! A station's part in packages: its broker, in a thread of its own, and the router in the real-time thread, as far as the
+//! station has an address.
+
+use std::any::Any;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{Builder, JoinHandle};
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use package_router::broker::{Beyond, Broker};
+use package_router::mailbox::{LaneSender, Layout};
+use package_router::name::MailboxName;
+use package_router::priority::Priorities;
+use package_router::registry::ROUTER;
+use package_router::route::Routes;
+use package_router::router::{Host, LAN_PORT, Router, Way};
+use package_router::wait;
+use rtnet::buf::Pool;
+use rtnet::ip::{Exit, Stack};
+use rtnet::live::Visitor;
+use rtnet::live::clock::monotonic;
+use rtnet::live::sealed::Sealed;
+use rtnet::socket::Socket;
+
+use super::sockets::Sockets;
+
+/// Stack of the broker's thread.
+const STACK: usize = 256 * 1024;
+/// How often it looks whether the station has ended.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Buffers for what comes by the LAN: two of the longest datagrams, and what comes meanwhile.
+const BUFFERS: usize = 128;
+
+/// What a station's packages are to be.
+#[derive(Clone, Debug)]
+pub struct PackagesOptions {
+    /// Which stations have which mailboxes.
+    pub routes: Routes,
+    /// How urgent whose packages are.
+    pub priorities: Priorities,
+}
+
+/// The router of a live station.
+type LanRouter = Router<Sealed, Sealed>;
+type LanWay = Box<Way<Sealed, Sealed>>;
+
+/// The router, for a stack that is about to be made.
+pub fn router() -> Box<LanRouter> {
+    Box::new(Router::new(Host { clock: monotonic, wake: wait::wake, channel: 0 }))
+}
+
+/// Where it hears.
+pub fn listen(stack: &mut Stack) -> Result<()> {
+    let socket = Socket::udp(Arc::new(Pool::with_room(BUFFERS, BUFFERS)));
+    let socket = stack.open(socket).map_err(|(error, _)| anyhow!("no socket for packages: {error}"))?;
+    stack.bind(socket, SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, LAN_PORT)).context("no port for packages")?;
+    let router = stack.program_mut::<LanRouter>().context("no router for packages")?;
+    router.reads(socket);
+    Ok(())
+}
+
+/// The broker of a running station. Its thread ends with this.
+pub struct Running {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Starts the broker of a station with this control socket; with sockets it has a way to others.
+pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Sockets>>) -> Result<Running> {
+    let path = package_router::component::socket_of(control);
+    let broker =
+        Broker::bind(&path).with_context(|| format!("the broker {} cannot be made", path.display()))?;
+    let mut broker = broker.with_priorities(options.priorities);
+    if let Some(sockets) = sockets {
+        broker = broker.with_beyond(Box::new(Lan { sockets, routes: options.routes }));
+    }
+    let is_over = Arc::new(AtomicBool::new(false));
+    let over = is_over.clone();
+    let thread = Builder::new().name("packages".into()).stack_size(STACK).spawn(move || {
+        while !over.load(Ordering::Relaxed) {
+            broker.serve(LOOK_EVERY);
+        }
+    })?;
+    Ok(Running { is_over, thread: Some(thread) })
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        self.thread.take().into_iter().for_each(|thread| drop(thread.join()));
+    }
+}
+
+/// The way to and from other stations.
+struct Lan {
+    sockets: Arc<Sockets>,
+    routes: Routes,
+}
+
+impl Beyond for Lan {
+    fn created(&mut self, name: MailboxName, layout: &Layout, owner: OwnedFd) -> io::Result<OwnedFd> {
+        let own = Sealed::new(c"rtnet-router", layout.sender_words())?;
+        let file = own.as_fd().try_clone_to_owned()?;
+        let owner = Sealed::open(owner, layout.lane(ROUTER + 1))?;
+        let way = Way::new(name, LaneSender::new(own, owner, *layout, ROUTER));
+        let arrival = self.visit(Change { name, brought: Some(way), left: None })?;
+        // Which came back was not taken.
+        arrival.brought.map_or(Ok(file), |_| Err(io::ErrorKind::QuotaExceeded.into()))
+    }
+
+    fn deleted(&mut self, name: MailboxName) {
+        // A station whose thread has ended has no ways any more; one that is held up drops what comes there for nobody.
+        let _ = self.visit(Change { name, brought: None, left: None });
+    }
+
+    fn routes(&mut self) -> &mut Routes {
+        &mut self.routes
+    }
+}
+
+impl Lan {
+    fn visit(&self, change: Change) -> io::Result<Change> {
+        let visitor = self.sockets.let_in(Box::new(change)).map_err(|(why, _)| io::Error::other(why))?;
+        let visitor: Box<dyn Any> = visitor;
+        visitor
+            .downcast::<Change>()
+            .map(|change| *change)
+            .map_err(|_| io::Error::other("another visitor came back"))
+    }
+}
+
+/// A mailbox comes or goes. What is replaced is freed where this is.
+struct Change {
+    name: MailboxName,
+    brought: Option<LanWay>,
+    left: Option<LanWay>,
+}
+
+impl Visitor for Change {
+    fn visit(&mut self, stack: &mut Stack, _exit: &mut dyn Exit) {
+        let Some(router) = stack.program_mut::<LanRouter>() else { return };
+        match self.brought.take() {
+            Some(way) => self.brought = router.add(way).err(),
+            None => self.left = router.remove(self.name),
+        }
+    }
+}

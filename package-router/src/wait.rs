@@ -85,6 +85,7 @@ fn low_half(word: &AtomicU64) -> *const u32 {
 }
 
 #[cfg(test)]
+#[allow(clippy::disallowed_methods)]
 mod tests {
     use super::*;
     use std::thread;

@@ -18,6 +18,7 @@ mod manual;
 mod never_left;
 mod nonsense;
 mod observe;
+mod packages;
 mod program_limits;
 mod programs;
 mod proxy;

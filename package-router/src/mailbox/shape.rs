@@ -4,8 +4,8 @@ use crate::wire::{HEAD_LEN, MAX_LEN};
 
 /// Slots of each sender: as many numbers as are sorted at once (20 us) for who was overtaken.
 pub const MOST_SLOTS: usize = 1024;
-/// Senders of a mailbox: `futex_waitv` waits for 128 words, one of which is the owner's own.
-pub const MOST_SENDERS: usize = 127;
+/// Senders of a mailbox: `futex_waitv` waits for 128 words, one of them the router's and one the board's.
+pub const MOST_SENDERS: usize = 126;
 /// The largest body, as on the wire.
 pub const LARGEST_BODY: usize = MAX_LEN - HEAD_LEN;
 /// Memory of all slots of a mailbox together: what a mistaken number would take from everybody.

@@ -2,7 +2,7 @@
 
 use super::word::Segment;
 
-/// Sub-classes of each octave: figures are right to a fifth.
+/// Sub-classes of each octave: a figure is a quarter too long at the most.
 const PARTS: u64 = 4;
 /// Classes: up to 2^42 ns, more than an hour; what takes longer is in the last.
 pub const BUCKETS: usize = 41 * PARTS as usize;
@@ -73,7 +73,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_class_is_a_fifth_too_long_at_the_most(nanos in 0..1u64 << 42) {
+        fn a_class_is_a_quarter_too_long_at_the_most(nanos in 0..1u64 << 42) {
             let longest = upper(bucket(nanos));
             prop_assert!(nanos <= longest && longest - nanos <= nanos / 4, "{nanos}: {longest}");
         }

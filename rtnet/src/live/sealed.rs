@@ -65,6 +65,12 @@ impl Sealed {
         Self::of(file, bytes, ProtFlags::PROT_READ)
     }
 
+    /// Whether nobody can write it, or make a hole in it, but who had mapped it before: who reads it never waits for the kernel.
+    pub fn is_final(&self) -> bool {
+        let seals = fcntl(&self.file, FcntlArg::F_GET_SEALS).map(SealFlag::from_bits_retain);
+        seals.is_ok_and(|seals| seals.intersects(SealFlag::F_SEAL_FUTURE_WRITE | SealFlag::F_SEAL_WRITE))
+    }
+
     fn of(file: OwnedFd, bytes: usize, protection: ProtFlags) -> io::Result<Self> {
         let flags = MapFlags::MAP_SHARED | MapFlags::MAP_POPULATE;
         let length = NonZeroUsize::new(bytes)
@@ -123,6 +129,7 @@ mod tests {
     fn a_reader_sees_what_the_writer_writes() {
         let (ours, file) = memory();
         let theirs = Sealed::open(file, 512).unwrap();
+        assert!(theirs.is_final());
         assert_eq!((ours.len(), theirs.len()), (512, 512));
         assert_eq!(theirs[511].load(Ordering::Relaxed), 0);
         ours[511].store(7, Ordering::Relaxed);
@@ -172,6 +179,10 @@ mod tests {
         assert_eq!(odd(page - 1, SealFlag::F_SEAL_SHRINK), Some(io::ErrorKind::InvalidData));
         assert_eq!(odd(0, SealFlag::F_SEAL_SHRINK), Some(io::ErrorKind::InvalidData));
         assert_eq!(odd(page, SealFlag::F_SEAL_SHRINK), None);
+        let file = memfd_create(c"odd", MFdFlags::MFD_CLOEXEC | MFdFlags::MFD_ALLOW_SEALING).unwrap();
+        ftruncate(&file, page).unwrap();
+        fcntl(&file, FcntlArg::F_ADD_SEALS(SealFlag::F_SEAL_SHRINK)).unwrap();
+        assert!(!Sealed::open(file, 1).unwrap().is_final(), "its maker may take pages out of it");
         assert!(Sealed::open(std::fs::File::open("/dev/null").unwrap().into(), 1).is_err());
     }
 }

@@ -391,7 +391,7 @@ fn stat(row: &Shown) -> String {
         let [p50, p99, max] = [p50, p99, max].map(|nanos| nanos as f64 / 1000.0);
         let _ = writeln!(
             text,
-            "  from send to receive: p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us, each right to a fifth"
+            "  from send to receive: p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us, each a quarter too long at the most"
         );
     }
     for sender in &row.senders {

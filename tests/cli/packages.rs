@@ -1,0 +1,268 @@
+//! Labs whose stations' programs send each other packages.
+
+use std::fs;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use package_router::component::{Component, Mailbox, ReceiveError, SendError, Sender};
+use package_router::mailbox::Shape;
+use package_router::name::MailboxName;
+use package_router::wire::{Head, NOT_AVAILABLE, OK};
+use serde_json::Value;
+
+use crate::cell::{Cell, json, text, wait_until};
+use crate::host::{figure, network};
+use crate::rtnet;
+
+const LAB: &str = include_str!("packages.toml");
+const ROUTES: &str = include_str!("packages_routes.toml");
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// A lab with these routes; they are read when it is stood up.
+fn lab(what: &str, routes: &str) -> Cell {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("routes.toml");
+    fs::write(&file, routes).unwrap();
+    Cell::with(what, |_| LAB.replace("packages_routes.toml", file.to_str().unwrap()))
+}
+
+fn name(text: &str) -> MailboxName {
+    text.parse().unwrap()
+}
+
+/// A component at a station, with one mailbox.
+fn component(cell: &Cell, station: &str, mailbox: &str) -> Mailbox {
+    let component = Component::named(&cell.place(station)).unwrap();
+    component.mailbox(name(mailbox), Shape::new(16, 2_000)).unwrap()
+}
+
+/// Each sends to all, itself among them, as often, and each hears all of it whole and in its order.
+fn all_exchange(all: &mut [Mailbox], rounds: u8) {
+    let names: Vec<_> = all.iter().map(Mailbox::name).collect();
+    let mut ways: Vec<Vec<Sender>> =
+        all.iter().map(|from| names.iter().map(|to| from.sender(*to).unwrap()).collect()).collect();
+    for round in 0..rounds {
+        for (from, ways) in ways.iter_mut().enumerate() {
+            for way in ways {
+                // Some in one frame, some in two.
+                way.send(21, &[[round, from as u8]; 900][..if round % 2 == 0 { 3 } else { 900 }].concat())
+                    .unwrap();
+            }
+        }
+        for mailbox in all.iter_mut() {
+            let mut heard = vec![false; names.len()];
+            while heard.iter().any(|heard| !heard) {
+                let package = mailbox.receive(Some(PATIENCE)).unwrap();
+                let from = names.iter().position(|name| *name == package.head().from).unwrap();
+                let body = package.body().to_vec();
+                assert_eq!(body.len(), if round % 2 == 0 { 6 } else { 1_800 });
+                assert!(body.chunks(2).all(|part| part == [round, from as u8]));
+                assert!(!std::mem::replace(&mut heard[from], true), "twice");
+                // What came from elsewhere says when.
+                assert_eq!(package.stamps().came.is_none(), package.head().from == package.head().to);
+            }
+        }
+    }
+}
+
+fn ask(cell: &Cell, station: &str, words: &[&str]) -> Value {
+    json(rtnet().args(words).args(["-S", &cell.place(station), "--json"]))
+}
+
+#[test]
+fn components_of_three_stations_exchange_packages_by_name_and_one_moves_by_its_route() {
+    network("components_of_three_stations_exchange_packages_by_name_and_one_moves_by_its_route", || {
+        let cell = lab("exchange", ROUTES);
+        let mut all = [("master", "0.Pilot.0"), ("arm", "0.Camera.0"), ("leg", "0.Joystick.0")]
+            .map(|(station, mailbox)| component(&cell, station, mailbox));
+        all_exchange(&mut all, 20);
+        // While all run: another station has the camera.
+        let [pilot, camera, joystick] = all;
+        let mut looks = pilot.sender(camera.name()).unwrap();
+        drop(camera);
+        let camera = component(&cell, "leg", "0.Camera.0");
+        for station in ["master", "arm", "leg"] {
+            let output = rtnet()
+                .args(["package", "-S", &cell.place(station), "route", "add", "0.Camera.*=10.0.0.3"])
+                .output()
+                .unwrap();
+            assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        }
+        assert!(!looks.is_current());
+        looks.follow().unwrap();
+        let mut all = [pilot, camera, joystick];
+        looks.send(7, &[]).unwrap();
+        assert_eq!(all[1].receive(Some(PATIENCE)).unwrap().head().kind, 7);
+        cell.down();
+        // From the beginning: a changed file, and the same programs.
+        let moved = ROUTES.replace("station = \"arm\"", "station = \"master\"");
+        let cell = lab("moved", &moved);
+        let mut all = [("master", "0.Pilot.0"), ("master", "0.Camera.0"), ("leg", "0.Joystick.0")]
+            .map(|(station, mailbox)| component(&cell, station, mailbox));
+        let names: Vec<_> = all.iter().map(Mailbox::name).collect();
+        let mut way = all[2].sender(names[1]).unwrap();
+        way.send(8, &[1, 2, 3]).unwrap();
+        let package = all[1].receive(Some(PATIENCE)).unwrap();
+        assert_eq!((package.head().kind, package.body().to_vec()), (8, vec![1, 2, 3]));
+        drop(package);
+        assert_eq!(cell.down()["unexplained"], 0);
+    });
+}
+
+/// The network's slots take one frame of each station in a cycle: what waits for them at the sender is sorted by who sends.
+#[test]
+fn an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station() {
+    network("an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station", || {
+        let cell = lab("overtakes", ROUTES);
+        let mut pilot = component(&cell, "master", "0.Pilot.0");
+        let slow = component(&cell, "arm", "0.0xe0.0");
+        let quick = component(&cell, "arm", "0.Camera.0");
+        let (mut slow, mut quick) = (slow.sender(pilot.name()).unwrap(), quick.sender(pilot.name()).unwrap());
+        let mut before = Vec::new();
+        for round in 0..20u8 {
+            let backlog = (0..12).map(|n| slow.send(1, &[round, n])).filter(Result::is_ok).count();
+            assert_eq!(backlog, 12);
+            quick.send(2, &[round]).unwrap();
+            let mut kinds = Vec::new();
+            while kinds.len() < 13 {
+                kinds.push(pilot.receive(Some(PATIENCE)).unwrap().head().kind);
+            }
+            before.push(kinds.iter().position(|kind| *kind == 2).unwrap());
+        }
+        // One may be chosen already, and another have left while the urgent one was handed over.
+        before.sort_unstable();
+        assert!(before[before.len() / 2] <= 2, "{before:?} of the backlog came before it");
+        figure(
+            "an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station",
+            &format!(
+                "of 12 that waited {} came before it, in the middle of 20 times",
+                before[before.len() / 2]
+            ),
+        );
+        cell.down();
+    });
+}
+
+#[test]
+fn what_people_see_of_mailboxes_is_what_components_do() {
+    network("what_people_see_of_mailboxes_is_what_components_do", || {
+        let cell = lab("seen", ROUTES);
+        let place = |station: &str| cell.place(station);
+        assert_eq!(ask(&cell, "arm", &["mailbox", "list"]), Value::Array(Vec::new()));
+        let mut receives = rtnet();
+        receives.args([
+            "package",
+            "-S",
+            &place("arm"),
+            "receive",
+            "0.Camera.0",
+            "--echo",
+            "--count",
+            "12",
+            "--json",
+        ]);
+        let receives = receives.stdout(Stdio::piped()).spawn().unwrap();
+        wait_until("the mailbox is there", || {
+            ask(&cell, "arm", &["mailbox", "list"]).as_array().is_some_and(|all| all.len() == 1)
+        });
+        // Who asks has to be found, too.
+        let add = ["route", "add", "0.0xff.*=10.0.0.1"];
+        let output = rtnet().args(["package", "-S", &place("arm")]).args(add).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let trips = ask(&cell, "master", &["package", "ping", "0.Camera.0", "-c", "10", "-i", "5ms"]);
+        assert_eq!((&trips["asked"], &trips["came"]), (&10.into(), &10.into()), "{trips:#}");
+        let cycle = 2_000_000;
+        assert!(trips["min_ns"].as_u64().unwrap() < 2 * cycle, "{trips:#}");
+        let send = |words: &[&str]| {
+            rtnet().args(["package", "-S", &place("master"), "send"]).args(words).output().unwrap()
+        };
+        let sent = send(&["0.Camera.0", "hello", "--type", "-6", "--priority", "200"]);
+        assert_eq!(sent.status.code(), Some(0), "{}", text(&sent.stderr));
+        wait_until("it was received", || {
+            ask(&cell, "arm", &["mailbox", "stat", "0.Camera.0"])[0]["received"] == 11
+        });
+        let stat = ask(&cell, "arm", &["mailbox", "stat"]);
+        assert_eq!(
+            (&stat[0]["name"], &stat[0]["forged"], &stat[0]["slots"]),
+            (&"Camera(0/0)".into(), &0.into(), &64.into())
+        );
+        assert_eq!(stat[0]["process"], receives.id());
+        assert_eq!(send(&["0.Camera.0"]).status.code(), Some(0));
+        let heard = receives.wait_with_output().unwrap();
+        let lines: Vec<Value> =
+            text(&heard.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(lines.len(), 12);
+        let hello = &lines[10];
+        assert_eq!(
+            (&hello["body"], &hello["kind"], &hello["priority"]),
+            (&"hello".into(), &(-6).into(), &200.into())
+        );
+        // It has gone, and its mailbox with it.
+        wait_until("the mailbox is gone", || {
+            ask(&cell, "arm", &["mailbox", "list"]) == Value::Array(Vec::new())
+        });
+        let told = |words: &[&str]| {
+            let output = rtnet().args(words).args(["-S", &place("master")]).output().unwrap();
+            (output.status.code(), text(&output.stderr))
+        };
+        let (status, why) = told(&["package", "ping", "0.Camera.0", "-c", "1"]);
+        assert!(
+            status == Some(1) && why.contains("Camera(0/0) is not there: its station says so"),
+            "{status:?} {why}"
+        );
+        let (status, why) = told(&["package", "send", "0.Gyro.0"]);
+        assert!(
+            status == Some(2) && why.contains("no mailbox of this station, and no route leads to it"),
+            "{status:?} {why}"
+        );
+        let (status, why) = told(&["mailbox", "stat", "0.Gyro.0"]);
+        assert!(status == Some(2) && why.contains("see `rtnet mailbox list`"), "{status:?} {why}");
+        let (status, why) = told(&["package", "route", "delete", "0.Gyro.*"]);
+        assert!(status == Some(2) && why.contains("there is no route to 0.Gyro.*"), "{status:?} {why}");
+        let routes = ask(&cell, "master", &["package", "route"]);
+        assert_eq!(routes.as_array().unwrap().len(), 3, "{routes:#}");
+        cell.down();
+    });
+}
+
+#[test]
+fn a_lab_without_packages_says_how_to_have_some() {
+    network("a_lab_without_packages_says_how_to_have_some", || {
+        let cell = Cell::up("no-packages");
+        let output = rtnet().args(["mailbox", "-S", &cell.place("slave1"), "list"]).output().unwrap();
+        assert_eq!(output.status.code(), Some(2));
+        assert!(
+            text(&output.stderr).contains("has no packages: start it with --packages"),
+            "{}",
+            text(&output.stderr)
+        );
+        cell.down();
+    });
+}
+
+#[test]
+fn who_asks_a_mailbox_that_is_not_there_is_told_so_by_its_station_and_all_that_a_station_ends() {
+    network(
+        "who_asks_a_mailbox_that_is_not_there_is_told_so_by_its_station_and_all_that_a_station_ends",
+        || {
+            let cell = lab("not-there", ROUTES);
+            let mut pilot = component(&cell, "master", "0.Pilot.0");
+            let mut asks = pilot.sender(name("0.Camera.0")).unwrap();
+            let id = asks.send(21, &[]).unwrap();
+            let Head { kind, from, id: told, .. } = *pilot.receive(Some(PATIENCE)).unwrap().head();
+            assert_eq!((kind, from, told), (NOT_AVAILABLE, name("0.Camera.0"), id));
+            // A reply to nobody is not answered.
+            asks.send(OK, &[]).unwrap();
+            assert_eq!(pilot.receive(Some(Duration::from_millis(50))).err(), Some(ReceiveError::TimedOut));
+            let begun = Instant::now();
+            let waits = std::thread::spawn(move || pilot.receive(Some(PATIENCE)).err());
+            cell.down();
+            assert_eq!(waits.join().unwrap(), Some(ReceiveError::Gone));
+            assert!(begun.elapsed() < PATIENCE);
+            let deadline = Instant::now() + PATIENCE;
+            while !matches!(asks.send(OK, &[]), Err(SendError::Station(_))) {
+                assert!(Instant::now() < deadline, "a station that has ended takes packages");
+            }
+        },
+    );
+}

@@ -251,6 +251,13 @@ fn who_asks_a_mailbox_that_is_not_there_is_told_so_by_its_station_and_all_that_a
             let id = asks.send(21, &[]).unwrap();
             let Head { kind, from, id: told, .. } = *pilot.receive(Some(PATIENCE)).unwrap().head();
             assert_eq!((kind, from, told), (NOT_AVAILABLE, name("0.Camera.0"), id));
+            let counted = json(rtnet().args(["stat", "-S", &cell.place("arm"), "--json"]));
+            let packages = &counted["packages"];
+            assert_eq!(
+                (&packages["no_route"], &packages["answered"]),
+                (&1.into(), &1.into()),
+                "{packages:#}"
+            );
             // A reply to nobody is not answered.
             asks.send(OK, &[]).unwrap();
             assert_eq!(pilot.receive(Some(Duration::from_millis(50))).err(), Some(ReceiveError::TimedOut));

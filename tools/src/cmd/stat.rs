@@ -22,7 +22,8 @@ pub fn stat(args: &ShowArgs) -> Result<u8, Failure> {
 
 /// What has happened; what has not is in the JSON only.
 fn describe(shown: &CountersShown) -> String {
-    let CountersShown { name, station, port, refused, programs, stack, loopback, sockets, vnic } = shown;
+    let CountersShown { name, station, port, refused, programs, stack, loopback, sockets, packages, vnic } =
+        shown;
     let mut text = format!("{name}:\n");
     for (title, counts) in [("station", station), ("port", port), ("refused frames", refused)] {
         text += &line(title, counts);
@@ -38,6 +39,7 @@ fn describe(shown: &CountersShown) -> String {
     for (socket, counts) in sockets {
         text += &line(socket, counts);
     }
+    text += &packages.as_ref().map_or(String::new(), |counts| line("packages by the LAN", counts));
     match vnic {
         None => {}
         Some(VnicCounted { unknown: Some(why), .. }) => text += &format!("VNIC: not known: {why}\n"),

@@ -270,6 +270,9 @@ pub struct CountersShown {
     pub loopback: BTreeMap<String, u64>,
     /// Of its sockets.
     pub sockets: BTreeMap<String, BTreeMap<String, u64>>,
+    /// Of packages that came by the LAN, if they may.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub packages: Option<BTreeMap<String, u64>>,
     /// Of its VNIC, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vnic: Option<VnicCounted>,

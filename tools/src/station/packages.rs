@@ -46,7 +46,7 @@ pub struct PackagesOptions {
 }
 
 /// The router of a live station.
-type LanRouter = Router<Sealed, Sealed>;
+pub type LanRouter = Router<Sealed, Sealed>;
 type LanWay = Box<Way<Sealed, Sealed>>;
 
 /// The router, for a stack that is about to be made.

@@ -6,6 +6,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use package_router::router::RouterCounters;
 use rtnet::api::line::{LineCounters, Lines};
 use rtnet::buf::{Pool, PoolStatistics};
 use rtnet::counters::{Refusal, Refusals};
@@ -19,6 +20,7 @@ use rtnet::wire::ethernet::{Address, MTU};
 
 use super::access::Access;
 use super::desk::{ANSWER_WITHIN, LOOK_EVERY};
+use super::packages::LanRouter;
 use super::stack::add;
 use crate::control::{
     ChannelShown, CountersShown, HostShown, InterfaceShown, NetworkShown, PoolShown, RouteSaid, RoutesShown,
@@ -144,15 +146,18 @@ impl Sockets {
 
     /// Everything that the stack counts.
     pub fn counters(&self) -> Result<CountersShown, String> {
-        let brought = (None, None, room::vec(self.room()?.sockets));
-        let (counters, lines, sockets) = self.visit(brought, |(counters, lines, sockets), stack, _| {
-            *counters = Some(stack.counters());
-            *lines = stack.program_mut::<Lines>().map(|lines| lines.counters());
-            find_sockets(stack, sockets);
-        })?;
+        let brought = (None, None, None, room::vec(self.room()?.sockets));
+        let (counters, lines, router, sockets) =
+            self.visit(brought, |(counters, lines, router, sockets), stack, _| {
+                *counters = Some(stack.counters());
+                *lines = stack.program_mut::<Lines>().map(|lines| lines.counters());
+                *router = stack.program_mut::<LanRouter>().map(|router| router.counters());
+                find_sockets(stack, sockets);
+            })?;
         let counters: StackCounters = counters.ok_or("it has not looked")?;
         Ok(CountersShown {
             programs: lines.map(of_programs).unwrap_or_default(),
+            packages: router.map(of_router),
             stack: of_stack(&counters),
             loopback: by_reason(&counters.loopback),
             sockets: sockets.iter().map(|found| (found.name(), of_socket(&found.counters))).collect(),
@@ -385,6 +390,20 @@ fn of_stack(counters: &StackCounters) -> BTreeMap<String, u64> {
         ("fragments_out_of_order", collectors.out_of_order),
         ("fragments_given_up", collectors.given_up),
         ("fragments_pool_empty", collectors.pool_empty),
+    ])
+}
+
+fn of_router(counters: RouterCounters) -> BTreeMap<String, u64> {
+    named([
+        ("delivered", counters.delivered),
+        ("no_route", counters.no_route),
+        ("answered", counters.answered),
+        ("full", counters.full),
+        ("too_large", counters.too_large),
+        ("forged", counters.forged),
+        ("malformed", counters.malformed),
+        ("incomplete", counters.incomplete),
+        ("wakes", counters.wakes),
     ])
 }
 

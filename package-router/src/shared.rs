@@ -35,6 +35,10 @@ impl Segment for Sealed {
     fn at(&self, place: usize) -> &AtomicU64 {
         &self[place]
     }
+    #[inline]
+    fn part(&self, place: usize, count: usize) -> &[AtomicU64] {
+        &self[place..][..count]
+    }
     fn count(&self) -> usize {
         self.len()
     }
@@ -60,6 +64,10 @@ impl Segment for View {
     #[inline]
     fn at(&self, place: usize) -> &AtomicU64 {
         &self.memory[self.begin + place]
+    }
+    #[inline]
+    fn part(&self, place: usize, count: usize) -> &[AtomicU64] {
+        &self.memory[self.begin + place..][..count]
     }
     fn count(&self) -> usize {
         self.words
@@ -118,14 +126,24 @@ impl Room {
     }
 }
 
+impl Room {
+    #[inline]
+    fn words(&self) -> &[AtomicU64] {
+        // SAFETY: the mapping has so many words, begins at a page, and lives as long as `self`. Whatever is there is a valid
+        // word; that others read it at any time is what atomics are for.
+        unsafe { core::slice::from_raw_parts(self.base.as_ptr(), self.words) }
+    }
+}
+
 impl Segment for Room {
     type Word = AtomicU64;
     #[inline]
     fn at(&self, place: usize) -> &AtomicU64 {
-        // SAFETY: the mapping has so many words, begins at a page, and lives as long as `self`. Whatever is there is a valid
-        // word; that others read it at any time is what atomics are for.
-        let words = unsafe { core::slice::from_raw_parts(self.base.as_ptr(), self.words) };
-        &words[place]
+        &self.words()[place]
+    }
+    #[inline]
+    fn part(&self, place: usize, count: usize) -> &[AtomicU64] {
+        &self.words()[place..][..count]
     }
     fn count(&self) -> usize {
         self.words

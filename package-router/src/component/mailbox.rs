@@ -21,8 +21,8 @@ use crate::wire::Head;
 const STATION_EVERY: u64 = 500_000_000;
 /// How long who waits looks for himself before he sleeps: as long as it takes to be woken by another core.
 const SPIN: u64 = 20_000;
-/// After that was in vain, how often he sleeps at once.
-const SPINS_EVERY: u32 = 32;
+/// After that was in vain, how often he sleeps at once: twice as often each time, until it is seen by less than one package of 1000.
+const SLEEPS: core::ops::RangeInclusive<u32> = 32..=4096;
 
 /// A mailbox of this component. It is there as long as this is.
 pub struct Mailbox {
@@ -111,11 +111,11 @@ impl Mailbox {
     /// Waits for the most urgent package, at most so long; `None`: for ever. It stays where it is while it is lent.
     pub fn receive(&mut self, timeout: Option<Duration>) -> Result<Package<'_>, ReceiveError> {
         let until = timeout.map(|timeout| later(monotonic(), timeout));
-        let found = loop {
+        loop {
             self.follow()?;
             let now = monotonic();
-            if let Some(found) = self.inbox.find(now) {
-                break found;
+            if self.inbox.find(now) {
+                break;
             }
             if until.is_some_and(|until| until <= now) {
                 return Err(ReceiveError::TimedOut);
@@ -123,8 +123,8 @@ impl Mailbox {
             if !self.spin(until) {
                 self.sleep(until)?;
             }
-        };
-        Ok(self.inbox.lend(found))
+        }
+        Ok(self.inbox.lend())
     }
 
     /// The most urgent package, if there is one. For who spins: it asks the kernel for nothing but the time.
@@ -263,8 +263,9 @@ impl Drop for Mailbox {
 /// Whether it is worth looking for oneself: where the sender has another core, and answers soon.
 #[derive(Default)]
 struct Patience {
-    /// Times to sleep at once.
+    /// Times to sleep at once, and how many there were the last time.
     sleeps: u32,
+    last: u32,
 }
 
 impl Patience {
@@ -274,6 +275,7 @@ impl Patience {
     }
 
     fn note(&mut self, found: bool) {
-        self.sleeps = if found { 0 } else { SPINS_EVERY };
+        self.last = if found { 0 } else { (2 * self.last).clamp(*SLEEPS.start(), *SLEEPS.end()) };
+        self.sleeps = self.last;
     }
 }

@@ -21,6 +21,8 @@ pub struct Inbox<Own, Theirs> {
     known: Box<[u64]>,
     /// Where those that were announced while nobody looked are sorted.
     overtaken: Vec<(u64, u16)>,
+    /// What is lent, or was last: here, since to move it costs as much as to find it.
+    found: Found,
 }
 
 /// What is known of a lane.
@@ -48,10 +50,13 @@ struct Attached<Theirs> {
 pub struct Taken;
 
 /// A package that is about to be read.
-pub struct Found {
+#[derive(Default)]
+pub(super) struct Found {
     pub(super) head: Head,
     pub(super) stamps: Stamps,
     node: Node,
+    lane: usize,
+    slot: usize,
     number: u64,
     /// When it was found, and how long it took until then.
     now: u64,
@@ -67,7 +72,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let lanes = (0..shape.senders).map(|_| Lane { sender: None, returned: 0 }).collect();
         let known = vec![0; nodes].into_boxed_slice();
         let overtaken = Vec::with_capacity(shape.slots);
-        Self { own, layout, lanes, urgency: Urgency::new(nodes), known, overtaken }
+        Self { own, layout, lanes, urgency: Urgency::new(nodes), known, overtaken, found: Found::default() }
     }
 
     /// Lets a sender in, whose packages are from that mailbox; from [nobody](MailboxName::NOBODY): it says of each whose it is.
@@ -101,23 +106,23 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         Some((lane, sender.segment))
     }
 
-    /// What is to be read next.
+    /// Whether there is something to be read next.
     #[inline]
-    pub(crate) fn find(&mut self, now: u64) -> Option<Found> {
+    pub(crate) fn find(&mut self, now: u64) -> bool {
         self.look(now);
         self.take(now)
     }
 
     /// Lends what was found.
     #[inline]
-    pub(crate) fn lend(&mut self, found: Found) -> Package<'_, Own, Theirs> {
-        Package::new(self, found)
+    pub(crate) fn lend(&mut self) -> Package<'_, Own, Theirs> {
+        Package::new(self)
     }
 
     /// The most urgent package: it stays where it is until it is let go. `now` is this host's monotonic clock.
     #[inline]
     pub fn receive(&mut self, now: u64) -> Option<Package<'_, Own, Theirs>> {
-        self.find(now).map(|found| self.lend(found))
+        if self.find(now) { Some(self.lend()) } else { None }
     }
 
     /// Copies the most urgent package's body; one that is too long for it stays, and says how long it is.
@@ -136,8 +141,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     pub fn clean(&mut self, now: u64) -> usize {
         self.look(now);
         let mut cleaned = 0;
-        while let Some(found) = self.take(now) {
-            self.give_back(&found, false);
+        while self.take(now) {
+            self.give_back(false);
             cleaned += 1;
         }
         self.count(of_owner::CLEANED, cleaned as u64);
@@ -272,9 +277,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
 
     /// The most urgent package that is still there.
     #[inline]
-    fn take(&mut self, now: u64) -> Option<Found> {
-        loop {
-            let node = self.urgency.first()?;
+    fn take(&mut self, now: u64) -> bool {
+        while let Some(node) = self.urgency.first() {
             self.urgency.remove(node);
             let (lane, slot) = self.place(node);
             let number = self.known[node as usize];
@@ -285,8 +289,9 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             }
             let Some(sender) = &self.lanes[lane].sender else { continue };
             let base = self.layout.slot(slot);
-            let at = |place| sender.segment.at(base + place).get();
-            let is_there = sender.segment.at(base + of_slot::NUMBER).get_acquire() == number;
+            let words = sender.segment.part(base, of_slot::BODY);
+            let at = |place: usize| words[place].get();
+            let is_there = words[of_slot::NUMBER].get_acquire() == number;
             let halves = [at(of_slot::HEAD), at(of_slot::HEAD + 1)].map(u64::to_ne_bytes);
             let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
             let [sent, left, came] = [of_slot::SENT, of_slot::LEFT, of_slot::CAME].map(at);
@@ -295,56 +300,65 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let from = sender.from;
             let parsed = Head::parse(&bytes);
             let head = parsed.unwrap_or_default();
-            let found = Found { head, stamps, node, number, now, took: now.saturating_sub(sent) };
+            self.found = Found { head, stamps, node, lane, slot, number, now, took: now.saturating_sub(sent) };
             if !is_there {
                 // It was replaced; what it made way for is announced, or will be.
                 self.known[node as usize] = 0;
-                self.give_back(&found, true);
+                self.give_back(true);
                 continue;
             }
             let is_sound = parsed.is_ok() && head.body_len() <= self.layout.largest_body;
             if !is_sound || (from != MailboxName::NOBODY && head.from != from) {
                 self.count(if is_sound { of_owner::FORGED } else { of_owner::NONSENSE }, 1);
-                self.give_back(&found, false);
+                self.give_back(false);
                 continue;
             }
-            return Some(found);
+            return true;
         }
+        false
+    }
+
+    /// What is lent.
+    #[inline]
+    pub(super) fn found(&self) -> &Found {
+        &self.found
     }
 
     /// It was read, and its slot is its sender's again.
     #[inline]
-    pub(super) fn let_go(&mut self, found: &Found) {
+    pub(super) fn let_go(&mut self) {
         self.count(of_owner::RECEIVED, 1);
-        self.count(of_owner::LATENCIES + bucket(found.took), 1);
-        self.give_back(found, false);
+        self.count(of_owner::LATENCIES + bucket(self.found.took), 1);
+        self.give_back(false);
     }
 
     /// It was not read, and is the first of its priority again, for all that is known of it.
-    pub(super) fn put_back(&mut self, found: &Found) {
-        let (lane, slot) = self.place(found.node);
+    pub(super) fn put_back(&mut self) {
+        let Found { node, lane, slot, number: taken, .. } = self.found;
         self.own.at(self.layout.lane(lane) + of_lane::TAKING).set(0);
         let Some(sender) = &self.lanes[lane].sender else { return };
         // Whoever was to make way for another while it was looked at does so now.
         let number = sender.segment.at(self.layout.slot(slot) + of_slot::NUMBER).get_acquire();
-        if number == found.number {
-            self.urgency.insert(found.node, found.head.priority, found.stamps.sent.min(found.now));
+        if number == taken {
+            let Found { head, stamps, now, .. } = &self.found;
+            self.urgency.insert(node, head.priority, stamps.sent.min(*now));
         } else {
-            self.known[found.node as usize] = 0;
-            self.give_back(found, true);
+            self.known[node as usize] = 0;
+            self.give_back(true);
         }
     }
 
     /// The body of a package that is being read.
-    pub(super) fn body(&self, found: &Found) -> Option<(&Theirs, usize)> {
-        let (lane, slot) = self.place(found.node);
+    #[inline]
+    pub(super) fn body(&self) -> Option<(&Theirs, usize)> {
+        let Found { lane, slot, .. } = self.found;
         let sender = self.lanes[lane].sender.as_ref()?;
         Some((&sender.segment, self.layout.slot(slot) + of_slot::BODY))
     }
 
-    fn give_back(&mut self, found: &Found, is_unread: bool) {
-        let (lane, slot) = self.place(found.node);
-        let entry = Entry::new(found.number, slot);
+    fn give_back(&mut self, is_unread: bool) {
+        let Found { lane, slot, number, .. } = self.found;
+        let entry = Entry::new(number, slot);
         let entry = if is_unread { entry.unread() } else { entry };
         let Lane { returned, .. } = &mut self.lanes[lane];
         self.own.at(self.layout.returned(lane, *returned)).set(entry.word());
@@ -383,13 +397,14 @@ fn note<Theirs: Segment>(
     now: u64,
 ) {
     let base = layout.slot(slot);
-    let number = segment.at(base + of_slot::NUMBER).get_acquire();
+    let words = segment.part(base, of_slot::BODY);
+    let number = words[of_slot::NUMBER].get_acquire();
     // What was announced since then is noted with all that was before it.
     if number == 0 || number == *known || number > newest {
         return;
     }
     *known = number;
-    let [_, _, priority, ..] = segment.at(base + of_slot::HEAD).get().to_ne_bytes();
+    let [_, _, priority, ..] = words[of_slot::HEAD].get().to_ne_bytes();
     // Who says that he has sent it later than now does not get the others to wait for him.
-    urgency.insert(node, priority, segment.at(base + of_slot::SENT).get().min(now));
+    urgency.insert(node, priority, words[of_slot::SENT].get().min(now));
 }

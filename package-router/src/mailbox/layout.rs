@@ -93,8 +93,11 @@ pub struct Layout {
     pub slots: usize,
     /// Of each of the rings, a power of two.
     pub ring: usize,
-    /// From one slot to the next.
+    /// Where the first slot is, and from one to the next.
+    first_slot: usize,
     stride: usize,
+    /// From one lane to the next.
+    lane_stride: usize,
     /// Bytes of the largest body.
     pub largest_body: usize,
     /// What a sender does that finds no slot.
@@ -105,11 +108,14 @@ impl Layout {
     /// Of a shape that can be.
     pub fn of(shape: &Shape) -> Self {
         let stride = (of_slot::BODY + shape.largest_body.div_ceil(size_of::<u64>())).next_multiple_of(LINE);
+        // Between two looks of a sender all that it has there may come back, and what one of them has made way for, too.
+        let ring = (shape.slots + 1).next_power_of_two();
         Self {
             slots: shape.slots,
-            // Between two looks of a sender all that it has there may come back, and what one of them has made way for, too.
-            ring: (shape.slots + 1).next_power_of_two(),
+            ring,
+            first_slot: (of_sender::RING + ring).next_multiple_of(LINE),
             stride,
+            lane_stride: (of_lane::RING + ring).next_multiple_of(LINE),
             largest_body: shape.largest_body,
             when_full: shape.when_full,
         }
@@ -126,7 +132,7 @@ impl Layout {
     /// Where a slot begins in its sender's segment.
     #[inline]
     pub fn slot(&self, slot: usize) -> usize {
-        (of_sender::RING + self.ring).next_multiple_of(LINE) + slot * self.stride
+        self.first_slot + slot * self.stride
     }
     /// Where the package of a number is announced.
     #[inline]
@@ -136,7 +142,7 @@ impl Layout {
     /// Where a sender's lane begins in the owner's segment.
     #[inline]
     pub fn lane(&self, lane: usize) -> usize {
-        of_owner::LANES.next_multiple_of(LINE) + lane * (of_lane::RING + self.ring).next_multiple_of(LINE)
+        of_owner::LANES.next_multiple_of(LINE) + lane * self.lane_stride
     }
     /// Where the owner says whose packages of a lane are all read.
     pub fn drained(&self, lane: usize) -> usize {

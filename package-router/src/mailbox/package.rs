@@ -1,6 +1,6 @@
 //! A package that lies in its slot while it is read.
 
-use super::inbox::{Found, Inbox};
+use super::inbox::Inbox;
 use super::sender::Stamps;
 use super::word::{Segment, Word};
 use crate::wire::Head;
@@ -8,7 +8,6 @@ use crate::wire::Head;
 /// A package, lent by its mailbox. Its slot is its sender's again once it is dropped.
 pub struct Package<'a, Own: Segment, Theirs: Segment> {
     inbox: &'a mut Inbox<Own, Theirs>,
-    found: Found,
     is_put_back: bool,
 }
 
@@ -30,23 +29,23 @@ pub struct Body<'a, Theirs> {
 }
 
 impl<'a, Own: Segment, Theirs: Segment> Package<'a, Own, Theirs> {
-    pub(super) fn new(inbox: &'a mut Inbox<Own, Theirs>, found: Found) -> Self {
-        Self { inbox, found, is_put_back: false }
+    pub(super) fn new(inbox: &'a mut Inbox<Own, Theirs>) -> Self {
+        Self { inbox, is_put_back: false }
     }
 
     /// Its head.
     #[inline]
     pub fn head(&self) -> &Head {
-        &self.found.head
+        &self.inbox.found().head
     }
     /// When it was where.
     pub fn stamps(&self) -> &Stamps {
-        &self.found.stamps
+        &self.inbox.found().stamps
     }
     /// Its body.
     #[inline]
     pub fn body(&self) -> Body<'_, Theirs> {
-        Body { segment: self.inbox.body(&self.found), len: self.found.head.body_len() }
+        Body { segment: self.inbox.body(), len: self.head().body_len() }
     }
     /// Leaves it in the mailbox, as the first of its priority.
     pub fn put_back(mut self) {
@@ -58,9 +57,9 @@ impl<Own: Segment, Theirs: Segment> Drop for Package<'_, Own, Theirs> {
     #[inline]
     fn drop(&mut self) {
         if self.is_put_back {
-            self.inbox.put_back(&self.found);
+            self.inbox.put_back();
         } else {
-            self.inbox.let_go(&self.found);
+            self.inbox.let_go();
         }
     }
 }
@@ -91,9 +90,10 @@ impl<Theirs: Segment> Body<'_, Theirs> {
             (rest, at) = (behind, at + 1);
         }
         let (words, last) = rest.as_chunks_mut::<WORD>();
-        for word in words {
-            *word = segment.at(at).get().to_ne_bytes();
-            at += 1;
+        let from = segment.part(at, words.len());
+        at += words.len();
+        for (word, from) in words.iter_mut().zip(from) {
+            *word = from.get().to_ne_bytes();
         }
         if !last.is_empty() {
             last.copy_from_slice(&segment.at(at).get().to_ne_bytes()[..last.len()]);

@@ -95,14 +95,20 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     /// Sends a package: whether its receiver sleeps, and is to be woken. The length in its head is made that of the body.
     #[inline]
     pub fn send(&mut self, head: &Head, body: &[u8], stamps: &Stamps) -> Result<bool, SendError> {
-        let mut slot = self.reserve(head.priority, body.len())?;
-        slot.write(body);
-        Ok(slot.publish(head, stamps))
+        let mut begun = self.begin(head.priority, body.len())?;
+        begun.write(&self.own, body);
+        Ok(self.publish(&begun, head, stamps))
     }
 
     /// A slot for a body of so many bytes.
     #[inline]
     pub fn reserve(&mut self, priority: u8, len: usize) -> Result<Slot<'_, Own, Theirs>, SendError> {
+        let begun = self.begin(priority, len)?;
+        Ok(self.go_on(begun))
+    }
+
+    #[inline]
+    fn begin(&mut self, priority: u8, len: usize) -> Result<Begun, SendError> {
         let most = self.layout.largest_body;
         if len > most {
             self.count(of_sender::TOO_LARGE);
@@ -118,7 +124,7 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
             return Err(SendError::Full(self.layout.slots));
         };
         let at = self.layout.slot(slot.into()) + of_slot::BODY;
-        Ok(self.go_on(Begun { slot, at, carry: 0, written: 0, room: len }))
+        Ok(Begun { slot, at, carry: 0, written: 0, room: len })
     }
 
     /// Goes on with what was put aside, or, if the slot is dropped then, gives it up.
@@ -134,15 +140,16 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         let base = layout.slot(slot);
         let head = Head { len: (HEAD_LEN + begun.written) as u32, ..*head };
         let bytes: [[u8; 8]; 2] = zerocopy::transmute!(head.to_bytes());
-        own.at(base + of_slot::SENT).set(stamps.sent);
-        own.at(base + of_slot::LEFT).set(stamps.left.unwrap_or(0));
-        own.at(base + of_slot::CAME).set(stamps.came.unwrap_or(0));
-        for (place, half) in (base + of_slot::HEAD..).zip(bytes) {
-            own.at(place).set(u64::from_ne_bytes(half));
+        let words = own.part(base, of_slot::BODY);
+        words[of_slot::SENT].set(stamps.sent);
+        words[of_slot::LEFT].set(stamps.left.unwrap_or(0));
+        words[of_slot::CAME].set(stamps.came.unwrap_or(0));
+        for (word, half) in words[of_slot::HEAD..].iter().zip(bytes) {
+            word.set(u64::from_ne_bytes(half));
         }
         *newest = number;
         held[slot] = Held { number, priority: head.priority, in_limbo: false };
-        own.at(base + of_slot::NUMBER).set_release(number);
+        words[of_slot::NUMBER].set_release(number);
         own.at(layout.announced(number)).set_release(Entry::new(number, slot).word());
         let sent = own.at(of_sender::SENT);
         sent.set(sent.get().wrapping_add(1));
@@ -270,10 +277,10 @@ impl Begun {
             self.at += 1;
         }
         let (words, rest) = part.as_chunks::<WORD>();
-        for word in words {
-            own.at(self.at).set(u64::from_ne_bytes(*word));
-            self.at += 1;
+        for (at, word) in own.part(self.at, words.len()).iter().zip(words) {
+            at.set(u64::from_ne_bytes(*word));
         }
+        self.at += words.len();
         if !rest.is_empty() {
             let mut bytes = [0; WORD];
             bytes[..rest.len()].copy_from_slice(rest);

@@ -47,6 +47,8 @@ pub trait Segment {
     type Word: Word;
     /// The word at a place.
     fn at(&self, place: usize) -> &Self::Word;
+    /// So many words from a place on: one check for all.
+    fn part(&self, place: usize, count: usize) -> &[Self::Word];
     /// How many there are.
     fn count(&self) -> usize;
 }
@@ -57,6 +59,10 @@ impl<W: Word> Segment for Arc<[W]> {
     #[inline]
     fn at(&self, place: usize) -> &W {
         &self[place]
+    }
+    #[inline]
+    fn part(&self, place: usize, count: usize) -> &[W] {
+        &self[place..][..count]
     }
     fn count(&self) -> usize {
         self.len()

@@ -154,17 +154,17 @@ mod tests {
         let generation = registry.get(place).unwrap().generation;
         assert!(board.has(place, generation) && !board.has(place + 1, generation) && changes() == 1);
         let lane = (0..MOST_SENDERS)
-            .map(|_| registry.bind(owner, name, name, |_, _| false).unwrap().1)
-            .max()
+            .map(|_| registry.bind(owner, name, name, |_, _| false).unwrap())
+            .last()
             .unwrap();
         shown.show(place, registry.get(place));
-        assert_eq!(board.lane(place, lane), LaneShown::Free);
-        registry.ready(owner, place, lane);
+        assert_eq!(board.lane(place, lane.lane), LaneShown::Free);
+        registry.ready(owner, lane);
         shown.show(place, registry.get(place));
-        assert_eq!(board.lane(place, lane), LaneShown::Bound { generation: 1, from: name });
-        registry.unbind(owner, place, lane);
+        assert_eq!(board.lane(place, lane.lane), LaneShown::Bound { generation: 1, from: name });
+        registry.unbind(owner, lane);
         shown.show(place, registry.get(place));
-        assert_eq!(board.lane(place, lane), LaneShown::Left { generation: 1, from: name });
+        assert_eq!(board.lane(place, lane.lane), LaneShown::Left { generation: 1, from: name });
         registry.delete(owner, name).unwrap();
         shown.show(place, registry.get(place));
         assert!(!board.has(place, generation) && changes() == 5);

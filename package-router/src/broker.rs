@@ -19,7 +19,7 @@ use rtnet::live::sealed::Sealed;
 use socket2::{Domain, SockAddr, Socket, Type};
 
 use crate::board::Shown;
-use crate::handshake::{ASK_LEN, Answer, Ask, FILES, Lane};
+use crate::handshake::{ASK_LEN, Answer, Ask, FILES};
 use crate::letters;
 use crate::mailbox::{Layout, Segment, Shape, Word};
 use crate::name::MailboxName;
@@ -211,12 +211,8 @@ impl Broker {
                 }
                 Err(refused) => Answer::Refused(refused),
             },
-            Ask::Ready(Lane { place, lane }) => {
-                self.changed(place, |registry| registry.ready(by, place, lane))
-            }
-            Ask::Unbind(Lane { place, lane }) => {
-                self.changed(place, |registry| registry.unbind(by, place, lane))
-            }
+            Ask::Ready(lane) => self.changed(lane.place, |registry| registry.ready(by, lane)),
+            Ask::Unbind(lane) => self.changed(lane.place, |registry| registry.unbind(by, lane)),
         };
         (done, nothing())
     }
@@ -274,15 +270,14 @@ impl Broker {
         let drained = |at, generation| {
             memory.owner.at(memory.layout.drained(at)).get_acquire() == u64::from(generation)
         };
-        let (place, lane) = self.registry.bind(by, from, to, drained).map_err(Answer::Refused)?;
+        let lane = self.registry.bind(by, from, to, drained).map_err(Answer::Refused)?;
         let clones = || Ok(vec![memory.owner.as_fd().try_clone_to_owned()?, memory.lanes.try_clone()?]);
         let files = clones().map_err(|error: io::Error| failed(&error));
         if files.is_err() {
-            self.registry.unbind(by, place, lane);
+            self.registry.unbind(by, lane);
         }
-        let Some(mailbox) = self.registry.get(place) else { return Err(Answer::Failed(libc::EINVAL)) };
-        let (lane, generation, shape) = (Lane { place, lane }, mailbox.generation, mailbox.shape);
-        Ok((Answer::Reserved { lane, generation, shape, priority }, files?))
+        let Some(mailbox) = self.registry.get(lane.place) else { return Err(Answer::Failed(libc::EINVAL)) };
+        Ok((Answer::Reserved { lane, shape: mailbox.shape, priority }, files?))
     }
 
     /// To a mailbox that is not here.

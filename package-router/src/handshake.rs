@@ -2,11 +2,11 @@
 //! gives up its mailboxes.
 //!
 //! ```text
-//! ask     "RTP1"  what 1  shape 13  name 4  from 4  lane 8  pattern 8  station 4
+//! ask     "RTP1"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
 //!         and, to `Create`: the owner's file, the lanes'
-//! answer  "RTP1"  what 1  shape 13  name 4  detail 24  generation 8  lane 8  station 4  priority 1  channel 1
+//! answer  "RTP1"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
 //!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Bind` here, and to `Look`: the owner's, the lanes'
-//! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4            numbers little-endian
+//! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4  mailbox 8  generation 4           numbers little-endian
 //! ```
 
 use core::net::Ipv4Addr;
@@ -16,6 +16,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use crate::mailbox::{Shape, ShapeError, WhenFull};
 use crate::name::{MailboxName, Pattern};
+pub use crate::registry::LaneId as Lane;
 use crate::registry::Refused;
 
 /// Begins every packet.
@@ -57,15 +58,6 @@ pub enum Ask {
     DeleteRoute(Pattern),
 }
 
-/// Which lane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lane {
-    /// Of which mailbox.
-    pub place: usize,
-    /// Which of it.
-    pub lane: usize,
-}
-
 /// What the broker answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
@@ -86,8 +78,6 @@ pub enum Answer {
     Reserved {
         /// Which.
         lane: Lane,
-        /// Of which mailbox there.
-        generation: u64,
         /// What that is.
         shape: Shape,
         /// How urgent what is sent by it is, unless that is said.
@@ -161,6 +151,8 @@ struct RawShape {
 struct RawLane {
     place: U32,
     lane: U32,
+    mailbox: U64,
+    generation: U32,
 }
 
 impl Ask {
@@ -178,8 +170,8 @@ impl Ask {
             }
             Ask::Ready(lane) => (raw.what, raw.lane) = (5, RawLane::of(lane)),
             Ask::Unbind(lane) => (raw.what, raw.lane) = (6, RawLane::of(lane)),
-            Ask::Look(place) => (raw.what, raw.lane) = (7, RawLane::of(Lane { place, lane: 0 })),
-            Ask::RouteAt(place) => (raw.what, raw.lane) = (8, RawLane::of(Lane { place, lane: 0 })),
+            Ask::Look(place) => (raw.what, raw.lane) = (7, RawLane::of(Lane { place, ..Lane::default() })),
+            Ask::RouteAt(place) => (raw.what, raw.lane) = (8, RawLane::of(Lane { place, ..Lane::default() })),
             Ask::AddRoute(to, station) => {
                 (raw.what, raw.pattern, raw.station) = (9, U64::new(to.to_bits()), station.octets());
             }
@@ -236,10 +228,10 @@ impl Answer {
             Answer::Failed(errno) => (raw.what, raw.detail[0]) = (FAILED, U64::new(errno as u64)),
             Answer::Created { place, generation } => {
                 (raw.what, raw.generation) = (CREATED, U64::new(generation));
-                raw.lane = RawLane::of(Lane { place, lane: 0 });
+                raw.lane = RawLane::of(Lane { place, ..Lane::default() });
             }
-            Answer::Reserved { lane, generation, shape, priority } => {
-                (raw.what, raw.generation, raw.priority) = (RESERVED, U64::new(generation), priority);
+            Answer::Reserved { lane, shape, priority } => {
+                (raw.what, raw.priority) = (RESERVED, priority);
                 (raw.lane, raw.shape) = (RawLane::of(lane), RawShape::of(&shape));
             }
             Answer::Away { station, priority, channel } => {
@@ -248,7 +240,8 @@ impl Answer {
             }
             Answer::Mailbox { place, name, shape, process } => {
                 (raw.what, raw.name, raw.shape) = (MAILBOX, U32::new(name.0), RawShape::of(&shape));
-                (raw.lane, raw.detail[0]) = (RawLane::of(Lane { place, lane: 0 }), U64::new(process.into()));
+                (raw.lane, raw.detail[0]) =
+                    (RawLane::of(Lane { place, ..Lane::default() }), U64::new(process.into()));
             }
             Answer::Route(to, station) => {
                 (raw.what, raw.detail[0], raw.station) = (ROUTE, U64::new(to.to_bits()), station.octets());
@@ -269,7 +262,7 @@ impl Answer {
             CREATED => Answer::Created { place: raw.lane.lane().place, generation },
             RESERVED => {
                 let (lane, priority) = (raw.lane.lane(), raw.priority);
-                Answer::Reserved { lane, generation, shape: raw.shape.shape()?, priority }
+                Answer::Reserved { lane, shape: raw.shape.shape()?, priority }
             }
             AWAY => {
                 Answer::Away { station: raw.station.into(), priority: raw.priority, channel: raw.channel }
@@ -354,10 +347,20 @@ impl RawShape {
 
 impl RawLane {
     fn of(lane: Lane) -> Self {
-        Self { place: U32::new(lane.place as u32), lane: U32::new(lane.lane as u32) }
+        Self {
+            place: U32::new(lane.place as u32),
+            lane: U32::new(lane.lane as u32),
+            mailbox: U64::new(lane.mailbox),
+            generation: U32::new(lane.generation),
+        }
     }
     fn lane(&self) -> Lane {
-        Lane { place: self.place.get() as usize, lane: self.lane.get() as usize }
+        Lane {
+            place: self.place.get() as usize,
+            lane: self.lane.get() as usize,
+            mailbox: self.mailbox.get(),
+            generation: self.generation.get(),
+        }
     }
 }
 
@@ -369,7 +372,7 @@ mod tests {
 
     const NAME: MailboxName = MailboxName(0x0012_0103);
     const SHAPE: Shape = Shape::new(7, 240).senders(3).replacing();
-    const LANE: Lane = Lane { place: 255, lane: 127 };
+    const LANE: Lane = Lane { place: 255, lane: 127, mailbox: u64::MAX, generation: 7 };
 
     #[test]
     fn what_is_asked_and_answered_comes_over_as_it_is() {
@@ -397,7 +400,7 @@ mod tests {
             Refused::Shape(ShapeError::Memory(1, 2, 3)),
         ];
         let created = Answer::Created { place: 3, generation: u64::MAX };
-        let reserved = Answer::Reserved { lane: LANE, generation: 5, shape: SHAPE, priority: 255 };
+        let reserved = Answer::Reserved { lane: LANE, shape: SHAPE, priority: 255 };
         let mailbox = Answer::Mailbox { place: 9, name: NAME, shape: SHAPE, process: u32::MAX };
         let away = Answer::Away { station: [10, 0, 0, 9].into(), priority: 7, channel: 5 };
         for answer in [

@@ -58,6 +58,19 @@ pub enum LaneState {
     Left(MailboxName),
 }
 
+/// A lane as one component has it: who had it before, or has what is in its place now, does not mean that one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LaneId {
+    /// The place of its mailbox.
+    pub place: usize,
+    /// Which of that mailbox's.
+    pub lane: usize,
+    /// The mailbox's generation.
+    pub mailbox: u64,
+    /// The lane's.
+    pub generation: u32,
+}
+
 /// The router's lane.
 pub const ROUTER: usize = 0;
 /// Who has it.
@@ -131,7 +144,7 @@ impl Registry {
         from: MailboxName,
         to: MailboxName,
         is_drained: impl Fn(usize, u32) -> bool,
-    ) -> Result<(usize, usize), Refused> {
+    ) -> Result<LaneId, Refused> {
         self.check_own(component, from)?;
         let place = self.find(to).ok_or(Refused::NoMailbox(to))?;
         let Some(mailbox) = &mut self.places[place] else { return Err(Refused::NoMailbox(to)) };
@@ -142,11 +155,9 @@ impl Registry {
         }
         let free = mailbox.lanes.iter().position(|lane| lane.state == LaneState::Free);
         let lane = free.ok_or(Refused::NoLane(to, mailbox.shape.senders))?;
-        mailbox.lanes[lane] = Lane {
-            generation: mailbox.lanes[lane].generation + 1,
-            state: LaneState::Reserved(component, from),
-        };
-        Ok((place, lane))
+        let generation = mailbox.lanes[lane].generation + 1;
+        mailbox.lanes[lane] = Lane { generation, state: LaneState::Reserved(component, from) };
+        Ok(LaneId { place, lane, mailbox: mailbox.generation, generation })
     }
 
     /// Whoever sends does so from a mailbox of its own.
@@ -156,8 +167,8 @@ impl Registry {
     }
 
     /// A component has made a lane ready that it has reserved; `false`: it has none there.
-    pub fn ready(&mut self, component: ComponentId, place: usize, lane: usize) -> bool {
-        match self.lane(place, lane).map(|lane| &mut lane.state) {
+    pub fn ready(&mut self, component: ComponentId, lane: LaneId) -> bool {
+        match self.lane(lane) {
             Some(state @ &mut LaneState::Reserved(by, from)) if by == component => {
                 *state = LaneState::Bound(component, from);
                 true
@@ -167,9 +178,9 @@ impl Registry {
     }
 
     /// A component does not use a lane any more; `false`: it has none there.
-    pub fn unbind(&mut self, component: ComponentId, place: usize, lane: usize) -> bool {
-        match self.lane(place, lane).map(|lane| &mut lane.state) {
-            Some(state) if lane != ROUTER => state.leave(component),
+    pub fn unbind(&mut self, component: ComponentId, lane: LaneId) -> bool {
+        match self.lane(lane) {
+            Some(state) if lane.lane != ROUTER => state.leave(component),
             _ => false,
         }
     }
@@ -217,8 +228,11 @@ impl Registry {
         self.places.iter().enumerate().filter_map(|(place, mailbox)| Some((place, mailbox.as_ref()?)))
     }
 
-    fn lane(&mut self, place: usize, lane: usize) -> Option<&mut Lane> {
-        self.places.get_mut(place)?.as_mut()?.lanes.get_mut(lane)
+    fn lane(&mut self, id: LaneId) -> Option<&mut LaneState> {
+        let mailbox = self.places.get_mut(id.place)?.as_mut()?;
+        let lane = mailbox.lanes.get_mut(id.lane)?;
+        let is_that = mailbox.generation == id.mailbox && lane.generation == id.generation;
+        is_that.then_some(&mut lane.state)
     }
 }
 
@@ -310,12 +324,14 @@ mod tests {
         let mut registry = two();
         let first = registry.bind(CAMERA, name(2), name(1), never).unwrap();
         let second = registry.bind(CAMERA, name(2), name(1), never).unwrap();
-        assert_eq!((first, second), ((0, 1), (0, 2)));
+        assert_eq!(((first.place, first.lane), (second.place, second.lane)), ((0, 1), (0, 2)));
         let full = Err(Refused::NoLane(name(1), 2));
         assert_eq!(registry.bind(CAMERA, name(2), name(1), never), full);
-        assert!(registry.ready(CAMERA, 0, 1));
-        assert!(!registry.ready(CAMERA, 0, 1) && !registry.ready(ARM, 0, 2) && !registry.ready(CAMERA, 0, 9));
-        assert!(!registry.unbind(ARM, 0, 1) && !registry.unbind(ROUTERS, 0, ROUTER));
+        assert!(registry.ready(CAMERA, first));
+        let wrong = [(CAMERA, first), (ARM, second), (CAMERA, LaneId { lane: 9, ..second })];
+        assert!(!wrong.into_iter().any(|(by, lane)| registry.ready(by, lane)));
+        let of_router = LaneId { lane: ROUTER, ..first };
+        assert!(!registry.unbind(ARM, first) && !registry.unbind(ROUTERS, of_router));
         // One was never ready, so nothing of it is there to be read.
         assert!(registry.has_lanes(CAMERA));
         assert_eq!(registry.ended(CAMERA), [0]);
@@ -325,9 +341,15 @@ mod tests {
         registry.bind(CAMERA, name(2), name(1), never).unwrap();
         assert_eq!(registry.bind(CAMERA, name(2), name(1), never), full);
         let drained = |lane, generation| (lane, generation) == (1, 1);
-        assert_eq!(registry.bind(CAMERA, name(2), name(1), drained), Ok((0, 1)));
+        let again = registry.bind(CAMERA, name(2), name(1), drained).unwrap();
+        assert_eq!(again, LaneId { generation: 2, ..first });
+        // Who had it before gives up nothing of it any more.
+        assert!(!registry.unbind(CAMERA, first) && registry.unbind(CAMERA, again));
         assert_eq!(registry.get(0).unwrap().lanes[1].generation, 2);
     }
+
+    /// Of which nobody has had any.
+    const LANE: LaneId = LaneId { place: 0, lane: 1, mailbox: 1, generation: 0 };
 
     /// Every state of a lane, and everything that can happen to it, by who has it and by others.
     #[test]
@@ -336,8 +358,8 @@ mod tests {
         let from = name(2);
         let states = [Free, Reserved(CAMERA, from), Bound(CAMERA, from), Left(from)];
         type Event = fn(&mut Registry, ComponentId);
-        let ready: Event = |registry, by| _ = registry.ready(by, 0, 1);
-        let unbind: Event = |registry, by| _ = registry.unbind(by, 0, 1);
+        let ready: Event = |registry, by| _ = registry.ready(by, LANE);
+        let unbind: Event = |registry, by| _ = registry.unbind(by, LANE);
         let ended: Event = |registry, by| _ = registry.ended(by);
         for (event, expected) in [
             (ready, [Free, Bound(CAMERA, from), Bound(CAMERA, from), Left(from)]),
@@ -347,9 +369,9 @@ mod tests {
             for (state, expected) in states.into_iter().zip(expected) {
                 for (by, expected) in [(CAMERA, expected), (ARM, state)] {
                     let mut registry = two();
-                    registry.lane(0, 1).unwrap().state = state;
+                    *registry.lane(LANE).unwrap() = state;
                     event(&mut registry, by);
-                    assert_eq!(registry.lane(0, 1).unwrap().state, expected, "{state:?}");
+                    assert_eq!(*registry.lane(LANE).unwrap(), expected, "{state:?}");
                 }
             }
         }

@@ -143,6 +143,25 @@ fn a_mailbox_that_is_gone_takes_nothing_and_its_name_can_be_used_again() {
 }
 
 #[test]
+fn a_sender_to_a_mailbox_that_is_gone_takes_nothing_with_it_of_the_next_in_its_place() {
+    let station = Station::new();
+    let (_arm, arm) = component(&station.path, name(ARM, 0), Shape::new(4, 64));
+    let (camera_is, camera) = component(&station.path, name(CAMERA, 0), Shape::new(4, 64));
+    let old = arm.sender(camera.name()).unwrap();
+    drop(camera);
+    // The same place, and the same lane.
+    let mut next = camera_is.mailbox(name(CAMERA, 1), Shape::new(4, 64)).unwrap();
+    let mut sender = arm.sender(next.name()).unwrap();
+    assert_eq!(next.depth(), Ok(0));
+    drop(old);
+    assert_eq!(next.depth(), Ok(0));
+    for kind in 1..9 {
+        sender.send(kind, &[]).unwrap();
+        assert_eq!(next.receive(Some(PATIENCE)).unwrap().head().kind, kind);
+    }
+}
+
+#[test]
 fn whoever_waits_is_told_that_the_station_has_ended() {
     let mut station = Station::new();
     let (_arm, mut arm) = component(&station.path, name(ARM, 0), Shape::new(4, 64));

@@ -162,7 +162,7 @@ impl Mailbox {
         Ok(self.inbox.depth(monotonic()))
     }
 
-    /// Its own memory, where it counts: see [`of_owner`].
+    /// Its own memory, where it counts: see [`mailbox::of_owner`].
     pub fn counted(&self, what: usize) -> u64 {
         Word::get(self.inbox.segment().at(what))
     }

@@ -39,7 +39,6 @@ struct Here {
     link: Arc<Link>,
     lane: Option<LaneSender<Room, Sealed>>,
     which: Lane,
-    generation: u64,
 }
 
 /// Why a package was not sent.
@@ -61,8 +60,8 @@ impl Sender {
         let moves = link.board.moves();
         let (answer, files) = link.ask(Ask::Bind { from, to }, &[])?;
         let (way, priority) = match answer {
-            Answer::Reserved { lane, generation, shape, priority } => {
-                (Way::Here(Here::new(link, lane, generation, &shape, files)?), priority)
+            Answer::Reserved { lane, shape, priority } => {
+                (Way::Here(Here::new(link, lane, &shape, files)?), priority)
             }
             Answer::Away { station, priority, channel } => {
                 (Way::Away(Box::new(Away::new(&link.station, station, channel)?)), priority)
@@ -147,15 +146,9 @@ impl Sender {
 }
 
 impl Here {
-    fn new(
-        link: &Arc<Link>,
-        which: Lane,
-        generation: u64,
-        shape: &Shape,
-        files: Vec<OwnedFd>,
-    ) -> Result<Self, Error> {
+    fn new(link: &Arc<Link>, which: Lane, shape: &Shape, files: Vec<OwnedFd>) -> Result<Self, Error> {
         // From now on it is given back when this is dropped.
-        let mut here = Self { link: link.clone(), lane: None, which, generation };
+        let mut here = Self { link: link.clone(), lane: None, which };
         let [owner, lanes]: [OwnedFd; 2] = files.try_into().map_err(|_| short())?;
         let layout = Layout::of(shape);
         let theirs = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
@@ -167,7 +160,7 @@ impl Here {
 
     #[inline]
     fn is_there(&self) -> bool {
-        self.link.board.has(self.which.place, self.generation)
+        self.link.board.has(self.which.place, self.which.mailbox)
     }
 
     #[inline]

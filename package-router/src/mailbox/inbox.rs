@@ -300,7 +300,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let from = sender.from;
             let parsed = Head::parse(&bytes);
             let head = parsed.unwrap_or_default();
-            self.found = Found { head, stamps, node, lane, slot, number, now, took: now.saturating_sub(sent) };
+            self.found =
+                Found { head, stamps, node, lane, slot, number, now, took: now.saturating_sub(sent) };
             if !is_there {
                 // It was replaced; what it made way for is announced, or will be.
                 self.known[node as usize] = 0;

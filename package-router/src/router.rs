@@ -251,7 +251,7 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
         received: &Received,
     ) -> Outcome {
         let now = (host.clock)();
-        let stamps = Stamps { sent: now, left: None, came: received.global.map(|global| global.nanos()) };
+        let stamps = Stamps { sent: now, left: None, came: received.global };
         if head.part == Part::Whole {
             let mut slot = match self.lane.reserve(head.priority, head.body_len()) {
                 Ok(slot) => slot,

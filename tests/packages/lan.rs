@@ -284,7 +284,7 @@ fn heads_that_lie_and_names_that_are_ours_are_refused_and_counted() {
 fn the_most_urgent_of_what_has_come_is_read_first_and_who_sleeps_is_woken_once_a_turn() {
     let mut pair = Pair::new();
     let mut seen = pair.mailbox(US, Shape::new(8, 8));
-    assert!(seen.inbox.falls_asleep(NOW.get()));
+    assert!(seen.inbox.falls_asleep());
     let before = WOKEN.get();
     let frames: Vec<_> = [3, 200, 7]
         .into_iter()

@@ -159,7 +159,7 @@ impl Mailbox {
     /// How many wait.
     pub fn depth(&mut self) -> Result<usize, ReceiveError> {
         self.follow()?;
-        Ok(self.inbox.depth(monotonic()))
+        Ok(self.inbox.depth())
     }
 
     /// Its own memory, where it counts: see [`mailbox::of_owner`].
@@ -216,7 +216,7 @@ impl Mailbox {
 
     /// Lanes that are read to their end are others'.
     fn let_leave(&mut self) {
-        while let Some((lane, _)) = self.inbox.next_left(monotonic()) {
+        while let Some((lane, _)) = self.inbox.next_left() {
             self.leaving = self.leaving.saturating_sub(1);
             let drained = self.inbox.layout().drained(lane);
             self.inbox.segment().at(drained).set_release(self.attached[lane].into());
@@ -240,7 +240,7 @@ impl Mailbox {
 
     fn sleep(&mut self, until: Option<u64>) -> Result<(), ReceiveError> {
         let now = monotonic();
-        if self.inbox.falls_asleep(now) {
+        if self.inbox.falls_asleep() {
             let board = (self.link.board.changes(self.place), self.changes);
             let no_later = until.unwrap_or(u64::MAX).min(now + STATION_EVERY);
             let over = self.waits.wait([board].into_iter().chain(self.inbox.awaited()), Some(no_later));

@@ -2,52 +2,63 @@
 //! of it is that its own packages are lost.
 
 use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::news::News;
 use super::package::{Package, TooSmall};
 use super::sender::Stamps;
 use super::shape::{Shape, WhenFull};
 use super::statistics::bucket;
 use super::urgency::{Node, Urgency};
 use super::word::{Segment, Word};
+use rtnet::time::GlobalTime;
+
 use crate::name::MailboxName;
 use crate::wire::{HEAD_LEN, Head};
 
 /// The receiving end of a mailbox. `Own` is its segment, `Theirs` those of its senders.
 pub struct Inbox<Own, Theirs> {
-    own: Own,
-    layout: Layout,
-    lanes: Box<[Lane<Theirs>]>,
-    urgency: Urgency,
+    pub(super) own: Own,
+    pub(super) layout: Layout,
+    pub(super) lanes: Box<[Lane<Theirs>]>,
+    pub(super) urgency: Urgency,
     /// The number of the package that was last found in each node, and not replaced since.
-    known: Box<[u64]>,
-    /// Where those that were announced while nobody looked are sorted.
-    overtaken: Vec<(u64, u16)>,
+    pub(super) known: Box<[u64]>,
+    pub(super) news: News,
     /// What is lent, or was last: here, since to move it costs as much as to find it.
     found: Found,
 }
 
 /// What is known of a lane.
-struct Lane<Theirs> {
-    sender: Option<Attached<Theirs>>,
+pub(super) struct Lane<Theirs> {
+    pub(super) sender: Option<Attached<Theirs>>,
     /// How many of its slots were given back, whoever had it.
     returned: u64,
 }
 
-struct Attached<Theirs> {
-    segment: Theirs,
+pub(super) struct Attached<Theirs> {
+    pub(super) segment: Theirs,
     /// Whose packages these are; a router's are anybody's.
     from: MailboxName,
     /// The number of the newest that was looked at.
-    seen: u64,
+    pub(super) seen: u64,
     /// It sends no more: the lane is free once what it has sent is read.
     has_left: bool,
     /// It has written what cannot be: it is not looked at any more.
-    is_broken: bool,
+    pub(super) is_broken: bool,
 }
 
 /// A lane that is not free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("that lane has a sender whose packages are not all read yet")]
 pub struct Taken;
+
+/// What there was to be read.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Taking {
+    Found,
+    Nothing,
+    /// Nothing but what had made way for others.
+    Replaced,
+}
 
 /// A package that is about to be read.
 #[derive(Default)]
@@ -58,8 +69,7 @@ pub(super) struct Found {
     lane: usize,
     slot: usize,
     number: u64,
-    /// When it was found, and how long it took until then.
-    now: u64,
+    /// How long it took until it was found.
     took: u64,
 }
 
@@ -71,8 +81,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let nodes = shape.slots * shape.senders;
         let lanes = (0..shape.senders).map(|_| Lane { sender: None, returned: 0 }).collect();
         let known = vec![0; nodes].into_boxed_slice();
-        let overtaken = Vec::with_capacity(shape.slots);
-        Self { own, layout, lanes, urgency: Urgency::new(nodes), known, overtaken, found: Found::default() }
+        let news = News::with_room(shape.slots, nodes);
+        Self { own, layout, lanes, urgency: Urgency::new(nodes), known, news, found: Found::default() }
     }
 
     /// Lets a sender in, whose packages are from that mailbox; from [nobody](MailboxName::NOBODY): it says of each whose it is.
@@ -94,9 +104,9 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         sender.is_some_and(|sender| !core::mem::replace(&mut sender.has_left, true))
     }
 
-    /// A lane whose sender has gone, or wrote what cannot be, and whose packages are all read; with its segment.
-    pub fn next_left(&mut self, now: u64) -> Option<(usize, Theirs)> {
-        self.look(now);
+    /// A lane whose sender has gone, and whose packages are all read; with its segment.
+    pub fn next_left(&mut self) -> Option<(usize, Theirs)> {
+        self.look();
         let slots = self.layout.slots;
         let lane = (0..self.lanes.len()).find(|&lane| {
             let is_over = self.lanes[lane].sender.as_ref().is_some_and(|sender| sender.has_left);
@@ -106,11 +116,19 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         Some((lane, sender.segment))
     }
 
-    /// Whether there is something to be read next.
+    /// Whether there is something to be read next: then it is to be [lent](Self::lend).
     #[inline]
     pub(crate) fn find(&mut self, now: u64) -> bool {
-        self.look(now);
-        self.take(now)
+        self.look();
+        match self.take(now) {
+            Taking::Found => true,
+            Taking::Nothing => false,
+            // All that was known has made way: for what came behind it.
+            Taking::Replaced => {
+                self.look();
+                self.take(now) == Taking::Found
+            }
+        }
     }
 
     /// Lends what was found.
@@ -139,9 +157,9 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
 
     /// Throws away what waits: how many.
     pub fn clean(&mut self, now: u64) -> usize {
-        self.look(now);
+        self.look();
         let mut cleaned = 0;
-        while self.take(now) {
+        while self.take(now) == Taking::Found {
             self.give_back(false);
             cleaned += 1;
         }
@@ -150,17 +168,17 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     }
 
     /// How many wait.
-    pub fn depth(&mut self, now: u64) -> usize {
-        self.look(now);
+    pub fn depth(&mut self) -> usize {
+        self.look();
         self.urgency.len()
     }
 
     /// Says that it sleeps, and looks once more: whether there is nothing, so that it may. Who sends then says that it is to be woken.
-    pub fn falls_asleep(&mut self, now: u64) -> bool {
+    pub fn falls_asleep(&mut self) -> bool {
         self.own.at(of_owner::ASLEEP).set(1);
         // Either a sender sees that, or what it has sent is seen here.
         Own::Word::fence();
-        self.look(now);
+        self.look();
         if self.urgency.len() == 0 {
             return true;
         }
@@ -196,94 +214,16 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         &self.own
     }
 
-    /// Sees what has come.
-    #[inline]
-    fn look(&mut self, now: u64) {
-        let before = self.urgency.len();
-        for lane in 0..self.lanes.len() {
-            let Some(sender) = &self.lanes[lane].sender else { continue };
-            if sender.segment.at(of_sender::PUBLISHED).get_acquire() != sender.seen && !sender.is_broken {
-                self.look_into(lane, now);
-            }
-        }
-        let depth = self.urgency.len();
-        if depth > before {
-            self.own.at(of_owner::DEPTH).set(depth as u64);
-            if self.own.at(of_owner::MOST).get() < depth as u64 {
-                self.own.at(of_owner::MOST).set(depth as u64);
-            }
-        }
-    }
-
-    fn look_into(&mut self, lane: usize, now: u64) {
-        let Self { lanes, layout, urgency, known, .. } = self;
-        let Some(sender) = &mut lanes[lane].sender else { return };
-        let newest = sender.segment.at(of_sender::PUBLISHED).get_acquire();
-        while sender.seen != newest {
-            let next = sender.seen.wrapping_add(1);
-            let entry = Entry::from_word(sender.segment.at(layout.announced(next)).get_acquire());
-            let is_overtaken =
-                newest.wrapping_sub(sender.seen) > layout.ring as u64 || entry.number() != next;
-            if is_overtaken {
-                sender.seen = newest;
-                return self.look_at_all_of(lane, newest, now);
-            }
-            sender.seen = next;
-            if entry.slot() < layout.slots {
-                let node = lane * layout.slots + entry.slot();
-                note(
-                    &sender.segment,
-                    layout,
-                    entry.slot(),
-                    (node as Node, &mut known[node]),
-                    newest,
-                    urgency,
-                    now,
-                );
-            } else {
-                sender.is_broken = true;
-                return self.count(of_owner::NONSENSE, 1);
-            }
-        }
-    }
-
-    /// A sender has announced more than its ring holds: each slot says what is in it.
-    #[cold]
-    fn look_at_all_of(&mut self, lane: usize, newest: u64, now: u64) {
-        let Self { lanes, layout, urgency, known, overtaken, .. } = self;
-        let Some(sender) = &mut lanes[lane].sender else { return };
-        if layout.when_full == WhenFull::Refuse {
-            // It has no more slots than that: nobody has read so many.
-            sender.is_broken = true;
-            return self.count(of_owner::NONSENSE, 1);
-        }
-        overtaken.clear();
-        let number = |slot| sender.segment.at(layout.slot(slot) + of_slot::NUMBER).get_acquire();
-        overtaken.extend((0..layout.slots).map(|slot| (number(slot), slot as u16)));
-        overtaken.sort_unstable();
-        for &(_, slot) in overtaken.iter() {
-            let node = lane * layout.slots + usize::from(slot);
-            note(
-                &sender.segment,
-                layout,
-                slot.into(),
-                (node as Node, &mut known[node]),
-                newest,
-                urgency,
-                now,
-            );
-        }
-    }
-
     /// The most urgent package that is still there.
     #[inline]
-    fn take(&mut self, now: u64) -> bool {
+    fn take(&mut self, now: u64) -> Taking {
+        let mut nothing = Taking::Nothing;
         while let Some(node) = self.urgency.first() {
             self.urgency.remove(node);
             let (lane, slot) = self.place(node);
             let number = self.known[node as usize];
             if self.layout.when_full == WhenFull::Replace {
-                self.own.at(self.layout.lane(lane) + of_lane::TAKING).set(number);
+                self.own.at(self.layout.lane(lane) + of_lane::TAKING).set_release(number);
                 // Either the sender sees that, or what it has replaced is seen here.
                 Own::Word::fence();
             }
@@ -295,17 +235,17 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let halves = [at(of_slot::HEAD), at(of_slot::HEAD + 1)].map(u64::to_ne_bytes);
             let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
             let [sent, left, came] = [of_slot::SENT, of_slot::LEFT, of_slot::CAME].map(at);
-            let some = |stamp: u64| (stamp != 0).then_some(stamp);
+            let some = |stamp: u64| (stamp != 0).then(|| GlobalTime::from_nanos(stamp));
             let stamps = Stamps { sent, left: some(left), came: some(came) };
             let from = sender.from;
             let parsed = Head::parse(&bytes);
             let head = parsed.unwrap_or_default();
-            self.found =
-                Found { head, stamps, node, lane, slot, number, now, took: now.saturating_sub(sent) };
+            self.found = Found { head, stamps, node, lane, slot, number, took: now.saturating_sub(sent) };
             if !is_there {
                 // It was replaced; what it made way for is announced, or will be.
                 self.known[node as usize] = 0;
                 self.give_back(true);
+                nothing = Taking::Replaced;
                 continue;
             }
             let is_sound = parsed.is_ok() && head.body_len() <= self.layout.largest_body;
@@ -314,9 +254,9 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
                 self.give_back(false);
                 continue;
             }
-            return true;
+            return Taking::Found;
         }
-        false
+        nothing
     }
 
     /// What is lent.
@@ -336,13 +276,12 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     /// It was not read, and is the first of its priority again, for all that is known of it.
     pub(super) fn put_back(&mut self) {
         let Found { node, lane, slot, number: taken, .. } = self.found;
-        self.own.at(self.layout.lane(lane) + of_lane::TAKING).set(0);
+        self.own.at(self.layout.lane(lane) + of_lane::TAKING).set_release(0);
         let Some(sender) = &self.lanes[lane].sender else { return };
         // Whoever was to make way for another while it was looked at does so now.
         let number = sender.segment.at(self.layout.slot(slot) + of_slot::NUMBER).get_acquire();
         if number == taken {
-            let Found { head, stamps, now, .. } = &self.found;
-            self.urgency.insert(node, head.priority, stamps.sent.min(*now));
+            self.urgency.push_front(node, self.found.head.priority);
         } else {
             self.known[node as usize] = 0;
             self.give_back(true);
@@ -380,32 +319,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
 
     /// Only this side writes there.
     #[inline]
-    fn count(&self, place: usize, more: u64) {
+    pub(super) fn count(&self, place: usize, more: u64) {
         let word = self.own.at(place);
         word.set(word.get().wrapping_add(more));
     }
-}
-
-/// Lets what is in a slot wait, if that is not known yet.
-#[inline]
-fn note<Theirs: Segment>(
-    segment: &Theirs,
-    layout: &Layout,
-    slot: usize,
-    (node, known): (Node, &mut u64),
-    newest: u64,
-    urgency: &mut Urgency,
-    now: u64,
-) {
-    let base = layout.slot(slot);
-    let words = segment.part(base, of_slot::BODY);
-    let number = words[of_slot::NUMBER].get_acquire();
-    // What was announced since then is noted with all that was before it.
-    if number == 0 || number == *known || number > newest {
-        return;
-    }
-    *known = number;
-    let [_, _, priority, ..] = words[of_slot::HEAD].get().to_ne_bytes();
-    // Who says that he has sent it later than now does not get the others to wait for him.
-    urgency.insert(node, priority, words[of_slot::SENT].get().min(now));
 }

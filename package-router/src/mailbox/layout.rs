@@ -44,7 +44,7 @@ pub mod of_slot {
     pub const NUMBER: usize = 0;
     /// When it was sent, on this host's monotonic clock.
     pub const SENT: usize = 1;
-    /// When it left its station for this one, on this clock; 0: it never did.
+    /// When it left its station for this one, in global time; 0: it never did, or that is not known.
     pub const LEFT: usize = 2;
     /// When it came to this station; 0: it was always here.
     pub const CAME: usize = 3;
@@ -62,8 +62,6 @@ pub mod of_owner {
     pub const RECEIVED: usize = 8;
     /// Such that were cleaned away.
     pub const CLEANED: usize = 9;
-    /// Such that wait, when it last looked.
-    pub const DEPTH: usize = 10;
     /// The most that ever waited.
     pub const MOST: usize = 11;
     /// Such that said that somebody else had sent them.
@@ -108,8 +106,8 @@ impl Layout {
     /// Of a shape that can be.
     pub fn of(shape: &Shape) -> Self {
         let stride = (of_slot::BODY + shape.largest_body.div_ceil(size_of::<u64>())).next_multiple_of(LINE);
-        // Between two looks of a sender all that it has there may come back, and what one of them has made way for, too.
-        let ring = (shape.slots + 1).next_power_of_two();
+        // Between two looks of a sender all that it has there may come back, and what each of them has made way for, too.
+        let ring = (2 * shape.slots).next_power_of_two();
         Self {
             slots: shape.slots,
             ring,

@@ -12,6 +12,7 @@
 
 mod inbox;
 mod layout;
+mod news;
 mod package;
 mod sender;
 mod shape;

@@ -1,19 +1,21 @@
 //! The end of a lane that writes: one sender's way into one mailbox. No call waits, whatever the owner does.
 
+use rtnet::time::GlobalTime;
+
 use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
 use super::shape::WhenFull;
 use super::word::{Segment, Word};
 use crate::wire::{HEAD_LEN, Head};
 
-/// When a package was where, on clocks of its receiver's host, in nanoseconds.
+/// When a package was where.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamps {
-    /// It was sent: into this mailbox, or to its station.
+    /// It was sent into this mailbox: on this host's monotonic clock, nanoseconds.
     pub sent: u64,
     /// It left the station of its sender; `None`: it never did, or nobody said when.
-    pub left: Option<u64>,
-    /// It came to the station of its receiver; `None`: it was always here.
-    pub came: Option<u64>,
+    pub left: Option<GlobalTime>,
+    /// It came to the station of its receiver; `None`: it was always here, or the station did not know the time.
+    pub came: Option<GlobalTime>,
 }
 
 /// Why a package is not in a mailbox.
@@ -142,8 +144,8 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         let bytes: [[u8; 8]; 2] = zerocopy::transmute!(head.to_bytes());
         let words = own.part(base, of_slot::BODY);
         words[of_slot::SENT].set(stamps.sent);
-        words[of_slot::LEFT].set(stamps.left.unwrap_or(0));
-        words[of_slot::CAME].set(stamps.came.unwrap_or(0));
+        words[of_slot::LEFT].set(stamps.left.map_or(0, GlobalTime::nanos));
+        words[of_slot::CAME].set(stamps.came.map_or(0, GlobalTime::nanos));
         for (word, half) in words[of_slot::HEAD..].iter().zip(bytes) {
             word.set(u64::from_ne_bytes(half));
         }

@@ -29,14 +29,12 @@ struct Link {
     behind: Node,
     priority: u8,
     waits: bool,
-    /// When it was sent: who came first.
-    sent: u64,
 }
 
 impl Urgency {
     /// Room for so many nodes, of which none waits.
     pub fn new(nodes: usize) -> Self {
-        let link = Link { before: NONE, behind: NONE, priority: 0, waits: false, sent: 0 };
+        let link = Link { before: NONE, behind: NONE, priority: 0, waits: false };
         Self {
             occupied: [0; PRIORITIES / BITS],
             first: [NONE; PRIORITIES],
@@ -46,21 +44,27 @@ impl Urgency {
         }
     }
 
-    /// Lets a node wait, behind all of its priority that were sent no later. One that waits already moves. It takes one look at
-    /// each that was sent later: at one, but for what several senders sent while nobody looked.
+    /// Lets a node wait, behind all of its priority. One that waits already moves.
     #[inline]
-    pub fn insert(&mut self, node: Node, priority: u8, sent: u64) {
+    pub fn push(&mut self, node: Node, priority: u8) {
         self.remove(node);
         let level = usize::from(priority);
-        let (mut before, mut behind) = (self.last[level], NONE);
-        while before != NONE && self.link(before).sent > sent {
-            (behind, before) = (before, self.link(before).before);
-        }
-        *self.link_mut(node) = Link { before, behind, priority, waits: true, sent };
+        let before = core::mem::replace(&mut self.last[level], node);
+        *self.link_mut(node) = Link { before, behind: NONE, priority, waits: true };
         match before {
             NONE => self.first[level] = node,
             before => self.link_mut(before).behind = node,
         }
+        self.occupied[level / BITS] |= 1 << (level % BITS);
+        self.len += 1;
+    }
+
+    /// Lets a node wait, before all of its priority.
+    pub fn push_front(&mut self, node: Node, priority: u8) {
+        self.remove(node);
+        let level = usize::from(priority);
+        let behind = core::mem::replace(&mut self.first[level], node);
+        *self.link_mut(node) = Link { before: NONE, behind, priority, waits: true };
         match behind {
             NONE => self.last[level] = node,
             behind => self.link_mut(behind).before = node,
@@ -130,12 +134,10 @@ mod tests {
     }
 
     #[test]
-    fn the_most_urgent_comes_first_and_of_equals_who_was_sent_first() {
+    fn the_most_urgent_comes_first_and_of_equals_who_came_first() {
         let mut urgency = Urgency::new(6);
-        for (node, priority, sent) in
-            [(0, 7, 10), (1, 255, 30), (2, 7, 5), (3, 0, 1), (4, 255, 30), (5, 64, 2)]
-        {
-            urgency.insert(node, priority, sent);
+        for (node, priority) in [(2, 7), (0, 7), (1, 255), (3, 0), (4, 255), (5, 64)] {
+            urgency.push(node, priority);
         }
         assert_eq!(urgency.len(), 6);
         assert_eq!(drained(&mut urgency), [1, 4, 5, 2, 0, 3]);
@@ -145,35 +147,40 @@ mod tests {
     #[test]
     fn who_waits_already_moves() {
         let mut urgency = Urgency::new(3);
-        (0..3).for_each(|node| urgency.insert(node, 5, u64::from(node)));
-        urgency.insert(0, 5, 9);
-        urgency.insert(1, 6, 9);
-        assert_eq!(drained(&mut urgency), [1, 2, 0]);
+        (0..3).for_each(|node| urgency.push(node, 5));
+        urgency.push(0, 5);
+        urgency.push(1, 6);
+        urgency.push_front(0, 5);
+        assert_eq!(drained(&mut urgency), [1, 0, 2]);
     }
 
     proptest! {
-        /// Inserted, moved and taken out in any order: as a list that is sorted each time.
+        /// Appended, moved and taken out in any order: as lists.
         #[test]
-        fn it_is_what_a_sorted_list_is(
-            steps in vec((0..12u32, prop_oneof![Just(0u8), Just(63), Just(64), any::<u8>()], 0..6u64, any::<bool>()), 1..200),
+        fn it_is_what_lists_are(
+            steps in vec((0..12u32, prop_oneof![Just(0u8), Just(63), Just(64), any::<u8>()], 0..4u8), 1..200),
         ) {
             let mut urgency = Urgency::new(12);
-            // Priority and when it was sent, in the order of insertion.
-            let mut model: Vec<(Node, u8, u64)> = Vec::new();
-            for (node, priority, sent, stays) in steps {
-                model.retain(|&(other, ..)| other != node);
-                if stays {
-                    urgency.insert(node, priority, sent);
-                    model.push((node, priority, sent));
-                } else {
-                    urgency.remove(node);
+            let mut model: Vec<(Node, u8)> = Vec::new();
+            for (node, priority, step) in steps {
+                model.retain(|&(other, _)| other != node);
+                match step {
+                    0 => urgency.remove(node),
+                    1 => {
+                        urgency.push_front(node, priority);
+                        model.insert(0, (node, priority));
+                    }
+                    _ => {
+                        urgency.push(node, priority);
+                        model.push((node, priority));
+                    }
                 }
                 prop_assert_eq!(urgency.len(), model.len());
-                let first = model.iter().min_by_key(|(_, priority, sent)| (u8::MAX - priority, *sent));
-                prop_assert_eq!(urgency.first(), first.map(|&(node, ..)| node));
+                let first = model.iter().min_by_key(|(_, priority)| u8::MAX - priority);
+                prop_assert_eq!(urgency.first(), first.map(|&(node, _)| node));
             }
-            model.sort_by_key(|&(_, priority, sent)| (u8::MAX - priority, sent));
-            let nodes: Vec<_> = model.iter().map(|&(node, ..)| node).collect();
+            model.sort_by_key(|&(_, priority)| u8::MAX - priority);
+            let nodes: Vec<_> = model.iter().map(|&(node, _)| node).collect();
             prop_assert_eq!(drained(&mut urgency), nodes);
         }
     }

@@ -140,7 +140,7 @@ fn who_sleeps_is_woken_or_has_seen_what_came() {
         let (mut inbox, mut sender) = pair(Shape::new(1, 8).senders(1));
         let sending =
             thread::spawn(move || sender.send(&head(0, 7, 1), &1u64.to_ne_bytes(), &at(1)).unwrap());
-        let sleeps = inbox.falls_asleep(1_000);
+        let sleeps = inbox.falls_asleep();
         let wakes = sending.join().unwrap();
         assert!(!sleeps || wakes, "it sleeps, and nobody wakes it");
         assert_eq!(receive(&mut inbox), Some(1));

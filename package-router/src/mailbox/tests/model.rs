@@ -90,7 +90,7 @@ fn course(shape: Shape, steps: u64, seed: u64) {
             }
             _ if dice.next(20) == 0 => assert_eq!(inbox.clean(now), std::mem::take(&mut model.waiting).len()),
             _ => {
-                assert_eq!(inbox.depth(now), model.waiting.len(), "step {now}");
+                assert_eq!(inbox.depth(), model.waiting.len(), "step {now}");
                 if let Some(package) = inbox.receive(now) {
                     package.put_back();
                 }

@@ -81,7 +81,7 @@ fn all_that_several_send_at_once_comes_whole_and_in_its_order() {
 
 #[test]
 fn where_the_new_replaces_the_old_each_is_read_or_counted_and_none_is_both_or_torn() {
-    for slots in [1, 2, 5] {
+    for slots in [1, 2, 3, 5, 7, 15] {
         for (mut sender, came) in course(Shape::new(slots, 40).senders(2).replacing(), 100_000) {
             assert!(came.is_sorted());
             assert_eq!(sender.waiting(), Ok(0));

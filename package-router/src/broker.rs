@@ -10,6 +10,7 @@ use core::time::Duration;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
@@ -38,6 +39,10 @@ const BACKLOG: i32 = 64;
 pub struct Broker {
     listener: Socket,
     path: PathBuf,
+    /// The file's number: another of this name is somebody else's.
+    inode: u64,
+    /// Whether somebody waits who could not be let in: to be told of that again and again would keep it from waiting.
+    is_full: bool,
     board: Shown,
     registry: Registry,
     /// Of each place: what comes with its mailbox.
@@ -54,8 +59,10 @@ pub struct Broker {
 pub trait Beyond: Send {
     /// A mailbox is there, of that owner: what of it comes from beyond lies in the file that this gives.
     fn created(&mut self, name: MailboxName, layout: &Layout, owner: OwnedFd) -> io::Result<OwnedFd>;
-    /// It is there no more.
+    /// It is there no more: nobody waits until that is known beyond.
     fn deleted(&mut self, name: MailboxName);
+    /// Sees to what was not waited for.
+    fn tend(&mut self);
     /// Which station has which mailboxes.
     fn routes(&mut self) -> &mut Routes;
 }
@@ -73,6 +80,8 @@ struct Seat {
 struct Memory {
     name: MailboxName,
     layout: Layout,
+    /// The owner's process.
+    process: u32,
     owner: Sealed,
     lanes: OwnedFd,
 }
@@ -87,11 +96,15 @@ impl Broker {
         let listener = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
         listener.set_nonblocking(true)?;
         listener.bind(&SockAddr::unix(path)?)?;
+        // Its directory lets nobody else in; this is for directories that somebody else has made.
+        fs::set_permissions(path, fs::Permissions::from_mode(0o600))?;
         listener.listen(BACKLOG)?;
         let registry = Registry::new();
         Ok(Self {
             listener,
             path: path.to_owned(),
+            inode: fs::metadata(path)?.ino(),
+            is_full: false,
             board: Shown::new()?,
             memories: (0..crate::registry::MOST_MAILBOXES).map(|_| None).collect(),
             registry,
@@ -135,6 +148,7 @@ impl Broker {
             }
         }
         self.admit();
+        self.beyond.iter_mut().for_each(|beyond| beyond.tend());
     }
 
     /// Which mailboxes there are.
@@ -150,16 +164,24 @@ impl Broker {
     fn wait(&self, at_most: Duration) -> Vec<bool> {
         let seats = self.seats.iter().map(|seat| seat.socket.as_fd());
         let fds = seats.chain(self.lingering.iter().map(|(_, process)| process.as_fd()));
-        let mut fds: Vec<_> =
-            fds.chain([self.listener.as_fd()]).map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
+        let listener = (!self.is_full).then_some(self.listener.as_fd());
+        let mut fds: Vec<_> = fds.chain(listener).map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
         // Interrupted, or nothing came: nobody is ready.
         let _ = poll(&mut fds, PollTimeout::try_from(at_most).unwrap_or(PollTimeout::MAX));
         fds.iter().map(|fd| fd.revents().is_some_and(|events| !events.is_empty())).collect()
     }
 
     fn admit(&mut self) {
+        self.is_full = false;
         for _ in 0..ACCEPT_AT_ONCE {
-            let Ok((socket, _)) = self.listener.accept() else { return };
+            let socket = match self.listener.accept() {
+                Ok((socket, _)) => socket,
+                Err(error) => {
+                    let is_nobody = matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted);
+                    self.is_full = !is_nobody;
+                    return;
+                }
+            };
             // One more than there may be is hung up on: that is an answer.
             if self.seats.len() + self.lingering.len() >= MOST_COMPONENTS
                 || socket.set_nonblocking(true).is_err()
@@ -182,7 +204,7 @@ impl Broker {
             Err(_) => return false,
         };
         let (answer, files) = match Ask::parse(&packet[..length]) {
-            Some(ask) => self.carry_out(seat.id, ask, files),
+            Some(ask) => self.carry_out(seat, ask, files),
             None => (Answer::Failed(libc::EPROTO), Vec::new()),
         };
         let files: Vec<_> = files.iter().map(AsFd::as_fd).collect();
@@ -190,7 +212,8 @@ impl Broker {
         letters::send(seat.socket.as_fd(), &answer.to_bytes(), &files).is_ok()
     }
 
-    fn carry_out(&mut self, by: ComponentId, ask: Ask, files: Vec<OwnedFd>) -> (Answer, Vec<OwnedFd>) {
+    fn carry_out(&mut self, seat: &Seat, ask: Ask, files: Vec<OwnedFd>) -> (Answer, Vec<OwnedFd>) {
+        let by = seat.id;
         let nothing = Vec::new;
         let done = match ask {
             Ask::Attach => match self.board.as_fd().try_clone_to_owned() {
@@ -201,7 +224,7 @@ impl Broker {
                 Ok((answer, files)) => return (answer, files),
                 Err(refused) => refused,
             },
-            Ask::Create(name, shape) => return self.create(by, name, shape, files),
+            Ask::Create(name, shape) => return self.create(seat, name, shape, files),
             Ask::Look(place) => return self.look(place).unwrap_or((Answer::NoMore, Vec::new())),
             Ask::RouteAt(_) | Ask::AddRoute(..) | Ask::DeleteRoute(_) => self.routed(ask),
             Ask::Delete(name) => match self.registry.delete(by, name) {
@@ -227,16 +250,16 @@ impl Broker {
 
     fn create(
         &mut self,
-        by: ComponentId,
+        by: &Seat,
         name: MailboxName,
         shape: Shape,
         files: Vec<OwnedFd>,
     ) -> (Answer, Vec<OwnedFd>) {
-        let place = match self.registry.create(by, name, shape) {
+        let place = match self.registry.create(by.id, name, shape) {
             Ok(place) => place,
             Err(refused) => return (Answer::Refused(refused), Vec::new()),
         };
-        let made = Memory::new(name, &shape, files).and_then(|memory| {
+        let made = Memory::new(name, &shape, by.pid, files).and_then(|memory| {
             let owner = memory.owner.as_fd().try_clone_to_owned()?;
             let beyond = self.beyond.as_mut().map(|beyond| beyond.created(name, &Layout::of(&shape), owner));
             Ok((memory, beyond.transpose()?))
@@ -251,7 +274,7 @@ impl Broker {
             }
             Err(error) => {
                 // It was never shown.
-                let _ = self.registry.delete(by, name);
+                let _ = self.registry.delete(by.id, name);
                 (failed(&error), Vec::new())
             }
         }
@@ -314,8 +337,7 @@ impl Broker {
         let (place, mailbox) = self.registry.all().find(|(place, _)| *place >= from)?;
         let memory = self.memories[place].as_ref()?;
         let files = [memory.owner.as_fd().try_clone_to_owned().ok()?, memory.lanes.try_clone().ok()?];
-        let process = self.seats.iter().find(|seat| seat.id == mailbox.owner).map_or(0, |seat| seat.pid);
-        let (name, shape) = (mailbox.name, mailbox.shape);
+        let (name, shape, process) = (mailbox.name, mailbox.shape, memory.process);
         Some((Answer::Mailbox { place, name, shape, process }, files.into()))
     }
 
@@ -360,13 +382,15 @@ impl Drop for Broker {
     fn drop(&mut self) {
         let places: Vec<_> = self.registry.all().map(|(place, _)| place).collect();
         places.into_iter().for_each(|place| self.board.show(place, None));
-        let _ = fs::remove_file(&self.path);
+        if fs::metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
+            let _ = fs::remove_file(&self.path);
+        }
     }
 }
 
 impl Memory {
     /// What an owner has brought for its mailbox.
-    fn new(name: MailboxName, shape: &Shape, files: Vec<OwnedFd>) -> io::Result<Self> {
+    fn new(name: MailboxName, shape: &Shape, process: u32, files: Vec<OwnedFd>) -> io::Result<Self> {
         let odd = |why| io::Error::new(ErrorKind::InvalidInput, why);
         let [owner, lanes]: [OwnedFd; FILES] =
             files.try_into().map_err(|_| odd("two files come with a mailbox"))?;
@@ -379,7 +403,7 @@ impl Memory {
         if fstat(&lanes)?.st_size < bytes {
             return Err(odd("the lanes of a mailbox are all there"));
         }
-        Ok(Self { name, layout, owner, lanes })
+        Ok(Self { name, layout, process, owner, lanes })
     }
 }
 

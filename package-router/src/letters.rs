@@ -7,8 +7,6 @@ use nix::cmsg_space;
 use nix::errno::Errno;
 use nix::sys::socket::{ControlMessage, ControlMessageOwned, MsgFlags, recvmsg, sendmsg};
 
-use crate::handshake::FILES;
-
 /// Sends one; it does not wait if the socket does not.
 pub fn send(to: BorrowedFd<'_>, packet: &[u8], files: &[BorrowedFd<'_>]) -> Result<(), Errno> {
     let raw: Vec<i32> = files.iter().map(AsRawFd::as_raw_fd).collect();
@@ -17,9 +15,12 @@ pub fn send(to: BorrowedFd<'_>, packet: &[u8], files: &[BorrowedFd<'_>]) -> Resu
     sendmsg::<()>(to.as_raw_fd(), &[IoSlice::new(packet)], rights, MsgFlags::MSG_NOSIGNAL, None).map(drop)
 }
 
-/// Receives one: how long it is, 0 of who has hung up, and its files.
+/// What the kernel lets come along with a packet (`SCM_MAX_FD`): without room for all, some would be nobody's.
+const MOST_FILES: usize = 253;
+
+/// Receives one: how long it is, 0 of who has hung up, and its files, however many.
 pub fn receive(from: BorrowedFd<'_>, packet: &mut [u8]) -> Result<(usize, Vec<OwnedFd>), Errno> {
-    let mut room = cmsg_space!([i32; FILES]);
+    let mut room = cmsg_space!([i32; MOST_FILES]);
     let mut parts = [IoSliceMut::new(packet)];
     let message = recvmsg::<()>(from.as_raw_fd(), &mut parts, Some(&mut room), MsgFlags::MSG_CMSG_CLOEXEC)?;
     let mut files = Vec::new();

@@ -20,9 +20,9 @@ use crate::wire::{HEAD_LEN, Head, Joining, NOT_AVAILABLE, Part};
 
 /// Where real-time stations hear packages.
 pub const LAN_PORT: u16 = 0x2000;
-/// Packages that are taken in one turn: a turn may come just before a slot.
+/// Packages that are taken at a time: a slot may be about to come.
 const PACKAGES_AT_ONCE: usize = 8;
-/// Bytes that are copied in one turn, or one package more.
+/// Bytes that are copied at a time, or one package more.
 const WORK_AT_ONCE: usize = 16 * 1024;
 /// What a package costs besides its bytes takes as long as copying so many.
 const EACH: usize = 256;
@@ -40,7 +40,9 @@ pub struct Router<Own: Segment, Theirs: Segment> {
     host: Host<Own>,
     /// How many ways have somebody to be woken.
     sleepers: usize,
+    /// Packages of which more is to come, and since when the oldest may wait.
     joins: usize,
+    oldest: u64,
     counters: RouterCounters,
 }
 
@@ -59,6 +61,8 @@ pub struct Way<Own: Segment, Theirs: Segment> {
     name: MailboxName,
     lane: LaneSender<Own, Theirs>,
     joins: Vec<Join>,
+    /// Packages that were given up for others of the same sender.
+    given_up: u64,
     wakes: bool,
 }
 
@@ -96,7 +100,12 @@ pub struct RouterCounters {
 impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
     /// Into the mailbox of this name, through its router's lane.
     pub fn new(name: MailboxName, lane: LaneSender<Own, Theirs>) -> Box<Self> {
-        Box::new(Self { name, lane, joins: room::vec(MOST_JOINS), wakes: false })
+        Box::new(Self { name, lane, joins: room::vec(MOST_JOINS), given_up: 0, wakes: false })
+    }
+
+    /// Of which mailbox.
+    pub fn name(&self) -> MailboxName {
+        self.name
     }
 }
 
@@ -104,7 +113,15 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
     /// One that knows no mailbox yet.
     pub fn new(host: Host<Own>) -> Self {
         let ways = room::vec(MOST_MAILBOXES);
-        Self { socket: None, ways, host, sleepers: 0, joins: 0, counters: RouterCounters::default() }
+        Self {
+            socket: None,
+            ways,
+            host,
+            sleepers: 0,
+            joins: 0,
+            oldest: 0,
+            counters: RouterCounters::default(),
+        }
     }
 
     /// From now on it reads there.
@@ -147,7 +164,7 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
         if let Some(head) = head {
             taken = match self.place(head.to) {
                 Ok(_) if self.place(head.from).is_ok() => Outcome::Forged,
-                Ok(place) => self.ways[place].receive(&head, &self.host, socket, sockets, &received),
+                Ok(place) => self.bring(place, &head, socket, sockets, &received),
                 Err(_) => Outcome::NoRoute,
             };
             if taken == Outcome::NoRoute && head.is_command() && head.is_whole() {
@@ -158,10 +175,28 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
             let _ = sockets.pass_on(socket, |_, _| true);
         }
         self.note(taken, head.map(|head| head.to));
-        if head.is_some_and(|head| !head.is_whole()) {
-            self.count_joins();
-        }
         Some(received.whole)
+    }
+
+    /// Into a mailbox.
+    fn bring(
+        &mut self,
+        place: usize,
+        head: &Head,
+        socket: SocketId,
+        sockets: &mut Access<'_>,
+        received: &Received,
+    ) -> Outcome {
+        let now = (self.host.clock)();
+        let way = &mut self.ways[place];
+        let (before, given_up) = (way.joins.len(), way.given_up);
+        let outcome = way.receive(head, now, socket, sockets, received);
+        self.counters.incomplete += way.given_up - given_up;
+        if self.joins == 0 {
+            self.oldest = now;
+        }
+        self.joins = self.joins + way.joins.len() - before;
+        outcome
     }
 
     /// Nobody here has that name.
@@ -193,22 +228,23 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
         }
     }
 
-    fn count_joins(&mut self) {
-        self.joins = self.ways.iter().map(|way| way.joins.len()).sum();
-    }
-
+    /// Gives up packages of which nothing has come for so long. All are looked through no more often than that.
     fn give_up_old(&mut self) {
         let now = (self.host.clock)();
+        if now.saturating_sub(self.oldest) <= JOIN_TIMEOUT {
+            return;
+        }
+        self.oldest = now;
         for way in &mut self.ways {
             let before = way.joins.len();
-            while let Some(old) =
-                way.joins.iter().position(|join| now.saturating_sub(join.since) > JOIN_TIMEOUT)
-            {
+            let is_old = |join: &Join| now.saturating_sub(join.since) > JOIN_TIMEOUT;
+            while let Some(old) = way.joins.iter().position(is_old) {
                 way.give_up(old);
             }
             self.counters.incomplete += (before - way.joins.len()) as u64;
+            self.joins -= before - way.joins.len();
+            self.oldest = way.joins.iter().map(|join| join.since).fold(self.oldest, u64::min);
         }
-        self.count_joins();
     }
 }
 
@@ -245,12 +281,11 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
     fn receive(
         &mut self,
         head: &Head,
-        host: &Host<Own>,
+        now: u64,
         socket: SocketId,
         sockets: &mut Access<'_>,
         received: &Received,
     ) -> Outcome {
-        let now = (host.clock)();
         let stamps = Stamps { sent: now, left: None, came: received.global };
         if head.part == Part::Whole {
             let mut slot = match self.lane.reserve(head.priority, head.body_len()) {
@@ -284,6 +319,7 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
         let (joining, _) = Joining::begin(head, datagram - HEAD_LEN).map_err(|_| Outcome::Malformed)?;
         if let Some(old) = self.find(head.from) {
             self.give_up(old);
+            self.given_up += 1;
         }
         if self.joins.len() == self.joins.capacity() {
             return Err(Outcome::Full);
@@ -346,8 +382,11 @@ where
         }
         let mut work = WORK_AT_ONCE;
         for _ in 0..PACKAGES_AT_ONCE {
-            let Some(bytes) = self.take_in(socket, sockets).filter(|_| work > 0) else { return };
+            let Some(bytes) = self.take_in(socket, sockets) else { return };
             work = work.saturating_sub(EACH + bytes);
+            if work == 0 {
+                return;
+            }
         }
     }
 

@@ -9,7 +9,7 @@ use core::time::Duration;
 use nix::errno::Errno;
 use rtnet::live::clock::monotonic;
 
-/// How often who has no `futex_waitv` (before Linux 5.16) looks for himself: as long as a cycle, so that nobody is late by more.
+/// How often who has no `futex_waitv` (before Linux 5.16, or under a filter) looks for himself: as long as a cycle, so that nobody is late by more.
 const LOOKS_EVERY: Duration = Duration::from_millis(1);
 
 /// `FUTEX2_SIZE_U32`: shared with other processes.
@@ -55,8 +55,10 @@ impl Waits {
         static HAS_WAITV: AtomicBool = AtomicBool::new(true);
         if HAS_WAITV.load(Ordering::Relaxed) {
             match self.waitv(until) {
-                Err(Errno::ENOSYS) => HAS_WAITV.store(false, Ordering::Relaxed),
-                told => return told == Err(Errno::ETIMEDOUT),
+                Ok(_) | Err(Errno::EAGAIN | Errno::EINTR) => return false,
+                Err(Errno::ETIMEDOUT) => return true,
+                // The kernel has it not, or does not let us.
+                Err(_) => HAS_WAITV.store(false, Ordering::Relaxed),
             }
         }
         let soon = monotonic() + LOOKS_EVERY.as_nanos() as u64;

@@ -14,7 +14,7 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 use nix::fcntl::{FcntlArg, SealFlag, fcntl};
 use nix::sys::memfd::{MFdFlags, memfd_create};
-use nix::sys::mman::{MapFlags, ProtFlags, mmap, munmap};
+use nix::sys::mman::{MapFlags, ProtFlags, mlock, mmap, munmap};
 use nix::sys::stat::fstat;
 use nix::unistd::ftruncate;
 
@@ -50,7 +50,8 @@ impl Sealed {
         Ok(memory)
     }
 
-    /// Memory of at least so many words that another process has made, to be read.
+    /// Memory of at least so many words that another process has made, to be read: no more of it than that, however long its
+    /// file is.
     pub fn open(file: OwnedFd, words: usize) -> io::Result<Self> {
         let odd = |why| Err(io::Error::new(io::ErrorKind::InvalidData, why));
         // Whoever reads a file behind its end is killed.
@@ -58,11 +59,17 @@ impl Sealed {
         {
             return odd("shared memory that could be cut short");
         }
-        let bytes = usize::try_from(fstat(&file)?.st_size).unwrap_or(0);
-        if bytes < words * WORD || bytes % PAGE != 0 {
+        let (bytes, there) = ((words * WORD).next_multiple_of(PAGE), fstat(&file)?.st_size);
+        if usize::try_from(there).unwrap_or(0) < bytes {
             return odd("shared memory of an odd length");
         }
         Self::of(file, bytes, ProtFlags::PROT_READ)
+    }
+
+    /// Keeps it in memory, as far as this process may lock as much: who touches it does not wait for a disk.
+    pub fn lock(&self) -> io::Result<()> {
+        // SAFETY: the mapping is there as long as `self`; that it stays in memory changes nothing of it.
+        Ok(unsafe { mlock(self.base.cast(), self.words * WORD) }?)
     }
 
     /// Whether nobody can write it, or make a hole in it, but who had mapped it before: who reads it never waits for the kernel.
@@ -183,6 +190,8 @@ mod tests {
         ftruncate(&file, page).unwrap();
         fcntl(&file, FcntlArg::F_ADD_SEALS(SealFlag::F_SEAL_SHRINK)).unwrap();
         assert!(!Sealed::open(file, 1).unwrap().is_final(), "its maker may take pages out of it");
+        let (_ours, long) = memory();
+        assert_eq!(Sealed::open(long, 1).map(|memory| memory.len()).ok(), Some(512), "a page at the least");
         assert!(Sealed::open(std::fs::File::open("/dev/null").unwrap().into(), 1).is_err());
     }
 }

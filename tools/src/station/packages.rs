@@ -12,6 +12,7 @@ use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use nix::errno::Errno;
 use package_router::broker::{Beyond, Broker};
 use package_router::mailbox::{LaneSender, Layout};
 use package_router::name::MailboxName;
@@ -25,6 +26,7 @@ use rtnet::ip::{Exit, Stack};
 use rtnet::live::Visitor;
 use rtnet::live::clock::monotonic;
 use rtnet::live::sealed::Sealed;
+use rtnet::room;
 use rtnet::socket::Socket;
 
 use super::sockets::Sockets;
@@ -77,7 +79,7 @@ pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Socke
         Broker::bind(&path).with_context(|| format!("the broker {} cannot be made", path.display()))?;
     let mut broker = broker.with_priorities(options.priorities);
     if let Some(sockets) = sockets {
-        broker = broker.with_beyond(Box::new(Lan { sockets, routes: options.routes }));
+        broker = broker.with_beyond(Box::new(Lan { sockets, routes: options.routes, gone: Vec::new() }));
     }
     let is_over = Arc::new(AtomicBool::new(false));
     let over = is_over.clone();
@@ -100,6 +102,8 @@ impl Drop for Running {
 struct Lan {
     sockets: Arc<Sockets>,
     routes: Routes,
+    /// Mailboxes that are gone, and that the real-time thread may not know of yet: nobody waits for it.
+    gone: Vec<MailboxName>,
 }
 
 impl Beyond for Lan {
@@ -107,15 +111,23 @@ impl Beyond for Lan {
         let own = Sealed::new(c"rtnet-router", layout.sender_words())?;
         let file = own.as_fd().try_clone_to_owned()?;
         let owner = Sealed::open(owner, layout.lane(ROUTER + 1))?;
+        // The real-time thread goes there. Where no more may be locked it does so all the same, as to sockets' memory.
+        let _ = own.lock().and_then(|()| owner.lock());
         let way = Way::new(name, LaneSender::new(own, owner, *layout, ROUTER));
-        let arrival = self.visit(Change { name, brought: Some(way), left: None })?;
+        let change = self.visit(Some(way))?;
         // Which came back was not taken.
-        arrival.brought.map_or(Ok(file), |_| Err(io::ErrorKind::QuotaExceeded.into()))
+        change.brought.map_or(Ok(file), |_| Err(error(Errno::ENOSPC)))
     }
 
     fn deleted(&mut self, name: MailboxName) {
-        // A station whose thread has ended has no ways any more; one that is held up drops what comes there for nobody.
-        let _ = self.visit(Change { name, brought: None, left: None });
+        self.gone.push(name);
+    }
+
+    fn tend(&mut self) {
+        if !self.gone.is_empty() {
+            // One that does not look now is asked again.
+            let _ = self.visit(None);
+        }
     }
 
     fn routes(&mut self) -> &mut Routes {
@@ -124,29 +136,40 @@ impl Beyond for Lan {
 }
 
 impl Lan {
-    fn visit(&self, change: Change) -> io::Result<Change> {
-        let visitor = self.sockets.let_in(Box::new(change)).map_err(|(why, _)| io::Error::other(why))?;
+    /// Has the real-time thread know what has come and gone.
+    fn visit(&mut self, brought: Option<LanWay>) -> io::Result<Change> {
+        let gone = self.gone.clone();
+        let left = room::vec(gone.len() + 1);
+        let change = Box::new(Change { gone, brought, left });
+        let visitor = self.sockets.let_in(change).map_err(|_| error(Errno::ETIMEDOUT))?;
+        self.gone.clear();
         let visitor: Box<dyn Any> = visitor;
-        visitor
-            .downcast::<Change>()
-            .map(|change| *change)
-            .map_err(|_| io::Error::other("another visitor came back"))
+        let change = visitor.downcast::<Change>();
+        change.map(|change| *change).map_err(|_| io::Error::other("another visitor came back"))
     }
 }
 
-/// A mailbox comes or goes. What is replaced is freed where this is.
+/// As a component is told.
+fn error(errno: Errno) -> io::Error {
+    io::Error::from_raw_os_error(errno as i32)
+}
+
+/// Mailboxes go, and one may come. What is replaced is freed where this is.
 struct Change {
-    name: MailboxName,
+    gone: Vec<MailboxName>,
     brought: Option<LanWay>,
-    left: Option<LanWay>,
+    left: Vec<LanWay>,
 }
 
 impl Visitor for Change {
     fn visit(&mut self, stack: &mut Stack, _exit: &mut dyn Exit) {
         let Some(router) = stack.program_mut::<LanRouter>() else { return };
-        match self.brought.take() {
-            Some(way) => self.brought = router.add(way).err(),
-            None => self.left = router.remove(self.name),
+        // There is room for all.
+        self.left.extend(self.gone.iter().filter_map(|name| router.remove(*name)));
+        if let Some(way) = self.brought.take() {
+            // Whose a name is the broker knows.
+            self.left.extend(router.remove(way.name()));
+            self.brought = router.add(way).err();
         }
     }
 }

@@ -1,0 +1,113 @@
+/* Packages for programs in C: mailboxes of a station, and senders that lead to them. Link with -lrtnet_packages.
+ *
+ * Functions return 0 or what they say, or an error: a negative number of errno.h. rtnet_packages_error() says what it was.
+ * A handle is used by one thread at a time; different handles by different ones. Those that take or give back handles allocate and
+ * ask the station's broker; send, receive, peek and clean do not. NULL for a handle, or for a place that is to be written or
+ * read, is -EINVAL. Numbers in bodies have the order that their head says; the heads here have this machine's.
+ */
+#ifndef RTNET_PACKAGES_H
+#define RTNET_PACKAGES_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct rtnet_component rtnet_component; /* a program that has come to a station */
+typedef struct rtnet_mailbox rtnet_mailbox;     /* one of its mailboxes */
+typedef struct rtnet_sender rtnet_sender;       /* a way from a mailbox to another */
+
+/* The name of a mailbox: that of a component's commands has local 0. */
+#define RTNET_MAILBOX_NAME(system, class_id, instance, local)                                                    \
+    ((uint32_t)(system) << 24 | (uint32_t)(class_id) << 16 | (uint32_t)(instance) << 8 | (uint32_t)(local))
+
+/* Kinds of replies; a server's own are less, commands are 1 to 127. */
+#define RTNET_OK 0
+#define RTNET_ERROR (-1)
+#define RTNET_TIMEOUT (-2)
+#define RTNET_NOT_AVAILABLE (-3)
+
+/* Bytes of the largest body that there is. */
+#define RTNET_LARGEST_BODY 262128
+
+/* Of a receive that waits for ever, and of one that does not wait. */
+#define RTNET_FOR_EVER (-1)
+#define RTNET_AT_ONCE 0
+
+/* What stands before a body. */
+struct rtnet_head {
+    uint32_t to;        /* whose it is */
+    uint32_t from;      /* where a reply goes */
+    uint32_t len;       /* bytes of the body */
+    int8_t kind;        /* what it says: a command above 0, else a reply or data */
+    uint8_t priority;   /* how urgent: larger is more; a reply has its command's */
+    uint8_t id;         /* a reply has its command's */
+    uint8_t big_endian; /* order of the numbers in the body: 0 little, 1 big */
+};
+
+/* What a mailbox is: all memory follows from it, slots x senders x bodies, and is taken when it is created. */
+struct rtnet_shape {
+    uint32_t slots;        /* packages of each sender that may wait: 1 to 1024 */
+    uint32_t largest_body; /* bytes: 0 to RTNET_LARGEST_BODY */
+    uint32_t senders;      /* 1 to 127 */
+    uint32_t replace;      /* what finds no slot: 0 is refused, 1 takes the place of the oldest of the least urgent */
+};
+
+/* What went wrong last in this thread: the error's name, where, and what to do about it. "" if nothing has. It is valid until the
+ * next call of this function in this thread. */
+const char *rtnet_packages_error(void);
+
+/* Comes to a station, by the path of its broker's socket. -ENOENT, -ECONNREFUSED: there is none. */
+int32_t rtnet_component_attach(const char *path, rtnet_component **component);
+/* Its mailboxes and senders stay until they are given back. NULL is nothing. */
+void rtnet_component_detach(rtnet_component *component);
+
+/* -EEXIST: the name is taken; -EINVAL: there can be no such mailbox; -ENOSPC: the station has as many as it takes. */
+int32_t rtnet_mailbox_create(rtnet_component *component, uint32_t name, const struct rtnet_shape *shape,
+                             rtnet_mailbox **mailbox);
+/* With what waits in it, and what was peeked at. NULL is nothing. */
+void rtnet_mailbox_destroy(rtnet_mailbox *mailbox);
+
+/* What is sent by it is from that mailbox. -ENOENT: there is none of that name; -EUSERS: it has all the senders that it takes. */
+int32_t rtnet_sender_bind(rtnet_mailbox *from, uint32_t to, rtnet_sender **sender);
+/* NULL is nothing. */
+void rtnet_sender_unbind(rtnet_sender *sender);
+
+/* Copies a package into the mailbox, in little-endian, with an id of its own: the id, 0 to 255. It never waits. -ENOBUFS: all slots
+ * of this sender wait to be read; -EMSGSIZE: no slot holds it; -ENOENT: the mailbox is there no more, bind to it anew. */
+int32_t rtnet_sender_send(rtnet_sender *sender, int8_t kind, const void *body, uint32_t len);
+/* The same with that head's kind, priority, id and order; the rest is what it is. So a command is answered:
+ *     struct rtnet_head reply = command;
+ *     reply.kind = RTNET_OK;
+ *     rtnet_sender_send_with(back, &reply, body, len); */
+int32_t rtnet_sender_send_with(rtnet_sender *sender, const struct rtnet_head *head, const void *body, uint32_t len);
+/* How urgent what rtnet_sender_send sends is from now on; at first by the sender's class. */
+int32_t rtnet_sender_set_priority(rtnet_sender *sender, uint8_t priority);
+
+/* Copies the most urgent package: bytes of its body. Waits so many nanoseconds at the most. -EAGAIN: there is none, at once;
+ * -ETIMEDOUT: none came in time; -EMSGSIZE: there is too little room, it stays, and head->len is what it takes; -ENODEV: the
+ * station has ended; -EBUSY: one is being peeked at. `head` may be NULL; so may `body` with a room of 0. */
+int32_t rtnet_mailbox_receive(rtnet_mailbox *mailbox, struct rtnet_head *head, void *body, uint32_t room,
+                              int64_t timeout_ns);
+
+/* Lends the most urgent package, which stays in its slot until it is released or put back; only one is lent at a time, and
+ * meanwhile all else that a mailbox does, binding included, is -EBUSY. Errors as of receive. */
+int32_t rtnet_mailbox_peek(rtnet_mailbox *mailbox, struct rtnet_head *head, int64_t timeout_ns);
+/* Copies of the body that is lent what is behind `skip` bytes, as far as it fits: how many bytes. -ENOMSG: nothing is lent. */
+int32_t rtnet_mailbox_body(rtnet_mailbox *mailbox, uint32_t skip, void *into, uint32_t room);
+/* It is read, and its slot is its sender's again. -ENOMSG: nothing is lent. */
+int32_t rtnet_mailbox_release(rtnet_mailbox *mailbox);
+/* It stays, as the first of its priority. -ENOMSG: nothing is lent. */
+int32_t rtnet_mailbox_put_back(rtnet_mailbox *mailbox);
+
+/* Throws away what waits: how many. */
+int32_t rtnet_mailbox_clean(rtnet_mailbox *mailbox);
+/* How many wait. */
+int32_t rtnet_mailbox_depth(rtnet_mailbox *mailbox);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

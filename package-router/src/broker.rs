@@ -6,10 +6,12 @@
 //!             ◄ answer, files ─┘  └───► board: everybody sees what has changed
 //! ```
 
+mod process;
+
 use core::time::Duration;
 use std::fs;
 use std::io::{self, ErrorKind};
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -18,6 +20,8 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::stat::fstat;
 use rtnet::live::sealed::Sealed;
 use socket2::{Domain, SockAddr, Socket, Type};
+
+use process::{has_ended, process_of};
 
 use crate::board::Shown;
 use crate::handshake::{ASK_LEN, Answer, Ask, FILES};
@@ -141,7 +145,8 @@ impl Broker {
             }
         }
         for ((id, process), has_ended) in lingering.into_iter().zip(of_lingering) {
-            if *has_ended {
+            // One whose lanes went with their mailboxes writes nowhere any more.
+            if *has_ended || !self.registry.has_lanes(id) {
                 self.ended(id);
             } else {
                 self.lingering.push((id, process));
@@ -409,21 +414,4 @@ impl Memory {
 
 fn failed(error: &io::Error) -> Answer {
     Answer::Failed(error.raw_os_error().unwrap_or(libc::EINVAL))
-}
-
-/// The process at the other end, as something that becomes readable when it ends.
-#[allow(unsafe_code)]
-fn process_of(socket: &Socket) -> (u32, Option<OwnedFd>) {
-    use std::os::fd::FromRawFd;
-    let credentials = nix::sys::socket::getsockopt(socket, nix::sys::socket::sockopt::PeerCredentials);
-    let pid = credentials.map_or(0, |credentials| credentials.pid());
-    // SAFETY: it takes numbers, and gives a descriptor of its own or -1.
-    let process = Errno::result(unsafe { libc::syscall(libc::SYS_pidfd_open, pid, 0) });
-    // SAFETY: it was just made, and is nobody else's.
-    let process = process.map(|process| unsafe { OwnedFd::from_raw_fd(process as i32) });
-    (pid.unsigned_abs(), process.ok())
-}
-
-fn has_ended(process: BorrowedFd<'_>) -> bool {
-    poll(&mut [PollFd::new(process, PollFlags::POLLIN)], PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
 }

@@ -7,6 +7,7 @@
 mod buffers;
 mod live;
 mod other_processes;
+mod packages;
 mod proxy;
 mod sockets;
 mod tunnels;

@@ -17,6 +17,7 @@ mod engine;
 mod frames;
 mod lines;
 mod mutate;
+mod packages;
 mod parsers;
 mod rings;
 mod sockets;

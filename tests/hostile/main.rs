@@ -6,6 +6,7 @@
 
 mod calibration;
 mod frames;
+mod packages;
 mod stack;
 mod traffic;
 mod tunnel;

@@ -1,10 +1,13 @@
 //! Mailboxes of several components of a station, each a process, or as good as one: they have nothing in common but the broker.
 
+// Components need real time.
+#![allow(clippy::disallowed_methods)]
+
 mod exchange;
 mod killed;
-mod rpc;
 mod lan;
 mod model;
+mod rpc;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

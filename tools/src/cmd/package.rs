@@ -1,19 +1,17 @@
 //! `rtnet mailbox` and `rtnet package`.
 
-use std::fmt::Write as _;
+mod shown;
+
 use std::io::Write as _;
 use std::net::Ipv4Addr;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
-use package_router::component::{
-    Component, Error, Mailbox, MailboxSeen, ReceiveError, Sender, SenderSeen, socket_of,
-};
+use package_router::component::{Component, Error, Mailbox, ReceiveError, Sender, socket_of};
 use package_router::mailbox::{LARGEST_BODY, Shape};
 use package_router::name::{MailboxName, Pattern};
 use package_router::route::Route;
 use package_router::wire::{Head, NOT_AVAILABLE};
-use serde::Serialize;
 
 use super::Failure;
 use super::tdma::found_of;
@@ -21,7 +19,7 @@ use crate::cli::{
     MailboxArgs, MailboxVerb, PackageRouteVerb, PackageVerb, PackageVerbArgs, WhichOf, duration,
 };
 use crate::control::Directory;
-use crate::report::text::grouped;
+use shown::{Came, RouteShown, Shown, Trips, list, stat};
 
 /// Slots of a mailbox that somebody looks into by hand.
 const SLOTS: usize = 64;
@@ -239,168 +237,4 @@ fn ping(
         p99_ns: quantile(0.99),
         max_ns: times.last().copied(),
     })
-}
-
-#[derive(Serialize)]
-struct RouteShown {
-    to: String,
-    station: Ipv4Addr,
-}
-
-/// A package that came.
-#[derive(Serialize)]
-struct Came {
-    from: String,
-    kind: i8,
-    priority: u8,
-    id: u8,
-    bytes: usize,
-    body: String,
-}
-
-impl Came {
-    fn of(head: &Head, body: &[u8]) -> Self {
-        let body_text = String::from_utf8_lossy(body).into_owned();
-        let Head { kind, priority, id, from, .. } = *head;
-        Self { from: from.to_string(), kind, priority, id, bytes: body.len(), body: body_text }
-    }
-
-    fn describe(&self) -> String {
-        let Self { from, kind, priority, id, bytes, body } = self;
-        let body = body.escape_debug();
-        format!(
-            "{from}: type {kind}, priority {priority}, id {id}, {bytes} bytes{}{body}",
-            if *bytes > 0 { ": " } else { "" }
-        )
-    }
-}
-
-/// What questions showed.
-#[derive(Serialize)]
-struct Trips {
-    to: String,
-    asked: u64,
-    came: u64,
-    min_ns: Option<u64>,
-    p50_ns: Option<u64>,
-    p99_ns: Option<u64>,
-    max_ns: Option<u64>,
-}
-
-impl Trips {
-    fn describe(&self) -> String {
-        let Self { to, asked, came, .. } = self;
-        let mut text = format!("{to}: {asked} asked, {came} answered\n");
-        let us = |nanos: u64| nanos as f64 / 1000.0;
-        if let (Some(min), Some(p50), Some(p99), Some(max)) =
-            (self.min_ns, self.p50_ns, self.p99_ns, self.max_ns)
-        {
-            let [min, p50, p99, max] = [min, p50, p99, max].map(us);
-            let _ = writeln!(text, "round trip: min {min:.1}, p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us");
-        }
-        text
-    }
-}
-
-/// A mailbox as it is shown.
-#[derive(Serialize)]
-struct Shown {
-    name: String,
-    process: u32,
-    slots: usize,
-    largest_body: usize,
-    senders_at_most: usize,
-    replaces: bool,
-    waiting: u64,
-    most: u64,
-    received: u64,
-    cleaned: u64,
-    forged: u64,
-    nonsense: u64,
-    latency_p50_ns: Option<u64>,
-    latency_p99_ns: Option<u64>,
-    latency_max_ns: Option<u64>,
-    senders: Vec<SenderShown>,
-}
-
-#[derive(Serialize)]
-struct SenderShown {
-    from: String,
-    sent: u64,
-    waiting: u64,
-    full: u64,
-    too_large: u64,
-    replaced: u64,
-}
-
-impl Shown {
-    fn of(seen: &MailboxSeen) -> Self {
-        let sender = |seen: &SenderSeen| SenderShown {
-            from: seen.from.to_string(),
-            sent: seen.sent,
-            waiting: seen.waiting,
-            full: seen.full,
-            too_large: seen.too_large,
-            replaced: seen.replaced,
-        };
-        Self {
-            name: seen.name.to_string(),
-            process: seen.process,
-            slots: seen.shape.slots,
-            largest_body: seen.shape.largest_body,
-            senders_at_most: seen.shape.senders,
-            replaces: seen.shape.when_full == package_router::mailbox::WhenFull::Replace,
-            waiting: seen.senders.iter().map(|sender| sender.waiting).sum(),
-            most: seen.most,
-            received: seen.received,
-            cleaned: seen.cleaned,
-            forged: seen.forged,
-            nonsense: seen.nonsense,
-            latency_p50_ns: seen.latencies.quantile(0.5),
-            latency_p99_ns: seen.latencies.quantile(0.99),
-            latency_max_ns: seen.latencies.quantile(1.0),
-            senders: seen.senders.iter().map(sender).collect(),
-        }
-    }
-}
-
-fn list(rows: &[Shown]) -> String {
-    if rows.is_empty() {
-        return "no mailbox\n".into();
-    }
-    let row = |row: &Shown| {
-        let Shown { name, process, slots, largest_body, senders, senders_at_most, waiting, .. } = row;
-        format!(
-            "{name}: process {process}, {slots} slots of {largest_body} bytes for each of {} senders of {senders_at_most}; {waiting} wait\n",
-            senders.len()
-        )
-    };
-    rows.iter().map(row).collect()
-}
-
-fn stat(row: &Shown) -> String {
-    let mut text = list(std::slice::from_ref(row));
-    let Shown { received, cleaned, most, forged, nonsense, .. } = row;
-    let [received, cleaned, most, forged, nonsense] =
-        [received, cleaned, most, forged, nonsense].map(|n| grouped(*n));
-    let _ = writeln!(
-        text,
-        "  received {received}, cleaned {cleaned}, at most {most} waited; forged {forged}, nonsense {nonsense}"
-    );
-    if let (Some(p50), Some(p99), Some(max)) = (row.latency_p50_ns, row.latency_p99_ns, row.latency_max_ns) {
-        let [p50, p99, max] = [p50, p99, max].map(|nanos| nanos as f64 / 1000.0);
-        let _ = writeln!(
-            text,
-            "  from send to receive: p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us, each a quarter too long at the most"
-        );
-    }
-    for sender in &row.senders {
-        let SenderShown { from, sent, waiting, full, too_large, replaced } = sender;
-        let [sent, full, too_large, replaced] = [sent, full, too_large, replaced].map(|n| grouped(*n));
-        let _ = writeln!(
-            text,
-            "  {from}: sent {sent}, {waiting} wait; refused: full {full}, too large {too_large}; replaced {replaced}"
-        );
-    }
-    text
 }

@@ -36,32 +36,39 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     /// seen before stays before it.
     #[inline]
     pub(super) fn look(&mut self) {
-        let mut lanes = 0;
+        // Who looks often finds something in one lane at the most: that needs no sorting.
+        let (mut only, mut lanes) = (None, 0);
         for lane in 0..self.lanes.len() {
             let Some(sender) = &self.lanes[lane].sender else { continue };
-            if sender.segment.at(of_sender::PUBLISHED).get_acquire() != sender.seen && !sender.is_broken {
-                self.look_into(lane);
-                lanes += 1;
+            if sender.segment.at(of_sender::PUBLISHED).get_acquire() == sender.seen || sender.is_broken {
+                continue;
+            }
+            lanes += 1;
+            match (only.take(), lanes) {
+                (_, 1) => only = Some(lane),
+                (first, _) => first.into_iter().chain([lane]).for_each(|lane| self.look_into::<false>(lane)),
             }
         }
-        if lanes > 0 {
-            self.let_wait(lanes > 1);
+        match only {
+            Some(lane) => self.look_into::<true>(lane),
+            None if lanes == 0 => return,
+            None => self.let_all_wait(),
         }
-    }
-
-    fn let_wait(&mut self, are_of_several: bool) {
-        let Self { news, urgency, own, .. } = self;
-        if are_of_several {
-            news.all.sort_unstable_by_key(|new| (new.sent, new.order));
-        }
-        news.all.drain(..).for_each(|new| urgency.push(new.node, new.priority));
-        let (depth, most) = (urgency.len() as u64, own.at(of_owner::MOST));
+        let (depth, most) = (self.urgency.len() as u64, self.own.at(of_owner::MOST));
         if most.get() < depth {
             most.set(depth);
         }
     }
 
-    fn look_into(&mut self, lane: usize) {
+    /// In the order in which they were sent.
+    fn let_all_wait(&mut self) {
+        let Self { news, urgency, .. } = self;
+        news.all.sort_unstable_by_key(|new| (new.sent, new.order));
+        news.all.drain(..).for_each(|new| urgency.push(new.node, new.priority));
+    }
+
+    /// Sees what has come in a lane, which may be the only one.
+    fn look_into<const IS_ONLY: bool>(&mut self, lane: usize) {
         let ring = self.layout.ring as u64;
         let Some(sender) = &mut self.lanes[lane].sender else { return };
         let newest = sender.segment.at(of_sender::PUBLISHED).get_acquire();
@@ -73,19 +80,19 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let Some(sender) = &mut self.lanes[lane].sender else { return };
             let entry = Entry::from_word(sender.segment.at(self.layout.announced(number)).get_acquire());
             if behind > ring || entry.number() != number {
-                return self.look_at_all_of(lane, newest, sent);
+                return self.look_at_all_of::<IS_ONLY>(lane, newest, sent);
             }
             if entry.slot() >= self.layout.slots {
                 sender.is_broken = true;
                 return self.count(of_owner::NONSENSE, 1);
             }
-            sent = self.note(lane, entry.slot(), number, sent);
+            sent = self.note::<IS_ONLY>(lane, entry.slot(), number, sent);
         }
     }
 
     /// A sender has announced more than its ring holds: each slot says what is in it.
     #[cold]
-    fn look_at_all_of(&mut self, lane: usize, newest: u64, mut sent: u64) {
+    fn look_at_all_of<const IS_ONLY: bool>(&mut self, lane: usize, newest: u64, mut sent: u64) {
         let Self { lanes, layout, news, .. } = self;
         let Some(sender) = &mut lanes[lane].sender else { return };
         if layout.when_full == WhenFull::Refuse {
@@ -101,7 +108,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let (number, slot) = self.news.overtaken[at];
             // What was announced since then is noted with all that was before it.
             if number <= newest {
-                sent = self.note(lane, slot.into(), number, sent);
+                sent = self.note::<IS_ONLY>(lane, slot.into(), number, sent);
             }
         }
     }
@@ -109,7 +116,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     /// Notes a package in its slot, if that is not known yet, as sent no earlier than what was noted of its lane before; tells
     /// when. One that has made way meanwhile is not noted: what has its place is announced by itself.
     #[inline]
-    fn note(&mut self, lane: usize, slot: usize, number: u64, before: u64) -> u64 {
+    fn note<const IS_ONLY: bool>(&mut self, lane: usize, slot: usize, number: u64, before: u64) -> u64 {
         let Some(sender) = &self.lanes[lane].sender else { return before };
         let words = sender.segment.part(self.layout.slot(slot), of_slot::BODY);
         let is_there = words[of_slot::NUMBER].get_acquire() == number;
@@ -122,6 +129,10 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         }
         self.known[node] = number;
         let [_, _, priority, ..] = words[of_slot::HEAD].get().to_ne_bytes();
+        if IS_ONLY {
+            self.urgency.push(node as Node, priority);
+            return before;
+        }
         let sent = words[of_slot::SENT].get().max(before);
         let order = self.news.all.len() as u32;
         self.news.all.push(New { sent, order, node: node as Node, priority });

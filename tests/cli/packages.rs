@@ -187,6 +187,10 @@ fn what_people_see_of_mailboxes_is_what_components_do() {
             (&"Camera(0/0)".into(), &0.into(), &64.into())
         );
         assert_eq!(stat[0]["process"], receives.id());
+        let watch = ["mailbox", "watch", "0.Camera.0", "--every", "20ms", "--count", "3", "-S"];
+        let watched = rtnet().args(watch).arg(place("arm")).output().unwrap();
+        let idle = "Camera(0/0): 0 received, 0 refused; 0 wait, 1 at the most\n";
+        assert_eq!(text(&watched.stdout), idle.repeat(3));
         assert_eq!(send(&["0.Camera.0"]).status.code(), Some(0));
         let heard = receives.wait_with_output().unwrap();
         let lines: Vec<Value> =

@@ -199,7 +199,9 @@ impl Mistaken {
     pub fn begin(test: &str, station: &Station) -> Self {
         let own = std::env::current_exe().unwrap();
         let mut command = Command::new(own);
-        command.args(["--exact", &format!("packages::hung::{test}"), "--nocapture"]).env(MISTAKE, &station.path);
+        command
+            .args(["--exact", &format!("packages::hung::{test}"), "--nocapture"])
+            .env(MISTAKE, &station.path);
         Self(command.stdout(Stdio::null()).spawn().unwrap())
     }
 

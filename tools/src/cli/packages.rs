@@ -50,6 +50,17 @@ pub enum MailboxVerb {
         /// As 0.Pilot.0
         name: Option<MailboxName>,
     },
+    /// What comes of one, or of all, again and again: in JSON a line with everything each time
+    Watch {
+        /// As 0.Pilot.0
+        name: Option<MailboxName>,
+        /// How often
+        #[arg(short, long, default_value = "1s", value_parser = parse_positive_span)]
+        every: Span,
+        /// So many times; without, until it is ended
+        #[arg(short, long)]
+        count: Option<u64>,
+    },
 }
 
 /// Arguments of `package`.

@@ -7,7 +7,7 @@ use std::net::Ipv4Addr;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
-use package_router::component::{Component, Error, Mailbox, ReceiveError, Sender, socket_of};
+use package_router::component::{Component, Error, Mailbox, MailboxSeen, ReceiveError, Sender, socket_of};
 use package_router::mailbox::{LARGEST_BODY, Shape};
 use package_router::name::{MailboxName, Pattern};
 use package_router::route::Route;
@@ -19,7 +19,7 @@ use crate::cli::{
     MailboxArgs, MailboxVerb, PackageRouteVerb, PackageVerb, PackageVerbArgs, WhichOf, duration,
 };
 use crate::control::Directory;
-use shown::{Came, RouteShown, Shown, Trips, list, stat};
+use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
 
 /// Slots of a mailbox that somebody looks into by hand.
 const SLOTS: usize = 64;
@@ -39,25 +39,44 @@ pub fn parse_route(text: &str) -> Result<(Pattern, Ipv4Addr), String> {
 
 /// Looks at the mailboxes of a station.
 pub fn mailbox(args: &MailboxArgs) -> Result<u8, Failure> {
-    let seen = attach(&args.which)?.mailboxes().map_err(run)?;
+    let (component, json) = (attach(&args.which)?, args.which.json);
     match &args.verb {
         MailboxVerb::List => {
-            let rows: Vec<_> = seen.iter().map(Shown::of).collect();
-            super::print(args.which.json, &rows, |rows| list(rows)).map_err(Failure::Run)?;
+            super::print(json, &looked_at(&component, None)?, |rows| list(rows)).map_err(Failure::Run)?;
         }
         MailboxVerb::Stat { name } => {
-            let rows: Vec<_> =
-                seen.iter().filter(|seen| name.is_none_or(|name| seen.name == name)).map(Shown::of).collect();
-            if let (Some(name), true) = (name, rows.is_empty()) {
-                return Err(Failure::Usage(anyhow!(
-                    "{name} is no mailbox of this station: see `rtnet mailbox list`"
-                )));
+            let rows = looked_at(&component, *name)?;
+            super::print(json, &rows, |rows| rows.iter().map(stat).collect()).map_err(Failure::Run)?;
+        }
+        MailboxVerb::Watch { name, every, count } => {
+            let mut before = looked_at(&component, *name)?;
+            for _ in 0..count.unwrap_or(u64::MAX) {
+                std::thread::sleep(duration(*every));
+                let rows = looked_at(&component, *name)?;
+                let text = match json {
+                    true => serde_json::to_string(&rows).context("JSON").map_err(Failure::Run)? + "\n",
+                    false => rows.iter().map(|row| watched(row, &before)).collect(),
+                };
+                super::say(&text).map_err(Failure::Run)?;
+                before = rows;
             }
-            super::print(args.which.json, &rows, |rows| rows.iter().map(stat).collect())
-                .map_err(Failure::Run)?;
         }
     }
     Ok(0)
+}
+
+/// All mailboxes, or one that is there.
+fn looked_at(component: &Component, name: Option<MailboxName>) -> Result<Vec<Shown>, Failure> {
+    let seen = component.mailboxes().map_err(run)?;
+    let is_meant = |seen: &&MailboxSeen| name.is_none_or(|name| seen.name == name);
+    let rows: Vec<_> = seen.iter().filter(is_meant).map(Shown::of).collect();
+    match name.filter(|_| rows.is_empty()) {
+        Some(name) => {
+            let what = format!("{name} is no mailbox of this station: see `rtnet mailbox list`");
+            Err(Failure::Usage(anyhow!(what)))
+        }
+        None => Ok(rows),
+    }
 }
 
 /// Sends and receives packages, and says where they go.

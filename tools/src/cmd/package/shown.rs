@@ -147,6 +147,19 @@ pub(super) fn list(rows: &[Shown]) -> String {
     rows.iter().map(row).collect()
 }
 
+/// What has come of a mailbox since it was last looked at.
+pub(super) fn watched(row: &Shown, before: &[Shown]) -> String {
+    let refused =
+        |row: &Shown| -> u64 { row.senders.iter().map(|sender| sender.full + sender.too_large).sum() };
+    let last = before.iter().find(|last| last.name == row.name && last.process == row.process);
+    let more = |of: &dyn Fn(&Shown) -> u64| grouped(of(row).saturating_sub(last.map_or(0, of)));
+    let (received, refused) = (more(&|row| row.received), more(&refused));
+    format!(
+        "{}: {received} received, {refused} refused; {} wait, {} at the most\n",
+        row.name, row.waiting, row.most
+    )
+}
+
 pub(super) fn stat(row: &Shown) -> String {
     let mut text = list(std::slice::from_ref(row));
     let Shown { received, cleaned, most, forged, nonsense, .. } = row;

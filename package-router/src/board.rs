@@ -7,7 +7,7 @@
 //! a lane       sender's name << 32 | the lane's generation << 2 | 0 free, 1 bound, 2 left
 //! ```
 
-use core::sync::atomic::{AtomicU64, Ordering, fence};
+use core::sync::atomic::{AtomicU64, Ordering};
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
@@ -16,7 +16,6 @@ use rtnet::live::sealed::Sealed;
 use crate::mailbox::MOST_SENDERS;
 use crate::name::MailboxName;
 use crate::registry::{LaneState, MOST_MAILBOXES, Registered};
-use crate::wait;
 
 /// Lanes of a mailbox: one for each sender, and the router's.
 pub const MOST_LANES: usize = MOST_SENDERS + 1;
@@ -65,7 +64,7 @@ impl Shown {
         Sealed::new(c"rtnet-mailboxes", WORDS).map(Self)
     }
 
-    /// Shows what is in a place now, and wakes whoever waits for a change there.
+    /// Shows what is in a place now.
     pub fn show(&self, place: usize, mailbox: Option<&Registered>) {
         let block = &self.0[place * BLOCK..][..BLOCK];
         for (lane, word) in block[LANES..].iter().enumerate() {
@@ -82,8 +81,6 @@ impl Shown {
         }
         block[GENERATION].store(mailbox.map_or(0, |mailbox| mailbox.generation), Ordering::Release);
         block[CHANGES].fetch_add(1, Ordering::Release);
-        fence(Ordering::SeqCst);
-        wait::wake(&block[CHANGES]);
     }
 }
 

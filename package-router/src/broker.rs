@@ -23,6 +23,7 @@ use socket2::{Domain, SockAddr, Socket, Type};
 
 use process::{has_ended, process_of};
 
+use crate::bells::{Bell, Bells};
 use crate::board::Shown;
 use crate::handshake::{ASK_LEN, Answer, Ask, FILES};
 use crate::letters;
@@ -61,8 +62,14 @@ pub struct Broker {
 
 /// What is beyond a station's own mailboxes.
 pub trait Beyond: Send {
-    /// A mailbox is there, of that owner: what of it comes from beyond lies in the file that this gives.
-    fn created(&mut self, name: MailboxName, layout: &Layout, owner: OwnedFd) -> io::Result<OwnedFd>;
+    /// A mailbox is there, of that owner, who is woken by that bell: what of it comes from beyond lies in the file that this gives.
+    fn created(
+        &mut self,
+        name: MailboxName,
+        layout: &Layout,
+        owner: OwnedFd,
+        bell: Bell,
+    ) -> io::Result<OwnedFd>;
     /// It is there no more: nobody waits until that is known beyond.
     fn deleted(&mut self, name: MailboxName);
     /// Sees to what was not waited for.
@@ -88,6 +95,9 @@ struct Memory {
     process: u32,
     owner: Sealed,
     lanes: OwnedFd,
+    bells: Bells,
+    /// The broker's own among them.
+    bell: Bell,
 }
 
 impl Broker {
@@ -265,9 +275,10 @@ impl Broker {
             Err(refused) => return (Answer::Refused(refused), Vec::new()),
         };
         let made = Memory::new(name, &shape, by.pid, files).and_then(|memory| {
+            let Some(beyond) = &mut self.beyond else { return Ok((memory, None)) };
             let owner = memory.owner.as_fd().try_clone_to_owned()?;
-            let beyond = self.beyond.as_mut().map(|beyond| beyond.created(name, &Layout::of(&shape), owner));
-            Ok((memory, beyond.transpose()?))
+            let file = beyond.created(name, &memory.layout, owner, memory.bells.hang()?)?;
+            Ok((memory, Some(file)))
         });
         match made {
             Ok((memory, of_router)) => {
@@ -299,8 +310,7 @@ impl Broker {
             memory.owner.at(memory.layout.drained(at)).get_acquire() == u64::from(generation)
         };
         let lane = self.registry.bind(by, from, to, drained).map_err(Answer::Refused)?;
-        let clones = || Ok(vec![memory.owner.as_fd().try_clone_to_owned()?, memory.lanes.try_clone()?]);
-        let files = clones().map_err(|error: io::Error| failed(&error));
+        let files = memory.for_a_sender().map_err(|error| failed(&error));
         if files.is_err() {
             self.registry.unbind(by, lane);
         }
@@ -368,8 +378,10 @@ impl Broker {
         }
     }
 
+    /// Everybody sees what has changed, and the owner wakes up for it.
     fn show(&self, place: usize) {
         self.board.show(place, self.registry.get(place));
+        self.memories[place].iter().for_each(|memory| memory.bell.ring());
     }
 
     /// A mailbox is there no more.
@@ -383,7 +395,7 @@ impl Broker {
 }
 
 impl Drop for Broker {
-    /// Nobody waits for what will not come.
+    /// Nobody sends to what is there no more; who waits hears that its connection is over.
     fn drop(&mut self) {
         let places: Vec<_> = self.registry.all().map(|(place, _)| place).collect();
         places.into_iter().for_each(|place| self.board.show(place, None));
@@ -397,8 +409,8 @@ impl Memory {
     /// What an owner has brought for its mailbox.
     fn new(name: MailboxName, shape: &Shape, process: u32, files: Vec<OwnedFd>) -> io::Result<Self> {
         let odd = |why| io::Error::new(ErrorKind::InvalidInput, why);
-        let [owner, lanes]: [OwnedFd; FILES] =
-            files.try_into().map_err(|_| odd("two files come with a mailbox"))?;
+        let [owner, lanes, bells]: [OwnedFd; FILES] =
+            files.try_into().map_err(|_| odd("three files come with a mailbox"))?;
         let layout = Layout::of(shape);
         let owner = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
         if !owner.is_final() {
@@ -408,7 +420,15 @@ impl Memory {
         if fstat(&lanes)?.st_size < bytes {
             return Err(odd("the lanes of a mailbox are all there"));
         }
-        Ok(Self { name, layout, process, owner, lanes })
+        let bells = Bells::of(bells);
+        let bell = bells.hang()?;
+        Ok(Self { name, layout, process, owner, lanes, bells, bell })
+    }
+
+    /// What a sender is given: the bell is its own, and goes with it.
+    fn for_a_sender(&self) -> io::Result<Vec<OwnedFd>> {
+        let owner = self.owner.as_fd().try_clone_to_owned()?;
+        Ok(vec![owner, self.lanes.try_clone()?, self.bells.hang()?.into()])
     }
 }
 

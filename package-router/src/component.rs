@@ -23,10 +23,9 @@ use core::time::Duration;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nix::errno::Errno;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use rtnet::api::place;
 use socket2::{Domain, SockAddr, Socket, Type};
 
@@ -103,8 +102,7 @@ impl Component {
 
 impl Link {
     fn ask(&self, ask: Ask, files: &[BorrowedFd<'_>]) -> Result<(Answer, Vec<OwnedFd>), Error> {
-        let socket = self.socket.lock().unwrap_or_else(PoisonError::into_inner);
-        let (answer, files) = exchange(&socket, ask, files)?;
+        let (answer, files) = exchange(&self.socket(), ask, files)?;
         match answer {
             Answer::Refused(refused) => Err(refused.into()),
             Answer::Failed(errno) => Err(io::Error::from_raw_os_error(errno).into()),
@@ -112,11 +110,8 @@ impl Link {
         }
     }
 
-    fn has_hung_up(&self) -> bool {
-        // Who asks just now notices by itself; a receiver does not wait for that.
-        let Ok(socket) = self.socket.try_lock() else { return false };
-        let mut fds = [PollFd::new(socket.as_fd(), PollFlags::POLLHUP)];
-        poll(&mut fds, PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
+    fn socket(&self) -> MutexGuard<'_, Socket> {
+        self.socket.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

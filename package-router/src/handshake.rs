@@ -3,9 +3,10 @@
 //!
 //! ```text
 //! ask     "RTP1"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
-//!         and, to `Create`: the owner's file, the lanes'
+//!         and, to `Create`: the owner's file, the lanes', the set that its bells hang in
 //! answer  "RTP1"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
-//!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Bind` here, and to `Look`: the owner's, the lanes'
+//!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Look`: the owner's, the lanes';
+//!         to `Bind` here: the owner's, the lanes', a bell
 //! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4  mailbox 8  generation 4           numbers little-endian
 //! ```
 
@@ -26,7 +27,7 @@ pub const ASK_LEN: usize = size_of::<RawAsk>();
 /// Bytes of an answer.
 pub const ANSWER_LEN: usize = size_of::<RawAnswer>();
 /// Files that come with a packet at the most.
-pub const FILES: usize = 2;
+pub const FILES: usize = 3;
 
 /// What a component asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

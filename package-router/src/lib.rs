@@ -1,5 +1,6 @@
 //! Packages: components send them to names, the most urgent first; where the receiver runs is hidden.
 
+pub mod bells;
 pub mod board;
 pub mod body;
 pub mod broker;
@@ -14,5 +15,4 @@ pub mod route;
 pub mod router;
 pub mod rpc;
 pub mod shared;
-pub mod wait;
 pub mod wire;

@@ -37,7 +37,7 @@ pub struct Router<Own: Segment, Theirs: Segment> {
     /// By name. Each in the box that it came in: out of it that would be freed in the station's thread.
     #[allow(clippy::vec_box)]
     ways: Vec<Box<Way<Own, Theirs>>>,
-    host: Host<Own>,
+    host: Host,
     /// How many ways have somebody to be woken.
     sleepers: usize,
     /// Packages of which more is to come, and since when the oldest may wait.
@@ -47,19 +47,22 @@ pub struct Router<Own: Segment, Theirs: Segment> {
 }
 
 /// What the router needs of the world.
-pub struct Host<Own: Segment> {
+pub struct Host {
     /// The clock of mailboxes, nanoseconds.
     pub clock: fn() -> u64,
-    /// Wakes whoever waits for a word.
-    pub wake: fn(&Own::Word),
     /// The slot in which it answers.
     pub channel: Channel,
 }
+
+/// Wakes an owner: one system call.
+pub type Wake = Box<dyn Fn() + Send>;
 
 /// Into one mailbox.
 pub struct Way<Own: Segment, Theirs: Segment> {
     name: MailboxName,
     lane: LaneSender<Own, Theirs>,
+    /// Wakes who reads there.
+    wake: Wake,
     joins: Vec<Join>,
     /// Packages that were given up for others of the same sender.
     given_up: u64,
@@ -99,8 +102,8 @@ pub struct RouterCounters {
 
 impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
     /// Into the mailbox of this name, through its router's lane.
-    pub fn new(name: MailboxName, lane: LaneSender<Own, Theirs>) -> Box<Self> {
-        Box::new(Self { name, lane, joins: room::vec(MOST_JOINS), given_up: 0, wakes: false })
+    pub fn new(name: MailboxName, lane: LaneSender<Own, Theirs>, wake: Wake) -> Box<Self> {
+        Box::new(Self { name, lane, wake, joins: room::vec(MOST_JOINS), given_up: 0, wakes: false })
     }
 
     /// Of which mailbox.
@@ -111,7 +114,7 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
 
 impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
     /// One that knows no mailbox yet.
-    pub fn new(host: Host<Own>) -> Self {
+    pub fn new(host: Host) -> Self {
         let ways = room::vec(MOST_MAILBOXES);
         Self {
             socket: None,
@@ -399,7 +402,7 @@ where
         for way in self.ways.iter_mut().filter(|way| way.wakes) {
             way.wakes = false;
             self.counters.wakes += 1;
-            (self.host.wake)(way.lane.published());
+            (way.wake)();
         }
     }
 }

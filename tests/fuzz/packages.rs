@@ -15,12 +15,13 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, SealFlag, fcntl};
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use nix::sys::memfd::{MFdFlags, memfd_create};
 use nix::sys::socket::{ControlMessage, ControlMessageOwned, MsgFlags, recvmsg, sendmsg};
 use nix::unistd::ftruncate;
 use package_router::broker::Broker;
 use package_router::component::Component;
-use package_router::handshake::{ANSWER_LEN, Answer, Ask, Lane};
+use package_router::handshake::{ANSWER_LEN, Answer, Ask, FILES, Lane};
 use package_router::mailbox::{Layout, Shape};
 use package_router::name::{Class, MailboxName, Pattern};
 use package_router::priority::{Priorities, level_of};

@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 use nix::cmsg_space;
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, SealFlag, fcntl};
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use nix::sys::memfd::{MFdFlags, memfd_create};
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use nix::sys::signal::{Signal, kill};
@@ -27,8 +28,8 @@ use nix::sys::socket::{ControlMessage, ControlMessageOwned, MsgFlags, recvmsg, s
 use nix::sys::stat::fstat;
 use nix::unistd::{Pid, ftruncate};
 use package_router::broker::{Broker, MOST_COMPONENTS};
-use package_router::component::{Component, Error, Mailbox, SendError, Sender};
-use package_router::handshake::{ANSWER_LEN, Answer, Ask, Lane};
+use package_router::component::{Component, Error, Mailbox, ReceiveError, SendError, Sender};
+use package_router::handshake::{ANSWER_LEN, Answer, Ask, FILES, Lane};
 use package_router::mailbox::{
     self, LARGEST_BODY, LaneSender, Layout, MOST_SENDERS, MOST_SLOTS, Shape, Stamps, of_owner, of_sender,
 };
@@ -122,7 +123,7 @@ fn a_mailbox_that_is_larger_than_any_is_refused_by_the_broker_too() {
     let (_sink, mut sink) = station.mailbox(SINK, Shape::new(4, 16).senders(3));
     let mistaken = Raw::connect(&station.path);
     let called = c"too-large";
-    let (owner, lanes) = files_called(called, &Shape::new(1, 1));
+    let brought = files_called(called, &Shape::new(1, 1));
     for shape in [
         Shape::new(0, 1),
         Shape::new(MOST_SLOTS + 1, 1),
@@ -134,12 +135,12 @@ fn a_mailbox_that_is_larger_than_any_is_refused_by_the_broker_too() {
         Shape::new(1, 1).senders(usize::MAX),
         Shape::new(MOST_SLOTS, LARGEST_BODY).senders(MOST_SENDERS),
     ] {
-        let answer = mistaken.ask(Ask::Create(MISTAKEN, shape), &[&owner, &lanes]);
+        let answer = mistaken.ask(Ask::Create(MISTAKEN, shape), &brought.each_ref());
         assert!(matches!(answer, Answer::Refused(Refused::Shape(_))), "{shape:?}: {answer:?}");
     }
     let nobody = mistaken.creates(MailboxName::NOBODY, Shape::new(1, 1));
     assert_eq!(nobody, Answer::Refused(Refused::NoName(MailboxName::NOBODY)));
-    drop((owner, lanes));
+    drop(brought);
     assert_eq!(descriptors(called), 0);
     assert!(
         matches!(mistaken.creates(MISTAKEN, Shape::new(1, 1)), Answer::Created { .. }),

@@ -74,8 +74,7 @@ impl Pair {
         let (address, ip) = B;
         let config = StackConfig::new(Interface { address, ip, prefix: 24 });
         let clock = || NOW.get();
-        let wake = |_: &Spot| WOKEN.set(WOKEN.get() + 1);
-        let mut station = End::above(config, vec![Box::new(Lan::new(Host { clock, wake, channel: 0 }))]);
+        let mut station = End::above(config, vec![Box::new(Lan::new(Host { clock, channel: 0 }))]);
         station.knows(A);
         let reads = station.socket(LAN_PORT, 256);
         station.stack.program_mut::<Lan>().unwrap().reads(reads);
@@ -92,7 +91,8 @@ impl Pair {
         let mut inbox = Inbox::new(own.clone(), &shape.senders(1));
         inbox.attach(0, MailboxName::NOBODY, of_router.clone()).unwrap();
         let lane = LaneSender::new(of_router.clone(), own, layout, 0);
-        assert!(self.router().add(Way::new(name, lane)).is_ok());
+        let wake = Box::new(|| WOKEN.set(WOKEN.get() + 1));
+        assert!(self.router().add(Way::new(name, lane, wake)).is_ok());
         Seen { inbox, of_router, layout }
     }
 

@@ -8,17 +8,15 @@ use rtnet::live::clock::{later, monotonic};
 use rtnet::live::sealed::Sealed;
 
 use super::{Error, Link, Sender, odd, short};
+use crate::bells::{Bells, Woken};
 use crate::board::LaneShown;
 use crate::handshake::{Answer, Ask};
 use crate::mailbox::{self, Inbox, Layout, Segment, Shape, TooSmall, Word};
 use crate::name::MailboxName;
 use crate::registry::{ROUTER, Refused};
 use crate::shared::{View, lane_at, lanes_file};
-use crate::wait::Waits;
 use crate::wire::Head;
 
-/// How often who waits for ever looks whether there is a broker still.
-const STATION_EVERY: u64 = 500_000_000;
 /// How long who waits looks for himself before he sleeps: as long as it takes to be woken by another core.
 const SPIN: u64 = 20_000;
 /// After that was in vain, how often he sleeps at once: twice as often each time, until it is seen by less than one package of 1000.
@@ -38,7 +36,7 @@ pub struct Mailbox {
     changes: u64,
     /// Lanes whose senders have gone, and that are not all read.
     leaving: usize,
-    waits: Waits,
+    bells: Bells,
     patience: Patience,
 }
 
@@ -68,7 +66,9 @@ impl Mailbox {
         let own = Sealed::new(c"rtnet-mailbox", layout.owner_words(all))?;
         let lanes = lanes_file(&layout, all)?;
         let memory = Arc::new(Sealed::open(lanes.try_clone()?, lane_at(&layout, all))?);
-        let (answer, files) = link.ask(Ask::Create(name, shape), &[own.as_fd(), lanes.as_fd()])?;
+        let bells = Bells::new(&*link.socket())?;
+        let files = [own.as_fd(), lanes.as_fd(), bells.as_fd()];
+        let (answer, files) = link.ask(Ask::Create(name, shape), &files)?;
         let Answer::Created { place, generation } = answer else { return Err(odd(&answer).into()) };
         let mut mailbox = Self {
             link: link.clone(),
@@ -80,7 +80,7 @@ impl Mailbox {
             attached: vec![0; all].into_boxed_slice(),
             changes: 0,
             leaving: 0,
-            waits: Waits::with_room(all + 1),
+            bells,
             patience: Patience::default(),
         };
         for file in files {
@@ -113,25 +113,25 @@ impl Mailbox {
         let until = timeout.map(|timeout| later(monotonic(), timeout));
         loop {
             self.follow()?;
-            let now = monotonic();
-            if self.inbox.find(now) {
-                break;
+            // Who finds nothing need not know the time.
+            if self.inbox.has_some() && self.inbox.find(monotonic()) {
+                return Ok(self.inbox.lend());
             }
-            if until.is_some_and(|until| until <= now) {
+            if until.is_some_and(|until| until <= monotonic()) {
                 return Err(ReceiveError::TimedOut);
             }
             if !self.spin(until) {
                 self.sleep(until)?;
             }
         }
-        Ok(self.inbox.lend())
     }
 
     /// The most urgent package, if there is one. For who spins: it asks the kernel for nothing but the time.
     #[inline]
     pub fn try_receive(&mut self) -> Result<Option<Package<'_>>, ReceiveError> {
         self.follow()?;
-        Ok(self.inbox.receive(monotonic()))
+        let is_found = self.inbox.has_some() && self.inbox.find(monotonic());
+        Ok(is_found.then(|| self.inbox.lend()))
     }
 
     /// Waits, and copies the body: the head, and how long the body is. One that is too long stays.
@@ -239,17 +239,12 @@ impl Mailbox {
     }
 
     fn sleep(&mut self, until: Option<u64>) -> Result<(), ReceiveError> {
-        let now = monotonic();
-        if self.inbox.falls_asleep() {
-            let board = (self.link.board.changes(self.place), self.changes);
-            let no_later = until.unwrap_or(u64::MAX).min(now + STATION_EVERY);
-            let over = self.waits.wait([board].into_iter().chain(self.inbox.awaited()), Some(no_later));
-            self.inbox.wakes_up();
-            if over && self.link.has_hung_up() {
-                return Err(ReceiveError::Gone);
-            }
+        if !self.inbox.falls_asleep() {
+            return Ok(());
         }
-        Ok(())
+        let woken = self.bells.wait(until);
+        self.inbox.wakes_up();
+        if woken == Woken::StationGone { Err(ReceiveError::Gone) } else { Ok(()) }
     }
 }
 

@@ -8,11 +8,11 @@ use rtnet::live::sealed::Sealed;
 
 use super::away::Away;
 use super::{Error, Link, odd, short};
-use crate::handshake::{Answer, Ask, Lane};
+use crate::bells::Bell;
+use crate::handshake::{Answer, Ask, FILES, Lane};
 use crate::mailbox::{self, LaneSender, Layout, Segment, Shape, Stamps, Word};
 use crate::name::MailboxName;
 use crate::shared::Room;
-use crate::wait;
 use crate::wire::Head;
 
 /// A way from a mailbox of this component to another, of this station or of one on the LAN.
@@ -37,7 +37,7 @@ enum Way {
 /// A lane of a mailbox of this station.
 struct Here {
     link: Arc<Link>,
-    lane: Option<LaneSender<Room, Sealed>>,
+    lane: Option<(LaneSender<Room, Sealed>, Bell)>,
     which: Lane,
 }
 
@@ -139,7 +139,7 @@ impl Sender {
     /// Its own memory, where it counts: see [`mailbox::of_sender`]. What goes elsewhere the station counts.
     pub fn counted(&self, what: usize) -> u64 {
         match &self.way {
-            Way::Here(Here { lane: Some(lane), .. }) => Word::get(lane.segment().at(what)),
+            Way::Here(Here { lane: Some((lane, _)), .. }) => Word::get(lane.segment().at(what)),
             _ => 0,
         }
     }
@@ -149,11 +149,11 @@ impl Here {
     fn new(link: &Arc<Link>, which: Lane, shape: &Shape, files: Vec<OwnedFd>) -> Result<Self, Error> {
         // From now on it is given back when this is dropped.
         let mut here = Self { link: link.clone(), lane: None, which };
-        let [owner, lanes]: [OwnedFd; 2] = files.try_into().map_err(|_| short())?;
+        let [owner, lanes, bell]: [OwnedFd; FILES] = files.try_into().map_err(|_| short())?;
         let layout = Layout::of(shape);
         let theirs = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
-        here.lane =
-            Some(LaneSender::new(Room::open(&lanes, &layout, which.lane)?, theirs, layout, which.lane));
+        let own = Room::open(&lanes, &layout, which.lane)?;
+        here.lane = Some((LaneSender::new(own, theirs, layout, which.lane), Bell::of(bell)));
         link.ask(Ask::Ready(which), &[])?;
         Ok(here)
     }
@@ -166,10 +166,11 @@ impl Here {
     #[inline]
     fn send(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
         let is_there = self.is_there();
-        let lane = self.lane.as_mut().filter(|_| is_there).ok_or(SendError::NoMailbox(head.to))?;
+        let way = self.lane.as_mut().filter(|_| is_there);
+        let (lane, bell) = way.ok_or(SendError::NoMailbox(head.to))?;
         let stamps = Stamps { sent: monotonic(), left: None, came: None };
         if lane.send(head, body, &stamps)? {
-            wait::wake(lane.published());
+            bell.ring();
         }
         Ok(())
     }

@@ -116,10 +116,16 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         Some((lane, sender.segment))
     }
 
-    /// Whether there is something to be read next: then it is to be [lent](Self::lend).
+    /// Whether something waits, or did when it was looked at.
+    #[inline]
+    pub(crate) fn has_some(&mut self) -> bool {
+        self.look();
+        self.urgency.len() > 0
+    }
+
+    /// Whether of what waited there is something to be read next: then it is to be [lent](Self::lend).
     #[inline]
     pub(crate) fn find(&mut self, now: u64) -> bool {
-        self.look();
         match self.take(now) {
             Taking::Found => true,
             Taking::Nothing => false,
@@ -140,7 +146,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     /// The most urgent package: it stays where it is until it is let go. `now` is this host's monotonic clock.
     #[inline]
     pub fn receive(&mut self, now: u64) -> Option<Package<'_, Own, Theirs>> {
-        if self.find(now) { Some(self.lend()) } else { None }
+        if self.has_some() && self.find(now) { Some(self.lend()) } else { None }
     }
 
     /// Copies the most urgent package's body; one that is too long for it stays, and says how long it is.
@@ -178,8 +184,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         self.own.at(of_owner::ASLEEP).set(1);
         // Either a sender sees that, or what it has sent is seen here.
         Own::Word::fence();
-        self.look();
-        if self.urgency.len() == 0 {
+        if !self.has_some() {
             return true;
         }
         self.wakes_up();

@@ -167,10 +167,6 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         Ok(self.layout.slots - self.free.len())
     }
 
-    /// The word that moves with each package: who waits for one waits for it.
-    pub fn published(&self) -> &Own::Word {
-        self.own.at(of_sender::PUBLISHED)
-    }
     /// Its segment.
     pub fn segment(&self) -> &Own {
         &self.own

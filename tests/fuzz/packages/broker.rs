@@ -101,7 +101,7 @@ impl Fuzzed {
         let sent = sendmsg::<()>(fd, &[IoSlice::new(packet)], rights, MsgFlags::MSG_NOSIGNAL, None);
         // It is let in, and answered in the next turn.
         (0..2).for_each(|_| self.broker.serve(Duration::ZERO));
-        let (mut answer, mut room) = ([0; ANSWER_LEN + 1], nix::cmsg_space!([i32; 2]));
+        let (mut answer, mut room) = ([0; ANSWER_LEN + 1], nix::cmsg_space!([i32; FILES]));
         let mut parts = [IoSliceMut::new(&mut answer)];
         let told = recvmsg::<()>(fd, &mut parts, Some(&mut room), MsgFlags::MSG_CMSG_CLOEXEC);
         let len = match told {
@@ -118,7 +118,7 @@ impl Fuzzed {
         };
         if len == 0 {
             // What is no packet at all, and what brings too much, may cost its connection, which no ask does.
-            assert!(sent.is_err() || Ask::parse(packet).is_none() || files.len() > 2, "{packet:02x?}");
+            assert!(sent.is_err() || Ask::parse(packet).is_none() || files.len() > FILES, "{packet:02x?}");
             drop(self.connections.remove(who));
             return 1;
         }
@@ -170,7 +170,13 @@ impl Fuzzed {
                     [SealFlag::F_SEAL_SHRINK | SealFlag::F_SEAL_FUTURE_WRITE, SealFlag::F_SEAL_SHRINK];
                 let seals = if byte(9) % 4 == 3 { [SealFlag::empty(); 2] } else { seals };
                 let bytes = words.map(|words| (words * 8).next_multiple_of(4_096).saturating_sub(cut));
-                let files = [0, 1].map(|at| self.file(bytes[at], seals[at]));
+                let [owner, lanes] = [0, 1].map(|at| self.file(bytes[at], seals[at]));
+                // Bells hang in a set, and in nothing else.
+                let set = match byte(10) % 4 {
+                    3 => self.file(8, SealFlag::empty()),
+                    _ => Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a set").0,
+                };
+                let files = [owner, lanes, set];
                 self.ask(who, &Ask::Create(name, shape).to_bytes(), &files)
             }
             4 => self.ask(who, &Ask::Bind { from: name, to: MailboxName(number(4)) }.to_bytes(), &[]),

@@ -100,7 +100,7 @@ impl Raw {
 
     /// `None`: it has hung up.
     pub fn receive(&self) -> Option<(Answer, Vec<OwnedFd>)> {
-        let (mut packet, mut room) = ([0; ANSWER_LEN + 1], cmsg_space!([i32; 2]));
+        let (mut packet, mut room) = ([0; ANSWER_LEN + 1], cmsg_space!([i32; FILES]));
         let mut parts = [IoSliceMut::new(&mut packet)];
         let flags = MsgFlags::MSG_CMSG_CLOEXEC;
         let message = match recvmsg::<()>(self.0.as_raw_fd(), &mut parts, Some(&mut room), flags) {
@@ -123,8 +123,7 @@ impl Raw {
     }
 
     pub fn creates(&self, name: MailboxName, shape: Shape) -> Answer {
-        let (owner, lanes) = files(&shape);
-        self.ask(Ask::Create(name, shape), &[&owner, &lanes])
+        self.ask(Ask::Create(name, shape), &files(&shape).each_ref())
     }
 
     /// A lane that was made ready.
@@ -139,7 +138,7 @@ impl Raw {
 
 pub fn lane_of(answer: &Answer, files: Vec<OwnedFd>) -> (Lane, LaneSender<Room, Sealed>) {
     let Answer::Reserved { lane, shape, .. } = *answer else { panic!("{answer:?}") };
-    let [owner, lanes]: [OwnedFd; 2] = files.try_into().expect("two files");
+    let [owner, lanes, _bell]: [OwnedFd; FILES] = files.try_into().expect("all files");
     let layout = Layout::of(&shape);
     let room = Room::open(&lanes, &layout, lane.lane).unwrap();
     let theirs = Sealed::open(owner, layout.owner_words(shape.senders + 1)).unwrap();
@@ -154,15 +153,21 @@ pub fn own(fd: i32) -> OwnedFd {
 }
 
 /// What comes with a mailbox: the router has a lane, too.
-pub fn files(shape: &Shape) -> (OwnedFd, OwnedFd) {
+/// What a mailbox of this shape lies in, and the set that its bells hang in.
+pub fn files(shape: &Shape) -> [OwnedFd; FILES] {
     files_called(c"mistaken", shape)
 }
 
-pub fn files_called(name: &CStr, shape: &Shape) -> (OwnedFd, OwnedFd) {
+pub fn files_called(name: &CStr, shape: &Shape) -> [OwnedFd; FILES] {
     let (layout, lanes) = (Layout::of(shape), shape.senders + 1);
     let bytes = [layout.owner_words(lanes), lane_at(&layout, lanes)].map(|words| words * size_of::<u64>());
     let [owner, lanes] = bytes.map(|bytes| bytes.next_multiple_of(4096));
-    (file(name, owner, final_seals()), file(name, lanes, SealFlag::F_SEAL_SHRINK))
+    [file(name, owner, final_seals()), file(name, lanes, SealFlag::F_SEAL_SHRINK), a_set()]
+}
+
+/// A set that bells can hang in.
+pub fn a_set() -> OwnedFd {
+    Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).unwrap().0
 }
 
 /// Of a file that nobody can write any more, cut short or make holes in.

@@ -149,14 +149,11 @@ fn one_that_hangs_up_just_when_another_comes_keeps_its_lane_while_its_process_li
         raw.receive().expect("it answers")
     };
     let shape = Shape::new(4, 24).senders(1);
-    let [(sink_owner, sink_lanes), (owner, lanes)] = [(); 2].map(|()| files(&shape));
+    let [of_sink, of_mistaken] = [(); 2].map(|()| files(&shape));
     let [sink, mistaken] = [(); 2].map(|()| Raw::connect(&path));
+    assert!(matches!(ask(&sink, Ask::Create(SINK, shape), &of_sink.each_ref()).0, Answer::Created { .. }));
     assert!(matches!(
-        ask(&sink, Ask::Create(SINK, shape), &[&sink_owner, &sink_lanes]).0,
-        Answer::Created { .. }
-    ));
-    assert!(matches!(
-        ask(&mistaken, Ask::Create(MISTAKEN, shape), &[&owner, &lanes]).0,
+        ask(&mistaken, Ask::Create(MISTAKEN, shape), &of_mistaken.each_ref()).0,
         Answer::Created { .. }
     ));
     let (answer, files) = ask(&mistaken, Ask::Bind { from: MISTAKEN, to: SINK }, &[]);
@@ -184,13 +181,13 @@ fn who_hung_up_and_has_no_lane_any_more_takes_nobodys_seat() {
         raw.receive().map(|(answer, _)| answer)
     };
     let shape = Shape::new(1, 1).senders(1);
-    let (owner, lanes) = files(&shape);
+    let brought = files(&shape);
     let sink = Raw::connect(&path);
     for count in 0..MOST_COMPONENTS + 10 {
         // It never says that it does not need its lane any more; but the mailbox is gone.
         let mistaken = Raw::connect(&path);
         for (raw, name) in [(&sink, SINK), (&mistaken, MISTAKEN)] {
-            let told = ask(raw, Ask::Create(name, shape), &[&owner, &lanes]);
+            let told = ask(raw, Ask::Create(name, shape), &brought.each_ref());
             assert!(matches!(told, Some(Answer::Created { .. })), "behind {count} of them: {told:?}");
         }
         let told = ask(&mistaken, Ask::Bind { from: MISTAKEN, to: SINK }, &[]);
@@ -243,4 +240,35 @@ fn who_does_not_take_its_answers_is_hung_up_on_and_holds_up_nobody() {
     goes_on(&station, &mut sink);
     let heir = Component::attach(&station.path).unwrap();
     eventually("its mailbox has gone", || heir.mailbox(MISTAKEN, Shape::new(1, 1)).ok());
+}
+
+#[test]
+fn what_one_sent_that_went_before_it_rang_wakes_its_receiver_all_the_same() {
+    let station = Station::new();
+    let (_sink, mut sink) = station.mailbox(SINK, Shape::new(4, 16));
+    let mistaken = Raw::connect(&station.path);
+    assert!(matches!(mistaken.creates(MISTAKEN, Shape::new(1, 1)), Answer::Created { .. }));
+    let (mut lane, which) = mistaken.binds(MISTAKEN, SINK);
+    // It is let in before it sends: that rings, too.
+    assert_eq!(sink.receive(Some(Duration::from_millis(20))).err(), Some(ReceiveError::TimedOut));
+    let waits = thread::spawn(move || sink.receive(Some(PATIENCE)).map(|package| package.body().to_vec()));
+    thread::sleep(Duration::from_millis(20));
+    let head = Head { from: MISTAKEN, to: SINK, ..Head::default() };
+    assert_eq!(lane.send(&head, b"last", &Stamps { sent: 1, left: None, came: None }), Ok(true), "it sleeps");
+    thread::sleep(Duration::from_millis(20));
+    assert!(!waits.is_finished(), "nobody rang");
+    assert_eq!(mistaken.ask(Ask::Unbind(which), &[]), Answer::Done);
+    assert_eq!(waits.join().unwrap(), Ok(b"last".to_vec()));
+}
+
+#[test]
+fn who_waits_for_ever_is_told_that_its_station_has_ended() {
+    let station = Station::new();
+    let (_sink, mut sink) = station.mailbox(SINK, Shape::new(4, 16));
+    let waits = thread::spawn(move || [(); 2].map(|()| sink.receive(None).err()));
+    thread::sleep(Duration::from_millis(20));
+    let begun = Instant::now();
+    drop(station);
+    assert_eq!(waits.join().unwrap(), [Some(ReceiveError::Gone); 2]);
+    assert!(begun.elapsed() < AT_ONCE, "{:?}", begun.elapsed());
 }

@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use nix::errno::Errno;
+use package_router::bells::Bell;
 use package_router::broker::{Beyond, Broker};
 use package_router::mailbox::{LaneSender, Layout};
 use package_router::name::MailboxName;
@@ -20,7 +21,6 @@ use package_router::priority::Priorities;
 use package_router::registry::ROUTER;
 use package_router::route::Routes;
 use package_router::router::{Host, LAN_PORT, Router, Way};
-use package_router::wait;
 use rtnet::buf::Pool;
 use rtnet::ip::{Exit, Stack};
 use rtnet::live::Visitor;
@@ -53,7 +53,7 @@ type LanWay = Box<Way<Sealed, Sealed>>;
 
 /// The router, for a stack that is about to be made.
 pub fn router() -> Box<LanRouter> {
-    Box::new(Router::new(Host { clock: monotonic, wake: wait::wake, channel: 0 }))
+    Box::new(Router::new(Host { clock: monotonic, channel: 0 }))
 }
 
 /// Where it hears.
@@ -107,13 +107,19 @@ struct Lan {
 }
 
 impl Beyond for Lan {
-    fn created(&mut self, name: MailboxName, layout: &Layout, owner: OwnedFd) -> io::Result<OwnedFd> {
+    fn created(
+        &mut self,
+        name: MailboxName,
+        layout: &Layout,
+        owner: OwnedFd,
+        bell: Bell,
+    ) -> io::Result<OwnedFd> {
         let own = Sealed::new(c"rtnet-router", layout.sender_words())?;
         let file = own.as_fd().try_clone_to_owned()?;
         let owner = Sealed::open(owner, layout.lane(ROUTER + 1))?;
         // The real-time thread goes there. Where no more may be locked it does so all the same, as to sockets' memory.
         let _ = own.lock().and_then(|()| owner.lock());
-        let way = Way::new(name, LaneSender::new(own, owner, *layout, ROUTER));
+        let way = Way::new(name, LaneSender::new(own, owner, *layout, ROUTER), Box::new(move || bell.ring()));
         let change = self.visit(Some(way))?;
         // Which came back was not taken.
         change.brought.map_or(Ok(file), |_| Err(error(Errno::ENOSPC)))

@@ -19,6 +19,8 @@ pub struct Inbox<Own, Theirs> {
     pub(super) own: Own,
     pub(super) layout: Layout,
     pub(super) lanes: Box<[Lane<Theirs>]>,
+    /// So many of them ever had a sender: those behind need not be looked at.
+    pub(super) used: usize,
     pub(super) urgency: Urgency,
     /// The number of the package that was last found in each node, and not replaced since.
     pub(super) known: Box<[u64]>,
@@ -82,7 +84,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let lanes = (0..shape.senders).map(|_| Lane { sender: None, returned: 0 }).collect();
         let known = vec![0; nodes].into_boxed_slice();
         let news = News::with_room(shape.slots, nodes);
-        Self { own, layout, lanes, urgency: Urgency::new(nodes), known, news, found: Found::default() }
+        let urgency = Urgency::new(nodes);
+        Self { own, layout, lanes, used: 0, urgency, known, news, found: Found::default() }
     }
 
     /// Lets a sender in, whose packages are from that mailbox; from [nobody](MailboxName::NOBODY): it says of each whose it is.
@@ -93,6 +96,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         }
         let slots = self.layout.slots;
         self.known[lane * slots..][..slots].fill(0);
+        self.used = self.used.max(lane + 1);
         self.lanes[lane].sender =
             Some(Attached { segment, from, seen: 0, has_left: false, is_broken: false });
         Ok(())
@@ -108,7 +112,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     pub fn next_left(&mut self) -> Option<(usize, Theirs)> {
         self.look();
         let slots = self.layout.slots;
-        let lane = (0..self.lanes.len()).find(|&lane| {
+        let lane = (0..self.used).find(|&lane| {
             let is_over = self.lanes[lane].sender.as_ref().is_some_and(|sender| sender.has_left);
             is_over && (lane * slots..(lane + 1) * slots).all(|node| !self.urgency.waits(node as Node))
         })?;
@@ -198,7 +202,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
 
     /// What moves with each package that comes, and what it was when it was last looked at: one of each sender.
     pub fn awaited(&self) -> impl Iterator<Item = (&Theirs::Word, u64)> {
-        let senders = self.lanes.iter().filter_map(|lane| lane.sender.as_ref());
+        let senders = self.lanes[..self.used].iter().filter_map(|lane| lane.sender.as_ref());
         senders
             .filter(|sender| !sender.is_broken)
             .map(|sender| (sender.segment.at(of_sender::PUBLISHED), sender.seen))

@@ -38,7 +38,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     pub(super) fn look(&mut self) {
         // Who looks often finds something in one lane at the most: that needs no sorting.
         let (mut only, mut lanes) = (None, 0);
-        for lane in 0..self.lanes.len() {
+        for lane in 0..self.used {
             let Some(sender) = &self.lanes[lane].sender else { continue };
             if sender.segment.at(of_sender::PUBLISHED).get_acquire() == sender.seen || sender.is_broken {
                 continue;

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 
 /// What a handle or a struct is, to be read.
 ///
-/// # Safety
+/// # SAFETY
 /// `pointer` is NULL or one of that type, which nobody writes meanwhile.
 pub unsafe fn shared<'a, T>(what: &'static str, pointer: *const T) -> Result<&'a T, Failure> {
     check(what, pointer)?;
@@ -18,7 +18,7 @@ pub unsafe fn shared<'a, T>(what: &'static str, pointer: *const T) -> Result<&'a
 
 /// What a handle is.
 ///
-/// # Safety
+/// # SAFETY
 /// `pointer` is NULL or one of that type, which nobody else uses meanwhile.
 pub unsafe fn exclusive<'a, T>(what: &'static str, pointer: *mut T) -> Result<&'a mut T, Failure> {
     check(what, pointer)?;
@@ -28,7 +28,7 @@ pub unsafe fn exclusive<'a, T>(what: &'static str, pointer: *mut T) -> Result<&'
 
 /// Writes something where the caller wants it.
 ///
-/// # Safety
+/// # SAFETY
 /// `place` is NULL or one of that type; what is there is not dropped.
 pub unsafe fn write<T>(what: &'static str, place: *mut T, value: T) -> Result<(), Failure> {
     check(what, place)?;
@@ -39,7 +39,7 @@ pub unsafe fn write<T>(what: &'static str, place: *mut T, value: T) -> Result<()
 
 /// Makes a handle.
 ///
-/// # Safety
+/// # SAFETY
 /// As of [`write`].
 pub unsafe fn give<T>(what: &'static str, place: *mut *mut T, handle: T) -> Result<i32, Failure> {
     check(what, place)?;
@@ -50,7 +50,7 @@ pub unsafe fn give<T>(what: &'static str, place: *mut *mut T, handle: T) -> Resu
 
 /// Ends a handle; NULL is none.
 ///
-/// # Safety
+/// # SAFETY
 /// It is of [`give`], and not used any more.
 pub unsafe fn give_back<T>(what: &'static str, handle: *mut T) -> Result<i32, Failure> {
     if !handle.is_null() {
@@ -63,7 +63,7 @@ pub unsafe fn give_back<T>(what: &'static str, handle: *mut T) -> Result<i32, Fa
 
 /// A body that is to be sent. NULL is one without bytes.
 ///
-/// # Safety
+/// # SAFETY
 /// `pointer` is NULL or so many bytes that nobody writes meanwhile.
 pub unsafe fn bytes<'a>(what: &'static str, pointer: *const c_void, len: u32) -> Result<&'a [u8], Failure> {
     if len as usize > LARGEST_BODY {
@@ -79,7 +79,7 @@ pub unsafe fn bytes<'a>(what: &'static str, pointer: *const c_void, len: u32) ->
 
 /// Room for a body, of which no more is used than the largest one takes. NULL is none.
 ///
-/// # Safety
+/// # SAFETY
 /// `pointer` is NULL or so many bytes that nobody else uses meanwhile.
 pub unsafe fn bytes_mut<'a>(
     what: &'static str,

@@ -138,8 +138,9 @@ fn header_and_library_name_the_same_functions() {
     let mut declared: Vec<_> =
         ["int32_t rtnet_", "void rtnet_", "const char *"].iter().flat_map(|of| names(&header, of)).collect();
     declared.sort_unstable();
-    let defined =
-        names(&read("src/lib.rs").replace("pub unsafe extern", "pub extern"), "pub extern \"C\" fn");
+    let files = std::fs::read_dir(folder().join("src")).unwrap();
+    let source: String = files.map(|file| std::fs::read_to_string(file.unwrap().path()).unwrap()).collect();
+    let defined = names(&source.replace("pub unsafe extern", "pub extern"), "pub extern \"C\" fn");
     assert_eq!(declared, defined);
     assert_eq!(declared.len(), 17);
 }

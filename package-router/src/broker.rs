@@ -147,19 +147,20 @@ impl Broker {
         let ready = self.wait(at_most);
         let (seats, lingering) = (std::mem::take(&mut self.seats), std::mem::take(&mut self.lingering));
         let (of_seats, of_lingering) = ready.split_at(seats.len());
-        for (seat, is_ready) in seats.into_iter().zip(of_seats) {
-            if !is_ready || self.answer(&seat) {
-                self.seats.push(seat);
-            } else {
-                self.left(seat);
-            }
-        }
+        // Who comes in place of one that has ended finds its names free.
         for ((id, process), has_ended) in lingering.into_iter().zip(of_lingering) {
             // One whose lanes went with their mailboxes writes nowhere any more.
             if *has_ended || !self.registry.has_lanes(id) {
                 self.ended(id);
             } else {
                 self.lingering.push((id, process));
+            }
+        }
+        for (seat, is_ready) in seats.into_iter().zip(of_seats) {
+            if !is_ready || self.answer(&seat) {
+                self.seats.push(seat);
+            } else {
+                self.left(seat);
             }
         }
         self.admit();

@@ -79,8 +79,10 @@ pub const ROUTERS: ComponentId = ComponentId(0);
 /// Why something is not done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
-    /// Another mailbox has that name.
-    #[error("{0} is there already: a name is one mailbox's, as long as its owner lives")]
+    /// Another mailbox has that name, or another component still has a sender of it.
+    #[error(
+        "{0} is there already, or a sender of it is still there: a name is one component's until both are gone"
+    )]
     Taken(MailboxName),
     /// Nobody's name.
     #[error("{0} is nobody's name: a mailbox has one of its own")]
@@ -108,13 +110,15 @@ impl Registry {
         Self { places: vec![None; MOST_MAILBOXES], generations: 0 }
     }
 
-    /// A mailbox of a component: its place.
+    /// A mailbox of a component: its place. A name is nobody else's as long as a sender of it is there, which may outlive the mailbox:
+    /// what it sends would come from somebody else.
     pub fn create(&mut self, owner: ComponentId, name: MailboxName, shape: Shape) -> Result<usize, Refused> {
         if name == MailboxName::NOBODY {
             return Err(Refused::NoName(name));
         }
         shape.check()?;
-        if self.find(name).is_some() {
+        let is_anothers = self.users().any(|(by, from)| by != owner && from == name);
+        if is_anothers || self.find(name).is_some() {
             return Err(Refused::Taken(name));
         }
         let place = self.places.iter().position(Option::is_none).ok_or(Refused::TooMany)?;
@@ -209,10 +213,7 @@ impl Registry {
 
     /// Whether a component has lanes anywhere.
     pub fn has_lanes(&self, component: ComponentId) -> bool {
-        let states = self.all().flat_map(|(_, mailbox)| &mailbox.lanes).map(|lane| lane.state);
-        states.into_iter().any(
-            |state| matches!(state, LaneState::Reserved(by, _) | LaneState::Bound(by, _) if by == component),
-        )
+        self.users().any(|(by, _)| by == component)
     }
 
     /// Where the mailbox of a name is.
@@ -226,6 +227,15 @@ impl Registry {
     /// All that are there.
     pub fn all(&self) -> impl Iterator<Item = (usize, &Registered)> {
         self.places.iter().enumerate().filter_map(|(place, mailbox)| Some((place, mailbox.as_ref()?)))
+    }
+
+    /// Who has lanes, and in which name.
+    fn users(&self) -> impl Iterator<Item = (ComponentId, MailboxName)> {
+        let lanes = self.all().flat_map(|(_, mailbox)| &mailbox.lanes);
+        lanes.filter_map(|lane| match lane.state {
+            LaneState::Reserved(by, from) | LaneState::Bound(by, from) => Some((by, from)),
+            LaneState::Free | LaneState::Left(_) => None,
+        })
     }
 
     fn lane(&mut self, id: LaneId) -> Option<&mut LaneState> {

@@ -126,6 +126,29 @@ fn what_cannot_be_is_refused_with_why() {
 }
 
 #[test]
+fn a_name_is_nobody_elses_while_a_sender_of_it_is_still_there() {
+    let station = Station::new();
+    let (_arm, mut arm) = component(&station.path, name(ARM, 0), Shape::new(4, 64));
+    let (camera_is, camera) = component(&station.path, name(CAMERA, 0), Shape::new(4, 64));
+    let mut sender = camera.sender(arm.name()).unwrap();
+    drop(camera);
+    let other = station.attach();
+    let create = || other.mailbox(name(CAMERA, 0), Shape::new(1, 1));
+    let taken = refused(create()).unwrap();
+    assert_eq!(taken, Refused::Taken(name(CAMERA, 0)));
+    assert!(taken.to_string().contains("a sender of it is still there"), "{taken}");
+    sender.send(7, &[]).unwrap();
+    let head = *arm.receive(None).unwrap().head();
+    assert_eq!((head.from, head.kind), (name(CAMERA, 0), 7));
+    drop(camera_is.mailbox(name(CAMERA, 0), Shape::new(1, 1)).unwrap());
+    assert_eq!(refused(create()), Some(taken));
+    drop(sender);
+    let heir = create().unwrap();
+    heir.sender(arm.name()).unwrap().send(8, &[]).unwrap();
+    assert_eq!(arm.receive(None).unwrap().head().kind, 8);
+}
+
+#[test]
 fn a_mailbox_that_is_gone_takes_nothing_and_its_name_can_be_used_again() {
     let station = Station::new();
     let (_arm, arm) = component(&station.path, name(ARM, 0), Shape::new(4, 64));

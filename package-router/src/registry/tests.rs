@@ -35,6 +35,35 @@ fn a_name_is_one_mailbox_s_as_long_as_its_owner_lives() {
 }
 
 #[test]
+fn a_name_is_nobody_elses_as_long_as_somebody_can_send_in_it() {
+    let mut registry = two();
+    let lane = registry.bind(CAMERA, name(2), name(1), never).unwrap();
+    let shape = Shape::new(1, 1);
+    let others = |registry: &mut Registry| registry.create(ARM, name(2), shape);
+    let taken = Err(Refused::Taken(name(2)));
+    registry.delete(CAMERA, name(2)).unwrap();
+    assert_eq!(others(&mut registry), taken, "of one that makes it ready");
+    assert!(registry.ready(CAMERA, lane));
+    assert_eq!(others(&mut registry), taken, "of one that sends");
+    assert_eq!(registry.create(CAMERA, name(2), shape), Ok(1), "who sends so may have it anew");
+    assert_eq!(registry.left(CAMERA), [1]);
+    assert_eq!(others(&mut registry), taken, "of one that has hung up, and may send on");
+    assert_eq!(registry.create(ARM, name(3), shape), Ok(1), "another name is another's");
+    registry.delete(ARM, name(3)).unwrap();
+    assert_eq!(registry.ended(CAMERA), [0]);
+    assert_eq!(registry.get(0).unwrap().lanes[1].state, LaneState::Left(name(2)));
+    assert_eq!(others(&mut registry), Ok(1), "what is still to be read keeps no name");
+
+    // It leads nowhere any more.
+    let mut registry = two();
+    let lane = registry.bind(CAMERA, name(2), name(1), never).unwrap();
+    assert!(registry.ready(CAMERA, lane));
+    registry.delete(CAMERA, name(2)).unwrap();
+    registry.delete(ARM, name(1)).unwrap();
+    assert_eq!(others(&mut registry), Ok(0));
+}
+
+#[test]
 fn what_cannot_be_is_refused_and_changes_nothing() {
     let mut registry = two();
     assert_eq!(

@@ -112,10 +112,12 @@ fn the_lane_of_one_that_has_hung_up_and_writes_on_is_nobodys_until_its_process_h
         read_in_order(&mut sink, &mut last);
         (last > 0).then_some(())
     });
-    // Its mailbox has gone with its connection.
+    // Its mailbox has gone with its connection; its name has not, as long as packages come from it.
     let heir_is = Component::attach(&station.path).unwrap();
     let heir = heir_is.mailbox(HEIR, Shape::new(1, 1)).unwrap();
-    eventually("its name is free", || heir_is.mailbox(MISTAKEN, Shape::new(1, 1)).ok());
+    eventually("its mailbox has gone", || {
+        (refused(heir.sender(MISTAKEN)) == Some(Refused::NoMailbox(MISTAKEN))).then_some(())
+    });
     for _ in 0..200 {
         let before = last;
         eventually("it still sends", || {
@@ -123,6 +125,7 @@ fn the_lane_of_one_that_has_hung_up_and_writes_on_is_nobodys_until_its_process_h
             (last > before).then_some(())
         });
         assert_eq!(refused(heir.sender(SINK)), Some(Refused::NoLane(SINK, 1)));
+        assert_eq!(refused(heir_is.mailbox(MISTAKEN, Shape::new(1, 1))), Some(Refused::Taken(MISTAKEN)));
         // Some come and go meanwhile.
         drop(Raw::connect(&station.path));
     }
@@ -131,6 +134,7 @@ fn the_lane_of_one_that_has_hung_up_and_writes_on_is_nobodys_until_its_process_h
         read_in_order(&mut sink, &mut last);
         heir.sender(SINK).ok()
     });
+    drop(heir_is.mailbox(MISTAKEN, Shape::new(1, 1)).expect("its name is free, too"));
     for count in 0..100u8 {
         sender.send(1, &[count]).unwrap();
         let package = sink.receive(Some(PATIENCE)).unwrap();

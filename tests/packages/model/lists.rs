@@ -94,7 +94,7 @@ impl Model {
                 Told::Done
             }
             Do::CreateOthers => {
-                let is_taken = self.lists[to].is_some();
+                let is_taken = self.lists[to].is_some() || self.has_senders(to);
                 if is_taken { Told::Refused(Refused::Taken(member_name(to))) } else { Told::Done }
             }
             Do::Delete => {
@@ -120,6 +120,13 @@ impl Model {
                 }
             }
         }
+    }
+
+    /// Whether a member can still send, in its name.
+    fn has_senders(&self, member: usize) -> bool {
+        self.handles[member].iter().flatten().any(|handle| {
+            self.lists[handle.to].as_ref().is_some_and(|list| list.generation == handle.generation)
+        })
     }
 
     pub fn sends(&mut self, member: usize, order: &Order) -> Result<u8, SendError> {

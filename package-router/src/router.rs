@@ -6,17 +6,22 @@
 //!                                         └─ nobody's: counted, and a command is answered                       the slot's send
 //! ```
 
+mod way;
+
 use core::net::SocketAddrV4;
 
-use rtnet::discipline::Channel;
+use rtnet::discipline::SendError;
 use rtnet::room;
-use rtnet::socket::{Access, Flags, Options, Program, Received, Sender, SocketId};
+use rtnet::socket::{Access, Flags, Options, Program, Received, Sender, SocketError, SocketId};
 
-use crate::mailbox::{Begun, LaneSender, Segment, SendError, Stamps};
+use crate::mailbox::Segment;
 use crate::name::MailboxName;
-use crate::priority::level_of;
+use crate::priority::{Priorities, level_of};
 use crate::registry::MOST_MAILBOXES;
-use crate::wire::{HEAD_LEN, Head, Joining, NOT_AVAILABLE, Part};
+use crate::wire::{HEAD_LEN, Head, NOT_AVAILABLE, Part};
+
+use way::{JOIN_TIMEOUT, Outcome};
+pub use way::{Wake, Way};
 
 /// Where real-time stations hear packages.
 pub const LAN_PORT: u16 = 0x2000;
@@ -26,11 +31,6 @@ const PACKAGES_AT_ONCE: usize = 8;
 const WORK_AT_ONCE: usize = 16 * 1024;
 /// What a package costs besides its bytes takes as long as copying so many.
 const EACH: usize = 256;
-/// Packages of several datagrams that a mailbox may wait for the rest of: each keeps a slot.
-const MOST_JOINS: usize = 4;
-/// How long the next datagram of one is waited for, nanoseconds: as RTnet waits for fragments, a hundred cycles of 1 ms.
-const JOIN_TIMEOUT: u64 = 100_000_000;
-
 /// Takes packages out of a socket of the station's and brings them into mailboxes. `Own` are segments of its lanes, `Theirs` the owners'.
 pub struct Router<Own: Segment, Theirs: Segment> {
     socket: Option<SocketId>,
@@ -50,31 +50,8 @@ pub struct Router<Own: Segment, Theirs: Segment> {
 pub struct Host {
     /// The clock of mailboxes, nanoseconds.
     pub clock: fn() -> u64,
-    /// The slot in which it answers.
-    pub channel: Channel,
-}
-
-/// Wakes an owner: one system call.
-pub type Wake = Box<dyn Fn() + Send>;
-
-/// Into one mailbox.
-pub struct Way<Own: Segment, Theirs: Segment> {
-    name: MailboxName,
-    lane: LaneSender<Own, Theirs>,
-    /// Wakes who reads there.
-    wake: Wake,
-    joins: Vec<Join>,
-    /// Packages that were given up for others of the same sender.
-    given_up: u64,
-    wakes: bool,
-}
-
-/// A package of which more is to come.
-struct Join {
-    joining: Joining,
-    begun: Begun,
-    /// When the last of it came.
-    since: u64,
+    /// Of whom it answers for: in the slot of their packages.
+    pub priorities: Priorities,
 }
 
 /// What became of what came by the LAN.
@@ -98,18 +75,6 @@ pub struct RouterCounters {
     pub incomplete: u64,
     /// Readers that were woken: each cost a system call.
     pub wakes: u64,
-}
-
-impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
-    /// Into the mailbox of this name, through its router's lane.
-    pub fn new(name: MailboxName, lane: LaneSender<Own, Theirs>, wake: Wake) -> Box<Self> {
-        Box::new(Self { name, lane, wake, joins: room::vec(MOST_JOINS), given_up: 0, wakes: false })
-    }
-
-    /// Of which mailbox.
-    pub fn name(&self) -> MailboxName {
-        self.name
-    }
 }
 
 impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
@@ -145,7 +110,7 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
     pub fn remove(&mut self, name: MailboxName) -> Option<Box<Way<Own, Theirs>>> {
         let way = self.place(name).ok().map(|place| self.ways.remove(place))?;
         self.sleepers -= usize::from(way.wakes);
-        self.joins -= way.joins.len();
+        self.joins -= way.joins();
         Some(way)
     }
 
@@ -192,24 +157,30 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
     ) -> Outcome {
         let now = (self.host.clock)();
         let way = &mut self.ways[place];
-        let (before, given_up) = (way.joins.len(), way.given_up);
+        let (before, given_up) = (way.joins(), way.given_up);
         let outcome = way.receive(head, now, socket, sockets, received);
         self.counters.incomplete += way.given_up - given_up;
         if self.joins == 0 {
             self.oldest = now;
         }
-        self.joins = self.joins + way.joins.len() - before;
+        self.joins = self.joins + way.joins() - before;
         outcome
     }
 
-    /// Nobody here has that name.
+    /// Nobody here has that name: who asks is told so in the slot in which its owner would answer.
     fn answer(&mut self, head: &Head, socket: SocketId, sockets: &mut Access<'_>, received: &Received) {
         let Sender::Udp(to) = received.from else { return };
-        let options = Options { priority: level_of(head.priority), channel: self.host.channel, tos: 0 };
-        let _ = sockets.set_options(socket, options);
         let to = SocketAddrV4::new(*to.ip(), LAN_PORT);
-        let sent = sockets.send_to(socket, &head.answer(NOT_AVAILABLE).to_bytes(), to);
-        self.counters.answered += u64::from(sent.is_ok());
+        // The slots of those who are elsewhere may be none of this station's: then it is the first.
+        for channel in [self.host.priorities.channel(head.to.class()), 0] {
+            let _ =
+                sockets.set_options(socket, Options { priority: level_of(head.priority), channel, tos: 0 });
+            let sent = sockets.send_to(socket, &head.answer(NOT_AVAILABLE).to_bytes(), to);
+            if !sent.is_err_and(has_no_such_slot) {
+                self.counters.answered += u64::from(sent.is_ok());
+                return;
+            }
+        }
     }
 
     fn note(&mut self, taken: Outcome, to: Option<MailboxName>) {
@@ -239,37 +210,16 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
         }
         self.oldest = now;
         for way in &mut self.ways {
-            let before = way.joins.len();
-            let is_old = |join: &Join| now.saturating_sub(join.since) > JOIN_TIMEOUT;
-            while let Some(old) = way.joins.iter().position(is_old) {
-                way.give_up(old);
-            }
-            self.counters.incomplete += (before - way.joins.len()) as u64;
-            self.joins -= before - way.joins.len();
-            self.oldest = way.joins.iter().map(|join| join.since).fold(self.oldest, u64::min);
+            let (given_up, oldest) = way.give_up_old(now);
+            self.counters.incomplete += given_up as u64;
+            self.joins -= given_up;
+            self.oldest = self.oldest.min(oldest);
         }
     }
 }
 
-/// What became of a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Outcome {
-    /// A package is there; whether its reader sleeps.
-    Delivered(bool),
-    /// More is to come.
-    Begun,
-    NoRoute,
-    Full,
-    TooLarge,
-    Forged,
-    Malformed,
-    Incomplete,
-}
-
-impl Outcome {
-    fn is_consumed(self) -> bool {
-        matches!(self, Outcome::Delivered(_) | Outcome::Begun)
-    }
+fn has_no_such_slot(error: SocketError) -> bool {
+    matches!(error, SocketError::Discipline(SendError::NoSlot(_) | SendError::UnknownChannel { .. }))
 }
 
 /// A datagram is a package, or a part of it: the first part says how long the whole is.
@@ -278,99 +228,6 @@ fn fits(head: &Head, datagram: usize) -> bool {
         Part::First => head.len as usize > datagram,
         _ => head.len as usize == datagram,
     }
-}
-
-impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
-    fn receive(
-        &mut self,
-        head: &Head,
-        now: u64,
-        socket: SocketId,
-        sockets: &mut Access<'_>,
-        received: &Received,
-    ) -> Outcome {
-        let stamps = Stamps { sent: now, left: None, came: received.global };
-        if head.part == Part::Whole {
-            let mut slot = match self.lane.reserve(head.priority, head.body_len()) {
-                Ok(slot) => slot,
-                Err(error) => return refusal(error),
-            };
-            receive_into(socket, sockets, |part| slot.write(part));
-            return Outcome::Delivered(slot.publish(head, &stamps));
-        }
-        let begun = match head.part {
-            Part::First => self.begin(head, received.whole, now),
-            _ => self.next(head, received.whole),
-        };
-        let (join, is_complete) = match begun {
-            Ok(begun) => begun,
-            Err(outcome) => return outcome,
-        };
-        let mut slot = self.lane.go_on(join.begun);
-        receive_into(socket, sockets, |part| slot.write(part));
-        if is_complete {
-            return Outcome::Delivered(slot.publish(join.joining.head(), &stamps));
-        }
-        if let Some(begun) = slot.put_aside() {
-            self.joins.push(Join { joining: join.joining, begun, since: now });
-        }
-        Outcome::Begun
-    }
-
-    /// The first part of a package. One of the same two mailboxes that was not complete is given up.
-    fn begin(&mut self, head: &Head, datagram: usize, now: u64) -> Result<(Join, bool), Outcome> {
-        let (joining, _) = Joining::begin(head, datagram - HEAD_LEN).map_err(|_| Outcome::Malformed)?;
-        if let Some(old) = self.find(head.from) {
-            self.give_up(old);
-            self.given_up += 1;
-        }
-        if self.joins.len() == self.joins.capacity() {
-            return Err(Outcome::Full);
-        }
-        let slot = self.lane.reserve(head.priority, head.body_len()).map_err(refusal)?;
-        let begun = slot.put_aside().ok_or(Outcome::Incomplete)?;
-        Ok((Join { joining, begun, since: now }, false))
-    }
-
-    fn next(&mut self, head: &Head, datagram: usize) -> Result<(Join, bool), Outcome> {
-        let place = self.find(head.from).ok_or(Outcome::Incomplete)?;
-        match self.joins[place].joining.next(head, datagram - HEAD_LEN) {
-            Ok(placed) => Ok((self.joins.swap_remove(place), placed.is_complete)),
-            Err(_) => {
-                self.give_up(place);
-                Err(Outcome::Incomplete)
-            }
-        }
-    }
-
-    fn find(&self, from: MailboxName) -> Option<usize> {
-        self.joins.iter().position(|join| join.joining.head().from == from)
-    }
-
-    fn give_up(&mut self, place: usize) {
-        let join = self.joins.swap_remove(place);
-        drop(self.lane.go_on(join.begun));
-    }
-}
-
-fn refusal(error: SendError) -> Outcome {
-    match error {
-        SendError::TooLarge { .. } => Outcome::TooLarge,
-        SendError::Full(_) | SendError::Nonsense => Outcome::Full,
-    }
-}
-
-/// The one copy: from the buffers of the frames, behind the head, to where it stays.
-fn receive_into(socket: SocketId, sockets: &mut Access<'_>, mut write: impl FnMut(&[u8]) -> usize) {
-    let _ = sockets.pass_on(socket, |_, parts| {
-        let mut skip = HEAD_LEN;
-        for part in parts {
-            let behind = &part[skip.min(part.len())..];
-            skip -= part.len() - behind.len();
-            write(behind);
-        }
-        true
-    });
 }
 
 impl<Own, Theirs> Program for Router<Own, Theirs>

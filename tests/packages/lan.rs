@@ -5,6 +5,7 @@ use std::net::SocketAddrV4;
 use std::sync::atomic::AtomicU64;
 
 use package_router::mailbox::{Inbox, LARGEST_BODY as LARGEST, LaneSender, Layout, Word, of_sender};
+use package_router::priority::{Priorities, level_of};
 use package_router::router::{Host, LAN_PORT, Router, RouterCounters, Way};
 use package_router::wire::{HEAD_LEN, Head, MOST_DATAGRAM, NOT_AVAILABLE, split};
 use rtnet::ip::StackConfig;
@@ -71,10 +72,14 @@ struct Seen {
 
 impl Pair {
     fn new() -> Self {
+        Self::with(Priorities::default())
+    }
+
+    fn with(priorities: Priorities) -> Self {
         let (address, ip) = B;
         let config = StackConfig::new(Interface { address, ip, prefix: 24 });
         let clock = || NOW.get();
-        let mut station = End::above(config, vec![Box::new(Lan::new(Host { clock, channel: 0 }))]);
+        let mut station = End::above(config, vec![Box::new(Lan::new(Host { clock, priorities }))]);
         station.knows(A);
         let reads = station.socket(LAN_PORT, 256);
         station.stack.program_mut::<Lan>().unwrap().reads(reads);
@@ -237,6 +242,19 @@ fn who_asks_a_mailbox_that_is_not_here_is_told_so_and_what_is_no_question_is_onl
     assert_eq!(all(&mut seen), [(OTHERS, 1, vec![5])]);
     let counters = pair.counters();
     assert_eq!((counters.no_route, counters.answered, counters.delivered), (2, 1, 1));
+}
+
+/// The slots here are 0 and 1.
+#[test]
+fn an_answer_for_whom_nobody_is_leaves_in_the_slot_of_that_class_if_the_station_has_it() {
+    let file = "[class.Camera]\nchannel = 1\n[class.Odometry]\nchannel = 2\n[class.0xf0]\nchannel = 1";
+    let mut pair = Pair::with(Priorities::parse(file, "priorities.toml").unwrap());
+    for (class, channel) in [(Class::CAMERA, 1), (Class::PILOT, 0), (Class::ODOMETRY, 0)] {
+        pair.package(&to(MailboxName::new(0, class, 1, 0), 7), &[]);
+        assert_eq!(pair.station.queue.last.take(), Some((level_of(9), channel)), "{class}");
+        assert_eq!(pair.answers().len(), 1, "{class}");
+    }
+    assert_eq!(pair.counters().answered, 3);
 }
 
 #[test]

@@ -40,6 +40,8 @@ pub struct Queue {
     pub limit: usize,
     /// Frames that may wait.
     pub room: usize,
+    /// How urgent the last was, and in which slot it is to leave.
+    pub last: Option<(Priority, Channel)>,
     /// The socket that is sending; none: the stack answers.
     sending: Option<SocketId>,
     own: Address,
@@ -61,6 +63,7 @@ impl Exit for Queue {
         if self.waiting.len() >= self.room {
             return Err((SendError::QueueFull(channel), frame));
         }
+        self.last = Some((priority, channel));
         self.waiting.push_back((frame, owner));
         Ok(())
     }
@@ -98,7 +101,8 @@ impl End {
     /// The same with programs in its thread.
     pub fn above(config: StackConfig, programs: Vec<Box<dyn Program>>) -> Self {
         let own = config.interface.address;
-        let queue = Queue { waiting: VecDeque::new(), limit: MTU, room: usize::MAX, sending: None, own };
+        let queue =
+            Queue { waiting: VecDeque::new(), limit: MTU, room: usize::MAX, last: None, sending: None, own };
         let now = Instant::from_nanos(1_000);
         Self { stack: Stack::new(config, programs), queue, now, nic: Pool::new(1), closed: Vec::new() }
     }

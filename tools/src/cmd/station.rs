@@ -19,7 +19,7 @@ use vnic::tunnel::MTU;
 
 use super::Failure;
 use super::route::read_routes;
-use crate::cli::{DisciplineName, Late, PackageArgs, Scheduling, StationArgs, VnicMode};
+use crate::cli::{DisciplineName, Late, Scheduling, StationArgs, VnicMode};
 use crate::control::SlotChange;
 use crate::scenario::read_text;
 use crate::scenario::{DelayName, SlotGuard, default_sync_window, parse_phase};
@@ -125,7 +125,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
 
 /// Its address and sockets, with routes that can be.
 fn stack(args: &StationArgs) -> anyhow::Result<Option<StackOptions>> {
-    let StationArgs { stack: args, packages: PackageArgs { packages, .. }, .. } = args;
+    let args = &args.stack;
     let Some(ip) = args.ip else { return Ok(None) };
     let mut said: Vec<_> = args.route.iter().map(|said| ("--route".to_owned(), said.clone())).collect();
     if let Some(file) = &args.routes {
@@ -148,7 +148,6 @@ fn stack(args: &StationArgs) -> anyhow::Result<Option<StackOptions>> {
         receive_buffers: or(args.receive_buffers, usual.receive_buffers),
         icmp_buffers: or(args.icmp_buffers, usual.icmp_buffers),
         arp_buffers: or(args.arp_buffers, usual.arp_buffers),
-        packages: *packages,
     };
     options.check()?;
     Ok(Some(options))

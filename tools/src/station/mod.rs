@@ -377,7 +377,7 @@ fn driver(
     }
     let mut station = Station::new(discipline, services);
     if let Some(stack) = &options.stack {
-        station = station.with_stack(stack.stack(interface.address, asker)?);
+        station = station.with_stack(stack.stack(interface.address, asker, options.packages.as_ref())?);
     }
     Ok(Driver::new(station, port, config).spinning(options.busy))
 }

@@ -52,8 +52,9 @@ pub type LanRouter = Router<Sealed, Sealed>;
 type LanWay = Box<Way<Sealed, Sealed>>;
 
 /// The router, for a stack that is about to be made.
-pub fn router() -> Box<LanRouter> {
-    Box::new(Router::new(Host { clock: monotonic, channel: 0 }))
+pub fn router(options: &PackagesOptions) -> Box<LanRouter> {
+    let priorities = options.priorities.clone();
+    Box::new(Router::new(Host { clock: monotonic, priorities }))
 }
 
 /// Where it hears.

@@ -14,7 +14,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::echoes::Asker;
-use super::packages;
+use super::packages::{self, PackagesOptions};
 use super::sockets::{Room, Route};
 
 /// What is said of a station's stack.
@@ -44,8 +44,6 @@ pub struct StackOptions {
     pub icmp_buffers: usize,
     /// Buffers for address resolution.
     pub arp_buffers: usize,
-    /// Whether packages come by the LAN.
-    pub packages: bool,
 }
 
 impl StackOptions {
@@ -65,7 +63,6 @@ impl StackOptions {
             receive_buffers: RECEIVE_POOL,
             icmp_buffers: config.icmp_buffers,
             arp_buffers: config.arp_buffers,
-            packages: false,
         }
     }
 
@@ -74,8 +71,13 @@ impl StackOptions {
         Room { sockets: self.sockets.into(), hosts: self.hosts, networks: self.networks }
     }
 
-    /// The stack of a station whose interface has this address, with what asks for echoes.
-    pub fn stack(&self, address: Address, asker: Option<Asker>) -> Result<Stack> {
+    /// The stack of a station whose interface has this address, with what asks for echoes, and with a router of packages if there are any.
+    pub fn stack(
+        &self,
+        address: Address,
+        asker: Option<Asker>,
+        packages: Option<&PackagesOptions>,
+    ) -> Result<Stack> {
         let config = StackConfig {
             interface: self.ip.interface(address),
             hosts: self.hosts,
@@ -89,11 +91,9 @@ impl StackOptions {
         };
         let mut programs: Vec<Box<dyn Program>> = vec![Box::new(Lines::new(self.sockets.into()))];
         programs.extend(asker.map(|asker| Box::new(asker) as Box<dyn Program>));
-        if self.packages {
-            programs.push(packages::router());
-        }
+        programs.extend(packages.map(|options| packages::router(options) as Box<dyn Program>));
         let mut stack = Stack::new(config, programs);
-        if self.packages {
+        if packages.is_some() {
             packages::listen(&mut stack)?;
         }
         self.add_to(stack.routes_mut())?;

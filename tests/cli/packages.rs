@@ -1,5 +1,7 @@
 //! Labs whose stations' programs send each other packages.
 
+mod calls;
+
 use std::fs;
 use std::process::Stdio;
 use std::time::{Duration, Instant};

@@ -16,7 +16,7 @@ use rtnet::wire::ethernet;
 
 use super::master::BACKUP_LOOKS_BEFORE;
 
-pub use wait::{Wait, round_trip, wait};
+pub use wait::{Wait, longest_between, round_trip, wait, worst_wait};
 
 /// What clocks may be wrong by, slave to master: 5 us while a line is young, 2 us later, measured over veth. One that
 /// changes its rate by 4 to 20 ppm at once may be off by twice as much until that is noticed.

@@ -9,8 +9,12 @@
 //! ```
 
 use rtnet::time::Span;
+use rtnet::wire::ethernet;
 
-use super::{Slot, gcd};
+use super::{Rate, Slot, gcd};
+
+/// Cycles until the turns of joint slots repeat that are looked through for the longest time between two of them.
+const CYCLES_AT_MOST: u64 = 1 << 16;
 
 /// Between what and what a time is, on hosts that are never late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,9 +26,61 @@ pub struct Wait {
 }
 
 /// From when a frame is queued, as the most urgent, to when it begins in its slot, whose frames are chosen `lead` before. Where
-/// others are joint with that slot it is less.
+/// others are joint with that slot it is less: see [`worst_wait`].
 pub fn wait(cycle: Span, slot: &Slot, lead: Span) -> Wait {
     Wait { best: lead, worst: lead + cycle * i64::from(slot.period) }
+}
+
+/// The longest that a frame takes from being handed over to the end of its transmission, if it is the first of its queue: for
+/// the longest time between two turns of the slots that take from that queue (one, or those joint with it), for the `lead`
+/// before a slot at which its frame is chosen, and for its time on the air, of the largest that fits. It is reached by a frame that
+/// is handed over in the instant of a choice, where turns are further apart than the lead.
+///
+/// It says nothing of frames that are ahead in the queue, each of which takes a turn; of turns that are missed, or given to
+/// calibration; of hosts: how late in its slot a station sends, up to the slot's `latest`, and what the receiver's takes to hear of it.
+///
+/// `None` for no slots.
+///
+/// ```
+/// use rtmac::tdma::schedule::{Rate, Slot, worst_wait};
+/// use rtnet::time::Span;
+///
+/// let us = Span::from_micros;
+/// let slot = |id, offset| Slot { owner: "arm".into(), id, offset: us(offset), phase: 0, period: 1, size: 1500 };
+/// let rate = Rate::from_bits_per_second(1_000_000_000);
+/// let air = Span::from_nanos(12_304);
+///
+/// // In cycles of 1 ms with a slot each it is a cycle; with a second one, joint, the longer of the times between.
+/// let worst = |slots: &[Slot]| worst_wait(us(1_000), slots, us(50), rate);
+/// assert_eq!(worst(&[slot(0, 100)]), Some(us(1_050) + air));
+/// assert_eq!(worst(&[slot(0, 100), slot(2, 400)]), Some(us(750) + air));
+/// ```
+pub fn worst_wait(cycle: Span, slots: &[Slot], lead: Span, rate: Rate) -> Option<Span> {
+    let largest = slots.iter().map(|slot| slot.size).max()?;
+    Some(longest_between(cycle, slots)? + lead + rate.air_time(largest + ethernet::HEADER_LEN))
+}
+
+/// The longest time from one turn's begin to the next one's, of any of these slots. Where their periods let that repeat only after
+/// more cycles than are looked through it is the shortest of those, which none exceeds.
+pub fn longest_between(cycle: Span, slots: &[Slot]) -> Option<Span> {
+    let period = |slot: &Slot| u64::from(slot.period.max(1));
+    let repeats = slots.iter().map(period).try_fold(1, |all: u64, one| {
+        // Neither is more than there can be cycles in a period.
+        let common = all / u64::from(gcd(all as u32, one as u32)) * one;
+        (common <= CYCLES_AT_MOST).then_some(common)
+    });
+    let Some(repeats) = repeats else {
+        return slots.iter().map(|slot| cycle * period(slot) as i64).min();
+    };
+    let turns = |slot: &Slot| {
+        let (phase, offset, every) = (u64::from(slot.phase) % period(slot), slot.offset, period(slot));
+        (0..repeats / every).map(move |n| cycle * (phase + n * every) as i64 + offset)
+    };
+    let mut begins: Vec<Span> = slots.iter().flat_map(turns).collect();
+    begins.sort_unstable();
+    let round = begins.first().map(|&first| first + cycle * repeats as i64);
+    begins.extend(round);
+    begins.windows(2).map(|pair| pair[1] - pair[0]).max()
 }
 
 /// From when a question is queued for the slot `asks` to when the answer that is sent in `answers` has come. Each frame
@@ -67,6 +123,47 @@ mod tests {
     fn a_frame_waits_for_the_lead_at_the_least_and_for_a_period_more_at_the_most() {
         assert_eq!(micros(wait(CYCLE, &slot(300, 0, 1), LEAD)), [50, 1_050]);
         assert_eq!(micros(wait(CYCLE, &slot(300, 2, 5), LEAD)), [50, 5_050]);
+    }
+
+    #[test]
+    fn of_joint_slots_the_longest_time_between_two_turns_counts_over_all_cycles() {
+        let between = |slots: &[Slot]| longest_between(CYCLE, slots).map(|span| span.nanos() / 1_000);
+        assert_eq!(between(&[]), None);
+        assert_eq!(between(&[slot(300, 4, 5)]), Some(5_000));
+        assert_eq!(between(&[slot(300, 0, 1), slot(500, 0, 1)]), Some(800));
+        // 0 and 3 of 6, and 1 of 4: at 0, 1, 3, 5, 6, 9, 12.
+        assert_eq!(between(&[slot(300, 0, 3), slot(300, 1, 4)]), Some(3_000));
+        assert_eq!(between(&[slot(300, 0, 4), slot(400, 2, 4)]), Some(2_100));
+        // It would take minutes until that repeats.
+        assert_eq!(between(&[slot(300, 0, 65_535), slot(400, 1, 65_536)]), Some(65_535_000));
+    }
+
+    /// How long until a turn begins whose frame is not chosen yet, at every moment right behind a choice.
+    fn waited(slots: &[Slot]) -> Span {
+        let all = (0..400u32).flat_map(|cycle| {
+            let used = slots.iter().filter(move |slot| cycle % slot.period == slot.phase);
+            used.map(move |slot| CYCLE * i64::from(cycle) + slot.offset)
+        });
+        let mut begins: Vec<Span> = all.collect();
+        begins.sort_unstable();
+        // From the first turn to the last, which is no longer than any other time between two.
+        begins.windows(2).map(|pair| pair[1] - (pair[0] - LEAD)).max().unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn a_frame_waits_no_longer_than_it_is_said_and_so_long_right_behind_a_choice(
+            drawn in prop::collection::vec((0i64..900, 1u32..7, 0u32..100), 1..4),
+        ) {
+            let slots: Vec<_> =
+                drawn.iter().map(|&(offset, period, phase)| slot(60 + offset, phase % period, period)).collect();
+            let rate = Rate::from_bits_per_second(1_000_000_000);
+            let air = rate.air_time(1_500 + ethernet::HEADER_LEN);
+            prop_assert_eq!(worst_wait(CYCLE, &slots, LEAD, rate), Some(waited(&slots) + air));
+            if let [only] = &slots[..] {
+                prop_assert_eq!(wait(CYCLE, only, LEAD).worst + air, waited(&slots) + air);
+            }
+        }
     }
 
     #[test]

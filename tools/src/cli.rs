@@ -245,7 +245,7 @@ pub struct SlotArgs {
 /// What can be done with a station's slots.
 #[derive(Debug, Subcommand)]
 pub enum SlotVerb {
-    /// Every slot, how many frames wait for it, how many were sent in it
+    /// Every slot, how long a frame waits for it at the worst, how many wait, how many were sent in it
     List,
     /// Define a slot, or change one: what is not given stays as it is
     Set {

@@ -19,6 +19,7 @@ pub mod stat;
 pub mod station;
 pub mod tdma;
 pub mod vnic;
+mod waits;
 
 use std::io::{ErrorKind, Write};
 use std::os::unix::fs::MetadataExt;

@@ -1,6 +1,6 @@
 //! `rtnet ping`.
 
-mod plan;
+pub(super) mod plan;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::Ipv4Addr;

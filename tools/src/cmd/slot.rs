@@ -1,11 +1,30 @@
 //! `rtnet slot`.
 
 use anyhow::Result;
+use serde::Serialize;
 
 use super::Failure;
 use super::tdma::{applied, by_lab, found_of, slots, status, told};
+use super::waits;
 use crate::cli::{SlotArgs, SlotVerb, Which};
-use crate::control::{LabRequest, Request, SlotChange};
+use crate::control::{LabRequest, Request, SlotChange, SlotShown, StationStatus};
+
+/// A slot as it is listed.
+#[derive(Serialize)]
+struct Listed {
+    #[serde(flatten)]
+    shown: SlotShown,
+    /// How long a frame waits for it at the worst, if none is ahead; for whichever comes first, where slots are joint.
+    worst_wait_ns: Option<i64>,
+}
+
+fn listed(status: &StationStatus) -> Vec<Listed> {
+    let listed = |shown: &SlotShown| Listed {
+        shown: *shown,
+        worst_wait_ns: waits::worst(status, shown.slot.id).map(|wait| wait.nanos()),
+    };
+    status.slots.iter().map(listed).collect()
+}
 
 /// Looks at a station's slots, or changes them.
 pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
@@ -14,7 +33,7 @@ pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
         SlotVerb::List => {
             let status = status(which).map_err(Failure::Usage)?;
             let table = |_: &Vec<_>| slots(&status);
-            super::print(which.json, &status.slots.clone(), table).map_err(Failure::Run)?;
+            super::print(which.json, &listed(&status), table).map_err(Failure::Run)?;
             return Ok(0);
         }
         SlotVerb::Set { slot } => (set(which, *slot), format!("{}: slot {} is set", which.place, slot.id)),

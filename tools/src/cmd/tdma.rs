@@ -285,6 +285,9 @@ pub fn slots(status: &StationStatus) -> String {
     }
     let right = |head, cell: fn(&SlotShown) -> String| Column::right(["", head], slots.iter().map(cell));
     let span = |ns| Span::from_nanos(ns).to_string();
+    let wait = |shown: &SlotShown| {
+        super::waits::worst(status, shown.slot.id).map_or("-".into(), |wait| wait.to_string())
+    };
     let lines = table(
         &[
             Column::left(["", "slot"], slots.iter().map(|shown| name(&shown.slot))),
@@ -292,6 +295,7 @@ pub fn slots(status: &StationStatus) -> String {
             right("phase", |shown| format!("{}/{}", shown.slot.phase + 1, shown.slot.period)),
             right("size", |shown| shown.slot.size.to_string()),
             Column::right(["", "latest"], slots.iter().map(|shown| span(shown.latest_ns))),
+            Column::right(["", "worst wait"], slots.iter().map(wait)),
             right("queued", |shown| shown.queued.to_string()),
             right("sent", |shown| grouped(shown.sent)),
         ],

@@ -11,13 +11,12 @@ use crate::cli::{PingArgs, Which};
 use crate::cmd::Failure;
 use crate::cmd::interface::{asked, check_asked};
 use crate::cmd::tdma::{stations, status};
-use crate::control::{InterfaceShown, Place, SlotShown, StackReply, StackRequest, StationStatus};
+use crate::cmd::waits::{RT_SLOT, serving};
+use crate::control::{InterfaceShown, Place, StackReply, StackRequest, StationStatus};
 use crate::station::echoes::ECHO_HEADERS;
 
 /// The channel of echoes that are answered.
 const ANSWERS: u8 = NON_RT_SLOT;
-/// Of a real-time slot.
-const RT_SLOT: u8 = 0;
 
 /// What is known of both stations before a round begins.
 pub struct Plan {
@@ -38,7 +37,7 @@ impl Plan {
         let cycle = own.as_ref().and_then(|own| own.period_ns);
         let cycle = cycle.map(|ns| Duration::from_nanos(ns.unsigned_abs()));
         let mut plan = Self { cycle, both: None, answers: None, missed: 0 };
-        let Some((other, theirs)) = other(which, to) else { return plan };
+        let Some((other, theirs)) = whose(which, to) else { return plan };
         plan.answers = slot(&theirs, ANSWERS).map(|slot| (other.place.to_string(), slot.id, slot.size));
         let wait = own.and_then(|own| round_trip(&own, &theirs, channel));
         let own = Which { place: which.place.clone(), json: which.json };
@@ -91,7 +90,7 @@ impl Plan {
 }
 
 /// Who has an address, in a lab, and how it stands.
-fn other(which: &Which, to: Ipv4Addr) -> Option<(Which, StationStatus)> {
+pub(in crate::cmd) fn whose(which: &Which, to: Ipv4Addr) -> Option<(Which, StationStatus)> {
     let StackReply::Way(way) = asked(which, StackRequest::Lookup(to)).ok()? else { return None };
     let (address, lab) = (way.address.filter(|_| way.via.is_none())?, which.place.lab.clone()?);
     let name = stations(&lab)?.into_iter().find(|station| station.address == address)?.name;
@@ -114,21 +113,5 @@ fn round_trip(own: &StationStatus, theirs: &StationStatus, channel: u8) -> Optio
 
 /// The only slot that takes what a channel is given.
 fn slot(of: &StationStatus, channel: u8) -> Option<Slot> {
-    let slots = of.slots.iter().map(|shown: &SlotShown| shown.slot);
-    let has = |id: u8| slots.clone().any(|slot| slot.id == id);
-    let id = if channel == NON_RT_SLOT && !has(channel) { RT_SLOT } else { channel };
-    let queue = |id: u8| slots.clone().find(|slot| slot.id == id).map(|slot| slot.joint.unwrap_or(id));
-    let shared = queue(id)?;
-    let mut serving = slots.clone().filter(|slot| queue(slot.id) == Some(shared));
-    match (serving.next(), serving.next()) {
-        (Some(slot), None) => Some(Slot {
-            owner: of.name.clone(),
-            id: slot.id,
-            offset: Span::from_nanos(slot.offset_ns),
-            phase: slot.phase,
-            period: slot.period,
-            size: slot.size,
-        }),
-        _ => None,
-    }
+    <[Slot; 1]>::try_from(serving(of, channel)).ok().map(|[slot]| slot)
 }

@@ -44,3 +44,25 @@ fn a_status_tells_role_and_state_and_of_masters_and_backups_what_they_are_doing(
         assert_eq!(told.join(" "), words.replace(['(', ')', ','], ""));
     }
 }
+
+#[test]
+fn slots_are_listed_with_how_long_a_frame_waits_for_the_next_of_its_queue_at_the_worst() {
+    let slot = |id: u8, offset: i64, period: u32, joint: Option<u8>| {
+        serde_json::json!({
+            "id": id, "offset_ns": offset, "phase": 0, "period": period, "size": 1500, "joint": joint,
+            "latest_ns": 20_000, "queued": 0, "sent": 0,
+        })
+    };
+    let mut status = status_of(RoleName::Slave, None, SyncState::Locked);
+    let shown = [slot(0, 100_000, 1, None), slot(2, 400_000, 1, Some(0)), slot(3, 700_000, 5, None)];
+    status.slots = shown.map(|slot| serde_json::from_value(slot).unwrap()).to_vec();
+    let waits = |status: &StationStatus| {
+        let lines: Vec<_> = slots(status).lines().map(str::to_owned).collect();
+        let place = lines[0].find("worst wait").unwrap() + "worst wait".len();
+        lines[1..].iter().map(|line| line[..place].rsplit(' ').next().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    // A lead before the turn in which the frame comes too late, and from there to the next.
+    assert_eq!(waits(&status), ["750us", "750us", "5.05ms"]);
+    status.period_ns = None;
+    assert_eq!(waits(&status), ["-"; 3]);
+}

@@ -1,0 +1,37 @@
+//! How long what a station sends waits for its slots, by what it shows of them.
+
+use rtmac::tdma::schedule::{self, Slot};
+use rtmac::tdma::{DEFAULT_LEAD, NON_RT_SLOT};
+use rtnet::time::Span;
+
+use crate::control::{SlotShown, StationStatus};
+
+/// Of a real-time slot.
+pub const RT_SLOT: u8 = 0;
+
+/// The slots that take what a channel is given: those that are joint take from one queue. None: it has no such.
+pub fn serving(of: &StationStatus, channel: u8) -> Vec<Slot> {
+    let slots = || of.slots.iter().map(|shown: &SlotShown| shown.slot);
+    let has = |id: u8| slots().any(|slot| slot.id == id);
+    let id = if channel == NON_RT_SLOT && !has(channel) { RT_SLOT } else { channel };
+    let queue = |id: u8| slots().find(|slot| slot.id == id).map(|slot| slot.joint.unwrap_or(id));
+    let Some(shared) = queue(id) else { return Vec::new() };
+    let serving = slots().filter(|slot| queue(slot.id) == Some(shared));
+    serving
+        .map(|slot| Slot {
+            owner: of.name.clone(),
+            id: slot.id,
+            offset: Span::from_nanos(slot.offset_ns),
+            phase: slot.phase,
+            period: slot.period,
+            size: slot.size,
+        })
+        .collect()
+}
+
+/// How long what a channel is given waits at the worst, if nothing is ahead of it: until it begins in its slot. None where no
+/// cycle is known, or no slot is for it.
+pub fn worst(of: &StationStatus, channel: u8) -> Option<Span> {
+    let cycle = Span::from_nanos(of.period_ns?);
+    schedule::longest_between(cycle, &serving(of, channel)).map(|between| between + DEFAULT_LEAD)
+}

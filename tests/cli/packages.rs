@@ -279,3 +279,71 @@ fn who_asks_a_mailbox_that_is_not_there_is_told_so_by_its_station_and_all_that_a
         },
     );
 }
+
+#[test]
+fn what_a_way_to_another_station_takes_is_measured_beside_what_its_slots_say() {
+    network("what_a_way_to_another_station_takes_is_measured_beside_what_its_slots_say", || {
+        let back = "\n[[route]]\nto = \"0.0xff.*\"\nstation = \"master\"\n";
+        let cell = lab("bench", &format!("{ROUTES}{back}"));
+        let answers = |station: &str, mailbox: &str| {
+            let mut command = rtnet();
+            command.args(["package", "-S", &cell.place(station), "receive", mailbox]);
+            command.args(["--echo", "--quiet", "--json"]).stdout(Stdio::piped()).spawn().unwrap()
+        };
+        let (there, here) = (answers("arm", "0.Camera.0"), answers("master", "0.Pilot.0"));
+        for station in ["arm", "master"] {
+            wait_until("the mailbox is there", || {
+                ask(&cell, station, &["mailbox", "list"]).as_array().is_some_and(|all| all.len() == 1)
+            });
+        }
+        let bench = |to: &str, words: &[&str]| {
+            ask(&cell, "master", &[&["package", "bench", to, "--time", "400ms"][..], words].concat())
+        };
+        let number = |of: &Value| of.as_u64().unwrap();
+        // Cycles of 2 ms, and a lead of 50 us, twice; what is on its way takes less than that.
+        let trips = bench("0.Camera.0", &["--pause", "2ms"]);
+        let scheduled = &trips["scheduled"];
+        let waits: Vec<_> = scheduled["waits"].as_array().unwrap().iter().collect();
+        assert_eq!(
+            waits.iter().map(|wait| number(&wait["worst_wait_ns"])).collect::<Vec<_>>(),
+            [2_050_000; 2]
+        );
+        assert_eq!(waits[1]["station"], cell.place("arm"));
+        assert!((4_100_000..4_200_000).contains(&number(&scheduled["two_worst_waits_ns"])), "{trips:#}");
+        let came = number(&trips["came"]);
+        assert!(came > 20 && number(&trips["lost"]) == 0, "{trips:#}");
+        assert!(number(&trips["round_trip_ns"]["p50"]) < 4_200_000, "{trips:#}");
+        // A frame each, as fast as slots take them.
+        let stream = bench("0.Camera.0", &["--stream", "--size", "1456"]);
+        assert_eq!((&stream["lost"], &stream["came"]), (&0.into(), &stream["sent"]), "{stream:#}");
+        let (sent, turns) = (number(&stream["came"]), number(&stream["turns"]));
+        assert!(turns >= 150 && sent <= turns + 1 && number(&stream["no_buffers"]) > 0, "{stream:#}");
+        // One byte more takes two turns.
+        let longer = bench("0.Camera.0", &["--stream", "--size", "1457"]);
+        let long = number(&longer["came"]);
+        assert_eq!((&longer["turns"], &longer["lost"]), (&Value::Null, &0.into()), "{longer:#}");
+        // On the same station: no slot.
+        let near = bench("0.Pilot.0", &[]);
+        assert_eq!((number(&near["lost"]), &near["scheduled"]), (0, &Value::Null), "{near:#}");
+        let near_stream = bench("0.Pilot.0", &["--stream"]);
+        assert_eq!((&near_stream["lost"], &near_stream["scheduled"]), (&0.into(), &Value::Null));
+        let nobody = ["package", "bench", "0.Camera.1", "-S", &cell.place("master")];
+        let output = rtnet().args(nobody).output().unwrap();
+        let (status, why) = (output.status.code(), text(&output.stderr));
+        assert!(status == Some(1) && why.contains("Camera(0/1) is not there"), "{status:?} {why}");
+        // Told when they are ended: what was asked, first of all, and what was counted, before and behind.
+        let heard = |child: std::process::Child| {
+            let process = nix::unistd::Pid::from_raw(child.id() as i32);
+            nix::sys::signal::kill(process, nix::sys::signal::Signal::SIGTERM).unwrap();
+            let output = child.wait_with_output().unwrap();
+            assert_eq!(output.status.code(), Some(0));
+            let all: Value = serde_json::from_slice(&output.stdout).unwrap();
+            (number(&all["received"]), number(&all["answered"]))
+        };
+        let asked = came + 1 + 4;
+        assert_eq!(heard(there), (asked + sent + long, asked));
+        let (asked, sent) = (number(&near["came"]) + 1 + 2, number(&near_stream["sent"]));
+        assert_eq!(heard(here), (asked + sent, asked));
+        cell.down();
+    });
+}

@@ -22,7 +22,8 @@ pub use lab::{
 };
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
 pub use packages::{
-    MailboxArgs, MailboxVerb, PackageArgs, PackageRouteVerb, PackageVerb, PackageVerbArgs, duration,
+    BenchArgs, MailboxArgs, MailboxVerb, PackageArgs, PackageRouteVerb, PackageVerb, PackageVerbArgs,
+    duration,
 };
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};

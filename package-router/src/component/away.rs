@@ -17,6 +17,8 @@ use crate::wire::{Head, MOST_DATAGRAM, split};
 /// A socket to a station, for packages to one mailbox there.
 pub(super) struct Away {
     socket: UdpSocket,
+    /// To which station, and in which slot.
+    pub to: (Ipv4Addr, Channel),
     /// With which it sends now.
     priority: Option<u8>,
 }
@@ -27,7 +29,7 @@ impl Away {
         let socket = Station::at(own).udp()?;
         socket.connect(Some(SocketAddrV4::new(station, LAN_PORT)))?;
         socket.set_channel(channel);
-        Ok(Self { socket, priority: None })
+        Ok(Self { socket, to: (station, channel), priority: None })
     }
 
     /// Hands over a package, head and body where they lie: nothing is put together first.

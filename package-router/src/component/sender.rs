@@ -1,8 +1,10 @@
 //! A way from a mailbox of this component to another, wherever that is.
 
+use core::net::Ipv4Addr;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
 
+use rtnet::discipline::Channel;
 use rtnet::live::clock::monotonic;
 use rtnet::live::sealed::Sealed;
 
@@ -79,6 +81,14 @@ impl Sender {
     /// Whether that is a mailbox of this station.
     pub fn is_here(&self) -> bool {
         matches!(self.way, Way::Here(_))
+    }
+
+    /// To which other station it leads, and in which slot; `None`: to a mailbox of this one.
+    pub fn away(&self) -> Option<(Ipv4Addr, Channel)> {
+        match &self.way {
+            Way::Here(_) => None,
+            Way::Away(away) => Some(away.to),
+        }
     }
 
     /// Whether it still leads to where the name is: a mailbox of this station that is there, or, elsewhere, as long as none has

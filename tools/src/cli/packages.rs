@@ -104,9 +104,12 @@ pub enum PackageVerb {
         /// How long to wait for the next [default: for ever]
         #[arg(short, long, value_parser = parse_positive_span)]
         timeout: Option<Span>,
-        /// Answer commands with their body: for `rtnet package ping`
+        /// Answer commands with their body: for `rtnet package ping` and `rtnet package bench`
         #[arg(long)]
         echo: bool,
+        /// Show none of them, but at the end how many came
+        #[arg(short, long)]
+        quiet: bool,
     },
     /// Ask who answers every command (`receive --echo`, or a module): how long that takes
     Ping {
@@ -128,12 +131,46 @@ pub enum PackageVerb {
         #[arg(long, default_value = "0.0xff.1")]
         from: MailboxName,
     },
+    /// Measure the way to who answers every command: how long round trips take, one after the other, or how many packages it takes
+    ///
+    /// At the other end `rtnet package receive NAME --echo --quiet` answers, or a module; it has to have a way back, to the mailbox of
+    /// --from. To another station what its slots and the other's say of it is shown, too: how long a frame waits for
+    /// them at the worst, if they can be looked at, as in a lab. The first question is not counted: who answers looks for the
+    /// way back then.
+    ///
+    /// Exit status: 0; 1 nothing came, or a package could not be sent; 2 bad usage, or the station refuses.
+    Bench(BenchArgs),
     /// Which mailboxes are at which other stations, and changes of it
     Route {
         /// What to do [default: show them]
         #[command(subcommand)]
         verb: Option<PackageRouteVerb>,
     },
+}
+
+/// Arguments of `package bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Which mailbox
+    pub to: MailboxName,
+    /// How long
+    #[arg(short, long, default_value = "5s", value_parser = parse_positive_span)]
+    pub time: Span,
+    /// Bytes of their bodies
+    #[arg(short, long, default_value_t = 64)]
+    pub size: usize,
+    /// Send as many packages as the way takes, wait for no answer, and ask at the end how many came: `receive --echo` knows
+    #[arg(long)]
+    pub stream: bool,
+    /// Between an answer and the next question, times spread evenly up to this: with a cycle, questions come at all its moments
+    #[arg(short, long, default_value = "0ms", value_parser = parse_nonnegative_span, conflicts_with = "stream")]
+    pub pause: Span,
+    /// How long an answer is waited for
+    #[arg(short = 'W', long, default_value = "1s", value_parser = parse_positive_span)]
+    pub timeout: Span,
+    /// From a mailbox of this name
+    #[arg(long, default_value = "0.0xff.2")]
+    pub from: MailboxName,
 }
 
 /// What can be done with routes of packages.

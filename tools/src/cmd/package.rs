@@ -1,5 +1,7 @@
 //! `rtnet mailbox` and `rtnet package`.
 
+mod bench;
+mod counts;
 mod shown;
 
 use std::io::Write as _;
@@ -11,7 +13,7 @@ use package_router::component::{Component, Error, Mailbox, MailboxSeen, ReceiveE
 use package_router::mailbox::{LARGEST_BODY, Shape};
 use package_router::name::{MailboxName, Pattern};
 use package_router::route::Route;
-use package_router::wire::{Head, NOT_AVAILABLE};
+use package_router::wire::{Head, NOT_AVAILABLE, OK};
 
 use super::Failure;
 use super::tdma::found_of;
@@ -19,6 +21,7 @@ use crate::cli::{
     MailboxArgs, MailboxVerb, PackageRouteVerb, PackageVerb, PackageVerbArgs, WhichOf, duration,
 };
 use crate::control::Directory;
+use counts::Counts;
 use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
 
 /// Slots of a mailbox that somebody looks into by hand.
@@ -96,16 +99,21 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
                 sender.drained().map_err(|error| Failure::Run(anyhow!("{to}: {error}")))?;
             }
         }
-        PackageVerb::Receive { name, count, timeout, echo } => {
+        PackageVerb::Receive { name, count, timeout, echo, quiet } => {
             let mut mailbox = component.mailbox(*name, Shape::new(SLOTS, BODY)).map_err(usage)?;
-            return receive(&mut mailbox, count.unwrap_or(u64::MAX), timeout.map(duration), *echo, json);
+            let counts = Counts::of(*quiet, json).map_err(Failure::Run)?;
+            return receive(
+                &mut mailbox,
+                count.unwrap_or(u64::MAX),
+                timeout.map(duration),
+                *echo,
+                counts,
+                json,
+            );
         }
+        PackageVerb::Bench(bench) => return bench::bench(&component, &args.which, bench),
         PackageVerb::Ping { to, count, interval, size, timeout, from } => {
-            if *size > LARGEST_BODY {
-                return Err(Failure::Usage(anyhow!(
-                    "a body of {size} bytes: a package carries {LARGEST_BODY} at the most"
-                )));
-            }
+            check_size(*size)?;
             let (mut mailbox, mut sender) = way(&component, *from, *to, *size)?;
             let told =
                 ping(&mut mailbox, &mut sender, *count, (duration(*interval), duration(*timeout)), *size)?;
@@ -156,6 +164,14 @@ fn run(error: Error) -> Failure {
     Failure::Run(anyhow!(error))
 }
 
+fn check_size(size: usize) -> Result<(), Failure> {
+    if size > LARGEST_BODY {
+        let what = format!("a body of {size} bytes: a package carries {LARGEST_BODY} at the most");
+        return Err(Failure::Usage(anyhow!(what)));
+    }
+    Ok(())
+}
+
 /// A mailbox for a while, and a way from there to another.
 fn way(
     component: &Component,
@@ -173,22 +189,32 @@ fn receive(
     count: u64,
     timeout: Option<std::time::Duration>,
     echo: bool,
+    mut counts: Counts,
     json: bool,
 ) -> Result<u8, Failure> {
     let mut answers: Vec<Sender> = Vec::new();
     for _ in 0..count {
         let package = match mailbox.receive(timeout) {
             Ok(package) => package,
-            Err(ReceiveError::TimedOut) => return Ok(1),
+            Err(ReceiveError::TimedOut) => {
+                counts.tell().map_err(Failure::Run)?;
+                return Ok(1);
+            }
             Err(error) => return Err(Failure::Run(anyhow!(error))),
         };
         let (head, body) = (*package.head(), package.body().to_vec());
         drop(package);
+        counts.note(&head, body.len());
         if echo && head.is_command() {
             // One that cannot be answered is shown all the same.
             if let Some(sender) = answer_to(mailbox, &mut answers, head.from) {
-                let _ = sender.send_with(&head.answer(0), &body);
+                let told = counts.answer(&head);
+                let sent = sender.send_with(&head.answer(OK), told.as_deref().unwrap_or(&body));
+                counts.note_answer(sent.is_ok());
             }
+        }
+        if counts.is_quiet() {
+            continue;
         }
         let came = Came::of(&head, &body);
         let line = if json {
@@ -202,6 +228,7 @@ fn receive(
             .context("standard output")
             .map_err(Failure::Run)?;
     }
+    counts.tell().map_err(Failure::Run)?;
     Ok(0)
 }
 

@@ -35,3 +35,8 @@ pub fn worst(of: &StationStatus, channel: u8) -> Option<Span> {
     let cycle = Span::from_nanos(of.period_ns?);
     schedule::longest_between(cycle, &serving(of, channel)).map(|between| between + DEFAULT_LEAD)
 }
+
+/// Slots that it has missed so far, for whatever cause.
+pub fn missed(of: &StationStatus) -> u64 {
+    of.misses.causes.values().sum()
+}

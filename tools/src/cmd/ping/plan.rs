@@ -11,7 +11,7 @@ use crate::cli::{PingArgs, Which};
 use crate::cmd::Failure;
 use crate::cmd::interface::{asked, check_asked};
 use crate::cmd::tdma::{stations, status};
-use crate::cmd::waits::{RT_SLOT, serving};
+use crate::cmd::waits::{RT_SLOT, missed, serving};
 use crate::control::{InterfaceShown, Place, StackReply, StackRequest, StationStatus};
 use crate::station::echoes::ECHO_HEADERS;
 
@@ -39,7 +39,7 @@ impl Plan {
         let mut plan = Self { cycle, both: None, answers: None, missed: 0 };
         let Some((other, theirs)) = whose(which, to) else { return plan };
         plan.answers = slot(&theirs, ANSWERS).map(|slot| (other.place.to_string(), slot.id, slot.size));
-        let wait = own.and_then(|own| round_trip(&own, &theirs, channel));
+        let wait = own.and_then(|own| round_trip(&own, &theirs, [channel, ANSWERS]));
         let own = Which { place: which.place.clone(), json: which.json };
         plan.both = wait.map(|wait| ([own, other], wait));
         plan.missed = plan.missed_so_far();
@@ -83,9 +83,7 @@ impl Plan {
 
     fn missed_so_far(&self) -> u64 {
         let both = self.both.iter().flat_map(|(both, _)| both);
-        both.filter_map(|which| status(which).ok())
-            .map(|status| status.misses.causes.values().sum::<u64>())
-            .sum()
+        both.filter_map(|which| status(which).ok()).map(|status| missed(&status)).sum()
     }
 }
 
@@ -100,15 +98,23 @@ pub(in crate::cmd) fn whose(which: &Which, to: Ipv4Addr) -> Option<(Which, Stati
     Some((other, theirs))
 }
 
-/// From a question's being asked to the answer, by the slots of both. None where slots are joint: what waits for one
-/// leaves in another, too.
-fn round_trip(own: &StationStatus, theirs: &StationStatus, channel: u8) -> Option<Wait> {
+/// From a question's being asked to the answer, by the slots of both for these channels. None where slots are joint: what waits for
+/// one leaves in another, too.
+pub(in crate::cmd) fn round_trip(
+    own: &StationStatus,
+    theirs: &StationStatus,
+    [asks, answers]: [u8; 2],
+) -> Option<Wait> {
     let cycle = Span::from_nanos(own.period_ns?);
-    let (asks, answers) = (slot(own, channel)?, slot(theirs, ANSWERS)?);
-    // As calibration has measured it; who gives the time has not.
+    let (asks, answers) = (slot(own, asks)?, slot(theirs, answers)?);
+    Some(schedule::round_trip(cycle, &asks, &answers, DEFAULT_LEAD, ways(own, theirs)))
+}
+
+/// How long a frame is on its way, there and back: as calibration has measured it; who gives the time has not.
+pub(in crate::cmd) fn ways(own: &StationStatus, theirs: &StationStatus) -> [Span; 2] {
     let [own, theirs] = [own, theirs].map(|status| status.standing.delay_ns);
     let way = |first: Option<i64>, other: Option<i64>| Span::from_nanos(first.or(other).unwrap_or(0));
-    Some(schedule::round_trip(cycle, &asks, &answers, DEFAULT_LEAD, [way(theirs, own), way(own, theirs)]))
+    [way(theirs, own), way(own, theirs)]
 }
 
 /// The only slot that takes what a channel is given.

@@ -1,0 +1,210 @@
+//! `rtnet package bench`: what a way to a mailbox takes.
+
+mod scheduled;
+mod shown;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::anyhow;
+use nix::errno::Errno;
+use package_router::body;
+use package_router::component::{Component, Mailbox, ReceiveError, SendError, Sender};
+use package_router::mailbox;
+use package_router::wire::{Head, NOT_AVAILABLE};
+
+use super::counts::{COUNT, COUNTED, Counted};
+use super::{check_size, way};
+use crate::cli::{BenchArgs, WhichOf, duration};
+use crate::cmd::Failure;
+use crate::cmd::tdma::found_of;
+use crate::report::histogram::SignedHistogram;
+use scheduled::Scheduled;
+use shown::{Stream, Trips};
+
+/// Of a question.
+const ASKS: i8 = 1;
+/// Of a package that nobody answers.
+const DATA: i8 = -6;
+/// Multiples of the golden ratio, their whole parts left out, lie as far apart as can be, however many there are.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+/// Who finds no room tries again at once so often, which is enough where who reads has another core, and then sleeps.
+const AT_ONCE: u32 = 100;
+const REST: Duration = Duration::from_micros(50);
+/// How often it is asked how many have come.
+const ASKED_AT_MOST: u32 = 3;
+
+/// Measures a way, and shows what came of it.
+pub(super) fn bench(component: &Component, which: &WhichOf, args: &BenchArgs) -> Result<u8, Failure> {
+    check_size(args.size)?;
+    let which = found_of(which)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone())
+        .map_err(|error| Failure::Run(error.into()))?;
+    let (mailbox, sender) = way(component, args.from, args.to, args.size)?;
+    let mut scheduled = Scheduled::of(&which, &sender);
+    let mut bench = Bench { mailbox, sender, args, stop, timeout: duration(args.timeout) };
+    if args.stream {
+        let mut stream = bench.stream()?;
+        if let Some(scheduled) = &mut scheduled {
+            scheduled.end();
+            stream.turns = scheduled.turns(args.size, stream.took_ns);
+        }
+        stream.scheduled = scheduled;
+        crate::cmd::print(which.json, &stream, Stream::describe).map_err(Failure::Run)?;
+        return Ok(u8::from(stream.came.is_none_or(|came| came == 0)));
+    }
+    let mut trips = bench.trips()?;
+    if let Some(scheduled) = &mut scheduled {
+        scheduled.end();
+    }
+    trips.scheduled = scheduled;
+    crate::cmd::print(which.json, &trips, Trips::describe).map_err(Failure::Run)?;
+    Ok(u8::from(trips.came == 0))
+}
+
+struct Bench<'a> {
+    mailbox: Mailbox,
+    sender: Sender,
+    args: &'a BenchArgs,
+    stop: Arc<AtomicBool>,
+    timeout: Duration,
+}
+
+impl Bench<'_> {
+    fn is_over(&self, begun: Instant) -> bool {
+        begun.elapsed() >= duration(self.args.time) || self.stop.load(Ordering::Relaxed)
+    }
+
+    /// One question after the other.
+    fn trips(&mut self) -> Result<Trips, Failure> {
+        let body = vec![0x55; self.args.size];
+        self.ask(ASKS, &body)?;
+        let (mut asked, mut times) = (0u64, SignedHistogram::new());
+        let begun = Instant::now();
+        while !self.is_over(begun) {
+            let pause = duration(self.args.pause).mul_f64((asked as f64 * GOLDEN).fract());
+            if !pause.is_zero() {
+                std::thread::sleep(pause);
+            }
+            asked += 1;
+            if let Some((took, _)) = self.ask(ASKS, &body)? {
+                times.record(took.as_nanos() as i64);
+            }
+        }
+        Ok(Trips {
+            to: self.args.to.to_string(),
+            bytes: self.args.size,
+            asked,
+            came: times.len(),
+            lost: asked - times.len(),
+            took_ns: begun.elapsed().as_nanos() as u64,
+            round_trip_ns: times.summary(),
+            scheduled: None,
+        })
+    }
+
+    /// A command, and how long its answer took, and that; none: it did not come in time.
+    fn ask(&mut self, kind: i8, body: &[u8]) -> Result<Option<(Duration, Answer)>, Failure> {
+        let begun = Instant::now();
+        let id = loop {
+            match self.sender.send(kind, body) {
+                Ok(id) => break id,
+                Err(error) if lacks_room(&error) && begun.elapsed() < self.timeout => {
+                    std::thread::sleep(REST);
+                }
+                Err(error) => return Err(self.failed(&error)),
+            }
+        };
+        while let Some(left) = self.timeout.checked_sub(begun.elapsed()) {
+            let package = match self.mailbox.receive(Some(left)) {
+                Ok(package) => package,
+                Err(ReceiveError::TimedOut) => break,
+                Err(error) => return Err(Failure::Run(anyhow!(error))),
+            };
+            let took = begun.elapsed();
+            let head = *package.head();
+            // One to an earlier question is too late.
+            if head.id != id || head.from != self.args.to {
+                continue;
+            }
+            if head.kind == NOT_AVAILABLE {
+                let what = format!("{} is not there: its station says so", self.args.to);
+                return Err(Failure::Run(anyhow!(what)));
+            }
+            let counted = (kind == COUNTED).then(|| body::read(&package.body().to_vec(), head.body_order));
+            return Ok(Some((took, Answer { counted: counted.and_then(Result::ok) })));
+        }
+        Ok(None)
+    }
+
+    /// As many as the way takes.
+    fn stream(&mut self) -> Result<Stream, Failure> {
+        let body = vec![0x55; self.args.size];
+        self.ask(COUNT, &[])?;
+        let mut stream = Stream::of(self.args);
+        let (begun, mut in_vain) = (Instant::now(), 0);
+        let head = Head { kind: DATA, priority: self.sender.priority(), ..Head::default() };
+        while !self.is_over(begun) {
+            match self.sender.send_with(&head, &body) {
+                Ok(()) => {
+                    stream.sent += 1;
+                    in_vain = 0;
+                    continue;
+                }
+                Err(error) if lacks_room(&error) => match error {
+                    SendError::Mailbox(_) => stream.full += 1,
+                    _ => stream.no_buffers += 1,
+                },
+                Err(error) => return Err(self.failed(&error)),
+            }
+            in_vain += 1;
+            match in_vain < AT_ONCE {
+                true => std::hint::spin_loop(),
+                false => std::thread::sleep(REST),
+            }
+        }
+        stream.sent_for_ns = begun.elapsed().as_nanos() as u64;
+        if let Some(Counted { packages, bytes: _, took }) = self.counted()? {
+            (stream.came, stream.took_ns) = (Some(packages), Some(took));
+            stream.lost = Some(stream.sent.saturating_sub(packages));
+        }
+        Ok(stream)
+    }
+
+    /// How many came, once those that were sent have had their turns: the question is behind them.
+    fn counted(&mut self) -> Result<Option<Counted>, Failure> {
+        let begun = Instant::now();
+        // What is still to leave takes no longer than it took to send all of it.
+        while let Err(error) = self.sender.drained() {
+            if error != SendError::Station(Errno::ETIMEDOUT as i32) || self.is_over(begun) {
+                return Err(self.failed(&error));
+            }
+        }
+        for _ in 0..ASKED_AT_MOST {
+            if let Some((_, answer)) = self.ask(COUNTED, &[])? {
+                return Ok(answer.counted);
+            }
+        }
+        Ok(None)
+    }
+
+    fn failed(&self, error: &SendError) -> Failure {
+        Failure::Run(anyhow!("{}: {error}", self.args.to))
+    }
+}
+
+/// Whether it is only not taken now: the mailbox is full, or what was sent before has not left.
+fn lacks_room(error: &SendError) -> bool {
+    match error {
+        SendError::Mailbox(error) => matches!(error, mailbox::SendError::Full(_)),
+        SendError::Station(errno) => *errno == Errno::ENOBUFS as i32,
+        SendError::NoMailbox(_) => false,
+    }
+}
+
+/// What an answer says.
+struct Answer {
+    counted: Option<Counted>,
+}

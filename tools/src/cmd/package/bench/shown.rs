@@ -1,0 +1,158 @@
+//! What was measured of a way, as people see it.
+
+use std::fmt::Write as _;
+
+use rtmac::tdma::DEFAULT_LEAD;
+use serde::Serialize;
+
+use super::scheduled::{Scheduled, Waits};
+use crate::cli::BenchArgs;
+use crate::report::histogram::Summary;
+use crate::report::text::{about, grouped, micros, micros_or_dash};
+
+/// What questions showed.
+#[derive(Serialize)]
+pub(super) struct Trips {
+    pub to: String,
+    pub bytes: usize,
+    pub asked: u64,
+    pub came: u64,
+    pub lost: u64,
+    pub took_ns: u64,
+    pub round_trip_ns: Summary,
+    /// To another station, what its slots and the own ones say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scheduled: Option<Scheduled>,
+}
+
+/// What came of as many packages as the way takes.
+#[derive(Serialize)]
+pub(super) struct Stream {
+    pub to: String,
+    pub bytes: usize,
+    pub sent: u64,
+    pub sent_for_ns: u64,
+    /// Tries that found the mailbox full.
+    pub full: u64,
+    /// Tries for which the own station had not sent enough of what was before.
+    pub no_buffers: u64,
+    /// None: who has the mailbox does not count.
+    pub came: Option<u64>,
+    pub lost: Option<u64>,
+    /// From the first that came to the last.
+    pub took_ns: Option<u64>,
+    /// How many turns of the own slots passed from the first to the last, if a package takes one.
+    pub turns: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scheduled: Option<Scheduled>,
+}
+
+impl Trips {
+    pub fn describe(&self) -> String {
+        let Self { to, bytes, asked, came, lost, took_ns, round_trip_ns: trip, scheduled } = self;
+        let mut text = format!(
+            "{to}: {} asked in {} with {bytes} bytes, {} answered, {} lost\n",
+            grouped(*asked),
+            about(*took_ns),
+            grouped(*came),
+            grouped(*lost)
+        );
+        if *came > 0 {
+            let [min, p50, p99, p999, p9999, max] =
+                [trip.min, trip.p50, trip.p99, trip.p999, trip.p9999, trip.max].map(micros_or_dash);
+            let _ = writeln!(
+                text,
+                "round trip: min {min}, p50 {p50}, p99 {p99}, p99.9 {p999}, p99.99 {p9999}, max {max} us"
+            );
+        }
+        text + &scheduled.as_ref().map_or(String::new(), Scheduled::describe)
+    }
+}
+
+impl Stream {
+    pub fn of(args: &BenchArgs) -> Self {
+        Self {
+            to: args.to.to_string(),
+            bytes: args.size,
+            sent: 0,
+            sent_for_ns: 0,
+            full: 0,
+            no_buffers: 0,
+            came: None,
+            lost: None,
+            took_ns: None,
+            turns: None,
+            scheduled: None,
+        }
+    }
+
+    pub fn describe(&self) -> String {
+        let Self { to, bytes, sent, sent_for_ns, full, no_buffers, .. } = self;
+        let mut text = format!(
+            "{to}: {} packages of {bytes} bytes sent in {}; tries for which there was no room: mailbox full {}, no buffers {}\n",
+            grouped(*sent),
+            about(*sent_for_ns),
+            grouped(*full),
+            grouped(*no_buffers)
+        );
+        match (self.came, self.lost) {
+            (Some(came), Some(lost)) => {
+                let _ = write!(text, "{} came, {} were lost", grouped(came), grouped(lost));
+                if let Some(took) = self.took_ns.filter(|&took| took > 0 && came > 1) {
+                    let rate = (came - 1) as f64 / took as f64;
+                    let (rate, megabytes) = (rate * 1e9, rate * *bytes as f64 * 1e3);
+                    let _ = write!(text, "; {} a second, {megabytes:.2} MB/s", grouped(rate as u64));
+                }
+                text.push('\n');
+                if let Some(turns) = self.turns.filter(|_| came > 0) {
+                    let share = 100.0 * came as f64 / turns as f64;
+                    let _ = writeln!(
+                        text,
+                        "meanwhile {} turns of this station passed: {share:.2} % of them had one",
+                        grouped(turns)
+                    );
+                }
+            }
+            _ => {
+                text +=
+                    "who has that mailbox does not say how many came: `rtnet package receive --echo` does\n"
+            }
+        }
+        if let Some(scheduled) = &self.scheduled {
+            text += &scheduled.missed();
+        }
+        text
+    }
+}
+
+impl Scheduled {
+    fn describe(&self) -> String {
+        let wait = |wait: &Waits| {
+            let Waits { station, slot, worst_wait_ns, way_ns } = wait;
+            let way = if *way_ns > 0 { format!(" and {} on its way", time(*way_ns)) } else { String::new() };
+            format!("{} for slot {slot} of {station}{way}", time(*worst_wait_ns))
+        };
+        let mut text =
+            format!("worst waits: {}", self.waits.iter().map(wait).collect::<Vec<_>>().join(", then "));
+        match self.two_worst_waits_ns {
+            Some(both) => text += &format!(": {} together", time(both)),
+            None => text += "; those of the other station are not known here",
+        }
+        text.push('\n');
+        if let Some([best, worst]) = self.round_trip_ns {
+            let (best, worst, lead) = (time(best), time(worst), time(DEFAULT_LEAD.nanos()));
+            text += &format!(
+                "by where the slots are: {best} to {worst}, if nobody takes any time and frames are chosen {lead} before\n"
+            );
+        }
+        text + &self.missed()
+    }
+
+    fn missed(&self) -> String {
+        format!("slots missed meanwhile, each of which may add a cycle: {}\n", grouped(self.missed))
+    }
+}
+
+fn time(ns: i64) -> String {
+    format!("{} us", micros(ns))
+}

@@ -48,16 +48,16 @@ pub(super) fn bench(component: &Component, which: &WhichOf, args: &BenchArgs) ->
     if args.stream {
         let mut stream = bench.stream()?;
         if let Some(scheduled) = &mut scheduled {
-            scheduled.end();
+            scheduled.end(&SignedHistogram::new());
             stream.turns = scheduled.turns(args.size, stream.took_ns);
         }
         stream.scheduled = scheduled;
         crate::cmd::print(which.json, &stream, Stream::describe).map_err(Failure::Run)?;
         return Ok(u8::from(stream.came.is_none_or(|came| came == 0)));
     }
-    let mut trips = bench.trips()?;
+    let (mut trips, times) = bench.trips()?;
     if let Some(scheduled) = &mut scheduled {
-        scheduled.end();
+        scheduled.end(&times);
     }
     trips.scheduled = scheduled;
     crate::cmd::print(which.json, &trips, Trips::describe).map_err(Failure::Run)?;
@@ -78,7 +78,7 @@ impl Bench<'_> {
     }
 
     /// One question after the other.
-    fn trips(&mut self) -> Result<Trips, Failure> {
+    fn trips(&mut self) -> Result<(Trips, SignedHistogram), Failure> {
         let body = vec![0x55; self.args.size];
         self.ask(ASKS, &body)?;
         let (mut asked, mut times) = (0u64, SignedHistogram::new());
@@ -93,7 +93,7 @@ impl Bench<'_> {
                 times.record(took.as_nanos() as i64);
             }
         }
-        Ok(Trips {
+        let trips = Trips {
             to: self.args.to.to_string(),
             bytes: self.args.size,
             asked,
@@ -102,7 +102,8 @@ impl Bench<'_> {
             took_ns: begun.elapsed().as_nanos() as u64,
             round_trip_ns: times.summary(),
             scheduled: None,
-        })
+        };
+        Ok((trips, times))
     }
 
     /// A command, and how long its answer took, and that; none: it did not come in time.

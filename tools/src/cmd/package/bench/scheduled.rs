@@ -11,6 +11,7 @@ use crate::cmd::ping::plan::{round_trip, ways, whose};
 use crate::cmd::tdma::status;
 use crate::cmd::waits::{self, RT_SLOT, missed, serving};
 use crate::control::StationStatus;
+use crate::report::histogram::SignedHistogram;
 
 /// Stations tell what they have missed twenty times a second.
 const TOLD_WITHIN: std::time::Duration = std::time::Duration::from_millis(100);
@@ -24,7 +25,9 @@ pub(super) struct Scheduled {
     pub two_worst_waits_ns: Option<i64>,
     /// What it takes at the least and at the most by where the slots are, if nobody takes any time.
     pub round_trip_ns: Option<[i64; 2]>,
-    /// Slots that the stations have missed meanwhile: each may add a cycle.
+    /// Round trips that took longer than both waits.
+    pub longer: u64,
+    /// Slots that the stations have missed meanwhile: each may be the reason of one of those, and adds a cycle.
     pub missed: u64,
     #[serde(skip)]
     stations: Vec<Which>,
@@ -76,13 +79,16 @@ impl Scheduled {
         let mut stations = vec![Which { place: which.place.clone(), json: which.json }];
         stations.extend(theirs.map(|(place, _)| place));
         let two_worst_waits_ns = (waits.len() == 2).then_some(together);
-        let mut of = Self { waits, two_worst_waits_ns, round_trip_ns: trip, missed: 0, stations, turns };
+        let (longer, missed) = (0, 0);
+        let mut of = Self { waits, two_worst_waits_ns, round_trip_ns: trip, longer, missed, stations, turns };
         of.missed = of.missed_so_far();
         Some(of)
     }
 
-    /// All is measured.
-    pub fn end(&mut self) {
+    /// All is measured: these round trips.
+    pub fn end(&mut self, times: &SignedHistogram) {
+        let is_longer = |&(time, _): &(i64, u64)| self.two_worst_waits_ns.is_some_and(|both| time > both);
+        self.longer = times.iter().filter(is_longer).map(|(_, count)| count).sum();
         std::thread::sleep(TOLD_WITHIN);
         self.missed = self.missed_so_far().saturating_sub(self.missed);
     }
@@ -120,6 +126,7 @@ mod tests {
             waits: Vec::new(),
             two_worst_waits_ns: None,
             round_trip_ns: None,
+            longer: 0,
             missed: 0,
             stations: Vec::new(),
             turns,

@@ -145,6 +145,9 @@ impl Scheduled {
                 "by where the slots are: {best} to {worst}, if nobody takes any time and frames are chosen {lead} before\n"
             );
         }
+        if self.two_worst_waits_ns.is_some() {
+            text += &format!("{} took longer than those waits together\n", grouped(self.longer));
+        }
         text + &self.missed()
     }
 
@@ -155,4 +158,51 @@ impl Scheduled {
 
 fn time(ns: i64) -> String {
     format!("{} us", micros(ns))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn round_trips_and_streams_are_told_in_words_and_what_is_not_known_is_left_out() {
+        let trip = json!({
+            "n": 2, "min": 1_000, "p50": 1_250, "p99": 20_000, "p999": 3_000_000, "p9999": 3_000_000, "max": 3_000_000, "sd": 1,
+        });
+        let mut trips = Trips {
+            to: "Camera(0/0)".into(),
+            bytes: 64,
+            asked: 3,
+            came: 2,
+            lost: 1,
+            took_ns: 5_040_000_000,
+            round_trip_ns: serde_json::from_value(trip).unwrap(),
+            scheduled: None,
+        };
+        let words = "Camera(0/0): 3 asked in 5s with 64 bytes, 2 answered, 1 lost\n\
+                     round trip: min 1.00, p50 1.25, p99 20.0, p99.9 3 000, p99.99 3 000, max 3 000 us\n";
+        assert_eq!(trips.describe(), words);
+        trips.came = 0;
+        assert_eq!(trips.describe().lines().count(), 1);
+        let mut stream = Stream {
+            to: "Camera(0/0)".into(),
+            bytes: 1_456,
+            sent: 1_001,
+            sent_for_ns: 1_000_000_000,
+            full: 0,
+            no_buffers: 7,
+            came: Some(1_001),
+            lost: Some(0),
+            took_ns: Some(1_000_000_000),
+            turns: Some(1_025),
+            scheduled: None,
+        };
+        let words = "Camera(0/0): 1 001 packages of 1456 bytes sent in 1s; tries for which there was no room: mailbox full 0, no \
+                     buffers 7\n1 001 came, 0 were lost; 1 000 a second, 1.46 MB/s\n\
+                     meanwhile 1 025 turns of this station passed: 97.66 % of them had one\n";
+        assert_eq!(stream.describe(), words);
+        (stream.came, stream.turns) = (None, None);
+        assert!(stream.describe().ends_with("`rtnet package receive --echo` does\n"));
+    }
 }

@@ -222,7 +222,7 @@ impl Message {
             Message::Request { .. } => 22,
             Message::Reply { .. } => 38,
         };
-        Stamp { at_byte, add }
+        Stamp { at_byte, add, sum_at: None }
     }
 }
 

@@ -35,6 +35,16 @@ pub struct Buf {
     storage: Option<Box<Storage>>,
 }
 
+/// A field of a frame that says when it left, which is written as the last act before it does, and the checksum over it: their
+/// offsets from the frame's first byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Blank {
+    /// Of the field, eight bytes.
+    pub at_byte: u16,
+    /// Of the checksum, two.
+    pub sum_at: u16,
+}
+
 struct Storage {
     home: &'static Home,
     /// The next in the [`Chain`] that it is part of.
@@ -43,6 +53,7 @@ struct Storage {
     /// What is filled and not trimmed: `start..end` of `bytes`.
     start: u16,
     end: u16,
+    blank: Option<Blank>,
     bytes: [u8; ROOM],
 }
 
@@ -68,8 +79,7 @@ impl Buf {
     #[inline]
     pub fn set_len(&mut self, len: usize) {
         assert!(len <= ROOM, "a buffer holds {ROOM} bytes, not {len}");
-        let storage = self.storage_mut();
-        (storage.start, storage.end) = (0, len as u16);
+        self.storage_mut().is_filled_up_to(len);
     }
 
     /// Copies `bytes` in and takes their length; nothing is trimmed then. Panics above [`ROOM`].
@@ -113,6 +123,16 @@ impl Buf {
         }
     }
 
+    /// What is to be written in it when it leaves.
+    #[inline]
+    pub fn blank(&self) -> Option<Blank> {
+        self.storage().blank
+    }
+    /// This is to be written in it when it leaves, until it is filled with something else.
+    pub fn set_blank(&mut self, blank: Blank) {
+        self.storage_mut().blank = Some(blank);
+    }
+
     #[inline]
     fn storage(&self) -> &Storage {
         self.storage.as_deref().expect("only what ends it takes it")
@@ -125,7 +145,13 @@ impl Buf {
 
 impl Storage {
     fn new(home: &'static Home, place: u16) -> Self {
-        Self { home, behind: Behind::default(), place, start: 0, end: 0, bytes: [0; ROOM] }
+        Self { home, behind: Behind::default(), place, start: 0, end: 0, blank: None, bytes: [0; ROOM] }
+    }
+
+    /// By something that has no blank so far.
+    #[inline]
+    fn is_filled_up_to(&mut self, len: usize) {
+        (self.start, self.end, self.blank) = (0, len as u16, None);
     }
 
     #[inline]

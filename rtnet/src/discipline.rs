@@ -16,11 +16,12 @@
 mod event;
 mod time_view;
 
-use crate::buf::Buf;
+use crate::buf::{Blank, Buf};
 use crate::counters::Refusal;
 use crate::ip::route::Routes;
 use crate::queue::Priority;
 use crate::time::{GlobalTime, Instant};
+use crate::wire::checksum;
 use crate::wire::ethernet::{EtherType, Header};
 
 pub use event::{Cause, Event, EventKind};
@@ -171,18 +172,32 @@ pub struct Transmission {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp {
     /// Offset of the field from the frame's first byte.
-    pub at_byte: u8,
+    pub at_byte: u16,
     /// Added to the local clock, modulo 2^64.
     pub add: u64,
+    /// Offset of an Internet checksum that is over the field, too, and stays right; both are whole words of what it is over.
+    pub sum_at: Option<u16>,
 }
 
 impl Stamp {
+    /// That of a frame which is to say when it left, by this line at this moment; `None`: it is not, or nobody knows.
+    pub fn of(frame: &Buf, line: &TimeView, at: Instant) -> Option<Self> {
+        let Blank { at_byte, sum_at } = frame.blank()?;
+        let add = line.to_global(at)?.nanos().wrapping_sub(at.nanos());
+        Some(Self { at_byte, add, sum_at: Some(sum_at) })
+    }
+
     /// Writes the stamp into its frame; one outside the frame is not written.
     #[inline]
     pub fn write(&self, frame: &mut [u8], now: Instant) {
         let at = usize::from(self.at_byte);
-        if let Some(field) = frame.get_mut(at..at + 8) {
-            field.copy_from_slice(&now.nanos().wrapping_add(self.add).to_be_bytes());
+        let Some(field) = frame.get_mut(at..at + 8).and_then(|field| field.as_mut_array()) else { return };
+        let after = now.nanos().wrapping_add(self.add).to_be_bytes();
+        // One that comes back and leaves later was stamped before.
+        let before = core::mem::replace(field, after);
+        let Some(at) = self.sum_at.map(usize::from) else { return };
+        if let Some(sum) = frame.get_mut(at..at + 2).and_then(|sum| sum.as_mut_array()) {
+            *sum = checksum::replaced(u16::from_be_bytes(*sum), &before, &after).to_be_bytes();
         }
     }
 }

@@ -138,7 +138,8 @@ impl Site {
 
 impl Program {
     fn send(&mut self, data: &[u8], to: SocketAddrV4) {
-        let order = Order { to: Some(segment::pack_udp(to)), options: Options::default(), flags: 0 };
+        let order =
+            Order { to: Some(segment::pack_udp(to)), options: Options::default(), flags: 0, at: None };
         let written = self.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
         assert_eq!(written, Ok(true));
     }

@@ -48,7 +48,7 @@ impl Program {
     /// Orders a datagram of so many bytes, if its ring is one still.
     fn order(&mut self, len: usize) {
         let to = Some(segment::pack_udp(SocketAddrV4::new(B.1, 9)));
-        let order = Order { to, options: Options::default(), flags: 0 };
+        let order = Order { to, options: Options::default(), flags: 0, at: None };
         let written = self.writer.write(segment::pack_order(&order), len, [&[7; 4_096][..len]].into_iter());
         self.ordered += u64::from(written == Ok(true));
     }

@@ -1,6 +1,6 @@
 //! The frames of jobs: what they carry, and what is counted once they have left.
 
-use rtnet::discipline::{EventKind, Transmission};
+use rtnet::discipline::{Discipline, EventKind, Stamp, Transmission};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::Address;
@@ -21,7 +21,8 @@ impl Tdma {
                     }
                     return None;
                 };
-                (frame, None, priority)
+                let stamp = frame.blank().and_then(|_| Stamp::of(&frame, &self.time(), job.at()));
+                (frame, stamp, priority)
             }
             control => {
                 let (message, to, add) = self.control_message(control)?;

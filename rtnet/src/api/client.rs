@@ -132,6 +132,15 @@ impl UdpSocket {
     }
 }
 
+impl UdpSocket {
+    /// Whether what it sends says when that was, and when it left: who receives it by a station of ours is told so
+    /// ([`Received::times`]), if this station was started to (`--package-times`) and knows the master's time. It does not
+    /// otherwise; and in no case where that would take another frame.
+    pub fn set_with_times(&self, with_times: bool) {
+        self.0.set_with_times(with_times);
+    }
+}
+
 impl PacketSocket {
     /// From now on frames of another type come to it.
     pub fn bind(&self, link_type: LinkType) -> io::Result<()> {

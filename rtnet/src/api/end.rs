@@ -16,7 +16,7 @@ use super::memory::Memory;
 use super::ready::{HungUp, Ready};
 use super::ring::{Reader, Writer};
 use super::segment::{self, ASLEEP, ERROR, Order, SERVED, STATE, STATION_ASLEEP};
-use crate::live::clock::Deadline;
+use crate::live::clock::{Deadline, monotonic};
 use crate::socket::{Flags, Options, Received};
 
 /// What an eventfd is written to be readable.
@@ -47,6 +47,8 @@ pub(super) struct End {
 struct Sending {
     writer: Writer,
     options: Options,
+    /// Whether receivers are to know when it was.
+    with_times: bool,
     /// What the station had read at the last send, and how many sends in a row it has read nothing.
     read: u64,
     unread: u32,
@@ -65,7 +67,13 @@ impl End {
             ready: Ready::new(gate, control.try_clone()?)?,
             control: Mutex::new(control),
             received: Mutex::new(Reader::new(memory.clone(), segment::received())),
-            sending: Mutex::new(Sending { writer, options: Options::default(), read: 0, unread: 0 }),
+            sending: Mutex::new(Sending {
+                writer,
+                options: Options::default(),
+                with_times: false,
+                read: 0,
+                unread: 0,
+            }),
             memory,
             timeout: Mutex::new(None),
             doorbell: File::from(doorbell),
@@ -110,7 +118,8 @@ impl End {
             sending.unread = 0;
             return Err(Errno::ENODEV.into());
         }
-        let order = Order { to, options: sending.options, flags: flags.bits() };
+        let at = sending.with_times.then(monotonic);
+        let order = Order { to, options: sending.options, flags: flags.bits(), at };
         let written = sending.writer.write(segment::pack_order(&order), len, parts.iter().copied());
         match written {
             Ok(true) => {}
@@ -252,6 +261,10 @@ impl End {
 
     pub(super) fn set_options(&self, change: impl FnOnce(&mut Options)) {
         change(&mut locked(&self.sending).options);
+    }
+
+    pub(super) fn set_with_times(&self, with_times: bool) {
+        locked(&self.sending).with_times = with_times;
     }
 
     pub(super) fn timeout(&self) -> Option<Duration> {

@@ -24,8 +24,9 @@ use super::handshake::DESCRIPTORS;
 use super::memory::Memory;
 use super::ring::{Nonsense, Reader, Writer};
 use super::segment::{self, ASLEEP, ENDED, ERROR, Order, STATE, STATION_ASLEEP};
-use crate::live::Bells;
+use crate::live::{Bells, TimeBoard};
 use crate::socket::{Access, Flags, Lack, Program, SocketError, SocketId};
+use crate::time::GlobalTime;
 use crate::wire::udp::MAX_PAYLOAD;
 
 /// Datagrams that are taken from one program in one turn: a flood does not hold up the others'.
@@ -72,6 +73,8 @@ pub struct Lines {
     came_by: bool,
     /// So many have not been looked at since then.
     unseen: usize,
+    /// By which what is sent with times is told when that was; `None`: it is sent as all else.
+    time: Option<Arc<TimeBoard>>,
     counters: LineCounters,
 }
 
@@ -143,10 +146,16 @@ impl Line {
         self.is_broken
     }
 
-    fn serve(&mut self, sockets: &mut Access<'_>, room: &mut [u8], work: &mut Work) -> Result<(), Nonsense> {
+    fn serve(
+        &mut self,
+        sockets: &mut Access<'_>,
+        room: &mut [u8],
+        work: &mut Work,
+        time: Option<&TimeBoard>,
+    ) -> Result<(), Nonsense> {
         // What the program is given frees buffers for what it sends.
         self.pass_on(sockets, work)?;
-        self.take_orders(sockets, room, work)
+        self.take_orders(sockets, room, work, time)
     }
 
     fn pass_on(&mut self, sockets: &mut Access<'_>, work: &mut Work) -> Result<(), Nonsense> {
@@ -175,6 +184,7 @@ impl Line {
         sockets: &mut Access<'_>,
         room: &mut [u8],
         work: &mut Work,
+        time: Option<&TimeBoard>,
     ) -> Result<(), Nonsense> {
         self.waits = false;
         for _ in 0..ORDERS_AT_ONCE {
@@ -193,7 +203,8 @@ impl Line {
                     return Ok(());
                 }
                 let copied = self.from_program.copy(&record, room);
-                sent = carry_out(self.socket, sockets, &order, &room[..copied]);
+                let at = order.at.zip(time).and_then(|(at, time)| time.global_at(at));
+                sent = carry_out(self.socket, sockets, &order, at, &room[..copied]);
             }
             sent.unwrap_or_else(|error| self.note(&error));
             work.spend(record.len);
@@ -232,11 +243,12 @@ fn carry_out(
     socket: SocketId,
     sockets: &mut Access<'_>,
     order: &Order,
+    at: Option<GlobalTime>,
     data: &[u8],
 ) -> Result<(), SocketError> {
     let flags = Flags::from_bits(order.flags);
     if sockets.is_udp(socket)? {
-        sockets.send_with(socket, data, order.to.map(segment::unpack_udp), flags)
+        sockets.send_sent_at(socket, data, order.to.map(segment::unpack_udp), flags, at)
     } else {
         sockets.send_frame_with(socket, data, order.to.map(segment::unpack_link), flags)
     }
@@ -252,8 +264,14 @@ impl Lines {
             work: Work::of_a_turn(),
             came_by: false,
             unseen: 0,
+            time: None,
             counters: LineCounters::default(),
         }
+    }
+
+    /// From now on what programs send with times says when it was sent, by this board of their station's.
+    pub fn tell_times(&mut self, time: Arc<TimeBoard>) {
+        self.time = Some(time);
     }
 
     /// Serves another one, for this socket; it comes back with how many there may be if there is no room.
@@ -303,7 +321,7 @@ impl Drop for Lines {
 
 impl Program for Lines {
     fn run(&mut self, sockets: &mut Access<'_>) {
-        let Self { lines, room, first, work, came_by, unseen, counters } = self;
+        let Self { lines, room, first, work, came_by, unseen, time, counters } = self;
         *came_by = true;
         let count = lines.len();
         for place in (*first..*first + count).map(|place| place % count) {
@@ -314,7 +332,7 @@ impl Program for Lines {
             }
             *unseen = unseen.saturating_sub(1);
             let line = &mut lines[place];
-            if !line.is_broken && line.serve(sockets, room, work).is_err() {
+            if !line.is_broken && line.serve(sockets, room, work, time.as_deref()).is_err() {
                 counters.nonsense += 1;
                 // To be told of when it rests: it takes a system call.
                 (line.is_broken, line.has_news) = (true, true);

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! words   ┌──────┬───────────┬─────────────┬──────┬───
-//!         │ len  │ meta x 4  │ content ... │ len  │       each record begins at a word; all are whole words
+//!         │ len  │ meta x 6  │ content ... │ len  │       each record begins at a word; all are whole words
 //!         └──────┴───────────┴─────────────┴──────┴───
 //!         ^ tail: the reader's, words read so far   ^ head: the writer's, words written so far
 //! ```
@@ -18,7 +18,7 @@ use std::sync::Arc;
 use super::memory::Memory;
 
 /// Words in front of a record's content, besides its length.
-pub const META: usize = 4;
+pub const META: usize = 6;
 const HEAD: usize = 1 + META;
 const WORD: usize = size_of::<u64>();
 
@@ -275,16 +275,17 @@ mod tests {
     #[test]
     fn a_full_ring_takes_no_more_until_something_was_read() {
         let (_memory, mut writer, mut reader) = ring();
-        let content = [7; 8 * 11];
-        let mut write = || writer.write([1, 2, 3, 4], content.len(), [&content[..]].into_iter()).unwrap();
+        let content = [7; 8 * 9];
+        let mut write =
+            || writer.write([1, 2, 3, 4, 5, 6], content.len(), [&content[..]].into_iter()).unwrap();
         let written = (0..9).filter(|_| write()).count();
         assert_eq!(written, 4, "16 words each, in 64");
-        assert_eq!(read(&mut reader), Some(([1, 2, 3, 4], content.to_vec())));
+        assert_eq!(read(&mut reader), Some(([1, 2, 3, 4, 5, 6], content.to_vec())));
         assert!(write());
         assert!(!write());
         assert_eq!(std::iter::from_fn(|| read(&mut reader)).count(), 4);
         assert!(reader.is_empty() && writer.is_drained());
-        assert!(writer.could_take(59 * 8) && !writer.could_take(59 * 8 + 1));
+        assert!(writer.could_take(57 * 8) && !writer.could_take(57 * 8 + 1));
     }
 
     #[test]

@@ -11,9 +11,10 @@ use core::net::{Ipv4Addr, SocketAddrV4};
 
 use super::memory::Memory;
 use super::ring::{Meta, Place};
+use crate::clock::True;
 use crate::discipline::Channel;
 use crate::queue::Priority;
-use crate::socket::{LinkAddress, Options, Received, Sender};
+use crate::socket::{LinkAddress, Options, Received, Sender, Times};
 use crate::time::{GlobalTime, Instant};
 use crate::wire::ethernet::{Address, EtherType};
 
@@ -59,6 +60,8 @@ const NO_RX: u64 = 1;
 const NO_GLOBAL: u64 = 2;
 const TO_GROUP: u64 = 4;
 const IS_LINK: u64 = 8;
+const NO_TIMES: u64 = 16;
+const NO_LEFT: u64 = 32;
 
 /// What comes with something that was received.
 pub fn pack_received(received: &Received) -> Meta {
@@ -71,14 +74,18 @@ pub fn pack_received(received: &Received) -> Meta {
     };
     let flags = of_sender
         | if received.rx.is_none() { NO_RX } else { 0 }
-        | if received.global.is_none() { NO_GLOBAL } else { 0 };
+        | if received.global.is_none() { NO_GLOBAL } else { 0 }
+        | if received.times.is_none() { NO_TIMES } else { 0 }
+        | if received.times.and_then(|times| times.left).is_none() { NO_LEFT } else { 0 };
     let rx = received.rx.map_or(0, Instant::nanos);
-    [from, flags, rx, received.global.map_or(0, GlobalTime::nanos)]
+    let (sent, left) = (received.times.map(|times| times.sent), received.times.and_then(|times| times.left));
+    let [global, sent, left] = [received.global, sent, left].map(|at| at.map_or(0, GlobalTime::nanos));
+    [from, flags, rx, global, sent, left]
 }
 
 /// The reverse, of something of which so much was copied.
 pub fn unpack_received(meta: Meta, whole: usize, len: usize) -> Received {
-    let [from, flags, rx, global] = meta;
+    let [from, flags, rx, global, sent, left] = meta;
     let is = |flag| flags & flag != 0;
     let from = if is(IS_LINK) {
         let (address, ether_type) = unpack_link(from);
@@ -86,12 +93,14 @@ pub fn unpack_received(meta: Meta, whole: usize, len: usize) -> Received {
     } else {
         Sender::Udp(unpack_udp(from))
     };
+    let known = |unless, nanos| (!is(unless)).then_some(GlobalTime::from_nanos(nanos));
     Received {
         len,
         whole,
         from,
         rx: (!is(NO_RX)).then_some(Instant::from_nanos(rx)),
-        global: (!is(NO_GLOBAL)).then_some(GlobalTime::from_nanos(global)),
+        global: known(NO_GLOBAL, global),
+        times: known(NO_TIMES, sent).map(|sent| Times { sent, left: known(NO_LEFT, left) }),
     }
 }
 
@@ -104,24 +113,31 @@ pub struct Order {
     pub options: Options,
     /// Flags of the call.
     pub flags: i32,
+    /// When it was handed over, by CLOCK_MONOTONIC, if its receiver is to know.
+    pub at: Option<True>,
 }
 
 const TO_SOMEBODY: u64 = 1;
+const WITH_TIMES: u64 = 2;
 
 /// What comes with something that is to be sent.
 pub fn pack_order(order: &Order) -> Meta {
     let Options { priority, channel, tos } = order.options;
     let options = u64::from(priority.level()) | u64::from(channel) << 8 | u64::from(tos) << 16;
     let flags = u64::from(order.flags as u32) << 32;
-    [order.to.unwrap_or(0), options, flags, if order.to.is_some() { TO_SOMEBODY } else { 0 }]
+    let has =
+        if order.to.is_some() { TO_SOMEBODY } else { 0 } | if order.at.is_some() { WITH_TIMES } else { 0 };
+    [order.to.unwrap_or(0), options, flags, has, order.at.unwrap_or(0), 0]
 }
 
 /// The reverse; `None`: it cannot be.
 pub fn unpack_order(meta: Meta) -> Option<Order> {
-    let [to, options, flags, is_to] = meta;
+    let [to, options, flags, has, at, _] = meta;
     let priority = Priority::new(options as u8).ok()?;
     let options = Options { priority, channel: (options >> 8) as Channel, tos: (options >> 16) as u8 };
-    Some(Order { to: (is_to & TO_SOMEBODY != 0).then_some(to), options, flags: (flags >> 32) as i32 })
+    let known = |flag, word| (has & flag != 0).then_some(word);
+    let (to, at) = (known(TO_SOMEBODY, to), known(WITH_TIMES, at));
+    Some(Order { to, options, flags: (flags >> 32) as i32, at })
 }
 
 /// An address of UDP's in a word.
@@ -164,8 +180,12 @@ mod tests {
                 [(None, None), (Some(0), Some(u64::MAX)), (Some(u64::MAX), None), (None, Some(0))]
             {
                 let (rx, global) = (rx.map(Instant::from_nanos), global.map(GlobalTime::from_nanos));
-                let received = Received { len: 3, whole: 7, from, rx, global };
-                assert_eq!(unpack_received(pack_received(&received), 7, 3), received);
+                let sent = GlobalTime::from_nanos(5);
+                for times in [None, Some(Times { sent, left: None }), Some(Times { sent, left: Some(sent) })]
+                {
+                    let received = Received { len: 3, whole: 7, from, rx, global, times };
+                    assert_eq!(unpack_received(pack_received(&received), 7, 3), received);
+                }
             }
         }
     }
@@ -174,9 +194,11 @@ mod tests {
     fn what_is_to_be_sent_comes_over_as_it_is_and_no_priority_that_there_is_not() {
         let options = Options { priority: Priority::LAST_REAL_TIME, channel: 255, tos: 0x10 };
         for to in [None, Some(0), Some(u64::MAX)] {
-            let order = Order { to, options, flags: -1 };
-            assert_eq!(unpack_order(pack_order(&order)), Some(order));
+            for at in [None, Some(0), Some(u64::MAX)] {
+                let order = Order { to, options, flags: -1, at };
+                assert_eq!(unpack_order(pack_order(&order)), Some(order));
+            }
         }
-        assert_eq!(unpack_order([0, 32, 0, 0]), None);
+        assert_eq!(unpack_order([0, 32, 0, 0, 0, 0]), None);
     }
 }

@@ -101,7 +101,7 @@ impl Pool {
         let home = self.home;
         let hint = home.hint.load(Relaxed);
         let mut storage = home.empty(hint).or_else(|| home.search(hint))?;
-        (storage.start, storage.end) = (0, 0);
+        storage.is_filled_up_to(0);
         let number = usize::from(storage.place);
         home.hint.store(number + 1, Relaxed);
         if !home.places[number].was_taken.load(Relaxed) || number < hint {

@@ -17,7 +17,7 @@ use crate::wire::ethernet::{self, EtherType};
 use crate::wire::icmpv4::{self, Echo, Kind};
 use crate::wire::ipv4::{self, Header, Protocol};
 
-use super::output::Output;
+use super::output::{Content, Output};
 
 /// Buffers for echoes: RTnet's.
 pub const DEFAULT_BUFFERS: usize = 8;
@@ -190,8 +190,9 @@ impl Stack {
     ) -> Result<(), SocketError> {
         let route = Route::find(&self.routes, to, false)?.for_who_hears_at(from);
         let Self { icmp, .. } = self;
-        let parts = [echo.as_bytes(), data];
-        let frames = icmp.output.datagram(&route, Protocol::ICMP, options, parts, &icmp.pool, exit)?;
+        let parts = &[echo.as_bytes(), data];
+        let content = Content { protocol: Protocol::ICMP, parts, ends_in_times: false };
+        let frames = icmp.output.datagram(&route, options, &content, &icmp.pool, exit)?;
         self.dispatch(&route, options, frames, exit)
     }
 }

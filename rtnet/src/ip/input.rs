@@ -11,6 +11,10 @@ use crate::time::Instant;
 use crate::wire::ethernet::{EtherType, HEADER_LEN as LINK_HEADER, Header as LinkHeader};
 use crate::wire::ipv4::{self, Header, Protocol};
 use crate::wire::udp;
+use crate::wire::udp_options::{self, Times};
+
+/// Of a datagram in fragments, more than this behind its end is not looked at.
+const SURPLUS_AT_MOST: usize = 128;
 
 impl Stack {
     /// A frame that neither the discipline nor a service claims. What it refuses the station counts, or has somebody else for.
@@ -90,9 +94,10 @@ impl Stack {
                 return Err(Refusal::UdpChecksum.into());
             }
         }
+        let times = self.times_behind(head, &frame[len..]);
         let socket = self.sockets.get_mut(id).map_err(|_| Refusal::NoSocket)?;
         match hand_over(frame, &socket.pool) {
-            Ok(kept) => self.deliver(id, Chain::of(kept), len, from, rx),
+            Ok(kept) => self.deliver(id, Chain::of(kept), len, from, rx, times),
             Err(_) => {
                 socket.counters.dropped += 1;
                 return Err(Refusal::PoolEmpty.into());
@@ -138,21 +143,35 @@ impl Stack {
         let Complete { socket, chain } = complete;
         let first = chain.parts().next().ok_or(Refusal::Truncated)?;
         let (head, _) = udp::parse(first)?;
-        let len = usize::from(head.len());
-        if len != chain.len() {
+        let (len, whole) = (usize::from(head.len()), chain.len());
+        if len > whole {
             return Err(Refusal::UdpLength);
         }
         if head.checksum() != 0 {
             let mut sum = udp::pseudo_header(header.source(), header.destination(), head.len());
-            chain.parts().for_each(|part| sum.add(part));
+            let mut left = len;
+            for part in chain.parts() {
+                let part = &part[..left.min(part.len())];
+                sum.add(part);
+                left -= part.len();
+            }
             let is_wrong = sum.finish() != 0;
-            if is_wrong && self.config.fragment_checksums {
+            // Whose checksums are wrong knows of no options: what is behind the end then is there since the length is wrong.
+            if is_wrong && (self.config.fragment_checksums || len < whole) {
                 return Err(Refusal::UdpChecksum);
             }
             self.counters.checksums_tolerated += u64::from(is_wrong);
         }
         let (from, _) = ends(header, head);
-        self.deliver(socket, chain, len, from, rx);
+        let mut room = [0; SURPLUS_AT_MOST];
+        let times = match room.get_mut(..whole - len) {
+            Some(surplus) => {
+                chain.copy_to(len, surplus);
+                self.times_behind(head, surplus)
+            }
+            None => None,
+        };
+        self.deliver(socket, chain, len, from, rx, times);
         Ok(())
     }
 
@@ -160,11 +179,31 @@ impl Stack {
         self.sockets.udp_for(self.routes.own(), from, to)
     }
 
+    /// What is behind a datagram's end may say when it was where.
+    fn times_behind(&mut self, head: &udp::Header, surplus: &[u8]) -> Option<Times> {
+        if surplus.is_empty() {
+            return None;
+        }
+        let times = udp_options::parse(head.len().into(), head.checksum() != 0, surplus);
+        times.unwrap_or_else(|_| {
+            self.counters.options_ignored += 1;
+            None
+        })
+    }
+
     /// Leaves a datagram of `len` bytes, its header among them, where its program finds it.
-    fn deliver(&mut self, id: SocketId, chain: Chain, len: usize, from: SocketAddrV4, rx: Option<Instant>) {
+    fn deliver(
+        &mut self,
+        id: SocketId,
+        chain: Chain,
+        len: usize,
+        from: SocketAddrV4,
+        rx: Option<Instant>,
+        times: Option<Times>,
+    ) {
         let Ok(socket) = self.sockets.get_mut(id) else { return };
         let (begin, from) = (udp::HEADER_LEN, Sender::Udp(from));
-        socket.keep(Datagram { chain, begin, len: len - begin, from, rx });
+        socket.keep(Datagram { chain, begin, len: len - begin, from, rx, times });
         self.delivered = true;
     }
 }

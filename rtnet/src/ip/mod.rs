@@ -137,6 +137,8 @@ pub struct StackCounters {
     pub echoes_answered: u64,
     /// Datagrams in fragments with a wrong checksum, which were let in.
     pub checksums_tolerated: u64,
+    /// Datagrams behind whose end there was what is no list of options, or a changed one: they were let in without it.
+    pub options_ignored: u64,
     /// Somebody claimed an address that is this station's, or another's by the table.
     pub arp_conflicts: u64,
     /// Entries of the host table that their station, or the answer to a question, has changed.

@@ -4,13 +4,14 @@ use core::net::Ipv4Addr;
 
 use super::route::{Hop, Routes};
 use super::{Exit, Stack};
-use crate::buf::{Chain, Pool};
+use crate::buf::{Blank, Chain, Pool};
 use crate::discipline::SendError;
 use crate::socket::{Options, SocketError};
 use crate::wire::ethernet::{
     Address, EtherType, HEADER_LEN as LINK_HEADER, Header as LinkHeader, MIN_FRAME, MTU,
 };
 use crate::wire::ipv4::{Fields, HEADER_LEN, Header, Protocol};
+use crate::wire::udp_options;
 use zerocopy::IntoBytes;
 
 /// Where a datagram goes, and from where.
@@ -19,6 +20,14 @@ pub(crate) struct Route {
     pub destination: Ipv4Addr,
     hop: Hop,
     from: Address,
+}
+
+/// What is sent to somebody: one thing in parts that lie in several places.
+pub(crate) struct Content<'a> {
+    pub protocol: Protocol,
+    pub parts: &'a [&'a [u8]],
+    /// They end in times, as [`udp_options`] has them: the frame with their end is to say when it left.
+    pub ends_in_times: bool,
 }
 
 /// What all datagrams of a station have in common.
@@ -74,17 +83,17 @@ impl Route {
 }
 
 impl Output {
-    /// The frames of a datagram, `parts` one after the other, in ascending order, in buffers of `pool`: all of them, or none.
+    /// The frames of a datagram, its parts one after the other, in ascending order, in buffers of `pool`: all of them, or none.
     pub fn datagram(
         &mut self,
         route: &Route,
-        protocol: Protocol,
         options: Options,
-        parts: [&[u8]; 2],
+        datagram: &Content<'_>,
         pool: &Pool,
         exit: &dyn Exit,
     ) -> Result<Chain, SocketError> {
-        let whole = parts[0].len() + parts[1].len();
+        let Content { protocol, parts, ends_in_times } = *datagram;
+        let whole = parts.iter().map(|part| part.len()).sum();
         let (each, count) = route.shares(whole, options, exit)?;
         let mut empty = Chain::new();
         for _ in 0..count {
@@ -116,7 +125,11 @@ impl Output {
             let content = LINK_HEADER + HEADER_LEN;
             room[LINK_HEADER..content].copy_from_slice(header.as_bytes());
             copy_part(parts, begin, &mut room[content..content + len]);
-            frame.set_len(content + len);
+            let end = content + len;
+            frame.set_len(end);
+            if ends_in_times && begin + len == whole {
+                frame.set_blank(blank_before(end));
+            }
             frame.pad_to(MIN_FRAME);
             frames.push(frame);
         }
@@ -148,6 +161,12 @@ impl Stack {
     }
 }
 
+/// Where times that end there say when they left.
+fn blank_before(end: usize) -> Blank {
+    let (at_byte, sum_at) = (end - udp_options::LEFT_BEFORE_END, end - udp_options::CHECKSUM_BEFORE_END);
+    Blank { at_byte: at_byte as u16, sum_at: sum_at as u16 }
+}
+
 /// How many bytes of a datagram a packet takes: all, or as many as fit, in units of eight.
 fn share(whole: usize, limit: usize, options: Options) -> Result<usize, SocketError> {
     let room = limit.saturating_sub(HEADER_LEN);
@@ -163,15 +182,14 @@ fn share(whole: usize, limit: usize, options: Options) -> Result<usize, SocketEr
     }
 }
 
-/// The bytes of both parts, taken as one, from `begin` on.
-fn copy_part(parts: [&[u8]; 2], begin: usize, into: &mut [u8]) {
-    let [head, data] = parts;
-    let of_head = head.get(begin..).unwrap_or_default();
-    let split = of_head.len().min(into.len());
-    into[..split].copy_from_slice(&of_head[..split]);
-    let rest = begin.saturating_sub(head.len());
-    let len = into.len() - split;
-    into[split..].copy_from_slice(&data[rest..rest + len]);
+/// The bytes of all parts, taken as one, from `begin` on.
+fn copy_part(parts: &[&[u8]], mut begin: usize, mut into: &mut [u8]) {
+    for part in parts {
+        let wanted = part.get(begin..).unwrap_or_default();
+        let (here, rest) = into.split_at_mut(wanted.len().min(into.len()));
+        here.copy_from_slice(&wanted[..here.len()]);
+        (begin, into) = (begin.saturating_sub(part.len()), rest);
+    }
 }
 
 /// A pool has not as many as are needed.

@@ -32,7 +32,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-use crate::clock::EmulatedClock;
+use crate::clock::{EmulatedClock, True};
 use crate::discipline::{SyncState, TimeView};
 use crate::time::{GlobalTime, Instant, Offset, Span};
 
@@ -184,6 +184,12 @@ impl TimeBoard {
     pub fn global_now(&self) -> Option<(GlobalTime, SyncState)> {
         let (view, clock) = self.view_and_clock();
         view.to_global(clock.local(monotonic())).map(|global| (global, view.state))
+    }
+
+    /// What the master's clock shows at a moment of CLOCK_MONOTONIC; `None` before there is any time line.
+    pub fn global_at(&self, at: True) -> Option<GlobalTime> {
+        let (view, clock) = self.read_both();
+        view.to_global(clock.local(at))
     }
 
     /// What the master's clock shows at a moment of the station's; `None` before there is any time line. For more

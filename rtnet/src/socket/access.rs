@@ -7,7 +7,7 @@ use super::{Flags, Lack, LinkType, Options, Received, Socket, SocketCounters, So
 use crate::discipline::TimeView;
 use crate::ip::{Exit, Pong, Stack};
 use crate::queue::Priority;
-use crate::time::Instant;
+use crate::time::{GlobalTime, Instant};
 use crate::wire::ethernet::{Address, EtherType};
 
 /// A program in the station's own thread. It must not wait, allocate or ask the kernel for anything: what it does comes
@@ -106,6 +106,17 @@ impl<'a> Access<'a> {
         flags: Flags,
     ) -> Result<(), SocketError> {
         self.stack.send_to(id, data, to, flags, self.exit)
+    }
+    /// As [`Stack::send_sent_at`].
+    pub fn send_sent_at(
+        &mut self,
+        id: SocketId,
+        data: &[u8],
+        to: Option<SocketAddrV4>,
+        flags: Flags,
+        sent: Option<GlobalTime>,
+    ) -> Result<(), SocketError> {
+        self.stack.send_sent_at(id, data, to, flags, sent, self.exit)
     }
     /// Whether what is sent now, `len` bytes, would be refused for want of the socket's buffers, and whether that passes: then
     /// it is worth being tried again. To a packet socket `to` is nothing.

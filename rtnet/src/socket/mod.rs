@@ -34,6 +34,8 @@ pub(crate) use table::Table;
 pub use udp::Lack;
 pub(crate) use udp::Udp;
 
+pub use crate::wire::udp_options::Times;
+
 /// Buffers of a socket, unless it is said otherwise: RTnet's `socket_rtskbs`.
 pub const DEFAULT_BUFFERS: usize = 16;
 /// Buffers that a socket may be extended to, unless it was made with more: five of the longest datagrams.
@@ -104,6 +106,7 @@ pub(crate) struct Datagram {
     pub len: usize,
     pub from: Sender,
     pub rx: Option<Instant>,
+    pub times: Option<Times>,
 }
 
 /// Who sent what was received.
@@ -128,6 +131,8 @@ pub struct Received {
     pub rx: Option<Instant>,
     /// The same on the master's clock, as far as that is known.
     pub global: Option<GlobalTime>,
+    /// When it was sent, and left its sender's station, as that says; `None`: it does not.
+    pub times: Option<Times>,
 }
 
 impl Received {
@@ -301,7 +306,8 @@ impl Socket {
 
 impl Datagram {
     fn described(&self) -> Received {
-        Received { len: self.len, whole: self.len, from: self.from, rx: self.rx, global: None }
+        let Datagram { len, from, rx, times, .. } = *self;
+        Received { len, whole: len, from, rx, global: None, times }
     }
 
     /// Its content, without what is around it.

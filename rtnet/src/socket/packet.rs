@@ -181,7 +181,7 @@ impl Stack {
             _ => 0,
         };
         let len = frame.len() - begin;
-        socket.keep(Datagram { chain: Chain::of(frame), begin, len, from, rx });
+        socket.keep(Datagram { chain: Chain::of(frame), begin, len, from, rx, times: None });
         self.delivered = true;
         Ok(())
     }

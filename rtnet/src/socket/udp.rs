@@ -2,12 +2,14 @@
 
 use core::net::{Ipv4Addr, SocketAddrV4};
 
-use super::{Flags, SocketError, SocketId};
+use super::{Flags, Options, SocketError, SocketId};
 use crate::discipline::SendError;
-use crate::ip::output::Route;
+use crate::ip::output::{Content, Route};
 use crate::ip::{Exit, Stack};
-use crate::wire::ipv4::Protocol;
+use crate::time::GlobalTime;
+use crate::wire::ipv4::{HEADER_LEN, MAX_TOTAL, Protocol};
 use crate::wire::udp::{self, Header, MAX_PAYLOAD};
+use crate::wire::udp_options::{self, Surplus, Times};
 use zerocopy::IntoBytes;
 
 /// What a UDP socket has besides its buffers.
@@ -74,7 +76,21 @@ impl Stack {
         flags: Flags,
         exit: &mut dyn Exit,
     ) -> Result<(), SocketError> {
-        let result = self.try_send_to(id, data, to, flags, exit);
+        self.send_sent_at(id, data, to, flags, None, exit)
+    }
+
+    /// The same of what its program has sent at this moment: the datagram says so, and when it leaves, where that costs no
+    /// frame more, and the longest IP packet has room for it.
+    pub fn send_sent_at(
+        &mut self,
+        id: SocketId,
+        data: &[u8],
+        to: Option<SocketAddrV4>,
+        flags: Flags,
+        sent: Option<GlobalTime>,
+        exit: &mut dyn Exit,
+    ) -> Result<(), SocketError> {
+        let result = self.try_send_to(id, data, to, flags, sent, exit);
         self.count_send(id, result)
     }
 
@@ -84,6 +100,7 @@ impl Stack {
         data: &[u8],
         to: Option<SocketAddrV4>,
         flags: Flags,
+        sent: Option<GlobalTime>,
         exit: &mut dyn Exit,
     ) -> Result<(), SocketError> {
         flags.check(Flags::DONTWAIT | Flags::DONTROUTE)?;
@@ -97,8 +114,11 @@ impl Stack {
         let route = Route::find(&self.routes, *to.ip(), flags.contains(Flags::DONTROUTE))?
             .for_who_hears_at(udp.local);
         let (head, options) = (header(route.source, to, udp.port, data), socket.options);
-        let parts = [head.as_bytes(), data];
-        let frames = self.output.datagram(&route, Protocol::UDP, options, parts, &socket.pool, exit)?;
+        let surplus = sent.and_then(|sent| times_for(&route, usize::from(head.len()), sent, options, exit));
+        let behind = surplus.as_ref().map_or(&[][..], Surplus::as_bytes);
+        let parts = &[head.as_bytes(), data, behind];
+        let content = Content { protocol: Protocol::UDP, parts, ends_in_times: surplus.is_some() };
+        let frames = self.output.datagram(&route, options, &content, &socket.pool, exit)?;
         self.dispatch(&route, options, frames, exit).inspect_err(|_| {
             // The discipline's queue has room for all buffers there are: only a slot that goes in between comes here.
             let socket = self.sockets.get_mut(id);
@@ -160,6 +180,20 @@ impl Stack {
         }
         result
     }
+}
+
+/// What is to be behind a datagram of so many bytes: nothing, if that would take another frame, and so another turn.
+fn times_for(
+    route: &Route,
+    udp_len: usize,
+    sent: GlobalTime,
+    options: Options,
+    exit: &dyn Exit,
+) -> Option<Surplus> {
+    let whole = udp_len + udp_options::len_behind(udp_len);
+    let frames = |len| route.shares(len, options, exit).ok().map(|(_, count)| count);
+    let is_free = whole <= MAX_TOTAL - HEADER_LEN && frames(whole)? == frames(udp_len)?;
+    is_free.then(|| Surplus::new(udp_len, &Times { sent, left: None }))
 }
 
 /// With the checksum over everything.

@@ -45,6 +45,14 @@ impl Checksum {
     }
 }
 
+/// What a checksum field holds once whole words that it is over are others (RFC 1624); never 0, which may say that there is none.
+pub fn replaced(field: u16, before: &[u8], after: &[u8]) -> u16 {
+    match !fold(u64::from(!field) + u64::from(!sum(before)) + u64::from(sum(after))) {
+        0 => 0xffff,
+        field => field,
+    }
+}
+
 /// The words of one part. Only more than 16 GiB would have a carry that gets lost.
 fn sum(bytes: &[u8]) -> u16 {
     let (words, rest) = bytes.as_chunks();
@@ -106,6 +114,19 @@ mod tests {
                 from = to;
             }
             prop_assert_eq!(sum.finish(), naive(&bytes));
+        }
+
+        #[test]
+        fn words_that_are_replaced_give_the_checksum_of_what_there_is_then(
+            around in prop::collection::vec(any::<u16>(), 0..9),
+            before in any::<[u8; 8]>(), after in any::<[u8; 8]>(),
+        ) {
+            let around: Vec<u8> = around.iter().flat_map(|word| word.to_be_bytes()).collect();
+            let of = |words: &[u8]| match checksum(&[&around, words].concat()) {
+                0 => 0xffff,
+                sum => sum,
+            };
+            prop_assert_eq!(replaced(of(&before), &before, &after), of(&after));
         }
 
         #[test]

@@ -6,3 +6,4 @@ pub mod ethernet;
 pub mod icmpv4;
 pub mod ipv4;
 pub mod udp;
+pub mod udp_options;

@@ -225,7 +225,7 @@ impl Peer {
                 clock.cycle = clock.cycle.wrapping_add(1);
                 clock.start += self.config.master?;
                 let sched = clock.offset.global(clock.start).nanos();
-                let stamp = Stamp { at_byte: wire::SYNC_STAMP, add: clock.offset.nanos() };
+                let stamp = Stamp { at_byte: wire::SYNC_STAMP, add: clock.offset.nanos(), sum_at: None };
                 Some((Tdma::Sync { cycle: clock.cycle, xmit: 0, sched }, Address::BROADCAST, stamp))
             }
             Job::Request => {
@@ -234,12 +234,12 @@ impl Peer {
                 let reply_cycle = clock.cycle.wrapping_add(slot.period);
                 let request =
                     Tdma::Request { xmit: 0, reply_cycle, reply_offset: slot.offset.nanos() as u64 };
-                Some((request, self.master, Stamp { at_byte: wire::REQUEST_STAMP, add: 0 }))
+                Some((request, self.master, Stamp { at_byte: wire::REQUEST_STAMP, add: 0, sum_at: None }))
             }
             Job::Reply(reply) => {
                 let (request_xmit, reception) = (reply.xmit, reply.reception.nanos());
                 let tdma = Tdma::Reply { request_xmit, reception, xmit: 0 };
-                Some((tdma, reply.to, Stamp { at_byte: wire::REPLY_STAMP, add: 0 }))
+                Some((tdma, reply.to, Stamp { at_byte: wire::REPLY_STAMP, add: 0, sum_at: None }))
             }
             Job::Slot(_) | Job::Look => None,
         }

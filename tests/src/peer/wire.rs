@@ -7,9 +7,9 @@ use rtnet::wire::ethernet::Address;
 const STALE: u8 = 0xdb;
 
 /// Where the transmit stamps are.
-pub const SYNC_STAMP: u8 = 26;
-pub const REQUEST_STAMP: u8 = 22;
-pub const REPLY_STAMP: u8 = 38;
+pub const SYNC_STAMP: u16 = 26;
+pub const REQUEST_STAMP: u16 = 22;
+pub const REPLY_STAMP: u16 = 38;
 
 /// A TDMA frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -384,6 +384,7 @@ fn of_stack(counters: &StackCounters) -> BTreeMap<String, u64> {
     named([
         ("echoes_answered", counters.echoes_answered),
         ("checksums_tolerated", counters.checksums_tolerated),
+        ("options_ignored", counters.options_ignored),
         ("arp_conflicts", counters.arp_conflicts),
         ("arp_changed", counters.arp_changed),
         ("fragments_timed_out", collectors.timed_out),

@@ -50,7 +50,7 @@ impl Site {
     /// A program hands over a datagram of so many bytes.
     fn order(&mut self, program: usize, len: usize) {
         let to = Some(segment::pack_udp(SocketAddrV4::new(IP_B, 9)));
-        let order = segment::pack_order(&Order { to, options: Options::default(), flags: 0 });
+        let order = segment::pack_order(&Order { to, options: Options::default(), flags: 0, at: None });
         let written = self.programs[program].1.write(order, len, [&vec![7; len][..]].into_iter());
         assert_eq!(written, Ok(true));
     }
@@ -139,7 +139,7 @@ fn nobody_is_woken_before_the_turn_is_over() {
     site.hears(0, 100);
     // No route, and nonsense.
     let to = Some(segment::pack_udp(SocketAddrV4::new([192, 168, 0, 1].into(), 9)));
-    let order = segment::pack_order(&Order { to, options: Options::default(), flags: 0 });
+    let order = segment::pack_order(&Order { to, options: Options::default(), flags: 0, at: None });
     assert_eq!(site.programs[1].1.write(order, 0, [].into_iter()), Ok(true));
     site.memories[2][segment::sent().head].store(u64::MAX, Ordering::Relaxed);
     let woken = |site: &Site| [0, 1, 2, 3].map(|program| site.is_woken(program));

@@ -5,6 +5,7 @@ mod echo;
 mod fragments;
 mod packets;
 mod sockets;
+mod times;
 mod unwanted;
 
 use core::net::{Ipv4Addr, SocketAddrV4};

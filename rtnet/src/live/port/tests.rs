@@ -24,7 +24,7 @@ fn transmission(pool: &Pool, at: Instant, latest: Instant) -> Transmission {
     let header = Header::new(Address::default(), Address::default(), EtherType::EXPERIMENTAL);
     frame.fill(header.as_bytes());
     frame.pad_to(60);
-    Transmission { frame, at, latest, stamp: Some(Stamp { at_byte: 20, add: 7 }) }
+    Transmission { frame, at, latest, stamp: Some(Stamp { at_byte: 20, add: 7, sum_at: None }) }
 }
 
 fn received(port: &mut Port) -> Vec<(Option<Instant>, Vec<u8>)> {

@@ -25,6 +25,7 @@ mod request_backlog;
 mod round_trips;
 mod scenarios;
 mod second_master_refuses;
+mod times;
 mod tunnel;
 mod tunnel_never_delays_rt;
 mod two_primaries;

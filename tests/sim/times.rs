@@ -1,0 +1,108 @@
+//! Datagrams whose receivers know where the time went, exactly: clocks do not drift here, and hosts are ideal.
+
+use rtmac::tdma::{SlotConfig, Tdma};
+use rtnet::discipline::{Discipline, TimeView};
+use rtnet::sim::Network;
+use rtnet::socket::{Flags, Received, SocketId, Times};
+use rtnet::time::{GlobalTime, Span};
+use tests::stacks::{CYCLE, at, bytes, cycles, settled, slot, stack, udp};
+
+const PORT: u16 = 2_000;
+/// The sender's slot in each cycle.
+const SLOT_US: i64 = 500;
+/// From the stamp of a frame to that of its receiver.
+const WIRE: Span = Span::from_nanos(500);
+
+/// Station 0 hears, station 1 sends in a slot of this size.
+fn pair(size: usize) -> (Network<Tdma>, SocketId, SocketId) {
+    let (mut hears, mut sends) = (stack(0, Vec::new()), stack(1, Vec::new()));
+    let sockets = (udp(&mut hears, PORT, 64), udp(&mut sends, PORT, 64));
+    let slots = vec![SlotConfig { size, ..slot(0, SLOT_US) }];
+    (settled(vec![(vec![slot(0, 200)], hears), (slots, sends)]), sockets.0, sockets.1)
+}
+
+fn view(network: &Network<Tdma>, id: usize) -> TimeView {
+    network.member(id).station.discipline().time()
+}
+
+/// What a station takes global time to be.
+fn global(network: &Network<Tdma>, id: usize) -> GlobalTime {
+    let local = network.member(id).clock.local(network.now());
+    view(network, id).to_global(local).expect("it is synchronised")
+}
+
+fn send(network: &mut Network<Tdma>, from: SocketId, data: &[u8], sent: Option<GlobalTime>) {
+    let (stack, exit) = network.member_mut(1).station.stack_mut().unwrap();
+    stack.send_sent_at(from, data, Some(at(0, PORT)), Flags::NONE, sent, exit).unwrap();
+}
+
+fn receive(network: &mut Network<Tdma>, socket: SocketId) -> Received {
+    let line = view(network, 0);
+    let (stack, _) = network.member_mut(0).station.stack_mut().unwrap();
+    stack.receive(socket, &mut [0; 4_096], Flags::NONE, &line).unwrap()
+}
+
+/// Into the middle of a cycle's first part: `micros` behind its start, by global time.
+fn until(network: &mut Network<Tdma>, micros: i64) {
+    let gone = global(network, 0) - view(network, 0).offset.global(view(network, 0).start);
+    let ahead = CYCLE * 2 - gone + Span::from_micros(micros);
+    network.run_until(network.now() + ahead.nanos() as u64);
+}
+
+/// How long it waited for its slot, and was on its way.
+fn parts(received: &Received) -> (Span, Span) {
+    let Times { sent, left } = received.times.expect("it says so");
+    let left = left.expect("it was stamped");
+    (left - sent, received.global.expect("its receiver knows the time") - left)
+}
+
+#[test]
+fn a_datagram_tells_how_long_it_waited_for_its_slot_and_how_long_it_was_on_its_way() {
+    // The frame for a slot is chosen a lead of 50 us before it: what comes later has missed it.
+    for (micros, wait) in [(1, 499), (100, 400), (449, 51), (451, 1_049), (600, 900), (999, 501)] {
+        let (mut network, hears, sends) = pair(1_500);
+        until(&mut network, micros);
+        let sent = global(&network, 1);
+        send(&mut network, sends, &bytes(100), Some(sent));
+        cycles(&mut network, 2);
+        let received = receive(&mut network, hears);
+        assert_eq!(received.times.map(|times| times.sent), Some(sent));
+        assert_eq!(
+            parts(&received),
+            (Span::from_micros(wait), WIRE),
+            "sent {micros} us behind the cycle's start"
+        );
+    }
+}
+
+#[test]
+fn of_a_datagram_in_fragments_the_last_one_tells() {
+    let (mut network, hears, sends) = pair(500);
+    until(&mut network, 100);
+    let sent = global(&network, 1);
+    // Three fragments, one each cycle.
+    send(&mut network, sends, &bytes(1_200), Some(sent));
+    cycles(&mut network, 4);
+    assert_eq!(parts(&receive(&mut network, hears)), (Span::from_micros(400) + CYCLE * 2, WIRE));
+}
+
+#[test]
+fn of_those_that_wait_for_one_another_each_tells_its_own() {
+    let (mut network, hears, sends) = pair(1_500);
+    until(&mut network, 300);
+    let sent = global(&network, 1);
+    (0..5).for_each(|_| send(&mut network, sends, b"one", Some(sent)));
+    cycles(&mut network, 6);
+    for turn in 0..5 {
+        assert_eq!(parts(&receive(&mut network, hears)), (Span::from_micros(200) + CYCLE * turn, WIRE));
+    }
+}
+
+#[test]
+fn what_is_sent_without_times_tells_when_it_came_and_nothing_else() {
+    let (mut network, hears, sends) = pair(1_500);
+    send(&mut network, sends, &bytes(100), None);
+    cycles(&mut network, 2);
+    let received = receive(&mut network, hears);
+    assert!(received.times.is_none() && received.global.is_some());
+}

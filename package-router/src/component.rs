@@ -18,6 +18,7 @@ mod away;
 mod look;
 mod mailbox;
 mod sender;
+mod times;
 
 use core::time::Duration;
 use std::io;
@@ -40,6 +41,7 @@ use crate::route::RouteError;
 pub use look::{MailboxSeen, SenderSeen};
 pub use mailbox::{Mailbox, Package, ReceiveError};
 pub use sender::{SendError, Sender};
+pub use times::Times;
 
 /// How long a broker may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
@@ -61,6 +63,7 @@ struct Link {
     board: Board,
     /// The station's control socket, if it has one.
     station: PathBuf,
+    times: Times,
 }
 
 /// What goes wrong between a component and its station.
@@ -86,12 +89,29 @@ impl Component {
         let (answer, files) = exchange(&socket, Ask::Attach, &[])?;
         let [board] = files.try_into().map_err(|_| odd(&answer))?;
         let station = path.with_extension(&place::SOCKET[1..]);
-        Ok(Self { link: Arc::new(Link { socket: Mutex::new(socket), board: Board::open(board)?, station }) })
+        let (board, times) = (Board::open(board)?, Times::of(&station));
+        Ok(Self { link: Arc::new(Link { socket: Mutex::new(socket), board, station, times }) })
     }
 
     /// Comes to the broker of a station of this user, by its name as behind `rtnet -S`.
     pub fn named(station: &str) -> Result<Self, Error> {
         Self::attach(&socket_of(&place::socket_of(station)?))
+    }
+
+    /// What is known of the station's time: how old packages are.
+    ///
+    /// ```no_run
+    /// # let component = package_router::component::Component::named("cell/arm")?;
+    /// # let mut mailbox = component.mailbox("0.0x80.1".parse()?, package_router::mailbox::Shape::new(16, 240))?;
+    /// let times = component.times();
+    /// let package = mailbox.receive(None)?;
+    /// if let Some(age) = times.journey(&package).age() {
+    ///     println!("what {} says is {age} old", package.head().from);
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn times(&self) -> Times {
+        self.link.times.clone()
     }
 
     /// A mailbox of this name. All memory that it will ever take is taken now.

@@ -6,6 +6,7 @@ pub mod body;
 pub mod broker;
 pub mod component;
 pub mod handshake;
+pub mod journey;
 mod letters;
 pub mod mailbox;
 pub mod name;

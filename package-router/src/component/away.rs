@@ -29,6 +29,7 @@ impl Away {
         let socket = Station::at(own).udp()?;
         socket.connect(Some(SocketAddrV4::new(station, LAN_PORT)))?;
         socket.set_channel(channel);
+        socket.set_with_times(true);
         Ok(Self { socket, to: (station, channel), priority: None })
     }
 

@@ -178,7 +178,7 @@ impl Here {
         let is_there = self.is_there();
         let way = self.lane.as_mut().filter(|_| is_there);
         let (lane, bell) = way.ok_or(SendError::NoMailbox(head.to))?;
-        let stamps = Stamps { sent: monotonic(), left: None, came: None };
+        let stamps = Stamps { sent: monotonic(), ..Stamps::default() };
         if lane.send(head, body, &stamps)? {
             bell.ring();
         }

@@ -4,7 +4,7 @@
 use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
 use super::news::News;
 use super::package::{Package, TooSmall};
-use super::sender::Stamps;
+use super::sender::{Origin, Stamps};
 use super::shape::{Shape, WhenFull};
 use super::statistics::bucket;
 use super::urgency::{Node, Urgency};
@@ -72,7 +72,7 @@ pub(super) struct Found {
     slot: usize,
     number: u64,
     /// How long it took until it was found.
-    took: u64,
+    pub(super) took: u64,
 }
 
 impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
@@ -243,9 +243,11 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let is_there = words[of_slot::NUMBER].get_acquire() == number;
             let halves = [at(of_slot::HEAD), at(of_slot::HEAD + 1)].map(u64::to_ne_bytes);
             let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
-            let [sent, left, came] = [of_slot::SENT, of_slot::LEFT, of_slot::CAME].map(at);
+            let [sent, left, came, origin] =
+                [of_slot::SENT, of_slot::LEFT, of_slot::CAME, of_slot::ORIGIN].map(at);
             let some = |stamp: u64| (stamp != 0).then(|| GlobalTime::from_nanos(stamp));
-            let stamps = Stamps { sent, left: some(left), came: some(came) };
+            let origin = Origin::of_word(origin);
+            let stamps = Stamps { sent, origin, left: some(left), came: some(came) };
             let from = sender.from;
             let parsed = Head::parse(&bytes);
             let head = parsed.unwrap_or_default();

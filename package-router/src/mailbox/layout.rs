@@ -7,7 +7,7 @@
 //!   16  announced: ring of entries, one for each package           16  latencies
 //!    …  slots, each in whole cache lines:                           …  lanes, one for each sender:
 //!       0  number of the package in it, 0: none                        0  returned: how many   1  taking: a number, 0: none   2  drained
-//!       1  sent   2  left   3  came   4  head, 16 bytes   8  body      8  ring of entries, one for each that was returned
+//!       1  sent  2  left  3  came  4  head, 16 bytes  6  origin  8  body   8  ring of entries, one for each that was returned
 //!
 //! an entry: a package's number << 16 | its slot; of a returned one the highest bit says that nobody has read it
 //! ```
@@ -50,6 +50,8 @@ pub mod of_slot {
     pub const CAME: usize = 3;
     /// The head: two words.
     pub const HEAD: usize = 4;
+    /// When its sender sent it elsewhere, in global time; 0: it was sent here, 1: elsewhere, and nobody knows when.
+    pub const ORIGIN: usize = 6;
     /// The body.
     pub const BODY: usize = 8;
 }

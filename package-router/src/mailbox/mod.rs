@@ -23,7 +23,7 @@ mod word;
 pub use inbox::{Inbox, Taken};
 pub use layout::{Layout, of_owner, of_sender};
 pub use package::{Body, Package, TooSmall};
-pub use sender::{Begun, LaneSender, SendError, Slot, Stamps};
+pub use sender::{Begun, LaneSender, Origin, SendError, Slot, Stamps};
 pub use shape::{LARGEST_BODY, MOST_BYTES, MOST_SENDERS, MOST_SLOTS, Shape, ShapeError, WhenFull};
 pub use statistics::Latencies;
 pub use word::{Segment, Word};

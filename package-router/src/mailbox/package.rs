@@ -42,6 +42,10 @@ impl<'a, Own: Segment, Theirs: Segment> Package<'a, Own, Theirs> {
     pub fn stamps(&self) -> &Stamps {
         &self.inbox.found().stamps
     }
+    /// How long it has waited in this mailbox until it was received: nanoseconds of this host's monotonic clock.
+    pub fn waited(&self) -> u64 {
+        self.inbox.found().took
+    }
     /// Its body.
     #[inline]
     pub fn body(&self) -> Body<'_, Theirs> {

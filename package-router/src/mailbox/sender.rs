@@ -10,12 +10,47 @@ use crate::wire::{HEAD_LEN, Head};
 /// When a package was where.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamps {
-    /// It was sent into this mailbox: on this host's monotonic clock, nanoseconds.
+    /// It was sent into this mailbox, or brought there by the router: on this host's monotonic clock, nanoseconds.
     pub sent: u64,
-    /// It left the station of its sender; `None`: it never did, or nobody said when.
+    /// Its sender sent it.
+    pub origin: Origin,
+    /// It left the station of its sender, or the last of it did; `None`: it never did, or nobody said when.
     pub left: Option<GlobalTime>,
     /// It came to the station of its receiver; `None`: it was always here, or the station did not know the time.
     pub came: Option<GlobalTime>,
+}
+
+/// Where a package was sent, and when.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Origin {
+    /// Here: it was in this mailbox at once.
+    #[default]
+    Here,
+    /// By another station; `None`: it does not say when.
+    Elsewhere(Option<GlobalTime>),
+}
+
+impl Origin {
+    const HERE: u64 = 0;
+    const UNKNOWN: u64 = 1;
+
+    #[inline]
+    pub(super) fn word(self) -> u64 {
+        match self {
+            Origin::Here => Self::HERE,
+            Origin::Elsewhere(None) => Self::UNKNOWN,
+            Origin::Elsewhere(Some(sent)) => sent.nanos().max(Self::UNKNOWN),
+        }
+    }
+
+    #[inline]
+    pub(super) fn of_word(word: u64) -> Self {
+        match word {
+            Self::HERE => Origin::Here,
+            Self::UNKNOWN => Origin::Elsewhere(None),
+            nanos => Origin::Elsewhere(Some(GlobalTime::from_nanos(nanos))),
+        }
+    }
 }
 
 /// Why a package is not in a mailbox.
@@ -146,6 +181,7 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         words[of_slot::SENT].set(stamps.sent);
         words[of_slot::LEFT].set(stamps.left.map_or(0, GlobalTime::nanos));
         words[of_slot::CAME].set(stamps.came.map_or(0, GlobalTime::nanos));
+        words[of_slot::ORIGIN].set(stamps.origin.word());
         for (word, half) in words[of_slot::HEAD..].iter().zip(bytes) {
             word.set(u64::from_ne_bytes(half));
         }

@@ -2,8 +2,9 @@
 
 use rtnet::room;
 use rtnet::socket::{Access, Received, SocketId};
+use rtnet::time::GlobalTime;
 
-use crate::mailbox::{Begun, LaneSender, Segment, SendError, Stamps};
+use crate::mailbox::{Begun, LaneSender, Origin, Segment, SendError, Stamps};
 use crate::name::MailboxName;
 use crate::wire::{HEAD_LEN, Head, Joining, Part};
 
@@ -32,6 +33,8 @@ pub struct Way<Own: Segment, Theirs: Segment> {
 struct Join {
     joining: Joining,
     begun: Begun,
+    /// When its first part was sent, as that says.
+    sent: Option<GlobalTime>,
     /// When the last of it came.
     since: u64,
 }
@@ -76,7 +79,9 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
         sockets: &mut Access<'_>,
         received: &Received,
     ) -> Outcome {
-        let stamps = Stamps { sent: now, left: None, came: received.global };
+        let times = received.times;
+        let (sent, left) = (times.map(|times| times.sent), times.and_then(|times| times.left));
+        let stamps = Stamps { sent: now, origin: Origin::Elsewhere(sent), left, came: received.global };
         if head.part == Part::Whole {
             let mut slot = match self.lane.reserve(head.priority, head.body_len()) {
                 Ok(slot) => slot,
@@ -86,7 +91,7 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
             return Outcome::Delivered(slot.publish(head, &stamps));
         }
         let begun = match head.part {
-            Part::First => self.begin(head, received.whole, now),
+            Part::First => self.begin(head, received.whole, sent, now),
             _ => self.next(head, received.whole),
         };
         let (join, is_complete) = match begun {
@@ -96,16 +101,23 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
         let mut slot = self.lane.go_on(join.begun);
         receive_into(socket, sockets, |part| slot.write(part));
         if is_complete {
+            let stamps = Stamps { origin: Origin::Elsewhere(join.sent), ..stamps };
             return Outcome::Delivered(slot.publish(join.joining.head(), &stamps));
         }
         if let Some(begun) = slot.put_aside() {
-            self.joins.push(Join { joining: join.joining, begun, since: now });
+            self.joins.push(Join { joining: join.joining, begun, sent: join.sent, since: now });
         }
         Outcome::Begun
     }
 
     /// The first part of a package. One of the same two mailboxes that was not complete is given up.
-    fn begin(&mut self, head: &Head, datagram: usize, now: u64) -> Result<(Join, bool), Outcome> {
+    fn begin(
+        &mut self,
+        head: &Head,
+        datagram: usize,
+        sent: Option<GlobalTime>,
+        now: u64,
+    ) -> Result<(Join, bool), Outcome> {
         let (joining, _) = Joining::begin(head, datagram - HEAD_LEN).map_err(|_| Outcome::Malformed)?;
         if let Some(old) = self.find(head.from) {
             self.give_up(old);
@@ -116,7 +128,7 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
         }
         let slot = self.lane.reserve(head.priority, head.body_len()).map_err(refusal)?;
         let begun = slot.put_aside().ok_or(Outcome::Incomplete)?;
-        Ok((Join { joining, begun, since: now }, false))
+        Ok((Join { joining, begun, sent, since: now }, false))
     }
 
     fn next(&mut self, head: &Head, datagram: usize) -> Result<(Join, bool), Outcome> {

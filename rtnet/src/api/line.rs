@@ -203,7 +203,7 @@ impl Line {
                     return Ok(());
                 }
                 let copied = self.from_program.copy(&record, room);
-                let at = order.at.zip(time).and_then(|(at, time)| time.global_at(at));
+                let at = order.at.zip(time).and_then(|(at, time)| time.global_at([at])).map(|[at]| at);
                 sent = carry_out(self.socket, sockets, &order, at, &room[..copied]);
             }
             sent.unwrap_or_else(|error| self.note(&error));

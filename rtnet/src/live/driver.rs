@@ -132,6 +132,11 @@ impl<D: Discipline> Driver<D> {
         Self { spins, ..self }
     }
 
+    /// The station, before it runs.
+    pub fn station_mut(&mut self) -> &mut Station<D> {
+        &mut self.station
+    }
+
     /// Where the loop leaves its records.
     pub fn records(&self) -> Arc<ArrayQueue<Record>> {
         self.records.clone()

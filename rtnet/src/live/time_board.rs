@@ -186,10 +186,11 @@ impl TimeBoard {
         view.to_global(clock.local(monotonic())).map(|global| (global, view.state))
     }
 
-    /// What the master's clock shows at a moment of CLOCK_MONOTONIC; `None` before there is any time line.
-    pub fn global_at(&self, at: True) -> Option<GlobalTime> {
+    /// What the master's clock shows at moments of CLOCK_MONOTONIC, by one line; `None` before there is any.
+    pub fn global_at<const N: usize>(&self, moments: [True; N]) -> Option<[GlobalTime; N]> {
         let (view, clock) = self.read_both();
-        view.to_global(clock.local(at))
+        view.period?;
+        Some(moments.map(|at| view.to_global(clock.local(at)).unwrap_or_default()))
     }
 
     /// What the master's clock shows at a moment of the station's; `None` before there is any time line. For more

@@ -118,7 +118,7 @@ where
 {
     fn push(&mut self, message: &Message) -> Result<()> {
         let head = Head { from: name(0x80), to: name(0x80), priority: PRIORITY, ..Head::default() };
-        let stamps = Stamps { sent: self.now(), left: None, came: None };
+        let stamps = Stamps { sent: self.now(), ..Stamps::default() };
         self.sender.send(&head, message, &stamps)?;
         Ok(())
     }

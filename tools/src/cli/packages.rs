@@ -27,6 +27,11 @@ pub struct PackageArgs {
     /// How urgent whose packages are: a file with a `[class.NAME]` for each that is not as its class says
     #[arg(long, value_name = "FILE", requires = "packages")]
     pub package_priorities: Option<PathBuf>,
+    /// Say in what goes to other stations when it was sent, and when it left: its receiver can ask how old a package is, and
+    /// where the time went. A UDP option, which who does not know it trims; it never takes another frame. In labs it is on
+    /// (`package_times`)
+    #[arg(long, requires_all = ["packages", "ip"])]
+    pub package_times: bool,
 }
 
 /// Arguments of `mailbox`.

@@ -125,7 +125,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
 
 /// Its address and sockets, with routes that can be.
 fn stack(args: &StationArgs) -> anyhow::Result<Option<StackOptions>> {
-    let args = &args.stack;
+    let (package_times, args) = (args.packages.package_times, &args.stack);
     let Some(ip) = args.ip else { return Ok(None) };
     let mut said: Vec<_> = args.route.iter().map(|said| ("--route".to_owned(), said.clone())).collect();
     if let Some(file) = &args.routes {
@@ -148,6 +148,7 @@ fn stack(args: &StationArgs) -> anyhow::Result<Option<StackOptions>> {
         receive_buffers: or(args.receive_buffers, usual.receive_buffers),
         icmp_buffers: or(args.icmp_buffers, usual.icmp_buffers),
         arp_buffers: or(args.arp_buffers, usual.arp_buffers),
+        package_times,
     };
     options.check()?;
     Ok(Some(options))

@@ -114,6 +114,9 @@ pub fn arguments(
                 .for_each(|route| add("--package-route", format!("{}={}", route.to, route.station)));
         }
         packages.priorities.iter().for_each(|file| add("--package-priorities", file.display().to_string()));
+        if packages.times && plan.ip.is_some() {
+            line.push("--package-times".into());
+        }
     }
     let mut add = |option: &str, value: String| line.extend([option.to_owned(), value]);
     let lab = LabOptions {

@@ -96,6 +96,8 @@ pub struct PackagesPlan {
     pub routes: Vec<Route>,
     /// Where it stands how urgent whose packages are.
     pub priorities: Option<PathBuf>,
+    /// Whether packages to other stations say when they were sent and left.
+    pub times: bool,
 }
 
 /// One station.

@@ -30,6 +30,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtmac::tdma::{DEFAULT_MAX_REQUESTS, MasterConfig, RoleConfig, SlaveConfig};
+use rtnet::api::line::Lines;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
@@ -379,7 +380,14 @@ fn driver(
     if let Some(stack) = &options.stack {
         station = station.with_stack(stack.stack(interface.address, asker, options.packages.as_ref())?);
     }
-    Ok(Driver::new(station, port, config).spinning(options.busy))
+    let mut driver = Driver::new(station, port, config).spinning(options.busy);
+    if options.stack.as_ref().is_some_and(|stack| stack.package_times) {
+        let time = driver.time();
+        let sockets = driver.station_mut().stack_mut();
+        let lines = sockets.and_then(|(stack, _)| stack.program_mut::<Lines>());
+        lines.into_iter().for_each(|lines| lines.tell_times(time.clone()));
+    }
+    Ok(driver)
 }
 
 /// The station's name and its control socket, if any were asked for. A lab has seen to the names of its own stations.

@@ -44,6 +44,8 @@ pub struct StackOptions {
     pub icmp_buffers: usize,
     /// Buffers for address resolution.
     pub arp_buffers: usize,
+    /// Whether what programs send with times, as packages are, says when it was sent, and when it left.
+    pub package_times: bool,
 }
 
 impl StackOptions {
@@ -63,6 +65,7 @@ impl StackOptions {
             receive_buffers: RECEIVE_POOL,
             icmp_buffers: config.icmp_buffers,
             arp_buffers: config.arp_buffers,
+            package_times: false,
         }
     }
 

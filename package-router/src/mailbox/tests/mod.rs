@@ -85,6 +85,11 @@ fn a_package_comes_as_it_was_sent_of_whatever_length() {
     for len in 0..=body.len() {
         let stamps = Stamps {
             sent: 5,
+            origin: [
+                Origin::Here,
+                Origin::Elsewhere(None),
+                Origin::Elsewhere(Some(GlobalTime::from_nanos(u64::MAX))),
+            ][len % 3],
             left: (len % 2 == 0).then_some(GlobalTime::from_nanos(6)),
             came: Some(GlobalTime::from_nanos(7)),
         };
@@ -98,7 +103,7 @@ fn a_package_comes_as_it_was_sent_of_whatever_length() {
         slot.publish(&sent, &stamps);
         let package = inbox.receive(9).unwrap();
         assert_eq!(*package.head(), Head { len: 16 + len as u32, ..sent });
-        assert_eq!(*package.stamps(), stamps);
+        assert_eq!((*package.stamps(), package.waited()), (stamps, 4));
         assert_eq!((package.body().len(), package.body().to_vec()), (len, body[..len].to_vec()));
         for skip in 0..=len + 1 {
             let mut room = [0xee; 20];

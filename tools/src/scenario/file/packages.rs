@@ -18,12 +18,12 @@ impl Source<'_> {
         network: &NetworkFile,
         stations: &[StationPlan],
     ) -> Result<Option<PackagesPlan>, FileError> {
-        let NetworkFile { packages, package_routes, package_priorities, .. } = network;
+        let NetworkFile { packages, package_routes, package_priorities, package_times, .. } = network;
         if !packages.unwrap_or(false) {
-            let said = package_routes.as_ref().or(package_priorities.as_ref());
-            return said.map_or(Ok(None), |said| {
+            let said = package_routes.as_ref().or(package_priorities.as_ref()).map(Spanned::span);
+            return said.or(package_times.as_ref().map(Spanned::span)).map_or(Ok(None), |said| {
                 let what = "this is about packages, and stations have none: write packages = true, too";
-                Err(self.impossible(said.span().start, what))
+                Err(self.impossible(said.start, what))
             });
         }
         let resolve = |name: &str| {
@@ -43,7 +43,8 @@ impl Source<'_> {
             let read = Priorities::parse(&text, &file.display().to_string());
             read.map(|_| file).map_err(|error| self.impossible(said.span().start, error))
         });
-        Ok(Some(PackagesPlan { routes, priorities: priorities.transpose()? }))
+        let times = package_times.as_ref().is_none_or(|said| *said.get_ref());
+        Ok(Some(PackagesPlan { routes, priorities: priorities.transpose()?, times }))
     }
 
     /// A file that is named from where this one is.
@@ -81,7 +82,9 @@ mod tests {
         assert_eq!(read(dir, ""), Ok(None));
         assert_eq!(read(dir, "packages = false"), Ok(None));
         let plan = read(dir, "packages = true").unwrap().unwrap();
-        assert_eq!((plan.routes.len(), plan.priorities), (0, None));
+        assert_eq!((plan.routes.len(), plan.priorities, plan.times), (0, None, true));
+        let plan = read(dir, "packages = true\npackage_times = false").unwrap().unwrap();
+        assert!(!plan.times);
         let all = "packages = true\npackage_routes = \"routes.toml\"\npackage_priorities = \"urgent.toml\"";
         let plan = read(dir, all).unwrap().unwrap();
         assert_eq!(plan.routes[0].station, Ipv4Addr::new(10, 0, 0, 2));
@@ -96,6 +99,7 @@ mod tests {
         fs::write(dir.join("urgent.toml"), "[class.Pilot]\nlevel = 31\n").unwrap();
         for (head, told) in [
             ("package_routes = \"routes.toml\"", ":1:18: this is about packages, and stations have none"),
+            ("package_times = true", ":1:17: this is about packages, and stations have none"),
             ("packages = true\npackage_routes = \"none.toml\"", ":2:18: "),
             ("packages = true\npackage_routes = \"routes.toml\"", "'leg' is neither an IPv4 address"),
             ("packages = true\npackage_priorities = \"urgent.toml\"", "urgent.toml:2"),

@@ -4,13 +4,16 @@ use std::cell::Cell;
 use std::net::SocketAddrV4;
 use std::sync::atomic::AtomicU64;
 
-use package_router::mailbox::{Inbox, LARGEST_BODY as LARGEST, LaneSender, Layout, Word, of_sender};
+use package_router::mailbox::{
+    Inbox, LARGEST_BODY as LARGEST, LaneSender, Layout, Origin, Stamps, Word, of_sender,
+};
 use package_router::priority::{Priorities, level_of};
 use package_router::router::{Host, LAN_PORT, Router, RouterCounters, Way};
 use package_router::wire::{HEAD_LEN, Head, MOST_DATAGRAM, NOT_AVAILABLE, split};
 use rtnet::ip::StackConfig;
 use rtnet::ip::route::Interface;
 use rtnet::socket::{Flags, SocketId};
+use rtnet::time::GlobalTime;
 use tests::ends::{A, B, End};
 
 use super::*;
@@ -61,6 +64,8 @@ struct Pair {
     sender: End,
     from: SocketId,
     station: End,
+    /// When what it sends was sent, if it says so.
+    sent: Option<GlobalTime>,
 }
 
 /// A mailbox there, with the segment that the router writes.
@@ -86,7 +91,7 @@ impl Pair {
         let mut sender = End::new(A);
         sender.knows(B);
         let from = sender.socket(LAN_PORT, 256);
-        Self { sender, from, station }
+        Self { sender, from, station, sent: None }
     }
 
     fn mailbox(&mut self, name: MailboxName, shape: Shape) -> Seen {
@@ -111,7 +116,8 @@ impl Pair {
 
     /// A datagram from one station to the other.
     fn datagram(&mut self, bytes: &[u8]) {
-        self.sender.send(self.from, bytes, Some(SocketAddrV4::new(B.1, LAN_PORT))).unwrap();
+        let to = Some(SocketAddrV4::new(B.1, LAN_PORT));
+        self.sender.send_sent_at(self.from, bytes, to, self.sent).unwrap();
         for frame in self.sender.leaves(usize::MAX) {
             self.station.hears(&frame).unwrap();
         }
@@ -175,6 +181,8 @@ fn a_package_from_elsewhere_lies_in_its_mailbox_as_it_was_sent_copied_once() {
             slot.clone().map(|at| seen.of_router[at].writes.load(Ordering::Relaxed)).collect::<Vec<_>>()
         };
         let before = writes(&seen);
+        // What is behind the datagram's end is no part of it.
+        pair.sent = (id % 2 == 0).then_some(GlobalTime::from_nanos(1));
         pair.package(&to(US, id), &sent);
         // Of the words at which parts of it meet one is written twice: of two frames, and behind the head.
         let copies: Vec<_> = writes(&seen).iter().zip(before).map(|(after, before)| after - before).collect();
@@ -203,6 +211,26 @@ fn a_package_that_is_longer_than_a_datagram_comes_in_parts_and_is_whole() {
     }
     assert_eq!(all(&mut seen), [(OTHERS, 1, long)]);
     assert_eq!(pair.counters(), RouterCounters { delivered: 2, ..RouterCounters::default() });
+}
+
+#[test]
+fn a_package_was_sent_when_its_first_part_was_and_one_that_does_not_say_so_is_of_unknown_age() {
+    let mut pair = Pair::new();
+    let mut seen = pair.mailbox(US, Shape::new(2, LARGEST));
+    let at = |nanos: u64| Some(GlobalTime::from_nanos(nanos));
+    for says in [true, false] {
+        for (n, part) in datagrams(&to(US, 1), &body(LARGEST), MOST_DATAGRAM).iter().enumerate() {
+            pair.sent = at(500 + n as u64).filter(|_| says);
+            pair.datagram(part);
+        }
+        let package = seen.inbox.receive(NOW.get() + 7).unwrap();
+        let stamps = Stamps {
+            sent: NOW.get(),
+            origin: Origin::Elsewhere(at(500).filter(|_| says)),
+            ..Stamps::default()
+        };
+        assert_eq!((*package.stamps(), package.waited()), (stamps, 7));
+    }
 }
 
 #[test]

@@ -1,5 +1,14 @@
 //! Datagrams whose receivers know where the time went, exactly: clocks do not drift here, and hosts are ideal.
 
+use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use package_router::journey::Journey;
+use package_router::mailbox::{Inbox, LaneSender, Layout, Shape};
+use package_router::name::MailboxName;
+use package_router::router::{Host, LAN_PORT, Router, Way};
+use package_router::wire::Head;
 use rtmac::tdma::{SlotConfig, Tdma};
 use rtnet::discipline::{Discipline, TimeView};
 use rtnet::sim::Network;
@@ -105,4 +114,67 @@ fn what_is_sent_without_times_tells_when_it_came_and_nothing_else() {
     cycles(&mut network, 2);
     let received = receive(&mut network, hears);
     assert!(received.times.is_none() && received.global.is_some());
+}
+
+type Words = Arc<[AtomicU64]>;
+
+thread_local! {
+    /// True time, as the receiver's host shows it: that of the last frame's arrival.
+    static NOW: Cell<u64> = const { Cell::new(0) };
+}
+
+/// When the package that comes next was brought into its mailbox.
+fn look(inbox: &mut Inbox<Words, Words>) -> u64 {
+    let package = inbox.receive(0).expect("it has come");
+    let delivered = package.stamps().sent;
+    package.put_back();
+    delivered
+}
+
+fn words(count: usize) -> Words {
+    (0..count).map(|_| AtomicU64::new(0)).collect()
+}
+
+#[test]
+fn the_parts_of_a_packages_age_are_known_to_the_nanosecond() {
+    let host = Host { clock: || NOW.get(), wake: |_: &AtomicU64| (), channel: 0 };
+    let (mut hears, mut sends) =
+        (stack(0, vec![Box::new(Router::<Words, Words>::new(host))]), stack(1, Vec::new()));
+    let (reads, from) = (udp(&mut hears, LAN_PORT, 64), udp(&mut sends, LAN_PORT, 64));
+    let (name, shape) = (MailboxName(0x0010_0000), Shape::new(4, 3_000));
+    let layout = Layout::of(&shape);
+    let (own, of_router) = (words(layout.owner_words(1)), words(layout.sender_words()));
+    let mut inbox = Inbox::new(own.clone(), &shape.senders(1));
+    inbox.attach(0, MailboxName::NOBODY, of_router.clone()).unwrap();
+    let router = hears.program_mut::<Router<Words, Words>>().unwrap();
+    router.reads(reads);
+    assert!(router.add(Way::new(name, LaneSender::new(of_router, own, layout, 0))).is_ok());
+    let slots = vec![SlotConfig { size: 1_500, ..slot(0, SLOT_US) }];
+    let mut network = settled(vec![(vec![slot(0, 200)], hears), (slots, sends)]);
+    network.observe(|frame| NOW.set(frame.at + WIRE.nanos() as u64));
+
+    // In one frame, and in two of which the second leaves a cycle later.
+    for (len, cycles_more) in [(100, 0), (2_000, 1)] {
+        until(&mut network, 100);
+        let sent = global(&network, 1);
+        let head =
+            Head { priority: 9, ..Head::new(1, name, MailboxName(0x00f0_0000)) }.with_body(len).unwrap();
+        let (stack, exit) = network.member_mut(1).station.stack_mut().unwrap();
+        let package = [&head.to_bytes()[..], &bytes(len)].concat();
+        stack.send_sent_at(from, &package, Some(at(0, LAN_PORT)), Flags::NONE, Some(sent), exit).unwrap();
+        cycles(&mut network, 2);
+        let (line, clock) = (view(&network, 0), network.member(0).clock);
+        let mailbox = Span::from_micros(30);
+        let delivered = look(&mut inbox);
+        let package = inbox.receive(delivered + mailbox.nanos() as u64).expect("it has come");
+        let stamps = *package.stamps();
+        let moments =
+            [stamps.sent, stamps.sent + package.waited()].map(|at| line.to_global(clock.local(at)).unwrap());
+        let journey = Journey::of(&stamps, package.waited(), Some(moments));
+        let wait = Span::from_micros(400) + CYCLE * cycles_more;
+        assert_eq!(journey.sent, Some(sent));
+        assert_eq!((journey.slot_wait(), journey.wire()), (Some(wait), Some(WIRE)));
+        assert_eq!((journey.router(), journey.mailbox), (Some(Span::ZERO), mailbox));
+        assert_eq!(journey.age(), Some(wait + WIRE + mailbox));
+    }
 }

@@ -11,7 +11,7 @@ use rtnet::ip::route::{HostRoute, Interface, Origin};
 use rtnet::ip::{Exit, Stack, StackConfig};
 use rtnet::queue::Priority;
 use rtnet::socket::{Flags, Program, Received, Socket, SocketError, SocketId};
-use rtnet::time::{Instant, Span};
+use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::checksum::checksum;
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header, MIN_FRAME, MTU};
 use rtnet::wire::{icmpv4, ipv4, udp};
@@ -137,6 +137,20 @@ impl End {
         self.queue.sending = Some(id);
         // Loopback is answered in the meantime, but leaves nothing.
         let sent = self.stack.send_to(id, data, to, Flags::NONE, &mut self.queue);
+        self.queue.sending = None;
+        sent
+    }
+
+    /// Sends a datagram that says when it was sent.
+    pub fn send_sent_at(
+        &mut self,
+        id: SocketId,
+        data: &[u8],
+        to: Option<SocketAddrV4>,
+        sent: Option<GlobalTime>,
+    ) -> Result<(), SocketError> {
+        self.queue.sending = Some(id);
+        let sent = self.stack.send_sent_at(id, data, to, Flags::NONE, sent, &mut self.queue);
         self.queue.sending = None;
         sent
     }

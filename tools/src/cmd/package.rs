@@ -9,7 +9,9 @@ use std::net::Ipv4Addr;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow};
-use package_router::component::{Component, Error, Mailbox, MailboxSeen, ReceiveError, Sender, socket_of};
+use package_router::component::{
+    Component, Error, Mailbox, MailboxSeen, ReceiveError, Sender, Times, socket_of,
+};
 use package_router::mailbox::{LARGEST_BODY, Shape};
 use package_router::name::{MailboxName, Pattern};
 use package_router::route::Route;
@@ -102,14 +104,8 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
         PackageVerb::Receive { name, count, timeout, echo, quiet } => {
             let mut mailbox = component.mailbox(*name, Shape::new(SLOTS, BODY)).map_err(usage)?;
             let counts = Counts::of(*quiet, json).map_err(Failure::Run)?;
-            return receive(
-                &mut mailbox,
-                count.unwrap_or(u64::MAX),
-                timeout.map(duration),
-                *echo,
-                counts,
-                json,
-            );
+            let (times, count) = (component.times(), count.unwrap_or(u64::MAX));
+            return receive(&mut mailbox, &times, count, timeout.map(duration), *echo, counts, json);
         }
         PackageVerb::Bench(bench) => return bench::bench(&component, &args.which, bench),
         PackageVerb::Ping { to, count, interval, size, timeout, from } => {
@@ -186,6 +182,7 @@ fn way(
 
 fn receive(
     mailbox: &mut Mailbox,
+    times: &Times,
     count: u64,
     timeout: Option<std::time::Duration>,
     echo: bool,
@@ -202,7 +199,7 @@ fn receive(
             }
             Err(error) => return Err(Failure::Run(anyhow!(error))),
         };
-        let (head, body) = (*package.head(), package.body().to_vec());
+        let (head, body, journey) = (*package.head(), package.body().to_vec(), times.journey(&package));
         drop(package);
         counts.note(&head, body.len());
         if echo && head.is_command() {
@@ -216,7 +213,7 @@ fn receive(
         if counts.is_quiet() {
             continue;
         }
-        let came = Came::of(&head, &body);
+        let came = Came::of(&head, &body, &journey);
         let line = if json {
             serde_json::to_string(&came).context("JSON").map_err(Failure::Run)?
         } else {

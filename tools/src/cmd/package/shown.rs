@@ -4,8 +4,10 @@ use std::fmt::Write as _;
 use std::net::Ipv4Addr;
 
 use package_router::component::{MailboxSeen, SenderSeen};
+use package_router::journey::Journey;
 use package_router::mailbox::WhenFull;
 use package_router::wire::Head;
+use rtnet::time::{GlobalTime, Span};
 use serde::Serialize;
 
 use crate::report::text::grouped;
@@ -25,23 +27,73 @@ pub(super) struct Came {
     pub id: u8,
     pub bytes: usize,
     pub body: String,
+    /// In global time; unknown where nobody says so.
+    pub sent_ns: Option<u64>,
+    pub left_ns: Option<u64>,
+    pub came_ns: Option<u64>,
+    pub delivered_ns: Option<u64>,
+    pub received_ns: Option<u64>,
+    /// How old it was when it was received, and where that time went.
+    pub age_ns: Option<i64>,
+    pub slot_wait_ns: Option<i64>,
+    pub wire_ns: Option<i64>,
+    pub router_ns: Option<i64>,
+    pub mailbox_ns: i64,
 }
 
 impl Came {
-    pub fn of(head: &Head, body: &[u8]) -> Self {
+    pub fn of(head: &Head, body: &[u8], journey: &Journey) -> Self {
         let body_text = String::from_utf8_lossy(body).into_owned();
         let Head { kind, priority, id, from, .. } = *head;
-        Self { from: from.to_string(), kind, priority, id, bytes: body.len(), body: body_text }
+        let (at, span) =
+            (|at: Option<GlobalTime>| at.map(GlobalTime::nanos), |span: Option<Span>| span.map(Span::nanos));
+        Self {
+            from: from.to_string(),
+            kind,
+            priority,
+            id,
+            bytes: body.len(),
+            body: body_text,
+            sent_ns: at(journey.sent),
+            left_ns: at(journey.left),
+            came_ns: at(journey.came),
+            delivered_ns: at(journey.delivered),
+            received_ns: at(journey.received),
+            age_ns: span(journey.age()),
+            slot_wait_ns: span(journey.slot_wait()),
+            wire_ns: span(journey.wire()),
+            router_ns: span(journey.router()),
+            mailbox_ns: journey.mailbox.nanos(),
+        }
     }
 
     pub fn describe(&self) -> String {
-        let Self { from, kind, priority, id, bytes, body } = self;
+        let Self { from, kind, priority, id, bytes, body, .. } = self;
         let body = body.escape_debug();
         format!(
-            "{from}: type {kind}, priority {priority}, id {id}, {bytes} bytes{}{body}",
-            if *bytes > 0 { ": " } else { "" }
+            "{from}: type {kind}, priority {priority}, id {id}, {bytes} bytes{}{body}\n  {}",
+            if *bytes > 0 { ": " } else { "" },
+            self.journey()
         )
     }
+
+    /// How old it is, and where the time went, as far as that is known.
+    fn journey(&self) -> String {
+        let age = self.age_ns.map_or("of unknown age".into(), |age| format!("{} old", us(age)));
+        let parts = [
+            ("waited for its slot", self.slot_wait_ns),
+            ("on the wire", self.wire_ns),
+            ("in the router", self.router_ns),
+            ("in the mailbox", Some(self.mailbox_ns)),
+        ];
+        let parts: Vec<_> =
+            parts.iter().filter_map(|(what, span)| span.map(|span| format!("{what} {}", us(span)))).collect();
+        format!("{age}: {}", parts.join(", "))
+    }
+}
+
+fn us(nanos: i64) -> String {
+    format!("{:.1} us", nanos as f64 / 1000.0)
 }
 
 /// What questions showed.
@@ -185,4 +237,41 @@ pub(super) fn stat(row: &Shown) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use package_router::mailbox::{Origin, Stamps};
+
+    fn shown(origin: Origin, left: Option<u64>, came: Option<u64>) -> Came {
+        let at = |nanos: u64| GlobalTime::from_nanos(nanos);
+        let stamps = Stamps { sent: 5, origin, left: left.map(at), came: came.map(at) };
+        let head =
+            Head { kind: 21, priority: 9, id: 3, from: "0.Pilot.0".parse().unwrap(), ..Head::default() };
+        Came::of(&head, b"go", &Journey::of(&stamps, 4_000, Some([at(1_900_000), at(1_904_000)])))
+    }
+
+    #[test]
+    fn a_package_tells_its_age_and_where_the_time_went_as_far_as_that_is_known() {
+        let sent = Origin::Elsewhere(Some(GlobalTime::from_nanos(1_000_000)));
+        let whole = shown(sent, Some(1_750_500), Some(1_780_000));
+        assert_eq!(
+            whole.describe(),
+            "0.Pilot.0: type 21, priority 9, id 3, 2 bytes: go\n  904.0 us old: waited for its slot 750.5 us, \
+             on the wire 29.5 us, in the router 120.0 us, in the mailbox 4.0 us"
+        );
+        let unknown = shown(Origin::Elsewhere(None), None, Some(1_780_000)).describe();
+        assert!(
+            unknown.ends_with("\n  of unknown age: in the router 120.0 us, in the mailbox 4.0 us"),
+            "{unknown}"
+        );
+        let here = shown(Origin::Here, None, None).describe();
+        assert!(here.ends_with("\n  4.0 us old: in the mailbox 4.0 us"), "{here}");
+        let json = serde_json::to_value(&whole).unwrap();
+        assert_eq!(
+            (&json["age_ns"], &json["slot_wait_ns"], &json["left_ns"]),
+            (&904_000.into(), &750_500.into(), &1_750_500.into())
+        );
+    }
 }

@@ -5,6 +5,7 @@
 
 mod abused;
 mod addresses;
+mod ages;
 mod backups;
 mod calibrate;
 mod cell;

@@ -12,28 +12,35 @@ use package_router::name::MailboxName;
 use package_router::wire::{Head, NOT_AVAILABLE, OK};
 use serde_json::Value;
 
+use crate::ages::assert_tells_its_age;
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::{figure, network};
 use crate::rtnet;
 
 const LAB: &str = include_str!("packages.toml");
-const ROUTES: &str = include_str!("packages_routes.toml");
-const PATIENCE: Duration = Duration::from_secs(10);
+pub const ROUTES: &str = include_str!("packages_routes.toml");
+pub const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A lab with these routes; they are read when it is stood up.
 fn lab(what: &str, routes: &str) -> Cell {
+    lab_of(what, routes, "")
+}
+
+/// The same with more said of its stations.
+pub fn lab_of(what: &str, routes: &str, more: &str) -> Cell {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("routes.toml");
     fs::write(&file, routes).unwrap();
-    Cell::with(what, |_| LAB.replace("packages_routes.toml", file.to_str().unwrap()))
+    let text = LAB.replace("packages_routes.toml", file.to_str().unwrap());
+    Cell::with(what, |_| text.replace("packages = true\n", &format!("packages = true\n{more}")))
 }
 
-fn name(text: &str) -> MailboxName {
+pub fn name(text: &str) -> MailboxName {
     text.parse().unwrap()
 }
 
 /// A component at a station, with one mailbox.
-fn component(cell: &Cell, station: &str, mailbox: &str) -> Mailbox {
+pub fn component(cell: &Cell, station: &str, mailbox: &str) -> Mailbox {
     let component = Component::named(&cell.place(station)).unwrap();
     component.mailbox(name(mailbox), Shape::new(16, 2_000)).unwrap()
 }
@@ -203,6 +210,7 @@ fn what_people_see_of_mailboxes_is_what_components_do() {
             (&hello["body"], &hello["kind"], &hello["priority"]),
             (&"hello".into(), &(-6).into(), &200.into())
         );
+        assert_tells_its_age(hello);
         // It has gone, and its mailbox with it.
         wait_until("the mailbox is gone", || {
             ask(&cell, "arm", &["mailbox", "list"]) == Value::Array(Vec::new())

@@ -9,7 +9,10 @@ use pnet_packet::udp::UdpPacket;
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::buf::Pool;
 use rtnet::counters::Refusal;
+use rtnet::time::GlobalTime;
+use rtnet::wire::checksum::Checksum;
 use rtnet::wire::ethernet::{Address, EtherType, Header};
+use rtnet::wire::udp_options::{self, Surplus};
 use rtnet::wire::{arp, icmpv4, ipv4, udp};
 use tests::peer;
 use tools::observe::decode::{What, decode};
@@ -132,6 +135,79 @@ fn udp(bytes: &[u8]) -> u64 {
         let len = usize::from(header.len());
         outcome([(len > bytes.len()).into(), (len < bytes.len()).into(), (header.checksum() == 0).into()])
     })
+}
+
+#[test]
+fn udp_options_takes_any_bytes() {
+    // How long the datagram is and whether it has a checksum, and what is behind it.
+    let times = udp_options::Times { sent: GlobalTime::from_nanos(7 << 60), left: None };
+    let seed = |len: u8| [&[len, 1], Surplus::new(len.into(), &times).as_bytes()].concat();
+    let change = |random: &mut rtnet::sim::Random, input: &mut Vec<u8>, other: &[u8]| {
+        mutate::bytes(random, input, other);
+        let Some(at) = input.first().map(|len| 2 + usize::from(len % 2)) else { return };
+        if random.below(4) > 0 && input.len() >= at + 2 {
+            let len = (input.len() - 2) as u16;
+            input[at..at + 2].fill(0);
+            let mut sum = Checksum::new();
+            sum.add(&len.to_be_bytes());
+            sum.add(&input[at..]);
+            input[at..at + 2].copy_from_slice(&udp::to_field(sum).to_be_bytes());
+        }
+    };
+    fuzz(&Target {
+        name: "udp_options",
+        seeds: vec![seed(24), seed(25)],
+        has_corpus: false,
+        mutate: change,
+        run: |bytes| vec![udp_options(bytes)],
+    });
+}
+
+fn udp_options(bytes: &[u8]) -> u64 {
+    let [len, checked, surplus @ ..] = bytes else { return 0 };
+    let ours = udp_options::parse((*len).into(), checked % 2 == 1, surplus);
+    assert_eq!(ours.ok(), read_by_another(len % 2 == 1, checked % 2 == 1, surplus));
+    match ours {
+        Err(_) => 1,
+        Ok(None) => outcome([2, surplus.len() as u64]),
+        Ok(Some(times)) => outcome([3, surplus.len() as u64, times.left.is_some().into()]),
+    }
+}
+
+/// The same, read from place to place; `None`: nothing of it is to be believed.
+fn read_by_another(is_odd: bool, is_checked: bool, all: &[u8]) -> Option<Option<udp_options::Times>> {
+    let at = |place: usize| all.get(place).copied().map(u64::from);
+    let begin = usize::from(is_odd);
+    let field = at(begin)? << 8 | at(begin + 1)?;
+    let words =
+        (begin..all.len()).step_by(2).map(|place| at(place).unwrap_or(0) << 8 | at(place + 1).unwrap_or(0));
+    // All ones, and nothing, are the two zeros of one's complement.
+    let sum = words.sum::<u64>() + all.len() as u64;
+    let is_sum = field != 0 && sum.is_multiple_of(0xffff);
+    if is_odd && at(0)? != 0 || !(is_sum || field == 0 && !is_checked) {
+        return None;
+    }
+    let (mut place, mut times) = (begin + 2, None);
+    while let Some(kind) = at(place).filter(|&kind| kind != 0) {
+        if kind == 1 {
+            place += 1;
+            continue;
+        }
+        let short = at(place + 1).filter(|_| kind < 192)?;
+        let (header, len) = if short == 255 { (4, at(place + 2)? << 8 | at(place + 3)?) } else { (2, short) };
+        let end = place + len as usize;
+        if len < header || end > all.len() {
+            return None;
+        }
+        let value = &all[place + header as usize..end];
+        if kind == 127 && value.len() == 18 && value[..2] == *b"RT" && times.is_none() {
+            let number = |from: usize| u64::from_be_bytes(value[from..from + 8].try_into().unwrap());
+            let global = |from| (number(from) > 0).then(|| GlobalTime::from_nanos(number(from)));
+            times = global(2).map(|sent| udp_options::Times { sent, left: global(10) });
+        }
+        place = end;
+    }
+    Some(times)
 }
 
 #[test]

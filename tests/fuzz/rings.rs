@@ -140,7 +140,7 @@ fn writer(input: &[u8]) -> Vec<u64> {
         let parts = content[..len].chunks(1 + whim.at % 50);
         let words = (HEAD + len.div_ceil(8)) as u64;
         let used = head.wrapping_sub(tail);
-        let written = writer.write([1, 2, 3, 4], len, parts);
+        let written = writer.write([1, 2, 3, 4, 5, 6], len, parts);
         match written {
             Ok(true) => {
                 assert!(words <= RECORDS as u64 - used, "there was room");

@@ -53,8 +53,10 @@ impl Program for Echo {
         while let Ok(received) = sockets.receive(id, &mut self.room, Flags::NONE) {
             self.heard.fetch_add(1, Ordering::Relaxed);
             let Sender::Udp(from) = received.from else { continue };
+            // Whoever knows nothing of times hears the same.
+            let now = sockets.time().to_global(sockets.now());
             // Who asks for more at once than fits asks again.
-            let _ = sockets.send_to(id, &self.room[..received.len], from);
+            let _ = sockets.send_sent_at(id, &self.room[..received.len], Some(from), Flags::NONE, now);
         }
     }
 }

@@ -214,21 +214,26 @@ fn a_package_that_is_longer_than_a_datagram_comes_in_parts_and_is_whole() {
 }
 
 #[test]
-fn a_package_was_sent_when_its_first_part_was_and_one_that_does_not_say_so_is_of_unknown_age() {
+fn a_package_was_sent_when_its_first_part_that_says_so_was_and_is_of_unknown_age_if_none_does() {
     let mut pair = Pair::new();
     let mut seen = pair.mailbox(US, Shape::new(2, LARGEST));
-    let at = |nanos: u64| Some(GlobalTime::from_nanos(nanos));
-    for says in [true, false] {
-        for (n, part) in datagrams(&to(US, 1), &body(LARGEST), MOST_DATAGRAM).iter().enumerate() {
-            pair.sent = at(500 + n as u64).filter(|_| says);
+    let at = |nanos: u64| GlobalTime::from_nanos(nanos);
+    // Parts as long as can be have no room for it.
+    for (most, says, sent) in [
+        (1_000, 0..9, Some(500)),
+        (1_000, 1..9, Some(501)),
+        (1_000, 9..9, None),
+        (MOST_DATAGRAM, 0..9, Some(504)),
+    ] {
+        let len = if most == MOST_DATAGRAM { LARGEST } else { 4_500 };
+        let parts = datagrams(&to(US, 1), &body(len), most);
+        assert_eq!(parts.len(), 5);
+        for (n, part) in parts.iter().enumerate() {
+            pair.sent = says.contains(&n).then(|| at(500 + n as u64));
             pair.datagram(part);
         }
         let package = seen.inbox.receive(NOW.get() + 7).unwrap();
-        let stamps = Stamps {
-            sent: NOW.get(),
-            origin: Origin::Elsewhere(at(500).filter(|_| says)),
-            ..Stamps::default()
-        };
+        let stamps = Stamps { sent: NOW.get(), origin: Origin::Elsewhere(sent.map(at)), ..Stamps::default() };
         assert_eq!((*package.stamps(), package.waited()), (stamps, 7));
     }
 }

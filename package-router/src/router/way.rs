@@ -33,7 +33,7 @@ pub struct Way<Own: Segment, Theirs: Segment> {
 struct Join {
     joining: Joining,
     begun: Begun,
-    /// When its first part was sent, as that says.
+    /// When it was sent, as the first of its parts says that does: one that is as long as can be has no room for it.
     sent: Option<GlobalTime>,
     /// When the last of it came.
     since: u64,
@@ -101,11 +101,11 @@ impl<Own: Segment, Theirs: Segment> Way<Own, Theirs> {
         let mut slot = self.lane.go_on(join.begun);
         receive_into(socket, sockets, |part| slot.write(part));
         if is_complete {
-            let stamps = Stamps { origin: Origin::Elsewhere(join.sent), ..stamps };
+            let stamps = Stamps { origin: Origin::Elsewhere(join.sent.or(sent)), ..stamps };
             return Outcome::Delivered(slot.publish(join.joining.head(), &stamps));
         }
         if let Some(begun) = slot.put_aside() {
-            self.joins.push(Join { joining: join.joining, begun, sent: join.sent, since: now });
+            self.joins.push(Join { joining: join.joining, begun, sent: join.sent.or(sent), since: now });
         }
         Outcome::Begun
     }

@@ -24,13 +24,15 @@ use rtnet::api::handshake::{Answer, Ask};
 use rtnet::api::line::Lines;
 use rtnet::api::{Station, UdpSocket};
 use rtnet::buf::{Buf, Pool};
+use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Channel, SendError, TimeView};
 use rtnet::ip::route::NetworkRoute;
 use rtnet::ip::{Exit, Stack};
-use rtnet::live::{Bells, Visitor};
+use rtnet::live::clock::monotonic;
+use rtnet::live::{Bells, TimeBoard, TimePublisher, Visitor};
 use rtnet::queue::Priority;
 use rtnet::socket::{Flags, LinkMode, LinkType, Options};
-use rtnet::time::Instant;
+use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::MTU;
 use tests::stacks::{ip, stack};
 use tokio::io::Interest;
@@ -99,10 +101,17 @@ struct Site {
 
 impl Site {
     fn new() -> Self {
+        Self::that_tells(None)
+    }
+
+    /// One whose programs' datagrams say when they were sent, by this board.
+    fn that_tells(times: Option<Arc<TimeBoard>>) -> Self {
         let scratch = tempfile::tempdir().unwrap();
         let path = scratch.path().join("site.sock");
         let mut server = Server::bind(&path).unwrap();
-        let mut stack = stack(0, vec![Box::new(Lines::new(64))]);
+        let mut lines = Box::new(Lines::new(64));
+        times.into_iter().for_each(|times| lines.tell_times(times));
+        let mut stack = stack(0, vec![lines]);
         let network = "10.1.0.0/16".parse().unwrap();
         stack.routes_mut().add_network(NetworkRoute { network, gateway: ip(1) }).unwrap();
         let (left, coming, stop) = (Frames::default(), Frames::default(), Arc::<AtomicBool>::default());
@@ -279,4 +288,31 @@ fn a_program_is_told_what_it_has_set() {
     let packet = site.station.packet(LinkMode::Raw, LinkType::Nothing).unwrap();
     assert_eq!(number(packet.set_priority(Priority::NON_RT)), Errno::EINVAL);
     assert_eq!(packet.options(), Options::default(), "as before");
+}
+
+#[test]
+fn what_a_program_sends_with_times_says_when_it_handed_it_over_and_all_else_nothing() {
+    let ahead = 1_700_000_000_000_000_000;
+    let mut publisher = TimePublisher::new(EmulatedClock::default());
+    let offset = Offset::between(Instant::default(), GlobalTime::from_nanos(ahead));
+    publisher.publish(&TimeView { offset, period: Some(Span::from_millis(1)), ..TimeView::default() });
+    for (site, is_told) in [(Site::that_tells(Some(publisher.board())), true), (Site::new(), false)] {
+        let (from, to) = (site.station.udp().unwrap(), site.station.udp().unwrap());
+        to.set_timeout(Some(PATIENCE));
+        let port = to.local_addr().unwrap().port();
+        for with_times in [false, true, false] {
+            from.set_with_times(with_times);
+            let before = monotonic();
+            from.send_to(b"now", SocketAddrV4::new(ip(0), port)).unwrap();
+            let after = monotonic();
+            let received = to.receive(&mut [0; 8]).unwrap();
+            let sent = received.times.map(|times| times.sent.nanos() - ahead);
+            assert_eq!((received.len, sent.is_some()), (3, with_times && is_told));
+            assert!(
+                sent.is_none_or(|sent| (before..=after).contains(&sent)),
+                "{sent:?} of {before} to {after}"
+            );
+            assert!(received.times.is_none_or(|times| times.left.is_none()), "it never left");
+        }
+    }
 }

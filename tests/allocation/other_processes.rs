@@ -12,12 +12,13 @@ use rtnet::api::memory::Memory;
 use rtnet::api::ring::{Reader, Writer};
 use rtnet::api::segment::{self, ASLEEP, Order};
 use rtnet::buf::{Buf, Pool};
+use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Channel, SendError, TimeView};
 use rtnet::ip::{Exit, Stack};
-use rtnet::live::{Bells, Visitor};
+use rtnet::live::{Bells, TimePublisher, Visitor};
 use rtnet::queue::Priority;
 use rtnet::socket::Options;
-use rtnet::time::Instant;
+use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::MTU;
 use tests::stacks::{at, bytes, ip, stack};
 
@@ -58,6 +59,7 @@ struct Site {
     now: Instant,
     /// How often what its own thread does has asked for memory or given it back.
     allocations: u64,
+    _time: TimePublisher,
 }
 
 /// A program with a socket.
@@ -72,8 +74,13 @@ struct Program {
 
 impl Site {
     fn new(id: usize) -> Self {
+        let mut time = TimePublisher::new(EmulatedClock::default());
+        time.publish(&TimeView { period: Some(Span::from_millis(1)), ..TimeView::default() });
+        let mut lines = Box::new(Lines::new(4));
+        lines.tell_times(time.board());
         Self {
-            stack: stack(id, vec![Box::new(Lines::new(4))]),
+            stack: stack(id, vec![lines]),
+            _time: time,
             leaving: Leaving(Vec::with_capacity(MOST)),
             door: Door::new(Bells::new().expect("a host has descriptors")),
             card: Pool::new(1),
@@ -138,8 +145,9 @@ impl Site {
 
 impl Program {
     fn send(&mut self, data: &[u8], to: SocketAddrV4) {
-        let order =
-            Order { to: Some(segment::pack_udp(to)), options: Options::default(), flags: 0, at: None };
+        // Each says when it was sent.
+        let (to, at) = (Some(segment::pack_udp(to)), Some(1_000));
+        let order = Order { to, options: Options::default(), flags: 0, at };
         let written = self.writer.write(segment::pack_order(&order), data.len(), [data].into_iter());
         assert_eq!(written, Ok(true));
     }
@@ -148,6 +156,8 @@ impl Program {
     fn receive(&mut self, room: &mut [u8]) -> Option<usize> {
         let record = self.reader.peek(room).expect("a station writes no nonsense")?;
         self.reader.take(record);
+        let times = segment::unpack_received(record.meta, record.len, record.copied).times;
+        assert_eq!(times.map(|times| times.sent.nanos()), Some(1_000));
         self.memory[ASLEEP].store(1, Ordering::SeqCst);
         Some(record.len)
     }

@@ -258,7 +258,7 @@ mod tests {
         let whole = shown(sent, Some(1_750_500), Some(1_780_000));
         assert_eq!(
             whole.describe(),
-            "0.Pilot.0: type 21, priority 9, id 3, 2 bytes: go\n  904.0 us old: waited for its slot 750.5 us, \
+            "Pilot(0/0): type 21, priority 9, id 3, 2 bytes: go\n  904.0 us old: waited for its slot 750.5 us, \
              on the wire 29.5 us, in the router 120.0 us, in the mailbox 4.0 us"
         );
         let unknown = shown(Origin::Elsewhere(None), None, Some(1_780_000)).describe();

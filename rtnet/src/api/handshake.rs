@@ -3,8 +3,8 @@
 //! being hung up on that the station has ended.
 //!
 //! ```text
-//! ask     "RTN1"  what 1  mode 1  port or EtherType 2  address 4  number 4
-//! answer  "RTN1"  error 4 (0: done)  port 2  unused 2  address 4  number 4      and, to `Open`: memory, gate, doorbell; to `Time`: page
+//! ask     "RTN2"  what 1  mode 1  port or EtherType 2  address 4  number 4
+//! answer  "RTN2"  error 4 (0: done)  port 2  unused 2  address 4  number 4      and, to `Open`: memory, gate, doorbell; to `Time`: page
 //! ```
 
 use core::net::{Ipv4Addr, SocketAddrV4};
@@ -15,8 +15,9 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 use crate::socket::{LinkMode, LinkType};
 use crate::wire::ethernet::EtherType;
 
-/// Begins every packet: no other request to a station begins so.
-pub const MAGIC: [u8; 4] = *b"RTN1";
+/// Begins every packet: no other request to a station begins so. Another number, another order of what is in packets or in the
+/// memory in common.
+pub const MAGIC: [u8; 4] = *b"RTN2";
 /// Bytes of an ask.
 pub const ASK_LEN: usize = size_of::<RawAsk>();
 /// Bytes of an answer.

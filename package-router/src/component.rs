@@ -24,7 +24,7 @@ use core::time::Duration;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use nix::errno::Errno;
 use rtnet::api::place;
@@ -63,7 +63,8 @@ struct Link {
     board: Board,
     /// The station's control socket, if it has one.
     station: PathBuf,
-    times: Times,
+    /// Once somebody has asked: the station has a descriptor for each who does.
+    times: OnceLock<Times>,
 }
 
 /// What goes wrong between a component and its station.
@@ -89,7 +90,7 @@ impl Component {
         let (answer, files) = exchange(&socket, Ask::Attach, &[])?;
         let [board] = files.try_into().map_err(|_| odd(&answer))?;
         let station = path.with_extension(&place::SOCKET[1..]);
-        let (board, times) = (Board::open(board)?, Times::of(&station));
+        let (board, times) = (Board::open(board)?, OnceLock::new());
         Ok(Self { link: Arc::new(Link { socket: Mutex::new(socket), board, station, times }) })
     }
 
@@ -98,7 +99,8 @@ impl Component {
         Self::attach(&socket_of(&place::socket_of(station)?))
     }
 
-    /// What is known of the station's time: how old packages are.
+    /// What is known of the station's time: how old packages are. It asks the station the first time, which takes until that has
+    /// sent what it is about to.
     ///
     /// ```no_run
     /// # let component = package_router::component::Component::named("cell/arm")?;
@@ -111,7 +113,7 @@ impl Component {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn times(&self) -> Times {
-        self.link.times.clone()
+        self.link.times.get_or_init(|| Times::of(&self.link.station)).clone()
     }
 
     /// A mailbox of this name. All memory that it will ever take is taken now.

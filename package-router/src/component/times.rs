@@ -9,7 +9,7 @@ use rtnet::live::TimeBoard;
 use super::Package;
 use crate::journey::Journey;
 
-/// What a component knows of its station's time: asked for once, when it comes. Clones are the same.
+/// What a component knows of its station's time: asked for once. Clones are the same.
 #[derive(Clone)]
 pub struct Times(Option<Arc<TimeBoard>>);
 

@@ -9,24 +9,22 @@
 mod process;
 
 use core::time::Duration;
-use std::fs;
 use std::io::{self, ErrorKind};
 use std::os::fd::{AsFd, OwnedFd};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::stat::fstat;
+use rtnet::api::letters;
+use rtnet::api::listener::Listener;
 use rtnet::live::sealed::Sealed;
-use socket2::{Domain, SockAddr, Socket, Type};
+use socket2::Socket;
 
 use process::{has_ended, process_of};
 
 use crate::bells::{Bell, Bells};
 use crate::board::Shown;
 use crate::handshake::{ASK_LEN, Answer, Ask, FILES};
-use crate::letters;
 use crate::mailbox::{Layout, Segment, Shape, Word};
 use crate::name::MailboxName;
 use crate::priority::Priorities;
@@ -42,10 +40,7 @@ const BACKLOG: i32 = 64;
 
 /// A station's broker; its socket's file goes with it.
 pub struct Broker {
-    listener: Socket,
-    path: PathBuf,
-    /// The file's number: another of this name is somebody else's.
-    inode: u64,
+    listener: Listener,
     /// Whether somebody waits who could not be let in: to be told of that again and again would keep it from waiting.
     is_full: bool,
     board: Shown,
@@ -103,25 +98,12 @@ struct Memory {
 impl Broker {
     /// Listens there. A file that is there is taken for that of a broker that is dead: names of stations are locked elsewhere.
     pub fn bind(path: &Path) -> io::Result<Self> {
-        match fs::remove_file(path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        let listener = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
-        listener.set_nonblocking(true)?;
-        listener.bind(&SockAddr::unix(path)?)?;
-        // Its directory lets nobody else in; this is for directories that somebody else has made.
-        fs::set_permissions(path, fs::Permissions::from_mode(0o600))?;
-        listener.listen(BACKLOG)?;
-        let registry = Registry::new();
         Ok(Self {
-            listener,
-            path: path.to_owned(),
-            inode: fs::metadata(path)?.ino(),
+            listener: Listener::bind(path, BACKLOG)?,
             is_full: false,
             board: Shown::new()?,
             memories: (0..crate::registry::MOST_MAILBOXES).map(|_| None).collect(),
-            registry,
+            registry: Registry::new(),
             seats: Vec::new(),
             lingering: Vec::new(),
             components: 0,
@@ -191,17 +173,15 @@ impl Broker {
         self.is_full = false;
         for _ in 0..ACCEPT_AT_ONCE {
             let socket = match self.listener.accept() {
-                Ok((socket, _)) => socket,
-                Err(error) => {
-                    let is_nobody = matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted);
-                    self.is_full = !is_nobody;
+                Ok(Some(socket)) => socket,
+                Ok(None) => return,
+                Err(_) => {
+                    self.is_full = true;
                     return;
                 }
             };
             // One more than there may be is hung up on: that is an answer.
-            if self.seats.len() + self.lingering.len() >= MOST_COMPONENTS
-                || socket.set_nonblocking(true).is_err()
-            {
+            if self.seats.len() + self.lingering.len() >= MOST_COMPONENTS {
                 continue;
             }
             self.components += 1;
@@ -213,10 +193,12 @@ impl Broker {
     /// `false`: it has gone, or has to.
     fn answer(&mut self, seat: &Seat) -> bool {
         let mut packet = [0; ASK_LEN + 1];
-        let (length, files) = match letters::receive(seat.socket.as_fd(), &mut packet) {
+        let (length, files) = match letters::receive(&seat.socket, &mut packet) {
             Ok((0, _)) => return false,
             Ok(letter) => letter,
-            Err(Errno::EAGAIN | Errno::EINTR) => return true,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+                return true;
+            }
             Err(_) => return false,
         };
         let (answer, files) = match Ask::parse(&packet[..length]) {
@@ -225,7 +207,7 @@ impl Broker {
         };
         let files: Vec<_> = files.iter().map(AsFd::as_fd).collect();
         // Who does not take its answer has to go.
-        letters::send(seat.socket.as_fd(), &answer.to_bytes(), &files).is_ok()
+        letters::send(&seat.socket, &answer.to_bytes(), &files).is_ok()
     }
 
     fn carry_out(&mut self, seat: &Seat, ask: Ask, files: Vec<OwnedFd>) -> (Answer, Vec<OwnedFd>) {
@@ -400,9 +382,6 @@ impl Drop for Broker {
     fn drop(&mut self) {
         let places: Vec<_> = self.registry.all().map(|(place, _)| place).collect();
         places.into_iter().for_each(|place| self.board.show(place, None));
-        if fs::metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
-            let _ = fs::remove_file(&self.path);
-        }
     }
 }
 

@@ -26,13 +26,11 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use nix::errno::Errno;
-use rtnet::api::place;
+use rtnet::api::{letters, place};
 use socket2::{Domain, SockAddr, Socket, Type};
 
 use crate::board::Board;
 use crate::handshake::{ANSWER_LEN, Answer, Ask};
-use crate::letters;
 use crate::mailbox::Shape;
 use crate::name::MailboxName;
 use crate::registry::Refused;
@@ -138,22 +136,11 @@ impl Link {
 }
 
 fn exchange(socket: &Socket, ask: Ask, files: &[BorrowedFd<'_>]) -> io::Result<(Answer, Vec<OwnedFd>)> {
-    letters::send(socket.as_fd(), &ask.to_bytes(), files)?;
+    letters::send(socket, &ask.to_bytes(), files)?;
     let mut packet = [0; ANSWER_LEN + 1];
-    loop {
-        match letters::receive(socket.as_fd(), &mut packet) {
-            Err(Errno::EINTR) => {}
-            Ok((0, _)) => return Err(io::ErrorKind::ConnectionReset.into()),
-            Ok((length, files)) => {
-                let answer = Answer::parse(&packet[..length]).ok_or(io::ErrorKind::InvalidData)?;
-                return Ok((answer, files));
-            }
-            Err(errno) => {
-                // An answer that came later would be taken for that to the next ask.
-                let _ = socket.shutdown(std::net::Shutdown::Both);
-                return Err(if errno == Errno::EAGAIN { Errno::ETIMEDOUT } else { errno }.into());
-            }
-        }
+    match letters::answer(socket, &mut packet)? {
+        (0, _) => Err(io::ErrorKind::ConnectionReset.into()),
+        (length, files) => Ok((Answer::parse(&packet[..length]).ok_or(io::ErrorKind::InvalidData)?, files)),
     }
 }
 

@@ -7,7 +7,6 @@ pub mod broker;
 pub mod component;
 pub mod handshake;
 pub mod journey;
-mod letters;
 pub mod mailbox;
 pub mod name;
 pub mod priority;

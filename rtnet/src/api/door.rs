@@ -6,14 +6,14 @@
 //! station's thread                       └─ visit(stack) ─┘
 //! ```
 
-use std::io::{self, IoSlice};
-use std::os::fd::{AsFd, AsRawFd};
+use std::io;
+use std::os::fd::AsFd;
 use std::sync::Arc;
 
 use nix::errno::Errno;
-use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
 
 use super::handshake::{Answer, Ask};
+use super::letters;
 use super::line::{Line, Lines};
 use crate::buf::Pool;
 use crate::ip::{Exit, Stack};
@@ -147,25 +147,16 @@ impl Door {
 
 /// Sends an answer, with what goes with it, to a program that is not waited for.
 pub fn reply(program: impl AsFd, answer: &Answer, descriptors: Option<&Descriptors>) -> io::Result<()> {
-    let fds = descriptors.map(|descriptors| descriptors.each_ref().map(AsRawFd::as_raw_fd));
-    send(program, answer, fds.as_ref().map_or(&[], |fds| fds))
+    let files = descriptors.map(|descriptors| descriptors.each_ref().map(AsFd::as_fd));
+    letters::send_at_once(program, &answer.to_bytes(), files.as_ref().map_or(&[], |files| files))
 }
 
 /// Lets a program have the station's time, which it cannot write, as the answer to [`Ask::Time`].
 pub fn reply_with_time(program: impl AsFd, time: &TimeBoard) -> io::Result<()> {
     match time.page() {
-        Some(page) => send(program, &Answer::DONE, &[page.as_raw_fd()]),
-        None => send(program, &Answer::refused(Errno::ENOSYS as i32), &[]),
+        Some(page) => letters::send_at_once(program, &Answer::DONE.to_bytes(), &[page.as_fd()]),
+        None => reply(program, &Answer::refused(Errno::ENOSYS as i32), None),
     }
-}
-
-fn send(program: impl AsFd, answer: &Answer, fds: &[i32]) -> io::Result<()> {
-    let rights = (!fds.is_empty()).then_some(ControlMessage::ScmRights(fds));
-    let packet = answer.to_bytes();
-    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
-    let program = program.as_fd().as_raw_fd();
-    sendmsg::<()>(program, &[IoSlice::new(&packet)], rights.as_slice(), flags, None)?;
-    Ok(())
 }
 
 fn resized(n: usize, if_none: Errno) -> Answer {

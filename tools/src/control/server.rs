@@ -2,11 +2,9 @@
 //! none of which has to go for others.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::AsFd;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -14,10 +12,11 @@ use anyhow::{Context, Result};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use nix::sys::resource::{Resource, getrlimit};
-use socket2::{Domain, SockAddr, Socket, Type};
+use socket2::Socket;
 
 use rtnet::api::door;
 use rtnet::api::handshake::{self, Answer};
+use rtnet::api::listener::Listener;
 
 use super::programs::{Answers, Program, Requests};
 use super::protocol::{Envelope, Reply};
@@ -76,12 +75,9 @@ impl Traffic {
 
 /// A control socket; its file goes with it.
 pub struct Server {
-    listener: Socket,
+    listener: Listener,
     clients: Vec<Client>,
     programs: Vec<Program>,
-    path: PathBuf,
-    /// The file's number: another of this name is somebody else's.
-    inode: u64,
     traffic: Traffic,
     /// Ends a wait before its time.
     waker: Option<Arc<EventFd>>,
@@ -105,28 +101,12 @@ enum Outcome {
 impl Server {
     /// Listens at `path`. A file that is there is taken for a dead station's: names are locked elsewhere.
     pub fn bind(path: &Path) -> Result<Self> {
-        let bound = Self::listen_at(path);
-        bound.with_context(|| format!("the control socket {} cannot be made", path.display()))
-    }
-
-    fn listen_at(path: &Path) -> io::Result<Self> {
-        match fs::remove_file(path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        let listener = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
-        listener.set_nonblocking(true)?;
-        listener.bind(&SockAddr::unix(path)?)?;
-        // Its directory lets nobody else in; this is for directories that somebody else has made.
-        fs::set_permissions(path, fs::Permissions::from_mode(0o600))?;
-        listener.listen(BACKLOG)?;
-        let inode = fs::metadata(path)?.ino();
+        let listener = Listener::bind(path, BACKLOG);
         Ok(Self {
-            listener,
+            listener: listener
+                .with_context(|| format!("the control socket {} cannot be made", path.display()))?,
             clients: Vec::new(),
             programs: Vec::new(),
-            path: path.to_owned(),
-            inode,
             traffic: Traffic::default(),
             waker: None,
             is_full: false,
@@ -140,7 +120,7 @@ impl Server {
 
     /// Where it listens.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.listener.path()
     }
 
     /// What was counted so far.
@@ -196,9 +176,9 @@ impl Server {
     fn wait(&self, at_most: Duration) -> (Vec<bool>, Vec<bool>) {
         let clients = self.clients.iter().map(|client| &client.socket);
         let programs = self.programs.iter().map(|program| &program.socket);
-        let listener = (!self.is_full).then_some(&self.listener);
-        let sockets = clients.chain(programs).chain(listener);
-        let fds = sockets.map(|socket| socket.as_fd()).chain(self.waker.iter().map(|waker| waker.as_fd()));
+        let listener = (!self.is_full).then_some(self.listener.as_fd());
+        let sockets = clients.chain(programs).map(|socket| socket.as_fd()).chain(listener);
+        let fds = sockets.chain(self.waker.iter().map(|waker| waker.as_fd()));
         let mut fds: Vec<PollFd> = fds.map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
         let timeout = PollTimeout::try_from(at_most).unwrap_or(PollTimeout::MAX);
         // Interrupted, or nothing came: nobody is ready.
@@ -269,15 +249,10 @@ impl Server {
         self.is_full = false;
         for _ in 0..ACCEPT_AT_ONCE {
             let socket = match self.listener.accept() {
-                Ok((socket, _)) => socket,
-                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
-                    return;
-                }
+                Ok(Some(socket)) => socket,
+                Ok(None) => return,
                 Err(error) => return self.note_full(&error),
             };
-            if socket.set_nonblocking(true).is_err() {
-                continue;
-            }
             if self.clients.len() == CLIENTS_AT_MOST {
                 let silent = (0..CLIENTS_AT_MOST).min_by_key(|&i| self.clients[i].heard).unwrap_or(0);
                 self.clients.remove(silent);
@@ -296,7 +271,7 @@ impl Server {
                 Some(nix::libc::EMFILE | nix::libc::ENFILE) => "let more files be open, `ulimit -n`",
                 _ => "it is tried again, and counted as `not_let_in`",
             };
-            let path = self.path.display();
+            let path = self.listener.path().display();
             // Whoever has closed our standard error finds it counted.
             let _ = writeln!(io::stderr(), "rtnet: {path} lets nobody in who comes now: {error} ({remedy})");
         }
@@ -325,15 +300,6 @@ fn programs_with(files: u64) -> usize {
 /// What stations and labs say alike.
 fn refusal(why: String) -> Vec<u8> {
     Envelope::pack(Reply::Refused(why))
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        if fs::metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
-            // Who comes too late finds nothing, or nobody: both are told alike.
-            let _ = fs::remove_file(&self.path);
-        }
-    }
 }
 
 #[cfg(test)]

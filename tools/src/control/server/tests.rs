@@ -1,7 +1,9 @@
 use super::*;
 use crate::control::client::Question;
 use crate::control::protocol::{LabReply, Request, read};
+use socket2::{Domain, SockAddr, Type};
 use std::net::Shutdown;
+use std::os::fd::AsRawFd;
 
 const SOON: Duration = Duration::from_millis(5);
 
@@ -14,7 +16,7 @@ fn server() -> (tempfile::TempDir, Server) {
 /// A client that the server knows.
 fn client(server: &mut Server) -> Socket {
     let client = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
-    client.connect(&SockAddr::unix(&server.path).unwrap()).unwrap();
+    client.connect(&SockAddr::unix(server.path()).unwrap()).unwrap();
     client.set_read_timeout(Some(SOON)).unwrap();
     server.serve(Duration::ZERO, |_, _| Vec::new());
     client
@@ -56,13 +58,16 @@ fn programs_leave_descriptors_for_everything_else() {
 }
 
 #[test]
+#[allow(unsafe_code)]
 fn who_cannot_be_let_in_does_not_keep_the_server_from_waiting() {
     let (_scratch, mut server) = server();
     let inside = client(&mut server);
     // Always readable, and what is accepted is refused each time: EINVAL.
     let (other, never_accepts) = Socket::pair(Domain::UNIX, Type::SEQPACKET, None).unwrap();
     other.send(b"!").unwrap();
-    server.listener = never_accepts;
+    let [from, to] = [never_accepts.as_fd(), server.listener.as_fd()].map(|fd| fd.as_raw_fd());
+    // SAFETY: both are open, and each stays its owner's.
+    assert_eq!(unsafe { nix::libc::dup2(from, to) }, to);
     server.serve(SOON, |_, _| Vec::new());
     assert!(server.is_full);
     let begun = Instant::now();
@@ -117,7 +122,7 @@ fn a_request_that_is_too_long_is_refused_with_the_limit() {
 #[test]
 fn a_question_that_was_taken_back_in_time_is_refused_and_one_that_was_not_is_answered() {
     let (_scratch, mut server) = server();
-    let path = server.path.clone();
+    let path = server.path().to_owned();
     let ask = || Question::put(&path, Request::Status, SOON).unwrap();
     let (mut kept, mut taken_back) = (ask(), ask());
     assert!(matches!(kept.answer::<Reply>(Duration::ZERO), Ok(None)), "not yet");

@@ -20,6 +20,8 @@ mod exchange;
 #[allow(dead_code)]
 #[path = "../trips/figures.rs"]
 mod figures;
+#[path = "../trips/lines.rs"]
+mod lines;
 mod mailboxes;
 mod mqueue;
 mod process;
@@ -27,14 +29,10 @@ mod station;
 mod steps;
 mod trips;
 
-use std::io::{BufRead, Write};
-use std::time::Duration;
+use anyhow::{Result, bail};
+use serde_json::Value;
 
-use anyhow::{Context, Result, bail};
-use serde_json::{Value, json};
-
-/// Two cores, of the one who asks and of the one who answers.
-type Cores = [usize; 2];
+use lines::{Cores, answer_all, seconds, two};
 
 fn answer(line: &str) -> Result<Value> {
     match line.split_whitespace().collect::<Vec<_>>()[..] {
@@ -69,25 +67,11 @@ fn child(arguments: &[&str]) -> Result<()> {
     }
 }
 
-fn two(text: &str) -> Result<Cores> {
-    let (one, other) = text.split_once(',').context("write cores as 0,1")?;
-    Ok([one.parse()?, other.parse()?])
-}
-
-fn seconds(text: &str) -> Result<Duration> {
-    Ok(Duration::try_from_secs_f64(text.parse()?)?)
-}
-
 fn main() -> Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let arguments = lines::arguments();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     if !arguments.is_empty() {
         return child(&arguments);
     }
-    for line in std::io::stdin().lock().lines() {
-        let answer = answer(&line?).unwrap_or_else(|why| json!({ "error": format!("{why:#}") }));
-        println!("{answer}");
-        std::io::stdout().flush()?;
-    }
-    Ok(())
+    answer_all(answer)
 }

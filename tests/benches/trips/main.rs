@@ -20,18 +20,20 @@
 mod figures;
 mod fragments;
 mod hops;
+mod lines;
 mod linux;
 mod processes;
 mod programs;
 mod stations;
 
-use std::io::{BufRead, Write};
 use std::str::FromStr;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use serde_json::{Value, json};
+use serde_json::Value;
 use tools::lab::namespace::{Namespace, Segment};
+
+use lines::{Cores, answer_all, seconds, two};
 
 /// Bytes of a message, as of sockperf's.
 const MESSAGE: usize = 64;
@@ -49,9 +51,6 @@ enum Way {
     Block,
     Spin,
 }
-
-/// Two cores, of the one who asks and of the one who answers.
-type Cores = [usize; 2];
 
 /// The medium: two stations' namespaces, and two of hosts.
 struct Network {
@@ -113,17 +112,8 @@ impl Network {
     }
 }
 
-fn two(text: &str) -> Result<Cores> {
-    let (one, other) = text.split_once(',').context("write cores as 0,1")?;
-    Ok([one.parse()?, other.parse()?])
-}
-
-fn seconds(text: &str) -> Result<Duration> {
-    Ok(Duration::try_from_secs_f64(text.parse()?)?)
-}
-
 fn main() -> Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let arguments = lines::arguments();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match arguments[..] {
         // What this program starts itself.
@@ -141,10 +131,5 @@ fn main() -> Result<()> {
     }
     let network = Network::new()?;
     println!("ready");
-    for line in std::io::stdin().lock().lines() {
-        let answer = network.answer(&line?).unwrap_or_else(|why| json!({ "error": format!("{why:#}") }));
-        println!("{answer}");
-        std::io::stdout().flush()?;
-    }
-    Ok(())
+    answer_all(|line| network.answer(line))
 }

@@ -6,6 +6,7 @@
 //!             ◄ answer, files ─┘  └───► board: everybody sees what has changed
 //! ```
 
+mod memory;
 mod process;
 
 use core::time::Duration;
@@ -14,23 +15,21 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::sys::stat::fstat;
 use rtnet::api::letters;
 use rtnet::api::listener::Listener;
-use rtnet::live::sealed::Sealed;
 use socket2::Socket;
 
+use memory::Memory;
 use process::{has_ended, process_of};
 
-use crate::bells::{Bell, Bells};
+use crate::bells::Bell;
 use crate::board::Shown;
-use crate::handshake::{ASK_LEN, Answer, Ask, FILES};
+use crate::handshake::{ASK_LEN, Answer, Ask};
 use crate::mailbox::{Layout, Segment, Shape, Word};
 use crate::name::MailboxName;
 use crate::priority::Priorities;
 use crate::registry::{ComponentId, Refused, Registry};
 use crate::route::{RouteError, Routes};
-use crate::shared::lane_at;
 
 /// Components at a time.
 pub const MOST_COMPONENTS: usize = 256;
@@ -80,19 +79,6 @@ struct Seat {
     /// Its process, and what becomes readable when that has ended, as far as it can be seen from here.
     pid: u32,
     process: Option<OwnedFd>,
-}
-
-/// What a mailbox lies in.
-struct Memory {
-    name: MailboxName,
-    layout: Layout,
-    /// The owner's process.
-    process: u32,
-    owner: Sealed,
-    lanes: OwnedFd,
-    bells: Bells,
-    /// The broker's own among them.
-    bell: Bell,
 }
 
 impl Broker {
@@ -382,33 +368,6 @@ impl Drop for Broker {
     fn drop(&mut self) {
         let places: Vec<_> = self.registry.all().map(|(place, _)| place).collect();
         places.into_iter().for_each(|place| self.board.show(place, None));
-    }
-}
-
-impl Memory {
-    /// What an owner has brought for its mailbox.
-    fn new(name: MailboxName, shape: &Shape, process: u32, files: Vec<OwnedFd>) -> io::Result<Self> {
-        let odd = |why| io::Error::new(ErrorKind::InvalidInput, why);
-        let [owner, lanes, bells]: [OwnedFd; FILES] =
-            files.try_into().map_err(|_| odd("three files come with a mailbox"))?;
-        let layout = Layout::of(shape);
-        let owner = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
-        if !owner.is_final() {
-            return Err(odd("a mailbox's own memory is sealed: nobody takes pages out of it"));
-        }
-        let bytes = (lane_at(&layout, shape.senders + 1) * size_of::<u64>()) as i64;
-        if fstat(&lanes)?.st_size < bytes {
-            return Err(odd("the lanes of a mailbox are all there"));
-        }
-        let bells = Bells::of(bells);
-        let bell = bells.hang()?;
-        Ok(Self { name, layout, process, owner, lanes, bells, bell })
-    }
-
-    /// What a sender is given: the bell is its own, and goes with it.
-    fn for_a_sender(&self) -> io::Result<Vec<OwnedFd>> {
-        let owner = self.owner.as_fd().try_clone_to_owned()?;
-        Ok(vec![owner, self.lanes.try_clone()?, self.bells.hang()?.into()])
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicU64;
 use package_router::journey::Journey;
 use package_router::mailbox::{Inbox, LaneSender, Layout, Shape};
 use package_router::name::MailboxName;
+use package_router::priority::Priorities;
 use package_router::router::{Host, LAN_PORT, Router, Way};
 use package_router::wire::Head;
 use rtmac::tdma::{SlotConfig, Tdma};
@@ -137,7 +138,7 @@ fn words(count: usize) -> Words {
 
 #[test]
 fn the_parts_of_a_packages_age_are_known_to_the_nanosecond() {
-    let host = Host { clock: || NOW.get(), wake: |_: &AtomicU64| (), channel: 0 };
+    let host = Host { clock: || NOW.get(), priorities: Priorities::default() };
     let (mut hears, mut sends) =
         (stack(0, vec![Box::new(Router::<Words, Words>::new(host))]), stack(1, Vec::new()));
     let (reads, from) = (udp(&mut hears, LAN_PORT, 64), udp(&mut sends, LAN_PORT, 64));
@@ -148,7 +149,7 @@ fn the_parts_of_a_packages_age_are_known_to_the_nanosecond() {
     inbox.attach(0, MailboxName::NOBODY, of_router.clone()).unwrap();
     let router = hears.program_mut::<Router<Words, Words>>().unwrap();
     router.reads(reads);
-    assert!(router.add(Way::new(name, LaneSender::new(of_router, own, layout, 0))).is_ok());
+    assert!(router.add(Way::new(name, LaneSender::new(of_router, own, layout, 0), Box::new(|| ()))).is_ok());
     let slots = vec![SlotConfig { size: 1_500, ..slot(0, SLOT_US) }];
     let mut network = settled(vec![(vec![slot(0, 200)], hears), (slots, sends)]);
 

@@ -103,6 +103,7 @@ fn of_send(error: &SendError) -> i32 {
         SendError::Mailbox(mailbox::SendError::TooLarge { .. }) => libc::EMSGSIZE,
         SendError::Mailbox(_) => libc::EPROTO,
         SendError::NoMailbox(_) => libc::ENOENT,
+        SendError::Unbound(_) => libc::EBADF,
         SendError::Station(errno) if *errno > 0 => *errno,
         SendError::Station(_) => libc::EIO,
     }

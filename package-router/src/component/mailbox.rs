@@ -105,7 +105,7 @@ impl Mailbox {
 
     /// A way from here to another mailbox of the station: what is sent by it is from this one.
     pub fn sender(&self, to: MailboxName) -> Result<Sender, Error> {
-        Sender::bind(&self.link, self.name, to)
+        Sender::bind(&self.link, self.name, (self.place, self.generation), to)
     }
 
     /// Waits for the most urgent package, at most so long; `None`: for ever. It stays where it is while it is lent.

@@ -24,6 +24,8 @@ pub struct Sender {
     /// What of the board was so when it was bound.
     moves: u64,
     from: MailboxName,
+    /// Where that mailbox is, and which it is of all that were there.
+    own: (usize, u64),
     to: MailboxName,
     priority: u8,
     id: u8,
@@ -52,13 +54,22 @@ pub enum SendError {
     /// It is there no more.
     #[error("{0} is there no more: bind to it anew once it is there again")]
     NoMailbox(MailboxName),
+    /// The mailbox that it sends from is there no more: the name may be another's now.
+    #[error("{0}, which it is from, is there no more")]
+    Unbound(MailboxName),
     /// The station does not take it: a number of `errno`, as its sockets have them.
     #[error("the station does not take it: {}", std::io::Error::from_raw_os_error(*.0))]
     Station(i32),
 }
 
 impl Sender {
-    pub(super) fn bind(link: &Arc<Link>, from: MailboxName, to: MailboxName) -> Result<Self, Error> {
+    /// From a mailbox of this component that is there, of that generation.
+    pub(super) fn bind(
+        link: &Arc<Link>,
+        from: MailboxName,
+        own: (usize, u64),
+        to: MailboxName,
+    ) -> Result<Self, Error> {
         let moves = link.board.moves();
         let (answer, files) = link.ask(Ask::Bind { from, to }, &[])?;
         let (way, priority) = match answer {
@@ -70,7 +81,7 @@ impl Sender {
             }
             answer => return Err(odd(&answer).into()),
         };
-        Ok(Self { link: link.clone(), way, moves, from, to, priority, id: 0 })
+        Ok(Self { link: link.clone(), way, moves, from, own, to, priority, id: 0 })
     }
 
     /// To which mailbox.
@@ -104,7 +115,7 @@ impl Sender {
     pub fn follow(&mut self) -> Result<(), Error> {
         if !self.is_current() {
             let Self { id, priority, .. } = *self;
-            *self = Self { id, priority, ..Self::bind(&self.link, self.from, self.to)? };
+            *self = Self { id, priority, ..Self::bind(&self.link, self.from, self.own, self.to)? };
         }
         Ok(())
     }
@@ -141,7 +152,11 @@ impl Sender {
     pub fn send_with(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
         let head = Head { from: self.from, to: self.to, ..*head };
         match &mut self.way {
+            // A lane keeps the name from others; elsewhere nobody does.
             Way::Here(here) => here.send(&head, body),
+            Way::Away(_) if !self.link.board.has(self.own.0, self.own.1) => {
+                Err(SendError::Unbound(self.from))
+            }
             Way::Away(away) => away.send(head, body),
         }
     }

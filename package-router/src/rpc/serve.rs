@@ -49,7 +49,7 @@ impl Clients {
         let reply = command.answer(kind);
         if let Some(sender) = self.senders.find(command.from) {
             match sender.send_with(&reply, body) {
-                Err(SendError::NoMailbox(_)) => {}
+                Err(SendError::NoMailbox(_) | SendError::Unbound(_)) => {}
                 told => return Ok(told?),
             }
             // That one is gone; another may have its name by now, and it is bound only after the old way was given back.

@@ -2,6 +2,7 @@
 
 use std::thread::{self, JoinHandle};
 
+use package_router::component::SendError;
 use package_router::rpc::{CallError, Clients, Dropped, Proxy};
 use package_router::wire::ERROR;
 
@@ -60,6 +61,11 @@ fn a_server_of_another_station_answers_calls_and_whatever_goes_wrong_says_what()
         assert_eq!(camera.call(SILENCE, &[], SHORT).err(), Some(CallError::TimedOut(name(SERVER))));
         assert!(begun.elapsed() >= SHORT);
         assert_eq!((camera.dropped(), nobody.dropped()), (Dropped::default(), Dropped::default()));
+
+        // A way that outlives its mailbox leads nowhere: the name may be another's.
+        let late = name("0.Pilot.2");
+        let mut way = pilot.mailbox(late, Shape::new(1, 8)).unwrap().sender(name(SERVER)).unwrap();
+        assert_eq!(way.send(ECHO, b"late"), Err(SendError::Unbound(late)));
 
         // It ends: what its station does not know yet comes to nobody, and then that is said of it.
         camera.call(QUIT, &[], PATIENCE).unwrap();

@@ -201,7 +201,7 @@ fn lacks_room(error: &SendError) -> bool {
     match error {
         SendError::Mailbox(error) => matches!(error, mailbox::SendError::Full(_)),
         SendError::Station(errno) => *errno == Errno::ENOBUFS as i32,
-        SendError::NoMailbox(_) => false,
+        SendError::NoMailbox(_) | SendError::Unbound(_) => false,
     }
 }
 

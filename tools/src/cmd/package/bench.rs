@@ -13,6 +13,7 @@ use package_router::body;
 use package_router::component::{Component, Mailbox, ReceiveError, SendError, Sender};
 use package_router::mailbox;
 use package_router::wire::{Head, NOT_AVAILABLE};
+use rtnet::live::clock::monotonic;
 
 use super::counts::{COUNT, COUNTED, Counted};
 use super::{check_size, way};
@@ -21,7 +22,7 @@ use crate::cmd::Failure;
 use crate::cmd::tdma::found_of;
 use crate::report::histogram::SignedHistogram;
 use scheduled::Scheduled;
-use shown::{Stream, Trips};
+use shown::{Long, Stream, Trips};
 
 /// Of a question.
 const ASKS: i8 = 1;
@@ -32,6 +33,8 @@ const GOLDEN: f64 = 0.618_033_988_749_894_9;
 /// Who finds no room tries again at once so often, which is enough where who reads has another core, and then sleeps.
 const AT_ONCE: u32 = 100;
 const REST: Duration = Duration::from_micros(50);
+/// Round trips that are shown with when they were asked for.
+const LONGEST: usize = 10;
 /// How often it is asked how many have come.
 const ASKED_AT_MOST: u32 = 3;
 
@@ -81,7 +84,7 @@ impl Bench<'_> {
     fn trips(&mut self) -> Result<(Trips, SignedHistogram), Failure> {
         let body = vec![0x55; self.args.size];
         self.ask(ASKS, &body)?;
-        let (mut asked, mut times) = (0u64, SignedHistogram::new());
+        let (mut asked, mut times, mut longest) = (0u64, SignedHistogram::new(), Vec::<Long>::new());
         let begun = Instant::now();
         while !self.is_over(begun) {
             let pause = duration(self.args.pause).mul_f64((asked as f64 * GOLDEN).fract());
@@ -89,8 +92,11 @@ impl Bench<'_> {
                 std::thread::sleep(pause);
             }
             asked += 1;
+            let asked_at_ns = monotonic();
             if let Some((took, _)) = self.ask(ASKS, &body)? {
-                times.record(took.as_nanos() as i64);
+                let took_ns = took.as_nanos() as u64;
+                times.record(took_ns as i64);
+                note(&mut longest, Long { took_ns, asked_at_ns });
             }
         }
         let trips = Trips {
@@ -101,6 +107,7 @@ impl Bench<'_> {
             lost: asked - times.len(),
             took_ns: begun.elapsed().as_nanos() as u64,
             round_trip_ns: times.summary(),
+            longest,
             scheduled: None,
         };
         Ok((trips, times))
@@ -196,6 +203,16 @@ impl Bench<'_> {
     }
 }
 
+/// Keeps the longest, longest first.
+fn note(longest: &mut Vec<Long>, trip: Long) {
+    if longest.len() == LONGEST && longest.last().is_some_and(|least| trip.took_ns <= least.took_ns) {
+        return;
+    }
+    let place = longest.partition_point(|longer| longer.took_ns >= trip.took_ns);
+    longest.insert(place, trip);
+    longest.truncate(LONGEST);
+}
+
 /// Whether it is only not taken now: the mailbox is full, or what was sent before has not left.
 fn lacks_room(error: &SendError) -> bool {
     match error {
@@ -208,4 +225,21 @@ fn lacks_room(error: &SendError) -> bool {
 /// What an answer says.
 struct Answer {
     counted: Option<Counted>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_are_kept_with_when_they_were_asked_for_longest_first() {
+        let mut longest = Vec::new();
+        for n in 0..100u64 {
+            let took_ns = n * 37 % 100;
+            note(&mut longest, Long { took_ns, asked_at_ns: n });
+        }
+        let took: Vec<_> = longest.iter().map(|trip| trip.took_ns).collect();
+        assert_eq!(took, (90..100).rev().collect::<Vec<_>>());
+        assert!(longest.iter().all(|trip| trip.asked_at_ns * 37 % 100 == trip.took_ns));
+    }
 }

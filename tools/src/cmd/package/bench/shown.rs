@@ -20,9 +20,18 @@ pub(super) struct Trips {
     pub lost: u64,
     pub took_ns: u64,
     pub round_trip_ns: Summary,
+    /// The longest, longest first: what else happened then may be known.
+    pub longest: Vec<Long>,
     /// To another station, what its slots and the own ones say.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scheduled: Option<Scheduled>,
+}
+
+/// A round trip, and when it was asked for, by CLOCK_MONOTONIC.
+#[derive(Serialize)]
+pub(super) struct Long {
+    pub took_ns: u64,
+    pub asked_at_ns: u64,
 }
 
 /// What came of as many packages as the way takes.
@@ -49,7 +58,7 @@ pub(super) struct Stream {
 
 impl Trips {
     pub fn describe(&self) -> String {
-        let Self { to, bytes, asked, came, lost, took_ns, round_trip_ns: trip, scheduled } = self;
+        let Self { to, bytes, asked, came, lost, took_ns, round_trip_ns: trip, scheduled, .. } = self;
         let mut text = format!(
             "{to}: {} asked in {} with {bytes} bytes, {} answered, {} lost\n",
             grouped(*asked),
@@ -178,6 +187,7 @@ mod tests {
             lost: 1,
             took_ns: 5_040_000_000,
             round_trip_ns: serde_json::from_value(trip).unwrap(),
+            longest: Vec::new(),
             scheduled: None,
         };
         let words = "Camera(0/0): 3 asked in 5s with 64 bytes, 2 answered, 1 lost\n\

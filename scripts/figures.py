@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 
 
+SHARES = ["p50", "p99", "p999"]
+
+
 class NotRun(Exception):
     """What did not run, and why."""
 
@@ -44,6 +47,30 @@ class Table:
         self.failed += 1
         sys.stdout.flush()
         print(f"  did not run: {error}", file=sys.stderr)
+
+
+def in_turns(bench, table, subjects, options, part):
+    """Each of these requests once in every round, and the other way round in the next: name -> figures, a round each."""
+    rounds = []
+    for number in range(options.rounds):
+        print(f"{part}: round {number + 1} of {options.rounds}", file=sys.stderr)
+        figures = {}
+        for name in list(subjects)[::-1 if number % 2 else 1]:
+            try:
+                figures[name] = bench.ask(*subjects[name])
+            except NotRun as error:
+                table.note(error)
+        rounds.append(figures)
+    return rounds
+
+
+def over(rounds, names, take):
+    """What `take` makes of the figures with these names, of each round that has them all."""
+    return [take(*(figures[name] for name in names)) for figures in rounds if all(name in figures for name in names)]
+
+
+def shown(share):
+    return "p99.9" if share == "p999" else share
 
 
 def quantile(values, q):

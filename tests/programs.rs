@@ -25,7 +25,7 @@ use rtnet::api::line::Lines;
 use rtnet::api::{Station, UdpSocket};
 use rtnet::buf::{Buf, Pool};
 use rtnet::clock::EmulatedClock;
-use rtnet::discipline::{Channel, SendError, TimeView};
+use rtnet::discipline::{Channel, SendError, SyncState, TimeView};
 use rtnet::ip::route::NetworkRoute;
 use rtnet::ip::{Exit, Stack};
 use rtnet::live::clock::monotonic;
@@ -293,10 +293,18 @@ fn a_program_is_told_what_it_has_set() {
 #[test]
 fn what_a_program_sends_with_times_says_when_it_handed_it_over_and_all_else_nothing() {
     let ahead = 1_700_000_000_000_000_000;
-    let mut publisher = TimePublisher::new(EmulatedClock::default());
     let offset = Offset::between(Instant::default(), GlobalTime::from_nanos(ahead));
-    publisher.publish(&TimeView { offset, period: Some(Span::from_millis(1)), ..TimeView::default() });
-    for (site, is_told) in [(Site::that_tells(Some(publisher.board())), true), (Site::new(), false)] {
+    // It is not too old for as long as this takes.
+    let (start, period) =
+        (Instant::from_nanos(monotonic()) + Span::from_millis(60_000), Some(Span::from_millis(1)));
+    let with_state = |state| {
+        let mut publisher = TimePublisher::new(EmulatedClock::default());
+        publisher.publish(&TimeView { state, offset, start, period, ..TimeView::default() });
+        (Site::that_tells(Some(publisher.board())), publisher)
+    };
+    let sites = [SyncState::Locked, SyncState::Lost].map(with_state);
+    let knows = sites.iter().zip([true, false]).map(|((site, _), knows)| (site, knows));
+    for (site, is_told) in knows.chain([(&Site::new(), false)]) {
         let (from, to) = (site.station.udp().unwrap(), site.station.udp().unwrap());
         to.set_timeout(Some(PATIENCE));
         let port = to.local_addr().unwrap().port();

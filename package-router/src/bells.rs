@@ -6,8 +6,9 @@
 //!   the broker ── its bell ┘
 //! ```
 //!
-//! By edge: whatever a ringer does to its own bell keeps no other from being heard, and nobody has to silence one. A bell is
-//! there as long as its ringer.
+//! By edge: whatever a ringer does to its own bell keeps no other from being heard, and nobody has to silence one. A bell goes
+//! with its ringer, and with it a ring that was not heard yet: so the broker rings when a sender has gone. An owner may have
+//! its set waited at by as many threads as it likes, and each makes it take longer to ring there: that is kept from nobody.
 
 #![allow(unsafe_code)]
 
@@ -99,9 +100,10 @@ impl Bells {
     fn pwait2(&self, time: Duration, events: &mut [EpollEvent]) -> nix::Result<usize> {
         let (all, first, count) = (self.0.0.as_raw_fd(), events.as_mut_ptr(), events.len());
         let time = TimeSpec::from_duration(time);
-        let time = core::ptr::from_ref(time.as_ref());
+        let (time, no_signals) = (core::ptr::from_ref(time.as_ref()), core::ptr::null::<libc::sigset_t>());
         // SAFETY: there is room for as many events as is said, as the kernel writes them, and the time lives; no signals.
-        let found = unsafe { libc::syscall(libc::SYS_epoll_pwait2, all, first, count, time, 0, 0) };
+        let found =
+            unsafe { libc::syscall(libc::SYS_epoll_pwait2, all, first, count, time, no_signals, 0usize) };
         Errno::result(found).map(|found| found as usize)
     }
 

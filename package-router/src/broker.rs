@@ -48,7 +48,7 @@ pub struct Broker {
     memories: Vec<Option<Memory>>,
     seats: Vec<Seat>,
     /// Those that have hung up, and whose processes may still write to their lanes.
-    lingering: Vec<(ComponentId, OwnedFd)>,
+    lingering: Vec<Lingering>,
     components: u64,
     priorities: Priorities,
     beyond: Option<Box<dyn Beyond>>,
@@ -79,6 +79,13 @@ struct Seat {
     /// Its process, and what becomes readable when that has ended, as far as it can be seen from here.
     pid: u32,
     process: Option<OwnedFd>,
+}
+
+/// One that has hung up, and whose process may still write to its lanes.
+struct Lingering {
+    id: ComponentId,
+    pid: u32,
+    process: OwnedFd,
 }
 
 impl Broker {
@@ -116,12 +123,12 @@ impl Broker {
         let (seats, lingering) = (std::mem::take(&mut self.seats), std::mem::take(&mut self.lingering));
         let (of_seats, of_lingering) = ready.split_at(seats.len());
         // Who comes in place of one that has ended finds its names free.
-        for ((id, process), has_ended) in lingering.into_iter().zip(of_lingering) {
+        for (gone, has_ended) in lingering.into_iter().zip(of_lingering) {
             // One whose lanes went with their mailboxes writes nowhere any more.
-            if *has_ended || !self.registry.has_lanes(id) {
-                self.ended(id);
+            if *has_ended || !self.registry.has_lanes(gone.id) {
+                self.ended(gone.id);
             } else {
-                self.lingering.push((id, process));
+                self.lingering.push(gone);
             }
         }
         for (seat, is_ready) in seats.into_iter().zip(of_seats) {
@@ -147,7 +154,7 @@ impl Broker {
 
     fn wait(&self, at_most: Duration) -> Vec<bool> {
         let seats = self.seats.iter().map(|seat| seat.socket.as_fd());
-        let fds = seats.chain(self.lingering.iter().map(|(_, process)| process.as_fd()));
+        let fds = seats.chain(self.lingering.iter().map(|gone| gone.process.as_fd()));
         let listener = (!self.is_full).then_some(self.listener.as_fd());
         let mut fds: Vec<_> = fds.chain(listener).map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
         // Interrupted, or nothing came: nobody is ready.
@@ -239,7 +246,9 @@ impl Broker {
         shape: Shape,
         files: Vec<OwnedFd>,
     ) -> (Answer, Vec<OwnedFd>) {
-        let place = match self.registry.create(by.id, name, shape) {
+        // A process that has come again may have its own names again.
+        let is_former = |id| self.lingering.iter().any(|gone| gone.id == id && gone.pid == by.pid);
+        let place = match self.registry.create_beside(by.id, is_former, name, shape) {
             Ok(place) => place,
             Err(refused) => return (Answer::Refused(refused), Vec::new()),
         };
@@ -306,7 +315,7 @@ impl Broker {
         self.registry.left(seat.id).into_iter().for_each(|place| self.gone(place));
         match seat.process {
             Some(process) if self.registry.has_lanes(seat.id) && !has_ended(process.as_fd()) => {
-                self.lingering.push((seat.id, process));
+                self.lingering.push(Lingering { id: seat.id, pid: seat.pid, process });
             }
             _ => self.ended(seat.id),
         }

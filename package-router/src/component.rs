@@ -98,7 +98,7 @@ impl Component {
     }
 
     /// What is known of the station's time: how old packages are. It asks the station the first time, which takes until that has
-    /// sent what it is about to.
+    /// sent what it is about to, and again as long as there is no answer.
     ///
     /// ```no_run
     /// # let component = package_router::component::Component::named("cell/arm")?;
@@ -111,7 +111,14 @@ impl Component {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn times(&self) -> Times {
-        self.link.times.get_or_init(|| Times::of(&self.link.station)).clone()
+        let known = &self.link.times;
+        if known.get().is_none()
+            && let Ok(times) = Times::of(&self.link.station)
+        {
+            // Another thread's are the same.
+            let _ = known.set(times);
+        }
+        known.get().cloned().unwrap_or_default()
     }
 
     /// A mailbox of this name. All memory that it will ever take is taken now.

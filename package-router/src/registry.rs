@@ -113,11 +113,22 @@ impl Registry {
     /// A mailbox of a component: its place. A name is nobody else's as long as a sender of it is there, which may outlive the mailbox:
     /// what it sends would come from somebody else.
     pub fn create(&mut self, owner: ComponentId, name: MailboxName, shape: Shape) -> Result<usize, Refused> {
+        self.create_beside(owner, |_| false, name, shape)
+    }
+
+    /// The same for one whose own earlier connections `is_former` knows: what those still send is its own affair.
+    pub fn create_beside(
+        &mut self,
+        owner: ComponentId,
+        is_former: impl Fn(ComponentId) -> bool,
+        name: MailboxName,
+        shape: Shape,
+    ) -> Result<usize, Refused> {
         if name == MailboxName::NOBODY {
             return Err(Refused::NoName(name));
         }
         shape.check()?;
-        let is_anothers = self.users().any(|(by, from)| by != owner && from == name);
+        let is_anothers = self.users().any(|(by, from)| from == name && by != owner && !is_former(by));
         if is_anothers || self.find(name).is_some() {
             return Err(Refused::Taken(name));
         }

@@ -13,8 +13,9 @@ use rtnet::api::ring::{Reader, Writer};
 use rtnet::api::segment::{self, ASLEEP, Order};
 use rtnet::buf::{Buf, Pool};
 use rtnet::clock::EmulatedClock;
-use rtnet::discipline::{Channel, SendError, TimeView};
+use rtnet::discipline::{Channel, SendError, SyncState, TimeView};
 use rtnet::ip::{Exit, Stack};
+use rtnet::live::clock::monotonic;
 use rtnet::live::{Bells, TimePublisher, Visitor};
 use rtnet::queue::Priority;
 use rtnet::socket::Options;
@@ -75,7 +76,10 @@ struct Program {
 impl Site {
     fn new(id: usize) -> Self {
         let mut time = TimePublisher::new(EmulatedClock::default());
-        time.publish(&TimeView { period: Some(Span::from_millis(1)), ..TimeView::default() });
+        // Not too old for as long as this takes.
+        let start = Instant::from_nanos(monotonic()) + Span::from_millis(60_000);
+        let (state, period) = (SyncState::Locked, Some(Span::from_millis(1)));
+        time.publish(&TimeView { state, start, period, ..TimeView::default() });
         let mut lines = Box::new(Lines::new(4));
         lines.tell_times(time.board());
         Self {

@@ -234,7 +234,7 @@ fn a_package_was_sent_when_its_first_part_that_says_so_was_and_is_of_unknown_age
         }
         let package = seen.inbox.receive(NOW.get() + 7).unwrap();
         let stamps = Stamps { sent: NOW.get(), origin: Origin::Elsewhere(sent.map(at)), ..Stamps::default() };
-        assert_eq!((*package.stamps(), package.waited()), (stamps, 7));
+        assert_eq!((package.stamps(), package.waited()), (stamps, 7));
     }
 }
 

@@ -66,7 +66,6 @@ enum Taking {
 #[derive(Default)]
 pub(super) struct Found {
     pub(super) head: Head,
-    pub(super) stamps: Stamps,
     node: Node,
     lane: usize,
     slot: usize,
@@ -243,15 +242,10 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let is_there = words[of_slot::NUMBER].get_acquire() == number;
             let halves = [at(of_slot::HEAD), at(of_slot::HEAD + 1)].map(u64::to_ne_bytes);
             let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
-            let [sent, left, came, origin] =
-                [of_slot::SENT, of_slot::LEFT, of_slot::CAME, of_slot::ORIGIN].map(at);
-            let some = |stamp: u64| (stamp != 0).then(|| GlobalTime::from_nanos(stamp));
-            let origin = Origin::of_word(origin);
-            let stamps = Stamps { sent, origin, left: some(left), came: some(came) };
-            let from = sender.from;
+            let (from, took) = (sender.from, now.saturating_sub(at(of_slot::SENT)));
             let parsed = Head::parse(&bytes);
             let head = parsed.unwrap_or_default();
-            self.found = Found { head, stamps, node, lane, slot, number, took: now.saturating_sub(sent) };
+            self.found = Found { head, node, lane, slot, number, took };
             if !is_there {
                 // It was replaced; what it made way for is announced, or will be.
                 self.known[node as usize] = 0;
@@ -297,6 +291,21 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             self.known[node as usize] = 0;
             self.give_back(true);
         }
+    }
+
+    /// What is said of when a package was where that is being read: few ask.
+    pub(super) fn stamps(&self) -> Stamps {
+        let Found { lane, slot, .. } = self.found;
+        let Some(sender) = &self.lanes[lane].sender else { return Stamps::default() };
+        let words = sender.segment.part(self.layout.slot(slot), of_slot::BODY);
+        let at = |place: usize| words[place].get();
+        let (sent, origin) = (at(of_slot::SENT), Origin::of_word(at(of_slot::ORIGIN)));
+        if origin == Origin::Here {
+            return Stamps { sent, ..Stamps::default() };
+        }
+        let some = |stamp: u64| (stamp != 0).then(|| GlobalTime::from_nanos(stamp));
+        let [left, came] = [of_slot::LEFT, of_slot::CAME].map(|place| some(at(place)));
+        Stamps { sent, origin, left, came }
     }
 
     /// The body of a package that is being read.

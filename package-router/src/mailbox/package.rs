@@ -39,8 +39,8 @@ impl<'a, Own: Segment, Theirs: Segment> Package<'a, Own, Theirs> {
         &self.inbox.found().head
     }
     /// When it was where.
-    pub fn stamps(&self) -> &Stamps {
-        &self.inbox.found().stamps
+    pub fn stamps(&self) -> Stamps {
+        self.inbox.stamps()
     }
     /// How long it has waited in this mailbox until it was received: nanoseconds of this host's monotonic clock.
     pub fn waited(&self) -> u64 {

@@ -179,9 +179,12 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         let bytes: [[u8; 8]; 2] = zerocopy::transmute!(head.to_bytes());
         let words = own.part(base, of_slot::BODY);
         words[of_slot::SENT].set(stamps.sent);
-        words[of_slot::LEFT].set(stamps.left.map_or(0, GlobalTime::nanos));
-        words[of_slot::CAME].set(stamps.came.map_or(0, GlobalTime::nanos));
         words[of_slot::ORIGIN].set(stamps.origin.word());
+        // Of what was always here the other two say nothing.
+        if stamps.origin != Origin::Here {
+            words[of_slot::LEFT].set(stamps.left.map_or(0, GlobalTime::nanos));
+            words[of_slot::CAME].set(stamps.came.map_or(0, GlobalTime::nanos));
+        }
         for (word, half) in words[of_slot::HEAD..].iter().zip(bytes) {
             word.set(u64::from_ne_bytes(half));
         }

@@ -4,7 +4,7 @@ use crate::wire::{HEAD_LEN, MAX_LEN};
 
 /// Slots of each sender: as many numbers as are sorted at once (20 us) for who was overtaken.
 pub const MOST_SLOTS: usize = 1024;
-/// Senders of a mailbox: `futex_waitv` waits for 128 words, one of them the router's and one the board's.
+/// Senders of a mailbox: each is a lane that every look passes over, and a place on the board.
 pub const MOST_SENDERS: usize = 126;
 /// The largest body, as on the wire.
 pub const LARGEST_BODY: usize = MAX_LEN - HEAD_LEN;

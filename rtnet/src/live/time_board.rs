@@ -186,10 +186,12 @@ impl TimeBoard {
         view.to_global(clock.local(monotonic())).map(|global| (global, view.state))
     }
 
-    /// What the master's clock shows at moments of CLOCK_MONOTONIC, by one line; `None` before there is any.
+    /// What the master's clock shows at moments of CLOCK_MONOTONIC, by one line; `None` unless the station is synchronised now.
     pub fn global_at<const N: usize>(&self, moments: [True; N]) -> Option<[GlobalTime; N]> {
-        let (view, clock) = self.read_both();
-        view.period?;
+        let (view, clock) = self.view_and_clock();
+        if !view.state.is_synchronised() {
+            return None;
+        }
         Some(moments.map(|at| view.to_global(clock.local(at)).unwrap_or_default()))
     }
 

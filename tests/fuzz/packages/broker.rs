@@ -108,7 +108,7 @@ impl Fuzzed {
             Err(Errno::EAGAIN | Errno::ECONNRESET) => 0,
             told => {
                 let told = told.expect("an answer, or none");
-                for part in told.cmsgs().expect("two files at the most") {
+                for part in told.cmsgs().expect("no more files than there is room for") {
                     if let ControlMessageOwned::ScmRights(fds) = part {
                         fds.into_iter().for_each(|fd| _ = nix::unistd::close(fd));
                     }

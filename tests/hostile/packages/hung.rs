@@ -276,3 +276,20 @@ fn who_waits_for_ever_is_told_that_its_station_has_ended() {
     assert_eq!(waits.join().unwrap(), [Some(ReceiveError::Gone); 2]);
     assert!(begun.elapsed() < AT_ONCE, "{:?}", begun.elapsed());
 }
+
+#[test]
+fn a_process_that_has_hung_up_and_comes_again_may_have_its_own_names_again() {
+    let station = Station::new();
+    let (_sink, mut sink) = station.mailbox(SINK, Shape::new(4, 16));
+    let mistaken = Raw::connect(&station.path);
+    assert!(matches!(mistaken.creates(MISTAKEN, Shape::new(1, 1)), Answer::Created { .. }));
+    let (_lane, _) = mistaken.binds(MISTAKEN, SINK);
+    let another = Raw::connect(&station.path);
+    assert_eq!(another.creates(MISTAKEN, Shape::new(1, 1)), Answer::Refused(Refused::Taken(MISTAKEN)));
+    // Its answer came too late, say: its lane it cannot give back any more, and its process lives.
+    drop(mistaken);
+    eventually("it is its own name", || {
+        matches!(another.creates(MISTAKEN, Shape::new(1, 1)), Answer::Created { .. }).then_some(())
+    });
+    goes_on(&station, &mut sink);
+}

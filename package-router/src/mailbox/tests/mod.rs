@@ -83,15 +83,12 @@ fn a_package_comes_as_it_was_sent_of_whatever_length() {
     let (mut inbox, mut senders) = mailbox(Shape::new(2, 37).senders(1));
     let body: Vec<u8> = (1..=37).collect();
     for len in 0..=body.len() {
-        let stamps = Stamps {
-            sent: 5,
-            origin: [
-                Origin::Here,
-                Origin::Elsewhere(None),
-                Origin::Elsewhere(Some(GlobalTime::from_nanos(u64::MAX))),
-            ][len % 3],
-            left: (len % 2 == 0).then_some(GlobalTime::from_nanos(6)),
-            came: Some(GlobalTime::from_nanos(7)),
+        let at = GlobalTime::from_nanos;
+        let (left, came) = ((len % 2 == 0).then_some(at(6)), Some(at(7)));
+        let stamps = match len % 3 {
+            0 => Stamps { sent: 5, ..Stamps::default() },
+            1 => Stamps { sent: 5, origin: Origin::Elsewhere(None), left, came },
+            _ => Stamps { sent: 5, origin: Origin::Elsewhere(Some(at(u64::MAX))), left, came },
         };
         let sent = Head { kind: -6, ..head(0, 3, len as u8) };
         // In parts, as it lies in the buffers of a datagram.
@@ -103,7 +100,7 @@ fn a_package_comes_as_it_was_sent_of_whatever_length() {
         slot.publish(&sent, &stamps);
         let package = inbox.receive(9).unwrap();
         assert_eq!(*package.head(), Head { len: 16 + len as u32, ..sent });
-        assert_eq!((*package.stamps(), package.waited()), (stamps, 4));
+        assert_eq!((package.stamps(), package.waited()), (stamps, 4));
         assert_eq!((package.body().len(), package.body().to_vec()), (len, body[..len].to_vec()));
         for skip in 0..=len + 1 {
             let mut room = [0xee; 20];

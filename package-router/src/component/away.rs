@@ -65,6 +65,11 @@ impl Away {
         }
         self.socket.take_error().map_or(Ok(()), |error| Err(told(error)))
     }
+
+    /// What the station says that it has taken: to be compared with what it said before, and nothing else.
+    pub fn taken(&self) -> u64 {
+        self.socket.taken()
+    }
 }
 
 fn told(error: io::Error) -> SendError {

@@ -120,11 +120,20 @@ impl Sender {
         Ok(())
     }
 
-    /// Waits until the station has taken what goes elsewhere: with this sender the rest is lost.
+    /// Waits until the station has taken what goes elsewhere: with this sender the rest is lost. It waits a second, and then tells
+    /// ETIMEDOUT: whether the station takes any at all says [`taken`](Self::taken).
     pub fn drained(&self) -> Result<(), SendError> {
         match &self.way {
             Way::Here(_) => Ok(()),
             Way::Away(away) => away.drained(),
+        }
+    }
+
+    /// What the station says that it has taken of what goes elsewhere: to be compared with what it said before, and nothing else.
+    pub fn taken(&self) -> u64 {
+        match &self.way {
+            Way::Here(_) => 0,
+            Way::Away(away) => away.taken(),
         }
     }
 

@@ -195,6 +195,10 @@ macro_rules! of_both {
             pub fn is_drained(&self) -> bool {
                 self.0.is_drained()
             }
+            /// What the station says that it has taken: to be compared with what it said before, and nothing else.
+            pub fn taken(&self) -> u64 {
+                self.0.taken()
+            }
             /// How long to wait; `None`: for ever.
             pub fn set_timeout(&self, timeout: Option<Duration>) {
                 self.0.set_timeout(timeout);

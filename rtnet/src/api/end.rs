@@ -140,6 +140,11 @@ impl End {
         locked(&self.sending).writer.is_drained()
     }
 
+    /// What the station says that it has taken: to be compared with what it said before, and nothing else.
+    pub(super) fn taken(&self) -> u64 {
+        locked(&self.sending).writer.read()
+    }
+
     pub(super) fn receive(&self, into: &mut [u8], flags: Flags) -> io::Result<Received> {
         flags.check(Flags::PEEK | Flags::DONTWAIT).map_err(|error| Errno::from_raw(error.errno()))?;
         if !flags.contains(Flags::DONTWAIT) {

@@ -3,10 +3,11 @@
 mod bench;
 mod counts;
 mod shown;
+mod way;
 
 use std::io::Write as _;
 use std::net::Ipv4Addr;
-use std::time::Instant;
+use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use package_router::component::{
@@ -15,7 +16,7 @@ use package_router::component::{
 use package_router::mailbox::{LARGEST_BODY, Shape};
 use package_router::name::{MailboxName, Pattern};
 use package_router::route::Route;
-use package_router::wire::{Head, NOT_AVAILABLE, OK};
+use package_router::wire::{Head, OK};
 
 use super::Failure;
 use super::tdma::found_of;
@@ -25,6 +26,7 @@ use crate::cli::{
 use crate::control::Directory;
 use counts::Counts;
 use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
+use way::Way;
 
 /// Slots of a mailbox that somebody looks into by hand.
 const SLOTS: usize = 64;
@@ -90,7 +92,7 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
     let json = args.which.json;
     match &args.verb {
         PackageVerb::Send { to, body, kind, priority, from } => {
-            let (_mailbox, mut sender) = way(&component, *from, *to, 1)?;
+            let Way { mailbox: _mailbox, mut sender } = Way::of(&component, *from, *to, 1)?;
             let head =
                 Head { kind: *kind, priority: priority.unwrap_or(sender.priority()), ..Head::default() };
             sender
@@ -104,15 +106,15 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
         PackageVerb::Receive { name, count, timeout, echo, quiet } => {
             let mut mailbox = component.mailbox(*name, Shape::new(SLOTS, BODY)).map_err(usage)?;
             let counts = Counts::of(*quiet, json).map_err(Failure::Run)?;
-            let (times, count) = (component.times(), count.unwrap_or(u64::MAX));
-            return receive(&mut mailbox, &times, count, timeout.map(duration), *echo, counts, json);
+            let (count, timeout) = (count.unwrap_or(u64::MAX), timeout.map(duration));
+            let receiving = Receiving { count, timeout, echo: *echo, json };
+            return receive(&mut mailbox, &component.times(), &receiving, counts);
         }
         PackageVerb::Bench(bench) => return bench::bench(&component, &args.which, bench),
         PackageVerb::Ping { to, count, interval, size, timeout, from } => {
             check_size(*size)?;
-            let (mut mailbox, mut sender) = way(&component, *from, *to, *size)?;
-            let told =
-                ping(&mut mailbox, &mut sender, *count, (duration(*interval), duration(*timeout)), *size)?;
+            let mut way = Way::of(&component, *from, *to, *size)?;
+            let told = ping(&mut way, *count, (duration(*interval), duration(*timeout)), *size)?;
             super::print(json, &told, Trips::describe).map_err(Failure::Run)?;
             return Ok(u8::from(told.came == 0));
         }
@@ -168,27 +170,21 @@ fn check_size(size: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A mailbox for a while, and a way from there to another.
-fn way(
-    component: &Component,
-    from: MailboxName,
-    to: MailboxName,
-    body: usize,
-) -> Result<(Mailbox, Sender), Failure> {
-    let mailbox = component.mailbox(from, Shape::new(8, body)).map_err(usage)?;
-    let sender = mailbox.sender(to).map_err(usage)?;
-    Ok((mailbox, sender))
+/// What `receive` is to do.
+struct Receiving {
+    count: u64,
+    timeout: Option<Duration>,
+    echo: bool,
+    json: bool,
 }
 
 fn receive(
     mailbox: &mut Mailbox,
     times: &Times,
-    count: u64,
-    timeout: Option<std::time::Duration>,
-    echo: bool,
+    receiving: &Receiving,
     mut counts: Counts,
-    json: bool,
 ) -> Result<u8, Failure> {
+    let Receiving { count, timeout, echo, json } = *receiving;
     let mut answers: Vec<Sender> = Vec::new();
     for _ in 0..count {
         let package = match mailbox.receive(timeout) {
@@ -239,10 +235,9 @@ fn answer_to<'a>(mailbox: &Mailbox, answers: &'a mut Vec<Sender>, to: MailboxNam
 }
 
 fn ping(
-    mailbox: &mut Mailbox,
-    sender: &mut Sender,
+    way: &mut Way,
     count: u64,
-    (interval, timeout): (std::time::Duration, std::time::Duration),
+    (interval, timeout): (Duration, Duration),
     size: usize,
 ) -> Result<Trips, Failure> {
     let (body, mut times) = (vec![0x55; size], Vec::new());
@@ -250,29 +245,14 @@ fn ping(
         if n > 0 {
             std::thread::sleep(interval);
         }
-        let begun = Instant::now();
-        let id = sender.send(1, &body).map_err(|error| Failure::Run(anyhow!("{}: {error}", sender.to())))?;
-        while let Some(left) = timeout.checked_sub(begun.elapsed()) {
-            let head = match mailbox.receive(Some(left)) {
-                Ok(package) => *package.head(),
-                Err(ReceiveError::TimedOut) => break,
-                Err(error) => return Err(Failure::Run(anyhow!(error))),
-            };
-            // One to an earlier question is too late.
-            if head.id == id && head.from == sender.to() {
-                if head.kind == NOT_AVAILABLE {
-                    return Err(Failure::Run(anyhow!("{} is not there: its station says so", sender.to())));
-                }
-                times.push(begun.elapsed().as_nanos() as u64);
-                break;
-            }
-        }
+        let told = way.ask(1, &body, timeout)?;
+        times.extend(told.map(|told| told.took.as_nanos() as u64));
     }
     times.sort_unstable();
     let quantile =
         |share: f64| times.get(((share * times.len() as f64).ceil() as usize).saturating_sub(1)).copied();
     Ok(Trips {
-        to: sender.to().to_string(),
+        to: way.sender.to().to_string(),
         asked: count,
         came: times.len() as u64,
         min_ns: times.first().copied(),

@@ -7,16 +7,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::anyhow;
 use nix::errno::Errno;
 use package_router::body;
-use package_router::component::{Component, Mailbox, ReceiveError, SendError, Sender};
-use package_router::mailbox;
-use package_router::wire::{Head, NOT_AVAILABLE};
+use package_router::component::{Component, SendError};
+use package_router::wire::Head;
 use rtnet::live::clock::monotonic;
 
+use super::check_size;
 use super::counts::{COUNT, COUNTED, Counted};
-use super::{check_size, way};
+use super::way::{REST, Told, Way, lacks_room};
 use crate::cli::{BenchArgs, WhichOf, duration};
 use crate::cmd::Failure;
 use crate::cmd::tdma::found_of;
@@ -32,11 +31,12 @@ const DATA: i8 = -6;
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 /// Who finds no room tries again at once so often, which is enough where who reads has another core, and then sleeps.
 const AT_ONCE: u32 = 100;
-const REST: Duration = Duration::from_micros(50);
 /// Round trips that are shown with when they were asked for.
 const LONGEST: usize = 10;
 /// How often it is asked how many have come.
 const ASKED_AT_MOST: u32 = 3;
+/// How long it is waited at the most until what was sent has left: who sends one package a turn has thousands to send then.
+const LEFT_WITHIN: Duration = Duration::from_secs(60);
 
 /// Measures a way, and shows what came of it.
 pub(super) fn bench(component: &Component, which: &WhichOf, args: &BenchArgs) -> Result<u8, Failure> {
@@ -45,9 +45,10 @@ pub(super) fn bench(component: &Component, which: &WhichOf, args: &BenchArgs) ->
     let stop = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone())
         .map_err(|error| Failure::Run(error.into()))?;
-    let (mailbox, sender) = way(component, args.from, args.to, args.size)?;
-    let mut scheduled = Scheduled::of(&which, &sender);
-    let mut bench = Bench { mailbox, sender, args, stop, timeout: duration(args.timeout) };
+    // Answers are as long as their questions, but for the one that tells how many came.
+    let way = Way::of(component, args.from, args.to, args.size.max(body::len::<Counted>()))?;
+    let mut scheduled = Scheduled::of(&which, &way.sender);
+    let mut bench = Bench { way, args, stop, timeout: duration(args.timeout) };
     if args.stream {
         let mut stream = bench.stream()?;
         if let Some(scheduled) = &mut scheduled {
@@ -68,8 +69,7 @@ pub(super) fn bench(component: &Component, which: &WhichOf, args: &BenchArgs) ->
 }
 
 struct Bench<'a> {
-    mailbox: Mailbox,
-    sender: Sender,
+    way: Way,
     args: &'a BenchArgs,
     stop: Arc<AtomicBool>,
     timeout: Duration,
@@ -83,7 +83,7 @@ impl Bench<'_> {
     /// One question after the other.
     fn trips(&mut self) -> Result<(Trips, SignedHistogram), Failure> {
         let body = vec![0x55; self.args.size];
-        self.ask(ASKS, &body)?;
+        self.way.ask(ASKS, &body, self.timeout)?;
         let (mut asked, mut times, mut longest) = (0u64, SignedHistogram::new(), Vec::<Long>::new());
         let begun = Instant::now();
         while !self.is_over(begun) {
@@ -93,7 +93,7 @@ impl Bench<'_> {
             }
             asked += 1;
             let asked_at_ns = monotonic();
-            if let Some((took, _)) = self.ask(ASKS, &body)? {
+            if let Some(Told { took, .. }) = self.way.ask(ASKS, &body, self.timeout)? {
                 let took_ns = took.as_nanos() as u64;
                 times.record(took_ns as i64);
                 note(&mut longest, Long { took_ns, asked_at_ns });
@@ -113,49 +113,15 @@ impl Bench<'_> {
         Ok((trips, times))
     }
 
-    /// A command, and how long its answer took, and that; none: it did not come in time.
-    fn ask(&mut self, kind: i8, body: &[u8]) -> Result<Option<(Duration, Answer)>, Failure> {
-        let begun = Instant::now();
-        let id = loop {
-            match self.sender.send(kind, body) {
-                Ok(id) => break id,
-                Err(error) if lacks_room(&error) && begun.elapsed() < self.timeout => {
-                    std::thread::sleep(REST);
-                }
-                Err(error) => return Err(self.failed(&error)),
-            }
-        };
-        while let Some(left) = self.timeout.checked_sub(begun.elapsed()) {
-            let package = match self.mailbox.receive(Some(left)) {
-                Ok(package) => package,
-                Err(ReceiveError::TimedOut) => break,
-                Err(error) => return Err(Failure::Run(anyhow!(error))),
-            };
-            let took = begun.elapsed();
-            let head = *package.head();
-            // One to an earlier question is too late.
-            if head.id != id || head.from != self.args.to {
-                continue;
-            }
-            if head.kind == NOT_AVAILABLE {
-                let what = format!("{} is not there: its station says so", self.args.to);
-                return Err(Failure::Run(anyhow!(what)));
-            }
-            let counted = (kind == COUNTED).then(|| body::read(&package.body().to_vec(), head.body_order));
-            return Ok(Some((took, Answer { counted: counted.and_then(Result::ok) })));
-        }
-        Ok(None)
-    }
-
     /// As many as the way takes.
     fn stream(&mut self) -> Result<Stream, Failure> {
         let body = vec![0x55; self.args.size];
-        self.ask(COUNT, &[])?;
+        self.way.ask(COUNT, &[], self.timeout)?;
         let mut stream = Stream::of(self.args);
         let (begun, mut in_vain) = (Instant::now(), 0);
-        let head = Head { kind: DATA, priority: self.sender.priority(), ..Head::default() };
+        let head = Head { kind: DATA, priority: self.way.sender.priority(), ..Head::default() };
         while !self.is_over(begun) {
-            match self.sender.send_with(&head, &body) {
+            match self.way.sender.send_with(&head, &body) {
                 Ok(()) => {
                     stream.sent += 1;
                     in_vain = 0;
@@ -165,7 +131,7 @@ impl Bench<'_> {
                     SendError::Mailbox(_) => stream.full += 1,
                     _ => stream.no_buffers += 1,
                 },
-                Err(error) => return Err(self.failed(&error)),
+                Err(error) => return Err(self.way.failed(&error)),
             }
             in_vain += 1;
             match in_vain < AT_ONCE {
@@ -174,6 +140,10 @@ impl Bench<'_> {
             }
         }
         stream.sent_for_ns = begun.elapsed().as_nanos() as u64;
+        stream.all_left = self.has_left()?;
+        if !stream.all_left {
+            return Ok(stream);
+        }
         if let Some(Counted { packages, bytes: _, took }) = self.counted()? {
             (stream.came, stream.took_ns) = (Some(packages), Some(took));
             stream.lost = Some(stream.sent.saturating_sub(packages));
@@ -181,25 +151,30 @@ impl Bench<'_> {
         Ok(stream)
     }
 
-    /// How many came, once those that were sent have had their turns: the question is behind them.
-    fn counted(&mut self) -> Result<Option<Counted>, Failure> {
-        let begun = Instant::now();
-        // What is still to leave takes no longer than it took to send all of it.
-        while let Err(error) = self.sender.drained() {
-            if error != SendError::Station(Errno::ETIMEDOUT as i32) || self.is_over(begun) {
-                return Err(self.failed(&error));
+    /// Whether all that was sent has been taken by the station, which is waited for as long as it takes any.
+    fn has_left(&self) -> Result<bool, Failure> {
+        let (begun, mut taken) = (Instant::now(), None);
+        while let Err(error) = self.way.sender.drained() {
+            if error != SendError::Station(Errno::ETIMEDOUT as i32) {
+                return Err(self.way.failed(&error));
+            }
+            let now = self.way.sender.taken();
+            let is_stuck = taken.replace(now) == Some(now);
+            if is_stuck || begun.elapsed() >= LEFT_WITHIN || self.stop.load(Ordering::Relaxed) {
+                return Ok(false);
             }
         }
+        Ok(true)
+    }
+
+    /// How many came, once those that were sent have had their turns: the question is behind them.
+    fn counted(&mut self) -> Result<Option<Counted>, Failure> {
         for _ in 0..ASKED_AT_MOST {
-            if let Some((_, answer)) = self.ask(COUNTED, &[])? {
-                return Ok(answer.counted);
+            if let Some(Told { head, body, .. }) = self.way.ask(COUNTED, &[], self.timeout)? {
+                return Ok(body::read(&body, head.body_order).ok());
             }
         }
         Ok(None)
-    }
-
-    fn failed(&self, error: &SendError) -> Failure {
-        Failure::Run(anyhow!("{}: {error}", self.args.to))
     }
 }
 
@@ -211,20 +186,6 @@ fn note(longest: &mut Vec<Long>, trip: Long) {
     let place = longest.partition_point(|longer| longer.took_ns >= trip.took_ns);
     longest.insert(place, trip);
     longest.truncate(LONGEST);
-}
-
-/// Whether it is only not taken now: the mailbox is full, or what was sent before has not left.
-fn lacks_room(error: &SendError) -> bool {
-    match error {
-        SendError::Mailbox(error) => matches!(error, mailbox::SendError::Full(_)),
-        SendError::Station(errno) => *errno == Errno::ENOBUFS as i32,
-        SendError::NoMailbox(_) | SendError::Unbound(_) => false,
-    }
-}
-
-/// What an answer says.
-struct Answer {
-    counted: Option<Counted>,
 }
 
 #[cfg(test)]

@@ -45,7 +45,9 @@ pub(super) struct Stream {
     pub full: u64,
     /// Tries for which the own station had not sent enough of what was before.
     pub no_buffers: u64,
-    /// None: who has the mailbox does not count.
+    /// Whether the own station took all of it: else nobody was asked how many came.
+    pub all_left: bool,
+    /// None: who has the mailbox does not count, or was not asked.
     pub came: Option<u64>,
     pub lost: Option<u64>,
     /// From the first that came to the last.
@@ -87,6 +89,7 @@ impl Stream {
             sent_for_ns: 0,
             full: 0,
             no_buffers: 0,
+            all_left: false,
             came: None,
             lost: None,
             took_ns: None,
@@ -122,6 +125,7 @@ impl Stream {
                     );
                 }
             }
+            _ if !self.all_left => text += "not all of them have left: it is not known how many came\n",
             _ => {
                 text +=
                     "who has that mailbox does not say how many came: `rtnet package receive --echo` does\n"
@@ -202,6 +206,7 @@ mod tests {
             sent_for_ns: 1_000_000_000,
             full: 0,
             no_buffers: 7,
+            all_left: true,
             came: Some(1_001),
             lost: Some(0),
             took_ns: Some(1_000_000_000),
@@ -214,5 +219,7 @@ mod tests {
         assert_eq!(stream.describe(), words);
         (stream.came, stream.turns) = (None, None);
         assert!(stream.describe().ends_with("`rtnet package receive --echo` does\n"));
+        stream.all_left = false;
+        assert!(stream.describe().ends_with("it is not known how many came\n"));
     }
 }

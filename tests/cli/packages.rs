@@ -345,6 +345,18 @@ fn what_a_way_to_another_station_takes_is_measured_beside_what_its_slots_say() {
         let output = rtnet().args(nobody).output().unwrap();
         let (status, why) = (output.status.code(), text(&output.stderr));
         assert!(status == Some(1) && why.contains("Camera(0/1) is not there"), "{status:?} {why}");
+        // An answer may have another slot where there is one: here in every other cycle.
+        let offset = cell.station("arm")["slots"][0]["offset_ns"].as_u64().unwrap();
+        for slot in [format!("0={offset}ns,phase=1/2"), format!("2={offset}ns,phase=2/2")] {
+            let set = cell.slot("arm", &["set", &slot]);
+            assert_eq!(set.status.code(), Some(0), "{}", text(&set.stderr));
+        }
+        let unknown = bench("0.Camera.0", &[]);
+        let scheduled = &unknown["scheduled"];
+        let waits = scheduled["waits"].as_array().unwrap().len();
+        let both = [&scheduled["two_worst_waits_ns"], &scheduled["round_trip_ns"]];
+        assert!(waits == 1 && both.iter().all(|both| both.is_null()), "{unknown:#}");
+        let came = came + 1 + number(&unknown["came"]);
         // Told when they are ended: what was asked, first of all, and what was counted, before and behind.
         let heard = |child: std::process::Child| {
             let process = nix::unistd::Pid::from_raw(child.id() as i32);

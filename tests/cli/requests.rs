@@ -46,10 +46,11 @@ fn no_request_to_a_station_waits_for_ever() {
     network("no_request_to_a_station_waits_for_ever", || {
         let medium = Medium::new();
         let name = format!("alone-{}", std::process::id());
-        let options = ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--name", &name];
+        let options = ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--lead", "70us", "--name", &name];
         let slave = Station::start(&medium.b, &options);
         runs(&slave, &name);
         assert_eq!(status(&name)["global_ns"], Value::Null, "nobody has told it the time");
+        assert_eq!(status(&name)["lead_ns"], 70_000);
         // Without a master nothing can be calibrated: RTnet's configuring calls would block for good.
         asked(&["slot", "-S", &name, "set", "0=2ms"]).unwrap();
         asked(&["tdma", "-S", &name, "detach"]).unwrap();

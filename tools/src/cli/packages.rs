@@ -140,10 +140,12 @@ pub enum PackageVerb {
     ///
     /// At the other end `rtnet package receive NAME --echo --quiet` answers, or a module; it has to have a way back, to the mailbox of
     /// --from. To another station what its slots and the other's say of it is shown, too: how long a frame waits for
-    /// them at the worst, if they can be looked at, as in a lab. The first question is not counted: who answers looks for the
-    /// way back then.
+    /// them at the worst, if they can be looked at, as in a lab. In which slot the answer leaves is known only where the other
+    /// station has no slots but slot 0 and such that are joint with it: else that wait is not shown. The first question is not
+    /// counted: who answers looks for the way back then.
     ///
-    /// Exit status: 0; 1 nothing came, or a package could not be sent; 2 bad usage, or the station refuses.
+    /// Exit status: 0; 1 nothing came, or it is not known what did, or a package could not be sent; 2 bad usage, or the station
+    /// refuses.
     Bench(BenchArgs),
     /// Which mailboxes are at which other stations, and changes of it
     Route {

@@ -8,7 +8,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use rtmac::tdma::DEFAULT_LEAD;
 use rtnet::api::place::is_served;
 use serde::Serialize;
 
@@ -144,7 +143,8 @@ pub fn ping(args: &PingArgs) -> Result<u8, Failure> {
     let left = if own.discipline == "tdma" { run.left() } else { None };
     let schedule = plan.wait().map(|wait| {
         std::thread::sleep(TOLD_WITHIN);
-        run.beside([wait.best, wait.worst].map(|span| span.nanos().unsigned_abs()), plan.missed())
+        let said = [wait.best, wait.worst, plan.lead];
+        run.beside(said.map(|span| span.nanos().unsigned_abs()), plan.missed())
     });
     let (tried, has_gone) = (run.tried, run.has_gone);
     let round = run.round(left, schedule);
@@ -322,10 +322,9 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// What the schedule says, and how much of it is otherwise.
-    fn beside(&self, [best_ns, worst_ns]: [u64; 2], slots_missed: u64) -> Scheduled {
+    /// What the schedule says, for frames that are chosen by such a lead, and how much of it is otherwise.
+    fn beside(&self, [best_ns, worst_ns, lead_ns]: [u64; 3], slots_missed: u64) -> Scheduled {
         let jitter_ns = jitter(self.answers.iter().filter_map(Answer::rest).collect());
-        let lead_ns = DEFAULT_LEAD.nanos().unsigned_abs();
         let trips = || self.answers.iter().filter_map(|answer| answer.round_trip_ns);
         let quicker = trips().filter(|&trip| trip + lead_ns + jitter_ns < best_ns).count() as u64;
         let longer = trips().filter(|&trip| trip > worst_ns + jitter_ns).count() as u64;

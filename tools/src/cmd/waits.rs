@@ -1,7 +1,7 @@
 //! How long what a station sends waits for its slots, by what it shows of them.
 
+use rtmac::tdma::NON_RT_SLOT;
 use rtmac::tdma::schedule::{self, Slot};
-use rtmac::tdma::{DEFAULT_LEAD, NON_RT_SLOT};
 use rtnet::time::Span;
 
 use crate::control::{SlotShown, StationStatus};
@@ -29,11 +29,17 @@ pub fn serving(of: &StationStatus, channel: u8) -> Vec<Slot> {
         .collect()
 }
 
+/// How long before a slot a station chooses the frame for it. None: it has no cycle, or does not tell.
+pub fn lead(of: &StationStatus) -> Option<Span> {
+    of.lead_ns.map(Span::from_nanos)
+}
+
 /// How long what a channel is given waits at the worst, if nothing is ahead of it: until it begins in its slot. None where no
-/// cycle is known, or no slot is for it.
+/// cycle or lead is known, or no slot is for it.
 pub fn worst(of: &StationStatus, channel: u8) -> Option<Span> {
     let cycle = Span::from_nanos(of.period_ns?);
-    schedule::longest_between(cycle, &serving(of, channel)).map(|between| between + DEFAULT_LEAD)
+    let lead = lead(of)?;
+    schedule::longest_between(cycle, &serving(of, channel)).map(|between| between + lead)
 }
 
 /// Slots that it has missed so far, for whatever cause.

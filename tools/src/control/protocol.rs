@@ -236,6 +236,9 @@ pub struct StationStatus {
     pub names: BTreeMap<String, String>,
     /// From one cycle's start to the next, once known.
     pub period_ns: Option<i64>,
+    /// How long before their slots its frames are chosen; `None`: it has no cycle.
+    #[serde(default)]
+    pub lead_ns: Option<i64>,
     /// Global time as the station knew it when it was asked, nanoseconds since 1970, if it knows any.
     #[serde(default)]
     pub global_ns: Option<u64>,

@@ -51,6 +51,8 @@ pub struct Desk {
     wire: Wire,
     /// How long after its begin a slot may still be used, unless a lab says otherwise.
     latest: Span,
+    /// How long before a slot its frame is chosen.
+    lead: Span,
     /// How it follows, and answers, unless it is told otherwise.
     follow: SlaveConfig,
     max_requests: usize,
@@ -122,6 +124,7 @@ impl Desk {
             address: address.to_string(),
             wire,
             latest: options.latest,
+            lead: options.spin,
             follow: options.follow(),
             max_requests: options.max_requests(),
             own_slots: options.own_slots.clone(),
@@ -327,6 +330,7 @@ impl Desk {
             standing: Standing::of(newest, &self.counts, self.link()),
             names: BTreeMap::new(),
             period_ns: tdma.and_then(|tdma| tdma.period).map(Span::nanos),
+            lead_ns: tdma.map(|_| self.lead.nanos()),
             global_ns: self.time.global_now().map(|(global, _)| global.nanos()),
             deviation_ns: tdma.map_or(0, |tdma| tdma.deviation.nanos()),
             drift_ppb: tdma.and_then(|tdma| tdma.drift_ppb),

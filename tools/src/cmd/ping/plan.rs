@@ -1,8 +1,8 @@
 //! What round trips are to take by the schedule, where the command can look at both stations: in a lab.
 
 use anyhow::anyhow;
+use rtmac::tdma::NON_RT_SLOT;
 use rtmac::tdma::schedule::{self, Slot, Wait};
-use rtmac::tdma::{DEFAULT_LEAD, NON_RT_SLOT};
 use rtnet::time::Span;
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::cli::{PingArgs, Which};
 use crate::cmd::Failure;
 use crate::cmd::interface::{asked, check_asked};
 use crate::cmd::tdma::{stations, status};
-use crate::cmd::waits::{RT_SLOT, missed, serving};
+use crate::cmd::waits::{RT_SLOT, lead, missed, serving};
 use crate::control::{InterfaceShown, Place, StackReply, StackRequest, StationStatus};
 use crate::station::echoes::ECHO_HEADERS;
 
@@ -22,6 +22,8 @@ const ANSWERS: u8 = NON_RT_SLOT;
 pub struct Plan {
     /// From one cycle's start to the next: of who asks.
     pub cycle: Option<Duration>,
+    /// How long before their slots frames are chosen there.
+    pub lead: Span,
     /// Which the two are, and the round trip by their slots.
     both: Option<([Which; 2], Wait)>,
     /// The other station, its slot for answers, and what that takes.
@@ -36,7 +38,8 @@ impl Plan {
         let own = status(which).ok();
         let cycle = own.as_ref().and_then(|own| own.period_ns);
         let cycle = cycle.map(|ns| Duration::from_nanos(ns.unsigned_abs()));
-        let mut plan = Self { cycle, both: None, answers: None, missed: 0 };
+        let lead = own.as_ref().and_then(lead).unwrap_or(Span::ZERO);
+        let mut plan = Self { cycle, lead, both: None, answers: None, missed: 0 };
         let Some((other, theirs)) = whose(which, to) else { return plan };
         plan.answers = slot(&theirs, ANSWERS).map(|slot| (other.place.to_string(), slot.id, slot.size));
         let wait = own.and_then(|own| round_trip(&own, &theirs, [channel, ANSWERS]));
@@ -99,7 +102,7 @@ pub(in crate::cmd) fn whose(which: &Which, to: Ipv4Addr) -> Option<(Which, Stati
 }
 
 /// From a question's being asked to the answer, by the slots of both for these channels. None where slots are joint: what waits for
-/// one leaves in another, too.
+/// one leaves in another, too; or where the two do not choose frames by the same lead.
 pub(in crate::cmd) fn round_trip(
     own: &StationStatus,
     theirs: &StationStatus,
@@ -107,7 +110,8 @@ pub(in crate::cmd) fn round_trip(
 ) -> Option<Wait> {
     let cycle = Span::from_nanos(own.period_ns?);
     let (asks, answers) = (slot(own, asks)?, slot(theirs, answers)?);
-    Some(schedule::round_trip(cycle, &asks, &answers, DEFAULT_LEAD, ways(own, theirs)))
+    let lead = lead(own).filter(|own| lead(theirs) == Some(*own))?;
+    Some(schedule::round_trip(cycle, &asks, &answers, lead, ways(own, theirs)))
 }
 
 /// How long a frame is on its way, there and back: as calibration has measured it; who gives the time has not.

@@ -74,7 +74,7 @@ fn round_trips_are_compared_with_the_schedule_beyond_the_jitter_of_what_is_no_wa
             Answer { sequence: n as u16, bytes: 56, round_trip_ns, waited_ns }
         })
         .collect();
-    let beside = run.beside([350_000, 1_350_000], 2);
+    let beside = run.beside([350_000, 1_350_000, 50_000], 2);
     assert_eq!((beside.quicker, beside.longer, beside.slots_missed), (1, 1, 2));
     assert!((1..=5_000).contains(&beside.jitter_ns), "{beside:?}");
     let text = summary(&args.which.place, &run.round(None, Some(beside)));

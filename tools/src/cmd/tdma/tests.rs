@@ -14,7 +14,7 @@ fn status_of(role: RoleName, mastery: Option<Mastery>, state: SyncState) -> Stat
     let status = serde_json::json!({
         "name": "it", "pid": 1, "interface": "eth1", "address": "02:00:00:00:00:05", "link": "up",
         "discipline": "tdma", "role": role.name(), "guard": "user", "mastery": mastery.map(Mastery::name),
-        "standing": standing, "period_ns": 1_000_000, "deviation_ns": 0, "drift_ppb": null, "clock": null,
+        "standing": standing, "period_ns": 1_000_000, "lead_ns": 50_000, "deviation_ns": 0, "drift_ppb": null, "clock": null,
         "slots": [], "counters": {}, "host": [], "misses": { "causes": {}, "worst": [], "latest": [] }, "control": {},
     });
     serde_json::from_value(status).unwrap()
@@ -63,6 +63,8 @@ fn slots_are_listed_with_how_long_a_frame_waits_for_the_next_of_its_queue_at_the
     };
     // A lead before the turn in which the frame comes too late, and from there to the next.
     assert_eq!(waits(&status), ["750us", "750us", "5.05ms"]);
+    status.lead_ns = Some(200_000);
+    assert_eq!(waits(&status), ["900us", "900us", "5.2ms"]);
     status.period_ns = None;
     assert_eq!(waits(&status), ["-"; 3]);
 }

@@ -23,6 +23,8 @@ pub(super) struct Scheduled {
     pub waits: Vec<Waits>,
     /// All of that together, if both are known: a round trip takes that at the worst, and what mailboxes and programs take.
     pub two_worst_waits_ns: Option<i64>,
+    /// How long before a slot the own station chooses the frame for it.
+    pub lead_ns: Option<i64>,
     /// What it takes at the least and at the most by where the slots are, if nobody takes any time.
     pub round_trip_ns: Option<[i64; 2]>,
     /// Round trips that took longer than both waits.
@@ -69,10 +71,10 @@ impl Scheduled {
             })
         };
         let mut waits = vec![of(which, &own, channel, there)?];
-        waits.extend(theirs.as_ref().and_then(|(place, theirs)| of(place, theirs, RT_SLOT, back)));
+        let answers = theirs.as_ref().filter(|(_, theirs)| has_one_queue(theirs));
+        waits.extend(answers.and_then(|(place, theirs)| of(place, theirs, RT_SLOT, back)));
         let together = waits.iter().map(|wait| wait.worst_wait_ns + wait.way_ns).sum();
-        let trip = theirs
-            .as_ref()
+        let trip = answers
             .and_then(|(_, theirs)| round_trip(&own, theirs, [channel, RT_SLOT]))
             .map(|trip| [trip.best.nanos(), trip.worst.nanos()]);
         let turns = Turns::of(&own, channel);
@@ -80,7 +82,9 @@ impl Scheduled {
         stations.extend(theirs.map(|(place, _)| place));
         let two_worst_waits_ns = (waits.len() == 2).then_some(together);
         let (longer, missed) = (0, 0);
-        let mut of = Self { waits, two_worst_waits_ns, round_trip_ns: trip, longer, missed, stations, turns };
+        let lead_ns = own.lead_ns;
+        let mut of =
+            Self { waits, two_worst_waits_ns, lead_ns, round_trip_ns: trip, longer, missed, stations, turns };
         of.missed = of.missed_so_far();
         Some(of)
     }
@@ -105,6 +109,12 @@ impl Scheduled {
     }
 }
 
+/// Whether whatever a station sends leaves in slot 0, or in one that is joint with it: which slot the class of who answers has is
+/// known to that station alone.
+fn has_one_queue(of: &StationStatus) -> bool {
+    serving(of, RT_SLOT).len() == of.slots.len()
+}
+
 impl Turns {
     fn of(own: &StationStatus, channel: u8) -> Option<Self> {
         let slots = serving(own, channel);
@@ -125,6 +135,7 @@ mod tests {
         let scheduled = Scheduled {
             waits: Vec::new(),
             two_worst_waits_ns: None,
+            lead_ns: None,
             round_trip_ns: None,
             longer: 0,
             missed: 0,

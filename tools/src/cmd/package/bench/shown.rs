@@ -2,7 +2,6 @@
 
 use std::fmt::Write as _;
 
-use rtmac::tdma::DEFAULT_LEAD;
 use serde::Serialize;
 
 use super::scheduled::{Scheduled, Waits};
@@ -149,11 +148,13 @@ impl Scheduled {
             format!("worst waits: {}", self.waits.iter().map(wait).collect::<Vec<_>>().join(", then "));
         match self.two_worst_waits_ns {
             Some(both) => text += &format!(": {} together", time(both)),
-            None => text += "; those of the other station are not known here",
+            None => {
+                text += "; that of the answer is not known here: `rtnet package bench --help` says when it is"
+            }
         }
         text.push('\n');
-        if let Some([best, worst]) = self.round_trip_ns {
-            let (best, worst, lead) = (time(best), time(worst), time(DEFAULT_LEAD.nanos()));
+        if let (Some([best, worst]), Some(lead)) = (self.round_trip_ns, self.lead_ns) {
+            let (best, worst, lead) = (time(best), time(worst), time(lead));
             text += &format!(
                 "by where the slots are: {best} to {worst}, if nobody takes any time and frames are chosen {lead} before\n"
             );

@@ -8,6 +8,7 @@ mod components;
 mod failure;
 mod guard;
 mod heads;
+mod journeys;
 mod mailboxes;
 mod pointers;
 mod receiving;
@@ -16,6 +17,7 @@ mod senders;
 pub use components::{RtnetComponent, rtnet_component_attach, rtnet_component_detach};
 pub use guard::rtnet_packages_error;
 pub use heads::RtnetHead;
+pub use journeys::{RtnetJourney, rtnet_mailbox_journey};
 pub use mailboxes::{
     RtnetMailbox, RtnetShape, rtnet_mailbox_clean, rtnet_mailbox_create, rtnet_mailbox_depth,
     rtnet_mailbox_destroy,

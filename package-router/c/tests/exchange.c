@@ -29,6 +29,8 @@
 typedef char head_has_16_bytes[sizeof(struct rtnet_head) == 16 ? 1 : -1];
 typedef char kind_is_there[offsetof(struct rtnet_head, kind) == 12 ? 1 : -1];
 typedef char order_is_there[offsetof(struct rtnet_head, big_endian) == 15 ? 1 : -1];
+typedef char journey_has_64_bytes[sizeof(struct rtnet_journey) == 64 ? 1 : -1];
+typedef char age_is_there[offsetof(struct rtnet_journey, age_ns) == 48 ? 1 : -1];
 typedef char shape_has_16_bytes[sizeof(struct rtnet_shape) == 16 ? 1 : -1];
 
 static const uint32_t OWN = RTNET_MAILBOX_NAME(0, 0x81, 0, 0);
@@ -104,6 +106,26 @@ static void what_is_peeked_at_stays_until_it_is_released(rtnet_mailbox *own, rtn
     CHECK(memcmp(part, "next", 4) == 0);
 }
 
+static void how_old_a_package_is_can_be_asked_while_it_is_lent(rtnet_component *component, rtnet_mailbox *own,
+                                                               rtnet_sender *to_itself) {
+    struct rtnet_journey journey;
+    struct timespec pause = {0, 2000000};
+    REFUSED(rtnet_mailbox_journey(component, own, &journey), ENOMSG, "peek at one first");
+    CHECK(rtnet_sender_send(to_itself, 1, NULL, 0) >= 0);
+    nanosleep(&pause, NULL);
+    CHECK(rtnet_mailbox_peek(own, NULL, RTNET_AT_ONCE) == 0);
+    REFUSED(rtnet_mailbox_journey(component, own, NULL), EINVAL, "`journey` points nowhere");
+    REFUSED(rtnet_mailbox_journey(NULL, own, &journey), EINVAL, "`component` points nowhere");
+    memset(&journey, 0xee, sizeof journey);
+    CHECK(rtnet_mailbox_journey(component, own, &journey) == 0);
+    /* It was always here; this station shows no time. */
+    CHECK(journey.mailbox_ns >= pause.tv_nsec && journey.mailbox_ns < 20 * SECONDS);
+    CHECK(journey.age_ns == journey.mailbox_ns && journey.from_elsewhere == 0 && journey.reserved == 0);
+    CHECK(journey.sent == 0 && journey.left == 0 && journey.came == 0);
+    CHECK(journey.delivered == 0 && journey.received == 0);
+    CHECK(rtnet_mailbox_release(own) == 0);
+}
+
 static void what_cannot_be_is_refused_with_why(rtnet_component *component, rtnet_mailbox *own,
                                                rtnet_sender *to_itself) {
     static uint8_t large[RTNET_LARGEST_BODY + 1];
@@ -176,6 +198,7 @@ int main(int argc, char **argv) {
     commands_are_answered(own, echo);
     who_waits_is_told_when_it_is_over(own);
     what_is_peeked_at_stays_until_it_is_released(own, to_itself);
+    how_old_a_package_is_can_be_asked_while_it_is_lent(component, own, to_itself);
     what_cannot_be_is_refused_with_why(component, own, to_itself);
     what_is_given_back_can_be_had_again(component, own);
     /* The server ends with this, and the station with it. */

@@ -170,7 +170,7 @@ fn the_parts_of_a_packages_age_are_known_to_the_nanosecond() {
         let mailbox = Span::from_micros(30);
         let delivered = look(&mut inbox);
         let package = inbox.receive(delivered + mailbox.nanos() as u64).expect("it has come");
-        let stamps = *package.stamps();
+        let stamps = package.stamps();
         let moments =
             [stamps.sent, stamps.sent + package.waited()].map(|at| line.to_global(clock.local(at)).unwrap());
         let journey = Journey::of(&stamps, package.waited(), Some(moments));

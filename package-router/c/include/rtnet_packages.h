@@ -54,20 +54,23 @@ struct rtnet_shape {
     uint32_t replace;      /* what finds no slot: 0 is refused, 1 takes the place of the oldest of the least urgent */
 };
 
-/* Of an age that nobody knows. */
-#define RTNET_UNKNOWN_AGE INT64_MIN
+/* Of a time that nobody knows how long it was. */
+#define RTNET_UNKNOWN_NS INT64_MIN
 
-/* When a package was where: nanoseconds of global time, the master's, 0 where nobody knows. What lies between two of them is where
- * its time went: sent, SLOT WAIT, left, WIRE, came, ROUTER, delivered, MAILBOX, received. Of a package of this station `left` and `came`
- * are 0, and `sent` is `delivered`. Stations' clocks are as far apart as they are synchronised: what is shorter may be less than 0. */
+/* When a package was where: nanoseconds of global time, the master's, 0 where nobody knows. And where its time went, in nanoseconds, or
+ * RTNET_UNKNOWN_NS. Of a package of this station `left` and `came` are 0, and `sent` is `delivered`. Stations' clocks are as far apart as
+ * they are synchronised: what is shorter may be less than 0. */
 struct rtnet_journey {
     uint64_t sent;           /* its sender sent it; one of another station says so with --package-times */
     uint64_t left;           /* the last of it left that station */
     uint64_t came;           /* the last of it came to this one */
     uint64_t delivered;      /* it was in the mailbox */
     uint64_t received;       /* it was received, or peeked at */
-    int64_t mailbox_ns;      /* how long it was in the mailbox, by this host's clock: always known */
-    int64_t age_ns;          /* from sent to received, or RTNET_UNKNOWN_AGE */
+    int64_t slot_wait_ns;    /* from sent to left */
+    int64_t wire_ns;         /* from left to came */
+    int64_t router_ns;       /* from came to delivered, of a package from elsewhere */
+    int64_t mailbox_ns;      /* from delivered to received, by this host's clock: always known */
+    int64_t age_ns;          /* from sent to received */
     uint32_t from_elsewhere; /* 0 from this station, 1 from another */
     uint32_t reserved;       /* 0 */
 };
@@ -115,8 +118,9 @@ int32_t rtnet_mailbox_receive(rtnet_mailbox *mailbox, struct rtnet_head *head, v
 int32_t rtnet_mailbox_peek(rtnet_mailbox *mailbox, struct rtnet_head *head, int64_t timeout_ns);
 /* Copies of the body that is lent what is behind `skip` bytes, as far as it fits: how many bytes. -ENOMSG: nothing is lent. */
 int32_t rtnet_mailbox_body(rtnet_mailbox *mailbox, uint32_t skip, void *into, uint32_t room);
-/* Where the time of the package went that is lent. The component is the one that has the mailbox; the first time it asks the station
- * for its time, which takes until that has sent what it is about to, later no system call. -ENOMSG: nothing is lent. */
+/* Where the time of the package went that is lent. The component is the one that has the mailbox; it asks the station for its
+ * time, which takes until that has sent what it is about to, until it has an answer: then it takes no system call. -ENOMSG: nothing
+ * is lent. */
 int32_t rtnet_mailbox_journey(const rtnet_component *component, rtnet_mailbox *mailbox, struct rtnet_journey *journey);
 /* It is read, and its slot is its sender's again. -ENOMSG: nothing is lent. */
 int32_t rtnet_mailbox_release(rtnet_mailbox *mailbox);

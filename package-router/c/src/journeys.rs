@@ -17,6 +17,9 @@ pub struct RtnetJourney {
     came: u64,
     delivered: u64,
     received: u64,
+    slot_wait_ns: i64,
+    wire_ns: i64,
+    router_ns: i64,
     mailbox_ns: i64,
     age_ns: i64,
     from_elsewhere: u32,
@@ -24,21 +27,25 @@ pub struct RtnetJourney {
 }
 
 // As the header says.
-const _: () = assert!(size_of::<RtnetJourney>() == 64);
-/// `RTNET_UNKNOWN_AGE`.
-const UNKNOWN_AGE: i64 = i64::MIN;
+const _: () = assert!(size_of::<RtnetJourney>() == 88);
+/// `RTNET_UNKNOWN_NS`.
+const UNKNOWN: i64 = i64::MIN;
 
 impl From<&Journey> for RtnetJourney {
     fn from(journey: &Journey) -> Self {
         let known = |at: Option<GlobalTime>| at.map_or(0, GlobalTime::nanos);
+        let took = |span: Option<Span>| span.map_or(UNKNOWN, Span::nanos);
         Self {
             sent: known(journey.sent),
             left: known(journey.left),
             came: known(journey.came),
             delivered: known(journey.delivered),
             received: known(journey.received),
+            slot_wait_ns: took(journey.slot_wait()),
+            wire_ns: took(journey.wire()),
+            router_ns: took(journey.router()),
             mailbox_ns: journey.mailbox.nanos(),
-            age_ns: journey.age().map_or(UNKNOWN_AGE, Span::nanos),
+            age_ns: took(journey.age()),
             from_elsewhere: journey.is_from_elsewhere.into(),
             reserved: 0,
         }
@@ -59,7 +66,8 @@ pub unsafe extern "C" fn rtnet_mailbox_journey(
         // SAFETY: as the caller promises; so it is below.
         let (component, handle) =
             unsafe { (shared("component", component)?, exclusive("mailbox", mailbox)?) };
-        let told = component.0.times().journey(handle.lent()?);
+        let lent = handle.lent()?;
+        let told = component.0.times().journey(lent);
         // SAFETY: as above.
         unsafe { write("journey", journey, RtnetJourney::from(&told)) }?;
         Ok(0)
@@ -87,8 +95,13 @@ mod tests {
             [told.sent, told.left, told.came, told.delivered, told.received],
             [100, 700, 730, 790, 1_000]
         );
-        assert_eq!((told.mailbox_ns, told.age_ns, told.from_elsewhere), (210, 900, 1));
+        assert_eq!([told.slot_wait_ns, told.wire_ns, told.router_ns, told.mailbox_ns], [600, 30, 60, 210]);
+        assert_eq!((told.age_ns, told.from_elsewhere), (900, 1));
         let told = RtnetJourney::from(&Journey { sent: None, left: None, ..journey });
-        assert_eq!((told.sent, told.left, told.age_ns), (0, 0, UNKNOWN_AGE));
+        assert_eq!((told.sent, told.left), (0, 0));
+        assert_eq!(
+            [told.slot_wait_ns, told.wire_ns, told.router_ns, told.age_ns],
+            [UNKNOWN, UNKNOWN, 60, UNKNOWN]
+        );
     }
 }

@@ -28,6 +28,7 @@ fn null_is_refused_everywhere_and_named() {
             (rtnet_mailbox_receive(null_mut(), &mut head, room, 0, 0), "mailbox", failure::said()),
             (rtnet_mailbox_peek(null_mut(), &mut head, 0), "mailbox", failure::said()),
             (rtnet_mailbox_body(null_mut(), 0, room, 0), "mailbox", failure::said()),
+            (rtnet_mailbox_journey(null(), null_mut(), null_mut()), "component", failure::said()),
             (rtnet_mailbox_release(null_mut()), "mailbox", failure::said()),
             (rtnet_mailbox_put_back(null_mut()), "mailbox", failure::said()),
             (rtnet_mailbox_clean(null_mut()), "mailbox", failure::said()),

@@ -29,8 +29,8 @@
 typedef char head_has_16_bytes[sizeof(struct rtnet_head) == 16 ? 1 : -1];
 typedef char kind_is_there[offsetof(struct rtnet_head, kind) == 12 ? 1 : -1];
 typedef char order_is_there[offsetof(struct rtnet_head, big_endian) == 15 ? 1 : -1];
-typedef char journey_has_64_bytes[sizeof(struct rtnet_journey) == 64 ? 1 : -1];
-typedef char age_is_there[offsetof(struct rtnet_journey, age_ns) == 48 ? 1 : -1];
+typedef char journey_has_88_bytes[sizeof(struct rtnet_journey) == 88 ? 1 : -1];
+typedef char age_is_there[offsetof(struct rtnet_journey, age_ns) == 72 ? 1 : -1];
 typedef char shape_has_16_bytes[sizeof(struct rtnet_shape) == 16 ? 1 : -1];
 
 static const uint32_t OWN = RTNET_MAILBOX_NAME(0, 0x81, 0, 0);
@@ -123,6 +123,8 @@ static void how_old_a_package_is_can_be_asked_while_it_is_lent(rtnet_component *
     CHECK(journey.age_ns == journey.mailbox_ns && journey.from_elsewhere == 0 && journey.reserved == 0);
     CHECK(journey.sent == 0 && journey.left == 0 && journey.came == 0);
     CHECK(journey.delivered == 0 && journey.received == 0);
+    CHECK(journey.slot_wait_ns == RTNET_UNKNOWN_NS && journey.wire_ns == RTNET_UNKNOWN_NS);
+    CHECK(journey.router_ns == RTNET_UNKNOWN_NS);
     CHECK(rtnet_mailbox_release(own) == 0);
 }
 

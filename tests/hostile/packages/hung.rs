@@ -261,8 +261,10 @@ fn what_one_sent_that_went_before_it_rang_wakes_its_receiver_all_the_same() {
     assert_eq!(lane.send(&head, b"last", &Stamps { sent: 1, ..Stamps::default() }), Ok(true), "it sleeps");
     thread::sleep(Duration::from_millis(20));
     assert!(!waits.is_finished(), "nobody rang");
+    let begun = Instant::now();
     assert_eq!(mistaken.ask(Ask::Unbind(which), &[]), Answer::Done);
     assert_eq!(waits.join().unwrap(), Ok(b"last".to_vec()));
+    assert!(begun.elapsed() < AT_ONCE, "nobody rang: {:?}", begun.elapsed());
 }
 
 #[test]

@@ -24,7 +24,7 @@ use crate::Cores;
 use crate::exchange::MESSAGE;
 use crate::figures::Times;
 use crate::process::Process;
-use crate::station::{PATIENCE, Station, bound, mailbox, name};
+use crate::station::{Station, bound, mailbox, name};
 
 const SINK: u8 = 0x08;
 const SINK_PRIORITY: i32 = 75;
@@ -35,6 +35,8 @@ const WARM_UP: Duration = Duration::from_millis(100);
 const GUESS: u64 = 20_000;
 const TRIES: usize = 3;
 const TRY: Duration = Duration::from_millis(300);
+/// About as long as the most urgent one's package takes when it is alone.
+const LOOK: u64 = 3_000;
 
 /// Kinds of packages.
 const WARMS_UP: i8 = 1;
@@ -43,7 +45,8 @@ const ENDS: i8 = 3;
 
 /// What is to be measured.
 pub struct Plan {
-    /// How many send; the first is the most urgent.
+    /// How many send; the first is the most urgent. None: that one reads the clock for as long as a package takes, and how long
+    /// that took is what is told.
     pub sending: usize,
     /// How many wake at their moments, whether they send or not: what timers take of the core is the kernel's.
     pub awake: usize,
@@ -69,6 +72,15 @@ struct Done {
     sent: u64,
     refused: u64,
     cpu: u64,
+    looks: Option<Times>,
+}
+
+/// What one does when it wakes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Does {
+    Send,
+    Look,
+    Nothing,
 }
 
 /// The class of each: from the most urgent on, which alone is of the highest level.
@@ -103,6 +115,11 @@ pub fn measure(plan: &Plan, cores: Cores) -> Result<Value> {
     let _silent = members.split_off(plan.awake);
     let done = run(members, plan, cores[0])?;
     let mut figures = sink.figures()?;
+    if plan.sending == 0 {
+        let looks = done.into_iter().next().and_then(|done| done.looks);
+        return Ok(looks.context("it looks")?.figures());
+    }
+    ensure!(figures["n"].as_u64() > Some(0), "nothing came");
     let cpu: u64 =
         done.iter().map(|done| done.cpu).sum::<u64>() + figures["cpu"].as_u64().context("its time")?;
     let taken = done.iter().map(|done| done.sent).sum::<u64>();
@@ -117,12 +134,17 @@ fn run(members: Vec<Member>, plan: &Plan, core: usize) -> Result<Vec<Done>> {
     let over = Arc::new(Barrier::new(members.len()));
     let begin = monotonic() + WARM_UP.as_nanos() as u64;
     let threads = members.into_iter().map(|mut member| {
-        let (over, time, is_mute) = (over.clone(), plan.time, member.number >= plan.sending);
+        let (over, time) = (over.clone(), plan.time);
+        let does = match member.number {
+            number if number < plan.sending => Does::Send,
+            0 => Does::Look,
+            _ => Does::Nothing,
+        };
         std::thread::spawn(move || -> Result<Done> {
             let priority = MOST_URGENT - member.number as i32;
             let realtime = RealTime { priority: Some(priority), cpu: Some(core) };
             realtime.apply().into_iter().for_each(|refused| eprintln!("{refused}"));
-            let done = member.sends(begin, time, is_mute);
+            let done = member.wakes(begin, time, does);
             over.wait();
             if member.number == 0 {
                 member.sender.send(ENDS, &[])?;
@@ -153,10 +175,10 @@ impl Member {
         self.period / 2 + self.chance % self.period
     }
 
-    fn sends(&mut self, begin: u64, time: Duration, is_mute: bool) -> Result<Done> {
+    fn wakes(&mut self, begin: u64, time: Duration, does: Does) -> Result<Done> {
         let counted = begin + WARM_UP.as_nanos() as u64;
         let until = counted + time.as_nanos() as u64;
-        let mut done = Done { sent: 0, refused: 0, cpu: 0 };
+        let mut done = Done { sent: 0, refused: 0, cpu: 0, looks: (does == Does::Look).then(Times::new) };
         let mut at = begin + self.pause();
         let mut before = None;
         while at < until {
@@ -166,16 +188,31 @@ impl Member {
                 before.get_or_insert_with(thread_cpu_time);
             }
             at += self.pause();
-            if is_mute {
-                continue;
-            }
-            match self.sender.send(kind, &[0x5a; MESSAGE]) {
-                Ok(_) => done.sent += u64::from(kind == COUNTS),
-                Err(_) => done.refused += 1,
+            match does {
+                Does::Nothing => {}
+                Does::Look => {
+                    let took = look();
+                    done.looks.iter_mut().filter(|_| kind == COUNTS).for_each(|looks| looks.note(took));
+                }
+                Does::Send => match self.sender.send(kind, &[0x5a; MESSAGE]) {
+                    Ok(_) => done.sent += u64::from(kind == COUNTS),
+                    Err(_) => done.refused += 1,
+                },
             }
         }
         done.cpu = thread_cpu_time() - before.context("it was too short")?;
         Ok(done)
+    }
+}
+
+/// Reads the clock for a while: how long it took. Whatever takes the core from who sends takes it from this, too.
+fn look() -> u64 {
+    let begun = monotonic();
+    loop {
+        let took = monotonic() - begun;
+        if took >= LOOK {
+            return took;
+        }
     }
 }
 
@@ -189,7 +226,7 @@ pub fn sink(core: usize, place: &str) -> Result<()> {
     let (mut times, mut room) = (Times::new(), [0; MESSAGE]);
     let mut before = None;
     loop {
-        let package = mailbox.receive(Some(PATIENCE))?;
+        let package = mailbox.receive(None)?;
         let now = monotonic();
         package.body().copy_to(0, &mut room);
         let (from, kind, sent) = (package.head().from, package.head().kind, package.stamps().sent);
@@ -206,7 +243,7 @@ pub fn sink(core: usize, place: &str) -> Result<()> {
         }
     }
     let mut figures = times.figures();
-    figures["cpu"] = json!(thread_cpu_time() - before.context("nothing came")?);
+    figures["cpu"] = json!(before.map_or(0, |before| thread_cpu_time() - before));
     println!("{figures}");
     Ok(())
 }

@@ -4,16 +4,19 @@
 //! trips WHAT WAY CORES SECONDS                     64 bytes there and back between two processes, by WHAT
 //! steps SUBJECT WAITING CORE SECONDS               push and pop in one thread, so many waiting meanwhile
 //! pace SENDERS LOAD CORES                          how often so many must send so that they and who receives take that of a core
-//! crowd SENDING AWAKE BOUND PERIOD CORES SECONDS   how long packages of the most urgent of so many senders take
+//! crowd SENDING AWAKE BOUND PERIOD CORES SECONDS   how long packages of the most urgent of so many senders take;
+//!                                                  of none: 3 us of reading the clock by that one
 //! ```
 //!
-//! WHAT is `mailbox`, `mqueue`, or `iceoryx2`, whose program `RTNET_PEER` names; WAY is `block` (SCHED_FIFO) or `spin` (ordinary
+//! WHAT is `mailbox`, `bells`, which are what is left of two mailboxes without packages, `mqueue`, or `iceoryx2`, whose program
+//! `RTNET_PEER` names; WAY is `block` (SCHED_FIFO) or `spin` (ordinary
 //! scheduling: the kernel would stop who spins for 50 ms of each second). CORES are two, as `0,1`. With the arguments
 //! `count SUBJECT TIMES` it does that so often and measures nothing: for tools that count instructions.
 
 // Real time is what is measured.
 #![allow(clippy::disallowed_methods)]
 
+mod bare;
 mod crowd;
 mod exchange;
 // It counts what is lost, too: nothing is here.

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
 use crate::Cores;
+use crate::bare::{BareEnd, Hung};
 use crate::exchange::{End, Way, echoes, pings, set_up};
 use crate::mailboxes::MailboxEnd;
 use crate::mqueue::{Names, QueueEnd};
@@ -26,11 +27,15 @@ pub fn measure(what: &str, way: Way, cores: Cores, time: Duration) -> Result<Val
             let _queues = Names::new(&unique)?;
             between(None, what, way, cores, time, &unique)
         }
+        "bells" => {
+            let hung = Hung::new()?;
+            between(None, what, way, cores, time, &hung.place())
+        }
         "iceoryx2" => {
             let peer = std::env::var("RTNET_PEER").context("RTNET_PEER says where its program is")?;
             between(Some(&peer), what, way, cores, time, &unique)
         }
-        _ => bail!("mailbox, mqueue or iceoryx2"),
+        _ => bail!("mailbox, bells, mqueue or iceoryx2"),
     }
 }
 
@@ -72,7 +77,12 @@ pub fn child(side: &str, what: &str, way: Way, core: usize, time: Duration, plac
             told();
             run(end, number, way, core, time)
         }
-        _ => bail!("mailbox or mqueue"),
+        "bells" => {
+            let end = BareEnd::open(place, number)?;
+            told();
+            run(end, number, way, core, time)
+        }
+        _ => bail!("mailbox, bells or mqueue"),
     }
 }
 

@@ -16,6 +16,7 @@ mod interface;
 mod lab;
 mod live;
 mod manual;
+mod min_cycle;
 mod never_left;
 mod nonsense;
 mod observe;

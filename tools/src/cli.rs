@@ -2,6 +2,7 @@
 
 mod lab;
 mod listen;
+mod min_cycle;
 mod packages;
 mod sim;
 mod stack;
@@ -21,6 +22,7 @@ pub use lab::{
     DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
 };
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
+pub use min_cycle::MinCycleArgs;
 pub use packages::{
     BenchArgs, MailboxArgs, MailboxVerb, PackageArgs, PackageRouteVerb, PackageVerb, PackageVerbArgs,
     duration,
@@ -55,6 +57,15 @@ pub enum Verb {
     ///
     /// Exit status: 0 it was measured, whatever the verdict; 2 bad usage.
     Doctor(DoctorArgs),
+    /// Find the shortest cycle that this host holds, by trying, prove it, and keep it for comparison
+    ///
+    /// Each trial is a lab of its own (as `rtnet lab run --stations N --cycle ...`) with a cycle of the E24 series: 1ms, 910us,
+    /// 820us, 750us ... A trial is judged by what is usual in it: the middle one of its 20 parts. The shortest cycle that holds
+    /// is then run for longer, and all that is missed counts; if that is too much, longer ones are proven.
+    ///
+    /// Exit status: 0 found, and as good as in --compare's file; 1 none was found, or it is a regression, or it was interrupted;
+    /// 2 bad usage, or no privileges.
+    FindMinCycle(MinCycleArgs),
     /// Run one station in the foreground, on any Ethernet interface
     ///
     /// It knows only its own slots, and refuses those that overlap each other, or as master its sync window or the

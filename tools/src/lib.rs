@@ -9,6 +9,7 @@ pub mod control;
 pub mod doctor;
 pub mod judge;
 pub mod lab;
+pub mod min_cycle;
 pub mod observe;
 pub mod report;
 pub mod scenario;

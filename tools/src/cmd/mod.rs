@@ -3,6 +3,7 @@
 pub mod account;
 pub mod doctor;
 pub mod dump;
+pub mod find_min_cycle;
 pub mod interface;
 pub mod jitter;
 pub mod lab;

@@ -17,6 +17,9 @@ use crate::scenario::Scenario;
 /// For so long a line lasts that nothing confirms: no older record explains anything, but for the newest of each kind.
 const EXPLAINS: u32 = 2 * LINE_GOOD_FOR as u32;
 
+/// A run is parted into so many, to tell misses that are usual from those of one bad moment of the host.
+pub const PARTS: usize = 20;
+
 /// The records that are listed one by one, and as what, in the order of a report.
 const LISTED: [(MissKind, EventKind); 6] = [
     (MissKind::SyncSkipped, EventKind::SyncSkipped),
@@ -47,6 +50,8 @@ pub struct Account {
     causes: BTreeMap<String, u64>,
     /// Why Synchronisations were missing.
     sync_causes: BTreeMap<String, u64>,
+    /// Slots missed and frames outside theirs, by part of the run.
+    pub missed_in_parts: [u64; PARTS],
     /// Findings that nobody has told of.
     pub unexplained: u64,
     /// In which cycle the first of them was.
@@ -71,6 +76,7 @@ impl Account {
         let (judged, waiting) =
             std::mem::take(&mut self.waiting).into_iter().partition(|of| before(of.cycle, to));
         self.waiting = waiting;
+        self.part(&judged, analysis);
         self.enter_all(judged, records, scenario);
         self.count(scenario, analysis, records, Some(to));
         records.forget_before(to.wrapping_sub(EXPLAINS));
@@ -80,6 +86,7 @@ impl Account {
     pub fn close(&mut self, scenario: &Scenario, analysis: &mut Analysis, records: &Records) {
         self.waiting.append(&mut analysis.take_findings());
         let judged = std::mem::take(&mut self.waiting);
+        self.part(&judged, analysis);
         self.enter_all(judged, records, scenario);
         self.unexplained += std::mem::take(&mut analysis.findings_dropped);
         self.count(scenario, analysis, records, None);
@@ -103,6 +110,16 @@ impl Account {
         figures.sync_causes = self.sync_causes.clone();
         let all = self.unlisted.iter().chain(self.listed.iter().flatten());
         all.for_each(|miss| figures.note_miss(miss.clone()));
+    }
+
+    /// Counts what was missed by when.
+    fn part(&mut self, findings: &[Finding], analysis: &Analysis) {
+        let Some((from, cycles)) = analysis.window() else { return };
+        let is_missed = |of: &&Finding| matches!(of.kind, FindingKind::SlotMissed | FindingKind::OutOfSlot);
+        for finding in findings.iter().filter(is_missed) {
+            let place = u64::from(finding.cycle.wrapping_sub(from)) * PARTS as u64 / u64::from(cycles.max(1));
+            self.missed_in_parts[(place as usize).min(PARTS - 1)] += 1;
+        }
     }
 
     fn enter_all(&mut self, findings: Vec<Finding>, records: &Records, scenario: &Scenario) {

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use rtnet::discipline::EventKind;
 
-use super::account::Account;
+use super::account::{Account, PARTS};
 use super::analysis::Analysis;
 use super::delivery::Delivery;
 use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures, Verdict};
@@ -19,6 +19,8 @@ pub struct Outcome {
     pub figures: Figures,
     /// |slot error - the station's median| of all stations.
     pub slot_error_abs: SignedHistogram,
+    /// Slots missed and frames outside theirs, by part of the run.
+    pub missed_in_parts: [u64; PARTS],
 }
 
 /// What a run leaves.
@@ -128,7 +130,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     account.report(&mut figures);
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
-    Outcome { figures, slot_error_abs: all.slot_error_abs }
+    Outcome { figures, slot_error_abs: all.slot_error_abs, missed_in_parts: account.missed_in_parts }
 }
 
 /// Of all stations, as hosts of simulations take it: ranges of nanoseconds, and how many there were.

@@ -417,7 +417,7 @@ impl<'a> Run<'a> {
             capture_failed: false,
             ended_early: self.options.until.is_some(),
         };
-        let Outcome { figures, slot_error_abs } =
+        let Outcome { figures, slot_error_abs, .. } =
             outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
         let simulation = Simulation {
             seed: self.scenario.seed,

@@ -61,6 +61,11 @@ impl Analysis {
         (current.wrapping_sub(from) as i32).clamp(0, cycles as i32) as u32
     }
 
+    /// The first cycle that counts, and how many are to; none yet.
+    pub fn window(&self) -> Option<(u32, u32)> {
+        self.window
+    }
+
     /// The first cycle that was counted, and how many were.
     pub fn window_counted(&self) -> (u32, u32) {
         (self.window.map_or(0, |(from, _)| from), self.cycles())

@@ -1,0 +1,157 @@
+//! `rtnet find-min-cycle`.
+
+use std::io::Write;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, anyhow, ensure};
+use rtmac::tdma::schedule::Rate;
+use rtnet::time::Span;
+
+use super::{Failure, all_writable, say, screen_width, write_json};
+use crate::cli::MinCycleArgs;
+use crate::control::Directory;
+use crate::lab::{Lab, RunOptions, userns};
+use crate::min_cycle::answer::{Answer, Asked, Compared, KIND, Purpose, Run};
+use crate::min_cycle::search::{Next, Search};
+use crate::min_cycle::{ladder, screen};
+use crate::report::host::HostFacts;
+use crate::scenario::{MAX_LAB_STATIONS, Scenario, ScenarioError, Uniform};
+
+const DEFAULT_STATIONS: usize = 8;
+const DEFAULT_MISS_PPM: u32 = 1_000;
+const DEFAULT_PAYLOAD: usize = 64;
+const DEFAULT_RATE: u64 = 1_000_000_000;
+/// Where a search begins: most hosts hold it.
+const START: Span = Span::from_millis(1);
+const SEED: u64 = 1;
+
+/// Searches, proves, and tells; the exit status is 1 if nothing was found, or less than what was kept.
+pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
+    let kept = args.compare.as_deref().map(|path| Ok((path, Answer::load(path)?)));
+    let kept = kept.transpose().map_err(Failure::Usage)?;
+    let asked = asked(args, kept.as_ref().map(|(_, kept)| &kept.asked)).map_err(Failure::Usage)?;
+    let networks = networks(args, &asked).map_err(Failure::Usage)?;
+    all_writable(&[args.json.as_ref()], None).map_err(Failure::Usage)?;
+    userns::gain_namespaces().map_err(Failure::Usage)?;
+    let answer = search(args, asked, &networks)?;
+    if let Some(path) = &args.json {
+        write_json(path, &answer).map_err(Failure::Run)?;
+    }
+    say(&screen::render(&answer, screen_width())).map_err(Failure::Run)?;
+    let mut is_regression = false;
+    if let Some((path, kept)) = &kept {
+        say(&(screen::comparison(&answer, kept, &path.display().to_string()) + "\n")).map_err(Failure::Run)?;
+        is_regression = answer.compared_with(kept) == Compared::Regression;
+    }
+    Ok(u8::from(answer.cycle_ns.is_none() || is_regression))
+}
+
+/// What is searched for: what the options say, else what was kept, else what is usual. Answers to other questions are not
+/// compared.
+fn asked(args: &MinCycleArgs, kept: Option<&Asked>) -> anyhow::Result<Asked> {
+    let said = Asked {
+        stations: args.stations.or(kept.map(|kept| kept.stations)).unwrap_or(DEFAULT_STATIONS),
+        payload: args.payload.or(kept.map(|kept| kept.payload)).unwrap_or(DEFAULT_PAYLOAD),
+        rate: args.rate.map(Rate::bits_per_second).or(kept.map(|kept| kept.rate)).unwrap_or(DEFAULT_RATE),
+        guard_ns: args.guard.map(Span::nanos).or(kept.and_then(|kept| kept.guard_ns)),
+        miss_ppm: args.miss.or(kept.map(|kept| kept.miss_ppm)).unwrap_or(DEFAULT_MISS_PPM),
+        warm_core: args.warm_core || kept.is_some_and(|kept| kept.warm_core),
+    };
+    let n = said.stations;
+    ensure!(n <= MAX_LAB_STATIONS, "{n} stations: a lab, in which cycles are tried, holds at most {MAX_LAB_STATIONS}");
+    ensure!(said.rate > 0, "a rate of 0 bits per second is none: say --rate 1G");
+    let is_of_that = |kept: &Asked| {
+        ensure!(
+            *kept == said,
+            "--compare is the answer to another question than is asked here ({} stations, {} bytes, ...): leave the other \
+             options out, and it is asked again",
+            kept.stations,
+            kept.payload
+        );
+        Ok(())
+    };
+    kept.map_or(Ok(()), is_of_that)?;
+    Ok(said)
+}
+
+/// The networks that can be tried, the shortest cycle first: cycles that have no room for the slots are none.
+fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>> {
+    let network = |cycle| {
+        Uniform {
+            stations: asked.stations,
+            cycle,
+            duration: args.trial,
+            payload: asked.payload,
+            rate: Rate::from_bits_per_second(asked.rate),
+            guard: asked.guard_ns.map(Span::from_nanos),
+            seed: SEED,
+            vnic: None,
+        }
+        .scenario()
+    };
+    let mut last = None;
+    let mut networks = Vec::new();
+    for cycle in ladder::up_to(args.longest) {
+        match network(cycle) {
+            Ok(scenario) => networks.push(scenario),
+            Err(refused @ ScenarioError::Conflict(_)) => last = Some(refused),
+            Err(refused) => return Err(refused.into()),
+        }
+    }
+    let why = || match &last {
+        Some(refused) => anyhow!("no cycle of up to {} has room: {refused}; or say a longer --longest", args.longest),
+        None => anyhow!("--longest {} is shorter than the shortest that is tried, {}", args.longest, ladder::SHORTEST),
+    };
+    networks.first().with_context(why)?;
+    Ok(networks)
+}
+
+fn search(args: &MinCycleArgs, asked: Asked, networks: &[Scenario]) -> Result<Answer, Failure> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, interrupted.clone()).map_err(|error| Failure::Run(error.into()))?;
+    }
+    let host = HostFacts::begin();
+    let start = networks.partition_point(|network| network.cycle < START);
+    let mut search = Search::new(networks.len(), start);
+    let mut runs = Vec::new();
+    let found = loop {
+        let (rung, purpose) = match search.next() {
+            Next::Trial(rung) => (rung, Purpose::Trial),
+            Next::Proof(rung) => (rung, Purpose::Proof),
+            Next::Found(rung) => break Some(rung),
+            Next::NotFound => break None,
+        };
+        let run = run(args, &asked, &networks[rung], purpose)?;
+        if interrupted.load(Ordering::Relaxed) {
+            return Err(Failure::Run(anyhow!("interrupted: there is no answer yet")));
+        }
+        search.tell(run.holds);
+        // Whoever closed our standard error does not want to read it.
+        let _ = writeln!(std::io::stderr(), "rtnet: {}", screen::run_line(&run));
+        runs.push(run);
+    };
+    let cycle_ns = found.map(|rung| networks[rung].cycle.nanos());
+    Ok(Answer { kind: KIND.into(), asked, cycle_ns, runs, host: host.finish() })
+}
+
+/// A network that cannot be stood up on this host at all ends the search; one that does not come up in time does not hold.
+fn run(args: &MinCycleArgs, asked: &Asked, network: &Scenario, purpose: Purpose) -> Result<Run, Failure> {
+    let mut network = network.clone();
+    if purpose == Purpose::Proof {
+        network.duration = args.proof;
+    }
+    let options = RunOptions {
+        warm_core: asked.warm_core,
+        cpu: args.cpu,
+        directory: Some(Directory::of_user()),
+        ..RunOptions::default()
+    };
+    let lab = Lab::set_up(&network, &options).map_err(Failure::Usage)?;
+    let (what, duration_ns) = ((network.cycle.nanos(), network.guard.nanos()), network.duration.nanos());
+    Ok(match lab.run(&network) {
+        Ok(outcome) => Run::of(purpose, what, duration_ns, &outcome, asked.miss_ppm),
+        Err(error) => Run::without(purpose, what, duration_ns, format!("{error:#}")),
+    })
+}

@@ -1,0 +1,85 @@
+use super::*;
+use crate::report::figures::{Figures, Verdict};
+use crate::report::histogram::SignedHistogram;
+
+const ASKED: Asked = Asked {
+    stations: 8,
+    payload: 64,
+    rate: 1_000_000_000,
+    guard_ns: None,
+    miss_ppm: 1_000,
+    warm_core: false,
+};
+const MILLISECOND: (i64, i64) = (1_000_000, 110_000);
+
+fn outcome(missed_in_parts: [u64; 20], reasons: &[&str]) -> Outcome {
+    let figures = Figures {
+        frames_expected: 40_000,
+        slots_missed: missed_in_parts.iter().sum::<u64>() - 1,
+        out_of_slot: 1,
+        verdict: Verdict::from_reasons(reasons.iter().map(|&why| why.into()).collect()),
+        ..Figures::default()
+    };
+    Outcome { figures, slot_error_abs: SignedHistogram::new(), missed_in_parts }
+}
+
+fn answer(cycle_ns: Option<i64>) -> Answer {
+    Answer { kind: KIND.into(), asked: ASKED, cycle_ns, runs: Vec::new(), host: HostFacts::default() }
+}
+
+/// Of 40 000 slots, 2 000 to a part, 0.1 % is 40, and 2 to a part.
+#[test]
+fn one_bad_moment_fails_a_proof_and_no_trial_and_a_busy_core_fails_both() {
+    let run = |purpose, parts| Run::of(purpose, MILLISECOND, 5_000_000_000, &outcome(parts, &[]), 1_000);
+    let mut outage = [1; 20];
+    outage[7] = 200;
+    let held = [Purpose::Trial, Purpose::Proof].map(|purpose| run(purpose, outage).holds);
+    assert_eq!(held, [true, false]);
+    let of_it = run(Purpose::Proof, outage);
+    assert_eq!((of_it.missed, of_it.missed_share, of_it.usual_share), (219, 0.005_475, 0.0005));
+
+    let held = |parts| [Purpose::Trial, Purpose::Proof].map(|purpose| run(purpose, parts).holds);
+    assert_eq!((held([2; 20]), held([3; 20])), ([true; 2], [false; 2]));
+}
+
+#[test]
+fn a_run_with_a_bad_verdict_and_one_that_did_not_come_up_hold_nothing_and_say_why() {
+    let bad = outcome([1; 20], &["1 unexplained miss", "2 payload errors"]);
+    let run = Run::of(Purpose::Trial, MILLISECOND, 5_000_000_000, &bad, 1_000);
+    assert!(!run.holds);
+    assert_eq!(run.note.as_deref(), Some("1 unexplained miss; 2 payload errors"));
+    let run = Run::without(Purpose::Trial, MILLISECOND, 5_000_000_000, "not locked".into());
+    assert_eq!((run.holds, run.note.as_deref()), (false, Some("not locked")));
+}
+
+#[test]
+fn what_is_longer_by_more_than_a_quarter_is_a_regression() {
+    let compared = |now, kept| answer(now).compared_with(&answer(kept));
+    let of = Some;
+    assert_eq!(compared(of(750_000), of(600_000)), Compared::AsGood);
+    assert_eq!(compared(of(750_001), of(600_000)), Compared::Regression);
+    assert_eq!(compared(of(600_000), of(750_000)), Compared::AsGood);
+    assert_eq!(compared(of(599_999), of(750_000)), Compared::Better);
+    assert_eq!(compared(None, of(10_000_000)), Compared::Regression);
+    assert_eq!(compared(of(10_000_000), None), Compared::Better);
+    assert_eq!(compared(None, None), Compared::AsGood);
+}
+
+#[test]
+fn what_is_kept_is_read_again_and_nothing_else_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("kept.json");
+    let mut kept = answer(Some(1_000_000));
+    kept.runs.push(Run::of(Purpose::Proof, MILLISECOND, 30_000_000_000, &outcome([1; 20], &[]), 1_000));
+    std::fs::write(&path, serde_json::to_string(&kept).unwrap()).unwrap();
+    assert_eq!(Answer::load(&path).unwrap(), kept);
+
+    let error = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        format!("{:#}", Answer::load(&path).unwrap_err()).replace(&path.display().to_string(), "FILE")
+    };
+    assert!(error("cycle = 1").starts_with("FILE is not JSON: keep an answer with"));
+    assert!(error("{\"stations\": 8}").starts_with(&format!("FILE is not an answer of this version ({KIND})")));
+    let half = format!("{{\"kind\": \"{KIND}\", \"runs\": []}}");
+    assert!(error(&half).starts_with("FILE is not whole: keep an answer with"), "{}", error(&half));
+}

@@ -9,8 +9,7 @@ use crate::host::network;
 use crate::rtnet;
 
 /// The guard bands leave no room for cycles below 910us, and any share may be missed: whatever the host, that is the answer.
-const LOOSE: [&str; 8] =
-    ["--stations", "2", "--guard", "400us", "--miss", "100%", "--trial", "300ms"];
+const LOOSE: [&str; 8] = ["--stations", "2", "--guard", "400us", "--miss", "100%", "--trial", "300ms"];
 
 /// Exit status, and all that is printed.
 fn searched(options: &[&str], files: &[(&str, &Path)]) -> (Option<i32>, String) {
@@ -30,14 +29,21 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
         let [kept, again] = ["kept.json", "again.json"].map(|name| dir.path().join(name));
         let (status, said) = searched(&LOOSE, &[("--json", &kept)]);
         assert_eq!(status, Some(0), "{said}");
-        assert!(said.contains("FOUND: 910us is the shortest cycle that this host holds, proven for 500ms"), "{said}");
+        assert!(
+            said.contains("FOUND: 910us is the shortest cycle that this host holds, proven for 500ms"),
+            "{said}"
+        );
         assert!(said.contains("rtnet: 910us is proven"), "{said}");
         let mut answer: Value = serde_json::from_slice(&fs::read(&kept).unwrap()).unwrap();
         assert_eq!(answer["cycle_ns"], 910_000);
         let runs = answer["runs"].as_array().unwrap();
-        let of = |run: &Value| (run["cycle_ns"].as_i64().unwrap(), run["purpose"].as_str().unwrap().to_owned());
+        let of =
+            |run: &Value| (run["cycle_ns"].as_i64().unwrap(), run["purpose"].as_str().unwrap().to_owned());
         let trials = [1_000_000, 910_000].map(|cycle| (cycle, "trial".to_owned()));
-        assert_eq!(runs.iter().map(of).collect::<Vec<_>>(), [&trials[..], &[(910_000, "proof".to_owned())]].concat());
+        assert_eq!(
+            runs.iter().map(of).collect::<Vec<_>>(),
+            [&trials[..], &[(910_000, "proof".to_owned())]].concat()
+        );
         let slots = runs[2]["slots"].as_u64().unwrap();
         assert!((1_000..=2 * 549).contains(&slots), "of 500ms: {slots}");
 
@@ -65,7 +71,10 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
         let (status, said) =
             searched(&["--stations", "20", "--miss", "0%", "--trial", "300ms"], &[("--json", &kept)]);
         assert_eq!(status, Some(1), "{said}");
-        assert!(said.contains("NOT FOUND: no cycle that was tried misses at most 0 % of its slots"), "{said}");
+        assert!(
+            said.contains("NOT FOUND: no cycle that was tried misses at most 0 % of its slots"),
+            "{said}"
+        );
         let answer: Value = serde_json::from_slice(&fs::read(&kept).unwrap()).unwrap();
         assert_eq!((&answer["cycle_ns"], &answer["runs"][0]["holds"]), (&Value::Null, &false.into()));
     });

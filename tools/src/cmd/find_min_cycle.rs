@@ -41,7 +41,8 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     say(&screen::render(&answer, screen_width())).map_err(Failure::Run)?;
     let mut is_regression = false;
     if let Some((path, kept)) = &kept {
-        say(&(screen::comparison(&answer, kept, &path.display().to_string()) + "\n")).map_err(Failure::Run)?;
+        say(&(screen::comparison(&answer, kept, &path.display().to_string()) + "\n"))
+            .map_err(Failure::Run)?;
         is_regression = answer.compared_with(kept) == Compared::Regression;
     }
     Ok(u8::from(answer.cycle_ns.is_none() || is_regression))
@@ -59,7 +60,10 @@ fn asked(args: &MinCycleArgs, kept: Option<&Asked>) -> anyhow::Result<Asked> {
         warm_core: args.warm_core || kept.is_some_and(|kept| kept.warm_core),
     };
     let n = said.stations;
-    ensure!(n <= MAX_LAB_STATIONS, "{n} stations: a lab, in which cycles are tried, holds at most {MAX_LAB_STATIONS}");
+    ensure!(
+        n <= MAX_LAB_STATIONS,
+        "{n} stations: a lab, in which cycles are tried, holds at most {MAX_LAB_STATIONS}"
+    );
     ensure!(said.rate > 0, "a rate of 0 bits per second is none: say --rate 1G");
     let is_of_that = |kept: &Asked| {
         ensure!(
@@ -100,8 +104,14 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
         }
     }
     let why = || match &last {
-        Some(refused) => anyhow!("no cycle of up to {} has room: {refused}; or say a longer --longest", args.longest),
-        None => anyhow!("--longest {} is shorter than the shortest that is tried, {}", args.longest, ladder::SHORTEST),
+        Some(refused) => {
+            anyhow!("no cycle of up to {} has room: {refused}; or say a longer --longest", args.longest)
+        }
+        None => anyhow!(
+            "--longest {} is shorter than the shortest that is tried, {}",
+            args.longest,
+            ladder::SHORTEST
+        ),
     };
     networks.first().with_context(why)?;
     Ok(networks)
@@ -110,7 +120,8 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
 fn search(args: &MinCycleArgs, asked: Asked, networks: &[Scenario]) -> Result<Answer, Failure> {
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, interrupted.clone()).map_err(|error| Failure::Run(error.into()))?;
+        signal_hook::flag::register(signal, interrupted.clone())
+            .map_err(|error| Failure::Run(error.into()))?;
     }
     let host = HostFacts::begin();
     let start = networks.partition_point(|network| network.cycle < START);

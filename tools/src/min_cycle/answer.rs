@@ -167,8 +167,12 @@ impl Answer {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("{name} cannot be read"))?;
         let kind = serde_json::from_str(&text)
-            .map(|value: serde_json::Value| value.get("kind").and_then(|kind| kind.as_str()).map(str::to_owned))
-            .with_context(|| format!("{name} is not JSON: keep an answer with `rtnet find-min-cycle --json`"))?;
+            .map(|value: serde_json::Value| {
+                value.get("kind").and_then(|kind| kind.as_str()).map(str::to_owned)
+            })
+            .with_context(|| {
+                format!("{name} is not JSON: keep an answer with `rtnet find-min-cycle --json`")
+            })?;
         ensure!(
             kind.as_deref() == Some(KIND),
             "{name} is not an answer of this version ({KIND}): keep one with `rtnet find-min-cycle --json`"

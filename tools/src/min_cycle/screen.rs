@@ -31,7 +31,11 @@ pub fn run_line(run: &Run) -> String {
     };
     match run.slots {
         0 => format!("{cycle} {what}: {}", run.note.as_deref().unwrap_or("no slot was measured")),
-        _ => format!("{cycle} {what}: {} missed, {} usually", percent(run.missed_share), percent(run.usual_share)),
+        _ => format!(
+            "{cycle} {what}: {} missed, {} usually",
+            percent(run.missed_share),
+            percent(run.usual_share)
+        ),
     }
 }
 
@@ -90,7 +94,11 @@ fn conclusion(answer: &Answer) -> String {
     let Some(proof) = answer.proof() else {
         let least = answer.runs.iter().min_by(|a, b| a.missed_share.total_cmp(&b.missed_share));
         let least = least.map_or(String::new(), |run| {
-            format!("; the least, {}, at {}", percent(run.missed_share), duration(run.cycle_ns.unsigned_abs()))
+            format!(
+                "; the least, {}, at {}",
+                percent(run.missed_share),
+                duration(run.cycle_ns.unsigned_abs())
+            )
         });
         return format!(
             "NOT FOUND: no cycle that was tried misses at most {limit} of its slots{least}. `rtnet doctor` tells what holds \

@@ -54,7 +54,11 @@ impl Search {
     pub fn tell(&mut self, held: bool) {
         self.next = match self.next {
             Next::Trial(rung) => {
-                if held { self.holds = Some(rung) } else { self.fails = Some(rung) };
+                if held {
+                    self.holds = Some(rung)
+                } else {
+                    self.fails = Some(rung)
+                };
                 self.after_trial()
             }
             Next::Proof(rung) if held => Next::Found(rung),

@@ -79,7 +79,9 @@ fn what_is_kept_is_read_again_and_nothing_else_is() {
         format!("{:#}", Answer::load(&path).unwrap_err()).replace(&path.display().to_string(), "FILE")
     };
     assert!(error("cycle = 1").starts_with("FILE is not JSON: keep an answer with"));
-    assert!(error("{\"stations\": 8}").starts_with(&format!("FILE is not an answer of this version ({KIND})")));
+    assert!(
+        error("{\"stations\": 8}").starts_with(&format!("FILE is not an answer of this version ({KIND})"))
+    );
     let half = format!("{{\"kind\": \"{KIND}\", \"runs\": []}}");
     assert!(error(&half).starts_with("FILE is not whole: keep an answer with"), "{}", error(&half));
 }

@@ -10,7 +10,7 @@
 use rtnet::discipline::Channel;
 
 use super::config::Refused;
-use super::slot::SlotConfig;
+use super::slot::{NON_RT_SLOT, RT_SLOT, SlotConfig};
 
 /// The slot whose queue `slot` is to take from if that is not its own. `get` knows the others: any of them may be joined
 /// to, also the one with the highest id, which RTnet refuses.
@@ -36,6 +36,18 @@ pub fn owner(
         }
     }
     Err(Refused::JointRound { id, joint })
+}
+
+/// The slots of a station that take what is given to a channel: those of its queue. What is not real-time goes by slot 0 where there is no
+/// slot 1. `of` tells a slot's id, and whose queue it takes from if not its own. None: the station has no slot for it.
+pub fn serving<T>(slots: &[T], of: impl Fn(&T) -> (Channel, Option<Channel>), channel: Channel) -> Vec<&T> {
+    let queue = |slot: &T| match of(slot) {
+        (id, joint) => joint.unwrap_or(id),
+    };
+    let named = |id: Channel| slots.iter().find(|slot| of(slot).0 == id);
+    let alias = || (channel == NON_RT_SLOT).then(|| named(RT_SLOT)).flatten();
+    let Some(shared) = named(channel).or_else(alias).map(queue) else { return Vec::new() };
+    slots.iter().filter(|slot| queue(slot) == shared).collect()
 }
 
 /// What becomes of `slot` when `target` is redefined so, if anything does. One that is joined to it goes along as long

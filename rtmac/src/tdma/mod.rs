@@ -71,7 +71,7 @@ pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
 pub use report::{CalibrationReport, DelayOf, Delays};
 use slave::Slave;
 use slot::Slots;
-pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, SlotConfig, SlotStatus};
+pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, RT_SLOT, SlotConfig, SlotStatus};
 pub use status::{Counters, RoleName, SLOTS_SHOWN, TdmaStatus};
 
 use crate::wire::{self, Rtmac};

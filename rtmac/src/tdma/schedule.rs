@@ -9,6 +9,9 @@
 //!                     the latest begin is |guard band - both shares| after the slot's
 //! ```
 
+mod backlog;
+mod bounds;
+mod turns;
 mod wait;
 
 use rtnet::time::Span;
@@ -16,6 +19,9 @@ use rtnet::wire::ethernet;
 
 use super::master::BACKUP_LOOKS_BEFORE;
 
+pub use bounds::{Gap, drift_bound};
+pub use backlog::{Demand, load, most_waiting, worst_queueing};
+pub use turns::Turns;
 pub use wait::{Wait, longest_between, round_trip, wait, worst_wait};
 
 /// What clocks may be wrong by, slave to master: 5 us while a line is young, 2 us later, measured over veth. One that

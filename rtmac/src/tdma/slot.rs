@@ -22,7 +22,7 @@ use super::line::{TimeLine, next_cycle};
 /// Highest slot id unless configured otherwise, as in RTnet.
 pub const DEFAULT_MAX_SLOT_ID: u8 = 7;
 /// The id of the slot for real-time traffic.
-const RT_SLOT: Channel = 0;
+pub const RT_SLOT: Channel = 0;
 /// The id of the slot for everything that is not real-time; another name of slot 0 while it is not defined.
 pub const NON_RT_SLOT: Channel = 1;
 /// Smallest slot: the payload of the smallest frame.

@@ -11,10 +11,7 @@
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
 
-use super::{Rate, Slot, gcd};
-
-/// Cycles until the turns of joint slots repeat that are looked through for the longest time between two of them.
-const CYCLES_AT_MOST: u64 = 1 << 16;
+use super::{Rate, Slot, Turns, gcd};
 
 /// Between what and what a time is, on hosts that are never late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,24 +60,8 @@ pub fn worst_wait(cycle: Span, slots: &[Slot], lead: Span, rate: Rate) -> Option
 /// The longest time from one turn's begin to the next one's, of any of these slots. Where their periods let that repeat only after
 /// more cycles than are looked through it is the shortest of those, which none exceeds.
 pub fn longest_between(cycle: Span, slots: &[Slot]) -> Option<Span> {
-    let period = |slot: &Slot| u64::from(slot.period.max(1));
-    let repeats = slots.iter().map(period).try_fold(1, |all: u64, one| {
-        // Neither is more than there can be cycles in a period.
-        let common = all / u64::from(gcd(all as u32, one as u32)) * one;
-        (common <= CYCLES_AT_MOST).then_some(common)
-    });
-    let Some(repeats) = repeats else {
-        return slots.iter().map(|slot| cycle * period(slot) as i64).min();
-    };
-    let turns = |slot: &Slot| {
-        let (phase, offset, every) = (u64::from(slot.phase) % period(slot), slot.offset, period(slot));
-        (0..repeats / every).map(move |n| cycle * (phase + n * every) as i64 + offset)
-    };
-    let mut begins: Vec<Span> = slots.iter().flat_map(turns).collect();
-    begins.sort_unstable();
-    let round = begins.first().map(|&first| first + cycle * repeats as i64);
-    begins.extend(round);
-    begins.windows(2).map(|pair| pair[1] - pair[0]).max()
+    let shortest = || slots.iter().map(|slot| cycle * i64::from(slot.period.max(1))).min();
+    Turns::of(cycle, slots).map(|turns| turns.longest_between()).or_else(shortest)
 }
 
 /// From when a question is queued for the slot `asks` to when the answer that is sent in `answers` has come. Each frame

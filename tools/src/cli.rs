@@ -4,6 +4,7 @@ mod lab;
 mod listen;
 mod min_cycle;
 mod packages;
+mod plan;
 mod sim;
 mod stack;
 mod vnic;
@@ -27,6 +28,7 @@ pub use packages::{
     BenchArgs, MailboxArgs, MailboxVerb, PackageArgs, PackageRouteVerb, PackageVerb, PackageVerbArgs,
     duration,
 };
+pub use plan::PlanArgs;
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
 pub use vnic::{VnicArgs, VnicMode, VnicVerb, VnicVerbArgs, of_a_device};
@@ -66,6 +68,15 @@ pub enum Verb {
     /// Exit status: 0 found, and as good as in --compare's file; 1 none was found, or it is a regression, or it was interrupted;
     /// 2 bad usage, or no privileges.
     FindMinCycle(MinCycleArgs),
+    /// Say what a network does before it runs: when who sends, how long frames wait at the worst; or propose one
+    ///
+    /// Of a file it shows the time table, what guard bands absorb, the worst wait from queue to wire of each slot and priority, the
+    /// worst round trips, and what VNICs get. With --stations it prints the file of the network with the shortest cycle instead,
+    /// for `rtnet lab run` and `rtnet sim run`. All of it is arithmetic; `rtnet find-min-cycle` tries.
+    ///
+    /// Exit status: 0 it works; 1 it cannot: traffic that wants more turns than there are, or a --host that misses too many slots;
+    /// 2 bad usage, or slots that do not go together, with the sum that shows it.
+    Plan(PlanArgs),
     /// Run one station in the foreground, on any Ethernet interface
     ///
     /// It knows only its own slots, and refuses those that overlap each other, or as master its sync window or the

@@ -11,6 +11,7 @@ pub mod judge;
 pub mod lab;
 pub mod min_cycle;
 pub mod observe;
+pub mod plan;
 pub mod report;
 pub mod scenario;
 pub mod sim;

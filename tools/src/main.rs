@@ -21,6 +21,7 @@ fn main() -> ExitCode {
         Verb::Sim(SimVerb::Example) => cmd::sim::example(),
         Verb::Doctor(args) => cmd::doctor::doctor(args),
         Verb::FindMinCycle(args) => cmd::find_min_cycle::find_min_cycle(args),
+        Verb::Plan(args) => cmd::plan::plan(args),
         Verb::Station(args) => cmd::station::station(args),
         Verb::Tdma(args) => cmd::tdma::tdma(args),
         Verb::Slot(args) => cmd::slot::slot(args),

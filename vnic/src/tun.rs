@@ -39,7 +39,7 @@ use crate::tunnel::{Counts, MTU};
 
 pub use aside::put_back;
 pub use device::{Device, Mode, OpenError};
-pub use worker::Vnic;
+pub use worker::{Vnic, fed};
 
 /// An answer takes as long as a few requests to the kernel; on a busy host a little longer.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(2);

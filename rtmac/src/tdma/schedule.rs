@@ -19,8 +19,8 @@ use rtnet::wire::ethernet;
 
 use super::master::BACKUP_LOOKS_BEFORE;
 
-pub use bounds::{Gap, drift_bound};
 pub use backlog::{Demand, load, most_waiting, worst_queueing};
+pub use bounds::{Gap, drift_bound};
 pub use turns::Turns;
 pub use wait::{Wait, longest_between, round_trip, wait, worst_wait};
 

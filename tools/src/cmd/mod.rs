@@ -12,6 +12,7 @@ pub mod lab_up;
 pub mod manual;
 pub mod package;
 pub mod ping;
+pub mod plan;
 pub mod pool;
 pub mod route;
 pub mod sim;
@@ -116,8 +117,10 @@ fn is_same(one: &Path, other: &Path) -> bool {
 }
 
 fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
-    let mut text = serde_json::to_string_pretty(report)?;
-    text.push('\n');
+    write_text(path, &(serde_json::to_string_pretty(report)? + "\n"))
+}
+
+fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
     let write = || {
         let (draft, mut file) = Draft::begin(path)?;
         file.write_all(text.as_bytes())?;

@@ -1,22 +1,15 @@
 //! How long what a station sends waits for its slots, by what it shows of them.
 
-use rtmac::tdma::NON_RT_SLOT;
+use rtmac::tdma::joint;
 use rtmac::tdma::schedule::{self, Slot};
 use rtnet::time::Span;
 
 use crate::control::{SlotShown, StationStatus};
 
-/// Of a real-time slot.
-pub const RT_SLOT: u8 = 0;
-
 /// The slots that take what a channel is given: those that are joint take from one queue. None: it has no such.
 pub fn serving(of: &StationStatus, channel: u8) -> Vec<Slot> {
-    let slots = || of.slots.iter().map(|shown: &SlotShown| shown.slot);
-    let has = |id: u8| slots().any(|slot| slot.id == id);
-    let id = if channel == NON_RT_SLOT && !has(channel) { RT_SLOT } else { channel };
-    let queue = |id: u8| slots().find(|slot| slot.id == id).map(|slot| slot.joint.unwrap_or(id));
-    let Some(shared) = queue(id) else { return Vec::new() };
-    let serving = slots().filter(|slot| queue(slot.id) == Some(shared));
+    let id = |shown: &SlotShown| (shown.slot.id, shown.slot.joint);
+    let serving = joint::serving(&of.slots, id, channel).into_iter().map(|shown| shown.slot);
     serving
         .map(|slot| Slot {
             owner: of.name.clone(),

@@ -1,7 +1,7 @@
 //! What a network goes through: its medium, its hosts, its wires, and what happens when. Without any of it, a
 //! simulation is of ideal hosts on a bridge.
 
-use rtnet::sim::{Host, Joint};
+use rtnet::sim::{Host, Joint, Medium};
 use rtnet::time::Span;
 
 use super::{Expectation, Place, Wire};
@@ -25,6 +25,17 @@ pub struct Conditions {
     pub events: Vec<Event>,
     /// What the run must show.
     pub expectations: Vec<Expectation>,
+}
+
+impl Conditions {
+    /// How long a frame is on its way at the least, from its begin at the sender to that at a receiver.
+    pub fn way(&self) -> Span {
+        let propagation = self.propagation.unwrap_or(Medium::default().propagation);
+        match self.joint {
+            Joint::Switch { latency, .. } => propagation * 2 + latency,
+            Joint::Bridge | Joint::Hub => propagation,
+        }
+    }
 }
 
 /// How a clock's rate changes.

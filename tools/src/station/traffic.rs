@@ -22,7 +22,7 @@ use zerocopy::IntoBytes;
 use zerocopy::byteorder::network_endian::{U16, U32, U64};
 
 pub use arrivals::{Arrivals, Arrived, Came, Newest};
-pub use flows::{Flow, FlowPlan};
+pub use flows::{BUFFERS_OF_FLOWS, Flow, FlowPlan};
 use flows::{Flows, Queued};
 pub use frame::Tag;
 use frame::{HEAD, finish, is_intact};

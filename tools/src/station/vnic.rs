@@ -11,6 +11,7 @@ use std::thread::Builder;
 
 use caps::{CapSet, Capability, CapsHashSet};
 use nix::sys::eventfd::{EfdFlags, EventFd};
+use rtmac::tdma::{NON_RT_SLOT, joint};
 use rtnet::buf::Pool;
 use rtnet::discipline::Service;
 use rtnet::live::Port;
@@ -273,12 +274,13 @@ fn named(counts: impl IntoIterator<Item = (&'static str, u64)>) -> BTreeMap<Stri
 /// that has no other name.
 fn turns_in_1000_seconds(status: &AccessStatus) -> Turns {
     let Some(tdma) = status.tdma() else { return Turns::AtOnce };
-    let slots = || tdma.slots.iter().flatten().map(|slot| slot.config);
-    let queue = |id| slots().find(|slot| slot.id == id).map(|slot| slot.joint.unwrap_or(slot.id));
-    let Some(non_rt) = queue(1).or_else(|| queue(0)) else { return Turns::NoSlot };
+    let slots: Vec<_> = tdma.slots.iter().flatten().map(|slot| slot.config).collect();
+    let takes = joint::serving(&slots, |slot| (slot.id, slot.joint), NON_RT_SLOT);
+    if takes.is_empty() {
+        return Turns::NoSlot;
+    }
     let Some(period) = tdma.period else { return Turns::NoCycle };
-    let takes = slots().filter(|slot| slot.joint.unwrap_or(slot.id) == non_rt);
-    let turns = takes.map(|slot| 1e12 / (period.nanos() as f64 * f64::from(slot.period)));
+    let turns = takes.iter().map(|slot| 1e12 / (period.nanos() as f64 * f64::from(slot.period)));
     Turns::In1000Seconds(turns.sum::<f64>() as u64)
 }
 

@@ -16,6 +16,7 @@ use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
 
 use self::hold_back::HeldBack;
+pub use self::hold_back::fed;
 use super::aside::Aside;
 use super::device::kind_of_packet;
 use super::{Device, Handle, Mode, Options, Order, StartError, Status, Turns};

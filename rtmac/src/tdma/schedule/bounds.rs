@@ -37,7 +37,8 @@ impl Schedule {
 pub fn drift_bound(share: Span, cycle: Span, holdover: u32, stamp_error: Span) -> i64 {
     let half_cycles = i128::from(2 * (1 + holdover) + 1);
     let left = share - Span::from_nanos(2) - stamp_error * 2;
-    (i128::from(left.nanos()) * 2_000_000_000).div_euclid(i128::from(cycle.nanos().max(1)) * half_cycles) as i64
+    (i128::from(left.nanos()) * 2_000_000_000).div_euclid(i128::from(cycle.nanos().max(1)) * half_cycles)
+        as i64
 }
 
 #[cfg(test)]
@@ -67,9 +68,9 @@ mod tests {
         // A frame is on the air for 123.04 us.
         let schedule = schedule(&[("c", 500, 1, 2), ("a", 100, 0, 1), ("b", 300, 0, 2), ("d", 600, 0, 1)]);
         let gaps = schedule.gaps();
-        let gaps = gaps.iter().map(|gap| {
-            (&gap.slot.owner[..], gap.until.map(|until| &until.owner[..]), gap.length.nanos())
-        });
+        let gaps = gaps
+            .iter()
+            .map(|gap| (&gap.slot.owner[..], gap.until.map(|until| &until.owner[..]), gap.length.nanos()));
         let expected = [
             ("a", Some("b"), 76_960),
             ("b", Some("d"), 176_960),

@@ -113,7 +113,10 @@ mod tests {
         let begins = [500, 1_300, 1_500].map(Span::from_micros);
         assert_eq!(turns, Turns { begins: begins.to_vec(), round: CYCLE * 2 });
         let after = |turn, n| turns.after(turn, n).nanos() / 1_000;
-        assert_eq!([after(0, 1), after(0, 2), after(0, 3), after(2, 1), after(1, 7)], [800, 1_000, 2_000, 1_000, 4_200]);
+        assert_eq!(
+            [after(0, 1), after(0, 2), after(0, 3), after(2, 1), after(1, 7)],
+            [800, 1_000, 2_000, 1_000, 4_200]
+        );
     }
 
     #[test]

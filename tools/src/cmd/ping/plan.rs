@@ -1,8 +1,8 @@
 //! What round trips are to take by the schedule, where the command can look at both stations: in a lab.
 
 use anyhow::anyhow;
-use rtmac::tdma::NON_RT_SLOT;
 use rtmac::tdma::schedule::{self, Slot, Wait};
+use rtmac::tdma::{NON_RT_SLOT, RT_SLOT};
 use rtnet::time::Span;
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::cli::{PingArgs, Which};
 use crate::cmd::Failure;
 use crate::cmd::interface::{asked, check_asked};
 use crate::cmd::tdma::{stations, status};
-use crate::cmd::waits::{RT_SLOT, lead, missed, serving};
+use crate::cmd::waits::{lead, missed, serving};
 use crate::control::{InterfaceShown, Place, StackReply, StackRequest, StationStatus};
 use crate::station::echoes::ECHO_HEADERS;
 

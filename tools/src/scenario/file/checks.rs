@@ -163,11 +163,7 @@ impl Source<'_> {
         id: u8,
         period: u32,
     ) -> Result<(), FileError> {
-        let propagation = scenario.conditions.propagation.unwrap_or(Span::ZERO);
-        let way = match scenario.conditions.joint {
-            Joint::Switch { latency, .. } => propagation * 2 + latency,
-            Joint::Bridge | Joint::Hub => propagation,
-        };
+        let way = scenario.conditions.way();
         let every = scenario.cycle * i64::from(period);
         if way <= scenario.cycle && way * 2 < every {
             return Ok(());

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use super::Newest;
 
 /// Frames of flows that wait, or are being sent: as many as two slots' queues hold.
-const POOL: usize = 64;
+pub const BUFFERS_OF_FLOWS: usize = 64;
 
 /// Frames of one priority, queued again and again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -80,7 +80,7 @@ pub(super) struct Queued {
 impl Flows {
     pub fn new(plan: FlowPlan, first: u64) -> Self {
         let going = vec![Going { sequence: first, next: None }; plan.flows.len()];
-        let pool = (!going.is_empty()).then(|| Pool::new(POOL));
+        let pool = (!going.is_empty()).then(|| Pool::new(BUFFERS_OF_FLOWS));
         let heard = vec![Newest::default(); plan.from.len()];
         Self { plan, going, pool, heard }
     }
@@ -254,8 +254,8 @@ mod tests {
         // For ten minutes there was no slot: the oldest are queued, as many as there is room for.
         (bench.waiting, bench.left) = Default::default();
         let late = bench.poll(600_006);
-        assert_eq!((late.len(), late[0]), (POOL, (3, 8, 9_000)));
-        assert_eq!(bench.counts.refused().collect::<Vec<_>>(), [(3, 2 + 200_000 * 5 - POOL as u64)]);
+        assert_eq!((late.len(), late[0]), (BUFFERS_OF_FLOWS, (3, 8, 9_000)));
+        assert_eq!(bench.counts.refused().collect::<Vec<_>>(), [(3, 2 + 200_000 * 5 - BUFFERS_OF_FLOWS as u64)]);
     }
 
     #[test]

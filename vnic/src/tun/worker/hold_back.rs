@@ -180,9 +180,14 @@ impl HeldBack {
     }
 }
 
-/// What lets through a little less than so many of the largest frames in 1000 seconds: a small one takes a turn, too.
+/// What Linux is fed where so many of the largest frames may leave in 1000 seconds, in bytes a second: a little less than those
+/// hold, and at least 1. A small one takes a turn, too.
+pub fn fed(turns: u64, frame: usize) -> u64 {
+    (turns * SHAPED / 1000 * frame as u64 / 1000).max(1)
+}
+
 fn shaping(turns: u64, frame: usize) -> Shaping {
-    let bytes_per_second = (turns * SHAPED / 1000 * frame as u64 / 1000).max(1);
+    let bytes_per_second = fed(turns, frame);
     let limit = (turns * QUEUE_MILLIS / 1_000_000).max(QUEUE_LEAST) as u32;
     Shaping { bytes_per_second, burst: BURST * frame as u32, longest: frame as u16, limit }
 }

@@ -2,6 +2,7 @@
 
 use package_router::component::Sender;
 use package_router::wire::HEAD_LEN;
+use rtmac::tdma::RT_SLOT;
 use rtnet::time::Span;
 use rtnet::wire::{ipv4, udp};
 use serde::Serialize;
@@ -9,7 +10,7 @@ use serde::Serialize;
 use crate::cli::Which;
 use crate::cmd::ping::plan::{round_trip, ways, whose};
 use crate::cmd::tdma::status;
-use crate::cmd::waits::{self, RT_SLOT, missed, serving};
+use crate::cmd::waits::{self, missed, serving};
 use crate::control::StationStatus;
 use crate::report::histogram::SignedHistogram;
 

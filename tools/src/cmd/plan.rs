@@ -1,0 +1,69 @@
+//! `rtnet plan`.
+
+use std::io::Write;
+
+use anyhow::{Result, anyhow, bail};
+use rtnet::time::Span;
+
+use super::{Failure, all_writable, print, say, screen_width, write_text};
+use crate::cli::PlanArgs;
+use crate::plan::{Host, Plan, propose, screen, svg};
+use crate::scenario::{self, DEFAULT_RATE, Scenario, Uniform};
+
+const DEFAULT_PAYLOAD: usize = 64;
+/// As of a file that says nothing else.
+const DURATION: Span = Span::from_millis(10_000);
+const SEED: u64 = 1;
+
+/// Says what a network does, or proposes one; the exit status is 1 if it cannot work.
+pub fn plan(args: &PlanArgs) -> std::result::Result<u8, Failure> {
+    let host = args.host.as_deref().map(Host::load).transpose().map_err(Failure::Usage)?;
+    let scenario = network(args, host.as_ref()).map_err(Failure::Usage)?;
+    all_writable(&[args.svg.as_ref()], args.file.as_deref()).map_err(Failure::Usage)?;
+    let plan = Plan::of(&scenario, host.as_ref());
+    if let Some(path) = &args.svg {
+        write_text(path, &svg::draw(&plan)).map_err(Failure::Run)?;
+    }
+    let told = match args.file {
+        None if !args.json => say(&propose::file(&scenario)),
+        _ => print(args.json, &plan, |plan| screen::render(plan, screen_width())),
+    };
+    told.map_err(Failure::Run)?;
+    if args.file.is_none() {
+        for why in &plan.refused {
+            // Whoever closed our standard error does not want to read it.
+            let _ = writeln!(std::io::stderr(), "rtnet: {why}");
+        }
+    }
+    Ok(u8::from(!plan.works()))
+}
+
+fn network(args: &PlanArgs, host: Option<&Host>) -> Result<Scenario> {
+    let stations = match (&args.file, args.stations) {
+        (Some(file), _) => return Ok(scenario::load(file)?),
+        (None, Some(stations)) => stations,
+        (None, None) => bail!("name a file, or say how many --stations"),
+    };
+    let guard = match (args.guard, host) {
+        (None, Some(host)) if args.cycle.is_none() => Some(host.guard(stations)?),
+        (None, None) if args.cycle.is_none() => {
+            return Err(anyhow!(
+                "how late may a station be? Say --guard 50us, or --host with what `rtnet doctor --json` has measured, or which --cycle \
+                 is to be divided"
+            ));
+        }
+        (guard, _) => guard,
+    };
+    let network = Uniform {
+        stations,
+        cycle: args.cycle.unwrap_or(Span::ZERO),
+        duration: DURATION,
+        payload: args.payload.unwrap_or(DEFAULT_PAYLOAD),
+        rate: args.rate.unwrap_or(DEFAULT_RATE),
+        guard,
+        seed: SEED,
+        vnic: None,
+    };
+    let scenario = if args.cycle.is_some() { network.scenario() } else { propose::shortest(&network) };
+    Ok(scenario?)
+}

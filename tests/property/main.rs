@@ -3,6 +3,8 @@
 //! `RTNET_CASES=10000` runs so many, `RTNET_SEED=7` the one of a seed. Seeds that once found something are in
 //! `seeds.txt`, and run first.
 
+mod plans;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use tests::chance::Case;

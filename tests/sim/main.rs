@@ -18,6 +18,7 @@ mod master_dies;
 mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;
+mod planned;
 mod promised_replies;
 mod proxy;
 mod receive_pool;

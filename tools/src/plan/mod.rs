@@ -31,6 +31,9 @@ pub use waits::{RoundTrip, RoundTrips, WaitRow};
 pub const KIND: &str = "rtnet plan 1";
 /// How wrong a stamp may be, and how long a frame may take from a station's last look at the clock to the wire.
 pub const STAMP_ERROR: Span = Span::from_nanos(1_500);
+/// No clock is taken to be further from true time, however much a guard band would absorb: twice as much, from clock to clock, is what stations take
+/// for possible.
+pub const MAX_DRIFT_PPB: i64 = 100_000;
 
 /// A schedule, and what it does. Times are in nanoseconds, shares from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -117,7 +120,8 @@ impl Guard {
             band_ns: guard.nanos(),
             clocks_ns: clocks.nanos(),
             lateness_ns: latest(guard, stations).nanos(),
-            drift_ppb: drift_bound(clocks, scenario.cycle, HOLDOVER_CYCLES as u32, STAMP_ERROR).max(0),
+            drift_ppb: drift_bound(clocks, scenario.cycle, HOLDOVER_CYCLES as u32, STAMP_ERROR)
+                .clamp(0, MAX_DRIFT_PPB),
             stamp_error_ns: STAMP_ERROR.nanos(),
         }
     }

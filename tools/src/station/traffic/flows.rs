@@ -255,7 +255,10 @@ mod tests {
         (bench.waiting, bench.left) = Default::default();
         let late = bench.poll(600_006);
         assert_eq!((late.len(), late[0]), (BUFFERS_OF_FLOWS, (3, 8, 9_000)));
-        assert_eq!(bench.counts.refused().collect::<Vec<_>>(), [(3, 2 + 200_000 * 5 - BUFFERS_OF_FLOWS as u64)]);
+        assert_eq!(
+            bench.counts.refused().collect::<Vec<_>>(),
+            [(3, 2 + 200_000 * 5 - BUFFERS_OF_FLOWS as u64)]
+        );
     }
 
     #[test]

@@ -41,8 +41,9 @@ pub fn owner(
 /// The slots of a station that take what is given to a channel: those of its queue. What is not real-time goes by slot 0 where there is no
 /// slot 1. `of` tells a slot's id, and whose queue it takes from if not its own. None: the station has no slot for it.
 pub fn serving<T>(slots: &[T], of: impl Fn(&T) -> (Channel, Option<Channel>), channel: Channel) -> Vec<&T> {
-    let queue = |slot: &T| match of(slot) {
-        (id, joint) => joint.unwrap_or(id),
+    let queue = |slot: &T| {
+        let (id, joint) = of(slot);
+        joint.unwrap_or(id)
     };
     let named = |id: Channel| slots.iter().find(|slot| of(slot).0 == id);
     let alias = || (channel == NON_RT_SLOT).then(|| named(RT_SLOT)).flatten();

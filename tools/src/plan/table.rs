@@ -89,9 +89,9 @@ impl TimeTable {
             free_until: gap.until.map(|until| until.owner.clone()),
         };
         let slots: Vec<_> = schedule.gaps().into_iter().map(row).collect();
-        let periods = slots.iter().map(|row| u64::from(row.period.max(1)));
-        let phases = periods.fold(Some(1), |all: Option<u64>, period| {
-            all.map(|all| all / common(all, period) * period).filter(|&all| all <= PHASES_AT_MOST)
+        let mut periods = slots.iter().map(|row| u64::from(row.period.max(1)));
+        let phases = periods.try_fold(1, |all: u64, period| {
+            Some(all / common(all, period) * period).filter(|&all| all <= PHASES_AT_MOST)
         });
         Self { phases, slots, backups: backups(&scenario.stations, scenario.sync_window) }
     }

@@ -213,6 +213,7 @@ impl Discipline for Tdma {
         let message = match wire::parse(&frame) {
             Ok(Rtmac::Tdma(message)) => message,
             Ok(Rtmac::Tunnel(..)) => return Claimed::Tunnel(frame),
+            Ok(Rtmac::Extension(_)) => return Claimed::Refused(Refusal::TdmaVersion),
             Err(reason) => return Claimed::Refused(reason),
         };
         let Some((header, _)) = Header::parse(&frame) else { return Claimed::Refused(Refusal::Runt) };

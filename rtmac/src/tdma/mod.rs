@@ -246,6 +246,7 @@ impl Discipline for Tdma {
 
     fn on_timeout(&mut self, now: Instant) {
         self.looked = now;
+        self.stand_by_for_switch(now);
         match &mut self.role {
             Role::Master(master) => {
                 let has_slots = self.slots.first().is_some();
@@ -352,7 +353,7 @@ impl Discipline for Tdma {
             Role::Detached => None,
         };
         let job = self.next_job().map(|job| job.wakes_at(self.lead, self.looked));
-        role.into_iter().chain(job).min()
+        role.into_iter().chain(job).chain(self.switch_wakes_at()).min()
     }
 
     /// A master that only listens for another has no slot to wait for, and may have heard enough long before its deadline.
@@ -436,7 +437,7 @@ impl Discipline for Tdma {
                 self.not_while_changing()?;
                 self.measure_anew(rounds)?;
             }
-            TdmaCommand::Propose(book, activation) => self.propose(cycle, now, book, *activation)?,
+            TdmaCommand::Propose(book, activation) => self.propose(cycle, book, *activation)?,
             TdmaCommand::Activate(activation) => {
                 self.changes()?.activate(cycle, *activation)?;
             }

@@ -11,8 +11,8 @@ use super::change::{Activation, Book, Change, ChangeConfig, MAX_BRIDGED, Switch}
 use super::config::{Refused, check_cycle, check_rounds, checked};
 use super::job::Job;
 use super::slot::{SlotConfig, Turn};
-use super::{MasterConfig, Role, Tdma};
-use crate::wire::change::{Answer, Extension, Status, Why};
+use super::{MasterConfig, Mastery, Role, Tdma};
+use crate::wire::change::{Answer, Extension, Status, Verdict, Why};
 
 /// Slots that a schedule may give to one station.
 const OWN_SLOTS: usize = 32;
@@ -67,12 +67,11 @@ impl Tdma {
     pub(super) fn propose(
         &mut self,
         cycle: u32,
-        now: Instant,
         book: &Book,
         activation: Option<Activation>,
     ) -> Result<(), Refused> {
         self.changes()?;
-        self.can_take(book, now).map_err(|(why, id)| Refused::CannotTake { id, why })?;
+        self.can_take(book).map_err(|(why, id)| Refused::CannotTake { id, why })?;
         let own = self.address;
         self.changes()?.propose(cycle, own, book, activation)
     }
@@ -104,7 +103,7 @@ impl Tdma {
     /// All of a schedule is there: whether it can be used, and is in use already.
     fn judge_collected(&mut self, now: Instant) {
         let verdict = match &self.change {
-            Some(change) => self.can_take(change.admin(), now),
+            Some(change) => self.can_take(change.admin()),
             None => return,
         };
         let switch = self.change.as_mut().and_then(|change| change.judged(verdict));
@@ -114,7 +113,7 @@ impl Tdma {
     }
 
     /// Whether this station could use its slots of a schedule.
-    pub(super) fn can_take(&self, book: &Book, now: Instant) -> Result<(), (Why, u8)> {
+    pub(super) fn can_take(&self, book: &Book) -> Result<(), (Why, u8)> {
         let mut slots = ArrayVec::<SlotConfig, OWN_SLOTS>::new();
         for slot in book.of_station(self.address) {
             slots.try_push(slot).map_err(|_| (Why::SlotId, slot.id))?;
@@ -135,15 +134,7 @@ impl Tdma {
                 return Err((Why::Offset, slot.id));
             }
         }
-        self.can_follow(cycle, &slots).map_err(|refused| (why(&refused), slot_of(&refused)))?;
-        let is_locked = self.change.as_ref().is_some_and(|change| change.uses_what_is_told());
-        let measures = self.follower().is_some_and(|follower| follower.calibration().is_measuring());
-        match self.slots.first() {
-            Some(first) if is_locked && (measures || self.promises.hold(now)) => {
-                Err((Why::Calibrating, first.id))
-            }
-            _ => Ok(()),
-        }
+        self.can_follow(cycle, &slots).map_err(|refused| (why(&refused), slot_of(&refused)))
     }
 
     /// Whether that goes with the station's role.
@@ -215,12 +206,43 @@ impl Tdma {
         }
     }
 
+    /// When to look for the Synchronisation of the activation cycle, if the first slot of the schedule to come is before any other.
+    pub(super) fn switch_wakes_at(&self) -> Option<Instant> {
+        let (from, admin) = self.change.as_ref()?.sealed()?;
+        let line = self.line()?;
+        let first = admin.of_station(self.address).map(|slot| slot.offset).min().unwrap_or_default();
+        let wakes = line.start_of(from) + (first - self.lead).max(Span::ZERO);
+        (self.looked < wakes).then_some(wakes)
+    }
+
+    /// A backup that lets the activation cycle pass, and may take over in a later one, counts cycles as all others do then.
+    pub(super) fn stand_by_for_switch(&mut self, now: Instant) {
+        let Some((from, admin)) = self.change.as_ref().and_then(|change| change.follows_sealed()) else {
+            return;
+        };
+        let (cycle, Role::Master(master)) = (admin.cycle(), &mut self.role) else { return };
+        let is_later = master.mastery() == Mastery::StandBy
+            && master.next_sync().is_some_and(|(next, ..)| next.wrapping_sub(from) as i32 > 0);
+        if is_later && master.line().is_some_and(|line| line.period != cycle && now >= line.start_of(from)) {
+            master.run_at(cycle, from);
+        }
+    }
+
     /// What is sent besides data in a turn of the first slot.
     pub(super) fn answer_in(&self, turn: &Turn) -> Option<Answer> {
         let first = self.slots.first()?;
         let gives_time = matches!(self.role, Role::Master(_));
         let change = self.change.as_ref().filter(|_| first.id == turn.id && !self.calibrates())?;
-        change.answer(gives_time)
+        let answer = change.answer(gives_time)?;
+        // What is under way in the first slot is of where that is now.
+        let measures = self.follower().is_some_and(|follower| follower.calibration().is_measuring());
+        let is_bound = measures || self.promises.hold(turn.at);
+        let verdict = if is_bound && answer.verdict == Verdict::Acknowledged {
+            Verdict::Refused(Why::Calibrating, first.id)
+        } else {
+            answer.verdict
+        };
+        Some(Answer { verdict, ..answer })
     }
 
     /// The part of a schedule that follows this station's Synchronisation, if that has left.

@@ -255,6 +255,7 @@ impl Change {
     }
 
     /// The schedule whose slots are in use.
+    #[cfg(test)]
     pub fn in_use(&self) -> ScheduleId {
         self.in_use
     }
@@ -269,6 +270,17 @@ impl Change {
         self.lead.acts
     }
 
+    /// The schedule to come and its activation cycle, once that is sealed, or as good as.
+    pub fn sealed(&self) -> Option<(u32, &Book)> {
+        let is_to_come = matches!(self.told.state, State::Committed | State::Sealed);
+        (is_to_come && self.admin.holds(self.told.admin)).then_some((self.told.activation, &self.admin))
+    }
+
+    /// The same once that is sealed, if another gives the time.
+    pub fn follows_sealed(&self) -> Option<(u32, &Book)> {
+        self.sealed().filter(|_| self.told.state == State::Sealed && !self.lead.acts)
+    }
+
     /// The cycle in which this station will have others switch, as it gives the time.
     pub fn sealed_for(&self) -> Option<u32> {
         (self.lead.acts && self.told.state == State::Sealed).then_some(self.told.activation)
@@ -277,11 +289,6 @@ impl Change {
     /// The schedule that is proposed, or collected.
     pub fn admin(&self) -> &Book {
         &self.admin
-    }
-
-    /// Whether its slots are of the schedule that is in use.
-    pub fn uses_what_is_told(&self) -> bool {
-        self.told.oper == self.in_use
     }
 
     /// The cycle length that comes with a switch; `None`: as it is.

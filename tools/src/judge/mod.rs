@@ -15,6 +15,7 @@ pub mod delivery;
 pub mod explain;
 pub mod findings;
 pub mod givers;
+pub mod kept;
 pub mod masters;
 pub mod noteworthy;
 pub mod outcome;

@@ -8,6 +8,7 @@ use rtnet::discipline::EventKind;
 use super::account::{Account, PARTS};
 use super::analysis::Analysis;
 use super::delivery::Delivery;
+use super::kept::Kept;
 use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
@@ -21,6 +22,8 @@ pub struct Outcome {
     pub slot_error_abs: SignedHistogram,
     /// Slots missed and frames outside theirs, by part of the run.
     pub missed_in_parts: [u64; PARTS],
+    /// What the pictures of a report show.
+    pub kept: Kept,
 }
 
 /// What a run leaves.
@@ -130,7 +133,13 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     account.report(&mut figures);
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
-    Outcome { figures, slot_error_abs: all.slot_error_abs, missed_in_parts: account.missed_in_parts }
+    let missed_in_parts = account.missed_in_parts;
+    Outcome { figures, slot_error_abs: all.slot_error_abs, missed_in_parts, kept: kept(parts) }
+}
+
+/// What is left for the pictures of a report.
+fn kept(parts: Parts) -> Kept {
+    Kept { slot_error: parts.analysis.stations.into_iter().map(|seen| seen.slot_error).collect() }
 }
 
 /// Of all stations, as hosts of simulations take it: ranges of nanoseconds, and how many there were.

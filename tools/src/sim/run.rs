@@ -24,6 +24,7 @@ use crate::judge::account::Account;
 use crate::judge::analysis::Analysis;
 use crate::judge::clocks::set_clock;
 use crate::judge::explain::Records;
+use crate::judge::kept::Kept;
 use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
 use crate::report::figures::Role;
@@ -69,6 +70,8 @@ pub struct Ended {
     pub slot_error_abs: SignedHistogram,
     /// The frames that were to be kept as text.
     pub lines: Vec<String>,
+    /// What the pictures of a report show.
+    pub kept: Kept,
 }
 
 /// Runs a scenario from its begin to its end.
@@ -417,7 +420,7 @@ impl<'a> Run<'a> {
             capture_failed: false,
             ended_early: self.options.until.is_some(),
         };
-        let Outcome { figures, slot_error_abs, .. } =
+        let Outcome { figures, slot_error_abs, kept, .. } =
             outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
         let simulation = Simulation {
             seed: self.scenario.seed,
@@ -440,7 +443,7 @@ impl<'a> Run<'a> {
         let mut figures = SimFigures { figures, simulation };
         figures.simulation.expectations = expect::check(self.scenario, &figures, &places);
         expect::add(&mut figures.figures.verdict, &figures.simulation.expectations);
-        Ok(Ended { figures, slot_error_abs, lines })
+        Ok(Ended { figures, slot_error_abs, lines, kept })
     }
 }
 

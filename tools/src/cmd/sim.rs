@@ -18,7 +18,8 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let scenario = scenario(args).map_err(Failure::Usage)?;
     all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(&args.file))
         .map_err(Failure::Usage)?;
-    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None };
+    let pictures = args.html.is_some();
+    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures };
     let Ended { figures, slot_error_abs, kept, .. } = sim::run(&scenario, &options).map_err(failure)?;
     if let Some(path) = &args.json {
         write_json(path, &figures).map_err(Failure::Run)?;
@@ -67,6 +68,7 @@ fn frames_around(
     let first = checked.iter().find_map(|checked| Some((checked.line, checked.cycle?)));
     let Some((line, cycle)) = first else { return Ok(None) };
     let around = Some((cycle.saturating_sub(1), cycle.saturating_add(1)));
-    let frames = sim::run(scenario, &Options { pcap: None, around, ..options.clone() })?.lines;
+    let frames =
+        sim::run(scenario, &Options { pcap: None, around, pictures: false, ..options.clone() })?.lines;
     Ok(Some(Around { line, cycle, frames }))
 }

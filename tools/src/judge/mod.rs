@@ -10,6 +10,7 @@ pub mod absences;
 pub mod account;
 pub mod analysis;
 pub mod clocks;
+pub mod closely;
 pub mod cuts;
 pub mod delivery;
 pub mod explain;

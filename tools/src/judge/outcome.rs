@@ -7,6 +7,7 @@ use rtnet::discipline::EventKind;
 
 use super::account::{Account, PARTS};
 use super::analysis::Analysis;
+use super::closely::envelope::Envelope;
 use super::delivery::Delivery;
 use super::kept::Kept;
 use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures, Verdict};
@@ -61,6 +62,8 @@ pub struct Facts {
     pub payload_errors: u64,
     /// Estimated - true global time.
     pub sync_error: SignedHistogram,
+    /// The same over time, for a report with pictures.
+    pub sync_error_over_time: Envelope,
     /// How much later than it was to be its last look at the clock before a send was.
     pub late: SignedHistogram,
     /// Resident memory, bytes.
@@ -139,7 +142,16 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
 
 /// What is left for the pictures of a report.
 fn kept(parts: Parts) -> Kept {
-    Kept { slot_error: parts.analysis.stations.into_iter().map(|seen| seen.slot_error).collect() }
+    let Parts { stations, mut analysis, .. } = parts;
+    let begin = analysis.begin_of_window().unwrap_or_default();
+    let (cycles, regular) = analysis.take_closely().unwrap_or_default();
+    Kept {
+        slot_error: analysis.stations.into_iter().map(|seen| seen.slot_error).collect(),
+        cycles,
+        regular,
+        sync_error: stations.into_iter().map(|facts| facts.sync_error_over_time).collect(),
+        begin,
+    }
 }
 
 /// Of all stations, as hosts of simulations take it: ranges of nanoseconds, and how many there were.

@@ -23,6 +23,7 @@ use crate::judge::absences::Absence;
 use crate::judge::account::Account;
 use crate::judge::analysis::Analysis;
 use crate::judge::clocks::set_clock;
+use crate::judge::closely::envelope::Envelope;
 use crate::judge::explain::Records;
 use crate::judge::kept::Kept;
 use crate::judge::outcome::{self, Outcome, Parts};
@@ -55,6 +56,8 @@ pub struct Options {
     pub until: Option<Span>,
     /// Keep the frames of these cycles as text.
     pub around: Option<(u32, u32)>,
+    /// Keep what the pictures of a report show.
+    pub pictures: bool,
 }
 
 /// What was asked for does not let a network join, or leaves no time to measure it.
@@ -115,6 +118,10 @@ impl<'a> Run<'a> {
         let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
         watch.capture = options.pcap.as_deref().map(CaptureFile::replace).transpose()?;
         watch.around = options.around;
+        if options.pictures {
+            watch.analysis.look_closely(scenario);
+            watch.sync_error_over_time = Some(vec![Envelope::default(); scenario.stations.len()]);
+        }
         let watch = Rc::new(RefCell::new(watch));
         let (seen, told, lost) = (watch.clone(), watch.clone(), watch.clone());
         world.network.observe(move |aired| seen.borrow_mut().aired(aired));

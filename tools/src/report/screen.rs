@@ -193,7 +193,8 @@ fn queueing(queueing: &[QueueingFigures], width: usize) -> Vec<String> {
     table(&columns, width).into_iter().chain([definition]).collect()
 }
 
-fn misses(figures: &Figures, width: usize) -> Vec<String> {
+/// What was missed, by kind.
+pub(crate) fn miss_counts(figures: &Figures) -> impl Iterator<Item = (u64, &'static str)> {
     let causes = [
         (figures.slots_missed, "slots missed"),
         (figures.overruns, "overruns"),
@@ -209,8 +210,12 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         (figures.frames_lost, "lost on the way"),
     ];
     let on_purpose = Some((figures.lost_on_purpose, "of them on purpose")).filter(|(n, _)| *n > 0);
-    let causes = causes.into_iter().chain(on_purpose);
-    let counts: Vec<_> = causes.map(|(count, cause)| format!("{cause} {}", grouped(count))).collect();
+    causes.into_iter().chain(on_purpose)
+}
+
+fn misses(figures: &Figures, width: usize) -> Vec<String> {
+    let counts: Vec<_> =
+        miss_counts(figures).map(|(count, cause)| format!("{cause} {}", grouped(count))).collect();
     let mut lines = list("misses: ", &counts, width);
     let causes = [("causes: ", &figures.causes), ("syncs missing: ", &figures.sync_causes)];
     for (head, causes) in causes.into_iter().filter(|(_, causes)| !causes.is_empty()) {
@@ -250,7 +255,7 @@ fn words(name: &str) -> String {
 }
 
 /// What the stations refused, and each note once, with the stations that have it.
-fn notes(figures: &Figures, width: usize) -> Vec<String> {
+pub(crate) fn notes(figures: &Figures, width: usize) -> Vec<String> {
     let mut refusals: BTreeMap<&str, u64> = BTreeMap::new();
     let mut notes: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for station in &figures.per_station {

@@ -72,6 +72,16 @@ impl Fault {
         self.authors.contains(&Some(author))
     }
 
+    /// Whether it is that there was no frame.
+    pub fn is_of_nothing(&self) -> bool {
+        use EventKind as Event;
+        matches!(
+            self.kind,
+            FaultKind::Found(FindingKind::SlotMissed)
+                | FaultKind::Told(Event::Overrun | Event::GuardDropped | Event::SlotSilent)
+        )
+    }
+
     /// How bad it is, beside other kinds: what is on the air and ought not to be is worse than what is missing.
     pub fn rank(&self) -> u8 {
         use {EventKind as Event, FindingKind as Found};

@@ -33,12 +33,18 @@ pub struct Table {
     rows: String,
     /// So many of the first columns are text, all others are numbers.
     texts: usize,
+    class: &'static str,
 }
 
 impl Table {
     /// With these heads, of which so many are of text, not numbers.
     pub fn new(caption: impl Into<String>, texts: usize, heads: &[&'static str]) -> Self {
-        Self { caption: caption.into(), heads: heads.to_vec(), rows: String::new(), texts }
+        Self { caption: caption.into(), heads: heads.to_vec(), rows: String::new(), texts, class: "" }
+    }
+
+    /// Whose texts are sentences, and break.
+    pub fn of_prose(self) -> Self {
+        Self { class: " class=\"prose\"", ..self }
     }
 
     /// Adds a row.
@@ -75,8 +81,8 @@ impl Table {
             caption => format!("<caption>{caption}</caption>"),
         };
         format!(
-            "<div class=\"scroll\" tabindex=\"0\"><table>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
-            self.rows
+            "<div class=\"scroll\" tabindex=\"0\"><table{}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
+            self.class, self.rows
         )
     }
 }
@@ -93,7 +99,12 @@ pub fn of(part: u64, whole: u64) -> String {
 
 /// Nanoseconds in microseconds, without the unit; a dash if there is none.
 pub fn us(ns: Option<i64>) -> String {
-    ns.map_or_else(|| "–".into(), |ns| micros(ns).replace('-', "−").replace(' ', "\u{2009}"))
+    let text = |ns| {
+        let text = micros(ns);
+        let is_zero = !text.contains(|c: char| ('1'..='9').contains(&c));
+        text.replace('-', if is_zero { "" } else { "−" }).replace(' ', "\u{2009}")
+    };
+    ns.map_or_else(|| "–".into(), text)
 }
 
 #[cfg(test)]
@@ -119,6 +130,7 @@ mod tests {
 
     #[test]
     fn numbers_do_not_break_and_a_minus_is_one() {
+        assert_eq!((us(Some(-4)), us(Some(-5_001))), ("0.00".into(), "−5.00".into()));
         assert_eq!(
             (count(1_234_567), us(Some(-1_234_567)), us(None)),
             ("1\u{2009}234\u{2009}567".into(), "−1\u{2009}235".into(), "–".into())

@@ -5,12 +5,18 @@
 //!   verdict, the three figures that matter ─► latency plot ─► slots of captured cycles ─► clocks ─► tables ─► host
 //! ```
 
+mod causes;
 mod chart;
+mod gantt;
+mod indicators;
 mod latency;
 mod markup;
 mod scale;
 mod series;
+mod sync;
 mod tables;
+#[cfg(test)]
+mod tests;
 
 use crate::judge::kept::Kept;
 use crate::report::figures::Figures;
@@ -45,8 +51,14 @@ impl Sheet<'_> {
         let body = [
             self.head(),
             latency::html(self, &series),
+            gantt::html(self),
+            sync::html(self, &series),
             tables::stations(self),
             tables::jitter(self),
+            causes::html(self),
+            causes::expected(self),
+            indicators::html(self),
+            causes::told(self),
             tables::host(self),
         ];
         format!(

@@ -16,7 +16,7 @@ impl Linear {
     /// Where a value lies, in per cent; outside of the line, too.
     pub fn percent(self, value: i64) -> f64 {
         let (from, to) = (self.from as f64, self.to as f64);
-        if self.to == self.from { 0.0 } else { (value as f64 - from) / (to - from) * 100.0 }
+        if self.to == self.from { 0.0 } else { (value as f64 - from) / (to - from) * 100.0 + 0.0 }
     }
 
     /// The round values on it, at most `most` steps apart: of 1, 2 or 5 times a power of ten.

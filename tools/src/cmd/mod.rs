@@ -99,7 +99,7 @@ fn all_writable(outputs: &[Option<&PathBuf>], input: Option<&Path>) -> anyhow::R
         );
         ensure!(
             !outputs[..i].iter().any(|other| is_same(path, other)),
-            "{} is written twice: name another file for each of --json, --html and --pcap",
+            "{} is written twice: each output needs a file of its own",
             path.display()
         );
         writable(path)?;

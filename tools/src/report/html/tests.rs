@@ -98,9 +98,9 @@ fn what_is_late_or_missing_is_said_in_words_too() {
     let (_, kept, page) = page(NETWORK);
     let (first, _) = page.split_once("</figure>").unwrap();
     assert!(first.contains("camera, slot 0, is outside, +2"), "the frame that was held up comes first");
-    assert!(first.contains("held up in send for ") && first.contains("class=\"frame late\""));
+    assert!(first.contains(": held up in send, ") && first.contains("class=\"frame late\""));
     assert!(first.contains("class=\"why\"") && first.contains(">+2"), "its lateness is beside it");
-    assert!(page.contains("µs late, skipped (") && page.contains("class=\"slot missing\""));
+    assert!(page.contains("has no frame: skipped, ") && page.contains("class=\"slot missing\""));
     assert!(kept.cycles.faulty >= 3 && kept.cycles.ordinary.is_some());
     let ordinary = page.rsplit("<figure ").next().unwrap();
     assert!(ordinary.starts_with("class=\"cycle\"") && !ordinary.contains("class=\"why\""));

@@ -11,7 +11,7 @@ use super::Sheet;
 use super::markup::{count, escape, section, us};
 use super::scale::Linear;
 use crate::judge::closely::Shown;
-use crate::judge::closely::captures::{FaultKind, OnAir};
+use crate::judge::closely::captures::{Fault, FaultKind, OnAir};
 use crate::judge::findings::{Author, FindingKind};
 
 use rows::{Row, Rows};
@@ -245,7 +245,7 @@ impl<'a> Picture<'a> {
             us(Some(frame.air.nanos()))
         );
         if is_late {
-            let mut what = frame.error.map_or(String::new(), |error| signed(error) + " µs");
+            let mut what = self.wrong_with(frame);
             if let Some(author) = frame.author.filter(|author| author.cycle != captured.cycle) {
                 let _ = write!(what, ", of cycle {}", count(author.cycle.into()));
             } else if frame.at >= self.sheet.scenario.cycle {
@@ -253,6 +253,21 @@ impl<'a> Picture<'a> {
             }
             words.push(Words { row, beside: (x, x + width), what });
         }
+    }
+
+    /// In a word or two.
+    fn wrong_with(&self, frame: &OnAir) -> String {
+        let is_of = |fault: &&Fault| frame.author.is_some_and(|author| fault.is_of(author));
+        let mut its = self.shown.captured.faults.iter().filter(is_of);
+        let is = |kind| move |fault: &Fault| fault.kind == FaultKind::Found(kind);
+        if its.clone().any(is(FindingKind::Repeated)) {
+            return "twice".into();
+        }
+        // It may be where it ought to be, and another one is not.
+        if its.clone().next().is_some() && its.all(is(FindingKind::Overlap)) {
+            return "hit".into();
+        }
+        frame.error.map_or(String::new(), |error| signed(error) + " µs")
     }
 }
 

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::fmt::Write;
 
-use rtnet::discipline::EventKind;
+use rtnet::discipline::{Cause, EventKind};
 
 use super::{ROW, signed};
 use crate::judge::closely::captures::{Captured, Fault, FaultKind};
@@ -14,22 +14,23 @@ use crate::report::html::markup::us;
 pub fn of(captured: &Captured, name: impl Fn(usize) -> String) -> Vec<String> {
     let mut faults: Vec<&Fault> = captured.faults.iter().collect();
     faults.sort_by_key(|fault| (Reverse(fault.rank()), Reverse(fault.span.nanos().abs())));
-    let is_seen = |fault: &&&Fault| matches!(fault.kind, FaultKind::Found(_));
-    let seen: Vec<&Fault> = faults.iter().filter(is_seen).copied().collect();
+    let is_seen = |fault: &&Fault| matches!(fault.kind, FaultKind::Found(_));
     let told_of = |author: Author| faults.iter().copied().filter(move |fault| fault.is_of(author));
-    let in_words = |fault: &&Fault| {
-        let why =
-            fault.authors.iter().flatten().map(|&author| why(told_of(author))).find(|why| !why.is_empty());
-        found(fault, &name) + &why.unwrap_or_default()
-    };
-    let only_told = faults.iter().filter(|fault| {
-        !is_seen(fault) && !fault.authors.iter().flatten().any(|&of| seen.iter().any(|seen| seen.is_of(of)))
-    });
-    let only_told = only_told.filter_map(|fault| {
-        let of = fault.authors[0].map(|of| author(of, &name))?;
-        Some(of + &why([*fault].into_iter()))
-    });
-    let mut all: Vec<String> = seen.iter().map(in_words).chain(only_told).collect();
+    // What a station says of its frame is said once.
+    let mut explained: Vec<Author> = Vec::new();
+    let mut all = Vec::new();
+    for fault in faults.iter().copied().filter(is_seen) {
+        let new: Vec<Author> =
+            fault.authors.iter().flatten().filter(|of| !explained.contains(of)).copied().collect();
+        let why = new.iter().map(|&author| why(told_of(author))).find(|why| !why.is_empty());
+        all.push(found(fault, &name) + &why.unwrap_or_default());
+        explained.extend(new);
+    }
+    for fault in faults.iter().copied().filter(|fault| !is_seen(fault)) {
+        if let Some(of) = fault.authors[0].filter(|of| !explained.contains(of)) {
+            all.push(author(of, &name) + &why([fault].into_iter()));
+        }
+    }
     all.dedup();
     all
 }
@@ -45,7 +46,9 @@ pub fn author(of: Author, name: impl Fn(usize) -> String) -> String {
 /// What its station told of it, and why; nothing, if it told nothing.
 pub fn why<'a>(faults: impl Iterator<Item = &'a Fault>) -> String {
     let Some(fault) = first_told(faults) else { return String::new() };
-    let cause = fault.cause.map(|cause| format!(" ({})", cause.name().replace('_', " "))).unwrap_or_default();
+    // Being held up there is its own cause.
+    let cause = fault.cause.filter(|cause| *cause != Cause::StalledInSend);
+    let cause = cause.map(|cause| format!(" ({})", cause.name().replace('_', " "))).unwrap_or_default();
     format!(": {}{cause}", told(fault))
 }
 
@@ -60,11 +63,11 @@ fn first_told<'a>(mut faults: impl Iterator<Item = &'a Fault>) -> Option<&'a Fau
 
 fn told(fault: &Fault) -> String {
     let FaultKind::Told(kind) = fault.kind else { return String::new() };
-    let by = us(Some(fault.span.nanos())) + " µs";
+    let by = us(Some(fault.span.nanos())) + " µs past the latest begin";
     match kind {
-        EventKind::Overrun | EventKind::SyncSkipped => format!("{by} late, skipped"),
-        EventKind::StalledInSend | EventKind::ReplyStalled => format!("held up in send for {by}"),
-        EventKind::GuardDropped | EventKind::SyncDropped => format!("{by} late, dropped by the guard"),
+        EventKind::Overrun | EventKind::SyncSkipped => format!("skipped, {by}"),
+        EventKind::StalledInSend | EventKind::ReplyStalled => format!("held up in send, {by}"),
+        EventKind::GuardDropped | EventKind::SyncDropped => format!("dropped by the guard, at most {by}"),
         EventKind::SlotSilent => "silent without a sync".into(),
         other => other.name().replace('_', " "),
     }
@@ -95,7 +98,8 @@ impl Words {
 
 /// Where words stand: right of what they are of, or left, if there is no room; not where others do already.
 pub fn place(all: &[Words], letter: f64) -> impl Iterator<Item = (&Words, f64, &'static str)> {
-    let mut taken: Vec<(usize, f64, f64)> = Vec::new();
+    let mut taken: Vec<(usize, f64, f64)> =
+        all.iter().map(|words| (words.row, words.beside.0, words.beside.1)).collect();
     all.iter().filter_map(move |words| {
         let (from, to) = words.beside;
         let width = words.what.chars().count() as f64 * letter + 1.0;
@@ -127,7 +131,6 @@ fn found(fault: &Fault, name: &impl Fn(usize) -> String) -> String {
 
 #[cfg(test)]
 mod tests {
-    use rtnet::discipline::Cause;
     use rtnet::time::Span;
 
     use super::*;
@@ -151,8 +154,8 @@ mod tests {
             of(&captured, |station| format!("s{station}")),
             [
                 "s0, slot 0 and another frame overlap by 0.70 µs",
-                "s1, slot 0, has no frame: 312 µs late, skipped (timer late)",
-                "s2, slot 0: held up in send for 5.00 µs (timer late)",
+                "s1, slot 0, has no frame: skipped, 312 µs past the latest begin (timer late)",
+                "s2, slot 0: held up in send, 5.00 µs past the latest begin (timer late)",
             ]
         );
     }
@@ -160,14 +163,22 @@ mod tests {
     #[test]
     fn words_stand_where_there_is_room_and_never_upon_each_other() {
         let words = |row, from: f64, what: &str| Words { row, beside: (from, from + 1.0), what: what.into() };
+        let long = "0".repeat(60);
         let all = [
-            words(1, 10.0, "0123456789"),
-            words(1, 15.0, "01234"),
-            words(1, 16.0, "01234"),
-            words(2, 16.0, "01234"),
+            words(1, 10.0, "01234"),
+            words(2, 10.0, "01234"),
+            // Right of it something is, and then nothing.
+            words(3, 10.0, "01234"),
+            words(3, 15.0, "01234"),
+            // There is no room for so many.
+            words(1, 43.0, &long),
             words(1, 95.0, "0123456789"),
+            // Right of it those words are by now.
+            words(1, 82.0, "01234"),
         ];
         let placed: Vec<_> = place(&all, 1.0).map(|(words, x, anchor)| (words.row, x, anchor)).collect();
-        assert_eq!(placed, [(1, 11.0, "start"), (2, 17.0, "start"), (1, 95.0, "end")]);
+        let expected = [(1, 11.0, "start"), (2, 11.0, "start"), (3, 10.0, "end"), (3, 16.0, "start")];
+        assert_eq!(placed[..4], expected);
+        assert_eq!(placed[4..], [(1, 95.0, "end"), (1, 82.0, "end")]);
     }
 }

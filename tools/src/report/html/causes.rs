@@ -55,7 +55,8 @@ pub fn expected(sheet: &Sheet<'_>) -> String {
     if note.is_empty() && simulation.expectations.is_empty() {
         return String::new();
     }
-    section("expected", "As expected?", &note, &table.html())
+    let head = if simulation.expectations.is_empty() { "Medium" } else { "As expected?" };
+    section("expected", head, &note, &table.html())
 }
 
 /// What stations refused and told, each once.

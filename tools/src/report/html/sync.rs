@@ -1,5 +1,6 @@
 //! How far the clocks were off over time: the least and the largest error of each bin, a strip per station.
 
+use std::cmp::Reverse;
 use std::fmt::Write;
 
 use super::Sheet;
@@ -11,6 +12,10 @@ use crate::judge::closely::envelope::Envelope;
 /// Height of a strip, in pixels.
 const STRIP: usize = 42;
 const X_STEPS: usize = 6;
+/// Strips at the most; of more stations the worst have one.
+const STRIPS_MAX: usize = 12;
+/// For so many cycles a station may tell nothing of its time, and its strip has no gap.
+const GAP_CYCLES: u64 = 3;
 /// Units in which a strip is drawn.
 const WIDTH: f64 = 1_000.0;
 
@@ -28,6 +33,7 @@ pub fn html(sheet: &Sheet<'_>, series: &Series) -> String {
     let most = min.abs().max(max.abs()).max(1);
     let up = Linear { from: most, to: -most };
     let height = strips.len() * STRIP;
+    let gap = sheet.figures.cycle_ns.saturating_mul(GAP_CYCLES);
 
     let mut area = String::new();
     for at in along.ticks(X_STEPS) {
@@ -54,7 +60,7 @@ pub fn html(sheet: &Sheet<'_>, series: &Series) -> String {
              <path class=\"band {1}\" d=\"{2}\"/></svg>",
             y + STRIP / 2,
             strip.class,
-            strip.path(begin, along, up)
+            strip.path(begin, along, up, gap)
         );
     }
     let labels: String = strips.iter().map(Strip::label).collect();
@@ -93,16 +99,41 @@ fn strips(sheet: &Sheet<'_>, series: &Series) -> Vec<Strip> {
         strips.push(Strip { name, class: Series::OTHERS.into(), envelope });
     }
     strips.retain(|strip| strip.envelope.range().is_some());
+    few(strips)
+}
+
+/// The worst, in their order, and all others together.
+fn few(mut strips: Vec<Strip>) -> Vec<Strip> {
+    let most = |strip: &Strip| strip.envelope.range().map_or(0, |(min, max)| min.abs().max(max.abs()));
+    let mut ranked: Vec<i64> = strips.iter().map(most).collect();
+    ranked.sort_unstable_by_key(|&most| Reverse(most));
+    let Some(&least) = ranked.get(STRIPS_MAX).and(ranked.get(STRIPS_MAX - 1)) else { return strips };
+    let mut others = Strip {
+        name: "all others together".into(),
+        class: Series::OTHERS.into(),
+        envelope: Envelope::default(),
+    };
+    strips.retain(|strip| {
+        let is_worse = strip.class != Series::OTHERS && most(strip) > least;
+        if !is_worse {
+            others.envelope.merge(&strip.envelope);
+        }
+        is_worse
+    });
+    strips.push(others);
     strips
 }
 
 impl Strip {
-    /// A box for each bin.
-    fn path(&self, begin: u64, along: Linear, up: Linear) -> String {
+    /// A box for each bin, as far as the next one, if that is not farther than `gap`.
+    fn path(&self, begin: u64, along: Linear, up: Linear, gap: u64) -> String {
         let x = |at: u64| (along.percent(at.saturating_sub(begin) as i64) / 100.0 * WIDTH).min(WIDTH);
         let y = |value: i64| up.percent(value) / 100.0 * STRIP as f64;
         let mut path = String::new();
-        for (from, to, min, max) in self.envelope.iter() {
+        let mut bins = self.envelope.iter().peekable();
+        while let Some((from, to, min, max)) = bins.next() {
+            let next = bins.peek().map_or(to, |next| next.0);
+            let to = if next - to <= gap { next } else { to };
             let _ = write!(path, "M{:.1} {:.1}H{:.1}V{:.1}H{:.1}Z", x(from), y(max), x(to), y(min), x(from));
         }
         path
@@ -138,9 +169,27 @@ mod tests {
         envelope.note(0, -100);
         envelope.note(3 << 20, 100);
         let strip = Strip { name: "a".into(), class: String::new(), envelope };
-        let path = strip.path(0, Linear { from: 0, to: 4 << 20 }, Linear { from: 100, to: -100 });
-        assert_eq!(path, "M0.0 10.5H250.0V42.0H0.0ZM750.0 0.0H1000.0V0.0H750.0Z");
+        let path = |gap| strip.path(0, Linear { from: 0, to: 4 << 20 }, Linear { from: 100, to: -100 }, gap);
+        assert_eq!(path(1 << 20), "M0.0 10.5H250.0V42.0H0.0ZM750.0 0.0H1000.0V0.0H750.0Z");
+        assert_eq!(path(2 << 20), "M0.0 10.5H750.0V42.0H0.0ZM750.0 0.0H1000.0V0.0H750.0Z");
         assert_eq!(strip.label(), "<li>a<small>−0.10 … +0.10 µs</small></li>");
         assert_eq!((seconds(2_000_000_000), seconds(500_000_000)), ("2".into(), "0.5".into()));
+    }
+
+    #[test]
+    fn of_many_stations_the_worst_have_a_strip() {
+        let strip = |i: i64| {
+            let mut envelope = Envelope::default();
+            envelope.note(0, if i == 7 { -900 } else { i });
+            Strip { name: i.to_string(), class: Series::class(0), envelope }
+        };
+        let names = |n| few((1..=n).map(strip).collect()).into_iter().map(|of| of.name).collect::<Vec<_>>();
+        assert_eq!(names(12).len(), 12);
+        let of_many = names(40);
+        assert_eq!(
+            (of_many.len(), &of_many[0], &of_many[1]),
+            (STRIPS_MAX, &"7".to_owned(), &"31".to_owned())
+        );
+        assert_eq!(of_many[STRIPS_MAX - 1], "all others together");
     }
 }

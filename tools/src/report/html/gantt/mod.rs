@@ -11,7 +11,7 @@ use super::Sheet;
 use super::markup::{count, escape, section, us};
 use super::scale::Linear;
 use crate::judge::closely::Shown;
-use crate::judge::closely::captures::{Fault, FaultKind, OnAir};
+use crate::judge::closely::captures::{Captured, Fault, FaultKind, OnAir};
 use crate::judge::findings::{Author, FindingKind};
 
 use rows::{Row, Rows};
@@ -59,12 +59,14 @@ struct Picture<'a> {
     shown: &'a Shown,
     rows: Rows,
     along: Linear,
+    /// Which two frames were on the air at once, from when to when.
+    clashes: Vec<(usize, usize, Span, Span)>,
 }
 
 impl<'a> Picture<'a> {
     fn new(sheet: &'a Sheet<'a>, shown: &'a Shown) -> Self {
         let along = Linear { from: 0, to: sheet.scenario.cycle.nanos() };
-        Self { sheet, shown, rows: Rows::of(shown), along }
+        Self { sheet, shown, rows: Rows::of(shown), along, clashes: clashes(&shown.captured) }
     }
 
     fn html(&self, words: Option<&str>) -> String {
@@ -75,10 +77,10 @@ impl<'a> Picture<'a> {
             self.rows.all.iter().map(|row| format!("<li>{}</li>", self.label(row))).collect();
         let (mut area, mut words) = (String::new(), Vec::new());
         self.axis(&mut area, height);
-        self.clashes(&mut area, height);
+        self.draw_clashes(&mut area, height);
         self.window(&mut area);
         self.slots(&mut area, &mut words);
-        captured.frames.iter().for_each(|frame| self.frame(&mut area, frame, &mut words));
+        (0..captured.frames.len()).for_each(|place| self.frame(&mut area, place, &mut words));
         words::place(&words, LETTER).for_each(|(words, x, anchor)| words.draw(&mut area, x, anchor));
         let class = if captured.faults.is_empty() { "cycle" } else { "cycle bad" };
         format!(
@@ -134,16 +136,9 @@ impl<'a> Picture<'a> {
     }
 
     /// Where two were on the air at once, across all rows.
-    fn clashes(&self, area: &mut String, height: usize) {
-        let captured = &self.shown.captured;
-        let overlaps = captured.faults.iter().filter(|of| of.kind == FaultKind::Found(FindingKind::Overlap));
-        for fault in overlaps {
-            let second = fault.authors[1];
-            let Some(frame) = captured.frames.iter().find(|frame| second.is_some() && frame.author == second)
-            else {
-                continue;
-            };
-            let (x, width) = (self.percent(frame.at), self.percent(fault.span));
+    fn draw_clashes(&self, area: &mut String, height: usize) {
+        for &(_, _, from, until) in &self.clashes {
+            let (x, width) = (self.percent(from), self.percent(until - from));
             let _ = writeln!(
                 area,
                 "<rect class=\"clash\" x=\"{x:.3}%\" width=\"{width:.3}%\" y=\"0\" height=\"{height}\"/>"
@@ -219,9 +214,11 @@ impl<'a> Picture<'a> {
         (is_missed && !is_there).then(|| format!("no frame{}", words::briefly(its())))
     }
 
-    fn frame(&self, area: &mut String, frame: &OnAir, words: &mut Vec<Words>) {
+    fn frame(&self, area: &mut String, place: usize, words: &mut Vec<Words>) {
         let captured = &self.shown.captured;
-        let is_late = frame.author.is_some_and(|author| {
+        let frame = &captured.frames[place];
+        let is_hit = self.clashes.iter().any(|&(one, other, ..)| [one, other].contains(&place));
+        let is_late = frame.author.map_or(is_hit, |author| {
             author.cycle != captured.cycle || captured.faults.iter().any(|fault| fault.is_of(author))
         });
         let row = match frame.author {
@@ -269,6 +266,24 @@ impl<'a> Picture<'a> {
         }
         frame.error.map_or(String::new(), |error| signed(error) + " µs")
     }
+}
+
+/// By the frames in the order of time; those in two parts of a cut medium do not meet.
+fn clashes(captured: &Captured) -> Vec<(usize, usize, Span, Span)> {
+    let frames = &captured.frames;
+    let overlaps = |frame: &OnAir| {
+        let its = |fault: &&Fault| frame.author.is_some_and(|author| fault.is_of(author));
+        captured.faults.iter().filter(its).any(|fault| fault.kind == FaultKind::Found(FindingKind::Overlap))
+    };
+    let mut clashes = Vec::new();
+    for (one, first) in frames.iter().enumerate() {
+        let until = first.at + first.air;
+        let meet = frames.iter().enumerate().skip(one + 1).take_while(|(_, other)| other.at < until);
+        for (other, second) in meet.filter(|(_, second)| overlaps(first) || overlaps(second)) {
+            clashes.push((one, other, second.at, until.min(second.at + second.air)));
+        }
+    }
+    clashes
 }
 
 /// Lateness with its sign.

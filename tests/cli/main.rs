@@ -12,6 +12,7 @@ mod cell;
 mod changes;
 mod examples;
 mod host;
+mod html;
 mod interface;
 mod lab;
 mod live;

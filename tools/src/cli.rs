@@ -20,7 +20,8 @@ use crate::scenario::{DelayName, DelayPolicy, ServoName, SlotGuard};
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 pub use lab::{
-    DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
+    DEFAULT_LAB, LabDownArgs, LabExecArgs, LabMeasureArgs, LabRestartArgs, LabRunArgs, LabStatusArgs,
+    LabUpArgs, LabVerb,
 };
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
 pub use min_cycle::MinCycleArgs;

@@ -43,6 +43,10 @@ pub enum EventKind {
     ReplyFailed,
     /// A slot's turn carried no data, since the delay is measured anew in it.
     CalibrationTurn,
+    /// A slot's turn carried no data, but the answer to a schedule that is proposed.
+    AnswerTurn,
+    /// Another schedule is in use from this cycle on; the span is its number.
+    ScheduleSwitched,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
     /// The kernel guard dropped a Synchronisation that came too late, by so much or less: its cycle has none.
@@ -79,7 +83,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 28] = [
+    pub const ALL: [EventKind; 30] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -92,6 +96,8 @@ impl EventKind {
         EventKind::SendFailed,
         EventKind::ReplyFailed,
         EventKind::CalibrationTurn,
+        EventKind::AnswerTurn,
+        EventKind::ScheduleSwitched,
         EventKind::SyncSkipped,
         EventKind::SyncDropped,
         EventKind::TimeStep,
@@ -123,6 +129,7 @@ impl EventKind {
                 | TurnLeft
                 | SlotEmpty
                 | CalibrationTurn
+                | AnswerTurn
                 | SendFailed
                 | ReplyFailed
                 | SyncSkipped
@@ -140,6 +147,7 @@ impl EventKind {
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::CalibrationTurn => Some(Cause::Calibrating),
+            EventKind::AnswerTurn => Some(Cause::Answering),
             EventKind::SendFailed | EventKind::ReplyFailed => Some(Cause::Refused),
             _ => None,
         }
@@ -160,6 +168,8 @@ impl EventKind {
             EventKind::SendFailed => "send_failed",
             EventKind::ReplyFailed => "reply_failed",
             EventKind::CalibrationTurn => "calibration_turn",
+            EventKind::AnswerTurn => "answer_turn",
+            EventKind::ScheduleSwitched => "schedule_switched",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::SyncDropped => "sync_dropped",
             EventKind::TimeStep => "time_step",
@@ -195,19 +205,22 @@ pub enum Cause {
     QueueEmpty,
     /// The delay was measured in it, as was asked for.
     Calibrating,
+    /// It carried the answer to a schedule that is proposed.
+    Answering,
     /// The kernel did not take the frame.
     Refused,
 }
 
 impl Cause {
     /// Every cause.
-    pub const ALL: [Cause; 7] = [
+    pub const ALL: [Cause; 8] = [
         Cause::TimerLate,
         Cause::Preempted,
         Cause::StalledInSend,
         Cause::NoSync,
         Cause::QueueEmpty,
         Cause::Calibrating,
+        Cause::Answering,
         Cause::Refused,
     ];
 
@@ -220,6 +233,7 @@ impl Cause {
             Cause::NoSync => "sync_lost_or_late",
             Cause::QueueEmpty => "queue_empty",
             Cause::Calibrating => "calibrating",
+            Cause::Answering => "answering",
             Cause::Refused => "refused",
         }
     }

@@ -2,6 +2,7 @@
 //! file; one form for labs and simulations.
 
 mod acts;
+mod change;
 mod clashes;
 mod conditions;
 mod expectation;

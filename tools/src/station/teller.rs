@@ -131,7 +131,10 @@ impl Person {
         for record in records {
             let Record::Event(event, _) = record else { continue };
             match event.kind {
-                EventKind::SlotSilent | EventKind::TurnLeft | EventKind::CalibrationTurn => {}
+                EventKind::SlotSilent
+                | EventKind::TurnLeft
+                | EventKind::CalibrationTurn
+                | EventKind::AnswerTurn => {}
                 EventKind::SendFailed | EventKind::ReplyFailed => {
                     failed = true;
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);
@@ -208,6 +211,7 @@ fn event_line(event: &Event) -> String {
                 "{name}: {slot} has a queue of its own now, since the slot that it was joined to has grown"
             )
         }
+        EventKind::ScheduleSwitched => format!("{name}: schedule {} is in use", event.span.nanos()),
         _ => format!("{name} ({})", event.span),
     }
 }

@@ -1,0 +1,4 @@
+//! Rings of the token discipline, one situation per file.
+
+mod holder_dies;
+mod lost;

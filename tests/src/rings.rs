@@ -172,6 +172,11 @@ impl Rings {
         self.network.member(id).station.discipline().status().counters
     }
 
+    /// Who takes part, as a station knows.
+    pub fn present(&self, id: usize) -> u64 {
+        self.network.member(id).station.discipline().status().present
+    }
+
     /// The sum of something that all stations count.
     pub fn sum(&self, of: impl Fn(&rtmac::token::Counters) -> u64) -> u64 {
         (0..self.config.stations.len()).map(|id| of(&self.counters(id))).sum()

@@ -80,21 +80,21 @@ mod tests {
     fn the_sums_are_those_of_the_specification() {
         let ring = usual();
         let ns = Span::from_nanos;
-        assert_eq!(ring.visit(), ns(6_720 + 500_000 + 500_000));
-        assert_eq!(ring.time_out(), ns(1_206_720 + 603 + 1));
-        assert_eq!(rotation_bound(&ring, 4, 0), ns(4 * 1_106_720));
-        assert_eq!(rotation_bound(&ring, 3, 1), ns(3 * 1_106_720 + 1_207_324 + 500_000));
+        assert_eq!(ring.visit(), ns(6_720 + 500_000 + 2 * 500_000));
+        assert_eq!(ring.time_out(), ns(1_706_720 + 853 + 1));
+        assert_eq!(rotation_bound(&ring, 4, 0), ns(4 * 1_606_720));
+        assert_eq!(rotation_bound(&ring, 3, 1), ns(3 * 1_606_720 + 1_707_574 + 500_000));
         let air = 123_040;
-        assert_eq!(access_delay_bound(&ring, 4, 0), ns(air + 600_000 + 3 * 1_106_720 + 6_720 + 500_000));
+        assert_eq!(access_delay_bound(&ring, 4, 0), ns(air + 600_000 + 3 * 1_606_720 + 6_720 + 500_000));
         assert_eq!(access_delay_bound(&ring, 1, 0), ns(air + 600_000 + 6_720 + 500_000));
-        let silence = 3 * 1_707_324 + 2_560 + 1;
+        let silence = 3 * 2_207_574 + 3_311 + 1;
         let step = 700_000 + silence / 2_000;
         let claimed = 100_000 + silence + 3 * step + 500_000 + 700_000 + 500_000 + 6_720 + 500_000;
         assert_eq!(recovery_bound(&ring, 1, 0), ns(claimed));
-        assert_eq!(recovery_bound(&ring, 1, 2), ns(claimed + 2 * 1_707_324));
-        let skipped = 20 * 1_707_324 + 100_000 + 506_720;
+        assert_eq!(recovery_bound(&ring, 1, 2), ns(claimed + 2 * 2_207_574));
+        let skipped = 20 * 2_207_574 + 100_000 + 506_720;
         assert_eq!(recovery_bound(&ring, 10, 0), ns(skipped));
-        assert_eq!(doubling_bound(&ring, 0), ns(1_707_324 + 100_000 + 500_000 + air));
+        assert_eq!(doubling_bound(&ring, 0), ns(2_207_574 + 100_000 + 500_000 + air));
         assert_eq!(rejoin_bound(&ring, 3, 1), rotation_bound(&ring, 4, 1) * 18);
     }
 }

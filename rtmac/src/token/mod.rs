@@ -141,7 +141,7 @@ impl Token {
     /// The most urgent frame, if it is still for this visit.
     fn next_data(&mut self, now: Instant) -> Option<Transmission> {
         let config = self.rotation.ring().config();
-        let (rate, hold, ends) = (config.rate, config.hold, config.visit());
+        let (rate, hold, ends) = (config.rate, config.hold, config.data());
         let visit = self.rotation.visit_mut()?;
         let (priority, frame) = self.queue.pop()?;
         let air = rate.air_time(frame.len());
@@ -172,17 +172,17 @@ impl Token {
             Sent::At(at) => (Some(at), None),
             Sent::StalledUntil(at) => {
                 self.counters.stalled_in_send += 1;
-                self.note(EventKind::StalledInSend, self.beyond(at + air));
+                self.note(EventKind::StalledInSend, self.too_late(at, air));
                 (Some(at), None)
             }
             Sent::Late(at, frame) => {
                 self.counters.overruns += 1;
-                self.note(EventKind::Overrun, self.beyond(at + air));
+                self.note(EventKind::Overrun, self.too_late(at, air));
                 (None, Some(frame))
             }
             Sent::Guarded(at, frame) => {
                 self.counters.guard_drops += 1;
-                self.note(EventKind::GuardDropped, self.beyond(at + air));
+                self.note(EventKind::GuardDropped, self.too_late(at, air));
                 (None, Some(frame))
             }
             Sent::Failed(errno, frame) => {
@@ -245,6 +245,12 @@ impl Token {
     fn beyond(&self, at: Instant) -> Span {
         let Place::Holding(visit) = self.rotation.place() else { return Span::ZERO };
         at - (visit.since + self.rotation.ring().config().visit())
+    }
+
+    /// How much later than it may be a frame of data is.
+    fn too_late(&self, at: Instant, air: Span) -> Span {
+        let config = self.rotation.ring().config();
+        self.beyond(at + air) + (config.visit() - config.data())
     }
 
     fn note(&mut self, kind: EventKind, span: Span) {

@@ -2,11 +2,13 @@
 //!
 //! ```text
 //! a visit, from when the token was stamped on arrival:
-//! |< gap >|<------------- hold ------------->|< late >|
-//!         data, back to back                          the token is passed on no later than here; after that
-//!                                                     instant the station has lost it, and sends nothing
-//! |<----------------- visit ------------------------->|< delay >|   so long after its arrival here, and another delay
-//!                                                                    before, who passed it on has heard of it
+//! |< gap >|<--------- hold --------->|<- late ->|<- late ->|
+//!         data, back to back: it is over here at the latest
+//!                                               the token is passed on no later than here; behind that instant the
+//!                                               station has lost it, and sends nothing
+//! |<----------------------- visit ------------------------>|
+//!
+//! |< delay >|<-------------- visit --------------->|< delay >|    after so long who passed it on has heard of it
 //! ```
 
 use rtnet::time::Span;
@@ -35,7 +37,7 @@ pub struct RingConfig {
     pub hold: Span,
     /// How long each keeps it at the least, so that an idle ring does not take all of the hosts' time.
     pub rest: Span,
-    /// How late a host may be and still make use of the token.
+    /// How late a host may be, each time that it is to do something, and still make use of the token.
     pub late: Span,
     /// From a station's last look at its clock before it sends a token to the stamp that another's host gives it, at the most.
     pub delay: Span,
@@ -150,9 +152,14 @@ impl RingConfig {
         self.rate.air_time(MIN_FRAME)
     }
 
+    /// From a token's arrival to when the last frame of data is over, at the latest.
+    pub fn data(&self) -> Span {
+        self.gap() + self.hold + self.late
+    }
+
     /// From a token's arrival to when it is passed on at the latest, or lost.
     pub fn visit(&self) -> Span {
-        self.gap() + self.hold + self.late
+        self.data() + self.late
     }
 
     /// Who has passed the token on, and has heard nothing of it for so long, does not wait any longer.

@@ -84,9 +84,5 @@ fn a_station_whose_token_is_lost_twice_is_skipped_and_invited_back() {
     assert_eq!((ring.counters(0).skips, ring.sum(|c| c.skips), ring.sum(|c| c.claims)), (1, 1, 1));
     assert!(clashes(&ring.aired()).is_empty());
     assert_eq!(ring.sum(|c| c.invitations), 1);
-    let present = |id| {
-        use rtnet::discipline::Discipline;
-        ring.network.member(id).station.discipline().status().present
-    };
-    assert_eq!([0, 1, 2, 3].map(present), [0b1111; 4], "it is back");
+    assert_eq!([0, 1, 2, 3].map(|id| ring.present(id)), [0b1111; 4], "it is back");
 }

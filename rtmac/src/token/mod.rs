@@ -56,8 +56,7 @@ pub struct Token {
     rotation: Rotation,
     queue: PriorityQueue,
     pending: Option<Pending>,
-    /// Whether services were asked since the loop has waited.
-    was_asked: bool,
+    asking: Asking,
     pool: Pool,
     events: ArrayVec<Event, EVENTS>,
     /// When time was last told of.
@@ -66,6 +65,16 @@ pub struct Token {
     came: Option<Instant>,
     rounds: Rounds,
     counters: Counters,
+}
+
+/// Services are asked when the token comes, and once more each time that the loop has waited while it is here.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Asking {
+    /// The loop is about to wait.
+    Waits,
+    /// It has woken, or the token has come.
+    Due,
+    Done,
 }
 
 /// What is being sent.
@@ -89,7 +98,7 @@ impl Token {
             rotation: Rotation::new(ring),
             queue: PriorityQueue::new(),
             pending: None,
-            was_asked: false,
+            asking: Asking::Waits,
             pool: Pool::new(POOL),
             events: ArrayVec::new(),
             looked: Instant::default(),
@@ -132,7 +141,7 @@ impl Token {
         if before == Some(now) {
             return;
         }
-        self.was_asked = false;
+        self.asking = Asking::Due;
         rounds.visits = rounds.visits.wrapping_add(1);
         rounds.last = before.map(|before| now - before);
         rounds.longest = rounds.longest.max(rounds.last);
@@ -215,6 +224,7 @@ impl Token {
                 return self.rotation.failed(self.looked);
             }
         };
+        let skipped = self.rotation.waits_for();
         self.rotation.sent(act, message, at);
         let (count, kind) = match act {
             Act::Pass => (&mut self.counters.passes, None),
@@ -224,7 +234,9 @@ impl Token {
             Act::Claim => (&mut self.counters.claims, Some(EventKind::TokenClaimed)),
         };
         *count += 1;
-        kind.into_iter().for_each(|kind| self.note(kind, Span::ZERO));
+        // A skipped one is the last that was waited for.
+        let slot = skipped.filter(|_| act == Act::Skip);
+        kind.into_iter().for_each(|kind| self.note_of(slot, kind, Span::ZERO));
         self.welcome();
     }
 
@@ -254,7 +266,12 @@ impl Token {
     }
 
     fn note(&mut self, kind: EventKind, span: Span) {
-        let event = Event { cycle: self.rounds.visits, kind, slot: None, span };
+        self.note_of(None, kind, span);
+    }
+
+    /// Something of a station of the ring, by its place.
+    fn note_of(&mut self, slot: Option<u8>, kind: EventKind, span: Span) {
+        let event = Event { cycle: self.rounds.visits, kind, slot, span };
         self.counters.events_lost += u64::from(self.events.try_push(event).is_err());
     }
 }
@@ -283,15 +300,17 @@ impl Discipline for Token {
             self.note(EventKind::TokenOverdue, late);
         }
         self.welcome();
+        if self.asking == Asking::Waits {
+            self.asking = Asking::Due;
+        }
     }
 
     /// Each time that it is awake while the token is here.
     fn opportunity(&mut self, now: Instant) -> Option<Opportunity> {
-        if !matches!(self.rotation.place(), Place::Holding(_))
-            || core::mem::replace(&mut self.was_asked, true)
-        {
+        if !matches!(self.rotation.place(), Place::Holding(_)) || self.asking != Asking::Due {
             return None;
         }
+        self.asking = Asking::Done;
         // There is no time but its own.
         let scheduled = GlobalTime::from_nanos(now.nanos());
         let non_rt = Some(ethernet::MTU);
@@ -301,7 +320,9 @@ impl Discipline for Token {
     fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
         self.looked = now;
         let next = self.next_data(now).or_else(|| self.next_token(now));
-        self.was_asked &= next.is_some();
+        if next.is_none() && self.asking == Asking::Done {
+            self.asking = Asking::Waits;
+        }
         next
     }
 

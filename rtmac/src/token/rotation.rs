@@ -125,6 +125,14 @@ impl Rotation {
         self.present
     }
 
+    /// Who has shown no sign of the token that it was sent.
+    pub fn waits_for(&self) -> Option<u8> {
+        match &self.place {
+            Place::Passed(passed) => Some(passed.token.to),
+            _ => None,
+        }
+    }
+
     pub fn visit_mut(&mut self) -> Option<&mut Visit> {
         match &mut self.place {
             Place::Holding(visit) => Some(visit),

@@ -10,7 +10,7 @@ pub struct Event {
     pub cycle: u32,
     /// What it was.
     pub kind: EventKind,
-    /// In which of the station's slots, if it was in one.
+    /// In which of the station's slots, if it was in one; of a ring, which station, if it is about one.
     pub slot: Option<Channel>,
     /// How much: lateness, size of a step, measured delay.
     pub span: Span,

@@ -8,3 +8,4 @@ mod held_up;
 mod holder_dies;
 mod lost;
 mod parted;
+mod rests;

@@ -27,6 +27,7 @@ mod programs;
 mod proxy;
 mod requests;
 mod rights;
+mod ring;
 mod silent;
 mod socket_options;
 mod sockets;

@@ -20,6 +20,7 @@ pub mod slot;
 pub mod stat;
 pub mod station;
 pub mod tdma;
+pub mod token;
 pub mod vnic;
 mod waits;
 

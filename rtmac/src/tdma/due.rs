@@ -26,7 +26,6 @@ impl Tdma {
             }
             None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
                 Purpose::Request => Job::Request(turn),
-                Purpose::Data if self.answer_in(&turn).is_some() => Job::Answer(turn),
                 Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
             }),
         };
@@ -48,7 +47,7 @@ impl Tdma {
                     latest: reply.at + config.reply_latest,
                 });
                 // Replies and slots of one cycle come after its Synchronisation, which begins it.
-                sync.into_iter().chain(self.part_job()).chain(reply).chain(turns()).min_by_key(Job::at)
+                sync.into_iter().chain(reply).chain(turns()).min_by_key(Job::at)
             }
         }
     }
@@ -91,7 +90,7 @@ impl Tdma {
             } else {
                 return Some(job);
             }
-            self.pass(&job, now);
+            self.pass(&job);
             self.put_off(&job);
         }
         None
@@ -99,7 +98,6 @@ impl Tdma {
 
     /// What else was slept through before this cycle is counted, and not told of one by one.
     fn leave_out(&mut self, now: Instant) {
-        self.leave_out_a_switch(now);
         let cycle = self.cycle_at(now);
         let turns = self.slots.jump(cycle);
         if !self.calibrates() {
@@ -107,18 +105,6 @@ impl Tdma {
         }
         if let Role::Master(master) = &mut self.role {
             self.counters.syncs_skipped += master.jump(cycle);
-        }
-    }
-
-    /// Who slept through the begin of another schedule begins it when it was: what comes after is on its cycles.
-    fn leave_out_a_switch(&mut self, now: Instant) {
-        let Some(from) = self.change.as_ref().and_then(|change| change.sealed_for()) else { return };
-        if (self.cycle_at(now).wrapping_sub(from) as i32) < 0 {
-            return;
-        }
-        if let Role::Master(master) = &mut self.role {
-            self.counters.syncs_skipped += master.jump(from);
-            self.begin_cycle(from, now);
         }
     }
 
@@ -203,13 +189,8 @@ impl Tdma {
     }
 
     fn may_do(&self, job: &Job) -> bool {
-        if let Job::Request(turn) | Job::Data(turn) | Job::Answer(turn) = job
-            && !self.schedule_allows(turn.cycle)
-        {
-            return false;
-        }
         match (self.follower(), job) {
-            (Some(slave), Job::Request(turn) | Job::Data(turn) | Job::Answer(turn)) => {
+            (Some(slave), Job::Request(turn) | Job::Data(turn)) => {
                 let fits = slave.line().is_some_and(|line| {
                     self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period)
                 });
@@ -220,19 +201,10 @@ impl Tdma {
     }
 
     /// The job's time is over, whether it was done or not.
-    pub(super) fn pass(&mut self, job: &Job, now: Instant) {
+    pub(super) fn pass(&mut self, job: &Job) {
         let calibrates = self.calibrates();
-        if let (Some(turn), Some(change)) = (job.turn(), &mut self.change)
-            && self.slots.first().is_some_and(|first| first.id == turn.id)
-        {
-            change.turn_is_over();
-        }
         match (job, &mut self.role) {
-            (&Job::Sync { cycle, .. }, Role::Master(master)) => {
-                master.advance();
-                self.begin_cycle(cycle, now);
-            }
-            (Job::Part { .. }, _) => self.part_in = None,
+            (Job::Sync { .. }, Role::Master(master)) => master.advance(),
             (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
             // The next one is for the reply: it is left free even if there was no request, for one that was put off. Who
             // measures anew tells of such a turn when it comes.
@@ -242,7 +214,7 @@ impl Tdma {
                 self.calibrates_in(&Job::Data(replys));
                 self.slots.pass_until(turn.id, replys.cycle.wrapping_add(1));
             }
-            (Job::Request(turn) | Job::Data(turn) | Job::Answer(turn), _) => self.slots.pass(turn),
+            (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
             _ => {}
         }
     }
@@ -267,12 +239,7 @@ impl Tdma {
                 self.counters.replies_late += 1;
                 EventKind::Overrun
             }
-            // The next one brings another.
-            Job::Part { .. } => {
-                self.counters.parts_late += 1;
-                return;
-            }
-            Job::Request(_) | Job::Data(_) | Job::Answer(_) => {
+            Job::Request(_) | Job::Data(_) => {
                 self.counters.overruns += 1;
                 EventKind::Overrun
             }

@@ -1,16 +1,13 @@
 //! The frames of jobs: what they carry, and what is counted once they have left.
 
-use rtnet::buf::Buf;
 use rtnet::discipline::{Discipline, EventKind, Stamp, Transmission};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::job::{Job, Pending};
-use super::slot::Turn;
 use super::{Role, Tdma};
 use crate::wire::Message;
-use crate::wire::change::Extension;
 
 impl Tdma {
     /// Builds the frame of a job that is due; `None` when there is nothing to send after all.
@@ -27,21 +24,10 @@ impl Tdma {
                 let stamp = frame.blank().and_then(|_| Stamp::of(&frame, &self.time(), job.at()));
                 (frame, stamp, priority)
             }
-            Job::Answer(turn) => (self.answer_frame(&turn)?, None, Priority::FIRST),
-            Job::Part { cycle, .. } => {
-                let part = self.change.as_ref()?.part_for(cycle)?;
-                let mut frame = self.pool.take()?;
-                Extension::Part(part).write(Address::BROADCAST, self.address, &mut frame);
-                (frame, None, Priority::FIRST)
-            }
             control => {
                 let (message, to, add) = self.control_message(control)?;
                 let mut frame = self.pool.take()?;
                 message.write(to, self.address, &mut frame);
-                let others = self.knows_of_others();
-                if let (Job::Sync { cycle, .. }, Some(change)) = (control, &mut self.change) {
-                    change.say(cycle, others).write(&mut frame);
-                }
                 (frame, Some(message.stamp(add)), Priority::FIRST)
             }
         };
@@ -80,19 +66,6 @@ impl Tdma {
         }
     }
 
-    /// What this station says to a schedule, for its turn, which carries no data then.
-    fn answer_frame(&mut self, turn: &Turn) -> Option<Buf> {
-        let answer = self.answer_in(turn)?;
-        let master = self.follower()?.master();
-        let mut frame = self.pool.take()?;
-        Extension::Answer(answer).write(master, self.address, &mut frame);
-        if let Some(change) = &mut self.change {
-            change.answers(&answer);
-        }
-        self.events.note_job(&Job::Answer(*turn), EventKind::AnswerTurn, Span::ZERO);
-        Some(frame)
-    }
-
     /// A job's frame has left, with this stamp unless it was held up.
     pub(super) fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
         match (job, &mut self.role) {
@@ -101,23 +74,8 @@ impl Tdma {
                 if let Role::Master(master) = role {
                     master.sent(*cycle, stamped.is_some(), &mut self.events);
                 }
-                if let Some(change) = &mut self.change {
-                    change.spoke(*cycle);
-                    let part = change.part_for(*cycle);
-                    self.part_in = part.map(|_| (*cycle, job.at() + change.behind));
-                }
             }
             (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
-            (Job::Part { .. }, _) => {
-                if let Some(change) = &mut self.change {
-                    change.parts_sent += 1;
-                }
-            }
-            (Job::Answer(_), _) => {
-                if let Some(change) = &mut self.change {
-                    change.answers_sent += 1;
-                }
-            }
             (Job::Data(turn), _) => {
                 self.counters.frames_sent += 1;
                 self.slots.count_sent(turn.id);

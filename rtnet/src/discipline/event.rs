@@ -43,10 +43,6 @@ pub enum EventKind {
     ReplyFailed,
     /// A slot's turn carried no data, since the delay is measured anew in it.
     CalibrationTurn,
-    /// A slot's turn carried no data, but the answer to a schedule that is proposed.
-    AnswerTurn,
-    /// Another schedule is in use from this cycle on; the span is its number.
-    ScheduleSwitched,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
     /// The kernel guard dropped a Synchronisation that came too late, by so much or less: its cycle has none.
@@ -93,7 +89,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 35] = [
+    pub const ALL: [EventKind; 33] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -106,8 +102,6 @@ impl EventKind {
         EventKind::SendFailed,
         EventKind::ReplyFailed,
         EventKind::CalibrationTurn,
-        EventKind::AnswerTurn,
-        EventKind::ScheduleSwitched,
         EventKind::SyncSkipped,
         EventKind::SyncDropped,
         EventKind::TimeStep,
@@ -144,7 +138,6 @@ impl EventKind {
                 | TurnLeft
                 | SlotEmpty
                 | CalibrationTurn
-                | AnswerTurn
                 | SendFailed
                 | ReplyFailed
                 | SyncSkipped
@@ -162,7 +155,6 @@ impl EventKind {
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::CalibrationTurn => Some(Cause::Calibrating),
-            EventKind::AnswerTurn => Some(Cause::Answering),
             EventKind::SendFailed | EventKind::ReplyFailed => Some(Cause::Refused),
             _ => None,
         }
@@ -183,8 +175,6 @@ impl EventKind {
             EventKind::SendFailed => "send_failed",
             EventKind::ReplyFailed => "reply_failed",
             EventKind::CalibrationTurn => "calibration_turn",
-            EventKind::AnswerTurn => "answer_turn",
-            EventKind::ScheduleSwitched => "schedule_switched",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::SyncDropped => "sync_dropped",
             EventKind::TimeStep => "time_step",
@@ -225,22 +215,19 @@ pub enum Cause {
     QueueEmpty,
     /// The delay was measured in it, as was asked for.
     Calibrating,
-    /// It carried the answer to a schedule that is proposed.
-    Answering,
     /// The kernel did not take the frame.
     Refused,
 }
 
 impl Cause {
     /// Every cause.
-    pub const ALL: [Cause; 8] = [
+    pub const ALL: [Cause; 7] = [
         Cause::TimerLate,
         Cause::Preempted,
         Cause::StalledInSend,
         Cause::NoSync,
         Cause::QueueEmpty,
         Cause::Calibrating,
-        Cause::Answering,
         Cause::Refused,
     ];
 
@@ -253,7 +240,6 @@ impl Cause {
             Cause::NoSync => "sync_lost_or_late",
             Cause::QueueEmpty => "queue_empty",
             Cause::Calibrating => "calibrating",
-            Cause::Answering => "answering",
             Cause::Refused => "refused",
         }
     }

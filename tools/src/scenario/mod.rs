@@ -2,7 +2,6 @@
 //! file; one form for labs and simulations.
 
 mod acts;
-mod change;
 mod clashes;
 mod conditions;
 mod expectation;

@@ -133,10 +133,7 @@ impl Person {
         for record in records {
             let Record::Event(event, _) = record else { continue };
             match event.kind {
-                EventKind::SlotSilent
-                | EventKind::TurnLeft
-                | EventKind::CalibrationTurn
-                | EventKind::AnswerTurn => {}
+                EventKind::SlotSilent | EventKind::TurnLeft | EventKind::CalibrationTurn => {}
                 EventKind::SendFailed | EventKind::ReplyFailed => {
                     failed = true;
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);
@@ -240,7 +237,6 @@ fn event_line(event: &Event) -> String {
                 "{name}: {slot} has a queue of its own now, since the slot that it was joined to has grown"
             )
         }
-        EventKind::ScheduleSwitched => format!("{name}: schedule {} is in use", event.span.nanos()),
         EventKind::TokenRepeated => {
             format!("{name}: the next station showed no sign of the token: it was sent once more")
         }

@@ -17,6 +17,8 @@ struct Model {
     stations: Vec<(Address, Change, u32)>,
     /// Dead, or stopped until that cycle.
     gone: Vec<Option<u32>>,
+    /// Who hears nothing until that cycle, after it was stopped.
+    deaf: Vec<u32>,
     cycle: u32,
     random: u64,
     loss: u64,
@@ -27,8 +29,8 @@ impl Model {
         let all: Vec<Address> = (1..=stations).map(|n| Address([2, 0, 0, 0, 0, n])).collect();
         let config = config(&all[..MASTERS], &all);
         let of = |&address: &Address| (address, Change::new(&config, 7), 0);
-        let gone = vec![None; all.len()];
-        Model { stations: all.iter().map(of).collect(), gone, cycle: 0, random: seed | 1, loss }
+        let (gone, deaf) = (vec![None; all.len()], vec![0; all.len()]);
+        Model { stations: all.iter().map(of).collect(), gone, deaf, cycle: 0, random: seed | 1, loss }
     }
 
     /// Percent.
@@ -66,7 +68,7 @@ impl Model {
             self.stations[speaker].2 = cycle;
             let part = self.stations[speaker].1.part_for(cycle);
             for id in (0..self.stations.len()).filter(|&id| id != speaker) {
-                if self.is_gone(id) || self.chance(self.loss) {
+                if self.is_gone(id) || self.cycle < self.deaf[id] || self.chance(self.loss) {
                     continue;
                 }
                 heard[id] = true;
@@ -120,22 +122,22 @@ fn slot_of_first() -> SlotConfig {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 2_000, ..ProptestConfig::default() })]
 
     #[test]
     fn never_are_two_schedules_in_use_and_all_agree_in_the_end(
         seed: u64,
         loss in 0u64..25,
-        stalls in prop::collection::vec((0usize..5, 0u32..400, 1u32..120), 0..6),
+        stalls in prop::collection::vec((0usize..5, 0u32..400, 1u32..120, 0u32..10), 0..6),
         proposals in prop::collection::vec(1u32..300, 1..4),
         dies in prop::option::of((0usize..2, 0u32..400)),
     ) {
         let mut model = Model::new(5, loss, seed);
         let mut used = BTreeSet::new();
         for step in 0..700u32 {
-            for &(id, at, long) in stalls.iter().filter(|stall| stall.1 == step) {
-                let _ = at;
+            for &(id, _, long, deaf) in stalls.iter().filter(|stall| stall.1 == step) {
                 model.gone[id] = Some(model.gone[id].unwrap_or(0).max(model.cycle + long));
+                model.deaf[id] = model.gone[id].unwrap_or(0).saturating_add(deaf);
             }
             if let Some((id, _)) = dies.filter(|dies| dies.1 == step) {
                 model.gone[id] = Some(u32::MAX);

@@ -26,6 +26,7 @@ mod programs;
 mod proxy;
 mod requests;
 mod rights;
+mod schedule;
 mod silent;
 mod socket_options;
 mod sockets;

@@ -26,7 +26,7 @@ impl Tdma {
             }
             None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
                 Purpose::Request => Job::Request(turn),
-                Purpose::Data if self.answer_in(&turn).is_some() => Job::Answer(turn),
+                Purpose::Data if self.said_in(&turn).is_some() => Job::Answer(turn),
                 Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
             }),
         };
@@ -83,9 +83,12 @@ impl Tdma {
             if is_late && !is_left {
                 self.missed(&job, now - job.latest());
             } else if !is_late && !self.may_do(&job) {
-                self.silent = Some((job.cycle(), job.at()));
+                let kind = self.silent_by(&job);
+                if kind == EventKind::SlotSilent {
+                    self.silent = Some((job.cycle(), job.at()));
+                }
                 self.counters.slots_silent += 1;
-                self.events.note_job(&job, EventKind::SlotSilent, Span::ZERO);
+                self.events.note_job(&job, kind, Span::ZERO);
             } else if is_left {
                 self.calibrates_in(&job);
             } else {
@@ -202,12 +205,16 @@ impl Tdma {
         }
     }
 
+    /// Whether a turn that must not be used is so for want of a Synchronisation, or of a schedule.
+    fn silent_by(&self, job: &Job) -> EventKind {
+        if self.may_follow(job) { EventKind::ScheduleUnsure } else { EventKind::SlotSilent }
+    }
+
     fn may_do(&self, job: &Job) -> bool {
-        if let Job::Request(turn) | Job::Data(turn) | Job::Answer(turn) = job
-            && !self.schedule_allows(turn.cycle)
-        {
-            return false;
-        }
+        job.turn().is_none_or(|turn| self.schedule_allows(turn.cycle)) && self.may_follow(job)
+    }
+
+    fn may_follow(&self, job: &Job) -> bool {
         match (self.follower(), job) {
             (Some(slave), Job::Request(turn) | Job::Data(turn) | Job::Answer(turn)) => {
                 let fits = slave.line().is_some_and(|line| {
@@ -270,6 +277,7 @@ impl Tdma {
             // The next one brings another.
             Job::Part { .. } => {
                 self.counters.parts_late += 1;
+                self.change.iter_mut().for_each(|change| change.part_is_owed());
                 return;
             }
             Job::Request(_) | Job::Data(_) | Job::Answer(_) => {

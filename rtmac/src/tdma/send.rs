@@ -80,14 +80,16 @@ impl Tdma {
         }
     }
 
-    /// What this station says to a schedule, for its turn, which carries no data then.
+    /// What this station says to a schedule, or of one, for its turn, which carries no data then.
     fn answer_frame(&mut self, turn: &Turn) -> Option<Buf> {
-        let answer = self.answer_in(turn)?;
-        let master = self.follower()?.master();
+        let said = self.said_in(turn)?;
+        let to = self.follower().map_or(Address::BROADCAST, |follower| follower.master());
         let mut frame = self.pool.take()?;
-        Extension::Answer(answer).write(master, self.address, &mut frame);
-        if let Some(change) = &mut self.change {
-            change.answers(&answer);
+        said.write(to, self.address, &mut frame);
+        let change = self.change.as_mut()?;
+        match &said {
+            Extension::Answer(answer) => change.answers(answer),
+            Extension::Part(_) => change.part_is_sent(),
         }
         self.events.note_job(&Job::Answer(*turn), EventKind::AnswerTurn, Span::ZERO);
         Some(frame)
@@ -110,14 +112,10 @@ impl Tdma {
             (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
             (Job::Part { .. }, _) => {
                 if let Some(change) = &mut self.change {
-                    change.parts_sent += 1;
+                    change.part_is_sent();
                 }
             }
-            (Job::Answer(_), _) => {
-                if let Some(change) = &mut self.change {
-                    change.answers_sent += 1;
-                }
-            }
+            (Job::Answer(_), _) => {}
             (Job::Data(turn), _) => {
                 self.counters.frames_sent += 1;
                 self.slots.count_sent(turn.id);

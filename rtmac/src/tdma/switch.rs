@@ -5,14 +5,14 @@ use arrayvec::ArrayVec;
 use rtnet::counters::Refusal;
 use rtnet::discipline::EventKind;
 use rtnet::time::{Instant, Span};
-use rtnet::wire::ethernet::Header;
+use rtnet::wire::ethernet::{self, Header};
 
 use super::change::{Activation, Book, Change, ChangeConfig, MAX_BRIDGED, Switch};
 use super::config::{Refused, check_cycle, check_rounds, checked};
 use super::job::Job;
 use super::slot::{SlotConfig, Turn};
 use super::{MasterConfig, Mastery, Role, Tdma};
-use crate::wire::change::{Answer, Extension, Status, Verdict, Why};
+use crate::wire::change::{Answer, Extension, PART_LEN, Status, Verdict, Why};
 
 /// Slots that a schedule may give to one station.
 const OWN_SLOTS: usize = 32;
@@ -229,10 +229,14 @@ impl Tdma {
     }
 
     /// What is sent besides data in a turn of the first slot.
-    pub(super) fn answer_in(&self, turn: &Turn) -> Option<Answer> {
+    pub(super) fn said_in(&self, turn: &Turn) -> Option<Extension> {
         let first = self.slots.first()?;
         let gives_time = matches!(self.role, Role::Master(_));
         let change = self.change.as_ref().filter(|_| first.id == turn.id && !self.calibrates())?;
+        if change.acts() {
+            let fits = first.size >= PART_LEN - ethernet::HEADER_LEN;
+            return change.part_in_turn().filter(|_| fits).map(Extension::Part);
+        }
         let answer = change.answer(gives_time)?;
         // What is under way in the first slot is of where that is now.
         let measures = self.follower().is_some_and(|follower| follower.calibration().is_measuring());
@@ -242,7 +246,7 @@ impl Tdma {
         } else {
             answer.verdict
         };
-        Some(Answer { verdict, ..answer })
+        Some(Extension::Answer(Answer { verdict, ..answer }))
     }
 
     /// The part of a schedule that follows this station's Synchronisation, if that has left.

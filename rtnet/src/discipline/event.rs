@@ -45,6 +45,8 @@ pub enum EventKind {
     CalibrationTurn,
     /// A slot's turn carried no data, but the answer to a schedule that is proposed.
     AnswerTurn,
+    /// A slot was passed over since it was not known that its schedule is in use.
+    ScheduleUnsure,
     /// Another schedule is in use from this cycle on; the span is its number.
     ScheduleSwitched,
     /// The master skipped a Synchronisation because its window had passed by so much.
@@ -83,7 +85,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 30] = [
+    pub const ALL: [EventKind; 31] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -97,6 +99,7 @@ impl EventKind {
         EventKind::ReplyFailed,
         EventKind::CalibrationTurn,
         EventKind::AnswerTurn,
+        EventKind::ScheduleUnsure,
         EventKind::ScheduleSwitched,
         EventKind::SyncSkipped,
         EventKind::SyncDropped,
@@ -130,6 +133,7 @@ impl EventKind {
                 | SlotEmpty
                 | CalibrationTurn
                 | AnswerTurn
+                | ScheduleUnsure
                 | SendFailed
                 | ReplyFailed
                 | SyncSkipped
@@ -147,7 +151,7 @@ impl EventKind {
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::CalibrationTurn => Some(Cause::Calibrating),
-            EventKind::AnswerTurn => Some(Cause::Answering),
+            EventKind::AnswerTurn | EventKind::ScheduleUnsure => Some(Cause::ScheduleChange),
             EventKind::SendFailed | EventKind::ReplyFailed => Some(Cause::Refused),
             _ => None,
         }
@@ -169,6 +173,7 @@ impl EventKind {
             EventKind::ReplyFailed => "reply_failed",
             EventKind::CalibrationTurn => "calibration_turn",
             EventKind::AnswerTurn => "answer_turn",
+            EventKind::ScheduleUnsure => "schedule_unsure",
             EventKind::ScheduleSwitched => "schedule_switched",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::SyncDropped => "sync_dropped",
@@ -205,8 +210,8 @@ pub enum Cause {
     QueueEmpty,
     /// The delay was measured in it, as was asked for.
     Calibrating,
-    /// It carried the answer to a schedule that is proposed.
-    Answering,
+    /// The schedule changed: it carried an answer, or it was not known which is in use.
+    ScheduleChange,
     /// The kernel did not take the frame.
     Refused,
 }
@@ -220,7 +225,7 @@ impl Cause {
         Cause::NoSync,
         Cause::QueueEmpty,
         Cause::Calibrating,
-        Cause::Answering,
+        Cause::ScheduleChange,
         Cause::Refused,
     ];
 
@@ -233,7 +238,7 @@ impl Cause {
             Cause::NoSync => "sync_lost_or_late",
             Cause::QueueEmpty => "queue_empty",
             Cause::Calibrating => "calibrating",
-            Cause::Answering => "answering",
+            Cause::ScheduleChange => "schedule_change",
             Cause::Refused => "refused",
         }
     }

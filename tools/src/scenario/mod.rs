@@ -31,6 +31,7 @@ use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
+pub use change::room_for_parts;
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Place, Source, load, parse_phase, read_text};

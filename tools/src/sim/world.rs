@@ -139,6 +139,10 @@ impl World {
         let config = discipline(scenario, id, epoch, grid);
         let tdma =
             Tdma::new(&config).map_err(|why| anyhow!("station '{}': {why}", scenario.stations[id].name))?;
+        let tdma = match scenario.change_config() {
+            Some(changes) => tdma.with_changes(&changes),
+            None => tdma,
+        };
         let sender = scenario.sender(id);
         let plan = TrafficPlan {
             station: id as u16,

@@ -2,6 +2,7 @@
 
 use anyhow::anyhow;
 use rtmac::nomac::NoMac;
+use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::{self, RoleConfig, Tdma, TdmaCommand, TdmaConfig, TdmaStatus};
 use rtnet::at_once::{AtOnceStatus, DEFAULT_ASK_EVERY};
 use rtnet::buf::{Buf, PoolStatistics};
@@ -61,6 +62,14 @@ impl Access {
             AccessConfig::NoMac => Access::NoMac(NoMac::new(DEFAULT_ASK_EVERY)),
             AccessConfig::Direct => Access::Direct(Direct::new(DEFAULT_ASK_EVERY)),
         })
+    }
+
+    /// The same, taking part in changes of the schedule, where there is one.
+    pub fn with_changes(self, changes: Option<&ChangeConfig>) -> Self {
+        match (self, changes) {
+            (Access::Tdma(tdma), Some(changes)) => Access::Tdma(Box::new(tdma.with_changes(changes))),
+            (other, _) => other,
+        }
     }
 }
 

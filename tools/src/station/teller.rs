@@ -134,7 +134,8 @@ impl Person {
                 EventKind::SlotSilent
                 | EventKind::TurnLeft
                 | EventKind::CalibrationTurn
-                | EventKind::AnswerTurn => {}
+                | EventKind::AnswerTurn
+                | EventKind::ScheduleUnsure => {}
                 EventKind::SendFailed | EventKind::ReplyFailed => {
                     failed = true;
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);

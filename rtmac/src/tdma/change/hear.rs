@@ -45,8 +45,12 @@ impl Change {
         }
         self.heard = Some(Heard { cycle, is_twofold: false });
         self.told = status;
-        self.collect();
-        self.switch_to_oper(cycle)
+        // What it has is used before it makes room for another.
+        let switch = self.switch_to_oper(cycle);
+        if switch.is_none() {
+            self.collect();
+        }
+        switch
     }
 
     /// What of another schedule is to come is collected.
@@ -104,7 +108,7 @@ impl Change {
         let verdict = match (state, self.verdict?) {
             (State::Proposed, Ok(())) => Verdict::Acknowledged,
             (State::Proposed, Err((why, slot))) => Verdict::Refused(why, slot),
-            (State::Committed, Ok(())) => Verdict::Confirmed,
+            (State::Committed, Ok(())) if gives_time => Verdict::Confirmed,
             _ => return None,
         };
         Some(Answer { id: admin, digest: self.admin.digest(), verdict, gives_time })
@@ -115,6 +119,7 @@ impl Change {
         if answer.verdict == Verdict::Confirmed {
             self.confirmed = Some(answer.id);
         }
+        self.answers_sent += 1;
         self.answering.sent += 1;
         self.answering.wait = (1 << self.answering.sent.min(5)).min(REPEATED_WITHIN);
     }

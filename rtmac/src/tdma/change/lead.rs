@@ -289,10 +289,13 @@ impl Change {
 
     /// A station's answer.
     pub fn on_answer(&mut self, cycle: u32, from: Address, answer: &Answer) -> Result<(), Refusal> {
-        let is_asked = self.lead.acts && matches!(self.told.state, State::Proposed | State::Committed);
-        let is_right = (answer.id, answer.digest) == (self.told.admin, self.admin.digest());
-        if !is_asked || !is_right || self.lead.is_inherited {
+        if !self.lead.acts || (answer.id, answer.digest) != (self.told.admin, self.admin.digest()) {
             return Err(Refusal::ScheduleUnknown);
+        }
+        let is_asked = matches!(self.told.state, State::Proposed | State::Committed);
+        if !is_asked || self.lead.is_inherited {
+            // It was repeated, and is not waited for any more.
+            return Ok(());
         }
         let Some(asked) = self.lead.asked.iter_mut().find(|asked| asked.station == from) else {
             // Who has no slots yet is not asked, and learns what is in use when it is.

@@ -62,6 +62,9 @@ const PATIENCE: u32 = 256;
 const PATIENCE_IN_TURNS: u32 = 16;
 /// Parts are sent in every cycle while stations are asked, in every so many while nothing changes, for who joins later.
 const PARTS_SELDOM: u32 = 16;
+/// So many in a row may be too late before one takes a turn.
+const OWED_AT_MOST: u32 = 2;
+const OWED_SELDOM: u32 = 8;
 
 /// What is configured of a station that takes part in changes.
 #[derive(Clone, Debug)]
@@ -194,10 +197,14 @@ pub(super) struct Change {
     /// How long after a Synchronisation a part is sent, and how long after that it still may be.
     pub behind: Span,
     pub latest: Span,
-    pub switched: u64,
-    pub answers_sent: u64,
-    pub parts_sent: u64,
+    switched: u64,
+    answers_sent: u64,
+    parts_sent: u64,
     parts_received: u64,
+    /// Which part is next.
+    next_part: u32,
+    /// Parts in a row that were too late.
+    owed: u32,
 }
 
 impl Change {
@@ -230,6 +237,8 @@ impl Change {
             answers_sent: 0,
             parts_sent: 0,
             parts_received: 0,
+            next_part: 0,
+            owed: 0,
         }
     }
 
@@ -325,16 +334,38 @@ impl Change {
 
     /// The part that is sent behind this station's Synchronisation of a cycle.
     pub fn part_for(&self, cycle: u32) -> Option<Part> {
-        let every = match self.told.state {
-            State::Proposed => 1,
-            State::Committed | State::Sealed => 2,
-            _ => PARTS_SELDOM,
-        };
-        let book = if self.is_pending() { &self.admin } else { &self.oper };
-        let is_known = book.holds(if self.is_pending() { self.told.admin } else { self.told.oper });
-        let slots = book.planned().len().max(1) as u32;
-        let is_due = self.lead.acts && is_known && book.id().number != 0 && cycle.is_multiple_of(every);
-        is_due.then(|| book.part((cycle / every % slots) as usize)).flatten()
+        let every = if self.waits_for_answers() { 1 } else { PARTS_SELDOM };
+        if cycle.is_multiple_of(every) { self.next_part() } else { None }
+    }
+
+    /// The same in a turn of its own, which carries no data then: on a busy host none may ever be in time behind a
+    /// Synchronisation.
+    pub fn part_in_turn(&self) -> Option<Part> {
+        let at_most = if self.waits_for_answers() { OWED_AT_MOST } else { OWED_SELDOM };
+        if self.owed >= at_most { self.next_part() } else { None }
+    }
+
+    fn waits_for_answers(&self) -> bool {
+        let is_missing = || self.lead.asked.iter().any(|asked| !asked.acknowledged);
+        self.told.state == State::Proposed && is_missing()
+    }
+
+    fn next_part(&self) -> Option<Part> {
+        let (book, id) =
+            if self.is_pending() { (&self.admin, self.told.admin) } else { (&self.oper, self.told.oper) };
+        let is_known = self.lead.acts && book.holds(id) && id.number != 0;
+        is_known.then(|| book.part(self.next_part as usize % book.planned().len())).flatten()
+    }
+
+    /// It was sent.
+    pub fn part_is_sent(&mut self) {
+        self.parts_sent += 1;
+        (self.next_part, self.owed) = (self.next_part.wrapping_add(1), 0);
+    }
+
+    /// It was too late.
+    pub fn part_is_owed(&mut self) {
+        self.owed = self.owed.saturating_add(1);
     }
 }
 

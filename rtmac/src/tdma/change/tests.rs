@@ -426,3 +426,17 @@ fn who_stopped_a_change_and_why_is_told() {
     assert_eq!(stopped(Place::FollowsProposed, Happening::Speaks), Some(Stopped::MasterChanged));
     assert_eq!(stopped(Place::LeadsReady, Happening::Cancel), Some(Stopped::Asked));
 }
+
+#[test]
+fn who_slept_through_a_switch_uses_what_it_has_before_it_collects_another() {
+    let mut seat = Seat::at(Place::FollowsSealed);
+    let (oper, now) = (seat.id(), seat.cycle.wrapping_add(100));
+    let admin = ScheduleId { number: 2, sum: 7 };
+    let status = Status { oper, admin, activation: now, state: State::Proposed };
+    let switch = seat.change.hear(now, Some(status));
+    assert_eq!(switch, Some(Switch { from: now, to: oper }));
+    seat.change.switch(oper, [slot(100)].into_iter(), None);
+    assert_eq!(seat.change.hear(now.wrapping_add(1), Some(status)), None);
+    assert_eq!(seat.change.admin().id(), admin, "it is collected from then on");
+    assert!(seat.change.may_send(now.wrapping_add(1), true));
+}

@@ -67,6 +67,7 @@ impl Model {
             self.stations[speaker].1.spoke(cycle);
             self.stations[speaker].2 = cycle;
             let part = self.stations[speaker].1.part_for(cycle);
+            self.stations[speaker].1.part_is_sent();
             for id in (0..self.stations.len()).filter(|&id| id != speaker) {
                 if self.is_gone(id) || self.cycle < self.deaf[id] || self.chance(self.loss) {
                     continue;

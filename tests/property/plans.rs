@@ -1,4 +1,5 @@
-//! What a plan says is so: schedules that it accepts keep their frames apart within the bounds that it states, and those that it refuses do not.
+//! What a plan says is so: schedules that it accepts keep their frames apart within the bounds that it states, and
+//! those that it refuses do not.
 
 use rtmac::tdma::schedule::Rate;
 use rtnet::discipline::Discipline;
@@ -20,7 +21,8 @@ const AFTER_SYNC: Span = Span::from_micros(100);
 /// What the arithmetic of time lines rounds, and the plan's does not.
 const ROUNDING: i64 = 20;
 
-/// Stations whose slots lie side by side, with no more between them than the guard band, at the begin of a cycle that may be much longer.
+/// Stations whose slots lie side by side, with no more between them than the guard band, at the begin of a cycle that
+/// may be much longer.
 fn packed(random: &mut Random, seed: u64) -> Scenario {
     let network = Uniform {
         stations: random.between(3, 8) as usize,
@@ -139,8 +141,8 @@ fn what_a_plan_refuses_overlaps_by_as_much_within_those_bounds() {
         );
         assert!(refused.contains(&sum), "seed {seed}: {refused}");
 
-        // The earlier one is late, its clock behind and the other's ahead, by no more than they may be: until the other begins in the middle of
-        // its frame, or by all that the guard band absorbs.
+        // The earlier one is late, its clock behind and the other's ahead, by no more than they may be: until the other
+        // begins in the middle of its frame, or by all that the guard band absorbs.
         let gap = b.slots[0].offset - a.slots[0].offset - air;
         let shift = (gap + air / 2).min(scenario.guard);
         let share = scenario.clock_share().min(shift / 2);

@@ -80,3 +80,14 @@ fn a_burst_of_more_frames_than_buffers_is_refused_and_loses_frames() {
     let figures = sim::run(&scenario, &Options::default()).unwrap().figures.figures;
     assert!(figures.queueing[0].refused > 0);
 }
+
+#[test]
+fn of_joint_slots_that_meet_too_seldom_nothing_is_said() {
+    let slots = "{ id = 0, offset = \"400us\", phase = \"1/1023\" }, { id = 2, offset = \"700us\", phase = \"2/1024\", joint = 0 }";
+    let scenario = Source::new("net.toml", &arm(slots, &traffic(3, "100s", 1))).parse().unwrap();
+    let plan = Plan::of(&scenario, None);
+    let of = |row: &&WaitRow| row.flow.is_some();
+    let row = plan.waits.iter().find(of).unwrap();
+    assert_eq!((row.worst_ns, row.is_endless(), row.turn_ns), (None, false, Some(1_023_000_000)));
+    assert!(plan.works(), "{:?}", plan.refused);
+}

@@ -353,11 +353,12 @@ pub fn step_limit(guard: Span) -> Span {
 
 /// Whether two slots are ever used in the same cycle.
 fn phases_meet(a: &Slot, b: &Slot) -> bool {
-    let common = gcd(a.period.max(1), b.period.max(1));
-    a.phase % common == b.phase % common
+    let common = gcd(a.period.max(1).into(), b.period.max(1).into());
+    u64::from(a.phase) % common == u64::from(b.phase) % common
 }
 
-fn gcd(a: u32, b: u32) -> u32 {
+/// The greatest number that divides both.
+pub fn gcd(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 

@@ -202,7 +202,7 @@ mod tests {
     use rtmac::tdma::schedule::Rate;
 
     /// Eight stations; guard bands of 12, 24, 48 and 96 us allow 6, 12, 28 and 76 us.
-    fn host(shares: [f64; 4]) -> Host {
+    fn measured(shares: [f64; 4]) -> Host {
         let candidates = shares.iter().zip([12, 24, 48, 96]).flat_map(|(&late_share, guard)| {
             [(false, 1.0), (true, late_share)].map(|(warm_core, late_share)| Candidate {
                 warm_core,
@@ -232,17 +232,17 @@ mod tests {
 
     #[test]
     fn the_guard_band_is_the_smallest_by_which_it_misses_few_enough_in_the_recommended_state() {
-        let host = host([0.2, 0.02, 0.004, 0.001]);
+        let host = measured([0.2, 0.02, 0.004, 0.001]);
         assert_eq!(host.lateness(), Some(Span::from_micros(28)));
         assert_eq!(host.guard(8).unwrap(), Span::from_micros(48));
         assert_eq!(host.guard(32).unwrap(), Span::from_micros(56), "more stations, more for their clocks");
-        let wavering = super::tests::host([0.2, 0.004, 0.02, 0.001]);
+        let wavering = measured([0.2, 0.004, 0.02, 0.001]);
         assert_eq!(wavering.lateness(), Some(Span::from_micros(76)), "and no larger one misses more");
     }
 
     #[test]
     fn a_schedule_that_it_misses_too_much_of_is_refused_with_the_guard_band_that_would_do() {
-        let host = host([0.2, 0.02, 0.004, 0.001]);
+        let host = measured([0.2, 0.02, 0.004, 0.001]);
         let refused = |guard| host.holds(&network(guard)).refused();
         assert_eq!(refused(48), None);
         assert_eq!(
@@ -259,7 +259,7 @@ mod tests {
 
     #[test]
     fn a_host_that_always_misses_too_many_has_no_guard_band() {
-        let host = host([0.2, 0.1, 0.06, 0.03]);
+        let host = measured([0.2, 0.1, 0.06, 0.03]);
         let error = host.guard(8).unwrap_err().to_string();
         assert!(
             error.starts_with("that host misses 3.00 % of its slots however late they may begin"),
@@ -271,7 +271,7 @@ mod tests {
 
     #[test]
     fn as_a_lab_all_stations_and_the_sync_take_their_turns_on_one_core() {
-        let on = host([0.0; 4]).holds(&network(48));
+        let on = measured([0.0; 4]).holds(&network(48));
         assert_eq!((on.load_as_lab, on.holds_as_lab()), (9.0 * 0.05, true));
     }
 }

@@ -1,5 +1,5 @@
-//! What a schedule does, before anybody runs it: what is free in it, and what that absorbs; how long frames wait at the worst; what
-//! is left for the VNIC. All of it is arithmetic: nothing is measured, and nothing runs.
+//! What a schedule does, before anybody runs it: what is free in it, and what that absorbs; how long frames wait at the
+//! worst; what is left for the VNIC. All of it is arithmetic: nothing is measured, and nothing runs.
 //!
 //! ```text
 //!   file ──► scenario ──► plan ──► screen, svg, JSON

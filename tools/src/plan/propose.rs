@@ -10,8 +10,8 @@ use crate::scenario::{Scenario, ScenarioError, StationPlan, Uniform};
 /// No slave follows a longer one.
 const LONGEST_MICROS: i64 = 100_000_000;
 
-/// The network of the shortest cycle, in whole microseconds, that has room for `network`'s stations; its own cycle does not count. A
-/// `lab run` with the same options and a shorter one is refused.
+/// The network of the shortest cycle, in whole microseconds, that has room for `network`'s stations; its own cycle does
+/// not count. A `lab run` with the same options and a shorter one is refused.
 ///
 /// # Errors
 /// No cycle has.

@@ -11,7 +11,7 @@ const ROWS_SHOWN: usize = 60;
 const PHASES_SHOWN: u64 = 16;
 const NAME_MAX: usize = 16;
 /// What stands for slots in the picture, in the order of their stations' first.
-const KEYS: &[u8] = b"ABCDEFGHIJKLMNOPQRTUVWXYZabcdefghijklmnopqrtuvwxyz0123456789";
+const KEYS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrtuvwxyz0123456789";
 
 /// In plain text, no line longer than `width` columns where it can be broken.
 pub fn render(plan: &Plan, width: usize) -> String {
@@ -44,8 +44,7 @@ fn headline(plan: &Plan, width: usize) -> Vec<String> {
     list("", &items, width)
 }
 
-/// A line for each cycle until it repeats: `S` the sync's window, `B` a backup's, a slot's key from its begin to its frame's end, at least
-/// once, `-` its guard band, `.` what is free.
+/// A line for each cycle until it repeats; a slot's key stands from its begin to its frame's end, at least once.
 fn picture(plan: &Plan, width: usize) -> Vec<String> {
     let phases = plan.table.phases.unwrap_or(1);
     let shown = phases.min(PHASES_SHOWN);
@@ -65,6 +64,9 @@ fn picture(plan: &Plan, width: usize) -> Vec<String> {
     if plan.table.phases.is_none() {
         lines.push("and more than 65 536 cycles until it repeats".to_owned());
     }
+    let backups = if plan.table.backups.is_empty() { "" } else { "+ a backup's, " };
+    let letters = "a station's letter its frame, - the guard band behind it, . free";
+    lines.push(format!("{:indent$} # the sync's window, {backups}{letters}", ""));
     lines
 }
 
@@ -75,8 +77,8 @@ fn bar(plan: &Plan, phase: u64, columns: usize) -> String {
         let (from, until) = (place(from).min(columns - 1), place(until));
         bar[from..until.max(from + 1)].fill(with);
     };
-    paint(0, plan.sync_window_ns, b'S');
-    plan.table.backups.iter().for_each(|row| paint(row.sends_ns, row.until_ns, b'B'));
+    paint(0, plan.sync_window_ns, b'#');
+    plan.table.backups.iter().for_each(|row| paint(row.sends_ns, row.until_ns, b'+'));
     plan.table.phase(phase).for_each(|row| paint(row.begins_ns, row.ends_ns, b'-'));
     plan.table.phase(phase).for_each(|row| paint(row.begins_ns, row.frame_ends_ns, key(row)));
     String::from_utf8_lossy(&bar).into_owned()
@@ -176,7 +178,9 @@ fn waits(waits: &[WaitRow], width: usize) -> Vec<String> {
             dash(row.flow.map(|flow| format!("{} every {}", flow.burst, duration(flow.every_ns))))
         }),
         right(["turns", "wanted"], &|row| dash(row.flow.map(|_| percent(row.load)))),
-        right(["worst wait", "for the wire"], &|row| row.worst_ns.map_or("for ever".into(), time)),
+        right(["worst wait", "for the wire"], &|row| {
+            if row.is_endless() { "for ever".into() } else { dash(row.worst_ns.map(time)) }
+        }),
         right(["frames", "waiting"], &|row| dash(row.waiting.map(grouped))),
     ];
     let mut lines = shortened(table(&columns, width), waits.len(), "queues");

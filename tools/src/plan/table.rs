@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use rtmac::tdma::schedule::{Gap, Schedule};
+use rtmac::tdma::schedule::{Gap, Schedule, gcd};
 use rtnet::time::Span;
 use serde::Serialize;
 
@@ -91,7 +91,7 @@ impl TimeTable {
         let slots: Vec<_> = schedule.gaps().into_iter().map(row).collect();
         let mut periods = slots.iter().map(|row| u64::from(row.period.max(1)));
         let phases = periods.try_fold(1, |all: u64, period| {
-            Some(all / common(all, period) * period).filter(|&all| all <= PHASES_AT_MOST)
+            Some(all / gcd(all, period) * period).filter(|&all| all <= PHASES_AT_MOST)
         });
         Self { phases, slots, backups: backups(&scenario.stations, scenario.sync_window) }
     }
@@ -116,8 +116,4 @@ fn backups(stations: &[StationPlan], window: Span) -> Vec<BackupRow> {
     let mut rows: Vec<_> = stations.iter().filter_map(row).collect();
     rows.sort_by_key(|row| row.sends_ns);
     rows
-}
-
-fn common(a: u64, b: u64) -> u64 {
-    if b == 0 { a } else { common(b, a % b) }
 }

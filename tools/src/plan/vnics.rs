@@ -6,7 +6,7 @@ use serde::Serialize;
 use vnic::tun::fed;
 use vnic::{proxy, tunnel};
 
-use super::waits::serving;
+use super::waits::{serving, turns_per_second};
 use crate::cli::VnicMode;
 use crate::scenario::{Scenario, StationPlan, VnicPlan};
 
@@ -34,17 +34,15 @@ pub(super) fn vnics(scenario: &Scenario) -> Vec<VnicRow> {
 fn row(scenario: &Scenario, station: &StationPlan, vnic: &VnicPlan) -> Option<VnicRow> {
     let serving = serving(station, NON_RT_SLOT);
     let size = serving.iter().map(|slot| slot.size).min()?;
-    let turns =
-        serving.iter().map(|slot| 1e12 / (scenario.cycle.nanos() as f64 * f64::from(slot.period.max(1))));
-    let turns = turns.sum::<f64>() as u64;
+    let turns_per_second = turns_per_second(scenario.cycle, &serving);
     let mtu =
         if vnic.proxy { size.min(proxy::MTU) } else { (size + HEADER_LEN - tunnel::HEAD).min(tunnel::MTU) };
     let header = if vnic.mode == VnicMode::Tap { HEADER_LEN } else { 0 };
     Some(VnicRow {
         station: station.name.clone(),
         slots: serving.iter().map(|slot| slot.id).collect(),
-        turns_per_second: turns as f64 / 1e3,
+        turns_per_second,
         mtu,
-        bytes_per_second: fed(turns, mtu + header),
+        bytes_per_second: fed((turns_per_second * 1e3) as u64, mtu + header),
     })
 }

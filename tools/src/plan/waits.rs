@@ -1,6 +1,6 @@
 //! How long what stations send waits for its slots, and what comes back for the other's.
 
-use rtmac::tdma::schedule::{Demand, Slot, Turns, load, most_waiting, worst_queueing};
+use rtmac::tdma::schedule::{self, Demand, Slot, Turns, load, most_waiting, worst_queueing};
 use rtmac::tdma::{NON_RT_SLOT, RT_SLOT, joint};
 use rtnet::time::Span;
 use serde::Serialize;
@@ -23,10 +23,11 @@ pub struct WaitRow {
     pub turns_per_second: f64,
     /// What is queued again and again; none: whatever is the first in the queue.
     pub flow: Option<Flow>,
-    /// The share of the turns that this and all that is more urgent want; 0 where nothing is said of it.
+    /// The share of the turns that this and all that is more urgent want; 0 where nothing is said of it, or where joint
+    /// slots meet too seldom to be looked through.
     pub load: f64,
-    /// The longest from being queued to when it begins in its slot; none: for ever. Each frame that waits before it, of which the file says
-    /// nothing, takes a turn more.
+    /// The longest from being queued to when it begins in its slot; none: for ever, or, with a load of 0, not known. Each frame that waits before it, of
+    /// which the file says nothing, takes a turn more.
     pub worst_ns: Option<i64>,
     /// The most frames that wait at once, more urgent ones among them; none: more and more, or nothing is said of it.
     pub waiting: Option<u64>,
@@ -96,13 +97,18 @@ pub(super) fn overloaded(waits: &[WaitRow]) -> Vec<String> {
 }
 
 impl WaitRow {
+    /// Whether it waits for ever.
+    pub fn is_endless(&self) -> bool {
+        self.load > 0.0 && self.worst_ns.is_none()
+    }
+
     fn overloaded(&self) -> Option<String> {
         let Self { station, slots, turns_per_second: turns, flow, .. } = self;
         let (flow, slot) = (flow.as_ref()?, slots[0]);
         let of = format!("traffic of priority {} of station '{station}'", flow.priority);
         let remedy =
             "send less often, or give the slot more turns: a shorter cycle or period, or a joint slot";
-        if self.worst_ns.is_none() {
+        if self.is_endless() {
             return Some(format!(
                 "{of} waits for ever: slot {slot} has {turns:.1} turns a second, and with what is more urgent {:.1} are wanted \
                  ({} every {} of it); {remedy}",
@@ -129,15 +135,14 @@ fn queues(station: &StationPlan) -> Vec<u8> {
 
 fn of_queue(scenario: &Scenario, station: &StationPlan, queue: u8, lead: Span) -> Vec<WaitRow> {
     let serving = serving(station, queue);
-    let every = |slot: &&SlotPlan| 1e9 / (scenario.cycle.nanos() as f64 * f64::from(slot.period.max(1)));
     let turns = turns(scenario.cycle, station, queue);
-    let between = turns.as_ref().map(Turns::longest_between);
+    let between = schedule::longest_between(scenario.cycle, &as_planned(&serving));
     let mut slots: Vec<u8> = serving.iter().map(|slot| slot.id).collect();
     slots.sort_by_key(|&id| (id != queue, id));
     let row = WaitRow {
         station: station.name.clone(),
         slots,
-        turns_per_second: serving.iter().map(every).sum(),
+        turns_per_second: turns_per_second(scenario.cycle, &serving),
         flow: None,
         load: 0.0,
         worst_ns: between.map(|between| (between + lead).nanos()),
@@ -154,7 +159,7 @@ fn of_queue(scenario: &Scenario, station: &StationPlan, queue: u8, lead: Span) -
     let demands: Vec<Demand> = flows.iter().map(demand).collect();
     let of_flow = |place: usize| {
         let (flow, demands) = (Some(flows[place]), &demands[..=place]);
-        let Some(turns) = &turns else { return WaitRow { flow, ..row.clone() } };
+        let Some(turns) = &turns else { return WaitRow { flow, worst_ns: None, ..row.clone() } };
         WaitRow {
             flow,
             load: load(turns, demands),
@@ -168,15 +173,26 @@ fn of_queue(scenario: &Scenario, station: &StationPlan, queue: u8, lead: Span) -
 
 /// The turns of what takes from a channel's queue.
 fn turns(cycle: Span, station: &StationPlan, channel: u8) -> Option<Turns> {
-    let slot = |slot: &SlotPlan| Slot {
+    Turns::of(cycle, &as_planned(&serving(station, channel)))
+}
+
+/// As the arithmetic takes them, which does not ask whose they are.
+fn as_planned(slots: &[&SlotPlan]) -> Vec<Slot> {
+    let slot = |&&SlotPlan { id, offset, phase, period, size, .. }: &&SlotPlan| Slot {
         owner: String::new(),
-        id: slot.id,
-        offset: slot.offset,
-        phase: slot.phase,
-        period: slot.period,
-        size: slot.size,
+        id,
+        offset,
+        phase,
+        period,
+        size,
     };
-    Turns::of(cycle, &serving(station, channel).into_iter().map(slot).collect::<Vec<_>>())
+    slots.iter().map(slot).collect()
+}
+
+/// How often these slots have their turns, together.
+pub(super) fn turns_per_second(cycle: Span, slots: &[&SlotPlan]) -> f64 {
+    let every = |slot: &&SlotPlan| 1e9 / (cycle.nanos() as f64 * f64::from(slot.period.max(1)));
+    slots.iter().map(every).sum()
 }
 
 /// The slots that take what a channel is given.

@@ -16,7 +16,8 @@ pub struct Gap<'a> {
 }
 
 impl Schedule {
-    /// What is free behind each slot's largest frame, in the cycles in which that is least, in the order of the slots' begins.
+    /// What is free behind each slot's largest frame, in the cycles in which that is least, in the order of the slots'
+    /// begins.
     pub fn gaps(&self) -> Vec<Gap<'_>> {
         let mut order: Vec<&Slot> = self.slots.iter().collect();
         order.sort_by_key(|slot| slot.offset);
@@ -30,8 +31,9 @@ impl Schedule {
     }
 }
 
-/// The largest rate error of clocks, in parts per billion, that a clocks' share of a guard band absorbs where so many cycles without
-/// a Synchronisation are bridged: [`guard_band`] the other way round. Less than nothing: not even the stamps' error.
+/// The largest rate error of clocks, in parts per billion, that a clocks' share of a guard band absorbs where so many
+/// cycles without a Synchronisation are bridged: [`guard_band`] the other way round. Less than nothing: not even the
+/// stamps' error.
 ///
 /// [`guard_band`]: super::guard_band
 pub fn drift_bound(share: Span, cycle: Span, holdover: u32, stamp_error: Span) -> i64 {

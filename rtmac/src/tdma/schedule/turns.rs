@@ -21,9 +21,7 @@ impl Turns {
     pub fn of(cycle: Span, slots: &[Slot]) -> Option<Self> {
         let period = |slot: &Slot| u64::from(slot.period.max(1));
         let cycles = slots.iter().map(period).try_fold(1, |all: u64, one| {
-            // Neither is more than there can be cycles in a period.
-            let common = all / u64::from(gcd(all as u32, one as u32)) * one;
-            (common <= CYCLES_AT_MOST).then_some(common)
+            Some(all / gcd(all, one) * one).filter(|&common| common <= CYCLES_AT_MOST)
         })?;
         let turns = |slot: &Slot| {
             let (phase, offset, every) = (u64::from(slot.phase) % period(slot), slot.offset, period(slot));
@@ -50,14 +48,15 @@ impl Turns {
         self.round * (place / count) as i64 + self.begins[(place % count) as usize] - self.begins[turn]
     }
 
-    /// The longest from when a question is queued for these turns, in the instant of a choice, to when the answer that is sent in one of
-    /// `answers` has come. Each frame is on its way so long; frames are chosen `lead` before they leave, and nobody takes any time.
+    /// The longest from when a question is queued for these turns, in the instant of a choice, to when the answer that
+    /// is sent in one of `answers` has come. Each frame is on its way so long; frames are chosen `lead` before they
+    /// leave, and nobody takes any time.
     ///
     /// `None` where both together repeat only after more than 65 536 turns.
     pub fn worst_round_trip(&self, answers: &Turns, lead: Span, ways: [Span; 2]) -> Option<Span> {
         let [there, back] = ways;
         let [own, theirs] = [self.round, answers.round].map(|round| round.nanos() as u64);
-        let rounds = theirs / greatest_common(own, theirs);
+        let rounds = theirs / gcd(own, theirs);
         let turns = rounds.checked_mul(self.count() as u64).filter(|&turns| turns <= CYCLES_AT_MOST)?;
         let trip = |missed: u64| {
             let (round, place) = (missed / self.count() as u64, (missed % self.count() as u64) as usize);
@@ -82,10 +81,6 @@ impl Turns {
     pub fn longest_between(&self) -> Span {
         (0..self.count()).map(|turn| self.after(turn, 1)).max().unwrap_or(self.round)
     }
-}
-
-fn greatest_common(a: u64, b: u64) -> u64 {
-    if b == 0 { a } else { greatest_common(b, a % b) }
 }
 
 #[cfg(test)]

@@ -72,10 +72,10 @@ pub fn round_trip(cycle: Span, asks: &Slot, answers: &Slot, lead: Span, ways: [S
     let behind = asks.offset + there + lead - answers.offset;
     let least = (behind.nanos().max(0) as u64).div_ceil(cycle.nanos() as u64) as u32;
     // Further ones until it is used: for a question in the cycles `phase` of `period`, every so many of these are met.
-    let met = gcd(asks.period, answers.period);
+    let met = gcd(asks.period.into(), answers.period.into());
     let phase = u64::from(asks.phase) + u64::from(least);
-    let first = (u64::from(answers.phase % met) + u64::from(met) - phase % u64::from(met)) % u64::from(met);
-    let last = first + u64::from(answers.period - met);
+    let first = (u64::from(answers.phase) % met + met - phase % met) % met;
+    let last = first + u64::from(answers.period) - met;
     let turned =
         |further: u64| cycle * (i64::from(least) + further as i64) + answers.offset - asks.offset + back;
     let asked = wait(cycle, asks, lead);

@@ -1,7 +1,7 @@
 //! Media access, plugged into [`rtnet`]: when a frame may leave.
 //!
 //! [`tdma`] is RTnet's time division: a master tells the time once a cycle, every station sends only
-//! in its own slots. [`nomac`] is RTmac without slots. [`wire`] is what both look like in bytes; [`tdma::schedule`] is the arithmetic of
+//! in its own slots. [`nomac`] is RTmac without slots. [`token`] lets the right to send go round a ring, for segments without good clocks. [`wire`] is what both look like in bytes; [`tdma::schedule`] is the arithmetic of
 //! slots that do not overlap.
 //!
 //! ```
@@ -13,4 +13,5 @@
 
 pub mod nomac;
 pub mod tdma;
+pub mod token;
 pub mod wire;

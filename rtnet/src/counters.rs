@@ -89,6 +89,16 @@ refusals! {
     ImplausibleReply = "implausible_reply",
     /// A TDMA frame while this station takes no part in the cycle.
     Detached = "detached",
+    /// A token's frame of another version.
+    TokenVersion = "token_version",
+    /// A token's frame that neither passes nor claims it.
+    TokenKind = "token_kind",
+    /// A token's frame that no station of any ring sends.
+    TokenFields = "token_fields",
+    /// A token of another ring, or of this one as it is configured otherwise.
+    TokenRing = "token_ring",
+    /// A token that another one has outlasted.
+    TokenStale = "token_stale",
     /// An IP packet for another address.
     ForeignAddress = "foreign_address",
     /// An IP packet of a protocol that nobody here speaks.

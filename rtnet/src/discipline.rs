@@ -261,6 +261,9 @@ pub enum SendError {
     /// An RTmac frame that real RTnet stations never free (invariant 8).
     #[error("an RTmac frame that is not the discipline's own never leaves: it deafens RTnet stations")]
     Lethal,
+    /// A frame of this EtherType, which are the discipline's alone.
+    #[error("a frame of EtherType {0:?} is the token's: who forges one takes the medium from all")]
+    Forged(EtherType),
 }
 
 impl SendError {
@@ -273,13 +276,14 @@ impl SendError {
     /// | [`TooLong`](Self::TooLong) | `EMSGSIZE` | yes |
     /// | [`QueueFull`](Self::QueueFull) | `ENOBUFS` | there it is a pool that runs empty |
     /// | [`Lethal`](Self::Lethal) | `EPERM` | no: RTnet sends it |
+    /// | [`Forged`](Self::Forged) | `EPERM` | RTnet has no token |
     pub const fn errno(&self) -> i32 {
         match self {
             SendError::NoSlot(_) => libc::EAGAIN,
             SendError::UnknownChannel { .. } => libc::EINVAL,
             SendError::TooLong { .. } => libc::EMSGSIZE,
             SendError::QueueFull(_) => libc::ENOBUFS,
-            SendError::Lethal => libc::EPERM,
+            SendError::Lethal | SendError::Forged(_) => libc::EPERM,
         }
     }
 }
@@ -297,6 +301,7 @@ mod tests {
             (too_long, 90, "EMSGSIZE"),
             (SendError::QueueFull(0), 105, "ENOBUFS"),
             (SendError::Lethal, 1, "EPERM"),
+            (SendError::Forged(EtherType(0x88b6)), 1, "EPERM"),
         ] {
             assert_eq!(error.errno(), number, "{name}");
             assert_eq!(nix::errno::Errno::from_raw(number).to_string().split(':').next(), Some(name));

@@ -9,6 +9,7 @@ use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, SlotConfig, Tdma,
     TdmaConfig,
 };
+use rtmac::token::wire::TOKEN;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::{Discipline, Service};
 use rtnet::live::clock::{monotonic, realtime};
@@ -17,6 +18,7 @@ use rtnet::live::{Driver, DriverConfig, GuardMode, Port, Snapshot, TimeBoard};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType};
+use tests::bare::Bare;
 use tests::traffic::{Tally, TestTraffic};
 use tools::lab::namespace::{Namespace, Segment};
 
@@ -54,6 +56,16 @@ impl Medium {
         Address([2, 0, 0, 0, 0, station + 1])
     }
 
+    /// Somebody who only hears frames of an EtherType, in a namespace that goes with it.
+    pub fn listen(&mut self, kind: EtherType) -> (Bare, Namespace) {
+        let (number, namespace) = (self.stations, Namespace::new().unwrap());
+        self.stations += 1;
+        let address = Self::address(number);
+        self.segment.attach(&namespace, &format!("port{number}"), "rt0", address.0).unwrap();
+        let open = || Bare::hearing(&Interface::find("rt0").unwrap(), kind).unwrap();
+        (namespace.run(open).unwrap(), namespace)
+    }
+
     /// Starts the next station; it sends a frame in each slot to `to`.
     pub fn start<D: Discipline + 'static>(
         &mut self,
@@ -82,7 +94,7 @@ impl Medium {
         self.stations += 1;
         let namespace = Namespace::new().unwrap();
         self.segment.attach(&namespace, &format!("port{number}"), "rt0", address.0).unwrap();
-        let data = [EtherType::EXPERIMENTAL];
+        let data = [EtherType::EXPERIMENTAL, TOKEN];
         let spin = DEFAULT_LEAD.nanos() as u64;
         let open =
             || Port::open(&Interface::find("rt0").unwrap(), &data, clock, spin, GuardMode::Auto).unwrap();

@@ -10,6 +10,7 @@ mod live;
 mod not_for_us;
 mod peer_over_veth;
 mod sync_loss;
+mod token;
 mod wait_on_cycle;
 mod with_sockets;
 mod without_slots;

@@ -27,6 +27,7 @@ mod round_trips;
 mod scenarios;
 mod second_master_refuses;
 mod times;
+mod token;
 mod tunnel;
 mod tunnel_never_delays_rt;
 mod two_primaries;

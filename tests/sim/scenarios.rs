@@ -381,7 +381,7 @@ fn a_run_that_has_too_little_time_leaves_the_capture_of_another_as_it_was() {
     let scenario =
         scenario::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("cli/two_stations.toml")).unwrap();
     let until = Some(Span::from_millis(5));
-    let options = Options { pcap: Some(pcap.clone()), until, around: None };
+    let options = Options { pcap: Some(pcap.clone()), until, ..Options::default() };
     let error = sim::run(&scenario, &options).err().unwrap();
     assert!(error.is::<sim::Hurried>(), "{error:#}");
     assert_eq!(error.to_string(), "the stations were not all locked after 5ms: give it a longer --until");

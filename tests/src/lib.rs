@@ -9,6 +9,7 @@
 //! bench      one station by hand: frames in at their stamps, transmissions out at their instants
 //! ends       stacks by hand: frames in, calls of programs, and where every buffer is
 //! peer       an independent TDMA station with the habits of real RTnet's
+//! rings      rings of the token discipline in virtual time
 //! stacks     stations with sockets, and programs that use them
 //! tunnels    stations with tunnels, and a simulated Linux at the mouth of each
 //! ```
@@ -24,6 +25,7 @@ pub mod mixed;
 pub mod networks;
 pub mod observed;
 pub mod peer;
+pub mod rings;
 pub mod stacks;
 pub mod traffic;
 pub mod tunnels;

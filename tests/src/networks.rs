@@ -17,7 +17,7 @@ use rtnet::sim::{Host, Medium, Member, Network, Random, StationId};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, HEADER_LEN};
-use tools::cli::{Cli, LabRunArgs, LabVerb, Verb};
+use tools::cli::{Cli, LabMeasureArgs, LabRunArgs, LabVerb, Verb};
 use tools::scenario::{DelayName, Scenario, SlotPlan, StationPlan, Uniform};
 use tools::station::sync_latest;
 
@@ -82,9 +82,10 @@ impl Plan {
     pub fn lab_options(stations: usize) -> Uniform {
         let line = format!("rtnet lab run --stations {stations} --cycle 1ms");
         let verb = Cli::parse_from(line.split(' ')).verb;
-        let Verb::Lab(LabVerb::Run(LabRunArgs { stations, cycle, payload, rate, guard, .. })) = verb else {
+        let Verb::Lab(LabVerb::Run(LabMeasureArgs { run, .. })) = verb else {
             panic!("{line}");
         };
+        let LabRunArgs { cycle, payload, rate, guard, .. } = run;
         Uniform {
             stations,
             cycle,

@@ -7,6 +7,7 @@ mod packages;
 mod plan;
 mod sim;
 mod stack;
+mod token;
 mod vnic;
 
 use std::path::PathBuf;
@@ -20,7 +21,8 @@ use crate::scenario::{DelayName, DelayPolicy, ServoName, SlotGuard};
 use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
 
 pub use lab::{
-    DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabRunArgs, LabStatusArgs, LabUpArgs, LabVerb,
+    DEFAULT_LAB, LabDownArgs, LabExecArgs, LabMeasureArgs, LabRestartArgs, LabRunArgs, LabStatusArgs,
+    LabUpArgs, LabVerb,
 };
 pub use listen::{DumpArgs, JitterArgs, ListenArgs};
 pub use min_cycle::MinCycleArgs;
@@ -31,6 +33,7 @@ pub use packages::{
 pub use plan::PlanArgs;
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
+pub use token::{RingArgs, TokenArgs, TokenVerb};
 pub use vnic::{VnicArgs, VnicMode, VnicVerb, VnicVerbArgs, of_a_device};
 
 /// Real-time Ethernet in software: RTnet's TDMA on a stock kernel, without special hardware.
@@ -89,6 +92,8 @@ pub enum Verb {
     Station(Box<StationArgs>),
     /// Look at a running station, or change its part in the cycle
     Tdma(TdmaArgs),
+    /// Look at a running station of a ring: where the token is, and how long it takes to come round
+    Token(TokenArgs),
     /// Look at the slots of a running station, or change them
     ///
     /// A change is effective from the next cycle on, and no queued frame is lost unless it does not fit its
@@ -321,8 +326,8 @@ pub struct StationArgs {
     /// The interface to run on
     #[arg(long, value_name = "IF")]
     pub interface: String,
-    /// How it shares the medium. Without time slots, `nomac` or `direct`, nothing that is about roles, cycle and slots can
-    /// be said
+    /// How it shares the medium. Without time slots, `nomac`, `direct` or `token`, nothing that is about roles, cycle and slots
+    /// can be said
     #[arg(long, default_value = "tdma")]
     pub discipline: DisciplineName,
     /// Give the time (needs --cycle); with TDMA this or --slave must be said
@@ -403,6 +408,9 @@ pub struct StationArgs {
     /// The core of the real-time thread [default: any]
     #[arg(long, value_name = "N")]
     pub cpu: Option<usize>,
+    /// The ring that it is in.
+    #[command(flatten)]
+    pub ring: RingArgs,
     /// Its address and its sockets.
     #[command(flatten)]
     pub stack: StackArgs,
@@ -426,6 +434,8 @@ pub enum DisciplineName {
     Nomac,
     /// No RTmac: frames leave at once, in the order in which they were queued
     Direct,
+    /// The right to send goes round the stations of --ring: no clock has to be synchronised, and there is no master
+    Token,
 }
 
 /// How a real-time thread is scheduled.

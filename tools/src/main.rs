@@ -24,6 +24,7 @@ fn main() -> ExitCode {
         Verb::Plan(args) => cmd::plan::plan(args),
         Verb::Station(args) => cmd::station::station(args),
         Verb::Tdma(args) => cmd::tdma::tdma(args),
+        Verb::Token(args) => cmd::token::token(args),
         Verb::Slot(args) => cmd::slot::slot(args),
         Verb::If(args) => cmd::interface::interface(args),
         Verb::Route(args) => cmd::route::route(args),

@@ -10,7 +10,7 @@ pub struct Event {
     pub cycle: u32,
     /// What it was.
     pub kind: EventKind,
-    /// In which of the station's slots, if it was in one.
+    /// In which of the station's slots, if it was in one; of a ring, which station, if it is about one.
     pub slot: Option<Channel>,
     /// How much: lateness, size of a step, measured delay.
     pub span: Span,
@@ -75,11 +75,21 @@ pub enum EventKind {
     SteppedDown,
     /// A primary makes way for another one, which it has heard for so long.
     Yielded,
+    /// The token was sent once more: the next station had shown no sign of it.
+    TokenRepeated,
+    /// A station that had shown no sign of the token was skipped, and is absent.
+    StationSkipped,
+    /// The token was lost, and claimed.
+    TokenClaimed,
+    /// The token that this station held is void, since another one stays.
+    TokenGivenUp,
+    /// This station was too late to pass the token on, by so much, and has lost it.
+    TokenOverdue,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 28] = [
+    pub const ALL: [EventKind; 33] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -108,6 +118,11 @@ impl EventKind {
         EventKind::TookOver,
         EventKind::SteppedDown,
         EventKind::Yielded,
+        EventKind::TokenRepeated,
+        EventKind::StationSkipped,
+        EventKind::TokenClaimed,
+        EventKind::TokenGivenUp,
+        EventKind::TokenOverdue,
     ];
 
     /// Whether a slot or a Synchronisation was missed by it, or a frame was late.
@@ -176,6 +191,11 @@ impl EventKind {
             EventKind::TookOver => "took_over",
             EventKind::SteppedDown => "stepped_down",
             EventKind::Yielded => "yielded",
+            EventKind::TokenRepeated => "token_repeated",
+            EventKind::StationSkipped => "station_skipped",
+            EventKind::TokenClaimed => "token_claimed",
+            EventKind::TokenGivenUp => "token_given_up",
+            EventKind::TokenOverdue => "token_overdue",
         }
     }
 }

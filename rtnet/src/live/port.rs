@@ -327,6 +327,10 @@ impl Port {
         let Transmission { frame, at, latest, stamp } = transmission;
         let (at, latest) = (self.clock.truth(at), self.clock.truth(latest));
         let target = at - self.send_cost.unwrap_or(0);
+        if monotonic() < target {
+            // More may have come by then: who sends one frame after another does not wait in between.
+            self.empty = 0;
+        }
         if monotonic() + self.spin < target {
             sleep_until(target - self.spin);
             self.woke = monotonic();

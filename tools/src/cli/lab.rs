@@ -24,7 +24,7 @@ pub enum LabVerb {
     ///
     /// Exit status: 0 all is well; 1 something unexplained, payload errors, lost frames or a lost station;
     /// 2 bad usage, bad configuration, or no privileges.
-    Run(LabRunArgs),
+    Run(LabMeasureArgs),
     /// Stand a network up and keep it: it runs until `rtnet lab down`
     ///
     /// Takes the same arguments as `lab run`; with --duration it goes down by itself. Exit status: 0 all its
@@ -116,6 +116,17 @@ pub struct LabExecArgs {
 pub const DEFAULT_LAB: &str = "lab";
 
 /// Arguments of `lab run`.
+#[derive(Debug, Args)]
+pub struct LabMeasureArgs {
+    /// What network.
+    #[command(flatten)]
+    pub run: LabRunArgs,
+    /// Write the report as one HTML page, too, with plots and the slots of the worst cycles
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+}
+
+/// What network, and what to write of it.
 #[derive(Debug, Args)]
 pub struct LabRunArgs {
     /// Take the network from this file instead of from options

@@ -37,6 +37,9 @@ pub struct SimRunArgs {
     /// Write the report as JSON, too
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    /// Write the report as one HTML page, too, with plots and the slots of the worst cycles
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
     /// Write every frame on the medium as pcapng, in virtual time
     #[arg(long, value_name = "FILE")]
     pub pcap: Option<PathBuf>,

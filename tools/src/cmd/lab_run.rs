@@ -1,12 +1,15 @@
 //! `rtnet lab run`.
 
+use std::path::PathBuf;
+
 use anyhow::ensure;
 use rtnet::time::Span;
 
-use super::{Failure, all_writable, say, screen_width, write_json};
-use crate::cli::LabRunArgs;
+use super::{Failure, all_writable, say, screen_width, title, write_json, write_text};
+use crate::cli::{LabMeasureArgs, LabRunArgs};
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
+use crate::report::html::Sheet;
 use crate::report::screen;
 use crate::scenario::{self, MAX_LAB_STATIONS, Scenario, Uniform, UniformVnic};
 use crate::sim;
@@ -19,8 +22,10 @@ const SHORT: Span = Span::from_millis(2_000);
 const JOINING_CYCLES: i64 = 250;
 
 /// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
-pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
-    let (scenario, options) = prepared(args).map_err(Failure::Usage)?;
+pub fn lab_run(args: &LabMeasureArgs) -> Result<u8, Failure> {
+    let LabMeasureArgs { run: args, html } = args;
+    let (scenario, mut options) = prepared(args, html.as_ref()).map_err(Failure::Usage)?;
+    options.pictures = html.is_some();
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
     let mut outcome = lab.run(&scenario).map_err(Failure::Run)?;
     let expected = sim::of_lab(&scenario, &outcome.figures);
@@ -28,13 +33,23 @@ pub fn lab_run(args: &LabRunArgs) -> Result<u8, Failure> {
     if let Some(path) = &args.json {
         write_json(path, &outcome.figures).map_err(Failure::Run)?;
     }
+    if let Some(path) = html {
+        let sheet = Sheet {
+            title: &args.file.as_deref().map_or_else(|| "rtnet lab run".into(), title),
+            scenario: &scenario,
+            figures: &outcome.figures,
+            kept: &outcome.kept,
+            simulation: None,
+        };
+        write_text(path, &sheet.page()).map_err(Failure::Run)?;
+    }
     let screen = screen::render(&outcome.figures, screen_width(), &outcome.slot_error_abs);
     say(&screen).map_err(Failure::Run)?;
     Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
 }
 
 /// The network and how to run it; what cannot be is refused before anything is made.
-pub fn prepared(args: &LabRunArgs) -> anyhow::Result<(Scenario, RunOptions)> {
+pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Scenario, RunOptions)> {
     let scenario = scenario(args)?;
     let n = scenario.stations.len();
     ensure!(
@@ -50,9 +65,10 @@ pub fn prepared(args: &LabRunArgs) -> anyhow::Result<(Scenario, RunOptions)> {
         directory: Some(Directory::of_user()),
         // Stations may take a while to be locked, too.
         progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
+        pictures: false,
     };
     userns::gain_namespaces()?;
-    all_writable(&[args.json.as_ref(), args.pcap.as_ref()], args.file.as_deref())?;
+    all_writable(&[args.json.as_ref(), args.pcap.as_ref(), html], args.file.as_deref())?;
     Ok((scenario, options))
 }
 

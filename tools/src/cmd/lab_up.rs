@@ -27,7 +27,7 @@ pub fn lab_up(args: &LabUpArgs) -> Result<u8, Failure> {
 fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
     // In a user namespace one is root, and would look elsewhere.
     let directory = Directory::of_user();
-    let (scenario, mut options) = prepared(&args.run).map_err(Failure::Usage)?;
+    let (scenario, mut options) = prepared(&args.run, None).map_err(Failure::Usage)?;
     options.home = Some(Home { directory, lab: args.name.clone() });
     let mut is_up = false;
     let at_most = args.run.duration;

@@ -20,6 +20,7 @@ pub mod slot;
 pub mod stat;
 pub mod station;
 pub mod tdma;
+pub mod token;
 pub mod vnic;
 mod waits;
 
@@ -99,7 +100,7 @@ fn all_writable(outputs: &[Option<&PathBuf>], input: Option<&Path>) -> anyhow::R
         );
         ensure!(
             !outputs[..i].iter().any(|other| is_same(path, other)),
-            "{} is written twice: name another file for --pcap than for --json",
+            "{} is written twice: each output needs a file of its own",
             path.display()
         );
         writable(path)?;
@@ -116,10 +117,16 @@ fn is_same(one: &Path, other: &Path) -> bool {
     }
 }
 
+/// What a report is called: by its scenario's file, without the way to it.
+fn title(file: &Path) -> String {
+    file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned()
+}
+
 fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
     write_text(path, &(serde_json::to_string_pretty(report)? + "\n"))
 }
 
+/// Writes a file that is there once it is whole.
 fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
     let write = || {
         let (draft, mut file) = Draft::begin(path)?;

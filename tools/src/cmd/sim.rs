@@ -1,7 +1,8 @@
 //! `rtnet sim`.
 
-use super::{Failure, all_writable, say, screen_width, write_json};
+use super::{Failure, all_writable, say, screen_width, title, write_json, write_text};
 use crate::cli::SimRunArgs;
+use crate::report::html::Sheet;
 use crate::report::screen;
 use crate::scenario::{self, Scenario};
 use crate::sim::screen::{self as sim_screen, Around};
@@ -15,11 +16,23 @@ pub fn example() -> Result<u8, Failure> {
 /// Runs a scenario and prints its report; the exit status is 1 if it is not as expected.
 pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let scenario = scenario(args).map_err(Failure::Usage)?;
-    all_writable(&[args.json.as_ref(), args.pcap.as_ref()], Some(&args.file)).map_err(Failure::Usage)?;
-    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None };
-    let Ended { figures, slot_error_abs, .. } = sim::run(&scenario, &options).map_err(failure)?;
+    all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(&args.file))
+        .map_err(Failure::Usage)?;
+    let pictures = args.html.is_some();
+    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures };
+    let Ended { figures, slot_error_abs, kept, .. } = sim::run(&scenario, &options).map_err(failure)?;
     if let Some(path) = &args.json {
         write_json(path, &figures).map_err(Failure::Run)?;
+    }
+    if let Some(path) = &args.html {
+        let sheet = Sheet {
+            title: &title(&args.file),
+            scenario: &scenario,
+            figures: &figures.figures,
+            kept: &kept,
+            simulation: Some(&figures.simulation),
+        };
+        write_text(path, &sheet.page()).map_err(Failure::Run)?;
     }
     let width = screen_width();
     let around =
@@ -55,6 +68,7 @@ fn frames_around(
     let first = checked.iter().find_map(|checked| Some((checked.line, checked.cycle?)));
     let Some((line, cycle)) = first else { return Ok(None) };
     let around = Some((cycle.saturating_sub(1), cycle.saturating_add(1)));
-    let frames = sim::run(scenario, &Options { pcap: None, around, ..options.clone() })?.lines;
+    let frames =
+        sim::run(scenario, &Options { pcap: None, around, pictures: false, ..options.clone() })?.lines;
     Ok(Some(Around { line, cycle, frames }))
 }

@@ -10,6 +10,7 @@ use package_router::route::Routes;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
+use rtmac::token::{LONGEST_FRAME, RingConfig};
 use rtnet::clock::EmulatedClock;
 use rtnet::live::GuardMode;
 use rtnet::time::Span;
@@ -84,6 +85,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         DisciplineName::Tdma => AccessConfig::Tdma(tdma(args, lab.as_ref())?),
         DisciplineName::Nomac => AccessConfig::NoMac,
         DisciplineName::Direct => AccessConfig::Direct,
+        DisciplineName::Token => AccessConfig::Token(ring(args)?),
     };
     let given = args.cycle.filter(|_| args.master).map(|cycle| (cycle, sync_window(args, cycle)));
     // A lab has judged the slots of all its stations together.
@@ -92,7 +94,10 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
     if let Some(own) = &own_slots {
         own.check().map_err(|why| anyhow!(why))?;
     }
-    // Without slots nothing is late.
+    if let (None, Some(option)) = (access.ring(), args.ring.said()) {
+        bail!("{option} is about a ring: leave it out, or run the station with --discipline token");
+    }
+    // Where there is neither slot nor token nothing is late.
     let guard = match &access {
         AccessConfig::Tdma(_) if args.scheduling == Scheduling::Busy => bail!(
             "--scheduling busy goes without time slots, for which a station sleeps: leave it out, or run the station with \
@@ -100,8 +105,12 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         ),
         AccessConfig::Tdma(_) => args.slot_guard.mode(),
         AccessConfig::NoMac | AccessConfig::Direct => {
-            without_slots(args)?;
+            without_slots(args, false)?;
             GuardMode::User
+        }
+        AccessConfig::Token(_) => {
+            without_slots(args, true)?;
+            args.slot_guard.mode()
         }
     };
     Ok(Options {
@@ -235,16 +244,36 @@ fn proxy(args: &StationArgs, addresses: &[Prefix]) -> anyhow::Result<VnicOptions
     Ok(usual)
 }
 
-/// Refuses what only a discipline with time slots could do.
-fn without_slots(args: &StationArgs) -> anyhow::Result<()> {
+/// The ring that it is in.
+fn ring(args: &StationArgs) -> anyhow::Result<RingConfig> {
+    let said = &args.ring;
+    if said.ring.is_empty() {
+        bail!("--discipline token needs --ring ADDRESS,ADDRESS,...: all stations, in the order of the token");
+    }
+    let usual = RingConfig::new(said.ring.clone());
+    let ring = RingConfig {
+        rate: args.rate,
+        hold: said.token_hold.unwrap_or(usual.hold.max(args.rate.air_time(LONGEST_FRAME) * 4)),
+        rest: said.token_rest.unwrap_or(usual.rest),
+        late: said.token_late.unwrap_or(usual.late),
+        delay: said.token_delay.unwrap_or(usual.delay),
+        invite_every: said.token_invite.unwrap_or(usual.invite_every),
+        ..usual
+    };
+    ring.check()?;
+    Ok(ring)
+}
+
+/// Refuses what only a discipline with time slots could do; where late frames are, there may be a guard.
+fn without_slots(args: &StationArgs, may_be_late: bool) -> anyhow::Result<()> {
     let said = [
         ("--master", args.master),
         ("--slave", args.slave),
         ("--cycle", args.cycle.is_some()),
         ("--sync-window", args.sync_window.is_some()),
         ("--slot", !args.slots.is_empty()),
-        ("--slot-guard kernel", args.slot_guard == SlotGuard::Kernel),
-        ("--exclusive", args.exclusive),
+        ("--slot-guard kernel", args.slot_guard == SlotGuard::Kernel && !may_be_late),
+        ("--exclusive", args.exclusive && !may_be_late),
         ("--rounds", args.rounds.is_some()),
         ("--servo", args.servo.is_some()),
         ("--delay", args.delay.is_some()),

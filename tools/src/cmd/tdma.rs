@@ -8,8 +8,8 @@ use rtnet::time::Span;
 use super::Failure;
 use crate::cli::{TdmaArgs, TdmaVerb, Which, WhichOf};
 use crate::control::{
-    self, Directory, LabReply, LabRequest, MemberStatus, Place, Question, Reply, Request, RoleRequest,
-    SlotRequest, SlotShown, StationStatus,
+    self, Directory, LabReply, LabRequest, MemberStatus, Place, Question, Reply, Request, RingShown,
+    RoleRequest, SlotRequest, SlotShown, StationStatus,
 };
 use crate::report::text::{Column, grouped, micros, table};
 use crate::station::link::Standing;
@@ -146,7 +146,8 @@ fn became(role: RoleRequest) -> String {
     }
 }
 
-fn describe(status: &StationStatus) -> String {
+/// A station in words.
+pub fn describe(status: &StationStatus) -> String {
     let standing = &status.standing;
     let has_cycle = status.discipline == "tdma";
     let mut text = if has_cycle {
@@ -156,7 +157,8 @@ fn describe(status: &StationStatus) -> String {
     };
     let StationStatus { interface, address, link, pid, guard, .. } = status;
     text += &format!("on {interface} ({address}, {link}), process {pid}");
-    text += &if has_cycle { format!(", {guard} guard\n") } else { "\n".into() };
+    text += &if has_cycle || status.ring.is_some() { format!(", {guard} guard\n") } else { "\n".into() };
+    text += &status.ring.as_ref().map_or(String::new(), RingShown::describe);
     text += &masters(status);
     if has_cycle {
         text += &format!("\n{}", slots(status));

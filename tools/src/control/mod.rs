@@ -16,6 +16,7 @@ mod loads;
 mod places;
 mod programs;
 mod protocol;
+mod ring;
 mod server;
 mod sockets;
 mod vnic;
@@ -29,6 +30,7 @@ pub use protocol::{
     Envelope, LabReply, LabRequest, LabStatus, MemberStatus, Reply, Request, RoleRequest, SlotChange,
     SlotRequest, SlotShown, StationStatus, VERSION, read,
 };
+pub use ring::RingShown;
 pub use server::{REQUEST_AT_MOST, Server, Traffic};
 pub use sockets::{
     ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,

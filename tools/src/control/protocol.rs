@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::clock::ClockShown;
+use super::ring::RingShown;
 use super::sockets::{StackReply, StackRequest};
 use super::vnic::{VnicRequest, VnicShown};
 use crate::judge::masters::Rivals;
@@ -221,7 +222,7 @@ pub struct StationStatus {
     pub address: String,
     /// `up`, `no carrier` or `down`: whether frames can pass there.
     pub link: String,
-    /// How it shares the medium: `tdma`, `nomac` or `direct`.
+    /// How it shares the medium: `tdma`, `nomac`, `direct` or `token`.
     pub discipline: String,
     /// `master`, `backup`, `slave` or `detached`; `none` where there is no cycle.
     pub role: String,
@@ -248,6 +249,9 @@ pub struct StationStatus {
     pub drift_ppb: Option<i64>,
     /// How it follows its master's time, and how well; `None`: it has no cycle.
     pub clock: Option<ClockShown>,
+    /// Where the token is; `None`: it is in no ring.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ring: Option<RingShown>,
     /// Its slots, by id.
     pub slots: Vec<SlotShown>,
     /// Everything that its discipline counts, and what became of its interface.

@@ -101,7 +101,7 @@ pub struct InterfaceShown {
     pub mtu: usize,
     /// What each of its slots takes, by channel. Where there are no slots all channels are as 0.
     pub channels: BTreeMap<u8, ChannelShown>,
-    /// `tdma`, `nomac` or `direct`.
+    /// `tdma`, `nomac`, `direct` or `token`.
     #[serde(default)]
     pub discipline: String,
     /// Why nothing leaves at all.

@@ -10,6 +10,7 @@ use rtnet::clock::{EmulatedClock, True};
 use rtnet::time::{GlobalTime, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 
+use super::closely::Closely;
 use super::delivery::Passed;
 use super::findings::{Author, Finding, FindingKind};
 use super::givers::{Givers, TrueMaster};
@@ -79,6 +80,8 @@ pub struct Analysis {
     /// The cycle of the newest Synchronisation that slaves can have heard, unless nobody looked since.
     heard: Option<u32>,
     sight: Sight,
+    /// What is looked at besides, if the report is to have pictures.
+    closely: Option<Box<Closely>>,
     /// Who gave the time when.
     pub masters: Masters,
     /// The frame in the window that ended latest, by how much after its slot's end, or before it.
@@ -141,6 +144,7 @@ impl Analysis {
             cut_off: Vec::new(),
             heard: None,
             sight: Sight::default(),
+            closely: None,
             masters: Masters::default(),
             latest: Worst::default(),
             syncs: 0,
@@ -210,6 +214,7 @@ impl Analysis {
                 self.sync(at, author, (from, sched), air);
             } else if let (Some(Rtmac::Tunnel(..)), Some(author)) = (rtmac, self.turn_of(at, header)) {
                 self.occupy(at, air, Some(author.cycle), Some(author));
+                self.carried(author, bytes.len(), true);
                 self.data(at, None, author, air);
             } else {
                 self.occupy(at, air, self.current, None);
@@ -217,9 +222,11 @@ impl Analysis {
             }
         } else if let Some((tag, author)) = self.author_of(bytes) {
             self.occupy(at, air, Some(author.cycle), Some(author));
+            self.carried(author, bytes.len(), false);
             self.data(at, Some(tag), author, air);
         } else if let Some(author) = self.turn_of(at, header) {
             self.occupy(at, air, Some(author.cycle), Some(author));
+            self.carried(author, bytes.len(), false);
             self.data(at, None, author, air);
         } else {
             // Somebody else's, or nobody's: whom it hits, it hits.
@@ -285,6 +292,9 @@ impl Analysis {
     }
 
     fn occupy(&mut self, at: True, air: Span, cycle: Option<u32>, who: Option<Author>) {
+        if self.closely.is_some() {
+            self.look_closely_at(at, air, who);
+        }
         let until = at.saturating_add(air.nanos() as u64);
         let part = who.map_or(0, |who| self.part_of(who.station));
         if let Some((busy_until, before)) = self.busy[part]
@@ -399,6 +409,7 @@ impl Analysis {
         }
         self.stations[station].last.insert(slot.id, cycle);
         self.slot_gaps(station, slot.id, next, cycle);
+        self.look_how_regular((station, slot.id), at, air, next..cycle);
         let seen = &mut self.stations[station];
         seen.frames += 1;
         seen.newest = (cycle, if seen.newest.0 == cycle { seen.newest.1 + 1 } else { 1 });
@@ -424,6 +435,7 @@ impl Analysis {
         if !self.counts(finding.cycle) {
             return;
         }
+        self.find_closely(&finding);
         if self.findings.len() < FINDINGS_MAX {
             self.findings.push(finding);
         } else {
@@ -432,6 +444,7 @@ impl Analysis {
     }
 }
 
+mod closer;
 mod cycles;
 mod gaps;
 mod queueing;

@@ -7,7 +7,9 @@ use rtnet::discipline::EventKind;
 
 use super::account::{Account, PARTS};
 use super::analysis::Analysis;
+use super::closely::envelope::Envelope;
 use super::delivery::Delivery;
+use super::kept::Kept;
 use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures, Verdict};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
@@ -21,6 +23,8 @@ pub struct Outcome {
     pub slot_error_abs: SignedHistogram,
     /// Slots missed and frames outside theirs, by part of the run.
     pub missed_in_parts: [u64; PARTS],
+    /// What the pictures of a report show.
+    pub kept: Kept,
 }
 
 /// What a run leaves.
@@ -58,6 +62,8 @@ pub struct Facts {
     pub payload_errors: u64,
     /// Estimated - true global time.
     pub sync_error: SignedHistogram,
+    /// The same over time, for a report with pictures.
+    pub sync_error_over_time: Envelope,
     /// How much later than it was to be its last look at the clock before a send was.
     pub late: SignedHistogram,
     /// Resident memory, bytes.
@@ -130,7 +136,22 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     account.report(&mut figures);
     figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
-    Outcome { figures, slot_error_abs: all.slot_error_abs, missed_in_parts: account.missed_in_parts }
+    let missed_in_parts = account.missed_in_parts;
+    Outcome { figures, slot_error_abs: all.slot_error_abs, missed_in_parts, kept: kept(parts) }
+}
+
+/// What is left for the pictures of a report.
+fn kept(parts: Parts) -> Kept {
+    let Parts { stations, mut analysis, .. } = parts;
+    let begin = analysis.begin_of_window().unwrap_or_default();
+    let (cycles, regular) = analysis.take_closely().unwrap_or_default();
+    Kept {
+        slot_error: analysis.stations.into_iter().map(|seen| seen.slot_error).collect(),
+        cycles,
+        regular,
+        sync_error: stations.into_iter().map(|facts| facts.sync_error_over_time).collect(),
+        begin,
+    }
 }
 
 /// Of all stations, as hosts of simulations take it: ranges of nanoseconds, and how many there were.

@@ -30,6 +30,11 @@ impl Timetable {
         }
     }
 
+    /// How many stations there are.
+    pub fn stations(&self) -> usize {
+        self.stations.len()
+    }
+
     /// From cycle `from` on a slot is as `plan` says, or there is none.
     pub fn change(&mut self, station: usize, id: u8, plan: Option<SlotPlan>, from: u32) {
         let entries = &mut self.stations[station];

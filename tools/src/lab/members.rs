@@ -12,6 +12,7 @@ use rtnet::time::{GlobalTime, Span};
 use super::namespace::Namespace;
 use super::processes::{END_WITHIN, Process};
 use super::unplugged::Unplugged;
+use crate::judge::closely::envelope::Envelope;
 use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
@@ -43,6 +44,7 @@ pub struct Member {
     pub standing_at_end: Option<Standing>,
     pub lost_at_end: bool,
     pub sync_error: SignedHistogram,
+    pub sync_error_over_time: Envelope,
     /// How late it was for its sends.
     pub late: SignedHistogram,
     pub failed: Option<String>,
@@ -89,6 +91,7 @@ impl Member {
             standing_at_end: None,
             lost_at_end: false,
             sync_error: SignedHistogram::new(),
+            sync_error_over_time: Envelope::default(),
             late: SignedHistogram::new(),
             failed: None,
             ended: false,
@@ -276,6 +279,7 @@ impl Member {
             delay_ns: standing.and_then(|standing| standing.delay_ns),
             payload_errors: self.payload_errors(),
             sync_error: self.sync_error.clone(),
+            sync_error_over_time: self.sync_error_over_time.clone(),
             late: self.late.clone(),
             resident: self.resident,
             cpu_seconds: self.cpu_seconds,
@@ -325,20 +329,17 @@ impl Member {
                 self.standing = Some(*standing);
             }
             Some(Report::Events(events)) => {
-                for (cycle, slot, kind, span, cause) in events {
-                    if let Some(kind) = link::kind(kind) {
-                        let author = Author { station, cycle, slot };
-                        let cause = cause.and_then(link::cause);
-                        let span = Span::from_nanos(span);
-                        records.note(author, kind, span, cause);
-                        self.remember(Event { cycle, kind, slot, span }, cause);
-                    }
+                for (author, kind, span, cause) in link::told(station, &events) {
+                    records.note(author, kind, span, cause);
+                    let Author { cycle, slot, .. } = author;
+                    self.remember(Event { cycle, kind, slot, span }, cause);
                 }
             }
             Some(Report::Times(times)) if self.counting && station != 0 => {
                 for (at, global) in times {
                     let error = GlobalTime::from_nanos(global) - master.global(at);
                     self.sync_error.record(error.nanos());
+                    self.sync_error_over_time.note(at, error.nanos());
                 }
             }
             Some(Report::Link { at, carrier }) => self.unplugged.note(carrier, at, monotonic()),

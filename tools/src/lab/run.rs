@@ -30,7 +30,7 @@ use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
-use crate::station::link::Report;
+use crate::station::link::{self, Report};
 
 /// The name of a station's interface in its namespace.
 pub const INTERFACE: &str = "rt0";
@@ -77,6 +77,8 @@ pub struct RunOptions {
     pub directory: Option<Directory>,
     /// Show how it goes on standard error.
     pub progress: bool,
+    /// Keep what the pictures of a report show.
+    pub pictures: bool,
 }
 
 /// A network that has been stood up; dropping it takes it down.
@@ -173,6 +175,10 @@ impl Lab {
         let clock = super::launch::clock(scenario, 0, anchor);
         let epoch = Offset::between(clock.local(anchor), GlobalTime::from_nanos(realtime()));
         let master = TrueMaster { clock, epoch };
+        let mut analysis = Analysis::new(scenario, master);
+        if options.pictures {
+            analysis.look_closely(scenario);
+        }
         let warm = match options.warm_core.then(|| WarmCore::start(cpu)) {
             Some(Err(line)) => {
                 notes.push(line);
@@ -197,7 +203,7 @@ impl Lab {
             distrusted: 0,
             capture,
             capture_failed: false,
-            analysis: Analysis::new(scenario, master),
+            analysis,
             records: Records::new(scenario),
             _warm: warm,
             wires,
@@ -360,6 +366,11 @@ impl Lab {
             if let Some(Report::Times(times)) = &report {
                 let times = times.iter().map(|&(at, global)| (at, GlobalTime::from_nanos(global)));
                 times.for_each(|(at, global)| self.analysis.told_time(station, at, global));
+            }
+            if let Some(Report::Events(events)) = &report {
+                for (author, kind, span, cause) in link::told(station, events) {
+                    self.analysis.told(author, kind, span, cause);
+                }
             }
             self.members[station].take(station, report, &mut self.records, self.analysis.truth());
         }

@@ -5,6 +5,7 @@ pub mod draft;
 pub mod figures;
 pub mod histogram;
 pub mod host;
+pub mod html;
 pub(crate) mod recorded;
 pub mod screen;
 pub(crate) mod text;

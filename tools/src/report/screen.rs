@@ -45,7 +45,7 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         queueing(&figures.queueing, width),
         misses(figures, width),
         notes(figures, width),
-        host_lines(&figures.host, Some(slot_guard(&figures.per_station)), width),
+        host_lines(&figures.host, Some(guard_words(&figures.per_station)), width),
         verdict(figures, width),
     ])
 }
@@ -193,7 +193,8 @@ fn queueing(queueing: &[QueueingFigures], width: usize) -> Vec<String> {
     table(&columns, width).into_iter().chain([definition]).collect()
 }
 
-fn misses(figures: &Figures, width: usize) -> Vec<String> {
+/// What was missed, by kind.
+pub(crate) fn miss_counts(figures: &Figures) -> impl Iterator<Item = (u64, &'static str)> {
     let causes = [
         (figures.slots_missed, "slots missed"),
         (figures.overruns, "overruns"),
@@ -209,8 +210,12 @@ fn misses(figures: &Figures, width: usize) -> Vec<String> {
         (figures.frames_lost, "lost on the way"),
     ];
     let on_purpose = Some((figures.lost_on_purpose, "of them on purpose")).filter(|(n, _)| *n > 0);
-    let causes = causes.into_iter().chain(on_purpose);
-    let counts: Vec<_> = causes.map(|(count, cause)| format!("{cause} {}", grouped(count))).collect();
+    causes.into_iter().chain(on_purpose)
+}
+
+fn misses(figures: &Figures, width: usize) -> Vec<String> {
+    let counts: Vec<_> =
+        miss_counts(figures).map(|(count, cause)| format!("{cause} {}", grouped(count))).collect();
     let mut lines = list("misses: ", &counts, width);
     let causes = [("causes: ", &figures.causes), ("syncs missing: ", &figures.sync_causes)];
     for (head, causes) in causes.into_iter().filter(|(_, causes)| !causes.is_empty()) {
@@ -250,7 +255,7 @@ fn words(name: &str) -> String {
 }
 
 /// What the stations refused, and each note once, with the stations that have it.
-fn notes(figures: &Figures, width: usize) -> Vec<String> {
+pub(crate) fn notes(figures: &Figures, width: usize) -> Vec<String> {
     let mut refusals: BTreeMap<&str, u64> = BTreeMap::new();
     let mut notes: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for station in &figures.per_station {
@@ -330,10 +335,17 @@ pub(crate) fn strays<'a>(
 
 /// What a run took place on, in one list, and what else there is to say of it.
 pub(crate) fn host_lines(host: &HostFacts, more: Option<String>, width: usize) -> Vec<String> {
+    list("host: ", &host_items(host, more), width)
+}
+
+/// The same, one by one.
+pub(crate) fn host_items(host: &HostFacts, more: Option<String>) -> Vec<String> {
     if host.is_virtual_time() {
-        let items: Vec<String> =
-            [host.kernel.clone()].into_iter().chain(more).chain([format!("rtnet {}", host.rtnet)]).collect();
-        return list("host: ", &items, width);
+        return [host.kernel.clone()]
+            .into_iter()
+            .chain(more)
+            .chain([format!("rtnet {}", host.rtnet)])
+            .collect();
     }
     let mut items = vec![
         format!("Linux {}", host.kernel),
@@ -350,11 +362,11 @@ pub(crate) fn host_lines(host: &HostFacts, more: Option<String>, width: usize) -
     items.extend(host.steal_ticks.map(|ticks| format!("steal {} ticks", grouped(ticks))));
     items.extend(more);
     items.push(format!("rtnet {}", host.rtnet));
-    list("host: ", &items, width)
+    items
 }
 
 /// What enforced the slots, and where.
-fn slot_guard(stations: &[StationFigures]) -> String {
+pub(crate) fn guard_words(stations: &[StationFigures]) -> String {
     let kernel = stations.iter().filter(|station| station.guard == GuardName::Kernel).count();
     match kernel {
         0 => "no kernel guard".to_owned(),
@@ -365,8 +377,18 @@ fn slot_guard(stations: &[StationFigures]) -> String {
 
 /// Its last line says it all; reasons that do not fit that line stand above it.
 fn verdict(figures: &Figures, width: usize) -> Vec<String> {
-    let reasons = &figures.verdict.reasons;
-    let all = if figures.verdict.ok {
+    let (reasons, all) = (&figures.verdict.reasons, verdict_words(figures));
+    if figures.verdict.ok || all.chars().count() <= width {
+        return vec![cut(&all, width)];
+    }
+    let mut lines: Vec<_> = reasons.iter().flat_map(|reason| paragraph("- ", reason, width)).collect();
+    lines.push(format!("NOT OK: {} reasons, above", reasons.len()));
+    lines
+}
+
+/// The verdict in one line, however long.
+pub(crate) fn verdict_words(figures: &Figures) -> String {
+    if figures.verdict.ok {
         let counts = format!("{} of {}", grouped(figures.frames_seen), grouped(figures.frames_expected));
         match (figures.slots_missed, figures.out_of_slot + figures.overlaps) {
             // Only a scenario expects that.
@@ -382,12 +404,6 @@ fn verdict(figures: &Figures, width: usize) -> Vec<String> {
             ),
         }
     } else {
-        format!("NOT OK: {}", reasons.join("; "))
-    };
-    if figures.verdict.ok || all.chars().count() <= width {
-        return vec![cut(&all, width)];
+        format!("NOT OK: {}", figures.verdict.reasons.join("; "))
     }
-    let mut lines: Vec<_> = reasons.iter().flat_map(|reason| paragraph("- ", reason, width)).collect();
-    lines.push(format!("NOT OK: {} reasons, above", reasons.len()));
-    lines
 }

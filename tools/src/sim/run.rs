@@ -23,7 +23,9 @@ use crate::judge::absences::Absence;
 use crate::judge::account::Account;
 use crate::judge::analysis::Analysis;
 use crate::judge::clocks::set_clock;
+use crate::judge::closely::envelope::Envelope;
 use crate::judge::explain::Records;
+use crate::judge::kept::Kept;
 use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
 use crate::report::figures::Role;
@@ -54,6 +56,8 @@ pub struct Options {
     pub until: Option<Span>,
     /// Keep the frames of these cycles as text.
     pub around: Option<(u32, u32)>,
+    /// Keep what the pictures of a report show.
+    pub pictures: bool,
 }
 
 /// What was asked for does not let a network join, or leaves no time to measure it.
@@ -69,6 +73,8 @@ pub struct Ended {
     pub slot_error_abs: SignedHistogram,
     /// The frames that were to be kept as text.
     pub lines: Vec<String>,
+    /// What the pictures of a report show.
+    pub kept: Kept,
 }
 
 /// Runs a scenario from its begin to its end.
@@ -112,6 +118,10 @@ impl<'a> Run<'a> {
         let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
         watch.capture = options.pcap.as_deref().map(CaptureFile::replace).transpose()?;
         watch.around = options.around;
+        if options.pictures {
+            watch.analysis.look_closely(scenario);
+            watch.sync_error_over_time = Some(vec![Envelope::default(); scenario.stations.len()]);
+        }
         let watch = Rc::new(RefCell::new(watch));
         let (seen, told, lost) = (watch.clone(), watch.clone(), watch.clone());
         world.network.observe(move |aired| seen.borrow_mut().aired(aired));
@@ -417,7 +427,7 @@ impl<'a> Run<'a> {
             capture_failed: false,
             ended_early: self.options.until.is_some(),
         };
-        let Outcome { figures, slot_error_abs, .. } =
+        let Outcome { figures, slot_error_abs, kept, .. } =
             outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
         let simulation = Simulation {
             seed: self.scenario.seed,
@@ -440,7 +450,7 @@ impl<'a> Run<'a> {
         let mut figures = SimFigures { figures, simulation };
         figures.simulation.expectations = expect::check(self.scenario, &figures, &places);
         expect::add(&mut figures.figures.verdict, &figures.simulation.expectations);
-        Ok(Ended { figures, slot_error_abs, lines })
+        Ok(Ended { figures, slot_error_abs, lines, kept })
     }
 }
 

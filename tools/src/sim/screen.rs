@@ -41,7 +41,8 @@ pub fn render(figures: &SimFigures, around: Option<&Around>, width: usize) -> St
     lines.join("\n") + "\n"
 }
 
-fn medium(simulation: &Simulation) -> Vec<String> {
+/// What was seen of the medium.
+pub(crate) fn medium(simulation: &Simulation) -> Vec<String> {
     let counted = [
         (simulation.collisions, "destroyed by a hub"),
         (simulation.queue_full, "without room in a switch"),
@@ -78,7 +79,13 @@ fn states(simulation: &Simulation) -> Vec<String> {
 }
 
 fn expectation(checked: &Checked) -> String {
-    let Checked { line, expected, station, priority, found, holds, cycle } = checked;
+    let (expected, found, verdict) = of_expectation(checked);
+    format!("line {:>3}: {expected}: {found}: {verdict}", checked.line)
+}
+
+/// What was expected of whom, what was found, and whether it is that.
+pub(crate) fn of_expectation(checked: &Checked) -> (String, String, String) {
+    let Checked { expected, station, priority, found, holds, cycle, .. } = checked;
     let of = station.as_ref().map_or(String::new(), |name| format!(" of {name}"));
     let at = priority.map_or(String::new(), |priority| format!(" at priority {priority}"));
     let verdict = match (holds, cycle) {
@@ -86,5 +93,5 @@ fn expectation(checked: &Checked) -> String {
         (false, Some(cycle)) => format!("NOT AS EXPECTED, see cycle {cycle}"),
         (false, None) => "NOT AS EXPECTED, in no cycle that could be shown".to_owned(),
     };
-    format!("line {line:>3}: {expected}{of}{at}: {found}: {verdict}")
+    (format!("{expected}{of}{at}"), found.to_string(), verdict)
 }

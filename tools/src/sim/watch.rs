@@ -13,6 +13,7 @@ use super::sight::{decoded, sight};
 use super::world::{EPOCH, UPTIME};
 use crate::judge::absences::Absence;
 use crate::judge::analysis::Analysis;
+use crate::judge::closely::envelope::Envelope;
 use crate::judge::delivery::Meant;
 use crate::judge::explain::Records;
 use crate::judge::findings::Author;
@@ -29,6 +30,8 @@ pub struct Watch {
     pub records: Records,
     /// Estimated - true global time, by station.
     pub sync_error: Vec<SignedHistogram>,
+    /// The same over time, if the report is to have pictures.
+    pub sync_error_over_time: Option<Vec<Envelope>>,
     /// What a reader of the report should know, by station.
     pub noteworthy: Vec<Noteworthy>,
     /// Test traffic that was lost on purpose, by receiver: usual frames, and of each priority.
@@ -64,6 +67,7 @@ impl Watch {
             analysis,
             records,
             sync_error: names.iter().map(|_| SignedHistogram::new()).collect(),
+            sync_error_over_time: None,
             noteworthy: vec![Noteworthy::default(); names.len()],
             meant: vec![BTreeMap::new(); names.len()],
             capture: None,
@@ -112,7 +116,9 @@ impl Watch {
         while let Some(event) = tdma.next_event() {
             let late = event.kind.is_miss().then(|| why_late(moment, event.span.nanos()));
             let author = Author { station, cycle: event.cycle, slot: event.slot };
-            self.records.note(author, event.kind, event.span, event.kind.cause().or(late));
+            let cause = event.kind.cause().or(late);
+            self.records.note(author, event.kind, event.span, cause);
+            self.analysis.told(author, event.kind, event.span, cause);
             if self.counting {
                 self.noteworthy[station].note(event.kind, event.cycle);
             }
@@ -127,6 +133,9 @@ impl Watch {
             if self.counting && station != 0 {
                 let error = global - self.analysis.truth().global(at);
                 self.sync_error[station].record(error.nanos());
+                if let Some(over_time) = &mut self.sync_error_over_time {
+                    over_time[station].note(at, error.nanos());
+                }
                 self.seen.sync_error[station].note(error.nanos().saturating_abs(), time.cycle);
             }
         }

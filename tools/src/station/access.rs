@@ -3,6 +3,7 @@
 use anyhow::anyhow;
 use rtmac::nomac::NoMac;
 use rtmac::tdma::{self, RoleConfig, Tdma, TdmaCommand, TdmaConfig, TdmaStatus};
+use rtmac::token::{Ring, RingConfig, Token, TokenStatus};
 use rtnet::at_once::{AtOnceStatus, DEFAULT_ASK_EVERY};
 use rtnet::buf::{Buf, PoolStatistics};
 use rtnet::direct::Direct;
@@ -23,6 +24,8 @@ pub enum AccessConfig {
     NoMac,
     /// No RTmac.
     Direct,
+    /// A token that goes round this ring.
+    Token(RingConfig),
 }
 
 impl AccessConfig {
@@ -30,7 +33,15 @@ impl AccessConfig {
     pub fn tdma(&self) -> Option<&TdmaConfig> {
         match self {
             AccessConfig::Tdma(config) => Some(config),
-            AccessConfig::NoMac | AccessConfig::Direct => None,
+            AccessConfig::NoMac | AccessConfig::Direct | AccessConfig::Token(_) => None,
+        }
+    }
+
+    /// Of one in a ring, that.
+    pub fn ring(&self) -> Option<&RingConfig> {
+        match self {
+            AccessConfig::Token(ring) => Some(ring),
+            AccessConfig::Tdma(_) | AccessConfig::NoMac | AccessConfig::Direct => None,
         }
     }
 
@@ -48,6 +59,8 @@ pub enum Access {
     NoMac(NoMac),
     /// No RTmac.
     Direct(Direct),
+    /// A token.
+    Token(Box<Token>),
 }
 
 impl Access {
@@ -60,6 +73,9 @@ impl Access {
             }
             AccessConfig::NoMac => Access::NoMac(NoMac::new(DEFAULT_ASK_EVERY)),
             AccessConfig::Direct => Access::Direct(Direct::new(DEFAULT_ASK_EVERY)),
+            AccessConfig::Token(ring) => {
+                Access::Token(Box::new(Token::new(Ring::new(ring.clone(), address)?)))
+            }
         })
     }
 }
@@ -73,6 +89,8 @@ pub enum AccessStatus {
     Tdma(TdmaStatus),
     /// Of what sends at once, by its name.
     AtOnce(&'static str, AtOnceStatus),
+    /// Of a token.
+    Token(TokenStatus),
 }
 
 impl AccessStatus {
@@ -81,6 +99,7 @@ impl AccessStatus {
         match self {
             AccessStatus::Tdma(_) => "tdma",
             AccessStatus::AtOnce(name, _) => name,
+            AccessStatus::Token(_) => "token",
         }
     }
 
@@ -88,7 +107,15 @@ impl AccessStatus {
     pub fn tdma(&self) -> Option<&TdmaStatus> {
         match self {
             AccessStatus::Tdma(status) => Some(status),
-            AccessStatus::AtOnce(..) => None,
+            AccessStatus::AtOnce(..) | AccessStatus::Token(_) => None,
+        }
+    }
+
+    /// What there is to be seen of its ring, if it is in one.
+    pub fn token(&self) -> Option<&TokenStatus> {
+        match self {
+            AccessStatus::Token(status) => Some(status),
+            AccessStatus::Tdma(_) | AccessStatus::AtOnce(..) => None,
         }
     }
 
@@ -99,7 +126,11 @@ impl AccessStatus {
 
     /// The state in reports. RTnet shows a station with NoMAC as attached.
     pub fn state_name(&self) -> &'static str {
-        self.state().map_or("attached", SyncState::name)
+        match self {
+            AccessStatus::Tdma(status) => status.state.name(),
+            AccessStatus::AtOnce(..) => "attached",
+            AccessStatus::Token(status) => status.state.name(),
+        }
     }
 
     /// The last cycle that was told of; what stands for it where there is none.
@@ -107,12 +138,13 @@ impl AccessStatus {
         match self {
             AccessStatus::Tdma(status) => status.cycle,
             AccessStatus::AtOnce(_, status) => status.ticks,
+            AccessStatus::Token(status) => status.visits,
         }
     }
 
     /// How the pool of its own frames fares, if it has any.
     pub fn pool(&self) -> Option<PoolStatistics> {
-        self.tdma().map(|status| status.control)
+        self.tdma().map(|status| status.control).or(self.token().map(|status| status.pool))
     }
 
     /// Frames of data that were sent.
@@ -120,6 +152,7 @@ impl AccessStatus {
         match self {
             AccessStatus::Tdma(status) => status.counters.frames_sent,
             AccessStatus::AtOnce(_, status) => status.frames_sent,
+            AccessStatus::Token(status) => status.counters.frames_sent,
         }
     }
 
@@ -128,6 +161,7 @@ impl AccessStatus {
         match self {
             AccessStatus::Tdma(status) => status.events_lost,
             AccessStatus::AtOnce(_, status) => status.events_lost,
+            AccessStatus::Token(status) => status.counters.events_lost,
         }
     }
 }
@@ -151,6 +185,7 @@ macro_rules! any {
             Access::Tdma($inner) => $call,
             Access::NoMac($inner) => $call,
             Access::Direct($inner) => $call,
+            Access::Token($inner) => $call,
         }
     };
 }
@@ -188,6 +223,9 @@ impl Discipline for Access {
     fn has_queued(&self) -> bool {
         any!(self, d => d.has_queued())
     }
+    fn tries_again(&self) -> bool {
+        any!(self, d => d.tries_again())
+    }
     fn put_back(&mut self, frame: Returned) {
         any!(self, d => d.put_back(frame))
     }
@@ -211,6 +249,7 @@ impl Discipline for Access {
             Access::Tdma(tdma) => tdma.command(now, command).map_err(Refused::from),
             Access::NoMac(nomac) => Err(Refused::NoCycle(nomac.name())),
             Access::Direct(direct) => Err(Refused::NoCycle(direct.name())),
+            Access::Token(_) => Err(Refused::NoCycle("token")),
         }
     }
     fn status(&self) -> AccessStatus {
@@ -218,6 +257,7 @@ impl Discipline for Access {
             Access::Tdma(tdma) => AccessStatus::Tdma(tdma.status()),
             Access::NoMac(nomac) => AccessStatus::AtOnce(nomac.name(), nomac.status()),
             Access::Direct(direct) => AccessStatus::AtOnce(direct.name(), direct.status()),
+            Access::Token(token) => AccessStatus::Token(token.status()),
         }
     }
 }

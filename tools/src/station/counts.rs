@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use rtmac::tdma::{SlotStatus, TdmaStatus};
+use rtmac::token::TokenStatus;
 use rtnet::at_once::AtOnceStatus;
 use rtnet::live::PortCounters;
 
@@ -21,6 +22,7 @@ pub fn counters(status: &AccessStatus, wire: &Wire) -> BTreeMap<String, u64> {
     let mut counters = match status {
         AccessStatus::Tdma(status) => of_tdma(status),
         AccessStatus::AtOnce(_, status) => of_at_once(status),
+        AccessStatus::Token(status) => of_token(status),
     };
     counters.extend(wire.counters().into_iter().map(|(name, n)| (name.to_owned(), n)));
     counters
@@ -48,6 +50,12 @@ fn of_at_once(status: &AtOnceStatus) -> BTreeMap<String, u64> {
         ("queued", status.queued as u64),
     ];
     all.into_iter().map(|(name, n)| (name.to_owned(), n)).collect()
+}
+
+fn of_token(status: &TokenStatus) -> BTreeMap<String, u64> {
+    let queued = ("queued", status.queued as u64);
+    let all = status.counters.named().into_iter().chain([queued]);
+    all.map(|(name, n)| (name.to_owned(), n)).collect()
 }
 
 fn of_tdma(status: &TdmaStatus) -> BTreeMap<String, u64> {

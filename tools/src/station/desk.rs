@@ -12,6 +12,7 @@ use crossbeam::queue::ArrayQueue;
 use nix::errno::Errno;
 use nix::sys::eventfd::EventFd;
 use rtmac::tdma::{NON_RT_SLOT, RoleName, SlaveConfig, TdmaCommand};
+use rtmac::token::RingConfig;
 use rtnet::api::door::{Attached, Descriptors};
 use rtnet::api::handshake::{Answer, Ask};
 use rtnet::clock::EmulatedClock;
@@ -32,8 +33,8 @@ use super::vnic::Told;
 use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots};
 use crate::control::{
-    Answers, ClockShown, CountersShown, EchoesShown, Envelope, InterfaceShown, Reply, Request, StackReply,
-    StackRequest, StationStatus, Traffic, read,
+    Answers, ClockShown, CountersShown, EchoesShown, Envelope, InterfaceShown, Reply, Request, RingShown,
+    StackReply, StackRequest, StationStatus, Traffic, read,
 };
 use crate::report::figures::GuardName;
 
@@ -55,6 +56,8 @@ pub struct Desk {
     lead: Span,
     /// How it follows, and answers, unless it is told otherwise.
     follow: SlaveConfig,
+    /// The ring that it is in, if it is in one.
+    ring: Option<RingConfig>,
     max_requests: usize,
     /// A single station's slots with every change that was carried out; a lab sees to its stations' itself.
     own_slots: Option<OwnSlots>,
@@ -126,6 +129,7 @@ impl Desk {
             latest: options.latest,
             lead: options.spin,
             follow: options.follow(),
+            ring: options.access.ring().cloned(),
             max_requests: options.max_requests(),
             own_slots: options.own_slots.clone(),
             records: driver.records(),
@@ -335,6 +339,7 @@ impl Desk {
             deviation_ns: tdma.map_or(0, |tdma| tdma.deviation.nanos()),
             drift_ppb: tdma.and_then(|tdma| tdma.drift_ppb),
             clock: tdma.map(ClockShown::from),
+            ring: status.token().zip(self.ring.as_ref()).map(|(token, ring)| RingShown::of(token, ring)),
             slots: tdma.iter().flat_map(|tdma| tdma.slots.iter().flatten()).map(shown).collect(),
             counters: counters(status, &self.wire),
             host: self.host.clone(),

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::access::AccessStatus;
 use super::traffic::{Arrived, FlowPlan, TrafficCounts};
 use super::wire::LinkState;
+use crate::judge::findings::Author;
 
 /// The refusal of frames for which there was no buffer to be received into.
 pub const PORT_POOL_EMPTY: &str = "port_pool_empty";
@@ -253,6 +254,16 @@ pub fn reports(records: impl Iterator<Item = Record>) -> Vec<Report> {
         lines.push(Report::Late(late));
     }
     lines
+}
+
+/// What a station has told: of which slot or cycle, what, by how much, and why. Not what only a later version knows.
+pub fn told(
+    station: usize,
+    events: &[EventTold],
+) -> impl Iterator<Item = (Author, EventKind, Span, Option<Cause>)> {
+    events.iter().filter_map(move |&(cycle, slot, of, span, why)| {
+        Some((Author { station, cycle, slot }, kind(of)?, Span::from_nanos(span), why.and_then(cause)))
+    })
 }
 
 /// The kind of event with this number.

@@ -30,6 +30,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
 use nix::sys::eventfd::{EfdFlags, EventFd};
 use rtmac::tdma::{DEFAULT_MAX_REQUESTS, MasterConfig, RoleConfig, SlaveConfig};
+use rtmac::token;
 use rtnet::api::line::Lines;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
@@ -338,8 +339,12 @@ fn start(mut driver: Driver<Access>, realtime: RealTime) -> Result<(JoinHandle<(
 fn port(options: &Options, interface: &Interface) -> Result<Port> {
     let data = match &options.lab {
         _ if options.stack.is_some() => Data::All,
-        Some(_) => Data::Only(&[EtherType::EXPERIMENTAL]),
-        None => Data::Only(&[]),
+        lab => Data::Only(match (&options.access, lab) {
+            (AccessConfig::Token(_), Some(_)) => &[token::wire::TOKEN, EtherType::EXPERIMENTAL],
+            (AccessConfig::Token(_), None) => &[token::wire::TOKEN],
+            (_, Some(_)) => &[EtherType::EXPERIMENTAL],
+            (_, None) => &[],
+        }),
     };
     let spin = options.spin.nanos().max(0) as u64;
     let mut port = Port::open(interface, data, options.clock(), spin, options.guard)?;

@@ -4,6 +4,7 @@ use std::io::Write;
 
 use anyhow::Result;
 use rtmac::tdma::{Mastery, TdmaStatus};
+use rtmac::token::TokenStatus;
 use rtnet::at_once::AtOnceStatus;
 use rtnet::discipline::{Event, EventKind, SyncState};
 use rtnet::live::{Record, Snapshot};
@@ -41,6 +42,7 @@ impl Teller {
                     AccessConfig::Tdma(_) => "",
                     AccessConfig::NoMac => ", nomac",
                     AccessConfig::Direct => ", direct",
+                    AccessConfig::Token(_) => ", token",
                 };
                 let on = &options.interface;
                 print(&format!("{name}: on {on} ({address}{discipline}{guard}); Ctrl-C ends it"));
@@ -137,7 +139,10 @@ impl Person {
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);
                     first.iter().for_each(|line| self.say(line));
                 }
-                _ => self.say(&format!("cycle {}: {}", event.cycle, event_line(event))),
+                kind => {
+                    let of = if is_of_token(kind) { "visit" } else { "cycle" };
+                    self.say(&format!("{of} {}: {}", event.cycle, event_line(event)));
+                }
             }
         }
         let Some(status) = status else { return };
@@ -161,9 +166,27 @@ impl Drop for Person {
                 let AtOnceStatus { frames_sent, send_failed, .. } = status;
                 self.say(&format!("ended: {frames_sent} frames sent, {send_failed} refused by the kernel"));
             }
+            Some(AccessStatus::Token(status)) => self.say(&ended_ring_line(status)),
             None => {}
         }
     }
+}
+
+fn ended_ring_line(status: &TokenStatus) -> String {
+    let counters = &status.counters;
+    format!(
+        "ended as {} of {} in its ring: held the token {} times; {} frames sent, {} tokens repeated, {} stations \
+         skipped, {} claims, {} overdue, {} given up",
+        status.index,
+        status.size,
+        status.visits,
+        counters.frames_sent,
+        counters.repeats,
+        counters.skips,
+        counters.claims,
+        counters.overdue,
+        counters.given_up,
+    )
 }
 
 fn ended_line(status: &TdmaStatus) -> String {
@@ -196,6 +219,12 @@ fn sent(status: &AccessStatus) -> u64 {
     control + status.frames_sent()
 }
 
+/// What has no cycle goes by how often the token was here.
+fn is_of_token(kind: EventKind) -> bool {
+    use EventKind::*;
+    matches!(kind, TokenRepeated | StationSkipped | TokenClaimed | TokenGivenUp | TokenOverdue)
+}
+
 fn event_line(event: &Event) -> String {
     let name = event.kind.name();
     match event.kind {
@@ -207,6 +236,18 @@ fn event_line(event: &Event) -> String {
             format!(
                 "{name}: {slot} has a queue of its own now, since the slot that it was joined to has grown"
             )
+        }
+        EventKind::TokenRepeated => {
+            format!("{name}: the next station showed no sign of the token: it was sent once more")
+        }
+        EventKind::StationSkipped => {
+            let place = event.slot.map_or("a station".into(), |place| format!("station {place} of the ring"));
+            format!("{name}: {place} showed no sign of the token: it is absent, and is invited later")
+        }
+        EventKind::TokenClaimed => format!("{name}: no token was heard: this station has claimed it"),
+        EventKind::TokenGivenUp => format!("{name}: another token stays: the one here is void"),
+        EventKind::TokenOverdue => {
+            format!("{name}: {} too late to pass the token on: it is lost here", event.span)
         }
         _ => format!("{name} ({})", event.span),
     }

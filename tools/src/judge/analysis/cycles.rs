@@ -55,6 +55,12 @@ impl Analysis {
         self.window = self.window.map(|(from, _)| (from, counted));
     }
 
+    /// When the first cycle that counts begins.
+    pub fn begin_of_window(&self) -> Option<True> {
+        let (from, _) = self.window?;
+        Some(self.truth().truth(self.start_of(from)?))
+    }
+
     /// The cycles that were counted: those of the window that have passed.
     pub fn cycles(&self) -> u32 {
         let (Some((from, cycles)), Some(current)) = (self.window, self.current) else { return 0 };

@@ -20,7 +20,7 @@ fn outcome(missed_in_parts: [u64; 20], reasons: &[&str]) -> Outcome {
         verdict: Verdict::from_reasons(reasons.iter().map(|&why| why.into()).collect()),
         ..Figures::default()
     };
-    Outcome { figures, slot_error_abs: SignedHistogram::new(), missed_in_parts }
+    Outcome { figures, slot_error_abs: SignedHistogram::new(), missed_in_parts, kept: Default::default() }
 }
 
 fn answer(cycle_ns: Option<i64>) -> Answer {

@@ -42,6 +42,7 @@ impl Run<'_> {
             let meant = watch.meant[id].remove(&of).unwrap_or_default();
             (of, Delivery { heard, meant })
         };
+        let over_time = watch.sync_error_over_time.as_mut().map(|all| std::mem::take(&mut all[id]));
         // What a process that was ended would have heard since, nobody knows.
         let streams = self.scenario.streams(self.scenario.sender(id)).filter(|_| self.present[id]);
         let name = &self.scenario.stations[id].name;
@@ -51,6 +52,7 @@ impl Run<'_> {
             delay_ns: status.delay.map(Span::nanos),
             payload_errors: counted.payload_errors.max(0) as u64,
             sync_error: std::mem::take(&mut watch.sync_error[id]),
+            sync_error_over_time: over_time.unwrap_or_default(),
             sequence_gaps: counted.missing.max(0) as u64,
             deliveries: streams.map(&mut delivery).collect(),
             refusals: refusals.chain(no_room).map(|(why, n)| (why.to_owned(), n)).collect(),

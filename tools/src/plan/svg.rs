@@ -15,7 +15,7 @@ use crate::report::text::duration;
 const PHASES_DRAWN: u64 = 64;
 const WIDTH: f64 = 1200.0;
 const LEFT: f64 = 110.0;
-const RIGHT: f64 = 20.0;
+const RIGHT: f64 = 40.0;
 const TOP: f64 = 44.0;
 const ROW: f64 = 46.0;
 const BAR: f64 = 24.0;

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use rtmac::tdma::Tdma;
+use rtmac::token::Token;
 use rtnet::Direct;
 use rtnet::at_once::DEFAULT_ASK_EVERY;
 use rtnet::buf::Pool;
@@ -15,6 +16,7 @@ use rtnet::socket::{
 use rtnet::station::Station;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::{EtherType, MTU};
+use tests::rings;
 use tests::stacks::{
     self, CYCLE, Does, Own, address, assert_pools_full, at, bytes, cycles, ip, network, slot, stack,
 };
@@ -98,6 +100,15 @@ fn without_slots() -> Pair<Direct> {
     Pair { network, done, round: 0 }
 }
 
+fn in_a_ring() -> Pair<Token> {
+    let done = Default::default();
+    let [one, other] = stacks_of(&done, CYCLE * 8);
+    let station = |id, stack| Station::new(rings::in_a_ring(id, &[0, 1]), Vec::new()).with_stack(stack);
+    let mut network = network(vec![station(0, one), station(1, other)], Host::IDEAL);
+    cycles(&mut network, 10);
+    Pair { network, done, round: 0 }
+}
+
 fn in_slots() -> Pair<Tdma> {
     let done = Default::default();
     let [one, other] = stacks_of(&done, CYCLE * 8);
@@ -147,6 +158,11 @@ fn check_allocates_nothing<D: Discipline>(mut pair: Pair<D>) {
 #[test]
 fn sockets_in_slots_allocate_nothing() {
     check_allocates_nothing(in_slots());
+}
+
+#[test]
+fn sockets_in_a_ring_allocate_nothing() {
+    check_allocates_nothing(in_a_ring());
 }
 
 #[test]

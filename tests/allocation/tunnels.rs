@@ -4,6 +4,7 @@ use rtmac::nomac::NoMac;
 use rtnet::at_once::DEFAULT_ASK_EVERY;
 use rtnet::discipline::Discipline;
 use rtnet::wire::ethernet::Address;
+use tests::rings::in_a_ring;
 use tests::stacks::{SETTLES, address, in_slots, slot, stack};
 use tests::tunnels::{Habits, Kind, Tunnelled};
 use vnic::tunnel::AT_ONCE;
@@ -40,6 +41,13 @@ fn stations_with_saturated_tunnels_allocate_nothing() {
     let station = |id| (in_slots(id, &slots(id)), stack(id, Vec::new()), floods(id));
     let mut lab = Tunnelled::new(&Kind::default(), (0..STATIONS).map(station).collect());
     check_allocates_nothing(&mut lab, SETTLES + 100, 500, 1_000);
+}
+
+#[test]
+fn stations_in_a_ring_whose_tunnels_are_saturated_allocate_nothing() {
+    let station = |id| (in_a_ring(id, &[0, 1]), stack(id, Vec::new()), floods(id));
+    let mut lab = Tunnelled::new(&Kind::default(), (0..2).map(station).collect());
+    check_allocates_nothing(&mut lab, 50, 100, 1_000);
 }
 
 #[test]

@@ -25,4 +25,5 @@ mod stack;
 mod station;
 mod steps;
 mod texts;
+mod token;
 mod tunnel;

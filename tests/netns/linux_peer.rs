@@ -3,6 +3,7 @@
 use std::net::{SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
 
+use rtmac::token::{Ring, RingConfig, Token};
 use rtnet::at_once::DEFAULT_ASK_EVERY;
 use rtnet::clock::EmulatedClock;
 use rtnet::direct::Direct;
@@ -83,6 +84,16 @@ fn a_linux_host_and_a_station_without_slots_exchange_datagrams_up_to_the_longest
         return;
     }
     converse(|_| Direct::new(DEFAULT_ASK_EVERY), 65_507);
+}
+
+#[test]
+fn a_linux_host_and_a_station_in_a_ring_exchange_datagrams_in_fragments_and_echoes() {
+    if !as_root("a_linux_host_and_a_station_in_a_ring_exchange_datagrams_in_fragments_and_echoes") {
+        return;
+    }
+    // Of one station: the host knows no token, and answers at any time.
+    let ring = |address| Ring::new(RingConfig::new(vec![address]), address).unwrap();
+    converse(|address| Token::new(ring(address)), 65_507);
 }
 
 #[test]

@@ -22,6 +22,7 @@ use smoltcp::time::Instant as SmolInstant;
 use smoltcp::wire::{
     EthernetAddress, Icmpv4Packet, Icmpv4Repr, IpAddress, IpCidr, IpEndpoint, IpListenEndpoint,
 };
+use tests::rings::in_a_ring;
 use tests::stacks::{
     address, assert_pools_full, at, bytes, in_slots, ip, network, slot, stack, strange_stack, udp as open,
 };
@@ -228,6 +229,16 @@ fn datagrams_of_any_length_go_both_ways_in_as_many_fragments_as_they_take() {
     let mut pair = without_slots(stack(0, Vec::new()));
     for len in [0, 1, 18, 19, 1_472, 1_473, 1_480, 2_952, 2_953, 10_000, 60_000, LONGEST - 1, LONGEST] {
         // It sends a fragment each time it is asked.
+        pair.check_both_ways(len, 60);
+    }
+    pair.check_clean();
+}
+
+#[test]
+fn datagrams_of_any_length_go_both_ways_in_a_ring() {
+    let disciplines = [0, OTHER].map(|id| in_a_ring(id, &[0, OTHER]));
+    let mut pair = Pair::new(stack(0, Vec::new()), MTU, Host::IDEAL, disciplines);
+    for len in [0, 18, 1_472, 1_473, 10_000, LONGEST] {
         pair.check_both_ways(len, 60);
     }
     pair.check_clean();

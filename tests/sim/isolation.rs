@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use rtmac::nomac::Unslotted;
 use rtmac::tdma::Tdma;
+use rtmac::token::bound::access_delay_bound;
 use rtnet::at_once::{AtOnce, DEFAULT_ASK_EVERY, Rules};
 use rtnet::buf::Pool;
 use rtnet::direct::Unplugged;
@@ -18,6 +19,7 @@ use rtnet::wire::ethernet::{EtherType, Header as LinkHeader, MIN_FRAME};
 use rtnet::wire::icmpv4::{Echo, Kind};
 use rtnet::wire::ipv4::{Fields, Header, Protocol};
 use rtnet::wire::udp;
+use tests::rings;
 use tests::stacks::{
     CYCLE, Does, Notes, Own, SETTLES, address, at, bytes, cycles, ip, is_settled, network, settled, slot,
     stack, udp as open,
@@ -222,26 +224,48 @@ fn a_storm_of_first_fragments_takes_the_buffers_of_the_socket_that_it_is_for_onl
     assert!(collectors.given_up > CYCLES * (STORM - 1), "{collectors:?}");
 }
 
-/// Without slots nobody waits for one: a number is there when it has been on its way.
-fn check_unharmed_at_once<R: Rules>(trouble: Trouble) {
-    let at_once = |stack| Station::new(AtOnce::<R>::new(DEFAULT_ASK_EVERY), Vec::new()).with_stack(stack);
+const TROUBLES: [Trouble; 5] =
+    [Trouble::NeverRead, Trouble::Tap, Trouble::Flood, Trouble::Pings, Trouble::FirstFragments];
+
+/// How long each number took from its program to the stamp of its receiver, in nanoseconds, where stations share the medium
+/// like this.
+fn times_with<D: Discipline>(trouble: Trouble, discipline: impl Fn(usize) -> D) -> Vec<i64> {
     let outcome = run(Some(trouble), |stacks| {
-        let mut network = network(stacks.map(at_once).into(), Host::IDEAL);
+        let of = |(id, stack)| Station::new(discipline(id), Vec::new()).with_stack(stack);
+        let mut network = network((0..).zip(stacks).map(of).collect(), Host::IDEAL);
         cycles(&mut network, SETTLES);
         network
     });
-    for (id, arrivals) in outcome.arrivals.iter().enumerate() {
+    let times = outcome.arrivals.iter().enumerate().flat_map(|(id, arrivals)| {
         let [here, there] = [id, 1 - id].map(|id| outcome.network.member(id).clock.offset.nanos());
-        let took = |&(_, stamp, sent): &(u32, u64, u64)| stamp as i64 - sent as i64 - (here - there);
-        assert!(arrivals.iter().all(|arrival| took(arrival) == 500), "{trouble:?}");
-    }
+        arrivals.iter().map(move |&(_, stamp, sent)| stamp as i64 - sent as i64 - (here - there))
+    });
+    times.collect()
+}
+
+/// Without slots nobody waits for one: a number is there when it has been on its way.
+fn check_unharmed_at_once<R: Rules>(trouble: Trouble) {
+    let times = times_with(trouble, |_| AtOnce::<R>::new(DEFAULT_ASK_EVERY));
+    assert!(times.iter().all(|time| *time == 500), "{trouble:?}");
 }
 
 #[test]
 fn without_slots_others_lose_no_frame_either_and_none_of_theirs_waits() {
-    for trouble in [Trouble::NeverRead, Trouble::Tap, Trouble::Flood, Trouble::Pings, Trouble::FirstFragments]
-    {
+    for trouble in TROUBLES {
         check_unharmed_at_once::<Unplugged>(trouble);
         check_unharmed_at_once::<Unslotted>(trouble);
+    }
+}
+
+#[test]
+fn in_a_ring_others_lose_no_frame_either_and_theirs_wait_no_longer_than_the_bound() {
+    let all: Vec<usize> = (0..3).collect();
+    let config = rings::quick(all.iter().map(|&id| address(id)).collect());
+    // On its way besides, and as long as its receiver waits for the frames that were first.
+    let bound = access_delay_bound(&config, all.len(), 0) + config.delay;
+    for trouble in TROUBLES {
+        let times = times_with(trouble, |id| rings::in_a_ring(id, &all));
+        let longest = times.iter().max().expect("some came");
+        assert!(*longest <= bound.nanos(), "{trouble:?}: {longest} ns, and no more than {bound}");
     }
 }

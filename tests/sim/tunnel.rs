@@ -12,6 +12,7 @@ use rtnet::discipline::{Discipline, SyncState};
 use rtnet::sim::{Host, Joint, Medium};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, HEADER_LEN, MTU};
+use tests::rings::in_a_ring;
 use tests::stacks::{SETTLES, address, in_slots, slot, stack};
 use tests::tunnels::{Habits, Kind, Linux, OnAir, PADDED_TO, Tunnelled, constant};
 use vnic::tunnel::{AT_ONCE, FRAME, HEAD, Loss};
@@ -177,6 +178,18 @@ fn nomac_stations_exchange_what_is_tunnelled_at_once() {
     lab.watch();
     lab.run_cycles(20);
     lab.quiet(20);
+    check_exchanged(&lab, 100);
+}
+
+#[test]
+fn stations_in_a_ring_exchange_what_is_tunnelled() {
+    let all: Vec<usize> = (0..STATIONS).collect();
+    let kind = Kind { buffers: 128, ..Kind::default() };
+    let station = |id| (in_a_ring(id, &all), stack(id, Vec::new()), Some(talkative(id)));
+    let mut lab = Tunnelled::new(&kind, (0..STATIONS).map(station).collect());
+    lab.watch();
+    lab.run_cycles(200);
+    lab.quiet(50);
     check_exchanged(&lab, 100);
 }
 

@@ -1,11 +1,13 @@
 //! Stations that send at once: NoMAC, and none of RTmac at all.
 
 use std::cell::RefCell;
+use std::ops::RangeInclusive;
 use std::rc::Rc;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
 use rtmac::tdma::{DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, RoleConfig, SlaveConfig, Tdma, TdmaConfig};
+use rtmac::token::wire::TOKEN;
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::buf::{Buf, Pool};
 use rtnet::clock::EmulatedClock;
@@ -16,6 +18,7 @@ use rtnet::sim::{Host, Medium, Member, Network};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, MIN_FRAME};
+use tests::rings;
 use tests::traffic::of_a_lab;
 use tools::station::access::{Access, AccessConfig, AccessStatus};
 use tools::station::traffic::TrafficCounts;
@@ -33,34 +36,46 @@ fn member(config: &AccessConfig, address: Address, service: Box<dyn Service>) ->
 }
 
 fn sent(network: &Network<Access>, id: usize) -> u64 {
-    let AccessStatus::AtOnce(_, status) = network.member(id).station.discipline().status() else {
-        panic!("it has slots");
-    };
-    assert_eq!((status.send_failed, status.lethal), (0, 0));
-    status.frames_sent
+    let status = network.member(id).station.discipline().status();
+    match status {
+        AccessStatus::AtOnce(_, of) => assert_eq!((of.send_failed, of.lethal), (0, 0)),
+        AccessStatus::Token(of) => assert_eq!(of.counters.send_failed, 0),
+        AccessStatus::Tdma(_) => panic!("it has slots"),
+    }
+    status.frames_sent()
 }
 
 #[test]
 fn two_stations_without_slots_exchange_a_second_of_frames_and_lose_none() {
     for config in [AccessConfig::NoMac, AccessConfig::Direct] {
-        let mut network = Network::new(Medium::default(), 7);
-        let counts: [Arc<TrafficCounts>; 2] = Default::default();
-        for (id, (from, to)) in [(A, B), (B, A)].into_iter().enumerate() {
-            let traffic = of_a_lab((id as u16, from), to, 1 - id as u16, counts[id].clone());
-            network.add(member(&config, from, Box::new(traffic)), BEGIN + id as u64 * 300_000);
-        }
-        network.run_until(BEGIN + SECOND);
-        // Both have done with what they have begun.
-        network.run_until(BEGIN + SECOND + 500_000);
-        for (id, counts) in counts.iter().enumerate() {
-            let (received, from_other) =
-                (counts.usual.received.load(Ordering::Relaxed), sent(&network, 1 - id));
-            // A tick that the host slept through has no frame.
-            assert!((900..=1001).contains(&from_other), "one each millisecond: {from_other}");
-            assert!(received + 1 >= from_other && received <= from_other, "{received} of {from_other}");
-            assert_eq!(counts.usual.missing.load(Ordering::Relaxed), 0);
-            assert_eq!(network.member(id).station.refusals().total(), 0);
-        }
+        // One each millisecond; a tick that the host slept through has no frame.
+        check_exchanged(&config, 900..=1001);
+    }
+}
+
+#[test]
+fn two_stations_in_a_ring_exchange_a_second_of_frames_and_lose_none() {
+    // One in each round, of which none is shorter than both rest; a host that is late loses its turn.
+    check_exchanged(&AccessConfig::Token(rings::quick(vec![A, B])), 1_000..=10_000);
+}
+
+fn check_exchanged(config: &AccessConfig, expected: RangeInclusive<u64>) {
+    let mut network = Network::new(Medium::default(), 7);
+    let counts: [Arc<TrafficCounts>; 2] = Default::default();
+    for (id, (from, to)) in [(A, B), (B, A)].into_iter().enumerate() {
+        let traffic = of_a_lab((id as u16, from), to, 1 - id as u16, counts[id].clone());
+        network.add(member(config, from, Box::new(traffic)), BEGIN + id as u64 * 300_000);
+    }
+    network.run_until(BEGIN + SECOND);
+    // Both have done with what they have begun.
+    network.run_until(BEGIN + SECOND + 500_000);
+    for (id, counts) in counts.iter().enumerate() {
+        let (received, from_other) = (counts.usual.received.load(Ordering::Relaxed), sent(&network, 1 - id));
+        assert!(expected.contains(&from_other), "{from_other}");
+        assert!(received + 1 >= from_other && received <= from_other, "{received} of {from_other}");
+        assert_eq!(counts.usual.missing.load(Ordering::Relaxed), 0);
+        let refusals = network.member(id).station.refusals();
+        assert_eq!(refusals.total(), refusals.get(Refusal::TokenStale), "what is no loss of a frame");
     }
 }
 
@@ -107,15 +122,32 @@ fn ethernet(to: Address, rest: &[u8]) -> Vec<u8> {
 
 /// A NoMAC station B that says this from [`BEGIN`] on; what is on the air.
 fn nomac_says(says: Vec<Vec<u8>>) -> (Network<Access>, Arc<Mutex<Vec<SendError>>>, Heard) {
+    station_says(&AccessConfig::NoMac, says)
+}
+
+/// The same of one that shares the medium like this; tokens are not noted.
+fn station_says(
+    config: &AccessConfig,
+    says: Vec<Vec<u8>>,
+) -> (Network<Access>, Arc<Mutex<Vec<SendError>>>, Heard) {
     let talk = Talk::new(says);
     let refused = talk.refused.clone();
     let mut network = Network::new(Medium::default(), 7);
-    let talker = Member { host: Host::IDEAL.into(), ..member(&AccessConfig::NoMac, B, Box::new(talk)) };
+    let talker = Member { host: Host::IDEAL.into(), ..member(config, B, Box::new(talk)) };
     network.add(talker, BEGIN);
     let heard = Heard::default();
     let noted = heard.clone();
-    network.observe(move |aired| noted.borrow_mut().push((aired.at, aired.bytes.to_vec())));
+    network.observe(move |aired| {
+        if aired.bytes[12..14] != TOKEN.0.to_be_bytes() {
+            noted.borrow_mut().push((aired.at, aired.bytes.to_vec()));
+        }
+    });
     (network, refused, heard)
+}
+
+/// A ring of one station.
+fn ring_of_b() -> AccessConfig {
+    AccessConfig::Token(rings::quick(vec![B]))
 }
 
 /// When each frame was on the air, and the frame.
@@ -136,9 +168,18 @@ fn a_frame_that_comes_is_answered_at_once() {
 
 #[test]
 fn what_a_nomac_station_tunnels_is_understood_by_a_tdma_station() {
+    check_tunnels(&AccessConfig::NoMac);
+}
+
+#[test]
+fn what_a_station_in_a_ring_tunnels_is_understood_by_a_tdma_station() {
+    check_tunnels(&ring_of_b());
+}
+
+fn check_tunnels(config: &AccessConfig) {
     // An echo request as a VNIC tunnels it: the type is the inner EtherType, version 2, flag 1.
     let tunnelled = ethernet(A, &[&[0x90, 0x21, 0x08, 0x00, 2, 1][..], &[0x45; 60]].concat());
-    let (mut network, refused, heard) = nomac_says(vec![tunnelled.clone()]);
+    let (mut network, refused, heard) = station_says(config, vec![tunnelled.clone()]);
     network.run_until(BEGIN + SECOND);
     assert!(refused.lock().unwrap().is_empty());
     let heard = heard.borrow();
@@ -159,8 +200,17 @@ fn what_a_nomac_station_tunnels_is_understood_by_a_tdma_station() {
 
 #[test]
 fn a_nomac_station_neither_sends_a_control_frame_nor_follows_one() {
+    check_knows_no_master(&AccessConfig::NoMac);
+}
+
+#[test]
+fn a_station_in_a_ring_neither_sends_a_control_frame_nor_follows_one() {
+    check_knows_no_master(&ring_of_b());
+}
+
+fn check_knows_no_master(config: &AccessConfig) {
     let control = |kind: u8| ethernet(Address::BROADCAST, &[0x90, 0x21, 0, kind, 2, 0]);
-    let (mut network, refused, heard) = nomac_says([0, 1, 0x42].map(control).to_vec());
+    let (mut network, refused, heard) = station_says(config, [0, 1, 0x42].map(control).to_vec());
     network.run_until(BEGIN + SECOND);
     assert_eq!(*refused.lock().unwrap(), [SendError::Lethal; 3]);
     assert!(heard.borrow().is_empty());

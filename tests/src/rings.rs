@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
+use rtmac::tdma::schedule::Rate;
 use rtmac::token::wire::{TOKEN, Token as Message};
 use rtmac::token::{Ring, RingConfig, Token};
 use rtnet::buf::{Buf, Pool};
@@ -109,6 +110,25 @@ pub fn config(stations: usize) -> RingConfig {
     let hold = config.rate.air_time(1514) * 4;
     let (late, delay) = (Span::from_micros(50), Span::from_micros(10));
     RingConfig { hold, late, delay, rest: Span::ZERO, invite_every: 4, ..config }
+}
+
+/// A station by itself of a ring of these, on a medium of 1 Gbit/s: it rests long enough for others to be heard.
+pub fn in_a_ring(id: usize, of: &[usize]) -> Token {
+    let config = quick(of.iter().map(|&id| address(id)).collect());
+    Token::new(Ring::new(config, address(id)).expect("it is one"))
+}
+
+/// What that is configured with.
+pub fn quick(stations: Vec<Address>) -> RingConfig {
+    let us = Span::from_micros;
+    RingConfig {
+        rate: Rate::from_bits_per_second(1_000_000_000),
+        hold: us(200),
+        rest: us(50),
+        late: us(50),
+        delay: us(20),
+        ..RingConfig::new(stations)
+    }
 }
 
 /// A station of a ring.

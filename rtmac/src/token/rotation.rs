@@ -349,3 +349,6 @@ impl Rotation {
         (0..size).map(move |n| (first + n) % size)
     }
 }
+
+#[cfg(test)]
+mod tests;

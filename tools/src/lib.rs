@@ -13,6 +13,7 @@ pub mod min_cycle;
 pub mod observe;
 pub mod plan;
 pub mod report;
+pub mod ring;
 pub mod scenario;
 pub mod sim;
 pub mod station;

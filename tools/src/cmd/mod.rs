@@ -33,6 +33,7 @@ use serde::Serialize;
 
 use crate::report::draft::{Draft, can_be_written};
 use crate::report::screen::WIDTH_MIN;
+use crate::ring::{self, RingFigures};
 
 /// Columns of a report when the terminal does not say.
 const WIDTH: usize = 100;
@@ -60,6 +61,19 @@ impl Failure {
             Failure::Usage(error) | Failure::Run(error) => error,
         }
     }
+}
+
+/// Tells of a ring's run on the screen, and in files that were asked for; the exit status is 1 if it was not well.
+fn tell_of_ring(
+    figures: &RingFigures,
+    title: &str,
+    json: Option<&Path>,
+    html: Option<&Path>,
+) -> Result<u8, Failure> {
+    json.map_or(Ok(()), |path| write_json(path, figures)).map_err(Failure::Run)?;
+    html.map_or(Ok(()), |path| write_text(path, &ring::page(title, figures))).map_err(Failure::Run)?;
+    say(&ring::render(figures, screen_width())).map_err(Failure::Run)?;
+    Ok(u8::from(!figures.verdict.ok))
 }
 
 /// Prints something as JSON or in words.

@@ -8,7 +8,8 @@ use rtnet::time::Span;
 use super::{Failure, all_writable, print, say, screen_width, write_text};
 use crate::cli::PlanArgs;
 use crate::plan::{Host, Plan, propose, screen, svg};
-use crate::scenario::{self, DEFAULT_RATE, Scenario, Uniform};
+use crate::ring::plan::{self as ring_plan, RingPlan};
+use crate::scenario::{self, DEFAULT_RATE, Network, RingScenario, Uniform};
 
 const DEFAULT_PAYLOAD: usize = 64;
 /// As of a file that says nothing else.
@@ -18,7 +19,10 @@ const SEED: u64 = 1;
 /// Says what a network does, or proposes one; the exit status is 1 if it cannot work.
 pub fn plan(args: &PlanArgs) -> std::result::Result<u8, Failure> {
     let host = args.host.as_deref().map(Host::load).transpose().map_err(Failure::Usage)?;
-    let scenario = network(args, host.as_ref()).map_err(Failure::Usage)?;
+    let scenario = match network(args, host.as_ref()).map_err(Failure::Usage)? {
+        Network::Slots(scenario) => scenario,
+        Network::Ring(ring) => return plan_ring(args, &ring),
+    };
     all_writable(&[args.svg.as_ref()], args.file.as_deref()).map_err(Failure::Usage)?;
     let plan = Plan::of(&scenario, host.as_ref());
     if let Some(path) = &args.svg {
@@ -38,9 +42,21 @@ pub fn plan(args: &PlanArgs) -> std::result::Result<u8, Failure> {
     Ok(u8::from(!plan.works()))
 }
 
-fn network(args: &PlanArgs, host: Option<&Host>) -> Result<Scenario> {
+/// Says how long anything takes in a ring; the exit status is 1 if it cannot work.
+fn plan_ring(args: &PlanArgs, ring: &RingScenario) -> std::result::Result<u8, Failure> {
+    let only_of_slots =
+        [("--svg draws slots", args.svg.is_some()), ("--host is about guard bands", args.host.is_some())];
+    if let Some((option, _)) = only_of_slots.iter().find(|(_, is_said)| *is_said) {
+        return Err(Failure::Usage(anyhow!("{option}, and a ring has none: leave it out")));
+    }
+    let plan = RingPlan::of(ring);
+    print(args.json, &plan, |plan| ring_plan::render(plan, screen_width())).map_err(Failure::Run)?;
+    Ok(u8::from(!plan.works()))
+}
+
+fn network(args: &PlanArgs, host: Option<&Host>) -> Result<Network> {
     let stations = match (&args.file, args.stations) {
-        (Some(file), _) => return Ok(scenario::load(file)?),
+        (Some(file), _) => return Ok(scenario::load_network(file)?),
         (None, Some(stations)) => stations,
         (None, None) => bail!("name a file, or say how many --stations"),
     };
@@ -65,5 +81,5 @@ fn network(args: &PlanArgs, host: Option<&Host>) -> Result<Scenario> {
         vnic: None,
     };
     let scenario = if args.cycle.is_some() { network.scenario() } else { propose::shortest(&network) };
-    Ok(scenario?)
+    Ok(Network::Slots(scenario?))
 }

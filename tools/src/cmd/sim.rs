@@ -1,10 +1,11 @@
 //! `rtnet sim`.
 
-use super::{Failure, all_writable, say, screen_width, title, write_json, write_text};
+use super::{Failure, all_writable, say, screen_width, tell_of_ring, title, write_json, write_text};
 use crate::cli::SimRunArgs;
 use crate::report::html::Sheet;
 use crate::report::screen;
-use crate::scenario::{self, Scenario};
+use crate::ring;
+use crate::scenario::{self, Network, RingScenario, Scenario};
 use crate::sim::screen::{self as sim_screen, Around};
 use crate::sim::{self, Checked, Ended, Hurried, Options};
 
@@ -15,11 +16,15 @@ pub fn example() -> Result<u8, Failure> {
 
 /// Runs a scenario and prints its report; the exit status is 1 if it is not as expected.
 pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
-    let scenario = scenario(args).map_err(Failure::Usage)?;
+    let network = scenario::load_network(&args.file).map_err(|why| Failure::Usage(why.into()))?;
     all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(&args.file))
         .map_err(Failure::Usage)?;
     let pictures = args.html.is_some();
     let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures };
+    let scenario = match network {
+        Network::Slots(scenario) => with_seed(scenario, args.seed),
+        Network::Ring(ring) => return ring_run(args, ring, &options),
+    };
     let Ended { figures, slot_error_abs, kept, .. } = sim::run(&scenario, &options).map_err(failure)?;
     if let Some(path) = &args.json {
         write_json(path, &figures).map_err(Failure::Run)?;
@@ -49,13 +54,21 @@ fn failure(error: anyhow::Error) -> Failure {
     if error.is::<Hurried>() { Failure::Usage(error) } else { Failure::Run(error) }
 }
 
-fn scenario(args: &SimRunArgs) -> anyhow::Result<Scenario> {
-    let mut scenario = scenario::load(&args.file)?;
-    if let Some(seed) = args.seed {
-        scenario.seed = seed;
-        scenario = scenario.with_random_clocks();
+fn with_seed(scenario: Scenario, seed: Option<u64>) -> Scenario {
+    match seed {
+        Some(seed) => Scenario { seed, ..scenario }.with_random_clocks(),
+        None => scenario,
     }
-    Ok(scenario)
+}
+
+/// The same of a ring.
+fn ring_run(args: &SimRunArgs, scenario: RingScenario, options: &Options) -> Result<u8, Failure> {
+    let scenario = match args.seed {
+        Some(seed) => scenario.with_seed(seed),
+        None => scenario,
+    };
+    let figures = ring::run(&scenario, options).map_err(failure)?;
+    tell_of_ring(&figures, &title(&args.file), args.json.as_deref(), args.html.as_deref())
 }
 
 /// The frames around the first place where something was not as expected. The run is repeated for them: it is the same

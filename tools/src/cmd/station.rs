@@ -10,7 +10,7 @@ use package_router::route::Routes;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
-use rtmac::token::{LONGEST_FRAME, RingConfig};
+use rtmac::token::RingConfig;
 use rtnet::clock::EmulatedClock;
 use rtnet::live::GuardMode;
 use rtnet::time::Span;
@@ -23,7 +23,7 @@ use super::route::read_routes;
 use crate::cli::{DisciplineName, Late, Scheduling, StationArgs, VnicMode};
 use crate::control::SlotChange;
 use crate::scenario::read_text;
-use crate::scenario::{DelayName, SlotGuard, default_sync_window, parse_phase};
+use crate::scenario::{DelayName, RingTimes, SlotGuard, default_sync_window, parse_phase};
 use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::packages::PackagesOptions;
@@ -250,16 +250,14 @@ fn ring(args: &StationArgs) -> anyhow::Result<RingConfig> {
     if said.ring.is_empty() {
         bail!("--discipline token needs --ring ADDRESS,ADDRESS,...: all stations, in the order of the token");
     }
-    let usual = RingConfig::new(said.ring.clone());
-    let ring = RingConfig {
-        rate: args.rate,
-        hold: said.token_hold.unwrap_or(usual.hold.max(args.rate.air_time(LONGEST_FRAME) * 4)),
-        rest: said.token_rest.unwrap_or(usual.rest),
-        late: said.token_late.unwrap_or(usual.late),
-        delay: said.token_delay.unwrap_or(usual.delay),
-        invite_every: said.token_invite.unwrap_or(usual.invite_every),
-        ..usual
+    let times = RingTimes {
+        hold: said.token_hold,
+        rest: said.token_rest,
+        late: said.token_late,
+        delay: said.token_delay,
+        invite: said.token_invite,
     };
+    let ring = times.ring(said.ring.clone(), args.rate);
     ring.check()?;
     Ok(ring)
 }

@@ -1,6 +1,7 @@
 //! Networks in files.
 //!
 //! ```toml
+//! discipline = "tdma"       # or "token": see [`ring`]
 //! cycle = "1ms"             # required; everything else has a default or is per station
 //! rate = "1G"
 //! sync_window = "50us"      # default: this; as long as a slot where no station says where its slots are
@@ -45,6 +46,7 @@ mod addresses;
 mod checks;
 mod conditions;
 mod packages;
+mod ring;
 mod shape;
 mod source;
 mod stations;
@@ -59,10 +61,13 @@ use toml::Spanned;
 
 use checks::{place_of, widest_guard};
 use conditions::{EventFile, ExpectFile, HostFile, MediumFile, Reader, Sections, Whose, WireFile};
+use ring::FileDiscipline;
 pub use source::{FileError, Place, Source, read_text};
 use stations::{FileRole, StationFile};
 
-use super::{Conditions, DEFAULT_RATE, DelayName, Scenario, ServoName, SlotGuard, default_sync_window};
+use super::{
+    Conditions, DEFAULT_RATE, DelayName, Network, Scenario, ServoName, SlotGuard, default_sync_window,
+};
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
 use crate::units::{FileRate, GuardBand, PositiveSpan};
@@ -74,16 +79,28 @@ const MAX_DRIFT_PPM: f64 = 1_000.0;
 /// An hour: more shows nothing that this does not.
 const MAX_OFFSET: Span = Span::from_millis(3_600_000);
 
-/// Reads a network from a file.
+/// Reads a network of time slots from a file.
 pub fn load(path: &Path) -> Result<Scenario, FileError> {
+    read(path, |source| source.parse())
+}
+
+/// Reads a network from a file, by whatever its stations share the medium.
+pub fn load_network(path: &Path) -> Result<Network, FileError> {
+    read(path, |source| source.parse_any())
+}
+
+fn read<T>(path: &Path, parse: impl Fn(Source<'_>) -> Result<T, FileError>) -> Result<T, FileError> {
     let file = path.display().to_string();
     let text = read_text(path).map_err(|error| FileError::Unreadable(file.clone(), error))?;
-    Source::new(&file, &text).parse()
+    parse(Source::new(&file, &text))
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NetworkFile {
+    /// What is no ring is of time slots: looked at before.
+    #[serde(rename = "discipline")]
+    _discipline: Option<FileDiscipline>,
     cycle: Spanned<PositiveSpan>,
     rate: Option<FileRate>,
     sync_window: Option<Spanned<PositiveSpan>>,
@@ -120,6 +137,7 @@ enum Late {
 impl Source<'_> {
     /// Reads the network.
     pub fn parse(self) -> Result<Scenario, FileError> {
+        self.check_has_slots()?;
         let tables = toml::de::Deserializer::from(self.tables()?);
         let mut network = NetworkFile::deserialize(tables).map_err(|error| self.no_toml(&error))?;
         let cycle = network.cycle.get_ref().0;

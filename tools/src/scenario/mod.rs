@@ -8,6 +8,7 @@ mod expectation;
 mod file;
 mod follow;
 mod places;
+mod ring;
 mod uniform;
 mod wires;
 
@@ -32,8 +33,9 @@ use crate::station::traffic::{Flow, FlowPlan};
 pub use acts::{Act, Part, acts, over};
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
-pub use file::{FileError, Place, Source, load, parse_phase, read_text};
+pub use file::{FileError, Place, Source, load, load_network, parse_phase, read_text};
 pub use follow::{DelayName, DelayPolicy, ServoName};
+pub use ring::{Network, RingScenario, RingTimes};
 pub use uniform::{ScenarioError, Uniform, UniformVnic};
 pub use wires::{Direction, Effects, Wire};
 

@@ -1,6 +1,6 @@
 //! The events of a scenario, played in virtual time.
 
-use rtmac::tdma::Tdma;
+use rtnet::discipline::Discipline;
 use rtnet::sim::Network;
 use rtnet::wire::ethernet::{Address, EtherType, Header, MIN_FRAME};
 use zerocopy::IntoBytes;
@@ -8,7 +8,7 @@ use zerocopy::IntoBytes;
 use crate::scenario::{Happening, Part, Scenario};
 
 /// Does what concerns only the network; what stations there are is somebody else's.
-pub fn act(network: &mut Network<Tdma>, scenario: &Scenario, what: &Happening, part: Part) {
+pub fn act<D: Discipline>(network: &mut Network<D>, scenario: &Scenario, what: &Happening, part: Part) {
     let begins = part == Part::Begin;
     match what {
         Happening::Stop(stations, span) if begins => {
@@ -58,6 +58,8 @@ fn noise(source: Address) -> [u8; MIN_FRAME] {
 
 #[cfg(test)]
 mod tests {
+    use rtmac::tdma::Tdma;
+
     use super::*;
     use crate::scenario::Source;
     use crate::sim::World;

@@ -8,7 +8,7 @@
 //! ```
 
 mod expect;
-mod faults;
+pub(crate) mod faults;
 mod figures;
 mod patience;
 mod places;
@@ -16,7 +16,7 @@ mod run;
 pub mod screen;
 mod sight;
 mod watch;
-mod world;
+pub(crate) mod world;
 
 pub use expect::{Checked, add, of_lab};
 pub use figures::{SimFigures, Simulation};

@@ -63,7 +63,7 @@ pub struct Options {
 /// What was asked for does not let a network join, or leaves no time to measure it.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}: give it a longer --until")]
-pub struct Hurried(String);
+pub struct Hurried(pub(crate) String);
 
 /// What a run has shown, and the histogram of its slot errors.
 pub struct Ended {

@@ -71,50 +71,18 @@ pub struct World {
 impl World {
     /// All stations; those that are there begin now.
     pub fn new(scenario: &Scenario, is_there: impl Fn(usize) -> bool) -> Result<Self> {
-        let conditions = &scenario.conditions;
-        let mut medium =
-            Medium { rate: scenario.rate.bits_per_second(), joint: conditions.joint, ..Medium::default() };
-        if let Some(propagation) = conditions.propagation {
-            medium.propagation = propagation;
-        }
-        let mut network = Network::new(medium, scenario.seed);
-        network.run_until(UPTIME);
         let master = clock(scenario, 0);
         let truth = TrueMaster { clock: master, epoch: Offset::between(master.local(UPTIME), EPOCH) };
         let counts: Vec<Arc<TrafficCounts>> = scenario.stations.iter().map(|_| Arc::default()).collect();
-        let mut world = Self { network, counts, truth };
-        let mut hosts = Vec::new();
-        for id in 0..scenario.stations.len() {
-            let station = world.station(scenario, id, None, 0)?;
-            let (address, clock) = (scenario.address(id), clock(scenario, id));
-            let guard = scenario.is_guarded().then_some(GUARD_TOLERANCE);
-            let host = shared(&mut hosts, Host { guard, ..conditions.host(id).clone() });
-            world.network.add(Member { address, clock, host, station }, UPTIME);
-            if !is_there(id) {
-                world.network.stop(id);
-            }
-        }
-        if !conditions.wires.is_empty() {
-            let all: Vec<usize> = (0..scenario.stations.len()).collect();
-            set_wires(&mut world.network, conditions, &all, None);
-        }
-        for &(id, wandering) in &conditions.wanders {
-            world.network.wander(id, wander(&wandering, clock_drift(scenario, id)));
-        }
-        Ok(world)
+        let station = |id: usize| station(scenario, id, &truth, None, counts[id].clone(), 0);
+        let network = network(scenario, is_there, station)?;
+        Ok(Self { network, counts, truth })
     }
 
     /// What a station's process has counted so far.
     pub fn counted(&self, id: usize) -> Counted {
-        let (station, counts) = (&self.network.member(id).station, &self.counts[id]);
-        let queued = counts.arrived_queued().map(|(_, arrived)| arrived.missing);
-        let missing = counts.arrived(None).missing + queued.sum::<u64>();
-        Counted {
-            payload_errors: station.refusals().get(Refusal::BadPayload) as i64,
-            missing: missing as i64,
-            events_lost: station.discipline().status().events_lost as i64,
-            queue_refused: counts.refused.each_ref().map(|count| count.load(Relaxed) as i64),
-        }
+        let station = &self.network.member(id).station;
+        Counted::of(station, &self.counts[id], station.discipline().status().events_lost)
     }
 
     /// Of what comes to each station, what is sent from now on counts, or does not any more.
@@ -135,23 +103,87 @@ impl World {
         grid: Option<(u32, GlobalTime)>,
         first: u64,
     ) -> Result<Station<Tdma>> {
-        let epoch = same_time(&self.truth, &clock(scenario, id));
-        let config = discipline(scenario, id, epoch, grid);
-        let tdma =
-            Tdma::new(&config).map_err(|why| anyhow!("station '{}': {why}", scenario.stations[id].name))?;
-        let sender = scenario.sender(id);
-        let plan = TrafficPlan {
-            station: id as u16,
-            source: scenario.address(id),
-            destination: scenario.address(scenario.receiver(id)),
-            from: sender as u16,
-            payload: scenario.stations[id].payload,
-            from_payload: scenario.stations[sender].payload,
-            first,
-        };
-        let traffic = Traffic::new(plan, self.counts[id].clone()).with_flows(scenario.flow_plan(id));
-        Ok(Station::new(tdma, vec![Box::new(traffic)]))
+        station(scenario, id, &self.truth, grid, self.counts[id].clone(), first)
     }
+}
+
+impl Counted {
+    /// Of a station, its traffic, and how many events it lost.
+    pub fn of<D: Discipline>(station: &Station<D>, counts: &TrafficCounts, events_lost: u64) -> Self {
+        let queued = counts.arrived_queued().map(|(_, arrived)| arrived.missing);
+        let missing = counts.arrived(None).missing + queued.sum::<u64>();
+        Self {
+            payload_errors: station.refusals().get(Refusal::BadPayload) as i64,
+            missing: missing as i64,
+            events_lost: events_lost as i64,
+            queue_refused: counts.refused.each_ref().map(|count| count.load(Relaxed) as i64),
+        }
+    }
+}
+
+fn station(
+    scenario: &Scenario,
+    id: usize,
+    truth: &TrueMaster,
+    grid: Option<(u32, GlobalTime)>,
+    counts: Arc<TrafficCounts>,
+    first: u64,
+) -> Result<Station<Tdma>> {
+    let epoch = same_time(truth, &clock(scenario, id));
+    let config = discipline(scenario, id, epoch, grid);
+    let tdma =
+        Tdma::new(&config).map_err(|why| anyhow!("station '{}': {why}", scenario.stations[id].name))?;
+    Ok(Station::new(tdma, vec![Box::new(traffic(scenario, id, counts, first))]))
+}
+
+/// The test traffic of a station, whose first frame has this number.
+pub fn traffic(scenario: &Scenario, id: usize, counts: Arc<TrafficCounts>, first: u64) -> Traffic {
+    let sender = scenario.sender(id);
+    let plan = TrafficPlan {
+        station: id as u16,
+        source: scenario.address(id),
+        destination: scenario.address(scenario.receiver(id)),
+        from: sender as u16,
+        payload: scenario.stations[id].payload,
+        from_payload: scenario.stations[sender].payload,
+        first,
+    };
+    Traffic::new(plan, counts).with_flows(scenario.flow_plan(id))
+}
+
+/// A scenario's stations on their medium, with their hosts, wires and clocks; those that are there begin now.
+pub fn network<D: Discipline>(
+    scenario: &Scenario,
+    is_there: impl Fn(usize) -> bool,
+    station: impl Fn(usize) -> Result<Station<D>>,
+) -> Result<Network<D>> {
+    let conditions = &scenario.conditions;
+    let mut medium =
+        Medium { rate: scenario.rate.bits_per_second(), joint: conditions.joint, ..Medium::default() };
+    if let Some(propagation) = conditions.propagation {
+        medium.propagation = propagation;
+    }
+    let mut network = Network::new(medium, scenario.seed);
+    network.run_until(UPTIME);
+    let mut hosts = Vec::new();
+    for id in 0..scenario.stations.len() {
+        let station = station(id)?;
+        let (address, clock) = (scenario.address(id), clock(scenario, id));
+        let guard = scenario.is_guarded().then_some(GUARD_TOLERANCE);
+        let host = shared(&mut hosts, Host { guard, ..conditions.host(id).clone() });
+        network.add(Member { address, clock, host, station }, UPTIME);
+        if !is_there(id) {
+            network.stop(id);
+        }
+    }
+    if !conditions.wires.is_empty() {
+        let all: Vec<usize> = (0..scenario.stations.len()).collect();
+        set_wires(&mut network, conditions, &all, None);
+    }
+    for &(id, wandering) in &conditions.wanders {
+        network.wander(id, wander(&wandering, clock_drift(scenario, id)));
+    }
+    Ok(network)
 }
 
 /// The same as an equal one that is known, or one more of those.
@@ -164,8 +196,8 @@ fn shared(known: &mut Vec<Arc<Host>>, host: Host) -> Arc<Host> {
 }
 
 /// What the wires of these stations do from now on: as they do throughout, or as an event says besides.
-pub fn set_wires(
-    network: &mut Network<Tdma>,
+pub fn set_wires<D: Discipline>(
+    network: &mut Network<D>,
     conditions: &Conditions,
     stations: &[usize],
     event: Option<&Wire>,

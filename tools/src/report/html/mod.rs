@@ -10,7 +10,7 @@ mod chart;
 mod gantt;
 mod indicators;
 mod latency;
-mod markup;
+pub mod markup;
 mod scale;
 mod series;
 mod sync;
@@ -42,12 +42,24 @@ pub struct Sheet<'a> {
     pub simulation: Option<&'a Simulation>,
 }
 
+/// A page with this body, which is HTML.
+pub fn shell(title: &str, ok: bool, body: &str) -> String {
+    format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta name=\"color-scheme\" content=\"light dark\">\n\
+         <title>{}: {}</title>\n<style>\n{}</style>\n</head>\n<body>\n<main>\n{body}</main>\n</body>\n</html>\n",
+        escape(title),
+        if ok { "OK" } else { "NOT OK" },
+        include_str!("style.css"),
+    )
+}
+
 impl Sheet<'_> {
     /// The whole page.
     pub fn page(&self) -> String {
         let worst = |of: &crate::report::figures::StationFigures| of.slot_error_ns.max.unwrap_or(0);
         let series = Series::of(&self.figures.per_station.iter().map(worst).collect::<Vec<_>>());
-        let title = escape(self.title);
         let body = [
             self.head(),
             latency::html(self, &series),
@@ -61,15 +73,7 @@ impl Sheet<'_> {
             causes::told(self),
             tables::host(self),
         ];
-        format!(
-            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-             <meta name=\"color-scheme\" content=\"light dark\">\n\
-             <title>{title}: {}</title>\n<style>\n{}</style>\n</head>\n<body>\n<main>\n{}</main>\n</body>\n</html>\n",
-            if self.figures.verdict.ok { "OK" } else { "NOT OK" },
-            include_str!("style.css"),
-            body.concat()
-        )
+        shell(self.title, self.figures.verdict.ok, &body.concat())
     }
 
     /// A station's name.

@@ -1,5 +1,7 @@
 //! The part of it that says what the stations are: their roles, clocks and slots, and what they send.
 
+use std::collections::BTreeSet;
+
 use rtmac::tdma::{DEFAULT_MAX_SLOT_ID, DEFAULT_ROUNDS, MAX_ROUNDS, joint};
 use rtnet::time::Span;
 use rtnet::wire::ethernet;
@@ -90,6 +92,15 @@ impl From<FileRole> for Role {
     }
 }
 
+/// Bytes behind the Ethernet header of its usual frames.
+pub(super) fn payload_of(source: &Source<'_>, said: Option<&Spanned<usize>>) -> Result<usize, FileError> {
+    let Some(said) = said else { return Ok(DEFAULT_PAYLOAD) };
+    let payload = *said.get_ref();
+    let what = || format!("a payload of {payload} bytes: it must be {MIN_PAYLOAD} to {}", ethernet::MTU);
+    let is_one = (MIN_PAYLOAD..=ethernet::MTU).contains(&payload);
+    is_one.then_some(payload).ok_or_else(|| source.impossible(said.span().start, what()))
+}
+
 /// Reports name it, in columns.
 fn check_name(name: &str) -> Result<(), String> {
     if name.trim().is_empty() {
@@ -114,14 +125,7 @@ impl Source<'_> {
             let at = stations.get(MAX_STATIONS).map_or(first, |beyond| beyond.span().start);
             return Err(self.impossible(at, what));
         }
-        for (i, entry) in stations.iter().enumerate() {
-            let name = &entry.get_ref().name;
-            check_name(name.get_ref()).map_err(|what| self.impossible(name.span().start, what))?;
-            if stations[..i].iter().any(|other| other.get_ref().name.get_ref() == name.get_ref()) {
-                let what = format!("the name '{}' is taken by another station", name.get_ref());
-                return Err(self.impossible(name.span().start, what));
-            }
-        }
+        self.check_names(&stations.iter().map(|entry| &entry.get_ref().name).collect::<Vec<_>>())?;
         let mut masters = stations.iter().filter(|entry| entry.get_ref().role == FileRole::Master);
         match (masters.next(), masters.next()) {
             (Some(_), None) => Ok(()),
@@ -135,6 +139,19 @@ impl Source<'_> {
         }
     }
 
+    /// Each can be shown, and is another's of none.
+    pub(super) fn check_names(&self, names: &[&Spanned<String>]) -> Result<(), FileError> {
+        let mut taken = BTreeSet::new();
+        for name in names {
+            check_name(name.get_ref()).map_err(|what| self.impossible(name.span().start, what))?;
+            if !taken.insert(name.get_ref()) {
+                let what = format!("the name '{}' is taken by another station", name.get_ref());
+                return Err(self.impossible(name.span().start, what));
+            }
+        }
+        Ok(())
+    }
+
     pub(super) fn station(
         &self,
         entry: &Spanned<StationFile>,
@@ -142,12 +159,7 @@ impl Source<'_> {
         vnic: Option<VnicPlan>,
     ) -> Result<StationPlan, FileError> {
         let station = entry.get_ref();
-        let payload = station.payload.as_ref().map_or(DEFAULT_PAYLOAD, |payload| *payload.get_ref());
-        if !(MIN_PAYLOAD..=ethernet::MTU).contains(&payload) {
-            let at = station.payload.as_ref().map_or(entry.span().start, |payload| payload.span().start);
-            let what = format!("a payload of {payload} bytes: it must be {MIN_PAYLOAD} to {}", ethernet::MTU);
-            return Err(self.impossible(at, what));
-        }
+        let payload = payload_of(self, station.payload.as_ref())?;
         let flows = station.traffic.iter().filter_map(|flow| flow.get_ref().payload);
         // A slot that says no size has room for all that its station may send.
         let widest =
@@ -180,13 +192,13 @@ impl Source<'_> {
             ip,
             vnic,
             rounds: station.rounds.as_ref().map_or(DEFAULT_ROUNDS, |rounds| *rounds.get_ref()),
-            flows: self.flows(station, payload, &slots)?,
+            flows: self.flows(&station.traffic, payload, &slots)?,
             slots,
         })
     }
 
     /// How far it is ahead, and its rate error in parts per billion.
-    fn clock(&self, file: &ClockFile) -> Result<(Span, i64), FileError> {
+    pub(super) fn clock(&self, file: &ClockFile) -> Result<(Span, i64), FileError> {
         let drift = file.drift_ppm.as_ref().map_or(Ok(0), |ppm| self.drift(ppm))?;
         let Some(said) = &file.offset else { return Ok((Span::ZERO, drift)) };
         let AnySpan(offset) = *said.get_ref();
@@ -206,14 +218,19 @@ impl Source<'_> {
     }
 
     /// What its program sends besides, most urgent first.
-    fn flows(&self, station: &StationFile, usual: usize, slots: &[SlotPlan]) -> Result<Vec<Flow>, FileError> {
+    pub(super) fn flows(
+        &self,
+        traffic: &[Spanned<TrafficFile>],
+        usual: usize,
+        slots: &[SlotPlan],
+    ) -> Result<Vec<Flow>, FileError> {
         let flow = |entry: &Spanned<TrafficFile>| self.flow(entry, usual, slots);
-        let mut flows = station.traffic.iter().map(flow).collect::<Result<Vec<_>, _>>()?;
+        let mut flows = traffic.iter().map(flow).collect::<Result<Vec<_>, _>>()?;
         for (i, flow) in flows.iter().enumerate() {
             if flows[..i].iter().any(|other| other.priority == flow.priority) {
                 let what =
                     format!("a second traffic of priority {}: a station has one of each", flow.priority);
-                return Err(self.impossible(station.traffic[i].span().start, what));
+                return Err(self.impossible(traffic[i].span().start, what));
             }
         }
         flows.sort_by_key(|flow| flow.priority);

@@ -1,0 +1,21 @@
+//! Networks whose stations share the medium by a token: in virtual time, in a lab, and before either. There are no slots and no
+//! cycle, so what is judged is the token itself: how long its rounds take, what becomes of one that is lost, and whether two
+//! ever send at once.
+//!
+//! ```text
+//!   file ──► RingScenario ──┬─► sim, lab ──frames, events──► judge ──► figures ──► screen, page, JSON
+//!                           └─► plan: the bounds
+//! ```
+
+mod figures;
+mod judge;
+mod page;
+pub mod plan;
+mod recovery;
+mod screen;
+mod sim;
+
+pub use figures::{RingFigures, RingStation};
+pub use page::page;
+pub use screen::render;
+pub use sim::run;

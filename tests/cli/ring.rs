@@ -84,3 +84,69 @@ fn a_station_without_a_ring_is_told_from_one_in_it() {
         assert_eq!(station.end(), Some(0));
     });
 }
+
+/// Four stations for hosts that hold one up for 20 ms while they run other tests.
+const LAB: &str = "discipline = \"token\"\nrate = \"1G\"\ntoken_hold = \"2ms\"\ntoken_rest = \"1ms\"\ntoken_late = \"20ms\"\ntoken_delay = \"5ms\"\n\
+                   token_invite = 4\nduration = \"2s\"\n[[station]]\nname = \"arm\"\n[[station]]\nname = \"leg\"\n[[station]]\nname = \"eye\"\n\
+                   [[station.traffic]]\npriority = 3\nevery = \"20ms\"\n[[station]]\nname = \"head\"\n";
+
+/// Runs a lab of this file: its report, what it printed, and its page. A host that stands still for longer than stations may be
+/// late is tried again, aloud.
+fn lab(more: &str, is_well: impl Fn(&Value) -> bool) -> (Value, String, String) {
+    for attempt in 1..=3 {
+        let place = tempfile::tempdir().unwrap();
+        let file = |name: &str| place.path().join(name);
+        std::fs::write(file("ring.toml"), format!("{LAB}{more}")).unwrap();
+        let mut command = rtnet();
+        command.args(["lab", "run"]).arg(file("ring.toml")).arg("--json").arg(file("ring.json"));
+        let output = command.arg("--html").arg(file("ring.html")).output().unwrap();
+        let words = String::from_utf8(output.stdout).unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        let json = std::fs::read(file("ring.json")).unwrap_or_else(|_| panic!("{words}{errors}"));
+        let json: Value = serde_json::from_slice(&json).unwrap();
+        if output.status.success() && is_well(&json) {
+            return (json, words, std::fs::read_to_string(file("ring.html")).unwrap());
+        }
+        println!("AGAIN lab_of_a_ring: attempt {attempt}: {words}");
+    }
+    panic!("three times in vain");
+}
+
+#[test]
+fn a_lab_of_a_ring_loses_no_frame_and_reports_its_rounds() {
+    let name = "a_lab_of_a_ring_loses_no_frame_and_reports_its_rounds";
+    network(name, || {
+        let (report, words, page) = lab("", |report| report["verdict"]["ok"] == true);
+        assert_eq!((&report["discipline"], &report["stations"]), (&"token".into(), &4.into()));
+        assert_eq!((&report["frames_lost"], &report["unexplained"]), (&0.into(), &0.into()));
+        let number = |value: &Value| value.as_i64().unwrap();
+        // All rest for 1 ms in a round.
+        assert!((50..=500).contains(&number(&report["rounds"])), "{words}");
+        assert!(number(&report["rotation_ns"]["p50"]) >= 4_000_000, "{words}");
+        assert!(number(&report["queueing"][0]["frames_seen"]) >= 90, "{words}");
+        assert!(words.contains("no slots, no cycle, no master"), "{words}");
+        assert!(page.contains("there is no slot error, no picture of cycles"));
+    });
+}
+
+#[test]
+fn a_lab_of_a_ring_recovers_from_the_death_of_a_station_within_the_bound_and_takes_it_back() {
+    let name = "a_lab_of_a_ring_recovers_from_the_death_of_a_station_within_the_bound_and_takes_it_back";
+    network(name, || {
+        let events = "[[event]]\nat = \"500ms\"\nkill = \"leg\"\n[[event]]\nat = \"1s\"\nrestart = \"leg\"\n\
+                      [[event]]\nat = \"1500ms\"\nunplug = \"head\"\nfor = \"100ms\"\n";
+        let number = |value: &Value| value.as_i64().unwrap();
+        let (report, words, _) = lab(events, |report| {
+            report["verdict"]["ok"] == true && report["causes"]["event"].as_i64() >= Some(1)
+        });
+        let (longest, bound) =
+            (number(&report["recovery_ns"]["max"]), number(&report["bounds"]["recovery_ns"]));
+        println!("FIGURE lab_of_a_ring: {longest} ns until others sent, bound {bound} ns");
+        assert!(longest > 1_000_000 && longest <= bound, "{words}");
+        assert_eq!(report["unexplained"], 0, "{words}");
+        let leg = &report["per_station"][1];
+        assert_ne!(leg["state"], "down", "{words}");
+        let visits = |station: usize| number(&report["per_station"][station]["visits"]);
+        assert!(visits(1) > 20 && visits(1) < visits(0), "{words}");
+    });
+}

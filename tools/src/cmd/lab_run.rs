@@ -2,16 +2,19 @@
 
 use std::path::PathBuf;
 
-use anyhow::ensure;
+use anyhow::{anyhow, ensure};
 use rtnet::time::Span;
 
-use super::{Failure, all_writable, say, screen_width, title, write_json, write_text};
+use super::{Failure, all_writable, say, screen_width, tell_of_ring, title, write_json, write_text};
 use crate::cli::{LabMeasureArgs, LabRunArgs};
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
 use crate::report::html::Sheet;
 use crate::report::screen;
-use crate::scenario::{self, MAX_LAB_STATIONS, Scenario, Uniform, UniformVnic};
+use crate::ring;
+use crate::scenario::{
+    self, MAX_LAB_STATIONS, Network, RingScenario, Scenario, SlotGuard, Uniform, UniformVnic,
+};
 use crate::sim;
 
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
@@ -24,6 +27,9 @@ const JOINING_CYCLES: i64 = 250;
 /// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
 pub fn lab_run(args: &LabMeasureArgs) -> Result<u8, Failure> {
     let LabMeasureArgs { run: args, html } = args;
+    if let Some(ring) = ring_of(args).map_err(Failure::Usage)? {
+        return ring_run(args, html.as_ref(), ring);
+    }
     let (scenario, mut options) = prepared(args, html.as_ref()).map_err(Failure::Usage)?;
     options.pictures = html.is_some();
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
@@ -48,6 +54,30 @@ pub fn lab_run(args: &LabMeasureArgs) -> Result<u8, Failure> {
     Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
 }
 
+/// The ring of a file, if it is one.
+fn ring_of(args: &LabRunArgs) -> anyhow::Result<Option<RingScenario>> {
+    let Some(file) = &args.file else { return Ok(None) };
+    Ok(match scenario::load_network(file)? {
+        Network::Slots(_) => None,
+        Network::Ring(ring) => Some(ring),
+    })
+}
+
+/// The same of a ring.
+fn ring_run(args: &LabRunArgs, html: Option<&PathBuf>, ring: RingScenario) -> Result<u8, Failure> {
+    let guarded = args.slot_guard.filter(|guard| *guard != SlotGuard::Auto);
+    if let Some(guard) = guarded {
+        let what = format!("--slot-guard {} is about slots, and a ring has none: leave it out", guard.name());
+        return Err(Failure::Usage(anyhow!(what)));
+    }
+    let RingScenario { ring, network } = ring;
+    let ring = RingScenario { ring, network: as_said(args, network) };
+    let options = ready(args, html, &ring.network).map_err(Failure::Usage)?;
+    let figures = ring::run_live(&ring, &options).map_err(Failure::Run)?;
+    let name = args.file.as_deref().map_or_else(|| "rtnet lab run".into(), title);
+    tell_of_ring(&figures, &name, args.json.as_deref(), html.map(PathBuf::as_path))
+}
+
 /// The network and how to run it; what cannot be is refused before anything is made.
 pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Scenario, RunOptions)> {
     let scenario = scenario(args)?;
@@ -56,6 +86,12 @@ pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Sc
         n <= MAX_LAB_STATIONS,
         "{n} stations: a lab holds at most {MAX_LAB_STATIONS}; `rtnet sim run` holds more"
     );
+    let options = ready(args, html, &scenario)?;
+    Ok((scenario, options))
+}
+
+/// How to run it, on a host that lets us.
+fn ready(args: &LabRunArgs, html: Option<&PathBuf>, scenario: &Scenario) -> anyhow::Result<RunOptions> {
     let options = RunOptions {
         warm_core: args.warm_core,
         cpu: args.cpu,
@@ -69,11 +105,11 @@ pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Sc
     };
     userns::gain_namespaces()?;
     all_writable(&[args.json.as_ref(), args.pcap.as_ref(), html], args.file.as_deref())?;
-    Ok((scenario, options))
+    Ok(options)
 }
 
 fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
-    let mut scenario = match &args.file {
+    let scenario = match &args.file {
         Some(file) => scenario::load(file)?,
         None => Uniform {
             stations: args.stations,
@@ -87,6 +123,11 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
         }
         .scenario()?,
     };
+    Ok(as_said(args, scenario))
+}
+
+/// With what options say of it besides.
+fn as_said(args: &LabRunArgs, mut scenario: Scenario) -> Scenario {
     if let Some(duration) = args.duration {
         scenario.duration = duration;
     }
@@ -97,5 +138,5 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
         scenario.seed = seed;
         scenario = scenario.with_random_clocks();
     }
-    Ok(if args.ideal_clocks { scenario.with_ideal_clocks() } else { scenario })
+    if args.ideal_clocks { scenario.with_ideal_clocks() } else { scenario }
 }

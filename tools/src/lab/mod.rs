@@ -15,20 +15,20 @@
 
 pub mod enter;
 mod facts;
-mod faults;
+pub(crate) mod faults;
 mod keep;
-mod launch;
-mod load;
+pub(crate) mod launch;
+pub(crate) mod load;
 mod members;
 pub mod namespace;
 pub mod netlink;
-mod processes;
+pub(crate) mod processes;
 mod returns;
-mod run;
+pub(crate) mod run;
 mod tally;
 mod unplugged;
 pub mod userns;
-mod wires;
+pub(crate) mod wires;
 
 pub use keep::keep;
 pub use processes::this_program;

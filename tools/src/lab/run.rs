@@ -58,7 +58,7 @@ const END_WITHOUT_MASTER: True = 100_000_000;
 const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 
 /// A station's port of the bridge.
-pub(super) fn port_name(station: usize) -> String {
+pub(crate) fn port_name(station: usize) -> String {
     format!("port{station}")
 }
 

@@ -245,11 +245,12 @@ fn station(
     judged: &Judged,
 ) -> RingStation {
     let (network, plan) = (&scenario.network, &scenario.network.stations[id]);
-    let passed = &judged.seats[network.sender(id)].passed;
+    let sender = &judged.seats[network.sender(id)];
     let of = |(of, delivery): (&Option<u8>, &Delivery)| {
-        let passed: &Passed = passed.get(of)?;
-        let lost = passed.lost(&delivery.heard);
-        Some((lost, passed.meant(&delivery.heard, &delivery.meant)))
+        let passed: &Passed = sender.passed.get(of)?;
+        let unheard = sender.unheard.get(of).copied().unwrap_or(0);
+        let meant = delivery.meant.clone().and_any(unheard);
+        Some((passed.lost(&delivery.heard), passed.meant(&delivery.heard, &meant)))
     };
     let lost = known.deliveries.iter().filter_map(of);
     let (frames_lost, lost_on_purpose) = lost.fold((0, 0), |(a, b), (lost, meant)| (a + lost, b + meant));

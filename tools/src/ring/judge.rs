@@ -34,6 +34,8 @@ pub struct Seat {
     pub queueing: BTreeMap<u8, SignedHistogram>,
     /// Which of its frames were on the medium: usual ones, and by priority.
     pub passed: BTreeMap<Option<u8>, Passed>,
+    /// Those of them that came while their receiver's wire was out.
+    pub unheard: BTreeMap<Option<u8>, u64>,
     /// How often it told of something, by name.
     pub told: BTreeMap<&'static str, u64>,
     /// How often that was something by which a token, or a turn, is lost.
@@ -43,6 +45,8 @@ pub struct Seat {
     clock: EmulatedClock,
     came: Option<(True, u64)>,
     last: Option<True>,
+    /// When its receiver's wire is out.
+    in_vain: (True, True),
 }
 
 /// What became of tokens, as the medium showed it.
@@ -84,6 +88,8 @@ pub struct Judge {
     was_absent: bool,
     dropped: u64,
     counting: bool,
+    /// What counts, where frames come later than they were on the medium.
+    within: Option<(True, True)>,
 }
 
 /// The token that stays of all that were on the medium.
@@ -134,6 +140,7 @@ impl Judge {
             was_absent: false,
             dropped: 0,
             counting: false,
+            within: None,
         }
     }
 
@@ -141,6 +148,23 @@ impl Judge {
     pub fn begin(&mut self) {
         self.counting = true;
         self.open = None;
+    }
+
+    /// Only what is on the medium from then on counts, and before the other moment.
+    pub fn count_within(&mut self, from: True, until: True) {
+        self.within = Some((from, until));
+    }
+
+    /// Whether the token goes round all stations, as it says itself.
+    pub fn all_present(&self) -> bool {
+        self.last.is_some_and(|last| last.token.present.count_ones() == u32::from(last.token.size))
+    }
+
+    /// In this time the wire is out of who hears a station's frames.
+    pub fn is_unheard(&mut self, sender: usize, from: True, until: True) {
+        if let Some(seat) = self.seats.get_mut(sender) {
+            seat.in_vain = (from, until);
+        }
     }
 
     /// Up to here.
@@ -188,7 +212,7 @@ impl Judge {
     /// A station tells of something.
     pub fn told(&mut self, station: usize, kind: EventKind) {
         use EventKind::*;
-        let counting = self.counting;
+        let counting = self.counting || self.within.is_some();
         let Some(seat) = self.seats.get_mut(station).filter(|_| counting) else { return };
         *seat.told.entry(kind.name()).or_default() += 1;
         match kind {
@@ -201,6 +225,13 @@ impl Judge {
 
     /// A frame begins on the medium.
     pub fn frame(&mut self, at: True, bytes: &[u8]) {
+        if let Some((from, until)) = self.within {
+            let counts = (from..until).contains(&at);
+            if counts && !self.counting {
+                self.open = None;
+            }
+            self.counting = counts;
+        }
         let Some((header, _)) = Header::parse(bytes) else { return };
         let (source, air) = (header.source, self.config.rate.air_time(bytes.len()));
         self.occupy(at, air, source);
@@ -248,6 +279,9 @@ impl Judge {
             return;
         }
         seat.frames += 1;
+        if (seat.in_vain.0..seat.in_vain.1).contains(&at) {
+            *seat.unheard.entry(tag.priority()).or_default() += 1;
+        }
         if let Some(before) = before {
             seat.delivery.record((at - before) as i64 + air.nanos());
         }
@@ -411,12 +445,14 @@ impl Seat {
             delivery: SignedHistogram::new(),
             queueing: BTreeMap::new(),
             passed: streams.map(|of| (of, Passed::default())).collect(),
+            unheard: BTreeMap::new(),
             told: BTreeMap::new(),
             late: 0,
             given_up: 0,
             clock,
             came: None,
             last: None,
+            in_vain: (0, 0),
         }
     }
 }

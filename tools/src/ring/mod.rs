@@ -9,6 +9,7 @@
 
 mod figures;
 mod judge;
+mod lab;
 mod page;
 pub mod plan;
 mod recovery;
@@ -16,6 +17,7 @@ mod screen;
 mod sim;
 
 pub use figures::{RingFigures, RingStation};
+pub use lab::run as run_live;
 pub use page::page;
 pub use screen::render;
 pub use sim::run;

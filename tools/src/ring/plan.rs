@@ -86,10 +86,11 @@ impl Place {
     fn of(station: &StationPlan, scenario: &RingScenario, round_ns: i64) -> Self {
         let rate = scenario.ring.rate;
         let queued = station.flows.iter().map(|flow| {
-            let times = round_ns as u64 / flow.every_ns + 1;
-            rate.air_time(HEADER_LEN + flow.payload).nanos() * (times * u64::from(flow.burst)) as i64
+            let air = rate.air_time(HEADER_LEN + flow.payload).nanos();
+            let times = i128::from(round_ns) / i128::from(flow.every_ns) + 1;
+            i128::from(air) * times * i128::from(flow.burst)
         });
-        let queued_ns = queued.sum();
+        let queued_ns = i64::try_from(queued.sum::<i128>()).unwrap_or(i64::MAX);
         let load = queued_ns as f64 / scenario.ring.hold.nanos() as f64;
         Self { station: station.name.clone(), queued_ns, load }
     }

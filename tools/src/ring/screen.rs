@@ -1,5 +1,7 @@
 //! A ring's report as a person reads it, in a terminal.
 
+use std::collections::BTreeMap;
+
 use super::figures::{RecoveryFigures, RingFigures, RingStation, span};
 use crate::report::figures::QueueingFigures;
 use crate::report::histogram::Summary;
@@ -173,22 +175,32 @@ fn notes(figures: &RingFigures, width: usize) -> Vec<String> {
     notes_of(figures).iter().flat_map(|note| paragraph("note: ", note, width)).collect()
 }
 
-/// What to know besides: of the run, and of stations, with their names.
+/// What to know besides: of the run, and of stations, each once with those that have it.
 pub(super) fn notes_of(figures: &RingFigures) -> Vec<String> {
-    let of_stations = figures.per_station.iter().flat_map(|station| {
-        // What became of tokens is counted on the medium.
-        let is_own = |kind: &str| !["token_repeated", "station_skipped", "token_claimed"].contains(&kind);
+    let mut of_stations: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    for station in &figures.per_station {
         let told = station.told.iter().filter(|(kind, _)| is_own(kind));
-        let told = told.map(|(kind, n)| format!("{} {}", words(kind), grouped(*n)));
-        let told: Vec<String> = told.collect();
-        let told = (!told.is_empty()).then(|| format!("told of {}", told.join(", ")));
+        let told = told.map(|(kind, n)| format!("{} {}", words(kind), grouped(*n))).collect::<Vec<_>>();
         let refused = station.refusals.iter().filter(|(_, n)| **n > 0);
-        let refused: Vec<String> = refused.map(|(why, n)| format!("{} {why}", grouped(*n))).collect();
-        let refused = (!refused.is_empty()).then(|| format!("refused {}", refused.join(", ")));
-        let all = station.notes.iter().cloned().chain(told).chain(refused);
-        all.map(|note| format!("{}: {note}", station.name))
+        let refused = refused.map(|(why, n)| format!("{} {why}", grouped(*n))).collect::<Vec<_>>();
+        let lists = [("told of", told), ("refused", refused)];
+        let lists = lists.into_iter().filter(|(_, list)| !list.is_empty());
+        let lists = lists.map(|(what, list)| format!("{what} {}", list.join(", ")));
+        for note in station.notes.iter().cloned().chain(lists) {
+            of_stations.entry(note).or_default().push(&station.name);
+        }
+    }
+    let all = figures.per_station.len();
+    let with_names = of_stations.into_iter().map(|(note, names)| match names.len() {
+        n if n == all => format!("{note} (all stations)"),
+        _ => format!("{note} ({})", names.join(", ")),
     });
-    figures.notes.iter().cloned().chain(of_stations).collect()
+    figures.notes.iter().cloned().chain(with_names).collect()
+}
+
+/// What became of tokens is counted on the medium.
+fn is_own(kind: &str) -> bool {
+    !["token_repeated", "station_skipped", "token_claimed"].contains(&kind)
 }
 
 fn verdict(figures: &RingFigures, width: usize) -> Vec<String> {

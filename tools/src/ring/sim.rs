@@ -13,6 +13,7 @@ use rtnet::clock::True;
 use rtnet::discipline::Discipline;
 use rtnet::sim::{Aired, Loss, Network, StationId};
 use rtnet::station::Station;
+use rtnet::time::Span;
 
 use super::figures::{self, Known, RingFigures};
 use super::judge::Judge;
@@ -27,6 +28,8 @@ use crate::station::traffic::{Arrivals, Tag, TrafficCounts};
 
 /// A station takes part once the token has come so often.
 const VISITS: u32 = 3;
+/// However slow a ring, nobody waits longer for it to come up.
+const JOIN_AT_MOST: Span = Span::from_millis(3_600_000);
 /// So long frames of the measurement may be on their way, in rounds.
 const LINGER_ROUNDS: i64 = 4;
 
@@ -144,6 +147,7 @@ impl<'a> Run<'a> {
         let n = network.stations.len();
         let silent = ring.silence() + ring.step() * n as i64;
         let allowed = silent + rejoin_bound(ring, n, n) + network.cycle * i64::from(VISITS + 10);
+        let allowed = allowed.min(JOIN_AT_MOST);
         let deadline = UPTIME + allowed.nanos() as u64;
         while !self.all_take_part() {
             let next = self.network.now() + network.cycle.nanos() as u64;

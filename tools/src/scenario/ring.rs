@@ -3,7 +3,7 @@
 use rtmac::tdma::LatePolicy;
 use rtmac::tdma::schedule::Rate;
 use rtmac::token::bound::rotation_bound;
-use rtmac::token::{LONGEST_FRAME, RingConfig};
+use rtmac::token::{LONGEST_FRAME, RingConfig, RingRefused};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
@@ -63,14 +63,14 @@ impl RingTimes {
 }
 
 impl RingScenario {
-    /// Of these stations, each with the address of its place.
+    /// Of these stations, each with the address of its place; tells what cannot be.
     pub(super) fn new(
         times: RingTimes,
         rate: Rate,
         (duration, seed): (Span, u64),
         stations: Vec<StationPlan>,
         conditions: Conditions,
-    ) -> Self {
+    ) -> Result<Self, RingRefused> {
         let mut network = Scenario {
             cycle: Span::ZERO,
             sync_window: Span::ZERO,
@@ -88,8 +88,9 @@ impl RingScenario {
         };
         let addresses = (0..network.stations.len()).map(|place| network.address(place));
         let ring = times.ring(addresses.collect(), rate);
+        ring.check()?;
         network.cycle = rotation_bound(&ring, ring.stations.len(), 1);
-        Self { ring, network }
+        Ok(Self { ring, network })
     }
 
     /// The same with clocks that follow from a seed.

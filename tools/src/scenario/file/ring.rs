@@ -122,7 +122,7 @@ impl Source<'_> {
     pub(super) fn check_has_slots(&self) -> Result<(), FileError> {
         let tables = self.tables()?;
         let Some(at) = place_of_ring(tables.get_ref()) else { return Ok(()) };
-        let what = "a ring, which `rtnet sim run` and `rtnet plan` take: this goes with time slots only";
+        let what = "a ring, which `rtnet sim run`, `rtnet lab run` and `rtnet plan` take: this goes with time slots only";
         Err(self.impossible(at, what))
     }
 
@@ -186,7 +186,7 @@ impl Source<'_> {
         let duration = file.duration.map_or(DEFAULT_DURATION, |duration| duration.0);
         let run = (duration, file.seed.unwrap_or(1));
         let ring = RingScenario::new(times, rate, run, stations, conditions);
-        ring.ring.check().map_err(|why| self.impossible(first, why))?;
+        let ring = ring.map_err(|why| self.impossible(first, why))?;
         self.check_events(&ring.network)?;
         self.check_ring_clocks(&ring)?;
         let seed = ring.network.seed;

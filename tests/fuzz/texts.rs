@@ -6,7 +6,8 @@ use std::path::Path;
 use serde_json::{Value, json};
 use tools::control::{Envelope, LabRequest, Reply, Request, read};
 use tools::report::figures::Role;
-use tools::scenario::Source;
+use tools::ring::plan::RingPlan;
+use tools::scenario::{Network, RingScenario, Source};
 
 use super::engine::{Target, fuzz, outcome};
 use super::mutate;
@@ -85,7 +86,7 @@ fn said(result: &Result<impl Debug, String>) -> u64 {
 fn scenario_takes_any_text() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut seeds = Vec::new();
-    for folder in ["sim", "cli", "cli/bad_input.in", "../tools/src/sim"] {
+    for folder in ["sim", "cli", "cli/plan.in", "cli/bad_input.in", "../tools/src/sim"] {
         let entries = std::fs::read_dir(root.join(folder)).expect("a directory");
         let mut paths: Vec<_> = entries.map(|entry| entry.expect("a directory entry").path()).collect();
         paths.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
@@ -104,7 +105,7 @@ fn scenario_takes_any_text() {
 
 fn scenario(bytes: &[u8]) -> u64 {
     let text = String::from_utf8_lossy(bytes);
-    match Source::new("a.toml", &text).parse() {
+    match Source::new("a.toml", &text).parse_any() {
         Err(error) => {
             let said = error.to_string();
             assert!(said.starts_with("a.toml:"), "{said}");
@@ -114,7 +115,12 @@ fn scenario(bytes: &[u8]) -> u64 {
             let what = said.lines().next().unwrap_or_default().bytes().filter(u8::is_ascii_alphabetic);
             outcome(what.take(40).map(u64::from))
         }
-        Ok(scenario) => {
+        Ok(Network::Ring(RingScenario { ring, network })) => {
+            assert_eq!((ring.check(), ring.stations.len()), (Ok(()), network.stations.len()));
+            let plan = RingPlan::of(&RingScenario { ring, network });
+            outcome([u64::MAX - 1, plan.stations.len() as u64, plan.refused.len() as u64])
+        }
+        Ok(Network::Slots(scenario)) => {
             let masters = scenario.stations.iter().filter(|station| station.role == Role::Master).count();
             assert_eq!((masters, scenario.stations[0].role), (1, Role::Master));
             assert!(scenario.schedule().conflicts().is_empty(), "what conflicts is refused");

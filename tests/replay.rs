@@ -195,6 +195,7 @@ fn every_rtmac_frame_of_real_stations_parses_whatever_its_padding() {
                 Ok(Rtmac::Tdma(Message::Request { .. })) => requests += 1,
                 Ok(Rtmac::Tdma(Message::Reply { .. })) => replies += 1,
                 Ok(Rtmac::Tunnel(..)) => tunnels += 1,
+                Ok(Rtmac::Extension(extension)) => panic!("{name} frame {}: {extension:?}", frame.number),
                 Err(reason) => panic!("{name} frame {}: {reason:?}", frame.number),
             }
             stale += u32::from(frame.bytes[46..].iter().any(|&byte| byte != 0));

@@ -14,6 +14,8 @@
 //! A frame's length says nothing of its content: real stations pad with stale memory. Fields are read
 //! by their offsets only.
 
+pub mod change;
+
 use rtnet::buf::Buf;
 use rtnet::counters::Refusal;
 use rtnet::discipline::Stamp;
@@ -58,6 +60,8 @@ impl Head {
 pub enum Rtmac<'a> {
     /// TDMA's own.
     Tdma(Message),
+    /// What is not RTnet's, and real stations drop.
+    Extension(change::Extension),
     /// A foreign frame's EtherType and payload, with whatever padding followed it.
     Tunnel(EtherType, &'a [u8]),
 }
@@ -152,15 +156,16 @@ pub fn parse(frame: &[u8]) -> Result<Rtmac<'_>, Refusal> {
     if head.kind() != TYPE_TDMA {
         return Err(Refusal::OtherDiscipline);
     }
-    parse_tdma(rest).map(Rtmac::Tdma)
+    let (head, body) = prefix::<TdmaHead>(rest)?;
+    match head.version.get() {
+        TDMA_VERSION => parse_tdma(head.message.get(), body).map(Rtmac::Tdma),
+        change::EXTENSION_VERSION => change::parse(head.message.get(), body).map(Rtmac::Extension),
+        _ => Err(Refusal::TdmaVersion),
+    }
 }
 
-fn parse_tdma(bytes: &[u8]) -> Result<Message, Refusal> {
-    let (head, body) = prefix::<TdmaHead>(bytes)?;
-    if head.version.get() != TDMA_VERSION {
-        return Err(Refusal::TdmaVersion);
-    }
-    match head.message.get() {
+fn parse_tdma(message: u16, body: &[u8]) -> Result<Message, Refusal> {
+    match message {
         ID_SYNC => prefix::<SyncBody>(body).map(|(b, _)| Message::Sync {
             cycle: b.cycle.get(),
             xmit: GlobalTime::from_nanos(b.xmit.get()),
@@ -314,7 +319,7 @@ mod tests {
             let stamped = match parse(&frame).unwrap() {
                 Rtmac::Tdma(Message::Sync { xmit, .. }) => xmit.nanos(),
                 Rtmac::Tdma(Message::Request { xmit, .. } | Message::Reply { xmit, .. }) => xmit,
-                Rtmac::Tunnel(..) => panic!("not a tunnel"),
+                Rtmac::Tunnel(..) | Rtmac::Extension(_) => panic!("TDMA's own"),
             };
             assert_eq!(stamped, 100);
         }

@@ -69,6 +69,12 @@ refusals! {
     TdmaVersion = "tdma_version",
     /// A TDMA message identifier that is not defined.
     TdmaMessage = "tdma_message",
+    /// A part of a schedule, or an answer to one, whose fields contradict each other.
+    ScheduleFormat = "schedule_format",
+    /// A part of a schedule, or an answer to one, that nobody here asks for.
+    ScheduleUnknown = "schedule_unknown",
+    /// A part of a schedule with more slots than this station has room for.
+    ScheduleTooLarge = "schedule_too_large",
     /// A Synchronisation from somebody else while this station is the active master.
     ForeignSync = "foreign_sync",
     /// A Synchronisation whose times cannot be meant: seconds away from its own reception.

@@ -156,6 +156,7 @@ fn a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_g
             first: 0,
             flows: Default::default(),
             may_stall: false,
+            changes: None,
         };
         let lab = serde_json::to_string(&lab).unwrap();
         let mut station =

@@ -28,6 +28,7 @@ mod proxy;
 mod requests;
 mod rights;
 mod ring;
+mod schedule;
 mod silent;
 mod socket_options;
 mod sockets;

@@ -6,6 +6,7 @@ use pnet_packet::ethernet::EthernetPacket;
 use pnet_packet::icmp::{self, IcmpPacket};
 use pnet_packet::ipv4::{self as their_ipv4, Ipv4Packet};
 use pnet_packet::udp::UdpPacket;
+use rtmac::wire::change::Extension;
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::buf::Pool;
 use rtnet::counters::Refusal;
@@ -304,6 +305,15 @@ fn rtmac(bytes: &[u8]) -> u64 {
         Rtmac::Tunnel(inner, payload) => {
             assert_eq!((&inner.0.to_be_bytes()[..], payload), (&bytes[14..16], &bytes[18..]));
             u64::from(payload.is_empty())
+        }
+        Rtmac::Extension(extension) => {
+            let mut frame = Pool::new(1).take().expect("a new pool is full");
+            extension.write(Address::BROADCAST, Address::default(), &mut frame);
+            assert_eq!(wire::parse(&frame), Ok(Rtmac::Extension(extension)), "written as it was read");
+            match extension {
+                Extension::Part(_) => 5,
+                Extension::Answer(_) => 6,
+            }
         }
         Rtmac::Tdma(message) => {
             let mut frame = Pool::new(1).take().expect("a new pool is full");

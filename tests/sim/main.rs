@@ -4,6 +4,7 @@ mod another_stack;
 mod backup_masters;
 mod calibrated_anew;
 mod causes;
+mod change;
 mod clock_set_back;
 mod datagrams;
 mod drift_and_loss;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use clap::Parser;
+use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::schedule;
 use rtmac::tdma::{
     DEFAULT_LEAD, DEFAULT_MAX_REQUESTS, DEFAULT_MAX_SLOT_ID, MasterConfig, RoleConfig, Servo, SlaveConfig,
@@ -50,6 +51,8 @@ pub struct Plan {
     /// What cycle it is when station 0 is started; also when it is started anew, later by as much as was between. `None`:
     /// each time a new grid begins.
     pub first_cycle: Option<u32>,
+    /// Whether ours take part in changes of the schedule.
+    pub changes: bool,
 }
 
 /// A network, and what is known of it from outside.
@@ -109,6 +112,7 @@ impl Plan {
         let (tolerance, host) = (Span::ZERO, Host::IDEAL);
         let (peers, backups, follow) = (Vec::new(), Vec::new(), SlaveConfig::default());
         let (max_requests, without_filter, first_cycle) = (DEFAULT_MAX_REQUESTS, Vec::new(), None);
+        let changes = false;
         Plan {
             scenario,
             medium,
@@ -120,6 +124,7 @@ impl Plan {
             max_requests,
             without_filter,
             first_cycle,
+            changes,
         }
     }
 
@@ -360,7 +365,15 @@ impl Plan {
             lead: DEFAULT_LEAD,
             late: scenario.late,
         });
-        Mixed::Ours(Box::new(tdma.expect("the plan is sound")))
+        let tdma = tdma.expect("the plan is sound");
+        Mixed::Ours(Box::new(if self.changes { tdma.with_changes(&self.change_config()) } else { tdma }))
+    }
+
+    /// What ours are told of the schedule.
+    pub fn change_config(&self) -> ChangeConfig {
+        let config = self.scenario.change_config().expect("there is room behind the Synchronisations");
+        let masters = self.backups.iter().map(|&(id, _)| id).chain([0]).map(|id| self.address(id));
+        ChangeConfig { masters: masters.collect(), ..config }
     }
 
     fn backup(&self, id: StationId) -> Option<Span> {

@@ -5,6 +5,7 @@ mod listen;
 mod min_cycle;
 mod packages;
 mod plan;
+mod schedule;
 mod sim;
 mod stack;
 mod token;
@@ -31,6 +32,7 @@ pub use packages::{
     duration,
 };
 pub use plan::PlanArgs;
+pub use schedule::{ScheduleArgs, ScheduleVerb, WhenArgs};
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
 pub use token::{RingArgs, TokenArgs, TokenVerb};
@@ -101,6 +103,14 @@ pub enum Verb {
     /// follows when it is made smaller; when it is made larger, it has a queue of its own from then on. In a lab, a slot that overlaps another station's is refused; a station of its own
     /// refuses what overlaps its own slots, or as master its sync window, and trusts that you know the others'.
     Slot(SlotArgs),
+    /// Look at the schedule of a running network, or change it: slots of all stations, and the cycle
+    ///
+    /// The acting master proposes a schedule; every station that has slots acknowledges it, or says why it cannot; all switch in
+    /// one cycle. Whoever does not answer stops the change. If the master dies meanwhile, either the old or the new one is in use
+    /// everywhere. Stations take part that were started with --extensions, as all of a lab are.
+    ///
+    /// Exit status: 0; 1 the change was stopped, and all go on as before; 2 bad usage, or a schedule that cannot be.
+    Schedule(ScheduleArgs),
     /// Show the address of a running station, what its slots take, and what its interface has counted
     ///
     /// For a station that was started with an address (`rtnet station --ip`), as are `route` and `ping`; `pool` and `stat` are
@@ -374,6 +384,10 @@ pub struct StationArgs {
     /// one's id. Can be given several times
     #[arg(long = "slot", value_name = "ID=OFFSET[,phase=P/N][,size=B][,joint=ID]", value_parser = crate::cmd::station::parse_slot)]
     pub slots: Vec<crate::control::SlotChange>,
+    /// Take part in changes of the schedule (`rtnet schedule`): all stations of a network, or none. Stations of RTnet know
+    /// nothing of it, and would keep their slots
+    #[arg(long)]
+    pub extensions: bool,
     /// Line rate at which its slots are checked against each other, and a master's against its cycle
     #[arg(long, default_value = "1G", value_parser = parse_rate)]
     pub rate: Rate,

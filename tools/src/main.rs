@@ -26,6 +26,7 @@ fn main() -> ExitCode {
         Verb::Tdma(args) => cmd::tdma::tdma(args),
         Verb::Token(args) => cmd::token::token(args),
         Verb::Slot(args) => cmd::slot::slot(args),
+        Verb::Schedule(args) => cmd::schedule::schedule(args),
         Verb::If(args) => cmd::interface::interface(args),
         Verb::Route(args) => cmd::route::route(args),
         Verb::Ping(args) => cmd::ping::ping(args),

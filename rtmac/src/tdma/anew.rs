@@ -80,7 +80,7 @@ impl Tdma {
         {
             let job = Job::Data(turn);
             self.calibrates_in(&job);
-            self.pass(&job);
+            self.pass(&job, rx);
         }
     }
 

@@ -4,6 +4,7 @@ use rtnet::discipline::{Channel, SyncState};
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::change::{Activation, Book};
 use super::joint;
 use super::line::PERIODS;
 use super::master::BACKUP_LOOKS_BEFORE;
@@ -13,6 +14,7 @@ use super::{
     MAX_HOLDOVER, MAX_REQUESTS, MAX_ROUNDS, Master, MasterConfig, NewRounds, Role, Slave, SlaveConfig,
     SlotConfig, Tdma,
 };
+use crate::wire::change::Why;
 
 /// How long before a slot its frame is chosen, unless configured otherwise: a woken thread is there
 /// within 50 us in 99 of 100 cases on a virtual machine.
@@ -67,6 +69,12 @@ pub enum TdmaCommand {
     Become(NewRole),
     /// Measure the delay from the master anew, from the next cycle on.
     Calibrate(NewRounds),
+    /// Propose another schedule to all stations, and, if it is said when, use it once all have acknowledged.
+    Propose(Book, Option<Activation>),
+    /// Use what is proposed once all have acknowledged.
+    Activate(Activation),
+    /// Withdraw what is proposed.
+    CancelChange,
 }
 
 impl TdmaCommand {
@@ -301,6 +309,68 @@ pub enum Refused {
         offset: Span,
         /// Where the first may be.
         earliest: Span,
+    },
+    /// More slots than a schedule may have here, or none.
+    #[error("a schedule of {slots} slots: at least 1, and at most {most} here")]
+    ScheduleSize {
+        /// How many.
+        slots: usize,
+        /// The most.
+        most: usize,
+    },
+    /// Changes are for those that were started for them.
+    #[error(
+        "this station takes no part in changes of the schedule: start it, and all others, with --extensions"
+    )]
+    NoExtensions,
+    /// Only the acting master proposes.
+    #[error(
+        "this station does not give the time, or does not know which schedule is in use: ask the acting master"
+    )]
+    NotActing,
+    /// One at a time.
+    #[error("change {number} is under way: wait for it, or cancel it")]
+    ChangePending {
+        /// Which.
+        number: u16,
+    },
+    /// A change of a station's own would come between.
+    #[error("a change of the schedule is under way: wait for it, or cancel it at the master")]
+    ScheduleChanges,
+    /// There is nothing to be activated or cancelled.
+    #[error("no schedule is proposed, or it is decided on already: see `rtnet schedule show`")]
+    NothingProposed,
+    /// All know that it comes.
+    #[error("all stations have confirmed that they switch in cycle {at}: nothing stops it any more")]
+    AlreadySealed {
+        /// The activation cycle.
+        at: u32,
+    },
+    /// Too soon for all to confirm.
+    #[error(
+        "activation cycle {at}: it is cycle {now}, and all stations are to hear of it before; ask for one at least {least} cycles ahead"
+    )]
+    ActivationTooNear {
+        /// What was asked for.
+        at: u32,
+        /// The cycle that it is.
+        now: u32,
+        /// How far ahead it has to be.
+        least: u32,
+    },
+    /// Who may give the time has to be able to confirm.
+    #[error("station {station} may give the time, and has no slot to confirm a change in: give it one first")]
+    MasterWithoutSlot {
+        /// Which.
+        station: Address,
+    },
+    /// The proposer's own slots cannot be.
+    #[error("slot {id} of this station: {}", why.text())]
+    CannotTake {
+        /// Which.
+        id: u8,
+        /// Why.
+        why: Why,
     },
     /// The Synchronisation would have more than the cycle.
     #[error("a sync window that lasts beyond the cycle of {cycle}: shorten it")]

@@ -26,6 +26,7 @@ impl Tdma {
             }
             None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
                 Purpose::Request => Job::Request(turn),
+                Purpose::Data if self.said_in(&turn).is_some() => Job::Answer(turn),
                 Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
             }),
         };
@@ -47,7 +48,7 @@ impl Tdma {
                     latest: reply.at + config.reply_latest,
                 });
                 // Replies and slots of one cycle come after its Synchronisation, which begins it.
-                sync.into_iter().chain(reply).chain(turns()).min_by_key(Job::at)
+                sync.into_iter().chain(self.part_job()).chain(reply).chain(turns()).min_by_key(Job::at)
             }
         }
     }
@@ -82,15 +83,18 @@ impl Tdma {
             if is_late && !is_left {
                 self.missed(&job, now - job.latest());
             } else if !is_late && !self.may_do(&job) {
-                self.silent = Some((job.cycle(), job.at()));
+                let kind = self.silent_by(&job);
+                if kind == EventKind::SlotSilent {
+                    self.silent = Some((job.cycle(), job.at()));
+                }
                 self.counters.slots_silent += 1;
-                self.events.note_job(&job, EventKind::SlotSilent, Span::ZERO);
+                self.events.note_job(&job, kind, Span::ZERO);
             } else if is_left {
                 self.calibrates_in(&job);
             } else {
                 return Some(job);
             }
-            self.pass(&job);
+            self.pass(&job, now);
             self.put_off(&job);
         }
         None
@@ -98,6 +102,7 @@ impl Tdma {
 
     /// What else was slept through before this cycle is counted, and not told of one by one.
     fn leave_out(&mut self, now: Instant) {
+        self.leave_out_a_switch(now);
         let cycle = self.cycle_at(now);
         let turns = self.slots.jump(cycle);
         if !self.calibrates() {
@@ -105,6 +110,18 @@ impl Tdma {
         }
         if let Role::Master(master) = &mut self.role {
             self.counters.syncs_skipped += master.jump(cycle);
+        }
+    }
+
+    /// Who slept through the begin of another schedule begins it when it was: what comes after is on its cycles.
+    fn leave_out_a_switch(&mut self, now: Instant) {
+        let Some(from) = self.change.as_ref().and_then(|change| change.sealed_for()) else { return };
+        if (self.cycle_at(now).wrapping_sub(from) as i32) < 0 {
+            return;
+        }
+        if let Role::Master(master) = &mut self.role {
+            self.counters.syncs_skipped += master.jump(from);
+            self.begin_cycle(from, now);
         }
     }
 
@@ -188,9 +205,18 @@ impl Tdma {
         }
     }
 
+    /// Whether a turn that must not be used is so for want of a Synchronisation, or of a schedule.
+    fn silent_by(&self, job: &Job) -> EventKind {
+        if self.may_follow(job) { EventKind::ScheduleUnsure } else { EventKind::SlotSilent }
+    }
+
     fn may_do(&self, job: &Job) -> bool {
+        job.turn().is_none_or(|turn| self.schedule_allows(turn.cycle)) && self.may_follow(job)
+    }
+
+    fn may_follow(&self, job: &Job) -> bool {
         match (self.follower(), job) {
-            (Some(slave), Job::Request(turn) | Job::Data(turn)) => {
+            (Some(slave), Job::Request(turn) | Job::Data(turn) | Job::Answer(turn)) => {
                 let fits = slave.line().is_some_and(|line| {
                     self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period)
                 });
@@ -201,10 +227,19 @@ impl Tdma {
     }
 
     /// The job's time is over, whether it was done or not.
-    pub(super) fn pass(&mut self, job: &Job) {
+    pub(super) fn pass(&mut self, job: &Job, now: Instant) {
         let calibrates = self.calibrates();
+        if let (Some(turn), Some(change)) = (job.turn(), &mut self.change)
+            && self.slots.first().is_some_and(|first| first.id == turn.id)
+        {
+            change.turn_is_over();
+        }
         match (job, &mut self.role) {
-            (Job::Sync { .. }, Role::Master(master)) => master.advance(),
+            (&Job::Sync { cycle, .. }, Role::Master(master)) => {
+                master.advance();
+                self.begin_cycle(cycle, now);
+            }
+            (Job::Part { .. }, _) => self.part_in = None,
             (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
             // The next one is for the reply: it is left free even if there was no request, for one that was put off. Who
             // measures anew tells of such a turn when it comes.
@@ -214,7 +249,7 @@ impl Tdma {
                 self.calibrates_in(&Job::Data(replys));
                 self.slots.pass_until(turn.id, replys.cycle.wrapping_add(1));
             }
-            (Job::Request(turn) | Job::Data(turn), _) => self.slots.pass(turn),
+            (Job::Request(turn) | Job::Data(turn) | Job::Answer(turn), _) => self.slots.pass(turn),
             _ => {}
         }
     }
@@ -239,7 +274,13 @@ impl Tdma {
                 self.counters.replies_late += 1;
                 EventKind::Overrun
             }
-            Job::Request(_) | Job::Data(_) => {
+            // The next one brings another.
+            Job::Part { .. } => {
+                self.counters.parts_late += 1;
+                self.change.iter_mut().for_each(|change| change.part_is_owed());
+                return;
+            }
+            Job::Request(_) | Job::Data(_) | Job::Answer(_) => {
                 self.counters.overruns += 1;
                 EventKind::Overrun
             }

@@ -24,7 +24,15 @@ pub enum Job {
         at: Instant,
         latest: Instant,
     },
+    /// What of a schedule follows a Synchronisation.
+    Part {
+        cycle: u32,
+        at: Instant,
+        latest: Instant,
+    },
     Request(Turn),
+    /// To a schedule that is proposed.
+    Answer(Turn),
     Data(Turn),
 }
 
@@ -38,20 +46,20 @@ pub struct Pending {
 impl Job {
     pub fn at(&self) -> Instant {
         match self {
-            Job::Sync { at, .. } | Job::Reply { at, .. } => *at,
-            Job::Request(turn) | Job::Data(turn) => turn.at,
+            Job::Sync { at, .. } | Job::Reply { at, .. } | Job::Part { at, .. } => *at,
+            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => turn.at,
         }
     }
     pub fn latest(&self) -> Instant {
         match self {
-            Job::Sync { latest, .. } | Job::Reply { latest, .. } => *latest,
-            Job::Request(turn) | Job::Data(turn) => turn.latest,
+            Job::Sync { latest, .. } | Job::Reply { latest, .. } | Job::Part { latest, .. } => *latest,
+            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => turn.latest,
         }
     }
     pub fn cycle(&self) -> u32 {
         match self {
-            Job::Sync { cycle, .. } | Job::Reply { cycle, .. } => *cycle,
-            Job::Request(turn) | Job::Data(turn) => turn.cycle,
+            Job::Sync { cycle, .. } | Job::Reply { cycle, .. } | Job::Part { cycle, .. } => *cycle,
+            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => turn.cycle,
         }
     }
 
@@ -72,9 +80,14 @@ impl Job {
 
     /// The slot that it is of.
     pub fn slot(&self) -> Option<Channel> {
+        self.turn().map(|turn| turn.id)
+    }
+
+    /// The slot's turn that it is of.
+    pub fn turn(&self) -> Option<&Turn> {
         match self {
-            Job::Sync { .. } | Job::Reply { .. } => None,
-            Job::Request(turn) | Job::Data(turn) => Some(turn.id),
+            Job::Sync { .. } | Job::Reply { .. } | Job::Part { .. } => None,
+            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => Some(turn),
         }
     }
 

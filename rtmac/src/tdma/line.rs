@@ -90,6 +90,13 @@ impl Drift {
 }
 
 impl TimeLine {
+    /// From `from` on cycles are this long.
+    pub fn run_at(&mut self, period: Span, from: u32) {
+        let (start, sched) = (self.start_of(from), self.sched_of(from));
+        let drift = Drift::of_rate(self.drift.rate(self.period), period);
+        *self = TimeLine { cycle: from, start, sched, period, offset: self.offset, drift };
+    }
+
     /// Cycles from the one known best to `cycle`, shortest way round 2^32.
     pub fn ahead(&self, cycle: u32) -> i32 {
         cycle.wrapping_sub(self.cycle) as i32

@@ -318,6 +318,16 @@ impl Master {
         }
     }
 
+    /// From `from` on cycles are this long. Replies were promised on the old ones.
+    pub fn run_at(&mut self, period: Span, from: u32) {
+        self.config.cycle = period;
+        self.replies.clear();
+        self.follower.run_at(period, from);
+        if let Phase::Active { line } = &mut self.phase {
+            line.run_at(period, from);
+        }
+    }
+
     /// A calibration request, received at `rx`.
     pub fn on_request(
         &mut self,

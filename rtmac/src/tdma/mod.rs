@@ -17,6 +17,7 @@
 mod anew;
 mod bound;
 mod calibration;
+pub mod change;
 mod config;
 mod due;
 mod edge;
@@ -41,6 +42,7 @@ mod send;
 mod slave;
 mod slot;
 mod status;
+mod switch;
 
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
@@ -54,6 +56,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use anew::NewRounds;
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
+use change::Change;
 pub use config::{
     DEFAULT_LEAD, LatePolicy, NewRole, Refused, RoleConfig, TdmaCommand, TdmaConfig, check_cycle,
     check_rounds,
@@ -74,6 +77,7 @@ use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, RT_SLOT, SlotConfig, SlotStatus};
 pub use status::{Counters, RoleName, SLOTS_SHOWN, TdmaStatus};
 
+use crate::wire::change::Status;
 use crate::wire::{self, Rtmac};
 
 /// A station of a TDMA network. What every turn looks at is together, from `address` on to the end of what a slave begins
@@ -95,6 +99,10 @@ pub struct Tdma {
     counters: Counters,
     role: Role,
     events: Events,
+    /// The cycle and the instant of what is to follow the last Synchronisation.
+    part_in: Option<(u32, Instant)>,
+    /// `None`: it takes no part in changes of the schedule.
+    change: Option<Box<Change>>,
 }
 
 // A master is a slave and more; in a box it would have to be freed when it becomes one.
@@ -176,6 +184,8 @@ impl Tdma {
             silent: None,
             events,
             counters: Counters::default(),
+            part_in: None,
+            change: None,
         })
     }
 
@@ -211,13 +221,24 @@ impl Discipline for Tdma {
 
     fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) -> Claimed {
         let message = match wire::parse(&frame) {
-            Ok(Rtmac::Tdma(message)) => message,
+            Ok(Rtmac::Tdma(message)) => Ok(message),
             Ok(Rtmac::Tunnel(..)) => return Claimed::Tunnel(frame),
+            Ok(Rtmac::Extension(_)) if self.change.is_none() => {
+                return Claimed::Refused(Refusal::TdmaVersion);
+            }
+            Ok(Rtmac::Extension(extension)) => Err(extension),
             Err(reason) => return Claimed::Refused(reason),
         };
         let Some((header, _)) = Header::parse(&frame) else { return Claimed::Refused(Refusal::Runt) };
         let Some(rx) = rx else { return Claimed::Refused(Refusal::NoStamp) };
-        match self.on_message(rx, header, message) {
+        let done = match message {
+            Ok(message) => {
+                let status = self.change.as_ref().and_then(|_| Status::of_sync(&frame));
+                self.on_message(rx, header, message, status)
+            }
+            Err(extension) => self.on_extension(rx, header, extension),
+        };
+        match done {
             Ok(()) => Claimed::Kept,
             Err(reason) => Claimed::Refused(reason),
         }
@@ -225,6 +246,7 @@ impl Discipline for Tdma {
 
     fn on_timeout(&mut self, now: Instant) {
         self.looked = now;
+        self.stand_by_for_switch(now);
         match &mut self.role {
             Role::Master(master) => {
                 let has_slots = self.slots.first().is_some();
@@ -265,7 +287,7 @@ impl Discipline for Tdma {
         let job = self.due(now)?;
         let built = self.build(job);
         // A chosen job does not come again.
-        self.pass(&job);
+        self.pass(&job, now);
         built
     }
 
@@ -331,7 +353,7 @@ impl Discipline for Tdma {
             Role::Detached => None,
         };
         let job = self.next_job().map(|job| job.wakes_at(self.lead, self.looked));
-        role.into_iter().chain(job).min()
+        role.into_iter().chain(job).chain(self.switch_wakes_at()).min()
     }
 
     /// A master that only listens for another has no slot to wait for, and may have heard enough long before its deadline.
@@ -366,6 +388,7 @@ impl Discipline for Tdma {
         match command {
             TdmaCommand::SetSlot(slot) => {
                 let slot = *slot;
+                self.not_while_changing()?;
                 if let Role::Master(master) = &self.role {
                     checked(*master.config(), &[slot])?;
                 }
@@ -381,6 +404,7 @@ impl Discipline for Tdma {
                 self.slots.set(slot, cycle, &mut self.events)?;
             }
             TdmaCommand::RemoveSlot(id) => {
+                self.not_while_changing()?;
                 self.not_while_calibrating(*id, now)?;
                 let others = self.slots.planned().any(|slot| slot.id != *id);
                 if matches!(self.role, Role::Slave(_)) && !others {
@@ -390,6 +414,7 @@ impl Discipline for Tdma {
                 self.slots.remove(*id, cycle)?;
             }
             TdmaCommand::Become(NewRole(role)) => {
+                self.not_while_changing()?;
                 let slots = || self.slots.planned().map(|slot| (slot.id, slot.period));
                 match role {
                     Role::Master(master) => {
@@ -408,7 +433,15 @@ impl Discipline for Tdma {
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;
             }
-            TdmaCommand::Calibrate(rounds) => self.measure_anew(rounds)?,
+            TdmaCommand::Calibrate(rounds) => {
+                self.not_while_changing()?;
+                self.measure_anew(rounds)?;
+            }
+            TdmaCommand::Propose(book, activation) => self.propose(cycle, book, *activation)?,
+            TdmaCommand::Activate(activation) => {
+                self.changes()?.activate(cycle, *activation)?;
+            }
+            TdmaCommand::CancelChange => self.changes()?.cancel(cycle)?,
         }
         Ok(cycle.wrapping_add(1))
     }

@@ -9,6 +9,7 @@ use super::line::LINE_GOOD_FOR;
 use super::slave::Followed;
 use super::{Role, Tdma};
 use crate::wire::Message;
+use crate::wire::change::Status;
 
 impl Tdma {
     pub(super) fn on_message(
@@ -16,6 +17,7 @@ impl Tdma {
         rx: Instant,
         header: &Header,
         message: Message,
+        status: Option<Status>,
     ) -> Result<(), Refusal> {
         // Whom a station answers, it finds in the source.
         if header.source.is_group() || header.source == self.address {
@@ -23,7 +25,9 @@ impl Tdma {
         }
         match (message, &mut self.role) {
             (_, Role::Detached) => Err(Refusal::Detached),
-            (Message::Sync { cycle, xmit, sched }, _) => self.on_sync(rx, header.source, cycle, xmit, sched),
+            (Message::Sync { cycle, xmit, sched }, _) => {
+                self.on_sync(rx, header.source, (cycle, xmit, sched), status)
+            }
             (Message::Request { .. }, _) if header.destination != self.address => Err(Refusal::NotMaster),
             (Message::Request { xmit, reply_cycle, reply_offset }, Role::Master(master)) => {
                 master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
@@ -49,21 +53,32 @@ impl Tdma {
         &mut self,
         rx: Instant,
         from: Address,
-        cycle: u32,
-        xmit: GlobalTime,
-        sched: GlobalTime,
+        (cycle, xmit, sched): (u32, GlobalTime, GlobalTime),
+        status: Option<Status>,
     ) -> Result<(), Refusal> {
         let events = &mut self.events;
         if let Role::Master(master) = &mut self.role
             && !master.on_foreign_sync(rx, (from, self.address), xmit - sched, events)
         {
+            self.overhear(rx, status);
             return Err(Refusal::ForeignSync);
         }
         let Some(slave) = self.role.follower_mut() else { return Err(Refusal::Detached) };
         self.counters.syncs_received += 1;
+        // Another schedule may have another cycle: what comes on that is heard on it.
+        let is_next = slave.line().is_some_and(|line| (1..=LINE_GOOD_FOR).contains(&line.ahead(cycle)));
+        if is_next {
+            self.hear(rx, cycle, status);
+        }
+        let events = &mut self.events;
+        let Some(slave) = self.role.follower_mut() else { return Err(Refusal::Detached) };
         let left = slave.line().copied();
         let followed = slave.on_sync(rx, from, cycle, xmit, sched, events);
         self.doubt_line(rx, from, cycle, followed);
+        let says_nothing = matches!(followed, Ok(Followed::Late) | Err(Refusal::ImplausibleSync));
+        if !is_next && !says_nothing {
+            self.hear(rx, cycle, status);
+        }
         let followed = followed?;
         match self.silent {
             Some((silent, at)) if cycle.wrapping_sub(silent) as i32 <= 0 => {

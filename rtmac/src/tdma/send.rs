@@ -1,13 +1,16 @@
 //! The frames of jobs: what they carry, and what is counted once they have left.
 
+use rtnet::buf::Buf;
 use rtnet::discipline::{Discipline, EventKind, Stamp, Transmission};
 use rtnet::queue::Priority;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::Address;
 
 use super::job::{Job, Pending};
+use super::slot::Turn;
 use super::{Role, Tdma};
 use crate::wire::Message;
+use crate::wire::change::Extension;
 
 impl Tdma {
     /// Builds the frame of a job that is due; `None` when there is nothing to send after all.
@@ -24,10 +27,21 @@ impl Tdma {
                 let stamp = frame.blank().and_then(|_| Stamp::of(&frame, &self.time(), job.at()));
                 (frame, stamp, priority)
             }
+            Job::Answer(turn) => (self.answer_frame(&turn)?, None, Priority::FIRST),
+            Job::Part { cycle, .. } => {
+                let part = self.change.as_ref()?.part_for(cycle)?;
+                let mut frame = self.pool.take()?;
+                Extension::Part(part).write(Address::BROADCAST, self.address, &mut frame);
+                (frame, None, Priority::FIRST)
+            }
             control => {
                 let (message, to, add) = self.control_message(control)?;
                 let mut frame = self.pool.take()?;
                 message.write(to, self.address, &mut frame);
+                let others = self.knows_of_others();
+                if let (Job::Sync { cycle, .. }, Some(change)) = (control, &mut self.change) {
+                    change.say(cycle, others).write(&mut frame);
+                }
                 (frame, Some(message.stamp(add)), Priority::FIRST)
             }
         };
@@ -66,6 +80,21 @@ impl Tdma {
         }
     }
 
+    /// What this station says to a schedule, or of one, for its turn, which carries no data then.
+    fn answer_frame(&mut self, turn: &Turn) -> Option<Buf> {
+        let said = self.said_in(turn)?;
+        let to = self.follower().map_or(Address::BROADCAST, |follower| follower.master());
+        let mut frame = self.pool.take()?;
+        said.write(to, self.address, &mut frame);
+        let change = self.change.as_mut()?;
+        match &said {
+            Extension::Answer(answer) => change.answers(answer),
+            Extension::Part(_) => change.part_is_sent(),
+        }
+        self.events.note_job(&Job::Answer(*turn), EventKind::AnswerTurn, Span::ZERO);
+        Some(frame)
+    }
+
     /// A job's frame has left, with this stamp unless it was held up.
     pub(super) fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
         match (job, &mut self.role) {
@@ -74,8 +103,19 @@ impl Tdma {
                 if let Role::Master(master) = role {
                     master.sent(*cycle, stamped.is_some(), &mut self.events);
                 }
+                if let Some(change) = &mut self.change {
+                    change.spoke(*cycle);
+                    let part = change.part_for(*cycle);
+                    self.part_in = part.map(|_| (*cycle, job.at() + change.behind));
+                }
             }
             (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
+            (Job::Part { .. }, _) => {
+                if let Some(change) = &mut self.change {
+                    change.part_is_sent();
+                }
+            }
+            (Job::Answer(_), _) => {}
             (Job::Data(turn), _) => {
                 self.counters.frames_sent += 1;
                 self.slots.count_sent(turn.id);

@@ -251,6 +251,19 @@ impl Slave {
         };
     }
 
+    /// From `from` on cycles are this long: the clocks are the same.
+    pub fn run_at(&mut self, period: Span, from: u32) {
+        let Track::On { line, step } = &mut self.track else { return };
+        if line.period == period {
+            return;
+        }
+        line.run_at(period, from);
+        (*step, self.missing) = (None, 0);
+        self.disagreement = Disagreement::at_first(mark::step_limit(self.config.step_limit, period));
+        self.envelope.begin_line();
+        self.calibration.leave_line();
+    }
+
     /// Time has passed: Synchronisations may be missing.
     pub fn on_timeout(&mut self, now: Instant, events: &mut Events) {
         let Track::On { line, .. } = &self.track else { return };

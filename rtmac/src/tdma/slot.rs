@@ -90,6 +90,8 @@ struct Slot {
     /// What becomes of it once its turn in the cycle in which that was asked for has passed, and from which
     /// cycle on.
     change: Option<(Change, u32)>,
+    /// Whether a schedule that is switched to has it, too.
+    is_kept: bool,
     queue: PriorityQueue,
 }
 
@@ -139,6 +141,7 @@ impl Slots {
             queue: PriorityQueue::new(),
             next: 0,
             change: None,
+            is_kept: false,
             sent: 0,
             used: false,
             taken_from: id,
@@ -180,6 +183,31 @@ impl Slots {
         }
         self.change(id, Change::Remove, cycle);
         Ok(())
+    }
+
+    /// All slots are these from the cycle after `cycle` on, those that others are joined to first; what was planned for
+    /// before is not. Queued frames that still fit stay.
+    pub fn replace(&mut self, slots: impl Iterator<Item = SlotConfig>, cycle: u32) {
+        let from = cycle.wrapping_add(1);
+        for slot in &mut self.table {
+            (slot.change, slot.is_kept) = (None, false);
+        }
+        for slot in slots {
+            let Some(place) = self.table.get_mut(usize::from(slot.id)) else { continue };
+            place.is_kept = true;
+            self.apply(slot.id, Change::Set(slot), from);
+        }
+        for id in 0..=self.max_id {
+            let slot = &self.table[usize::from(id)];
+            if slot.config.is_some() && !slot.is_kept {
+                self.apply(id, Change::Remove, from);
+            }
+        }
+    }
+
+    /// The highest id that there is room for.
+    pub fn max_id(&self) -> u8 {
+        self.max_id
     }
 
     fn change(&mut self, id: Channel, change: Change, cycle: u32) {

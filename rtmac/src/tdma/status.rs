@@ -5,6 +5,7 @@ use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::{Offset, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::change::ChangeStatus;
 use super::master::{Master, Mastery};
 use super::report::{CalibrationReport, DelayOf};
 use super::slot::SlotStatus;
@@ -52,11 +53,13 @@ pub struct Counters {
     pub returned_dropped: u64,
     /// Joint slots that got a queue of their own because the slot that they were joined to grew.
     pub joints_detached: u64,
+    /// Parts of schedules that were too late behind their Synchronisation, and not sent.
+    pub parts_late: u64,
 }
 
 impl Counters {
     /// Each with its name.
-    pub fn named(&self) -> [(&'static str, u64); 19] {
+    pub fn named(&self) -> [(&'static str, u64); 20] {
         [
             ("syncs_sent", self.syncs_sent),
             ("syncs_skipped", self.syncs_skipped),
@@ -77,6 +80,7 @@ impl Counters {
             ("replies_given_up", self.replies_given_up),
             ("returned_dropped", self.returned_dropped),
             ("joints_detached", self.joints_detached),
+            ("parts_late", self.parts_late),
         ]
     }
 }
@@ -161,6 +165,8 @@ pub struct TdmaStatus {
     pub events_lost: u64,
     /// How the pool of Synchronisations, requests and replies fares.
     pub control: PoolStatistics,
+    /// What it knows of changes of the schedule; `None`: it takes no part in them.
+    pub change: Option<ChangeStatus>,
     /// Its slots.
     pub slots: [Option<SlotStatus>; SLOTS_SHOWN],
     /// Everything that is counted.
@@ -217,6 +223,7 @@ impl TdmaStatus {
             rival: master.and_then(|master| master.rival(tdma.looked)),
             events_lost: tdma.events.lost(),
             control: tdma.pool.statistics(),
+            change: tdma.change.as_ref().map(|change| change.status()),
             slots: core::array::from_fn(|_| shown.next()),
             counters,
         }

@@ -43,6 +43,12 @@ pub enum EventKind {
     ReplyFailed,
     /// A slot's turn carried no data, since the delay is measured anew in it.
     CalibrationTurn,
+    /// A slot's turn carried no data, but the answer to a schedule that is proposed.
+    AnswerTurn,
+    /// A slot was passed over since it was not known that its schedule is in use.
+    ScheduleUnsure,
+    /// Another schedule is in use from this cycle on; the span is its number.
+    ScheduleSwitched,
     /// The master skipped a Synchronisation because its window had passed by so much.
     SyncSkipped,
     /// The kernel guard dropped a Synchronisation that came too late, by so much or less: its cycle has none.
@@ -89,7 +95,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [EventKind; 33] = [
+    pub const ALL: [EventKind; 36] = [
         EventKind::Overrun,
         EventKind::StalledInSend,
         EventKind::ReplyStalled,
@@ -102,6 +108,9 @@ impl EventKind {
         EventKind::SendFailed,
         EventKind::ReplyFailed,
         EventKind::CalibrationTurn,
+        EventKind::AnswerTurn,
+        EventKind::ScheduleUnsure,
+        EventKind::ScheduleSwitched,
         EventKind::SyncSkipped,
         EventKind::SyncDropped,
         EventKind::TimeStep,
@@ -138,6 +147,8 @@ impl EventKind {
                 | TurnLeft
                 | SlotEmpty
                 | CalibrationTurn
+                | AnswerTurn
+                | ScheduleUnsure
                 | SendFailed
                 | ReplyFailed
                 | SyncSkipped
@@ -155,6 +166,7 @@ impl EventKind {
             EventKind::SlotSilent | EventKind::TurnLeft => Some(Cause::NoSync),
             EventKind::SlotEmpty => Some(Cause::QueueEmpty),
             EventKind::CalibrationTurn => Some(Cause::Calibrating),
+            EventKind::AnswerTurn | EventKind::ScheduleUnsure => Some(Cause::ScheduleChange),
             EventKind::SendFailed | EventKind::ReplyFailed => Some(Cause::Refused),
             _ => None,
         }
@@ -175,6 +187,9 @@ impl EventKind {
             EventKind::SendFailed => "send_failed",
             EventKind::ReplyFailed => "reply_failed",
             EventKind::CalibrationTurn => "calibration_turn",
+            EventKind::AnswerTurn => "answer_turn",
+            EventKind::ScheduleUnsure => "schedule_unsure",
+            EventKind::ScheduleSwitched => "schedule_switched",
             EventKind::SyncSkipped => "sync_skipped",
             EventKind::SyncDropped => "sync_dropped",
             EventKind::TimeStep => "time_step",
@@ -215,19 +230,22 @@ pub enum Cause {
     QueueEmpty,
     /// The delay was measured in it, as was asked for.
     Calibrating,
+    /// The schedule changed: it carried an answer, or it was not known which is in use.
+    ScheduleChange,
     /// The kernel did not take the frame.
     Refused,
 }
 
 impl Cause {
     /// Every cause.
-    pub const ALL: [Cause; 7] = [
+    pub const ALL: [Cause; 8] = [
         Cause::TimerLate,
         Cause::Preempted,
         Cause::StalledInSend,
         Cause::NoSync,
         Cause::QueueEmpty,
         Cause::Calibrating,
+        Cause::ScheduleChange,
         Cause::Refused,
     ];
 
@@ -240,6 +258,7 @@ impl Cause {
             Cause::NoSync => "sync_lost_or_late",
             Cause::QueueEmpty => "queue_empty",
             Cause::Calibrating => "calibrating",
+            Cause::ScheduleChange => "schedule_change",
             Cause::Refused => "refused",
         }
     }

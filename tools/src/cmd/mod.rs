@@ -15,6 +15,7 @@ pub mod ping;
 pub mod plan;
 pub mod pool;
 pub mod route;
+pub mod schedule;
 pub mod sim;
 pub mod slot;
 pub mod stat;

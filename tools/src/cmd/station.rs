@@ -7,6 +7,7 @@ use std::str::FromStr;
 use anyhow::{Context, anyhow, bail};
 use package_router::priority::Priorities;
 use package_router::route::Routes;
+use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
 };
@@ -23,7 +24,7 @@ use super::route::read_routes;
 use crate::cli::{DisciplineName, Late, Scheduling, StationArgs, VnicMode};
 use crate::control::SlotChange;
 use crate::scenario::read_text;
-use crate::scenario::{DelayName, RingTimes, SlotGuard, default_sync_window, parse_phase};
+use crate::scenario::{DelayName, RingTimes, SlotGuard, default_sync_window, parse_phase, room_for_parts};
 use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::packages::PackagesOptions;
@@ -32,6 +33,9 @@ use crate::station::stack::StackOptions;
 use crate::station::vnic::VnicOptions;
 use crate::station::{self, Options, OwnSlots};
 use crate::units::parse_nonnegative_span;
+
+/// A station by itself has room for schedules with so many slots.
+const SLOTS_OF_OTHERS: usize = 256;
 
 /// Reads a slot from the command line: `ID=OFFSET[,phase=P/N][,size=B][,joint=ID]`; `joint=none` is a queue of its own.
 pub fn parse_slot(text: &str) -> Result<SlotChange, String> {
@@ -113,7 +117,9 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
             args.slot_guard.mode()
         }
     };
+    let changes = changes(args, lab.as_ref())?;
     Ok(Options {
+        changes,
         interface: args.interface.clone(),
         name: args.name.clone(),
         access,
@@ -130,6 +136,27 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         packages: packages(args)?,
         lab,
     })
+}
+
+/// What it is told so that it takes part in changes of the schedule.
+fn changes(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<Option<ChangeConfig>> {
+    if let Some(told) = lab.and_then(|lab| lab.changes.as_ref()) {
+        return told.config().map(Some).map_err(|why| anyhow!(why));
+    }
+    if !args.extensions {
+        return Ok(None);
+    }
+    let room = match args.cycle.filter(|_| args.master) {
+        Some(cycle) => {
+            let window = sync_window(args, cycle);
+            room_for_parts(window, args.rate).with_context(|| {
+                format!("--extensions: a sync window of {window} has no room for parts of schedules: lengthen it (--sync-window)")
+            })?
+        }
+        None => (Span::ZERO, Span::ZERO),
+    };
+    let (capacity, first, masters) = (SLOTS_OF_OTHERS, None, Vec::new());
+    Ok(Some(ChangeConfig { capacity, first, masters, behind: room.0, latest: room.1 }))
 }
 
 /// Its address and sockets, with routes that can be.
@@ -278,6 +305,7 @@ fn without_slots(args: &StationArgs, may_be_late: bool) -> anyhow::Result<()> {
         ("--holdover", args.holdover.is_some()),
         ("--on-master-change", args.on_master_change.is_some()),
         ("--late", args.late.is_some()),
+        ("--extensions", args.extensions),
     ];
     match said.iter().find(|(_, is_said)| *is_said) {
         Some((option, _)) => bail!(

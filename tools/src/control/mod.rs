@@ -17,6 +17,7 @@ mod places;
 mod programs;
 mod protocol;
 mod ring;
+mod schedule;
 mod server;
 mod sockets;
 mod vnic;
@@ -31,6 +32,7 @@ pub use protocol::{
     SlotRequest, SlotShown, StationStatus, VERSION, read,
 };
 pub use ring::RingShown;
+pub use schedule::{ActivationSaid, ChangesTold, ScheduleRequest, ScheduleSaid, ScheduleShown, SlotOf};
 pub use server::{REQUEST_AT_MOST, Server, Traffic};
 pub use sockets::{
     ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,

@@ -11,6 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::clock::ClockShown;
 use super::ring::RingShown;
+use super::schedule::{ActivationSaid, ScheduleRequest, ScheduleSaid, ScheduleShown};
 use super::sockets::{StackReply, StackRequest};
 use super::vnic::{VnicRequest, VnicShown};
 use crate::judge::masters::Rivals;
@@ -79,6 +80,8 @@ pub enum Request {
     Stack(StackRequest),
     /// About its VNIC.
     Vnic(VnicRequest),
+    /// About the schedule of all stations.
+    Schedule(ScheduleRequest),
 }
 
 /// What it answers.
@@ -95,6 +98,8 @@ pub enum Reply {
     Stack(Box<StackReply>),
     /// How its VNIC is.
     Vnic(Box<VnicShown>),
+    /// Where it stands with changes of the schedule.
+    Schedule(Box<ScheduleShown>),
 }
 
 /// A slot as it is asked for.
@@ -299,6 +304,16 @@ pub enum LabRequest {
         station: String,
         /// Which.
         id: u8,
+    },
+    /// Propose another schedule to all its stations.
+    Propose {
+        /// Whom to ask for it: the acting master.
+        station: String,
+        /// Each station by its name.
+        schedule: Box<ScheduleSaid>,
+        /// When to use it, once all have acknowledged; not given: when that is said.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        activate: Option<ActivationSaid>,
     },
     /// Let a slave leave the cycle, or join it again.
     Become {

@@ -21,8 +21,8 @@ use rtnet::api::listener::Listener;
 use super::programs::{Answers, Program, Requests};
 use super::protocol::{Envelope, Reply};
 
-/// Longest request. The longest there is takes a third of it.
-pub const REQUEST_AT_MOST: usize = 1024;
+/// Longest request: a schedule with as many slots as one can have.
+pub const REQUEST_AT_MOST: usize = 160 * 1024;
 /// Clients at a time; when one more comes, the one that was silent longest has to go.
 const CLIENTS_AT_MOST: usize = 64;
 /// Clients that wait to be accepted.
@@ -195,7 +195,7 @@ impl Server {
 
     /// Answers a request.
     fn serve_one(&mut self, mut client: Client, answers: &mut impl Answers) -> Outcome {
-        let mut packet = [0; REQUEST_AT_MOST + 1];
+        let mut packet = vec![0; REQUEST_AT_MOST + 1];
         let length = match client.socket.read(&mut packet) {
             Ok(0) => return Outcome::Goes,
             Ok(length) => length,

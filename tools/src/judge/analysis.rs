@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use rtmac::tdma::HOLDOVER_CYCLES;
 use rtmac::tdma::schedule::Rate;
+use rtmac::wire::change::Status;
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::time::{GlobalTime, Span};
@@ -23,6 +24,7 @@ use crate::scenario::{Scenario, StationPlan};
 use crate::station::traffic::Tag;
 
 pub use queueing::Queueing;
+use schedules::Schedules;
 pub use strays::Strangers;
 
 /// Findings that are kept one by one; the rest is counted, and counts as unexplained.
@@ -67,6 +69,7 @@ pub struct Analysis {
     has_tunnel: Vec<bool>,
     /// Which slots there are in which cycles.
     pub timetable: Timetable,
+    schedules: Schedules,
     window: Option<(u32, u32)>,
     current: Option<u32>,
     /// The first cycle that was heard of, and its start: from it follow all others.
@@ -136,6 +139,7 @@ impl Analysis {
             has_sockets: scenario.stations.iter().map(|station| station.ip.is_some()).collect(),
             has_tunnel: scenario.stations.iter().map(StationPlan::has_tunnel).collect(),
             timetable: Timetable::of(scenario),
+            schedules: Schedules::default(),
             window: None,
             current: None,
             grid: None,
@@ -210,6 +214,7 @@ impl Analysis {
             let (from, rtmac) = (header.source, wire::parse(bytes).ok());
             if let Some(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) = rtmac {
                 let author = Author::sync(self.givers.station(from), cycle);
+                Status::of_sync(bytes).iter().for_each(|status| self.note_schedule(cycle, status));
                 self.occupy(at, air, Some(cycle), Some(author));
                 self.sync(at, author, (from, sched), air);
             } else if let (Some(Rtmac::Tunnel(..)), Some(author)) = (rtmac, self.turn_of(at, header)) {
@@ -448,6 +453,7 @@ mod closer;
 mod cycles;
 mod gaps;
 mod queueing;
+mod schedules;
 mod strays;
 #[cfg(test)]
 mod tests;

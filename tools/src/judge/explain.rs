@@ -29,13 +29,15 @@ const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
 const HELD_UP_FOR: Span = Span::from_millis(100);
 
 /// By what a slot is missed.
-const MISSED_BY: [EventKind; 6] = [
+const MISSED_BY: [EventKind; 8] = [
     EventKind::Overrun,
     EventKind::GuardDropped,
     EventKind::SendFailed,
     EventKind::TurnLeft,
     EventKind::SlotEmpty,
     EventKind::CalibrationTurn,
+    EventKind::AnswerTurn,
+    EventKind::ScheduleUnsure,
 ];
 /// By what a cycle has no Synchronisation.
 const NO_SYNC_BY: [EventKind; 3] = [EventKind::SyncSkipped, EventKind::SyncDropped, EventKind::SendFailed];

@@ -46,6 +46,34 @@ impl Timetable {
         entries.extend(plan.map(|plan| Entry { plan, from: Some(from), until: None }));
     }
 
+    /// From cycle `from` on a station has these slots and no others; one that is away, once it is back.
+    pub fn replace(&mut self, station: usize, slots: &[SlotPlan], from: u32) {
+        if let Some((plans, _)) = &mut self.away[station] {
+            plans.clone_from(&slots.to_vec());
+            return;
+        }
+        let open: Vec<SlotPlan> = self.open(station).collect();
+        for gone in open.iter().filter(|plan| slots.iter().all(|slot| slot.id != plan.id)) {
+            self.change(station, gone.id, None, from);
+        }
+        for slot in slots.iter().filter(|slot| !open.contains(slot)) {
+            self.change(station, slot.id, Some(*slot), from);
+        }
+    }
+
+    /// Every station's slots, as they are to be after all changes; of those that are away, once they are back.
+    pub fn now(&self) -> Vec<Vec<SlotPlan>> {
+        let of = |station: usize| match &self.away[station] {
+            Some((plans, _)) => plans.clone(),
+            None => self.open(station).collect(),
+        };
+        (0..self.stations.len()).map(of).collect()
+    }
+
+    fn open(&self, station: usize) -> impl Iterator<Item = SlotPlan> + '_ {
+        self.stations[station].iter().filter(|entry| entry.until.is_none()).map(|entry| entry.plan)
+    }
+
     /// From cycle `from` on nothing is expected of a station.
     pub fn leave(&mut self, station: usize, from: u32) {
         if self.is_away(station) {

@@ -1,6 +1,7 @@
 //! A lab that stays until it is told to go, and can be asked and changed meanwhile.
 
 mod changes;
+mod schedules;
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -81,6 +82,7 @@ pub fn keep(
         server.serve(LOOK_EVERY, |packet, _| keeper.answer(packet));
         keeper.take_late_answer();
         keeper.lab.take_in();
+        keeper.note_switch();
         keeper.restart_one_that_ended();
         if looked.elapsed() >= LOOK_AT_PROCESSES_EVERY {
             looked = Instant::now();
@@ -139,6 +141,9 @@ impl Keeper {
             Ok(LabRequest::SetSlot { station, slot }) => reply(self.try_set(&station, &slot)),
             Ok(LabRequest::RemoveSlot { station, id }) => reply(self.try_remove(&station, id)),
             Ok(LabRequest::Become { station, role }) => reply(self.try_become(&station, role)),
+            Ok(LabRequest::Propose { station, schedule, activate }) => {
+                reply(self.try_propose(&station, &schedule, activate))
+            }
             Ok(LabRequest::Restart { station }) => reply(self.try_restart(&station)),
         };
         Envelope::pack(reply)

@@ -6,7 +6,7 @@ use rtnet::time::{GlobalTime, Offset};
 
 use super::run::INTERFACE;
 use crate::cli::VnicMode;
-use crate::control::Home;
+use crate::control::{ChangesTold, Home};
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
 use crate::scenario::{Happening, Scenario, ServoName, VnicPlan};
@@ -135,6 +135,7 @@ pub fn arguments(
         resume: resume.grid.map(|(cycle, sched)| (cycle, sched.nanos())),
         first: resume.first,
         flows: scenario.flow_plan(station),
+        changes: ChangesTold::of(scenario, plan.role != Role::Slave),
         may_stall: scenario.conditions.events.iter().any(|event| matches!(event.what, Happening::Stall(..))),
     };
     add("--lab", serde_json::to_string(&lab)?);

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use rtmac::wire::change::{Extension, Verdict};
 use rtmac::wire::{self, Message, Rtmac};
 use rtnet::counters::Refusal;
 use rtnet::time::GlobalTime;
@@ -25,6 +26,8 @@ pub struct Decoded {
 pub enum What {
     /// A frame of TDMA.
     Tdma(Message),
+    /// What of a schedule comes with a change.
+    Extension(Extension),
     /// A foreign frame inside an RTmac frame: its EtherType, and its bytes with their padding.
     Tunnel(EtherType, usize),
     /// The lab's test traffic.
@@ -44,6 +47,7 @@ pub fn decode(bytes: &[u8], wire_len: usize) -> Decoded {
     let what = match header.ether_type() {
         EtherType::RTMAC => match wire::parse(bytes) {
             Ok(Rtmac::Tdma(message)) => What::Tdma(message),
+            Ok(Rtmac::Extension(extension)) => What::Extension(extension),
             Ok(Rtmac::Tunnel(inner, payload)) => What::Tunnel(inner, payload.len()),
             Err(why) => What::Refused(why),
         },
@@ -59,6 +63,8 @@ impl What {
             What::Tdma(Message::Sync { .. }) => "sync",
             What::Tdma(Message::Request { .. }) => "request",
             What::Tdma(Message::Reply { .. }) => "reply",
+            What::Extension(Extension::Part(_)) => "schedule part",
+            What::Extension(Extension::Answer(_)) => "schedule answer",
             What::Tunnel(..) => "tunnel",
             What::Data(_) => "data",
             What::Other(..) => "other",
@@ -91,6 +97,25 @@ impl fmt::Display for What {
             What::Tdma(Message::Reply { reception, xmit, .. }) => {
                 let held = signed_micros(xmit.wrapping_sub(*reception) as i64);
                 write!(f, "reply calibration, {held} after the request")
+            }
+            What::Extension(Extension::Part(part)) => {
+                let (number, of, slot) = (part.id.number, part.slots, part.slot.id);
+                write!(
+                    f,
+                    "schedule {number} part {} of {of}: slot {slot} of {}",
+                    part.index + 1,
+                    part.station
+                )
+            }
+            What::Extension(Extension::Answer(answer)) => {
+                let number = answer.id.number;
+                match answer.verdict {
+                    Verdict::Acknowledged => write!(f, "schedule {number} acknowledged"),
+                    Verdict::Confirmed => write!(f, "schedule {number} confirmed"),
+                    Verdict::Refused(why, slot) => {
+                        write!(f, "schedule {number} refused, slot {slot}: {}", why.text())
+                    }
+                }
             }
             What::Tunnel(inner, bytes) => write!(f, "tunnel {inner:?}, {bytes} bytes"),
             What::Data(tag) => {

@@ -2,6 +2,7 @@
 //! file; one form for labs and simulations.
 
 mod acts;
+mod change;
 mod clashes;
 mod conditions;
 mod expectation;
@@ -31,6 +32,7 @@ use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
+pub use change::room_for_parts;
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Place, Source, load, load_network, parse_phase, read_text};

@@ -133,6 +133,10 @@ fn station(
     let config = discipline(scenario, id, epoch, grid);
     let tdma =
         Tdma::new(&config).map_err(|why| anyhow!("station '{}': {why}", scenario.stations[id].name))?;
+    let tdma = match scenario.change_config() {
+        Some(changes) => tdma.with_changes(&changes),
+        None => tdma,
+    };
     Ok(Station::new(tdma, vec![Box::new(traffic(scenario, id, counts, first))]))
 }
 

@@ -2,6 +2,7 @@
 
 use anyhow::anyhow;
 use rtmac::nomac::NoMac;
+use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::{self, RoleConfig, Tdma, TdmaCommand, TdmaConfig, TdmaStatus};
 use rtmac::token::{Ring, RingConfig, Token, TokenStatus};
 use rtnet::at_once::{AtOnceStatus, DEFAULT_ASK_EVERY};
@@ -77,6 +78,14 @@ impl Access {
                 Access::Token(Box::new(Token::new(Ring::new(ring.clone(), address)?)))
             }
         })
+    }
+
+    /// The same, taking part in changes of the schedule, where there is one.
+    pub fn with_changes(self, changes: Option<&ChangeConfig>) -> Self {
+        match (self, changes) {
+            (Access::Tdma(tdma), Some(changes)) => Access::Tdma(Box::new(tdma.with_changes(changes))),
+            (other, _) => other,
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! The control thread's desk: what the real-time thread left is collected here, and requests are answered.
 
 mod changes;
+mod schedule;
 
 use std::collections::BTreeMap;
 use std::io;
@@ -251,6 +252,7 @@ impl Desk {
             Ok(Request::Stack(request)) => {
                 self.of_sockets(request).map_or_else(Reply::Refused, |reply| Reply::Stack(Box::new(reply)))
             }
+            Ok(Request::Schedule(request)) => self.schedule(request),
             Ok(Request::Vnic(request)) => {
                 let answered = self.vnic.clone().and_then(|vnic| vnic.answer(request));
                 answered.map_or_else(Reply::Refused, |shown| Reply::Vnic(Box::new(shown)))

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::access::AccessStatus;
 use super::traffic::{Arrived, FlowPlan, TrafficCounts};
 use super::wire::LinkState;
+use crate::control::ChangesTold;
 use crate::judge::findings::Author;
 
 /// The refusal of frames for which there was no buffer to be received into.
@@ -55,6 +56,9 @@ pub struct LabOptions {
     pub flows: FlowPlan,
     /// Whether its lab may hold frames of it up.
     pub may_stall: bool,
+    /// What it is told so that it takes part in changes of the schedule.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub changes: Option<ChangesTold>,
 }
 
 impl LabOptions {

@@ -29,6 +29,7 @@ use ::vnic::tun::put_back;
 use anyhow::{Context, Result, anyhow, bail};
 use caps::CapSet;
 use nix::sys::eventfd::{EfdFlags, EventFd};
+use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::{DEFAULT_MAX_REQUESTS, MasterConfig, RoleConfig, SlaveConfig};
 use rtmac::token;
 use rtnet::api::line::Lines;
@@ -76,6 +77,8 @@ pub struct Options {
     pub name: Option<String>,
     /// How it is to share the medium.
     pub access: AccessConfig,
+    /// What it is told so that it takes part in changes of the schedule, if it does.
+    pub changes: Option<ChangeConfig>,
     /// How long after its begin a slot that is defined later may still be used.
     pub latest: Span,
     /// What changes of its slots are judged by; none in a lab, which judges them itself.
@@ -366,7 +369,7 @@ fn driver(
     asker: Option<Asker>,
     tunnel: Option<Box<dyn Service>>,
 ) -> Result<Driver<Access>> {
-    let discipline = Access::new(&options.access, interface.address)?;
+    let discipline = Access::new(&options.access, interface.address)?.with_changes(options.changes.as_ref());
     // What it has goes before test traffic, which is there to fill slots.
     let mut services: Vec<Box<dyn Service>> = tunnel.into_iter().collect();
     if let Some(lab) = &options.lab {

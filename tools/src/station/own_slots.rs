@@ -45,6 +45,11 @@ impl OwnSlots {
         self.rate
     }
 
+    /// What a master keeps free for its Synchronisations.
+    pub fn sync_window(&self) -> Option<Span> {
+        self.given.map(|(_, window)| window)
+    }
+
     /// In another role.
     pub fn giving(&self, given: Option<(Span, Span)>) -> Self {
         Self { given, ..self.clone() }

@@ -133,7 +133,11 @@ impl Person {
         for record in records {
             let Record::Event(event, _) = record else { continue };
             match event.kind {
-                EventKind::SlotSilent | EventKind::TurnLeft | EventKind::CalibrationTurn => {}
+                EventKind::SlotSilent
+                | EventKind::TurnLeft
+                | EventKind::CalibrationTurn
+                | EventKind::AnswerTurn
+                | EventKind::ScheduleUnsure => {}
                 EventKind::SendFailed | EventKind::ReplyFailed => {
                     failed = true;
                     let first = self.failures.note(event.cycle, event.span.nanos() as i32);
@@ -249,6 +253,7 @@ fn event_line(event: &Event) -> String {
         EventKind::TokenOverdue => {
             format!("{name}: {} too late to pass the token on: it is lost here", event.span)
         }
+        EventKind::ScheduleSwitched => format!("{name}: schedule {} is in use", event.span.nanos()),
         _ => format!("{name} ({})", event.span),
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use rtmac::wire::change::Extension;
 use rtmac::wire::{Message, Rtmac};
 use rtnet::clock::True;
 use rtnet::time::Span;
@@ -43,12 +44,24 @@ impl Analysis {
     pub(super) fn judge_rtmac(&mut self, at: True, header: &Header, rtmac: Option<Rtmac>, air: Span) {
         let Header { source, destination, .. } = *header;
         let is_reply = matches!(rtmac, Some(Rtmac::Tdma(Message::Reply { .. })));
+        if matches!(rtmac, Some(Rtmac::Extension(Extension::Part(_)))) && self.is_behind_sync(at, source, air)
+        {
+            return;
+        }
         match self.station_of(destination).is_some() {
             _ if !is_reply => self.stray(at, source, source, air),
             true => self.stray(at, source, destination, air),
             false if self.givers.has(source) => {}
             false => self.stray(at, source, source, air),
         }
+    }
+
+    /// A part of a schedule is in the sync window of whoever gives the time.
+    fn is_behind_sync(&self, at: True, source: Address, air: Span) -> bool {
+        let start = self.cycle_at(at).and_then(|cycle| self.start_of(cycle));
+        let since = start.map(|start| self.error(at, start + self.givers.after(source)));
+        self.givers.has(source)
+            && since.is_some_and(|since| since >= Span::ZERO && since + air <= self.sync_window)
     }
 
     /// In which turn a frame of a station's sockets, or of its VNIC, left. It does not say so, as test traffic does: in the last one that has

@@ -29,7 +29,9 @@ pub(super) struct Pending {
 }
 
 /// What holds from the cycle on that the station tells.
-enum Change {
+pub(super) enum Change {
+    /// Nothing yet: when it does, the medium tells.
+    Nothing,
     /// Its slots are so.
     Slots(Vec<SlotPlan>),
     /// A slave leaves the cycle.
@@ -125,7 +127,7 @@ impl Keeper {
 
     /// Asks a station for a change. One that does not answer soon is to leave all as it is; whether it still can, its
     /// answer tells.
-    fn ask(&mut self, station: usize, request: Request, change: Change) -> Result<u32> {
+    pub(super) fn ask(&mut self, station: usize, request: Request, change: Change) -> Result<u32> {
         let name = self.scenario.stations[station].name.clone();
         let place = Place { lab: Some(self.home.lab.clone()), station: name.clone() };
         let mut question = control::put(&self.home.directory, &place, request, LET_IN_WITHIN)?;
@@ -196,6 +198,7 @@ impl Keeper {
                     let _ = declared.change(self.lab.load);
                 }
             }
+            Change::Nothing => {}
             Change::Leave => timetable.leave(station, from),
             Change::Return => {
                 timetable.leave(station, from);

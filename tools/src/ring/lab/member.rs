@@ -224,6 +224,7 @@ pub fn arguments(
         first,
         flows: network.flow_plan(station),
         may_stall: network.conditions.events.iter().any(stalls),
+        changes: None,
     };
     add("--lab", serde_json::to_string(&lab)?);
     line.push("--exclusive".into());

@@ -1,0 +1,149 @@
+//! Following: what the acting master says, what this station answers, and when it may send.
+
+use rtnet::counters::Refusal;
+
+use super::{Change, DEAF, State, Status, Switch, reached};
+use crate::wire::change::{Answer, Part, ScheduleId, Verdict, Why};
+
+/// An answer is repeated after so many turns at the most.
+const REPEATED_WITHIN: u32 = 16;
+
+/// Of which cycle the last status is.
+#[derive(Clone, Copy)]
+pub struct Heard {
+    pub cycle: u32,
+    /// Two masters have said different things in it.
+    is_twofold: bool,
+}
+
+/// How often this station has answered to what is asked, and how many turns it leaves to data before it does again.
+#[derive(Clone, Copy, Default)]
+pub struct Answering {
+    to: Option<(ScheduleId, State)>,
+    sent: u32,
+    wait: u32,
+}
+
+impl Change {
+    /// A Synchronisation of `cycle` that is followed, or may be, says this; `None`: nothing. What is to be done if another schedule is in
+    /// use, which this station has.
+    pub fn hear(&mut self, cycle: u32, status: Option<Status>) -> Option<Switch> {
+        let Some(status) = status else {
+            self.heard = None;
+            return None;
+        };
+        self.lead.acts = false;
+        self.highest = self.highest.max(status.oper.number).max(status.admin.number);
+        if let Some(heard) = self.heard.as_mut().filter(|heard| heard.cycle == cycle) {
+            let was_sure = self.told.state != State::Unsure;
+            if was_sure && status.state != State::Unsure && status.oper != self.told.oper {
+                heard.is_twofold = true;
+            }
+            if was_sure {
+                return None;
+            }
+        }
+        self.heard = Some(Heard { cycle, is_twofold: false });
+        self.told = status;
+        // What it has is used before it makes room for another.
+        let switch = self.switch_to_oper(cycle);
+        if switch.is_none() {
+            self.collect();
+        }
+        switch
+    }
+
+    /// What of another schedule is to come is collected.
+    fn collect(&mut self) {
+        let Status { oper, admin, state, .. } = self.told;
+        let asks = matches!(state, State::Proposed | State::Committed | State::Sealed);
+        let wanted = if asks && admin != self.in_use { admin } else { oper };
+        if wanted != self.in_use && wanted.number != 0 && self.admin.id() != wanted {
+            self.admin.begin(wanted);
+            self.verdict = None;
+        }
+        let asked = (admin, state);
+        if asks && self.answering.to != Some(asked) {
+            self.answering = Answering { to: Some(asked), sent: 0, wait: 0 };
+        }
+    }
+
+    /// Another schedule is in use than this station's, which it has and can use.
+    pub(super) fn switch_to_oper(&self, cycle: u32) -> Option<Switch> {
+        let Status { oper, state, activation, .. } = self.told;
+        let has = oper == ScheduleId::default() || self.admin.holds(oper) && self.verdict == Some(Ok(()));
+        if state == State::Unsure || oper == self.in_use || !has {
+            return None;
+        }
+        let from = if state == State::Switched && reached(cycle, activation) { activation } else { cycle };
+        Some(Switch { from, to: oper })
+    }
+
+    /// A part of a schedule has come; `true` if `admin` is whole by that, and to be judged.
+    pub fn take(&mut self, part: &Part) -> Result<bool, Refusal> {
+        if self.lead.acts {
+            return Err(Refusal::ScheduleUnknown);
+        }
+        // One of the schedule that is in use is for others.
+        if part.id == self.in_use {
+            return Ok(false);
+        }
+        let is_whole = self.admin.take(part)?;
+        self.parts_received += 1;
+        Ok(is_whole)
+    }
+
+    /// Whether this station can use what it has collected. What is to be done if that is in use already.
+    pub fn judged(&mut self, verdict: Result<(), (Why, u8)>) -> Option<Switch> {
+        self.verdict = Some(verdict);
+        self.heard.and_then(|heard| self.switch_to_oper(heard.cycle))
+    }
+
+    /// What this station is to answer in its next turn, if anything.
+    pub fn answer(&self, gives_time: bool) -> Option<Answer> {
+        let Status { admin, state, .. } = self.told;
+        if self.lead.acts || self.answering.wait > 0 || !self.admin.holds(admin) {
+            return None;
+        }
+        let verdict = match (state, self.verdict?) {
+            (State::Proposed, Ok(())) => Verdict::Acknowledged,
+            (State::Proposed, Err((why, slot))) => Verdict::Refused(why, slot),
+            (State::Committed, Ok(())) if gives_time => Verdict::Confirmed,
+            _ => return None,
+        };
+        Some(Answer { id: admin, digest: self.admin.digest(), verdict, gives_time })
+    }
+
+    /// This answer is being sent.
+    pub fn answers(&mut self, answer: &Answer) {
+        if answer.verdict == Verdict::Confirmed {
+            self.confirmed = Some(answer.id);
+        }
+        self.answers_sent += 1;
+        self.answering.sent += 1;
+        self.answering.wait = (1 << self.answering.sent.min(5)).min(REPEATED_WITHIN);
+    }
+
+    /// A turn in which it could have answered is over.
+    pub fn turn_is_over(&mut self) {
+        self.answering.wait = self.answering.wait.saturating_sub(1);
+    }
+
+    /// Whether this station's slots may be used in `cycle`, as far as schedules go; `others` may give the time besides it.
+    pub fn may_send(&self, cycle: u32, others: bool) -> bool {
+        if self.told.oper != self.in_use {
+            return false;
+        }
+        if self.lead.acts {
+            let is_there = |sent: u32| cycle.wrapping_sub(sent) as i32 <= DEAF as i32;
+            return !self.lead.is_unsure && (!others || self.lead.sent.is_some_and(is_there));
+        }
+        let Some(heard) = self.heard else { return false };
+        let bridged = cycle.wrapping_sub(heard.cycle) as i32;
+        let Status { activation, state, .. } = self.told;
+        let names_one = matches!(state, State::Committed | State::Sealed | State::Cancelled);
+        let is_across =
+            bridged > 0 && names_one && reached(cycle, activation) && !reached(heard.cycle, activation);
+        state != State::Unsure && !(bridged == 0 && heard.is_twofold) && !is_across
+    }
+}

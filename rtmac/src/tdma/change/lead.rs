@@ -1,0 +1,319 @@
+//! Leading: what the acting master says, and when a change goes on, or is stopped.
+
+use rtnet::counters::Refusal;
+use rtnet::wire::ethernet::Address;
+
+use super::super::config::Refused;
+use super::{
+    AHEAD, AHEAD_AT_LEAST, Book, Change, DEAF, FRESH, PATIENCE, PATIENCE_IN_TURNS, SEALED_BEFORE, State,
+    Status, Stopped, Switch, UNSURE_FOR, reached,
+};
+use crate::wire::change::{Answer, Verdict};
+
+/// Part of a status that concerns whoever gives the time.
+pub struct Lead {
+    /// Whether this station is the acting master.
+    pub acts: bool,
+    /// Since this cycle.
+    since: u32,
+    /// The last cycle whose Synchronisation has left.
+    pub sent: Option<u32>,
+    /// What it says is that it does not know.
+    pub is_unsure: bool,
+    unsure_until: Option<u32>,
+    /// A commit that it found when it took over, and has confirmed.
+    is_inherited: bool,
+    pub asked: Vec<Asked>,
+    asked_in: u32,
+    patience: u32,
+    ahead: u32,
+    activate: Option<Activation>,
+    masters: Vec<Address>,
+    pub stopped: Option<Stopped>,
+}
+
+/// A station that is asked.
+#[derive(Clone, Copy)]
+pub struct Asked {
+    pub station: Address,
+    pub acknowledged: bool,
+    pub confirmed: bool,
+    pub gives_time: bool,
+}
+
+/// When a schedule is to be used, once all have acknowledged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Activation {
+    /// As soon as can be.
+    Soon,
+    /// From this cycle on.
+    At(u32),
+}
+
+impl Lead {
+    pub fn new(capacity: usize, masters: &[Address]) -> Self {
+        Self {
+            acts: false,
+            since: 0,
+            sent: None,
+            is_unsure: false,
+            unsure_until: None,
+            is_inherited: false,
+            asked: Vec::with_capacity(capacity),
+            asked_in: 0,
+            patience: 0,
+            ahead: AHEAD,
+            activate: None,
+            masters: masters.to_vec(),
+            stopped: None,
+        }
+    }
+}
+
+impl Change {
+    /// What this station says with its Synchronisation of `cycle`; `others` may give the time besides it. It takes over, if it was another that
+    /// gave the time.
+    pub fn say(&mut self, cycle: u32, others: bool) -> Status {
+        if !self.lead.acts {
+            self.take_over(cycle, others);
+        } else if let Some(sent) = self.lead.sent
+            && others
+            && cycle.wrapping_sub(sent) > DEAF
+            && self.lead.unsure_until.is_none()
+        {
+            // Who knows who gave the time meanwhile, and what that one said.
+            self.doubt(cycle);
+        }
+        if self.lead.unsure_until.is_some_and(|until| reached(cycle, until)) {
+            self.lead.unsure_until = None;
+        }
+        self.go_on(cycle);
+        self.said()
+    }
+
+    /// What this station says, or heard last.
+    pub(super) fn said(&self) -> Status {
+        let state = if self.lead.acts && self.lead.is_unsure { State::Unsure } else { self.told.state };
+        Status { state, ..self.told }
+    }
+
+    /// Its Synchronisation has left.
+    pub fn spoke(&mut self, cycle: u32) {
+        self.lead.sent = Some(cycle);
+    }
+
+    fn take_over(&mut self, cycle: u32, others: bool) {
+        let lead = &mut self.lead;
+        (lead.acts, lead.since, lead.sent) = (true, cycle, None);
+        (lead.is_inherited, lead.unsure_until, lead.activate) = (false, None, None);
+        lead.asked.clear();
+        match self.told.state {
+            State::Proposed => self.stop(cycle, Stopped::MasterChanged),
+            State::Committed if self.confirmed == Some(self.told.admin) => self.lead.is_inherited = true,
+            State::Committed => self.stop(cycle, Stopped::MasterChanged),
+            State::Unsure => self.doubt(cycle),
+            State::Idle | State::Sealed | State::Switched | State::Cancelled => {}
+        }
+        let was_deaf = |heard: super::Heard| cycle.wrapping_sub(heard.cycle) > DEAF;
+        if others && self.heard.is_some_and(was_deaf) {
+            self.doubt(cycle);
+        }
+    }
+
+    /// Which schedule is in use is not known: what was not decided is not, and nobody sends until nobody bridges any more.
+    fn doubt(&mut self, cycle: u32) {
+        if matches!(self.told.state, State::Proposed | State::Committed | State::Unsure) {
+            self.stop(cycle, Stopped::MasterChanged);
+        }
+        self.lead.unsure_until = Some(cycle.wrapping_add(UNSURE_FOR));
+    }
+
+    /// Another gives the time while this one does, and does not make way. Who is unsure believes it.
+    pub fn overhear(&mut self, status: Status) -> Option<Switch> {
+        if self.lead.unsure_until.is_none() || matches!(status.state, State::Unsure | State::Committed) {
+            return None;
+        }
+        self.told = status;
+        self.switch_to_oper(status.activation)
+    }
+
+    /// Time has passed.
+    fn go_on(&mut self, cycle: u32) {
+        let activation = self.told.activation;
+        match self.told.state {
+            State::Proposed => self.ask_on(cycle),
+            State::Committed if self.lead.is_inherited => {
+                if cycle.wrapping_sub(self.lead.since) >= DEAF {
+                    self.stop(cycle, Stopped::MasterChanged);
+                }
+            }
+            State::Committed => {
+                let missing = self.lead.asked.iter().find(|asked| asked.gives_time && !asked.confirmed);
+                match missing.map(|asked| asked.station) {
+                    None => self.told.state = State::Sealed,
+                    Some(station) if reached(cycle.wrapping_add(SEALED_BEFORE), activation) => {
+                        self.stop(cycle, Stopped::Unconfirmed { station, at: activation });
+                    }
+                    Some(_) => {}
+                }
+            }
+            State::Sealed if reached(cycle, activation) => {
+                (self.told.oper, self.told.state) = (self.told.admin, State::Switched);
+            }
+            State::Switched | State::Cancelled if reached(cycle, activation.wrapping_add(FRESH)) => {
+                self.told.state = State::Idle;
+            }
+            State::Sealed | State::Switched | State::Cancelled | State::Idle | State::Unsure => {}
+        }
+        let is_open = self.told.state == State::Committed && reached(cycle, self.told.activation);
+        self.lead.is_unsure = self.lead.unsure_until.is_some() || is_open;
+    }
+
+    /// Stations are asked: all have acknowledged, or one did not in time.
+    fn ask_on(&mut self, cycle: u32) {
+        let lead = &self.lead;
+        let waited = cycle.wrapping_sub(lead.asked_in);
+        match (lead.asked.iter().find(|asked| !asked.acknowledged), lead.activate) {
+            (Some(asked), _) if waited > lead.patience => {
+                self.stop(cycle, Stopped::Silent { station: asked.station, within: lead.patience });
+            }
+            (None, Some(Activation::Soon)) => self.commit(cycle.wrapping_add(lead.ahead)),
+            (None, Some(Activation::At(at))) if reached(cycle.wrapping_add(AHEAD_AT_LEAST), at) => {
+                self.stop(cycle, Stopped::TooLate { at, now: cycle });
+            }
+            (None, Some(Activation::At(at))) => self.commit(at),
+            _ => {}
+        }
+    }
+
+    fn commit(&mut self, at: u32) {
+        (self.told.state, self.told.activation) = (State::Committed, at);
+    }
+
+    /// Nobody switches. An activation cycle that was named stays named, so that nobody bridges it.
+    fn stop(&mut self, cycle: u32, why: Stopped) {
+        if self.told.state != State::Committed {
+            self.told.activation = cycle;
+        }
+        (self.told.state, self.lead.is_inherited) = (State::Cancelled, false);
+        self.lead.stopped = Some(why);
+    }
+
+    /// Proposes a schedule to all stations that have slots. What this station itself says to it is `verdict`.
+    pub fn propose(
+        &mut self,
+        cycle: u32,
+        own: Address,
+        book: &Book,
+        activate: Option<Activation>,
+    ) -> Result<(), Refused> {
+        if !self.lead.acts || self.lead.is_unsure {
+            return Err(Refused::NotActing);
+        }
+        if self.is_pending() {
+            return Err(Refused::ChangePending { number: self.told.admin.number });
+        }
+        if let Some(Activation::At(at)) = activate {
+            self.check_activation(cycle, at)?;
+        }
+        let known = if self.oper.holds(self.in_use) { Some(&self.oper) } else { self.first.as_ref() };
+        let known = known.filter(|_| self.told.oper == self.in_use).unwrap_or(book);
+        let lacks =
+            |master: &&Address| **master != own && !known.stations().any(|station| station == **master);
+        if let Some(&station) = self.lead.masters.iter().find(lacks) {
+            return Err(Refused::MasterWithoutSlot { station });
+        }
+        let others = known.stations().filter(|&station| station != own);
+        let room = self.lead.asked.capacity();
+        self.lead.asked.clear();
+        self.lead.asked.extend(others.take(room).map(|station| {
+            let gives_time = self.lead.masters.contains(&station);
+            Asked { station, acknowledged: false, confirmed: false, gives_time }
+        }));
+        let turns = known.longest_period();
+        self.lead.ahead = AHEAD.saturating_add(turns.saturating_mul(2));
+        self.lead.patience = PATIENCE
+            .saturating_add(turns.saturating_mul(PATIENCE_IN_TURNS))
+            .saturating_add(4 * book.planned().len() as u32);
+        let number = self.highest.checked_add(1).unwrap_or(1);
+        self.admin.copy_from(book, number)?;
+        self.highest = number;
+        (self.lead.asked_in, self.lead.activate, self.lead.stopped) = (cycle, activate, None);
+        self.verdict = Some(Ok(()));
+        self.told = Status {
+            oper: self.told.oper,
+            admin: self.admin.id(),
+            activation: cycle,
+            state: State::Proposed,
+        };
+        Ok(())
+    }
+
+    fn check_activation(&self, cycle: u32, at: u32) -> Result<(), Refused> {
+        let ahead = at.wrapping_sub(cycle) as i32;
+        if ahead < (AHEAD_AT_LEAST + DEAF) as i32 {
+            return Err(Refused::ActivationTooNear { at, now: cycle, least: AHEAD_AT_LEAST + DEAF });
+        }
+        Ok(())
+    }
+
+    /// What is proposed is to be used once all have acknowledged it.
+    pub fn activate(&mut self, cycle: u32, activation: Activation) -> Result<(), Refused> {
+        if !self.lead.acts {
+            return Err(Refused::NotActing);
+        }
+        if self.told.state != State::Proposed {
+            return Err(Refused::NothingProposed);
+        }
+        if let Activation::At(at) = activation {
+            self.check_activation(cycle, at)?;
+        }
+        self.lead.activate = Some(activation);
+        Ok(())
+    }
+
+    /// What is proposed is withdrawn, as long as it is not sealed.
+    pub fn cancel(&mut self, cycle: u32) -> Result<(), Refused> {
+        if !self.lead.acts {
+            return Err(Refused::NotActing);
+        }
+        match self.told.state {
+            State::Proposed | State::Committed => {
+                self.stop(cycle, Stopped::Asked);
+                Ok(())
+            }
+            State::Sealed => Err(Refused::AlreadySealed { at: self.told.activation }),
+            _ => Err(Refused::NothingProposed),
+        }
+    }
+
+    /// A station's answer.
+    pub fn on_answer(&mut self, cycle: u32, from: Address, answer: &Answer) -> Result<(), Refusal> {
+        if !self.lead.acts || (answer.id, answer.digest) != (self.told.admin, self.admin.digest()) {
+            return Err(Refusal::ScheduleUnknown);
+        }
+        let is_asked = matches!(self.told.state, State::Proposed | State::Committed);
+        if !is_asked || self.lead.is_inherited {
+            // It was repeated, and is not waited for any more.
+            return Ok(());
+        }
+        let Some(asked) = self.lead.asked.iter_mut().find(|asked| asked.station == from) else {
+            // Who has no slots yet is not asked, and learns what is in use when it is.
+            return Ok(());
+        };
+        asked.gives_time |= answer.gives_time;
+        match answer.verdict {
+            Verdict::Acknowledged => asked.acknowledged = true,
+            Verdict::Confirmed => (asked.acknowledged, asked.confirmed) = (true, true),
+            Verdict::Refused(why, slot) => self.stop(cycle, Stopped::Refused { station: from, why, slot }),
+        }
+        Ok(())
+    }
+
+    /// What this station is to do, as it gives the time, in the cycle that begins.
+    pub fn begins(&self) -> Option<Switch> {
+        let Status { oper, activation, state, .. } = self.told;
+        let is_due = self.lead.acts && oper != self.in_use && state == State::Switched;
+        is_due.then_some(Switch { from: activation, to: oper })
+    }
+}

@@ -23,7 +23,7 @@ pub fn schedule(args: &ScheduleArgs) -> Result<u8, Failure> {
     let which = &found_of(&args.which)?;
     let before = shown(which).map_err(Failure::Usage)?;
     match &args.verb {
-        ScheduleVerb::Show => return tell(which, &before),
+        ScheduleVerb::Show => tell(which, &before),
         ScheduleVerb::Propose { file, when } => {
             propose(which, file, when.said()).map_err(Failure::Usage)?;
             let is_done = |now: &ScheduleShown| match when.said() {

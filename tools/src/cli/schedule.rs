@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use rtnet::time::Span;
+use rtnet::wire::ethernet::Address;
 
 use super::WhichOf;
 use crate::control::ActivationSaid;
@@ -28,11 +29,15 @@ pub enum ScheduleVerb {
     /// Propose the slots and the cycle of a file to all stations, and wait until all have acknowledged; with --now, --at-cycle or
     /// --in, until it is in use
     ///
-    /// The file is a lab's; its stations are the lab's by name, and of single stations by `address`. A station that cannot take
-    /// its slots, or does not answer, stops the change: all go on as before, and the line says which and why.
+    /// The file is a lab's; its stations are the lab's by name. Of stations that were started one by one, --address says which is
+    /// which. A station that cannot take its slots, or does not answer, stops the change: all go on as before, and the line says
+    /// which and why.
     Propose {
         /// A lab's file, of which slots and cycle are taken
         file: PathBuf,
+        /// The Ethernet address of a station of the file; outside of labs, of each that has slots
+        #[arg(long = "address", value_name = "NAME=ADDRESS", value_parser = parse_named)]
+        addresses: Vec<(String, Address)>,
         /// When to use it.
         #[command(flatten)]
         when: WhenArgs,
@@ -60,6 +65,12 @@ pub struct WhenArgs {
     /// So much later than now
     #[arg(long = "in", value_name = "TIME", value_parser = parse_positive_span)]
     pub within: Option<Span>,
+}
+
+/// Reads `NAME=ADDRESS`.
+fn parse_named(text: &str) -> Result<(String, Address), String> {
+    let (name, address) = text.split_once('=').ok_or("write NAME=ADDRESS, as slave1=02:00:00:00:00:0b")?;
+    Ok((name.to_owned(), address.parse().map_err(|why| format!("{why}"))?))
 }
 
 impl WhenArgs {

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
+use rtnet::wire::ethernet::Address;
 
 use super::Failure;
 use super::tdma::{by_lab, found_of};
@@ -11,7 +12,7 @@ use crate::cli::{ScheduleArgs, ScheduleVerb, Which};
 use crate::control::{
     self, ActivationSaid, Directory, LabRequest, Reply, Request, ScheduleRequest, ScheduleSaid, ScheduleShown,
 };
-use crate::scenario;
+use crate::scenario::{self, Scenario};
 
 /// How often to look how far a change is.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -24,8 +25,8 @@ pub fn schedule(args: &ScheduleArgs) -> Result<u8, Failure> {
     let before = shown(which).map_err(Failure::Usage)?;
     match &args.verb {
         ScheduleVerb::Show => tell(which, &before),
-        ScheduleVerb::Propose { file, when } => {
-            propose(which, file, when.said()).map_err(Failure::Usage)?;
+        ScheduleVerb::Propose { file, addresses, when } => {
+            propose(which, file, addresses, when.said()).map_err(Failure::Usage)?;
             let is_done = |now: &ScheduleShown| match when.said() {
                 None => now.state == "proposed" && now.acknowledged == now.asked,
                 Some(_) => now.switched > before.switched,
@@ -44,22 +45,45 @@ pub fn schedule(args: &ScheduleArgs) -> Result<u8, Failure> {
     }
 }
 
-fn propose(which: &Which, file: &Path, activate: Option<ActivationSaid>) -> Result<()> {
+fn propose(
+    which: &Which,
+    file: &Path,
+    addresses: &[(String, Address)],
+    activate: Option<ActivationSaid>,
+) -> Result<()> {
     let scenario = scenario::load(file)?;
     match &which.place.lab {
         // A lab knows its stations by their names, and judges all slots together.
         Some(lab) => {
+            ensure!(addresses.is_empty(), "--address: a lab knows its stations by their names; leave it out");
             let names = |id: usize| scenario.stations[id].name.clone();
             let schedule = Box::new(ScheduleSaid::of(&scenario, names));
             let station = which.place.station.clone();
             by_lab(lab, LabRequest::Propose { station, schedule, activate }).map(drop)
         }
         None => {
-            let addresses = |id: usize| scenario.address(id).to_string();
-            let schedule = Box::new(ScheduleSaid::of(&scenario, addresses));
+            let schedule = Box::new(by_address(&scenario, file, addresses)?);
             asked(which, ScheduleRequest::Propose { schedule, activate })
         }
     }
+}
+
+/// A file's schedule for stations that were started one by one.
+fn by_address(scenario: &Scenario, file: &Path, addresses: &[(String, Address)]) -> Result<ScheduleSaid> {
+    let file = file.display();
+    for (name, _) in addresses {
+        ensure!(
+            scenario.stations.iter().any(|station| station.name == *name),
+            "--address: {file} has no station '{name}'"
+        );
+    }
+    let said =
+        |name: &str| addresses.iter().find(|(of, _)| of == name).map(|(_, address)| address.to_string());
+    for station in scenario.stations.iter().filter(|station| !station.slots.is_empty()) {
+        let name = &station.name;
+        ensure!(said(name).is_some(), "which station is '{name}' of {file}? say --address {name}=ADDRESS");
+    }
+    Ok(ScheduleSaid::of(scenario, |id| said(&scenario.stations[id].name).unwrap_or_default()))
 }
 
 fn asked(which: &Which, request: ScheduleRequest) -> Result<()> {

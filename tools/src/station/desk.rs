@@ -62,6 +62,8 @@ pub struct Desk {
     max_requests: usize,
     /// A single station's slots with every change that was carried out; a lab sees to its stations' itself.
     own_slots: Option<OwnSlots>,
+    /// Which schedule those are of.
+    schedule: u16,
     records: Arc<ArrayQueue<Record>>,
     snapshots: Arc<ArrayQueue<Snapshot<AccessStatus>>>,
     errands: Arc<Errands<TdmaCommand, Refused>>,
@@ -133,6 +135,7 @@ impl Desk {
             ring: options.access.ring().cloned(),
             max_requests: options.max_requests(),
             own_slots: options.own_slots.clone(),
+            schedule: 0,
             records: driver.records(),
             snapshots: driver.snapshots(),
             errands: driver.errands(),
@@ -232,6 +235,7 @@ impl Desk {
             self.newest = Some(newest);
             self.news = true;
             self.vnic.iter().for_each(|vnic| vnic.follow(&newest.status));
+            self.note_schedule();
         }
     }
 

@@ -55,6 +55,12 @@ impl OwnSlots {
         Self { given, ..self.clone() }
     }
 
+    /// After a change of the schedule: these, in cycles of this length, if it is known.
+    pub fn switched(&self, slots: Vec<SlotConfig>, cycle: Option<Span>) -> Self {
+        let given = self.given.map(|(before, window)| (cycle.unwrap_or(before), window));
+        Self { given, slots, ..self.clone() }
+    }
+
     /// Whether they go together; if not, a line that says what to do.
     pub fn check(&self) -> Result<(), String> {
         self.conflicts(None).first().map_or(Ok(()), |conflict| Err(refusal(conflict)))

@@ -37,6 +37,17 @@ impl Desk {
         }
     }
 
+    /// Another schedule is in use: changes of single slots are judged by its slots.
+    pub(super) fn note_schedule(&mut self) {
+        let Some(tdma) = self.newest.as_ref().and_then(|newest| newest.status.tdma()) else { return };
+        let in_use = tdma.change.map_or(0, |change| change.in_use.number);
+        if in_use != self.schedule {
+            let slots = tdma.slots.iter().flatten().map(|slot| slot.config).collect();
+            self.own_slots = self.own_slots.as_ref().map(|own| own.switched(slots, tdma.period));
+            self.schedule = in_use;
+        }
+    }
+
     /// What its own slots are judged by is so until it has switched.
     fn as_they_are(&mut self, command: TdmaCommand) -> Reply {
         self.change(command, |own, _| Ok(own.clone()))

@@ -83,6 +83,9 @@ pub fn account(status: &LabStatus) -> String {
             grouped(status.syncs_missing)
         );
     }
+    if status.schedule_changes > 0 {
+        text += &format!("the schedule has changed {} times\n", grouped(status.schedule_changes));
+    }
     for line in rivals(&status.rivals) {
         text += &format!("gave the time: {line}\n");
     }

@@ -382,6 +382,8 @@ pub struct LabStatus {
     pub out_of_slot: u64,
     /// Cycles without a Synchronisation.
     pub syncs_missing: u64,
+    /// Schedules that all have switched to.
+    pub schedule_changes: u64,
     /// Who sent the last one.
     pub time_by: String,
     /// Who gave the time at once, the last times.

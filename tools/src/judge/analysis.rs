@@ -23,7 +23,9 @@ use crate::report::histogram::SignedHistogram;
 use crate::scenario::{Scenario, StationPlan};
 use crate::station::traffic::Tag;
 
+use cycles::Grid;
 pub use queueing::Queueing;
+pub use schedules::Known;
 use schedules::Schedules;
 pub use strays::Strangers;
 
@@ -72,8 +74,8 @@ pub struct Analysis {
     schedules: Schedules,
     window: Option<(u32, u32)>,
     current: Option<u32>,
-    /// The first cycle that was heard of, and its start: from it follow all others.
-    grid: Option<(u32, GlobalTime)>,
+    /// From the first cycle that was heard of follow all others.
+    grid: Option<Grid>,
     /// The last Synchronisation, and when it was; of one that was passed over that is not known.
     last_sync: Option<(u32, Option<True>)>,
     /// Until when the medium is, or either part of it, and by whom.
@@ -329,7 +331,7 @@ impl Analysis {
         let cycle = author.cycle;
         // Before anything counts, two may have begun at once, of which one makes way.
         if self.window.is_none() || self.grid.is_none() {
-            self.grid = Some((cycle, sched));
+            self.grid = Some(Grid::new(cycle, sched, self.cycle));
         }
         self.heard(author.station, cycle);
         self.masters.sync(from, cycle, self.counts(cycle));
@@ -366,7 +368,7 @@ impl Analysis {
                     if let (true, Some(last_at)) = (self.counts(cycle) && !has_taken_over, last_at) {
                         let clock = self.truth().clock;
                         let period = clock.local(at) - clock.local(last_at);
-                        self.sync_period_jitter.record((period - self.cycle).nanos());
+                        self.sync_period_jitter.record((period - self.length_of(last)).nanos());
                     }
                 }
                 ..=0 => self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO)),

@@ -100,6 +100,14 @@ impl Records {
         Self { cycle: scenario.cycle, in_time, backups, unmarked, addresses, ..Self::default() }
     }
 
+    /// The network has other slots, and a cycle of its own, now; what is looked for may be of before.
+    pub fn follow(&mut self, scenario: &Scenario) {
+        self.cycle = scenario.cycle;
+        for (station, nearest) in &mut self.unmarked {
+            *nearest = nearest_turns(&scenario.stations[*station], scenario.cycle).min(*nearest);
+        }
+    }
+
     /// A station noticed something in a cycle, in one of its slots or none. Of several the longest is kept.
     pub fn note(&mut self, author: Author, kind: EventKind, span: Span, cause: Option<Cause>) {
         if matches!(kind, EventKind::Locked | EventKind::LineGivenUp) {

@@ -270,6 +270,7 @@ impl Keeper {
             overlaps: self.tally.overlaps,
             out_of_slot: self.tally.out_of_slot,
             syncs_missing: self.tally.syncs_missing,
+            schedule_changes: analysis.changes(),
             time_by: self.scenario.stations[analysis.giver()].name.clone(),
             rivals: analysis.masters.rivals(&self.scenario),
             strangers: analysis.strangers.named(),

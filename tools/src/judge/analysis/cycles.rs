@@ -7,6 +7,60 @@ use super::Analysis;
 use crate::judge::findings::Author;
 use crate::judge::timetable::before;
 
+/// Lengths of cycles that are remembered.
+const STRETCHES: usize = 16;
+
+/// The starts of all cycles, which follow from the first one's and from how long they are.
+#[derive(Debug)]
+pub struct Grid {
+    /// In their order; never empty.
+    stretches: Vec<Stretch>,
+}
+
+/// Cycles of one length.
+#[derive(Clone, Copy, Debug)]
+struct Stretch {
+    first: u32,
+    start: GlobalTime,
+    length: Span,
+}
+
+impl Grid {
+    /// Cycles of this length, of which one starts then.
+    pub fn new(first: u32, start: GlobalTime, length: Span) -> Self {
+        Self { stretches: vec![Stretch { first, start, length }] }
+    }
+
+    fn change(&mut self, length: Span, from: u32) {
+        if self.stretch(from).length == length {
+            return;
+        }
+        let start = self.start_of(from);
+        // What was before the last few is not asked for any more, but for the first.
+        if self.stretches.len() == STRETCHES {
+            self.stretches.remove(1);
+        }
+        self.stretches.push(Stretch { first: from, start, length });
+    }
+
+    fn stretch(&self, cycle: u32) -> Stretch {
+        let has_begun = |stretch: &&Stretch| !before(cycle, stretch.first);
+        *self.stretches.iter().rev().find(has_begun).unwrap_or(&self.stretches[0])
+    }
+
+    fn start_of(&self, cycle: u32) -> GlobalTime {
+        let Stretch { first, start, length } = self.stretch(cycle);
+        start + length * i64::from(cycle.wrapping_sub(first) as i32)
+    }
+
+    fn cycle_at(&self, now: GlobalTime) -> u32 {
+        let has_begun = |stretch: &&Stretch| (now - stretch.start) >= Span::ZERO;
+        let stretch = self.stretches.iter().rev().find(has_begun).unwrap_or(&self.stretches[0]);
+        let gone = (now - stretch.start).nanos().div_euclid(stretch.length.nanos());
+        stretch.first.wrapping_add(gone as u32)
+    }
+}
+
 impl Analysis {
     /// The cycle of the newest Synchronisation.
     pub fn current(&self) -> Option<u32> {
@@ -15,9 +69,7 @@ impl Analysis {
 
     /// The cycle that it is at a true moment, by the master's grid, be there a master or not.
     pub fn cycle_at(&self, at: True) -> Option<u32> {
-        let (first, sched) = self.grid?;
-        let gone = (self.truth().global(at) - sched).nanos().div_euclid(self.cycle.nanos());
-        Some(first.wrapping_add(gone as u32))
+        Some(self.grid.as_ref()?.cycle_at(self.truth().global(at)))
     }
 
     /// A cycle of the master's grid, and its start.
@@ -40,8 +92,20 @@ impl Analysis {
 
     /// A cycle's start on the master's clock.
     pub(super) fn start_of(&self, cycle: u32) -> Option<GlobalTime> {
-        let (first, sched) = self.grid?;
-        Some(sched + self.cycle * i64::from(cycle.wrapping_sub(first) as i32))
+        Some(self.grid.as_ref()?.start_of(cycle))
+    }
+
+    /// From a cycle's start to the next.
+    pub(super) fn length_of(&self, cycle: u32) -> Span {
+        self.grid.as_ref().map_or(self.cycle, |grid| grid.stretch(cycle).length)
+    }
+
+    /// From cycle `from` on they are this long.
+    pub(super) fn run_at(&mut self, length: Span, from: u32) {
+        if let Some(grid) = &mut self.grid {
+            grid.change(length, from);
+        }
+        self.cycle = length;
     }
 
     /// Counts from cycle `from` on, for `cycles` cycles.
@@ -97,5 +161,37 @@ impl Analysis {
     /// How much later than at a moment of global time that is.
     pub fn error(&self, at: True, scheduled: GlobalTime) -> Span {
         Span::from_nanos(at.wrapping_sub(self.truth().truth(scheduled)) as i64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cycles_of_another_length_begin_where_the_last_of_the_old_one_ends() {
+        let start = GlobalTime::from_nanos(1_000_000);
+        let mut grid = Grid::new(u32::MAX, start, Span::from_micros(100));
+        grid.change(Span::from_micros(250), 4);
+        grid.change(Span::from_micros(250), 6);
+        grid.change(Span::from_micros(50), 8);
+        let begins = |cycle: u32| (grid.start_of(cycle) - start).nanos() / 1_000;
+        let cycles = [u32::MAX - 1, u32::MAX, 0, 3, 4, 5, 7, 8, 9];
+        assert_eq!(cycles.map(begins), [-100, 0, 100, 400, 500, 750, 1_250, 1_500, 1_550]);
+        for cycle in cycles {
+            let begin = grid.start_of(cycle);
+            assert_eq!(grid.cycle_at(begin), cycle);
+            assert_eq!(grid.cycle_at(begin + Span::from_nanos(-1)), cycle.wrapping_sub(1));
+        }
+    }
+
+    #[test]
+    fn of_many_lengths_the_last_ones_are_remembered() {
+        let mut grid = Grid::new(0, GlobalTime::from_nanos(0), Span::from_micros(100));
+        for i in 1..=100 {
+            grid.change(Span::from_micros(100 + 100 * (i64::from(i) % 2)), i * 10);
+        }
+        assert_eq!(grid.stretches.len(), STRETCHES);
+        assert_eq!((grid.start_of(1_000) - grid.start_of(990)).nanos(), 2_000_000);
     }
 }

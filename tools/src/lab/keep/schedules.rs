@@ -8,6 +8,7 @@ use rtnet::time::Span;
 use super::Keeper;
 use super::changes::Change;
 use crate::control::{ActivationSaid, Request, ScheduleRequest, ScheduleSaid, SlotOf};
+use crate::judge::analysis::Known;
 use crate::lab::load::{load, too_much};
 use crate::scenario::{Scenario, SlotPlan};
 
@@ -38,20 +39,16 @@ impl Keeper {
         let schedule = ScheduleSaid { slots: slots?, latest_ns, ..said.clone() };
         let book = schedule.book().map_err(|why| anyhow::anyhow!(why))?.numbered(1);
         let slots = changed.stations.iter().map(|station| station.slots.clone());
-        self.lab.analysis.may_switch(book.id().sum, slots.collect());
+        let known = Known { cycle: changed.cycle, slots: slots.collect() };
+        self.lab.analysis.may_switch(book.id().sum, known);
         let request = ScheduleRequest::Propose { schedule: Box::new(schedule), activate };
         self.ask(master, Request::Schedule(request), Change::Nothing)
     }
 
     /// The lab with the slots that are said; what cannot be is refused by name.
     fn as_said(&self, said: &ScheduleSaid) -> Result<Scenario> {
-        let cycle = Span::from_nanos(said.cycle_ns);
-        ensure!(
-            cycle == self.scenario.cycle,
-            "a cycle of {cycle}: a lab is judged by one cycle, {}; give the file that, or change single stations",
-            self.scenario.cycle
-        );
         let mut changed = self.scenario.clone();
+        changed.cycle = Span::from_nanos(said.cycle_ns);
         changed.stations.iter_mut().for_each(|station| station.slots.clear());
         for SlotOf { station, slot } in &said.slots {
             let station = &mut changed.stations[self.station(station)?];
@@ -81,10 +78,12 @@ impl Keeper {
 
     /// Stations have switched: whoever asks is told of the slots that there are now.
     pub(super) fn note_switch(&mut self) {
-        let Some(slots) = self.lab.analysis.take_switch() else { return };
+        let Some(Known { cycle, slots }) = self.lab.analysis.take_switch() else { return };
+        self.scenario.cycle = cycle;
         for (station, slots) in self.scenario.stations.iter_mut().zip(slots) {
             station.slots = slots;
         }
+        self.lab.records.follow(&self.scenario);
         self.lab.load = load(&self.scenario);
         if let Some(declared) = &mut self.lab.declared {
             // Where it cannot be written, others see what it took before.

@@ -60,7 +60,7 @@ impl Tdma {
         if let Role::Master(master) = &mut self.role
             && !master.on_foreign_sync(rx, (from, self.address), xmit - sched, events)
         {
-            self.overhear(rx, status);
+            self.overhear(status);
             return Err(Refusal::ForeignSync);
         }
         let Some(slave) = self.role.follower_mut() else { return Err(Refusal::Detached) };

@@ -43,10 +43,9 @@ impl Tdma {
     }
 
     /// Another gives the time while this station does.
-    pub(super) fn overhear(&mut self, rx: Instant, status: Option<Status>) {
-        let switch = self.change.as_mut().zip(status).and_then(|(change, status)| change.overhear(status));
-        if let Some(switch) = switch {
-            self.switch(switch, rx);
+    pub(super) fn overhear(&mut self, status: Option<Status>) {
+        if let Some((change, status)) = self.change.as_mut().zip(status) {
+            change.overhear(status);
         }
     }
 
@@ -201,7 +200,7 @@ impl Tdma {
         if change.acts() {
             change.say(cycle, others);
         }
-        if let Some(switch) = change.begins() {
+        if let Some(switch) = change.begins(cycle) {
             self.switch(switch, now);
         }
     }

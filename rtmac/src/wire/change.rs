@@ -41,6 +41,8 @@ const ID_ANSWER: u16 = 0x0110;
 const STATUS_AT: usize = BODY + size_of::<SyncBody>();
 /// A slot that takes from its own queue.
 const NOT_JOINT: u8 = 0xff;
+/// A state's flag: who says it is not sure of it.
+const UNSURE: u8 = 0x80;
 /// An answer's flag: who sends it may give the time.
 const GIVES_TIME: u8 = 0x01;
 
@@ -69,8 +71,6 @@ pub enum State {
     Switched = 4,
     /// The proposed one is withdrawn; whatever activation cycle was named, nobody switches in it.
     Cancelled = 5,
-    /// Who gives the time does not know which schedule is in use: nobody sends.
-    Unsure = 6,
 }
 
 /// What the acting master says with every Synchronisation.
@@ -84,6 +84,8 @@ pub struct Status {
     pub activation: u32,
     /// How far it is.
     pub state: State,
+    /// Whether whoever says this knows it. Who was away while others may have decided does not: nobody sends then.
+    pub is_sure: bool,
 }
 
 /// One slot of a schedule, and what is said of the whole.
@@ -275,15 +277,8 @@ impl From<IdField> for ScheduleId {
 }
 
 impl State {
-    const ALL: [State; 7] = [
-        State::Idle,
-        State::Proposed,
-        State::Committed,
-        State::Sealed,
-        State::Switched,
-        State::Cancelled,
-        State::Unsure,
-    ];
+    const ALL: [State; 6] =
+        [State::Idle, State::Proposed, State::Committed, State::Sealed, State::Switched, State::Cancelled];
 
     /// The state's name in reports.
     pub const fn name(self) -> &'static str {
@@ -294,7 +289,6 @@ impl State {
             State::Sealed => "sealed",
             State::Switched => "switched",
             State::Cancelled => "cancelled",
-            State::Unsure => "unsure",
         }
     }
 }
@@ -302,10 +296,11 @@ impl State {
 impl Status {
     /// Writes it behind the fields of a Synchronisation that is already in `frame`.
     pub fn write(&self, frame: &mut Buf) {
-        let Status { oper, admin, activation, state } = *self;
+        let Status { oper, admin, activation, state, is_sure } = *self;
         let head = TdmaHead { version: U16::new(EXTENSION_VERSION), message: U16::new(ID_STATUS) };
         let (oper, admin, activation) = (oper.into(), admin.into(), U32::new(activation));
-        let body = StatusBody { head, oper, admin, activation, state: state as u8, check: 0 };
+        let state = state as u8 | if is_sure { 0 } else { UNSURE };
+        let body = StatusBody { head, oper, admin, activation, state, check: 0 };
         let room = frame.room_mut();
         let end = put(room, STATUS_AT, &body);
         room[end - 1] = check(&room[..end]);
@@ -315,13 +310,13 @@ impl Status {
     pub fn of_sync(frame: &[u8]) -> Option<Self> {
         let (body, _) = StatusBody::ref_from_prefix(frame.get(STATUS_AT..)?).ok()?;
         let is_one = (body.head.version.get(), body.head.message.get()) == (EXTENSION_VERSION, ID_STATUS);
-        let state = State::ALL.into_iter().find(|&state| state as u8 == body.state)?;
+        let state = State::ALL.into_iter().find(|&state| state as u8 == body.state & !UNSURE)?;
         let end = STATUS_AT + size_of::<StatusBody>();
         if !is_one || check(&frame[..end]) != body.check {
             return None;
         }
         let (oper, admin, activation) = (body.oper.into(), body.admin.into(), body.activation.get());
-        Some(Status { oper, admin, activation, state })
+        Some(Status { oper, admin, activation, state, is_sure: body.state & UNSURE == 0 })
     }
 }
 

@@ -196,7 +196,7 @@ impl ScheduleShown {
             in_use: in_use.number,
             oper: number(told.oper),
             admin: number(told.admin).filter(|&number| number > 0),
-            state: told.state.name().into(),
+            state: if told.is_sure { told.state.name() } else { "unsure" }.into(),
             activation: number(told.admin).filter(|&number| number > 0).map(|_| told.activation),
             acts,
             asked,

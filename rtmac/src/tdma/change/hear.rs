@@ -2,7 +2,7 @@
 
 use rtnet::counters::Refusal;
 
-use super::{Change, DEAF, State, Status, Switch, reached};
+use super::{Change, DEAF, State, Status, Switch, is_later, reached};
 use crate::wire::change::{Answer, Part, ScheduleId, Verdict, Why};
 
 /// An answer is repeated after so many turns at the most.
@@ -33,18 +33,14 @@ impl Change {
             return None;
         };
         self.lead.acts = false;
-        self.highest = self.highest.max(status.oper.number).max(status.admin.number);
-        if let Some(heard) = self.heard.as_mut().filter(|heard| heard.cycle == cycle) {
-            let was_sure = self.told.state != State::Unsure;
-            if was_sure && status.state != State::Unsure && status.oper != self.told.oper {
-                heard.is_twofold = true;
-            }
-            if was_sure {
-                return None;
-            }
+        if let Some(heard) = self.heard.as_mut().filter(|heard| heard.cycle == cycle)
+            && self.told.is_sure
+        {
+            heard.is_twofold |= status.is_sure && status.oper != self.told.oper;
+            return None;
         }
         self.heard = Some(Heard { cycle, is_twofold: false });
-        self.told = status;
+        self.learn(status);
         // What it has is used before it makes room for another.
         let switch = self.switch_to_oper(cycle);
         if switch.is_none() {
@@ -53,12 +49,27 @@ impl Change {
         switch
     }
 
+    /// Whoever is sure is believed; of what others know that counts which is furthest on.
+    pub(super) fn learn(&mut self, status: Status) {
+        for number in [status.oper.number, status.admin.number] {
+            if is_later(number, self.highest) {
+                self.highest = number;
+            }
+        }
+        if status.is_sure || status.is_ahead_of(&self.told) {
+            self.told = status;
+        }
+        self.told.is_sure = status.is_sure;
+    }
+
     /// What of another schedule is to come is collected.
     fn collect(&mut self) {
         let Status { oper, admin, state, .. } = self.told;
         let asks = matches!(state, State::Proposed | State::Committed | State::Sealed);
         let wanted = if asks && admin != self.in_use { admin } else { oper };
-        if wanted != self.in_use && wanted.number != 0 && self.admin.id() != wanted {
+        // What it has, and will use once that is sure, makes room for nothing.
+        let is_kept = oper != self.in_use && self.can_use(oper);
+        if wanted != self.in_use && wanted.number != 0 && self.admin.id() != wanted && !is_kept {
             self.admin.begin(wanted);
             self.verdict = None;
         }
@@ -70,13 +81,18 @@ impl Change {
 
     /// Another schedule is in use than this station's, which it has and can use.
     pub(super) fn switch_to_oper(&self, cycle: u32) -> Option<Switch> {
-        let Status { oper, state, activation, .. } = self.told;
-        let has = oper == ScheduleId::default() || self.admin.holds(oper) && self.verdict == Some(Ok(()));
-        if state == State::Unsure || oper == self.in_use || !has {
+        let Status { oper, state, activation, is_sure, .. } = self.told;
+        if !is_sure || oper == self.in_use || !self.can_use(oper) {
             return None;
         }
         let from = if state == State::Switched && reached(cycle, activation) { activation } else { cycle };
         Some(Switch { from, to: oper })
+    }
+
+    /// Whether this station has all of a schedule, and can use it.
+    pub(super) fn can_use(&self, id: ScheduleId) -> bool {
+        let is_here = self.oper.holds(id) || self.admin.holds(id) && self.verdict == Some(Ok(()));
+        id == ScheduleId::default() || is_here
     }
 
     /// A part of a schedule has come; `true` if `admin` is whole by that, and to be judged.
@@ -136,14 +152,14 @@ impl Change {
         }
         if self.lead.acts {
             let is_there = |sent: u32| cycle.wrapping_sub(sent) as i32 <= DEAF as i32;
-            return !self.lead.is_unsure && (!others || self.lead.sent.is_some_and(is_there));
+            return self.told.is_sure && (!others || self.lead.sent.is_some_and(is_there));
         }
         let Some(heard) = self.heard else { return false };
         let bridged = cycle.wrapping_sub(heard.cycle) as i32;
-        let Status { activation, state, .. } = self.told;
+        let Status { activation, state, is_sure, .. } = self.told;
         let names_one = matches!(state, State::Committed | State::Sealed | State::Cancelled);
         let is_across =
             bridged > 0 && names_one && reached(cycle, activation) && !reached(heard.cycle, activation);
-        state != State::Unsure && !(bridged == 0 && heard.is_twofold) && !is_across
+        is_sure && !(bridged == 0 && heard.is_twofold) && !is_across
     }
 }

@@ -5,8 +5,8 @@ use rtnet::wire::ethernet::Address;
 
 use super::super::config::Refused;
 use super::{
-    AHEAD, AHEAD_AT_LEAST, Book, Change, DEAF, FRESH, PATIENCE, PATIENCE_IN_TURNS, SEALED_BEFORE, State,
-    Status, Stopped, Switch, UNSURE_FOR, reached,
+    AHEAD, AHEAD_AT_LEAST, ALONE, Book, Change, DEAF, FRESH, PATIENCE, PATIENCE_IN_TURNS, SEALED_BEFORE,
+    State, Status, Stopped, Switch, reached,
 };
 use crate::wire::change::{Answer, Verdict};
 
@@ -18,9 +18,10 @@ pub struct Lead {
     since: u32,
     /// The last cycle whose Synchronisation has left.
     pub sent: Option<u32>,
-    /// What it says is that it does not know.
-    pub is_unsure: bool,
+    /// It may have missed what others decided, and hears until then.
     unsure_until: Option<u32>,
+    /// Another is sure of something else.
+    is_contradicted: bool,
     /// A commit that it found when it took over, and has confirmed.
     is_inherited: bool,
     pub asked: Vec<Asked>,
@@ -56,8 +57,8 @@ impl Lead {
             acts: false,
             since: 0,
             sent: None,
-            is_unsure: false,
             unsure_until: None,
+            is_contradicted: false,
             is_inherited: false,
             asked: Vec::with_capacity(capacity),
             asked_in: 0,
@@ -76,25 +77,14 @@ impl Change {
     pub fn say(&mut self, cycle: u32, others: bool) -> Status {
         if !self.lead.acts {
             self.take_over(cycle, others);
-        } else if let Some(sent) = self.lead.sent
-            && others
-            && cycle.wrapping_sub(sent) > DEAF
-            && self.lead.unsure_until.is_none()
-        {
+        }
+        let was_silent = |sent: u32| others && cycle.wrapping_sub(sent) > DEAF;
+        if self.lead.sent.is_some_and(was_silent) || self.lead.is_contradicted {
             // Who knows who gave the time meanwhile, and what that one said.
             self.doubt(cycle);
         }
-        if self.lead.unsure_until.is_some_and(|until| reached(cycle, until)) {
-            self.lead.unsure_until = None;
-        }
         self.go_on(cycle);
-        self.said()
-    }
-
-    /// What this station says, or heard last.
-    pub(super) fn said(&self) -> Status {
-        let state = if self.lead.acts && self.lead.is_unsure { State::Unsure } else { self.told.state };
-        Status { state, ..self.told }
+        self.told
     }
 
     /// Its Synchronisation has left.
@@ -106,44 +96,61 @@ impl Change {
         let lead = &mut self.lead;
         (lead.acts, lead.since, lead.sent) = (true, cycle, None);
         (lead.is_inherited, lead.unsure_until, lead.activate) = (false, None, None);
+        lead.is_contradicted = false;
         lead.asked.clear();
         match self.told.state {
             State::Proposed => self.stop(cycle, Stopped::MasterChanged),
             State::Committed if self.confirmed == Some(self.told.admin) => self.lead.is_inherited = true,
             State::Committed => self.stop(cycle, Stopped::MasterChanged),
-            State::Unsure => self.doubt(cycle),
             State::Idle | State::Sealed | State::Switched | State::Cancelled => {}
         }
-        let was_deaf = |heard: super::Heard| cycle.wrapping_sub(heard.cycle) > DEAF;
-        if others && self.heard.is_some_and(was_deaf) {
+        let was_deaf = |heard: super::Heard| others && cycle.wrapping_sub(heard.cycle) > DEAF;
+        let is_able = self.told.oper == self.in_use || self.can_use(self.told.oper);
+        if !self.told.is_sure || !is_able || self.heard.is_some_and(was_deaf) {
             self.doubt(cycle);
         }
     }
 
-    /// Which schedule is in use is not known: what was not decided is not, and nobody sends until nobody bridges any more.
+    /// Which schedule is in use, and what is decided, is not known for sure any more.
     fn doubt(&mut self, cycle: u32) {
-        if matches!(self.told.state, State::Proposed | State::Committed | State::Unsure) {
-            self.stop(cycle, Stopped::MasterChanged);
-        }
-        self.lead.unsure_until = Some(cycle.wrapping_add(UNSURE_FOR));
+        self.lead.unsure_until = Some(cycle.wrapping_add(ALONE));
+        self.lead.is_contradicted = false;
     }
 
-    /// Another gives the time while this one does, and does not make way. Who is unsure believes it.
-    pub fn overhear(&mut self, status: Status) -> Option<Switch> {
-        if self.lead.unsure_until.is_none() || matches!(status.state, State::Unsure | State::Committed) {
-            return None;
+    /// Another gives the time while this one does, and does not make way.
+    pub fn overhear(&mut self, status: Status) {
+        let is_unsure = self.lead.unsure_until.is_some();
+        self.lead.is_contradicted = !is_unsure && status.is_sure && status.oper != self.told.oper;
+        if is_unsure {
+            self.learn(status);
+            self.told.is_sure = false;
         }
-        self.told = status;
-        self.switch_to_oper(status.activation)
+    }
+
+    /// It has heard for long enough what others know.
+    fn trust(&mut self, cycle: u32) {
+        self.lead.unsure_until = None;
+        if matches!(self.told.state, State::Proposed | State::Committed) {
+            self.stop(cycle, Stopped::MasterChanged);
+        }
+        if self.told.oper != self.in_use && !self.can_use(self.told.oper) {
+            // What nobody can be told of nobody can use.
+            (self.told.oper, self.told.admin) = (self.in_use, self.in_use);
+            (self.told.activation, self.told.state) = (cycle, State::Idle);
+        }
     }
 
     /// Time has passed.
     fn go_on(&mut self, cycle: u32) {
-        let activation = self.told.activation;
+        if self.lead.unsure_until.is_some_and(|until| reached(cycle, until)) {
+            self.trust(cycle);
+        }
+        let (activation, is_unsure) = (self.told.activation, self.lead.unsure_until.is_some());
         match self.told.state {
+            State::Proposed | State::Committed if is_unsure => {}
             State::Proposed => self.ask_on(cycle),
             State::Committed if self.lead.is_inherited => {
-                if cycle.wrapping_sub(self.lead.since) >= DEAF {
+                if cycle.wrapping_sub(self.lead.since) >= ALONE {
                     self.stop(cycle, Stopped::MasterChanged);
                 }
             }
@@ -157,16 +164,20 @@ impl Change {
                     Some(_) => {}
                 }
             }
-            State::Sealed if reached(cycle, activation) => {
+            State::Sealed if reached(cycle, activation) && self.can_use(self.told.admin) => {
                 (self.told.oper, self.told.state) = (self.told.admin, State::Switched);
+            }
+            State::Sealed if reached(cycle, activation) => {
+                self.stop(cycle, Stopped::MasterChanged);
+                self.doubt(cycle);
             }
             State::Switched | State::Cancelled if reached(cycle, activation.wrapping_add(FRESH)) => {
                 self.told.state = State::Idle;
             }
-            State::Sealed | State::Switched | State::Cancelled | State::Idle | State::Unsure => {}
+            State::Sealed | State::Switched | State::Cancelled | State::Idle => {}
         }
         let is_open = self.told.state == State::Committed && reached(cycle, self.told.activation);
-        self.lead.is_unsure = self.lead.unsure_until.is_some() || is_open;
+        self.told.is_sure = self.lead.unsure_until.is_none() && !is_open;
     }
 
     /// Stations are asked: all have acknowledged, or one did not in time.
@@ -207,7 +218,7 @@ impl Change {
         book: &Book,
         activate: Option<Activation>,
     ) -> Result<(), Refused> {
-        if !self.lead.acts || self.lead.is_unsure {
+        if !self.lead.acts || !self.told.is_sure {
             return Err(Refused::NotActing);
         }
         if self.is_pending() {
@@ -235,7 +246,7 @@ impl Change {
         self.lead.patience = PATIENCE
             .saturating_add(turns.saturating_mul(PATIENCE_IN_TURNS))
             .saturating_add(4 * book.planned().len() as u32);
-        let number = self.highest.checked_add(1).unwrap_or(1);
+        let number = self.highest.wrapping_add(1).max(1);
         self.admin.copy_from(book, number)?;
         self.highest = number;
         (self.lead.asked_in, self.lead.activate, self.lead.stopped) = (cycle, activate, None);
@@ -245,6 +256,7 @@ impl Change {
             admin: self.admin.id(),
             activation: cycle,
             state: State::Proposed,
+            is_sure: true,
         };
         Ok(())
     }
@@ -311,9 +323,7 @@ impl Change {
     }
 
     /// What this station is to do, as it gives the time, in the cycle that begins.
-    pub fn begins(&self) -> Option<Switch> {
-        let Status { oper, activation, state, .. } = self.told;
-        let is_due = self.lead.acts && oper != self.in_use && state == State::Switched;
-        is_due.then_some(Switch { from: activation, to: oper })
+    pub fn begins(&self, cycle: u32) -> Option<Switch> {
+        self.switch_to_oper(cycle).filter(|_| self.lead.acts)
     }
 }

@@ -8,25 +8,30 @@
 //!        ▲               │ refused, silent,  │ not confirmed       (nothing stops it)
 //!        │               │ withdrawn         │ in time, withdrawn
 //!        │               ▼                   ▼
-//!        └─────────── Cancelled ◄────────────┴──── Unsure ◄── who takes over and has confirmed, but has not heard that
-//!           later                 long enough alone           it is sealed; who gave the time and has slept for long
+//!        └─────────── Cancelled ◄────────────┘
+//!           later
 //!
 //! who takes over from     goes on as
 //!   Idle, Switched,         the same: all that these say is decided
 //!   Cancelled, Sealed
 //!   Proposed                Cancelled: nobody can have been committed to it
-//!   Committed               Cancelled if it has not confirmed: so it was not sealed. Else Committed, and from the activation
-//!                           cycle on Unsure, until it has been alone for long enough to know that the other is gone; then
-//!                           Cancelled
+//!   Committed               Cancelled if it has not confirmed: so it was not sealed. Else Committed, from the activation
+//!                           cycle on without being sure of it, until it has been alone for long enough to know that the
+//!                           other is gone; then Cancelled
 //! ```
 //!
 //! One station decides at any time: the acting master, which says with every Synchronisation which schedule is in use. All others
-//! use a schedule in a cycle only if they were told so: in that very cycle, or, bridging, in one before it with no
-//! activation cycle between, whether that is pending or withdrawn. So in a cycle in which one schedule may be in use, nobody
+//! use a schedule in a cycle only if they were told so by one that is sure of it: in that very cycle, or, bridging, in one before it
+//! with no activation cycle between, whether that is pending or withdrawn. So in a cycle in which one schedule may be in use, nobody
 //! uses another, whoever heard what; what has to agree is what masters say, which is what confirming is for.
 //!
-//! All of it holds as long as no station that may give the time misses [`DEAF`] Synchronisations of another in a row that others
-//! hear. `tests.rs` has every state against every event.
+//! **Who is sure.** A master that was silent, or heard nobody, for more than [`DEAF`] cycles may have missed a decision. It says what it
+//! knows and that it is not sure of it, so that all are silent; hears for [`ALONE`] cycles what others know; and goes on from
+//! what is furthest on: a higher number, or a later state, since numbers only grow and no state is left but for a later one. Whoever is sure is
+//! believed by all who are not.
+//!
+//! All of it holds as long as no station that may give the time, and is awake, misses so many Synchronisations of another in a row that
+//! others hear: those of [`ALONE`] less twice [`DEAF`] cycles. `tests.rs` has every state against every event, `tests/model.rs` networks by chance.
 
 mod book;
 mod hear;
@@ -45,8 +50,9 @@ use lead::Lead;
 
 /// Who gives the time and hears nothing of another for so many cycles is alone. Who has been deaf for as long knows nothing.
 pub const DEAF: u32 = 16;
-/// Who does not know which schedule is in use has nobody send for so long: more than anybody bridges.
-const UNSURE_FOR: u32 = 24;
+/// Who is not sure which schedule is in use has nobody send for so long: more than anybody bridges. Who was committed by another is
+/// alone after so long, and decides.
+const ALONE: u32 = 48;
 /// A station that bridges more cycles than this could miss a commit.
 pub const MAX_BRIDGED: u32 = 16;
 /// By so many cycles before the activation cycle all must have confirmed; from then on it is known to all who may give the time,
@@ -225,6 +231,7 @@ impl Change {
                 admin: ScheduleId::default(),
                 activation: 0,
                 state: State::Idle,
+                is_sure: true,
             },
             heard: None,
             verdict: None,
@@ -247,7 +254,7 @@ impl Change {
         let count = |n: usize| n as u32;
         ChangeStatus {
             in_use: self.in_use,
-            told: self.said(),
+            told: self.told,
             acts: self.lead.acts,
             heard: self.lead.acts || self.heard.is_some(),
             asked: count(asked().count()),
@@ -327,8 +334,9 @@ impl Change {
         if self.admin.holds(to) {
             core::mem::swap(&mut self.oper, &mut self.admin);
         }
+        // What it leaves it could take once.
+        self.verdict = (self.admin.holds(self.in_use)).then_some(Ok(()));
         self.in_use = to;
-        self.verdict = None;
         self.switched += 1;
     }
 
@@ -366,6 +374,34 @@ impl Change {
     /// It was too late.
     pub fn part_is_owed(&mut self) {
         self.owed = self.owed.saturating_add(1);
+    }
+}
+
+/// Whether a change's number is a later one than another, shortest way round 2^16; 0, what stations were started with, is before all.
+fn is_later(number: u16, other: u16) -> bool {
+    match (number, other) {
+        (0, _) => false,
+        (_, 0) => true,
+        _ => number.wrapping_sub(other) as i16 > 0,
+    }
+}
+
+impl Status {
+    /// Whether this is further on than another: a schedule of a later change is in use or proposed, or the same one is nearer to
+    /// its end. What is sealed goes before what is withdrawn, as only who does not know better withdraws that.
+    fn is_ahead_of(&self, other: &Status) -> bool {
+        let place = |status: &Status| match status.state {
+            State::Proposed => 0,
+            State::Committed => 1,
+            State::Idle | State::Cancelled => 2,
+            State::Sealed => 3,
+            State::Switched => 4,
+        };
+        match (self.oper.number == other.oper.number, self.admin.number == other.admin.number) {
+            (false, _) => is_later(self.oper.number, other.oper.number),
+            (_, false) => is_later(self.admin.number, other.admin.number),
+            _ => place(self) > place(other),
+        }
     }
 }
 

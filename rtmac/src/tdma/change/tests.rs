@@ -124,10 +124,14 @@ impl Seat {
     }
 
     fn hear(&mut self, state: State, activation: u32) {
+        self.hear_of(state, activation, true);
+    }
+
+    fn hear_of(&mut self, state: State, activation: u32, is_sure: bool) {
         self.cycle = self.cycle.wrapping_add(1);
         let (oper, admin) = (ScheduleId::default(), self.id());
         let oper = if state == State::Switched { admin } else { oper };
-        self.change.hear(self.cycle, Some(Status { oper, admin, activation, state }));
+        self.change.hear(self.cycle, Some(Status { oper, admin, activation, state, is_sure }));
     }
 
     /// All of the schedule has come, and can be used.
@@ -206,7 +210,7 @@ impl Seat {
             }
             Place::FollowsUnsure => {
                 seat = Seat::at(Place::FollowsConfirmed);
-                seat.hear(State::Unsure, activation);
+                seat.hear_of(State::Committed, activation, false);
             }
         }
         seat
@@ -243,7 +247,7 @@ impl Seat {
             Happening::HearsIdle => self.hear(State::Idle, 0),
             Happening::HearsProposed => self.hear(State::Proposed, self.cycle),
             Happening::HearsSealed => self.hear(State::Sealed, self.cycle.wrapping_add(50)),
-            Happening::HearsUnsure => self.hear(State::Unsure, self.cycle.wrapping_add(50)),
+            Happening::HearsUnsure => self.hear_of(State::Sealed, self.cycle.wrapping_add(50), false),
         }
     }
 
@@ -254,20 +258,20 @@ impl Seat {
     }
 }
 
-/// What the station says, or is told, after that.
-fn expected(place: Place, happening: Happening) -> State {
+/// What the station says, or is told, after that; `None`: that is not sure.
+fn expected(place: Place, happening: Happening) -> Option<State> {
     use Happening as H;
     use Place as P;
     use State as S;
     let leads = place as u8 <= P::LeadsUnsure as u8;
-    match (happening, place) {
+    let state = match (happening, place) {
         (H::HearsIdle, _) => S::Idle,
         (H::HearsProposed, _) => S::Proposed,
         (H::HearsSealed, _) => S::Sealed,
-        (H::HearsUnsure, _) => S::Unsure,
+        (H::HearsUnsure, _) => return None,
 
         // Who slept while another may have given the time does not know what that one said.
-        (H::SleepsThenSpeaks, _) => S::Unsure,
+        (H::SleepsThenSpeaks, _) => return None,
 
         (H::Speaks, P::LeadsIdle | P::FollowsIdle) => S::Idle,
         (H::Speaks, P::LeadsAsking | P::LeadsReady) => S::Proposed,
@@ -277,7 +281,7 @@ fn expected(place: Place, happening: Happening) -> State {
         (H::Speaks, P::LeadsCancelled | P::FollowsCancelled) => S::Cancelled,
         // Whoever had not confirmed knows that nobody switches.
         (H::Speaks, P::FollowsProposed | P::FollowsCommitted) => S::Cancelled,
-        (H::Speaks, P::LeadsUnsure | P::FollowsUnsure) => S::Unsure,
+        (H::Speaks, P::LeadsUnsure | P::FollowsUnsure) => return None,
 
         // It waits for somebody to say when.
         (H::SpeaksMuchLater, P::LeadsReady) => S::Proposed,
@@ -295,13 +299,15 @@ fn expected(place: Place, happening: Happening) -> State {
         ) => S::Cancelled,
         // Longer than anybody bridges have gone by.
         (H::SpeaksInActivation, P::FollowsUnsure) => S::Cancelled,
-        (H::SpeaksInActivation, other) => expected(other, H::Speaks),
+        (H::SpeaksInActivation, other) => return expected(other, H::Speaks),
 
         (H::AllAcknowledge, P::LeadsAsking) => S::Committed,
         (H::AllConfirm, P::LeadsCommitted) => S::Sealed,
         (H::AllConfirm, P::LeadsAsking) => S::Committed,
         (H::OneRefuses, P::LeadsAsking | P::LeadsReady | P::LeadsCommitted) => S::Cancelled,
-        (H::AllAcknowledge | H::AllConfirm | H::OneRefuses, other) if leads => expected(other, H::Speaks),
+        (H::AllAcknowledge | H::AllConfirm | H::OneRefuses, other) if leads => {
+            return expected(other, H::Speaks);
+        }
 
         (H::Propose, P::LeadsIdle | P::LeadsSwitched | P::LeadsCancelled) => S::Proposed,
         (H::Cancel, P::LeadsAsking | P::LeadsReady | P::LeadsCommitted | P::LeadsInherited) => S::Cancelled,
@@ -312,9 +318,10 @@ fn expected(place: Place, happening: Happening) -> State {
         (_, P::FollowsSealed) => S::Sealed,
         (_, P::FollowsSwitched) => S::Switched,
         (_, P::FollowsCancelled) => S::Cancelled,
-        (_, P::FollowsUnsure) => S::Unsure,
-        (_, other) => expected(other, H::Speaks),
-    }
+        (_, P::FollowsUnsure) => return None,
+        (_, other) => return expected(other, H::Speaks),
+    };
+    Some(state)
 }
 
 #[test]
@@ -324,7 +331,8 @@ fn every_state_answers_every_event() {
         for &happening in Happening::ALL {
             let mut seat = Seat::at(place);
             seat.meet(happening);
-            let (state, expected) = (seat.change.said().state, expected(place, happening));
+            let told = seat.change.told;
+            let (state, expected) = (told.is_sure.then_some(told.state), expected(place, happening));
             if state != expected {
                 wrong.push(format!("{happening:?} while {place:?}: {state:?}, not {expected:?}"));
             }
@@ -347,10 +355,15 @@ fn a_schedule_is_used_only_where_who_gives_the_time_has_named_it_and_never_acros
         for named in [State::Committed, State::Sealed, State::Cancelled] {
             assert_eq!(at(named, 2, later), later < 2, "{named:?} to the second, {later} cycles later");
         }
-        assert!(!at(State::Unsure, 2, later));
         assert!(!at(State::Switched, 0, later), "another schedule than its own");
     }
     assert!(!Seat::new().change.may_send(NOW, true), "nothing was heard");
+    let mut seat = Seat::at(Place::FollowsIdle);
+    seat.hear_of(State::Idle, 0, false);
+    assert!(
+        (0..4).all(|later| !seat.change.may_send(seat.cycle.wrapping_add(later), true)),
+        "nobody is sure"
+    );
 }
 
 #[test]
@@ -358,7 +371,13 @@ fn two_masters_that_say_different_things_in_one_cycle_silence_it() {
     let mut seat = Seat::at(Place::FollowsIdle);
     let cycle = seat.cycle;
     assert!(seat.change.may_send(cycle, true));
-    let other = Status { oper: seat.id(), admin: seat.id(), activation: cycle, state: State::Switched };
+    let other = Status {
+        oper: seat.id(),
+        admin: seat.id(),
+        activation: cycle,
+        state: State::Switched,
+        is_sure: true,
+    };
     seat.change.hear(cycle, Some(other));
     assert!(!seat.change.may_send(cycle, true));
     seat.hear(State::Idle, 0);
@@ -432,7 +451,7 @@ fn who_slept_through_a_switch_uses_what_it_has_before_it_collects_another() {
     let mut seat = Seat::at(Place::FollowsSealed);
     let (oper, now) = (seat.id(), seat.cycle.wrapping_add(100));
     let admin = ScheduleId { number: 2, sum: 7 };
-    let status = Status { oper, admin, activation: now, state: State::Proposed };
+    let status = Status { oper, admin, activation: now, state: State::Proposed, is_sure: true };
     let switch = seat.change.hear(now, Some(status));
     assert_eq!(switch, Some(Switch { from: now, to: oper }));
     seat.change.switch(oper, [slot(100)].into_iter(), None);

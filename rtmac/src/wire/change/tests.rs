@@ -28,6 +28,7 @@ fn status() -> Status {
         admin: ScheduleId { number: 3, sum: 0x1234 },
         activation: 148,
         state: State::Committed,
+        is_sure: true,
     }
 }
 
@@ -154,9 +155,9 @@ fn any_id() -> impl Strategy<Value = ScheduleId> {
 proptest! {
     #[test]
     fn every_status_comes_back(
-        oper in any_id(), admin in any_id(), activation: u32, state in 0usize..7, cycle: u32,
+        oper in any_id(), admin in any_id(), activation: u32, state in 0usize..6, is_sure: bool, cycle: u32,
     ) {
-        let said = Status { oper, admin, activation, state: State::ALL[state] };
+        let said = Status { oper, admin, activation, state: State::ALL[state], is_sure };
         prop_assert_eq!(Status::of_sync(&sync(cycle, &said)), Some(said));
     }
 

@@ -49,8 +49,8 @@ impl Analysis {
 
     /// A Synchronisation of `cycle` says which schedule is in use.
     pub(super) fn note_schedule(&mut self, cycle: u32, status: &Status) {
-        let Status { oper, activation, state, .. } = *status;
-        if state == State::Unsure || oper == self.schedules.in_use {
+        let Status { oper, activation, state, is_sure, .. } = *status;
+        if !is_sure || oper == self.schedules.in_use {
             return;
         }
         let Schedules { known, first, .. } = &self.schedules;

@@ -62,7 +62,7 @@ impl Model {
                 continue;
             }
             let said = self.stations[speaker].1.say(cycle, true);
-            let begins = self.stations[speaker].1.begins();
+            let begins = self.stations[speaker].1.begins(cycle);
             self.act(speaker, begins);
             self.stations[speaker].1.spoke(cycle);
             self.stations[speaker].2 = cycle;
@@ -75,7 +75,8 @@ impl Model {
                 heard[id] = true;
                 // A primary that gives the time makes way for nobody.
                 let switch = if id == 0 && self.stations[0].1.acts() {
-                    self.stations[id].1.overhear(said)
+                    self.stations[id].1.overhear(said);
+                    None
                 } else {
                     self.stations[id].2 = cycle;
                     self.stations[id].1.hear(cycle, Some(said))
@@ -129,8 +130,8 @@ proptest! {
     fn never_are_two_schedules_in_use_and_all_agree_in_the_end(
         seed: u64,
         loss in 0u64..25,
-        stalls in prop::collection::vec((0usize..5, 0u32..400, 1u32..120, 0u32..10), 0..6),
-        proposals in prop::collection::vec(1u32..300, 1..4),
+        stalls in prop::collection::vec((0usize..5, 0u32..400, 1u32..120, 0u32..10), 0..10),
+        proposals in prop::collection::vec(1u32..500, 1..5),
         dies in prop::option::of((0usize..2, 0u32..400)),
     ) {
         let mut model = Model::new(5, loss, seed);

@@ -2,7 +2,7 @@
 
 use rtnet::counters::Refusal;
 
-use super::{Change, DEAF, State, Status, Switch, is_later, reached};
+use super::{Change, DEAF, State, Status, Switch, reached};
 use crate::wire::change::{Answer, Part, ScheduleId, Verdict, Why};
 
 /// An answer is repeated after so many turns at the most.
@@ -161,5 +161,33 @@ impl Change {
         let is_across =
             bridged > 0 && names_one && reached(cycle, activation) && !reached(heard.cycle, activation);
         is_sure && !(bridged == 0 && heard.is_twofold) && !is_across
+    }
+}
+
+/// Whether a change's number is a later one than another, shortest way round 2^16; 0, what stations were started with, is before all.
+pub(super) fn is_later(number: u16, other: u16) -> bool {
+    match (number, other) {
+        (0, _) => false,
+        (_, 0) => true,
+        _ => number.wrapping_sub(other) as i16 > 0,
+    }
+}
+
+impl Status {
+    /// Whether this is further on than another: a schedule of a later change is in use or proposed, or the same one is nearer to
+    /// its end. What is sealed goes before what is withdrawn, as only who does not know better withdraws that.
+    fn is_ahead_of(&self, other: &Status) -> bool {
+        let place = |status: &Status| match status.state {
+            State::Proposed => 0,
+            State::Committed => 1,
+            State::Idle | State::Cancelled => 2,
+            State::Sealed => 3,
+            State::Switched => 4,
+        };
+        match (self.oper.number == other.oper.number, self.admin.number == other.admin.number) {
+            (false, _) => is_later(self.oper.number, other.oper.number),
+            (_, false) => is_later(self.admin.number, other.admin.number),
+            _ => place(self) > place(other),
+        }
     }
 }

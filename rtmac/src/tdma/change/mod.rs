@@ -377,34 +377,6 @@ impl Change {
     }
 }
 
-/// Whether a change's number is a later one than another, shortest way round 2^16; 0, what stations were started with, is before all.
-fn is_later(number: u16, other: u16) -> bool {
-    match (number, other) {
-        (0, _) => false,
-        (_, 0) => true,
-        _ => number.wrapping_sub(other) as i16 > 0,
-    }
-}
-
-impl Status {
-    /// Whether this is further on than another: a schedule of a later change is in use or proposed, or the same one is nearer to
-    /// its end. What is sealed goes before what is withdrawn, as only who does not know better withdraws that.
-    fn is_ahead_of(&self, other: &Status) -> bool {
-        let place = |status: &Status| match status.state {
-            State::Proposed => 0,
-            State::Committed => 1,
-            State::Idle | State::Cancelled => 2,
-            State::Sealed => 3,
-            State::Switched => 4,
-        };
-        match (self.oper.number == other.oper.number, self.admin.number == other.admin.number) {
-            (false, _) => is_later(self.oper.number, other.oper.number),
-            (_, false) => is_later(self.admin.number, other.admin.number),
-            _ => place(self) > place(other),
-        }
-    }
-}
-
 /// Whether `cycle` is `at` or later, shortest way round 2^32.
 fn reached(cycle: u32, at: u32) -> bool {
     cycle.wrapping_sub(at) as i32 >= 0

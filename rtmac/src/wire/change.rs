@@ -18,7 +18,8 @@
 //! +---------+---------+--------------------------------------------------------------------------------+
 //! ```
 //!
-//! `oper` is the schedule that is in use, `admin` the one that is proposed. A status lies where real stations' frames have
+//! `oper` is the schedule that is in use, `admin` the one that is proposed; bit 7 of `state` is set where whoever says it is
+//! not sure of it. A status lies where real stations' frames have
 //! stale memory: the check is over the whole frame, whose cycle number differs from any old one's.
 
 use rtnet::buf::Buf;

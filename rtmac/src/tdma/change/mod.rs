@@ -52,7 +52,7 @@ use lead::Lead;
 pub const DEAF: u32 = 16;
 /// Who is not sure which schedule is in use has nobody send for so long: more than anybody bridges. Who was committed by another is
 /// alone after so long, and decides.
-const ALONE: u32 = 48;
+pub const ALONE: u32 = 48;
 /// A station that bridges more cycles than this could miss a commit.
 pub const MAX_BRIDGED: u32 = 16;
 /// By so many cycles before the activation cycle all must have confirmed; from then on it is known to all who may give the time,

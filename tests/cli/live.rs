@@ -14,6 +14,7 @@ use nix::sched::{CloneFlags, setns};
 use nix::sys::socket::{MsgFlags, sendto};
 use serde_json::Value;
 use socket2::{Domain, Socket, Type};
+use tools::control::REQUEST_AT_MOST;
 
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::network;
@@ -198,9 +199,12 @@ fn abuse(cell: &Cell, socket: &str, whole: &[u8]) {
         assert!(reply["body"]["refused"].is_string(), "{}: {reply}", text(&packet));
     }
     // Too long: told so, and hung up on.
-    client.send(&[b' '; 5_000]).unwrap();
+    client.send(&vec![b' '; REQUEST_AT_MOST + 1]).unwrap();
     let reply = answered(&mut client);
-    assert!(reply["body"]["refused"].as_str().unwrap().contains("1024 bytes at most"), "{reply}");
+    assert!(
+        reply["body"]["refused"].as_str().unwrap().contains(&format!("{REQUEST_AT_MOST} bytes at most")),
+        "{reply}"
+    );
     assert!(matches!(client.read(&mut [0; 16]), Ok(0) | Err(_)));
 
     // One that asks and never reads, and a thousand that say nothing.

@@ -237,8 +237,15 @@ impl Master {
         self.follower().map_or(SyncState::Locked, Slave::state)
     }
 
-    /// Time has passed. Who has no slot cannot calibrate, and does without. `true` when slots are to be aligned.
-    pub fn on_timeout(&mut self, now: Instant, has_slots: bool, events: &mut Events) -> bool {
+    /// Time has passed. Who has no slot cannot calibrate, and does without; who has nothing of the schedule that is in use
+    /// leads nobody in it. `true` when slots are to be aligned.
+    pub fn on_timeout(
+        &mut self,
+        now: Instant,
+        has_slots: bool,
+        has_schedule: bool,
+        events: &mut Events,
+    ) -> bool {
         let listen = self.listens();
         match self.phase {
             Phase::Attached => self.phase = Phase::Listening { until: now + listen },
@@ -250,7 +257,7 @@ impl Master {
                 let is_lost = self.follower.missing() > HOLDOVER_CYCLES.unsigned_abs();
                 if is_alone || is_lost || self.follower.state() == SyncState::Lost {
                     self.phase = Phase::Listening { until: now + listen };
-                } else if self.has_followed(has_slots) {
+                } else if has_schedule && self.has_followed(has_slots) {
                     self.take_place(events);
                 }
             }

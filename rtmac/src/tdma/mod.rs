@@ -250,7 +250,8 @@ impl Discipline for Tdma {
         match &mut self.role {
             Role::Master(master) => {
                 let has_slots = self.slots.first().is_some();
-                if master.on_timeout(now, has_slots, &mut self.events)
+                let has_schedule = self.change.as_ref().is_none_or(|change| change.is_able());
+                if master.on_timeout(now, has_slots, has_schedule, &mut self.events)
                     && let (Some(line), Some((cycle, ..))) = (master.line(), master.next_sync())
                 {
                     let (start, sched) = (line.start_of(cycle), line.sched_of(cycle));

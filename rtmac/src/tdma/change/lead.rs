@@ -105,10 +105,14 @@ impl Change {
             State::Idle | State::Sealed | State::Switched | State::Cancelled => {}
         }
         let was_deaf = |heard: super::Heard| others && cycle.wrapping_sub(heard.cycle) > DEAF;
-        let is_able = self.told.oper == self.in_use || self.can_use(self.told.oper);
-        if !self.told.is_sure || !is_able || self.heard.is_some_and(was_deaf) {
+        if !self.told.is_sure || !self.is_able() || self.heard.is_some_and(was_deaf) {
             self.doubt(cycle);
         }
+    }
+
+    /// Whether this station could lead the others in the schedule that is in use.
+    pub fn is_able(&self) -> bool {
+        self.told.oper == self.in_use || self.can_use(self.told.oper)
     }
 
     /// Which schedule is in use, and what is decided, is not known for sure any more.
@@ -133,7 +137,7 @@ impl Change {
         if matches!(self.told.state, State::Proposed | State::Committed) {
             self.stop(cycle, Stopped::MasterChanged);
         }
-        if self.told.oper != self.in_use && !self.can_use(self.told.oper) {
+        if !self.is_able() {
             // What nobody can be told of nobody can use.
             (self.told.oper, self.told.admin) = (self.in_use, self.in_use);
             (self.told.activation, self.told.state) = (cycle, State::Idle);

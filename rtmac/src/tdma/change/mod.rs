@@ -67,7 +67,7 @@ const FRESH: u32 = 64;
 const PATIENCE: u32 = 256;
 const PATIENCE_IN_TURNS: u32 = 16;
 /// Parts are sent in every cycle while stations are asked, in every so many while nothing changes, for who joins later.
-const PARTS_SELDOM: u32 = 16;
+const PARTS_SELDOM: u32 = 4;
 /// So many in a row may be too late before one takes a turn.
 const OWED_AT_MOST: u32 = 2;
 const OWED_SELDOM: u32 = 8;

@@ -43,7 +43,7 @@ impl Bench {
     }
 
     fn wait_until(&mut self, now: Instant) -> bool {
-        self.master.on_timeout(now, true, &mut self.events)
+        self.master.on_timeout(now, true, true, &mut self.events)
     }
 
     /// Another master's Synchronisation of `cycle`, whose grid is this one's clock; whether it is followed.
@@ -95,6 +95,20 @@ impl Bench {
         bench.wait_until(at(2_300));
         assert_eq!(bench.master.mastery(), Mastery::StandBy);
         bench
+    }
+}
+
+#[test]
+fn who_has_nothing_of_the_schedule_in_use_neither_stands_by_nor_takes_its_place_back() {
+    for (backup, late) in [(Some(BACKUP), PROMPT), (None, BACKUP)] {
+        let mut bench = Bench::following(backup, late);
+        bench.hear(LOWER, 3, late);
+        let mut mastery = |now, has_schedule| {
+            bench.master.on_timeout(at(now), true, has_schedule, &mut bench.events);
+            bench.master.mastery()
+        };
+        assert_eq!(mastery(3_300, false), Mastery::Following);
+        assert!([Mastery::StandBy, Mastery::Active].contains(&mastery(3_310, true)));
     }
 }
 

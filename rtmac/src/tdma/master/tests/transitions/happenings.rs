@@ -129,7 +129,7 @@ impl Seat {
     fn turn(&mut self, cycles: u64, micros: u64, has_slots: bool) -> Answer {
         let now = self.last_sync() + Span::from_micros((cycles * 1_000 + micros) as i64);
         let Bench { master, events } = &mut self.bench;
-        if master.on_timeout(now, has_slots, events) { Answer::Aligns } else { Answer::Nothing }
+        if master.on_timeout(now, has_slots, true, events) { Answer::Aligns } else { Answer::Nothing }
     }
 
     fn last_sync(&self) -> Instant {

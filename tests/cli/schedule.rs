@@ -139,8 +139,9 @@ fn the_schedule_changes_a_hundred_times_under_load_and_no_frame_is_lost() {
             wait_until("it is in use", || lab.offset("backup1") == schedules[made % 3].1);
         }
         let last = if made % 3 == 2 { 6_000_000 } else { 5_000_000 };
-        let shown = lab.shown("slave2");
-        assert!(shown["switched"].as_u64() >= Some(made as u64), "{shown:#}");
+        wait_until("a slave has made all of them", || {
+            lab.shown("slave2")["switched"].as_u64() >= Some(made as u64)
+        });
         std::thread::sleep(Duration::from_millis(300));
         let account = lab.cell.down();
         figure(
@@ -289,7 +290,7 @@ fn a_station_that_is_stopped_stops_the_change_and_all_go_on() {
         lab.cell.wait_until_locked();
         let output = lab.schedule("master", &["propose", file.to_str().unwrap(), "--now"]);
         assert_eq!(output.status.code(), Some(0), "now that it runs: {}", text(&output.stderr));
-        assert_eq!(lab.offset("slave1"), 2_900_000);
+        wait_until("it has switched", || lab.offset("slave1") == 2_900_000);
         // It has lost what came for it meanwhile, which the lab says when it is taken down.
         let account = lab.cell.status();
         assert_eq!((&account["unexplained"], &account["overlaps"]), (&0.into(), &0.into()), "{account:#}");

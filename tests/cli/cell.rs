@@ -80,7 +80,7 @@ impl Cell {
     pub fn down(self) -> Value {
         let output = rtnet().args(["lab", "down", &self.name, "--json"]).output().unwrap();
         let account: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{account:#}");
+        assert_eq!(output.status.code(), Some(0), "{}\n{account:#}", wrong(&account[0]));
         assert!(!Path::new("/run/rtnet").join(&self.name).exists(), "nothing is left");
         account[0].clone()
     }
@@ -91,6 +91,22 @@ impl Drop for Cell {
         // Gone already where all went well.
         let _ = rtnet().args(["lab", "down", &self.name]).output();
     }
+}
+
+/// What an account is not well for, where the whole of it is long.
+fn wrong(account: &Value) -> String {
+    let figures = |of: &Value, names: &[&str]| {
+        names.iter().map(|name| format!("{name} {} ", of[name])).collect::<String>()
+    };
+    let of = |station: &Value| {
+        figures(
+            station,
+            &["name", "state", "lost", "failed", "payload_errors", "lost_records", "frames_lost"],
+        )
+    };
+    let stations: Vec<String> = account["stations"].as_array().into_iter().flatten().map(of).collect();
+    let lab = figures(account, &["unexplained", "unexplained_last", "not_judged"]);
+    format!("{lab}\n{}", stations.join("\n"))
 }
 
 /// What is answered to a status request.

@@ -141,25 +141,31 @@ fn kept(name: &str) -> PathBuf {
     directory.join(name)
 }
 
-fn simulated(name: &str) -> PathBuf {
+fn simulated(file: &str, name: &str) -> PathBuf {
     let (page, here) = (kept(name), Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli"));
-    let output = rtnet().args(["sim", "run"]).arg(here.join("html.toml")).arg("--html").arg(&page).output();
+    let output = rtnet().args(["sim", "run"]).arg(here.join(file)).arg("--html").arg(&page).output();
     assert_eq!(output.unwrap().status.code(), Some(0));
     page
+}
+
+/// It does not scroll sideways, its letters can be read, and it fetches nothing; what it is like in a window of this width.
+fn assert_is_readable(browser: &Browser, page: &Path, width: u32) -> Value {
+    let told = browser.measure(page, width);
+    assert_eq!(told["window"], width);
+    assert!(told["width"].as_u64().unwrap() <= width.into(), "it scrolls sideways: {}", told["width"]);
+    assert!(told["smallest"].as_f64().unwrap() >= 10.0, "letters too small: {}", told["smallest"]);
+    assert_eq!(told["fetched"], serde_json::json!([]));
+    told
 }
 
 #[test]
 fn a_page_is_readable_in_a_browser_at_any_width_and_shows_the_slots_of_the_file() {
     let test = "a_page_is_readable_in_a_browser_at_any_width_and_shows_the_slots_of_the_file";
     let Some(browser) = Browser::find(test) else { return };
-    let page = simulated("sim.html");
+    let page = simulated("html.toml", "sim.html");
     for (width, height) in [(1_280, 3_600), (400, 5_600)] {
         browser.picture(&page, (width, height), &kept(&format!("sim-{width}.png")), &[]);
-        let told = browser.measure(&page, width);
-        assert_eq!(told["window"], width);
-        assert!(told["width"].as_u64().unwrap() <= width.into(), "it scrolls sideways: {}", told["width"]);
-        assert!(told["smallest"].as_f64().unwrap() >= 10.0, "letters too small: {}", told["smallest"]);
-        assert_eq!(told["fetched"], serde_json::json!([]));
+        let told = assert_is_readable(&browser, &page, width);
         let figures = told["figures"].as_array().unwrap();
         assert_eq!(figures.len(), 12 + 1, "the worst cycles, and an ordinary one");
         for figure in figures {
@@ -172,6 +178,18 @@ fn a_page_is_readable_in_a_browser_at_any_width_and_shows_the_slots_of_the_file(
     }
     let dark = ["--blink-settings=preferredColorScheme=0"];
     browser.picture(&page, (1_280, 3_600), &kept("sim-1280-dark.png"), &dark);
+}
+
+#[test]
+fn the_page_of_a_ring_is_readable_in_a_browser_at_any_width_and_asks_nothing_of_any_network() {
+    let test = "the_page_of_a_ring_is_readable_in_a_browser_at_any_width_and_asks_nothing_of_any_network";
+    let Some(browser) = Browser::find(test) else { return };
+    let page = simulated("plan.in/ring.toml", "ring.html");
+    for (width, height) in [(1_280, 2_400), (400, 4_000)] {
+        browser.picture(&page, (width, height), &kept(&format!("ring-{width}.png")), &[]);
+        assert_is_readable(&browser, &page, width);
+    }
+    assert_eq!(browser.requests(&page), Vec::<String>::new());
 }
 
 /// As `html.toml` has them, in a cycle of 1 ms.
@@ -204,7 +222,7 @@ fn shows_the_slots_of_the_file(figure: &Value) {
 #[test]
 fn a_page_asks_nothing_of_any_network() {
     let Some(browser) = Browser::find("a_page_asks_nothing_of_any_network") else { return };
-    let page = simulated("requests.html");
+    let page = simulated("html.toml", "requests.html");
     assert_eq!(browser.requests(&page), Vec::<String>::new());
     // One that does is seen to.
     let asking = browser.directory.path().join("asking.html");

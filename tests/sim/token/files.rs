@@ -1,5 +1,6 @@
 //! Rings in files, as `rtnet sim run` runs them.
 
+use tools::report::html::markup::{count, us};
 use tools::ring::{self, RingFigures, page, render};
 use tools::scenario::{Network, RingScenario, Source};
 use tools::sim::Options;
@@ -129,4 +130,31 @@ fn the_page_of_a_ring_leaves_out_slots_says_so_and_takes_no_name_for_markup() {
     assert!(page.contains("&lt;head&gt;") && !page.contains("<head>\n<meta charset=\"utf-8\">\n<head>"));
     assert_eq!(page.matches("<head>").count(), 1);
     assert!(!page.contains("http"), "it asks for nothing");
+}
+
+#[test]
+fn the_page_of_a_ring_has_a_plot_of_its_rounds_and_the_indicators_that_a_ring_has() {
+    let figures = run("");
+    let html = page("ring.toml", &figures);
+    assert_eq!(html.matches("<path class=\"curve ").count(), 4, "a line for each station");
+    assert!(
+        html.contains("rounds per 10 µs, log scale") && html.contains("were promised where nothing is lost")
+    );
+    let kept = &figures.kept;
+    let octets = |station: usize| figures.kept.carried[station].0;
+    let [arm, leg, eye, _] = &figures.per_station[..] else { panic!("four") };
+    assert_eq!((octets(0), octets(1)), (arm.frames_seen * 64, leg.frames_seen * 200));
+    assert_eq!(octets(2), (eye.frames_seen - 400) * 64 + 400 * 400);
+    let two_rounds = figures.rotation_ns.min.unwrap() * 2..figures.bounds.rotation_ns * 2;
+    assert!(two_rounds.contains(&kept.delivery_with_a_loss.span.unwrap().nanos()), "{kept:?}");
+    let row = |name: &str| {
+        html.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{name}")).to_owned()
+    };
+    assert!(row("Delivery time, max, no frame lost").contains(&us(figures.delivery_ns.max)));
+    assert!(row("Redundancy recovery time").contains("no token was lost in this run"));
+    assert!(row("Time synchronisation accuracy").contains("nobody gives the time in a ring"));
+    assert!(row("Basic network topology").contains("Simulated wires to one bridge"));
+    let sum: u64 = kept.carried.iter().map(|(octets, _)| octets).sum();
+    let per_second = count(sum * 1_000_000_000 / figures.measured_ns);
+    assert!(row("Throughput RTE").contains(&(per_second + " octets/s")), "{sum}");
 }

@@ -4,13 +4,15 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, bail, ensure};
+use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::Failure;
 use super::tdma::{by_lab, found_of};
 use crate::cli::{ScheduleArgs, ScheduleVerb, Which};
 use crate::control::{
-    self, ActivationSaid, Directory, LabRequest, Reply, Request, ScheduleRequest, ScheduleSaid, ScheduleShown,
+    self, ActivationSaid, Directory, LabRequest, Reply, Request, ScheduleRequest, ScheduleSaid,
+    ScheduleShown, SlotRequest,
 };
 use crate::scenario::{self, Scenario};
 
@@ -144,7 +146,7 @@ fn words(shown: &ScheduleShown) -> String {
         0 => "the one that it was started with".to_owned(),
         number => format!("number {number}"),
     };
-    let mut text = format!("{station}: schedule in use: {}\n", named(*in_use));
+    let mut text = format!("{station}: schedule in use: {}{}\n", named(*in_use), slots(shown));
     match oper {
         None => text += "nobody has said which is in use: the master says nothing of it, or was not heard\n",
         Some(oper) if oper != in_use => {
@@ -177,4 +179,18 @@ fn words(shown: &ScheduleShown) -> String {
         text += &format!("the last change was stopped: {why}\n");
     }
     text
+}
+
+/// The cycle, and the station's own slots in it.
+fn slots(shown: &ScheduleShown) -> String {
+    let cycle = shown.period_ns.map_or(String::new(), |ns| format!(", cycle {}", Span::from_nanos(ns)));
+    let one = |slot: &SlotRequest| {
+        let turn =
+            if slot.period > 1 { format!(" ({}/{})", slot.phase + 1, slot.period) } else { String::new() };
+        format!("{} at {}{turn}", slot.id, Span::from_nanos(slot.offset_ns))
+    };
+    match &shown.slots[..] {
+        [] => cycle,
+        all => format!("{cycle}, slots {}", all.iter().map(one).collect::<Vec<_>>().join(", ")),
+    }
 }

@@ -1,5 +1,6 @@
 //! What is asked and answered of changes of the schedule.
 
+use rtmac::tdma::TdmaStatus;
 use rtmac::tdma::change::{Activation, Book, ChangeConfig, ChangeStatus};
 use rtmac::wire::change::ScheduleId;
 use rtnet::time::Span;
@@ -152,6 +153,8 @@ pub struct ScheduleShown {
     pub period_ns: Option<i64>,
     /// The number of the schedule whose slots it uses; 0: what it was started with.
     pub in_use: u16,
+    /// Its own slots of that.
+    pub slots: Vec<SlotRequest>,
     /// What the acting master says is in use; none: it says nothing, or has not been heard.
     pub oper: Option<u16>,
     /// The one that is proposed, or was last.
@@ -186,14 +189,15 @@ pub struct ScheduleShown {
 
 impl ScheduleShown {
     /// Of a station that takes part in changes.
-    pub fn of(station: &str, cycle: u32, period: Option<Span>, status: &ChangeStatus) -> Self {
+    pub fn of(station: &str, tdma: &TdmaStatus, status: &ChangeStatus) -> Self {
         let ChangeStatus { in_use, told, acts, heard, asked, acknowledged, confirmed, masters, .. } = *status;
         let number = |id: ScheduleId| heard.then_some(id.number);
         Self {
             station: station.to_owned(),
-            cycle,
-            period_ns: period.map(Span::nanos),
+            cycle: tdma.cycle,
+            period_ns: tdma.period.map(Span::nanos),
             in_use: in_use.number,
+            slots: tdma.slots.iter().flatten().map(|slot| slot.config.into()).collect(),
             oper: number(told.oper),
             admin: number(told.admin).filter(|&number| number > 0),
             state: if told.is_sure { told.state.name() } else { "unsure" }.into(),

@@ -38,10 +38,11 @@ impl Timetable {
     /// From cycle `from` on a slot is as `plan` says, or there is none.
     pub fn change(&mut self, station: usize, id: u8, plan: Option<SlotPlan>, from: u32) {
         let entries = &mut self.stations[station];
-        // One that was to begin later never does.
-        entries.retain(|entry| entry.plan.id != id || entry.from != Some(from));
-        if let Some(open) = entries.iter_mut().find(|entry| entry.plan.id == id && entry.until.is_none()) {
-            open.until = Some(from);
+        // One that was to begin then, or later, never does.
+        let has_begun = |entry: &Entry| entry.from.is_none_or(|begins| before(begins, from));
+        entries.retain(|entry| entry.plan.id != id || has_begun(entry));
+        for entry in entries.iter_mut().filter(|entry| entry.plan.id == id) {
+            entry.until = entry.until.filter(|&until| before(until, from)).or(Some(from));
         }
         entries.extend(plan.map(|plan| Entry { plan, from: Some(from), until: None }));
     }
@@ -81,8 +82,8 @@ impl Timetable {
         }
         let open = self.stations[station].iter().filter(|entry| entry.until.is_none());
         let plans: Vec<SlotPlan> = open.map(|entry| entry.plan).collect();
-        for plan in &plans {
-            self.change(station, plan.id, None, from);
+        for id in self.ids(station) {
+            self.change(station, id, None, from);
         }
         self.away[station] = Some((plans, false));
     }

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 
 use rtmac::token::RingConfig;
 use rtmac::token::bound::{access_delay_bound, doubling_bound, recovery_bound, rejoin_bound, rotation_bound};
+use rtnet::sim::Joint;
 use rtnet::time::Span;
 use serde::Serialize;
 
 use super::judge::{Judged, Seat};
+use crate::judge::closely::regular::Largest;
 use crate::judge::delivery::{Delivery, Passed};
 use crate::report::figures::{QueueingFigures, Verdict};
 use crate::report::histogram::{SignedHistogram, Summary};
@@ -76,6 +78,22 @@ pub struct RingFigures {
     pub verdict: Verdict,
     /// The seed of a run in virtual time.
     pub seed: Option<u64>,
+    /// What only the page shows.
+    #[serde(skip)]
+    pub kept: RingKept,
+}
+
+/// What is kept of a run for its page.
+#[derive(Clone, Debug, Default)]
+pub struct RingKept {
+    /// Rounds, by station.
+    pub rotation: Vec<SignedHistogram>,
+    /// See [`Seat::delivery_with_a_loss`].
+    pub delivery_with_a_loss: Largest,
+    /// Payload behind the Ethernet header, and frames, by station.
+    pub carried: Vec<(u64, u64)>,
+    /// What simulated wires lead to.
+    pub joint: Joint,
 }
 
 /// `rtmac::token::bound` of this ring.
@@ -166,6 +184,18 @@ pub struct Known {
     pub reproach: Option<String>,
 }
 
+impl RingKept {
+    fn of(seats: &[Seat], joint: Joint) -> Self {
+        let largest = |all: Largest, seat: &Seat| all.and(seat.delivery_with_a_loss);
+        Self {
+            rotation: seats.iter().map(|seat| seat.rotation.clone()).collect(),
+            delivery_with_a_loss: seats.iter().fold(Largest::default(), largest),
+            carried: seats.iter().map(|seat| (seat.octets, seat.frames)).collect(),
+            joint,
+        }
+    }
+}
+
 impl Bounds {
     /// Of a ring.
     pub fn of(ring: &RingConfig) -> Self {
@@ -227,6 +257,7 @@ pub fn of(
         host,
         verdict: Verdict::default(),
         seed: None,
+        kept: RingKept::of(&judged.seats, network.conditions.joint),
     };
     figures.verdict = verdict(scenario, &judged, known, &figures);
     figures

@@ -1,6 +1,8 @@
 //! What is made of a ring's frames. Pure: it is given frames and when they were on the medium, what happened to the stations,
 //! and what they told.
 
+mod seat;
+
 use std::collections::BTreeMap;
 
 use rtmac::token::RingConfig;
@@ -8,46 +10,17 @@ use rtmac::token::bound::{doubling_bound, recovery_bound, rotation_bound};
 use rtmac::token::wire::{Kind, TOKEN, Token};
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::EventKind;
-use rtnet::time::{Instant, Span};
-use rtnet::wire::ethernet::{Address, Header};
+use rtnet::time::Span;
+use rtnet::wire::ethernet::{Address, HEADER_LEN, Header};
 
 use super::recovery::{Recovery, Window};
 use crate::judge::delivery::Passed;
-use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
 use crate::station::traffic::Tag;
+pub use seat::Seat;
 
 /// Overlaps and recoveries that are kept one by one; what is beyond is unexplained.
 const KEPT_MAX: usize = 100_000;
-
-/// One station, as seen from the medium, and what it told.
-pub struct Seat {
-    /// Frames of data.
-    pub frames: u64,
-    /// How often the token came to it, but for invitations.
-    pub visits: u64,
-    /// From one time that the token came to the next.
-    pub rotation: SignedHistogram,
-    /// From the begin of one usual frame to the end of the next.
-    pub delivery: SignedHistogram,
-    /// From when its program queued a frame, by its own clock, to its begin on the medium; by priority.
-    pub queueing: BTreeMap<u8, SignedHistogram>,
-    /// Which of its frames were on the medium: usual ones, and by priority.
-    pub passed: BTreeMap<Option<u8>, Passed>,
-    /// Those of them that came while their receiver's wire was out.
-    pub unheard: BTreeMap<Option<u8>, u64>,
-    /// How often it told of something, by name.
-    pub told: BTreeMap<&'static str, u64>,
-    /// How often that was something by which a token, or a turn, is lost.
-    pub late: u64,
-    /// How often its token was void since another one stays.
-    pub given_up: u64,
-    clock: EmulatedClock,
-    came: Option<(True, u64)>,
-    last: Option<True>,
-    /// When its receiver's wire is out.
-    in_vain: (True, True),
-}
 
 /// What became of tokens, as the medium showed it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -193,7 +166,7 @@ impl Judge {
     /// A new process is in the place of a station's, and what was before is none of its.
     pub fn begins_anew(&mut self, station: usize) {
         if let Some(seat) = self.seats.get_mut(station) {
-            (seat.came, seat.last) = (None, None);
+            seat.begins_anew();
         }
     }
 
@@ -245,7 +218,8 @@ impl Judge {
             }
         } else if let (Some(from), Some((tag, _))) = (from, Tag::read(bytes)) {
             if tag.station() == from {
-                self.data(at, air, from, tag);
+                let octets = bytes.len() - HEADER_LEN;
+                self.seats[from].frame(at, air, (tag, octets), self.counting);
             }
             self.recovered(at, from);
         }
@@ -265,33 +239,6 @@ impl Judge {
         }
         if self.busy.is_none_or(|(busy, _)| until > busy) {
             self.busy = Some((until, source));
-        }
-    }
-
-    fn data(&mut self, at: True, air: Span, from: usize, tag: &Tag) {
-        let counts = self.counting;
-        let seat = &mut self.seats[from];
-        if let Some(passed) = seat.passed.get_mut(&tag.priority()) {
-            passed.note(tag.sequence(), counts);
-        }
-        let before = if tag.priority().is_none() { seat.last.replace(at) } else { None };
-        if !counts {
-            return;
-        }
-        seat.frames += 1;
-        if (seat.in_vain.0..seat.in_vain.1).contains(&at) {
-            *seat.unheard.entry(tag.priority()).or_default() += 1;
-        }
-        if let Some(before) = before {
-            seat.delivery.record((at - before) as i64 + air.nanos());
-        }
-        if let Some(priority) = tag.priority() {
-            let queued = Instant::from_nanos(tag.scheduled().nanos());
-            let waited = seat.clock.local(at) - queued;
-            // Its clock may have been set meanwhile.
-            if waited >= Span::ZERO {
-                seat.queueing.entry(priority).or_default().record(waited.nanos());
-            }
         }
     }
 
@@ -432,27 +379,6 @@ impl Judge {
             overlaps: self.overlaps_in_all,
             unexplained,
             causes,
-        }
-    }
-}
-
-impl Seat {
-    fn new(clock: EmulatedClock, streams: impl Iterator<Item = Option<u8>>) -> Self {
-        Self {
-            frames: 0,
-            visits: 0,
-            rotation: SignedHistogram::new(),
-            delivery: SignedHistogram::new(),
-            queueing: BTreeMap::new(),
-            passed: streams.map(|of| (of, Passed::default())).collect(),
-            unheard: BTreeMap::new(),
-            told: BTreeMap::new(),
-            late: 0,
-            given_up: 0,
-            clock,
-            came: None,
-            last: None,
-            in_vain: (0, 0),
         }
     }
 }

@@ -1,9 +1,14 @@
-//! A ring's report as one page that needs nothing else: the tables of the screen, and the bounds. It has no slots to draw, and
-//! says so.
+//! A ring's report as one page that needs nothing else: how long rounds take, the tables of the screen, the bounds, and the
+//! indicators of IEC 61784-2. It has no slots to draw, and says so.
+
+mod indicators;
 
 use super::figures::RingFigures;
 use super::screen::{counts, facts, kinds, notes_of, queueing_words, verdict_words, who, words};
+use crate::report::histogram::SignedHistogram;
+use crate::report::html::latency::{self, Plot};
 use crate::report::html::markup::{Table, count, escape, section, us};
+use crate::report::html::series::Series;
 use crate::report::html::shell;
 use crate::report::screen::host_items;
 use crate::report::text::signed_time;
@@ -12,18 +17,44 @@ use crate::report::text::signed_time;
 pub fn page(title: &str, figures: &RingFigures) -> String {
     let body = [
         head(title, figures),
-        section("latency", "How long everything takes", LEFT_OUT, &times(figures)),
+        section("latency", "How long rounds of the token took", &rounds_note(figures), &rounds(figures)),
+        section("times", "How long everything takes", LEFT_OUT, &times(figures)),
         section("stations", "Stations", "In the order in which the token goes round.", &stations(figures)),
         section("queueing", "What programs queued", &queued_note(figures), &queueing(figures)),
         section("misses", "The token lost and found", "The longest first.", &recoveries(figures)),
+        indicators::html(figures),
         section("told", "What else there is to say", "", &listed(&notes_of(figures))),
         section("host", "Host", "", &listed(&host_items(&figures.host, None))),
     ];
     shell(title, figures.verdict.ok, &body.concat())
 }
 
-const LEFT_OUT: &str = "A ring has no slots and no master’s time: there is no slot error, no picture of cycles, no sync error and no \
-                        IEC 61784-2 indicator of these here.";
+const LEFT_OUT: &str = "A ring has no slots and no master’s time: there is no slot error, no picture of cycles and no sync error here.";
+
+/// How wide a bin of rounds is, so that one as long as may be is within the plot.
+fn bin_us(figures: &RingFigures) -> i64 {
+    latency::bin_for(figures.bounds.rotation_ns)
+}
+
+fn rounds_note(figures: &RingFigures) -> String {
+    format!(
+        "From one time that the token came to a station to the next, in bins of {} µs; {} µs at the most were promised where nothing is \
+         lost. What lies beyond the axis is counted in the legend.",
+        bin_us(figures),
+        us(Some(figures.bounds.rotation_ns))
+    )
+}
+
+fn rounds(figures: &RingFigures) -> String {
+    let names: Vec<&str> = figures.per_station.iter().map(|of| of.name.as_str()).collect();
+    let longest: Vec<i64> = figures.per_station.iter().map(|of| of.rotation_ns.max.unwrap_or(0)).collect();
+    let times = &figures.kept.rotation;
+    if times.iter().all(SignedHistogram::is_empty) {
+        return "<p>No round was seen.</p>\n".into();
+    }
+    let plot = Plot { times, names: &names, bin_us: bin_us(figures), what: "rounds", measured: "round" };
+    plot.html(&Series::of(&longest))
+}
 
 fn head(title: &str, figures: &RingFigures) -> String {
     let items: String = facts(figures).iter().map(|fact| format!("<li>{}</li>", escape(fact))).collect();

@@ -105,7 +105,6 @@ impl Analysis {
         if let Some(grid) = &mut self.grid {
             grid.change(length, from);
         }
-        self.cycle = length;
     }
 
     /// Counts from cycle `from` on, for `cycles` cycles.

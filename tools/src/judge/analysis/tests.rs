@@ -1,4 +1,5 @@
 mod held_up;
+mod schedules;
 mod sockets;
 mod strays;
 
@@ -68,10 +69,15 @@ impl Bench {
     }
 
     fn sync_from(&mut self, from: Address, cycle: u32, late: i64) {
+        self.sync_that_says(None, from, cycle, late);
+    }
+
+    fn sync_that_says(&mut self, status: Option<Status>, from: Address, cycle: u32, late: i64) {
         let start = u64::from(cycle) * CYCLE;
         let sched = GlobalTime::from_nanos(start);
         let mut frame = Pool::new(1).take().unwrap();
         Message::Sync { cycle, xmit: sched, sched }.write(Address::BROADCAST, from, &mut frame);
+        status.iter().for_each(|status| status.write(&mut frame));
         self.analysis.frame(start.wrapping_add_signed(late), &frame);
     }
 

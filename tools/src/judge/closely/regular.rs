@@ -19,6 +19,11 @@ impl Largest {
     pub fn note(&mut self, span: Span) {
         (self.span, self.n) = (self.span.max(Some(span)), self.n + 1);
     }
+
+    /// Of these and those.
+    pub fn and(self, those: Self) -> Self {
+        Self { span: self.span.max(those.span), n: self.n + those.n }
+    }
 }
 
 /// Of all slots.

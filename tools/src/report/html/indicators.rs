@@ -14,29 +14,43 @@ const RT_SLOT: u8 = 0;
 const NON_RT_SLOT: u8 = 1;
 
 /// One of them.
-struct Indicator {
-    name: &'static str,
-    value: String,
+pub struct Indicator {
+    /// The standard's.
+    pub name: &'static str,
+    /// With its unit.
+    pub value: String,
     /// Of how many; none where nothing was counted.
-    n: Option<u64>,
+    pub n: Option<u64>,
     /// What it is, or why there is none.
-    definition: String,
+    pub definition: String,
 }
 
-/// A table of all.
+/// Of a network with slots: all of them.
 pub fn html(sheet: &Sheet<'_>) -> String {
-    let all = [
+    table([
         delivery(sheet),
         delivery_with_a_loss(sheet),
-        stations(sheet),
-        topology(sheet),
-        switches(sheet),
-        throughput(sheet),
+        stations(sheet.figures.stations, "Stations of the network, the master included."),
+        topology(joint(sheet)),
+        switches(joint(sheet)),
+        throughput(&sheet.kept.regular.real_time, measured_ns(sheet), "in slots"),
         non_rte(sheet),
         time_sync(sheet),
         non_time_sync(sheet),
         recovery(sheet),
-    ];
+    ])
+}
+
+fn joint(sheet: &Sheet<'_>) -> Option<Joint> {
+    sheet.simulation.map(|_| sheet.scenario.conditions.joint)
+}
+
+fn measured_ns(sheet: &Sheet<'_>) -> u64 {
+    sheet.figures.cycles.saturating_mul(sheet.figures.cycle_ns)
+}
+
+/// Their section.
+pub fn table(all: impl IntoIterator<Item = Indicator>) -> String {
     let mut table = Table::new("", 4, &["indicator", "value", "n", "what it is here"]).of_prose();
     for Indicator { name, value, n, definition } in all {
         table.row([name.to_owned(), value, n.map_or("–".into(), count), definition]);
@@ -45,7 +59,8 @@ pub fn html(sheet: &Sheet<'_>) -> String {
     section("indicators", "IEC 61784-2 performance indicators", note, &table.html())
 }
 
-fn measured(of: Largest, unit_name: &'static str, definition: String, why_not: &str) -> Indicator {
+/// The largest of what was measured.
+pub fn measured(of: Largest, unit_name: &'static str, definition: String, why_not: &str) -> Indicator {
     match of.span {
         Some(span) => {
             Indicator { name: unit_name, value: us(Some(span.nanos())) + " µs", n: Some(of.n), definition }
@@ -54,7 +69,8 @@ fn measured(of: Largest, unit_name: &'static str, definition: String, why_not: &
     }
 }
 
-fn not_measured(name: &'static str, why: &str) -> Indicator {
+/// One that there is none of.
+pub fn not_measured(name: &'static str, why: &str) -> Indicator {
     Indicator { name, value: "not measured".into(), n: None, definition: why.into() }
 }
 
@@ -91,45 +107,41 @@ fn delivery_with_a_loss(sheet: &Sheet<'_>) -> Indicator {
     )
 }
 
-fn stations(sheet: &Sheet<'_>) -> Indicator {
-    let n = sheet.figures.stations;
-    let definition = "Stations of the network, the master included.".into();
-    Indicator { name: "Number of end-stations", value: count(n), n: None, definition }
+/// How many there are.
+pub fn stations(n: u64, what: &str) -> Indicator {
+    Indicator { name: "Number of end-stations", value: count(n), n: None, definition: what.into() }
 }
 
-fn joint(sheet: &Sheet<'_>) -> Joint {
-    if sheet.simulation.is_some() { sheet.scenario.conditions.joint } else { Joint::Bridge }
-}
-
-fn topology(sheet: &Sheet<'_>) -> Indicator {
-    let (value, what) = match (joint(sheet), sheet.simulation) {
-        (_, None) => ("star", "Virtual Ethernet pairs to one bridge of the kernel."),
-        (Joint::Bridge, _) => ("star", "Simulated wires to one bridge, which adds no delay."),
-        (Joint::Hub, _) => ("bus", "Simulated: one hub, a single collision domain."),
-        (Joint::Switch { .. }, _) => ("star", "Simulated wires to one store-and-forward switch."),
+/// What simulated wires lead to; none: a lab's.
+pub fn topology(joint: Option<Joint>) -> Indicator {
+    let (value, what) = match joint {
+        None => ("star", "Virtual Ethernet pairs to one bridge of the kernel."),
+        Some(Joint::Bridge) => ("star", "Simulated wires to one bridge, which adds no delay."),
+        Some(Joint::Hub) => ("bus", "Simulated: one hub, a single collision domain."),
+        Some(Joint::Switch { .. }) => ("star", "Simulated wires to one store-and-forward switch."),
     };
     Indicator { name: "Basic network topology", value: value.into(), n: None, definition: what.into() }
 }
 
-fn switches(sheet: &Sheet<'_>) -> Indicator {
-    let n = u8::from(joint(sheet) != Joint::Hub);
+/// See [`topology`].
+pub fn switches(joint: Option<Joint>) -> Indicator {
+    let n = u8::from(joint != Some(Joint::Hub));
     let definition = "Between any two stations.".into();
     Indicator { name: "Number of switches between end-stations", value: n.to_string(), n: None, definition }
 }
 
-fn throughput(sheet: &Sheet<'_>) -> Indicator {
+/// Of payload and frames of each station in so many nanoseconds, which left as `how` says.
+pub fn throughput(of: &[(u64, u64)], ns: u64, how: &str) -> Indicator {
     let name = "Throughput RTE";
-    let of = &sheet.kept.regular.real_time;
-    let ns = sheet.figures.cycles.saturating_mul(sheet.figures.cycle_ns);
     let (octets, frames) = of.iter().fold((0, 0), |(a, b), (c, d)| (a + c, b + d));
     if ns == 0 || frames == 0 {
-        return not_measured(name, "no frame was seen in a slot");
+        return not_measured(name, "no frame of a station was seen");
     }
     let per_second = |octets: u64| count((u128::from(octets) * 1_000_000_000 / u128::from(ns)) as u64);
     let largest = of.iter().map(|(octets, _)| *octets).max().unwrap_or(0);
     let definition = format!(
-        "Payload behind the Ethernet header that left in slots, of all stations together; the most on the link of one: {} octets/s. \
-         What was offered and seen, not the most that slots hold.",
+        "Payload behind the Ethernet header that left {how}, of all stations together; the most on the link of one: {} octets/s. \
+         What was offered and seen, not the most that there is room for.",
         per_second(largest)
     );
     Indicator { name, value: per_second(octets) + " octets/s", n: Some(frames), definition }

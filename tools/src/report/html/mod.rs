@@ -8,11 +8,11 @@
 mod causes;
 mod chart;
 mod gantt;
-mod indicators;
-mod latency;
+pub mod indicators;
+pub mod latency;
 pub mod markup;
 mod scale;
-mod series;
+pub mod series;
 mod sync;
 mod tables;
 #[cfg(test)]

@@ -32,7 +32,7 @@ impl Linear {
 }
 
 /// The least of 1, 2, 5, 10, 20 ... that divides a length into at most `most` steps.
-fn round_step(length: i64, most: usize) -> i64 {
+pub fn round_step(length: i64, most: usize) -> i64 {
     let most = most.max(1) as i64;
     let mut decade = 1;
     loop {

@@ -43,6 +43,7 @@ impl Medium {
         let mut bytes = [0; MIN_FRAME];
         bytes[6..12].copy_from_slice(&self.scenario.address(from).0);
         bytes[12..14].copy_from_slice(&ether_type);
+        bytes[14..16].copy_from_slice(&(from as u16).to_be_bytes());
         self.judge.frame(self.now, &bytes);
     }
 
@@ -83,6 +84,34 @@ fn rounds_are_from_token_to_token_and_nothing_is_wrong_with_them() {
     assert_eq!(visits, [2, 3, 2]);
     assert_eq!(judged.undisturbed.unwrap().0, Span::from_millis(3));
     assert!(judged.recoveries.is_empty());
+}
+
+#[test]
+fn a_value_is_under_way_until_its_stations_next_frame_or_if_that_is_lost_until_the_one_after() {
+    let mut medium = Medium::new();
+    for _ in 0..7 {
+        medium.airs(medium.token.to.into(), [0x88, 0xb5]);
+        medium.passes();
+    }
+    let judged = medium.finish();
+    let air = medium_air();
+    let seen = |seat: &Seat| (seat.frames, seat.octets, seat.delivery.len(), seat.delivery_with_a_loss.n);
+    let octets = (MIN_FRAME - HEADER_LEN) as u64;
+    let of = |frames| (frames, frames * octets, frames - 1, frames - 2);
+    assert_eq!(judged.seats.iter().map(seen).collect::<Vec<_>>(), [of(3), of(2), of(2)]);
+    let first = &judged.seats[0];
+    // A histogram is right to a thousandth.
+    assert!(
+        (first.delivery.max() - (3 * MS as i64 + air.nanos())).abs() <= 3_007,
+        "{}",
+        first.delivery.max()
+    );
+    assert_eq!(first.delivery_with_a_loss.span, Some(Span::from_millis(6) + air));
+}
+
+/// Of the shortest frame at 100 Mbit/s, with all that is around it.
+fn medium_air() -> Span {
+    Span::from_nanos((MIN_FRAME as i64 + 24) * 80)
 }
 
 #[test]

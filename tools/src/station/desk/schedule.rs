@@ -22,9 +22,7 @@ impl Desk {
         let (cycle, period) = (tdma.cycle, tdma.period);
         let when = |said: ActivationSaid| said.activation(cycle, period);
         match request {
-            ScheduleRequest::Show => {
-                Reply::Schedule(Box::new(ScheduleShown::of(&self.name, cycle, period, &change)))
-            }
+            ScheduleRequest::Show => Reply::Schedule(Box::new(ScheduleShown::of(&self.name, tdma, &change))),
             ScheduleRequest::Propose { schedule, activate } => match schedule.book() {
                 Err(why) => Reply::Refused(why),
                 Ok(book) => match self.conflict(&book) {

@@ -16,6 +16,7 @@ mod late_join;
 mod looks_like_test_traffic;
 mod lost_on_purpose;
 mod master_dies;
+mod min_cycle;
 mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;

@@ -328,6 +328,18 @@ fn check_text(text: &str) {
     assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new());
 }
 
+/// By a clock that is slow the last cycle is over later than cycles of full length are.
+#[test]
+fn the_frames_of_the_last_cycle_are_waited_for_however_fast_the_masters_clock_is() {
+    for ppm in [-900, -40, 900] {
+        let station = |(name, role)| {
+            format!("[[station]]\nname = \"{name}\"\nrole = \"{role}\"\nclock = {{ drift_ppm = {ppm} }}\n")
+        };
+        let stations = [("m", "master"), ("a", "slave"), ("b", "slave")].map(station);
+        check_text(&format!("cycle = \"1ms\"\nduration = \"9600ms\"\n{}", stations.concat()));
+    }
+}
+
 #[test]
 fn a_station_joins_a_master_that_was_alone() {
     let text = r#"

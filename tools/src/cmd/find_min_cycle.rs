@@ -13,8 +13,7 @@ use crate::cli::MinCycleArgs;
 use crate::control::Directory;
 use crate::lab::{Lab, RunOptions, userns};
 use crate::min_cycle::answer::{Answer, Asked, Compared, KIND, Purpose, Run};
-use crate::min_cycle::search::{Next, Search};
-use crate::min_cycle::{ladder, screen};
+use crate::min_cycle::{ladder, screen, search};
 use crate::report::host::HostFacts;
 use crate::scenario::{MAX_LAB_STATIONS, Scenario, ScenarioError, Uniform};
 
@@ -125,24 +124,15 @@ fn search(args: &MinCycleArgs, asked: Asked, networks: &[Scenario]) -> Result<An
     }
     let host = HostFacts::begin();
     let start = networks.partition_point(|network| network.cycle < START);
-    let mut search = Search::new(networks.len(), start);
-    let mut runs = Vec::new();
-    let found = loop {
-        let (rung, purpose) = match search.next() {
-            Next::Trial(rung) => (rung, Purpose::Trial),
-            Next::Proof(rung) => (rung, Purpose::Proof),
-            Next::Found(rung) => break Some(rung),
-            Next::NotFound => break None,
-        };
+    let (found, runs) = search::search((networks.len(), start), |rung, purpose| {
         let run = run(args, &asked, &networks[rung], purpose)?;
         if interrupted.load(Ordering::Relaxed) {
             return Err(Failure::Run(anyhow!("interrupted: there is no answer yet")));
         }
-        search.tell(run.holds);
         // Whoever closed our standard error does not want to read it.
         let _ = writeln!(std::io::stderr(), "rtnet: {}", screen::run_line(&run));
-        runs.push(run);
-    };
+        Ok(run)
+    })?;
     let cycle_ns = found.map(|rung| networks[rung].cycle.nanos());
     Ok(Answer { kind: KIND.into(), asked, cycle_ns, runs, host: host.finish() })
 }
@@ -162,7 +152,10 @@ fn run(args: &MinCycleArgs, asked: &Asked, network: &Scenario, purpose: Purpose)
     let lab = Lab::set_up(&network, &options).map_err(Failure::Usage)?;
     let (what, duration_ns) = ((network.cycle.nanos(), network.guard.nanos()), network.duration.nanos());
     Ok(match lab.run(&network) {
-        Ok(outcome) => Run::of(purpose, what, duration_ns, &outcome, asked.miss_ppm),
+        Ok(outcome) => {
+            let missed = (&outcome.figures, outcome.missed_in_parts);
+            Run::of(purpose, what, duration_ns, missed, asked.miss_ppm)
+        }
         Err(error) => Run::without(purpose, what, duration_ns, format!("{error:#}")),
     })
 }

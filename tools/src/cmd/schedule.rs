@@ -8,7 +8,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
 use super::Failure;
-use super::tdma::{by_lab, found_of};
+use super::tdma::{by_lab, found_of, slot_name};
 use crate::cli::{ScheduleArgs, ScheduleVerb, Which};
 use crate::control::{
     self, ActivationSaid, Directory, LabRequest, Reply, Request, ScheduleRequest, ScheduleSaid,
@@ -187,7 +187,7 @@ fn slots(shown: &ScheduleShown) -> String {
     let one = |slot: &SlotRequest| {
         let turn =
             if slot.period > 1 { format!(" ({}/{})", slot.phase + 1, slot.period) } else { String::new() };
-        format!("{} at {}{turn}", slot.id, Span::from_nanos(slot.offset_ns))
+        format!("{} at {}{turn}", slot_name(slot), Span::from_nanos(slot.offset_ns))
     };
     match &shown.slots[..] {
         [] => cycle,

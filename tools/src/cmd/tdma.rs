@@ -292,7 +292,7 @@ pub fn slots(status: &StationStatus) -> String {
     };
     let lines = table(
         &[
-            Column::left(["", "slot"], slots.iter().map(|shown| name(&shown.slot))),
+            Column::left(["", "slot"], slots.iter().map(|shown| slot_name(&shown.slot))),
             Column::right(["", "offset"], slots.iter().map(|shown| span(shown.slot.offset_ns))),
             right("phase", |shown| format!("{}/{}", shown.slot.phase + 1, shown.slot.period)),
             right("size", |shown| shown.slot.size.to_string()),
@@ -307,7 +307,7 @@ pub fn slots(status: &StationStatus) -> String {
 }
 
 /// A slot's id; behind it, as in RTnet, that of the slot whose queue it takes from, if not its own.
-fn name(slot: &SlotRequest) -> String {
+pub fn slot_name(slot: &SlotRequest) -> String {
     slot.joint.map_or(slot.id.to_string(), |joint| format!("{}->{joint}", slot.id))
 }
 

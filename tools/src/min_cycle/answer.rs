@@ -5,7 +5,8 @@ use std::path::Path;
 use anyhow::{Context, ensure};
 use serde::{Deserialize, Serialize};
 
-use crate::judge::outcome::Outcome;
+use crate::judge::account::PARTS;
+use crate::report::figures::Figures;
 use crate::report::host::HostFacts;
 
 /// What the file says that it is.
@@ -89,17 +90,16 @@ pub struct Answer {
 }
 
 impl Run {
-    /// Of a network that came up. A trial is judged by what is usual in it, a proof by all of it.
+    /// Of a network that came up, and missed so many slots in each part of the run. A trial is judged by what is usual in it, a
+    /// proof by all of it.
     pub fn of(
         purpose: Purpose,
         (cycle_ns, guard_ns): (i64, i64),
         duration_ns: i64,
-        outcome: &Outcome,
+        (figures, parts): (&Figures, [u64; PARTS]),
         miss_ppm: u32,
     ) -> Self {
-        let figures = &outcome.figures;
         let (slots, missed) = (figures.frames_expected, figures.slots_missed + figures.out_of_slot);
-        let parts = outcome.missed_in_parts;
         let mut by_missed = parts;
         by_missed.sort_unstable();
         let share = |missed: u64, of: f64| if slots == 0 { 1.0 } else { missed as f64 / of };

@@ -6,11 +6,33 @@
 //!   └───── not ────► longer  ... until one holds ───────────┘                 └─ not: 1, 1, 2, 4, 8 rungs longer
 //! ```
 
+use super::answer::{Purpose, Run};
+
 /// Rungs of the ladder at a time, until the answer lies between two: 1.5 times as long, or as short.
 const GALLOP: usize = 4;
 /// How many rungs longer the next proof is after one that failed: a host that stops threads now and then is better served by
 /// a cycle that is much longer than by ten proofs.
 const STEPS: [usize; 5] = [1, 1, 2, 4, 8];
+
+/// Searches among so many rungs: the answer, if any holds, and what came of every run.
+pub fn search<E>(
+    (rungs, start): (usize, usize),
+    mut run: impl FnMut(usize, Purpose) -> Result<Run, E>,
+) -> Result<(Option<usize>, Vec<Run>), E> {
+    let mut search = Search::new(rungs, start);
+    let mut runs = Vec::new();
+    loop {
+        let (rung, purpose) = match search.next() {
+            Next::Trial(rung) => (rung, Purpose::Trial),
+            Next::Proof(rung) => (rung, Purpose::Proof),
+            Next::Found(rung) => return Ok((Some(rung), runs)),
+            Next::NotFound => return Ok((None, runs)),
+        };
+        let run = run(rung, purpose)?;
+        search.tell(run.holds);
+        runs.push(run);
+    }
+}
 
 /// What is to be done next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -20,7 +20,7 @@ use super::places::Places;
 use super::watch::Watch;
 use super::world::{Counted, UPTIME, World};
 use crate::judge::absences::Absence;
-use crate::judge::account::Account;
+use crate::judge::account::{Account, PARTS};
 use crate::judge::analysis::Analysis;
 use crate::judge::clocks::set_clock;
 use crate::judge::closely::envelope::Envelope;
@@ -44,6 +44,8 @@ const JOIN_WITHIN: u64 = 2_000;
 const CALIBRATION_ALLOWANCE: u64 = 3;
 /// Cycles in which the frames of the last one are still to come.
 const LINGER_CYCLES: u64 = 4;
+/// A clock is no slower by more than one of so many parts.
+const DRIFT_AT_MOST: u64 = 1_000;
 /// So many cycles are judged at a time: going through all that is kept is worth it then.
 const JUDGED_AT_ONCE: i32 = 1_000;
 
@@ -75,6 +77,8 @@ pub struct Ended {
     pub lines: Vec<String>,
     /// What the pictures of a report show.
     pub kept: Kept,
+    /// Slots missed and frames outside theirs, by part of the run.
+    pub missed_in_parts: [u64; PARTS],
 }
 
 /// Runs a scenario from its begin to its end.
@@ -228,6 +232,11 @@ impl<'a> Run<'a> {
             self.pass_until(next);
             self.look();
             self.judge();
+        }
+        // Cycles are as long as the clock of who gives the time has them: by a slow one the last is over later.
+        if self.options.until.is_none() {
+            let over = self.watch.borrow().analysis.end_of_window().unwrap_or(end);
+            self.pass_until(over.min(end + (end - begin) / DRIFT_AT_MOST + self.cycle));
         }
         self.watch.borrow_mut().counting = false;
         self.world.bound_deliveries(self.scenario, &self.watch.borrow().analysis, Arrivals::count_until);
@@ -427,7 +436,7 @@ impl<'a> Run<'a> {
             capture_failed: false,
             ended_early: self.options.until.is_some(),
         };
-        let Outcome { figures, slot_error_abs, kept, .. } =
+        let Outcome { figures, slot_error_abs, kept, missed_in_parts } =
             outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
         let simulation = Simulation {
             seed: self.scenario.seed,
@@ -450,7 +459,7 @@ impl<'a> Run<'a> {
         let mut figures = SimFigures { figures, simulation };
         figures.simulation.expectations = expect::check(self.scenario, &figures, &places);
         expect::add(&mut figures.figures.verdict, &figures.simulation.expectations);
-        Ok(Ended { figures, slot_error_abs, lines, kept })
+        Ok(Ended { figures, slot_error_abs, lines, kept, missed_in_parts })
     }
 }
 

@@ -124,6 +124,12 @@ impl Analysis {
         Some(self.truth().truth(self.start_of(from)?))
     }
 
+    /// When the last one that counts is over, by the clock of who gives the time.
+    pub fn end_of_window(&self) -> Option<True> {
+        let (from, cycles) = self.window?;
+        Some(self.truth().truth(self.start_of(from.wrapping_add(cycles))?))
+    }
+
     /// The cycles that were counted: those of the window that have passed.
     pub fn cycles(&self) -> u32 {
         let (Some((from, cycles)), Some(current)) = (self.window, self.current) else { return 0 };

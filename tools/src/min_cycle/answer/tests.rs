@@ -1,6 +1,5 @@
 use super::*;
-use crate::report::figures::{Figures, Verdict};
-use crate::report::histogram::SignedHistogram;
+use crate::report::figures::Verdict;
 
 const ASKED: Asked = Asked {
     stations: 8,
@@ -12,15 +11,14 @@ const ASKED: Asked = Asked {
 };
 const MILLISECOND: (i64, i64) = (1_000_000, 110_000);
 
-fn outcome(missed_in_parts: [u64; 20], reasons: &[&str]) -> Outcome {
-    let figures = Figures {
+fn figures(missed_in_parts: [u64; 20], reasons: &[&str]) -> Figures {
+    Figures {
         frames_expected: 40_000,
         slots_missed: missed_in_parts.iter().sum::<u64>() - 1,
         out_of_slot: 1,
         verdict: Verdict::from_reasons(reasons.iter().map(|&why| why.into()).collect()),
         ..Figures::default()
-    };
-    Outcome { figures, slot_error_abs: SignedHistogram::new(), missed_in_parts, kept: Default::default() }
+    }
 }
 
 fn answer(cycle_ns: Option<i64>) -> Answer {
@@ -30,7 +28,8 @@ fn answer(cycle_ns: Option<i64>) -> Answer {
 /// Of 40 000 slots, 2 000 to a part, 0.1 % is 40, and 2 to a part.
 #[test]
 fn one_bad_moment_fails_a_proof_and_no_trial_and_a_busy_core_fails_both() {
-    let run = |purpose, parts| Run::of(purpose, MILLISECOND, 5_000_000_000, &outcome(parts, &[]), 1_000);
+    let run =
+        |purpose, parts| Run::of(purpose, MILLISECOND, 5_000_000_000, (&figures(parts, &[]), parts), 1_000);
     let mut outage = [1; 20];
     outage[7] = 200;
     let held = [Purpose::Trial, Purpose::Proof].map(|purpose| run(purpose, outage).holds);
@@ -44,8 +43,8 @@ fn one_bad_moment_fails_a_proof_and_no_trial_and_a_busy_core_fails_both() {
 
 #[test]
 fn a_run_with_a_bad_verdict_and_one_that_did_not_come_up_hold_nothing_and_say_why() {
-    let bad = outcome([1; 20], &["1 unexplained miss", "2 payload errors"]);
-    let run = Run::of(Purpose::Trial, MILLISECOND, 5_000_000_000, &bad, 1_000);
+    let bad = figures([1; 20], &["1 unexplained miss", "2 payload errors"]);
+    let run = Run::of(Purpose::Trial, MILLISECOND, 5_000_000_000, (&bad, [1; 20]), 1_000);
     assert!(!run.holds);
     assert_eq!(run.note.as_deref(), Some("1 unexplained miss; 2 payload errors"));
     let run = Run::without(Purpose::Trial, MILLISECOND, 5_000_000_000, "not locked".into());
@@ -70,7 +69,13 @@ fn what_is_kept_is_read_again_and_nothing_else_is() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("kept.json");
     let mut kept = answer(Some(1_000_000));
-    kept.runs.push(Run::of(Purpose::Proof, MILLISECOND, 30_000_000_000, &outcome([1; 20], &[]), 1_000));
+    kept.runs.push(Run::of(
+        Purpose::Proof,
+        MILLISECOND,
+        30_000_000_000,
+        (&figures([1; 20], &[]), [1; 20]),
+        1_000,
+    ));
     std::fs::write(&path, serde_json::to_string(&kept).unwrap()).unwrap();
     assert_eq!(Answer::load(&path).unwrap(), kept);
 

@@ -1,5 +1,7 @@
 //! What a lab's real-time threads take of their core, and what that means beside other labs'.
 
+use anyhow::{Result, ensure};
+use rtnet::live::realtime::{allowed_cpus, avoid};
 use rtnet::time::Span;
 
 use crate::control::Load;
@@ -46,4 +48,14 @@ pub fn too_much(cpu: usize, load: f64, declared: Option<&Load>) -> Option<String
 fn is_throttled() -> bool {
     let runtime = std::fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us");
     runtime.map_or(true, |runtime| runtime.trim() != "-1")
+}
+/// The core of a lab's real-time threads, the last if none is asked for; its other threads stay off it, or a note says why not.
+pub(crate) fn core_of(asked: Option<usize>, notes: &mut Vec<String>) -> Result<usize> {
+    let cpus = allowed_cpus();
+    let cpu = asked.or(cpus.last().copied()).unwrap_or(0);
+    ensure!(cpus.contains(&cpu), "there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
+    if let Err(error) = avoid(cpu) {
+        notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
+    }
+    Ok(cpu)
 }

@@ -10,13 +10,13 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use rtnet::clock::True;
 use rtnet::live::clock::{WallClock, monotonic, realtime};
-use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
+use rtnet::live::realtime::WarmCore;
 use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::faults::{Play, only_simulated};
 use super::launch::{Launch, Resume, arguments};
-use super::load::{load, too_much};
+use super::load::{core_of, load, too_much};
 use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
 use super::processes::{Process, Told};
@@ -126,15 +126,8 @@ impl Lab {
 
     /// Stands a network up: its medium, its namespaces, its stations' processes.
     pub fn set_up(scenario: &Scenario, options: &RunOptions) -> Result<Self> {
-        let cpus = allowed_cpus();
-        let cpu = options.cpu.or(cpus.last().copied()).unwrap_or(0);
-        if !cpus.contains(&cpu) {
-            bail!("there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
-        }
         let mut notes = only_simulated(&scenario.conditions);
-        if let Err(error) = avoid(cpu) {
-            notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
-        }
+        let cpu = core_of(options.cpu, &mut notes)?;
         let load = load(scenario);
         let declared =
             options.directory.as_ref().map(|directory| Load::declare(directory, cpu, load)).transpose();

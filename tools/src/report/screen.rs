@@ -8,7 +8,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use super::figures::{Figures, GuardName, Miss, QueueingFigures, StationFigures};
+use super::figures::{Figures, GuardName, Miss, QueueingFigures, StationFigures, Verdict};
 use super::histogram::{SignedHistogram, Summary};
 use super::host::HostFacts;
 use super::text::{
@@ -46,7 +46,7 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         misses(figures, width),
         notes(figures, width),
         host_lines(&figures.host, Some(guard_words(&figures.per_station)), width),
-        verdict(figures, width),
+        verdict_lines(&figures.verdict, &verdict_words(figures), width),
     ])
 }
 
@@ -376,11 +376,11 @@ pub(crate) fn guard_words(stations: &[StationFigures]) -> String {
 }
 
 /// Its last line says it all; reasons that do not fit that line stand above it.
-fn verdict(figures: &Figures, width: usize) -> Vec<String> {
-    let (reasons, all) = (&figures.verdict.reasons, verdict_words(figures));
-    if figures.verdict.ok || all.chars().count() <= width {
-        return vec![cut(&all, width)];
+pub(crate) fn verdict_lines(verdict: &Verdict, in_one: &str, width: usize) -> Vec<String> {
+    if verdict.ok || in_one.chars().count() <= width {
+        return vec![cut(in_one, width)];
     }
+    let reasons = &verdict.reasons;
     let mut lines: Vec<_> = reasons.iter().flat_map(|reason| paragraph("- ", reason, width)).collect();
     lines.push(format!("NOT OK: {} reasons, above", reasons.len()));
     lines

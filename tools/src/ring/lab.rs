@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::live::clock::{WallClock, monotonic};
-use rtnet::live::realtime::{WarmCore, allowed_cpus, avoid};
+use rtnet::live::realtime::WarmCore;
 use rtnet::live::ring::{CaptureRing, RingConfig as CaptureConfig};
 use rtnet::time::Span;
 
@@ -24,7 +24,7 @@ use crate::control::Load;
 use crate::lab::RunOptions;
 use crate::lab::faults::only_simulated;
 use crate::lab::launch::clock;
-use crate::lab::load::too_much;
+use crate::lab::load::{core_of, too_much};
 use crate::lab::namespace::{Namespace, Segment};
 use crate::lab::processes::{Process, Told};
 use crate::lab::run::{INTERFACE, port_name};
@@ -86,15 +86,8 @@ pub fn run(scenario: &RingScenario, options: &RunOptions) -> Result<RingFigures>
 impl<'a> Lab<'a> {
     fn set_up(scenario: &'a RingScenario, options: &RunOptions) -> Result<Self> {
         let plan = &scenario.network;
-        let cpus = allowed_cpus();
-        let cpu = options.cpu.or(cpus.last().copied()).unwrap_or(0);
-        if !cpus.contains(&cpu) {
-            bail!("there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
-        }
         let mut notes = only_simulated(&plan.conditions);
-        if let Err(error) = avoid(cpu) {
-            notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
-        }
+        let cpu = core_of(options.cpu, &mut notes)?;
         let load = load(scenario);
         let declared =
             options.directory.as_ref().and_then(|directory| Load::declare(directory, cpu, load).ok());

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::figures::{RecoveryFigures, RingFigures, RingStation, span};
 use crate::report::figures::QueueingFigures;
 use crate::report::histogram::Summary;
-use crate::report::screen::{WIDTH_MIN, host_lines, sections};
+use crate::report::screen::{WIDTH_MIN, host_lines, sections, verdict_lines};
 use crate::report::text::{
     Column, about, cut, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
@@ -25,7 +25,7 @@ pub fn render(figures: &RingFigures, width: usize) -> String {
         misses(figures, width),
         notes(figures, width),
         host_lines(&figures.host, None, width),
-        verdict(figures, width),
+        verdict_lines(&figures.verdict, &verdict_words(figures), width),
     ])
 }
 
@@ -201,16 +201,6 @@ pub(super) fn notes_of(figures: &RingFigures) -> Vec<String> {
 /// What became of tokens is counted on the medium.
 fn is_own(kind: &str) -> bool {
     !["token_repeated", "station_skipped", "token_claimed"].contains(&kind)
-}
-
-fn verdict(figures: &RingFigures, width: usize) -> Vec<String> {
-    let (reasons, all) = (&figures.verdict.reasons, verdict_words(figures));
-    if figures.verdict.ok || all.chars().count() <= width {
-        return vec![cut(&all, width)];
-    }
-    let mut lines: Vec<_> = reasons.iter().flat_map(|reason| paragraph("- ", reason, width)).collect();
-    lines.push(format!("NOT OK: {} reasons, above", reasons.len()));
-    lines
 }
 
 /// The verdict in one line, however long.

@@ -138,7 +138,7 @@ fn the_page_of_a_ring_has_a_plot_of_its_rounds_and_the_indicators_that_a_ring_ha
     let html = page("ring.toml", &figures);
     assert_eq!(html.matches("<path class=\"curve ").count(), 4, "a line for each station");
     assert!(
-        html.contains("rounds per 10 µs, log scale") && html.contains("were promised where nothing is lost")
+        html.contains("rounds per 20 µs, log scale") && html.contains("were promised where nothing is lost")
     );
     let kept = &figures.kept;
     let octets = |station: usize| figures.kept.carried[station].0;

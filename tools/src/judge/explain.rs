@@ -20,13 +20,12 @@ use super::timetable::before;
 use crate::report::figures::Role;
 use crate::scenario::{Scenario, StationPlan};
 
+use held_up::nearest_turns;
+
 /// A lab's first station is its master.
 const MASTER: usize = 0;
 /// A sync that is missing is bridged for so many cycles.
 const BRIDGED: u32 = HOLDOVER_CYCLES as u32;
-
-/// A frame that does not say of which turn it is may be of one that was so long ago: for longer the kernel takes no core from a thread.
-const HELD_UP_FOR: Span = Span::from_millis(100);
 
 /// By what a slot is missed.
 const MISSED_BY: [EventKind; 8] = [
@@ -206,65 +205,15 @@ impl Records {
                 let reigns = self.reigns.holds(author.station, author.cycle).then_some(Cause::NoSync.name());
                 self.stalled(author).or(reigns)
             }),
-            // Who gives the time needs no sync, though nobody heard its own while another's was the last.
+            // Who gives the time needs no sync, though nobody heard its own while another's was the last. What was held up
+            // had the sync of its own turn.
             FindingKind::WithoutSync => authors.find_map(|author| {
                 let may_give = author.station == MASTER || self.backups.contains(&author.station);
                 self.told_of(of_cycle(author), &[EventKind::SyncSkipped, EventKind::SyncDropped])
                     .or_else(|| self.last_words(author).filter(|_| may_give))
+                    .or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
             }),
         }
-    }
-
-    /// Whether a frame was held up, and by enough. A Synchronisation that was moves every station of its cycle.
-    fn held_up(&self, author: Author, late: Span) -> Option<&'static str> {
-        let (by, _) = self.by_cycle.get(&key(author, EventKind::StalledInSend))?;
-        let explains = Span::ZERO < late && late <= *by + self.in_time;
-        explains.then(|| self.told(author, EventKind::StalledInSend)).flatten()
-    }
-
-    /// A program's frame does not say of which turn it is, nor does a tunnelled one: held up for long, it was taken for
-    /// another's.
-    fn unmarked_frame(&self, author: Author) -> Option<&'static str> {
-        self.between_turns(author.station)?;
-        self.told(author, EventKind::StalledInSend)
-    }
-
-    /// Whether a frame was held up at all: this turn's, or one that is taken for it.
-    fn stalled(&self, author: Author) -> Option<&'static str> {
-        let told = self.told(author, EventKind::StalledInSend);
-        told.or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
-    }
-
-    /// One that was held up beyond a later turn's begin was taken for that one's, and was late there by what was left of it.
-    fn of_an_earlier_turn(&self, author: Author, late: Span) -> Option<&'static str> {
-        let Author { station, cycle, .. } = author;
-        let between = self.between_turns(station).filter(|_| late >= Span::ZERO)?;
-        let cycles = HELD_UP_FOR.nanos() / self.cycle.nanos().max(1) + 1;
-        (0..=cycles).find_map(|ago| {
-            let of = cycle.wrapping_sub(ago as u32);
-            let told = self.by_cycle.range((of, station, Some(0), EventKind::Overrun)..);
-            let mut told = told.take_while(|((of_cycle, who, ..), _)| (*of_cycle, *who) == (of, station));
-            // How much earlier its turn was, at the least: the slots of one cycle lie anywhere in it.
-            let at_least = between.max(self.cycle * (ago - 1)) + late;
-            let (_, (_, cause)) = told.find(|((.., kind), (by, _))| {
-                *kind == EventKind::StalledInSend && at_least <= *by + self.in_time
-            })?;
-            Some(cause.map_or(EventKind::StalledInSend.name(), Cause::name))
-        })
-    }
-
-    /// How soon a turn of a station can follow another, if what it sends may not say which it is.
-    fn between_turns(&self, station: usize) -> Option<Span> {
-        self.unmarked.iter().find(|(of, _)| *of == station).map(|&(_, between)| between)
-    }
-
-    /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves
-    /// nobody.
-    fn late_reply(&self, finding: &Finding) -> Option<&'static str> {
-        let of = |cycle| Author { station: MASTER, cycle, slot: None };
-        let told = |cycle| self.told(of(cycle), EventKind::ReplyStalled);
-        let is_hit = finding.authors.contains(&None);
-        is_hit.then(|| told(finding.cycle).or_else(|| told(finding.cycle.wrapping_sub(1)))).flatten()
     }
 
     /// What a station had to tell of its last moments went with it.
@@ -395,15 +344,6 @@ impl Records {
     }
 }
 
-/// From one slot of a station's to its next, in this cycle or the one that follows, at the least.
-fn nearest_turns(plan: &StationPlan, cycle: Span) -> Span {
-    let mut offsets: Vec<Span> = plan.slots.iter().map(|slot| slot.offset).collect();
-    offsets.sort_unstable();
-    let within = offsets.windows(2).map(|two| two[1] - two[0]);
-    let across = offsets.first().zip(offsets.last()).map(|(&first, &last)| first + cycle - last);
-    within.chain(across).min().unwrap_or(cycle)
-}
-
 fn key(Author { station, cycle, slot }: Author, kind: EventKind) -> Key {
     (cycle, station, slot, kind)
 }
@@ -413,5 +353,6 @@ fn of_cycle(author: Author) -> Author {
     Author { slot: None, ..author }
 }
 
+mod held_up;
 #[cfg(test)]
 mod tests;

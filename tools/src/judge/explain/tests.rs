@@ -63,7 +63,7 @@ fn a_programs_frame_that_was_held_up_into_a_later_cycle_is_explained_by_who_told
     assert!(!explained(8, ms * 3 + Span::from_nanos(1)), "by more than it was held up");
     assert!(!explained(8, -ms / 2), "nothing is early for it");
     assert!(!explained(6, ms / 2), "it was not yet");
-    for kind in [FindingKind::Overlap, FindingKind::Repeated] {
+    for kind in [FindingKind::Overlap, FindingKind::Repeated, FindingKind::WithoutSync] {
         let mut short = with(vec![(2, ms)]);
         short.note(author(20, 2), EventKind::StalledInSend, ms / 2, None);
         assert_eq!(short.explain(&finding(21, kind, 2)), None, "it was over before the next turn");

@@ -1,0 +1,76 @@
+//! Frames that were held up behind their station's last look at the clock: late in their own slots, or taken for those of
+//! a later turn where they do not say of which they are.
+
+use rtnet::discipline::{Cause, EventKind};
+use rtnet::time::Span;
+
+use super::{MASTER, Records, key};
+use crate::judge::findings::{Author, Finding};
+use crate::scenario::StationPlan;
+
+/// A frame that does not say of which turn it is may be of one that was so long ago: for longer the kernel takes no
+/// core from a thread.
+const HELD_UP_FOR: Span = Span::from_millis(100);
+
+impl Records {
+    /// Whether a frame was held up, and by enough. A Synchronisation that was moves every station of its cycle.
+    pub(super) fn held_up(&self, author: Author, late: Span) -> Option<&'static str> {
+        let (by, _) = self.by_cycle.get(&key(author, EventKind::StalledInSend))?;
+        let explains = Span::ZERO < late && late <= *by + self.in_time;
+        explains.then(|| self.told(author, EventKind::StalledInSend)).flatten()
+    }
+
+    /// A program's frame does not say of which turn it is, nor does a tunnelled one: held up for long, it was taken for
+    /// another's.
+    pub(super) fn unmarked_frame(&self, author: Author) -> Option<&'static str> {
+        self.between_turns(author.station)?;
+        self.told(author, EventKind::StalledInSend)
+    }
+
+    /// Whether a frame was held up at all: this turn's, or one that is taken for it.
+    pub(super) fn stalled(&self, author: Author) -> Option<&'static str> {
+        let told = self.told(author, EventKind::StalledInSend);
+        told.or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
+    }
+
+    /// One that was held up beyond a later turn's begin was taken for that one's, and was late there by what was left of it.
+    pub(super) fn of_an_earlier_turn(&self, author: Author, late: Span) -> Option<&'static str> {
+        let Author { station, cycle, .. } = author;
+        let between = self.between_turns(station).filter(|_| late >= Span::ZERO)?;
+        let cycles = HELD_UP_FOR.nanos() / self.cycle.nanos().max(1) + 1;
+        (0..=cycles).find_map(|ago| {
+            let of = cycle.wrapping_sub(ago as u32);
+            let told = self.by_cycle.range((of, station, Some(0), EventKind::Overrun)..);
+            let mut told = told.take_while(|((of_cycle, who, ..), _)| (*of_cycle, *who) == (of, station));
+            // How much earlier its turn was, at the least: the slots of one cycle lie anywhere in it.
+            let at_least = between.max(self.cycle * (ago - 1)) + late;
+            let (_, (_, cause)) = told.find(|((.., kind), (by, _))| {
+                *kind == EventKind::StalledInSend && at_least <= *by + self.in_time
+            })?;
+            Some(cause.map_or(EventKind::StalledInSend.name(), Cause::name))
+        })
+    }
+
+    /// How soon a turn of a station can follow another, if what it sends may not say which it is.
+    fn between_turns(&self, station: usize) -> Option<Span> {
+        self.unmarked.iter().find(|(of, _)| *of == station).map(|&(_, between)| between)
+    }
+
+    /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves
+    /// nobody.
+    pub(super) fn late_reply(&self, finding: &Finding) -> Option<&'static str> {
+        let of = |cycle| Author { station: MASTER, cycle, slot: None };
+        let told = |cycle| self.told(of(cycle), EventKind::ReplyStalled);
+        let is_hit = finding.authors.contains(&None);
+        is_hit.then(|| told(finding.cycle).or_else(|| told(finding.cycle.wrapping_sub(1)))).flatten()
+    }
+}
+
+/// From one slot of a station's to its next, in this cycle or the one that follows, at the least.
+pub fn nearest_turns(plan: &StationPlan, cycle: Span) -> Span {
+    let mut offsets: Vec<Span> = plan.slots.iter().map(|slot| slot.offset).collect();
+    offsets.sort_unstable();
+    let within = offsets.windows(2).map(|two| two[1] - two[0]);
+    let across = offsets.first().zip(offsets.last()).map(|(&first, &last)| first + cycle - last);
+    within.chain(across).min().unwrap_or(cycle)
+}

@@ -13,6 +13,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 use super::closely::Closely;
 use super::delivery::Passed;
+use super::explain::HELD_UP_FOR;
 use super::findings::{Author, Finding, FindingKind};
 use super::givers::{Givers, TrueMaster};
 use super::masters::Masters;
@@ -353,7 +354,6 @@ impl Analysis {
             self.find(Finding::of(author, FindingKind::OutOfSlot, sched - due));
         }
         self.sight.regain(cycle);
-        self.heard = Some(cycle);
         if self.counts(cycle) {
             self.syncs += 1;
             self.sync_slot_error.record(error.nanos());
@@ -375,8 +375,13 @@ impl Analysis {
                 _ => self.sync_gaps(gave_before, last.wrapping_add(1), cycle),
             }
         }
-        self.last_sync = Some((cycle, Some(at)));
-        self.current = Some(cycle);
+        // Whoever follows has had a newer one.
+        let is_overtaken = !is_newer && (self.sync_window..HELD_UP_FOR).contains(&error);
+        if !is_overtaken {
+            self.heard = Some(cycle);
+            self.last_sync = Some((cycle, Some(at)));
+            self.current = Some(cycle);
+        }
     }
 
     /// A frame of a slot's turn: of test traffic, or of a program's, which says nothing of itself.

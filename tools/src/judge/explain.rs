@@ -20,6 +20,7 @@ use super::timetable::before;
 use crate::report::figures::Role;
 use crate::scenario::{Scenario, StationPlan};
 
+pub use held_up::HELD_UP_FOR;
 use held_up::nearest_turns;
 
 /// A lab's first station is its master.
@@ -174,6 +175,7 @@ impl Records {
                 self.held_up(author, finding.span)
                     .or_else(|| self.of_an_earlier_turn(author, finding.span))
                     .or_else(|| self.moved_by(author).find_map(|master| self.held_up(master, finding.span)))
+                    .or_else(|| self.moved_to_another_turn(author, finding.span))
                     .or_else(|| self.last_words(author))
             }),
             FindingKind::Overlap => authors
@@ -190,6 +192,11 @@ impl Records {
             FindingKind::SyncGap => authors
                 .find_map(|author| self.missing(author, self.told_of(author, &NO_SYNC_BY)))
                 .or_else(|| self.told_of(Author::sync(MASTER, finding.cycle), &NO_SYNC_BY))
+                // It came when that of a later cycle had been there.
+                .or_else(|| {
+                    let mut masters = self.masters(Author::sync(MASTER, finding.cycle));
+                    masters.find_map(|of| self.held_up(of, self.cycle))
+                })
                 .or_else(|| self.next_reign(finding))
                 .or_else(|| finding.authors.iter().flatten().find_map(|author| self.another_time(*author))),
             FindingKind::SlotMissed => authors.find_map(|author| {
@@ -203,13 +210,13 @@ impl Records {
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
             FindingKind::Repeated => authors.find_map(|author| {
                 let reigns = self.reigns.holds(author.station, author.cycle).then_some(Cause::NoSync.name());
-                self.stalled(author).or(reigns)
+                self.stalled(author).or(reigns).or_else(|| self.moved_to_another_turn(author, Span::ZERO))
             }),
             // Who gives the time needs no sync, though nobody heard its own while another's was the last. What was held up
             // had the sync of its own turn.
             FindingKind::WithoutSync => authors.find_map(|author| {
                 let may_give = author.station == MASTER || self.backups.contains(&author.station);
-                self.told_of(of_cycle(author), &[EventKind::SyncSkipped, EventKind::SyncDropped])
+                self.gave_time_itself(author)
                     .or_else(|| self.last_words(author).filter(|_| may_give))
                     .or_else(|| self.of_an_earlier_turn(author, Span::ZERO))
             }),
@@ -236,9 +243,23 @@ impl Records {
         let doubted = self.told_of(of_cycle(author), &[EventKind::DuplicateCycle]).is_some()
             || self.stepped(author)
             || self.clocks.counts_again(cycle).is_some();
-        let ago = |cycles| Author { cycle: cycle.wrapping_sub(cycles), ..author };
-        let why = has_no_line || absent || doubted || (0..=BRIDGED).all(|i| self.without_sync(ago(i)));
+        let without = |ago| {
+            let of = Author { cycle: cycle.wrapping_sub(ago), ..author };
+            self.without_sync(of) || self.syncs_are_held_up(of, ago)
+        };
+        let why = has_no_line || absent || doubted || (0..=BRIDGED).all(without);
         why.then_some(silent)
+    }
+
+    /// Why a station had a time to follow without a sync of this cycle, or the one that it bridges: its own, which it gave
+    /// and was too late to send.
+    fn gave_time_itself(&self, author: Author) -> Option<&'static str> {
+        let skipped = |of| self.told_of(of_cycle(of), &[EventKind::SyncSkipped, EventKind::SyncDropped]);
+        let has_stepped_down = self.reigns.has_ended(author.station, author.cycle);
+        let bridged = (1..=BRIDGED).filter(|_| has_stepped_down);
+        skipped(author).or_else(|| {
+            bridged.map(|ago| Author { cycle: author.cycle.wrapping_sub(ago), ..author }).find_map(skipped)
+        })
     }
 
     /// Why a sync is missing whose author has told that it gives the time no more: by a backup that has not heard its

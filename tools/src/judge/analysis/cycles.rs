@@ -118,16 +118,20 @@ impl Analysis {
         self.window = self.window.map(|(from, _)| (from, counted));
     }
 
+    /// When a cycle begins, by the clock of who gives the time.
+    pub fn begin_of(&self, cycle: u32) -> Option<True> {
+        Some(self.truth().truth(self.start_of(cycle)?))
+    }
+
     /// When the first cycle that counts begins.
     pub fn begin_of_window(&self) -> Option<True> {
-        let (from, _) = self.window?;
-        Some(self.truth().truth(self.start_of(from)?))
+        self.begin_of(self.window?.0)
     }
 
     /// When the last one that counts is over, by the clock of who gives the time.
     pub fn end_of_window(&self) -> Option<True> {
         let (from, cycles) = self.window?;
-        Some(self.truth().truth(self.start_of(from.wrapping_add(cycles))?))
+        self.begin_of(from.wrapping_add(cycles))
     }
 
     /// The cycles that were counted: those of the window that have passed.

@@ -297,6 +297,27 @@ fn a_late_sync_or_a_second_one_is_found() {
 }
 
 #[test]
+fn a_sync_that_newer_ones_have_overtaken_sets_nothing_back() {
+    let mut bench = Bench::new();
+    for cycle in (FIRST..=FIRST + CYCLES).filter(|&cycle| cycle != 11) {
+        if cycle != 14 {
+            bench.sync(cycle, 0);
+        }
+        bench.data(0, cycle, 0);
+        bench.data(1, cycle, 0);
+        if cycle == 13 {
+            bench.sync(11, 2 * CYCLE as i64 + 900_000);
+        }
+    }
+    bench.analysis.finish();
+    let mut found = found(&bench.analysis);
+    found.retain(|(.., kind, _)| *kind != FindingKind::SlotMissed);
+    let late = [FindingKind::OutOfSlot, FindingKind::Repeated].map(|kind| (11, kind, Some(0)));
+    let gaps = [11, 14].map(|cycle| (cycle, FindingKind::SyncGap, Some(0)));
+    assert_eq!(found, [gaps[0], late[0], late[1], gaps[1]], "13 bridges 14");
+}
+
+#[test]
 fn what_nobody_looked_at_is_missed_but_no_finding() {
     let mut bench = Bench::new();
     for cycle in FIRST..=FIRST + CYCLES {

@@ -4,13 +4,13 @@
 use rtnet::discipline::{Cause, EventKind};
 use rtnet::time::Span;
 
-use super::{MASTER, Records, key};
+use super::{BRIDGED, MASTER, Records, key};
 use crate::judge::findings::{Author, Finding};
 use crate::scenario::StationPlan;
 
-/// A frame that does not say of which turn it is may be of one that was so long ago: for longer the kernel takes no
-/// core from a thread.
-const HELD_UP_FOR: Span = Span::from_millis(100);
+/// A frame may be of a turn that was so long ago, if it does not say of which it is, and a Synchronisation be overtaken by
+/// those of so many cycles: for longer the kernel takes no core from a thread.
+pub const HELD_UP_FOR: Span = Span::from_millis(100);
 
 impl Records {
     /// Whether a frame was held up, and by enough. A Synchronisation that was moves every station of its cycle.
@@ -24,7 +24,24 @@ impl Records {
     /// another's.
     pub(super) fn unmarked_frame(&self, author: Author) -> Option<&'static str> {
         self.between_turns(author.station)?;
-        self.told(author, EventKind::StalledInSend)
+        self.told(author, EventKind::StalledInSend).or_else(|| self.moved_to_another_turn(author, Span::ZERO))
+    }
+
+    /// A Synchronisation that was held up moves what follows it, until the next one: by so much that a frame was taken for
+    /// another turn's, and was late there by what was left of it.
+    pub(super) fn moved_to_another_turn(&self, author: Author, late: Span) -> Option<&'static str> {
+        let between = self.between_turns(author.station).filter(|_| late >= Span::ZERO)?;
+        self.cycles_ago().find_map(|ago| {
+            let of = Author { cycle: author.cycle.wrapping_sub(ago), ..author };
+            let at_least = between.max(self.cycle * (i64::from(ago) - 1 - i64::from(BRIDGED))) + late;
+            self.moved_by(of).find_map(|master| self.held_up(master, at_least))
+        })
+    }
+
+    /// Whether a Synchronisation of the cycle came only when so many cycles more had begun.
+    pub(super) fn syncs_are_held_up(&self, author: Author, cycles: u32) -> bool {
+        let by = (self.cycle * i64::from(cycles)).max(self.in_time);
+        self.moved_by(author).any(|master| self.held_up(master, by).is_some())
     }
 
     /// Whether a frame was held up at all: this turn's, or one that is taken for it.
@@ -37,18 +54,22 @@ impl Records {
     pub(super) fn of_an_earlier_turn(&self, author: Author, late: Span) -> Option<&'static str> {
         let Author { station, cycle, .. } = author;
         let between = self.between_turns(station).filter(|_| late >= Span::ZERO)?;
-        let cycles = HELD_UP_FOR.nanos() / self.cycle.nanos().max(1) + 1;
-        (0..=cycles).find_map(|ago| {
-            let of = cycle.wrapping_sub(ago as u32);
+        self.cycles_ago().find_map(|ago| {
+            let of = cycle.wrapping_sub(ago);
             let told = self.by_cycle.range((of, station, Some(0), EventKind::Overrun)..);
             let mut told = told.take_while(|((of_cycle, who, ..), _)| (*of_cycle, *who) == (of, station));
             // How much earlier its turn was, at the least: the slots of one cycle lie anywhere in it.
-            let at_least = between.max(self.cycle * (ago - 1)) + late;
+            let at_least = between.max(self.cycle * (i64::from(ago) - 1)) + late;
             let (_, (_, cause)) = told.find(|((.., kind), (by, _))| {
                 *kind == EventKind::StalledInSend && at_least <= *by + self.in_time
             })?;
             Some(cause.map_or(EventKind::StalledInSend.name(), Cause::name))
         })
+    }
+
+    /// In which cycles what is held up may have begun.
+    fn cycles_ago(&self) -> impl Iterator<Item = u32> + use<> {
+        0..=(HELD_UP_FOR.nanos() / self.cycle.nanos().max(1)) as u32 + 1
     }
 
     /// How soon a turn of a station can follow another, if what it sends may not say which it is.
@@ -74,3 +95,6 @@ pub fn nearest_turns(plan: &StationPlan, cycle: Span) -> Span {
     let across = offsets.first().zip(offsets.last()).map(|(&first, &last)| first + cycle - last);
     within.chain(across).min().unwrap_or(cycle)
 }
+
+#[cfg(test)]
+mod tests;

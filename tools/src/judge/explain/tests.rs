@@ -8,15 +8,15 @@ const PRIMARY: Address = Address([2, 0, 0, 0, 0, 1]);
 const BACKUP: Address = Address([2, 0, 0, 0, 0, 2]);
 
 /// In the station's slot 0; the master's Synchronisation.
-fn author(cycle: u32, station: usize) -> Author {
+pub(super) fn author(cycle: u32, station: usize) -> Author {
     Author { station, cycle, slot: (station != MASTER).then_some(0) }
 }
 
-fn told_of(cycle: u32, station: usize) -> Author {
+pub(super) fn told_of(cycle: u32, station: usize) -> Author {
     Author { station, cycle, slot: None }
 }
 
-fn finding(cycle: u32, kind: FindingKind, station: usize) -> Finding {
+pub(super) fn finding(cycle: u32, kind: FindingKind, station: usize) -> Finding {
     Finding::of(author(cycle, station), kind, Span::ZERO)
 }
 
@@ -47,61 +47,6 @@ fn a_frame_that_the_guard_dropped_is_missing_and_overlaps_nobody() {
 }
 
 #[test]
-fn a_programs_frame_that_was_held_up_into_a_later_cycle_is_explained_by_who_told_of_it() {
-    let ms = Span::from_millis(1);
-    let with = |unmarked| {
-        let mut records = Records { unmarked, cycle: ms, ..Records::default() };
-        records.note(author(7, 2), EventKind::StalledInSend, ms * 3, Some(Cause::Preempted));
-        records
-    };
-    let records = with(vec![(2, ms)]);
-    let late = |cycle, by| Finding { span: by, ..finding(cycle, FindingKind::OutOfSlot, 2) };
-    let explained = |cycle, by| records.explain(&late(cycle, by)).is_some();
-    // Of a turn in cycle 7 that came at its end it may be, if it was held up for no longer than it told.
-    assert_eq!([7, 8, 10, 11, 12].map(|cycle| explained(cycle, ms / 2)), [true, true, true, false, false]);
-    assert_eq!([10, 11].map(|cycle| explained(cycle, Span::ZERO)), [true, true]);
-    assert!(!explained(8, ms * 3 + Span::from_nanos(1)), "by more than it was held up");
-    assert!(!explained(8, -ms / 2), "nothing is early for it");
-    assert!(!explained(6, ms / 2), "it was not yet");
-    for kind in [FindingKind::Overlap, FindingKind::Repeated, FindingKind::WithoutSync] {
-        let mut short = with(vec![(2, ms)]);
-        short.note(author(20, 2), EventKind::StalledInSend, ms / 2, None);
-        assert_eq!(short.explain(&finding(21, kind, 2)), None, "it was over before the next turn");
-        assert_eq!(records.explain(&finding(9, kind, 2)), Some("preempted"));
-        assert_eq!(records.explain(&finding(9, kind, 3)), None, "another's");
-        assert_eq!(
-            with(Vec::new()).explain(&finding(9, kind, 2)),
-            None,
-            "test traffic says which turn it is of"
-        );
-    }
-}
-
-#[test]
-fn a_held_up_synchronisation_explains_what_follows_in_its_cycle() {
-    let mut records = Records::default();
-    records.note(author(9, 0), EventKind::StalledInSend, Span::from_nanos(5), None);
-    let out_of_slot = |by| Finding { span: Span::from_nanos(by), ..finding(9, FindingKind::OutOfSlot, 4) };
-    assert!(records.explain(&out_of_slot(5)).is_some());
-    assert!(records.explain(&out_of_slot(6)).is_none(), "by more than it was held up");
-    assert!(records.explain(&out_of_slot(-1)).is_none(), "nor is anything early for it");
-    assert!(records.explain(&finding(9, FindingKind::SlotMissed, 4)).is_none());
-    assert!(records.explain(&finding(9, FindingKind::SyncGap, 0)).is_none(), "it was sent");
-}
-
-#[test]
-fn a_held_up_calibration_reply_explains_what_it_hits_and_nothing_else() {
-    let mut records = Records::default();
-    records.note(told_of(9, MASTER), EventKind::ReplyStalled, Span::from_nanos(5), None);
-    assert!(records.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
-    assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_none());
-    assert!(records.explain(&finding(8, FindingKind::Overlap, 4)).is_none());
-    let authors = [4, 5].map(|station| Some(author(9, station)));
-    let others = Finding { authors, ..finding(9, FindingKind::Overlap, 4) };
-    assert!(records.explain(&others).is_none(), "two others have met");
-}
-
-#[test]
 fn a_silent_slot_is_explained_by_the_records_of_both_syncs_it_could_have_followed() {
     let silent_by = |span: i64, told: &[(u32, usize, EventKind)]| {
         let mut records = Records { cycle: Span::from_millis(1), ..Records::default() };
@@ -126,18 +71,6 @@ fn a_silent_slot_is_explained_by_the_records_of_both_syncs_it_could_have_followe
     assert!(silent_by(-50_000, &[(20, 2, TimeStep)]), "until it is confirmed");
     assert!(silent_by(400_000, &[(20, 2, TimeStep)]), "this one, too");
     assert!(silent(&[(20, 2, DuplicateCycle)]));
-}
-
-#[test]
-fn a_frame_that_hits_the_next_cycles_sync_is_explained_by_its_own_cycle() {
-    let mut records = Records::default();
-    let [late, sync] = [author(9, 5), author(10, MASTER)];
-    let authors = [Some(late), Some(sync)];
-    let overlap = Finding { cycle: 10, kind: FindingKind::Overlap, authors, span: Span::ZERO };
-    records.note(author(10, 5), EventKind::StalledInSend, Span::ZERO, None);
-    assert!(records.explain(&overlap).is_none());
-    records.note(author(9, 5), EventKind::StalledInSend, Span::ZERO, None);
-    assert!(records.explain(&overlap).is_some());
 }
 
 #[test]
@@ -229,6 +162,23 @@ fn a_master_whose_own_sync_was_skipped_while_a_backups_was_the_last_may_send() {
         records.explain(&Finding::of(author, FindingKind::WithoutSync, Span::ZERO))
     };
     assert_eq!([why(7, MASTER), why(8, MASTER), why(7, 3)], [Some("preempted"), None, None]);
+}
+
+#[test]
+fn a_backup_that_steps_down_bridges_the_cycle_that_it_was_too_late_to_begin() {
+    let why = |steps_down: bool, cycle, station| {
+        let mut records = Records { backups: vec![1], ..Records::default() };
+        records.note(told_of(6, 1), EventKind::TookOver, Span::ZERO, None);
+        records.note(told_of(7, 1), EventKind::SyncSkipped, Span::ZERO, Some(Cause::TimerLate));
+        if steps_down {
+            records.note(told_of(7, 1), EventKind::SteppedDown, Span::ZERO, None);
+        }
+        records.explain(&finding(cycle, FindingKind::WithoutSync, station))
+    };
+    let explained = [7, 8, 9].map(|cycle| why(true, cycle, 1));
+    assert_eq!(explained, [Some("timer_late"), Some("timer_late"), None]);
+    assert_eq!(why(false, 8, 1), None, "it gives the time on");
+    assert_eq!(why(true, 8, 2), None, "another's");
 }
 
 #[test]

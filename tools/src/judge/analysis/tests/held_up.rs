@@ -4,7 +4,6 @@
 use super::*;
 use crate::judge::explain::Records;
 use crate::judge::syncs::sync_of;
-use crate::scenario::SlotPlan;
 use crate::scenario::Source;
 use rtmac::wire::{FLAG_TUNNEL, RTMAC_VERSION};
 use rtnet::discipline::{Cause, EventKind};

@@ -4,7 +4,6 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::rc::Rc;
-use std::sync::Arc;
 
 use anyhow::{Result, bail};
 use rtmac::tdma::TdmaStatus;
@@ -13,7 +12,6 @@ use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::Span;
 
 use super::expect;
-use super::faults;
 use super::figures::{SimFigures, Simulation};
 use super::patience;
 use super::places::Places;
@@ -22,18 +20,18 @@ use super::world::{Counted, UPTIME, World};
 use crate::judge::absences::Absence;
 use crate::judge::account::{Account, PARTS};
 use crate::judge::analysis::Analysis;
-use crate::judge::clocks::set_clock;
 use crate::judge::closely::envelope::Envelope;
 use crate::judge::explain::Records;
 use crate::judge::kept::Kept;
 use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::CaptureFile;
-use crate::report::figures::Role;
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
-use crate::scenario::{Act, Happening, Part, Scenario, acts, over};
+use crate::scenario::{Scenario, acts, over};
 use crate::station::traffic::Arrivals;
 
+/// A scenario's first station is its primary master.
+const PRIMARY: usize = 0;
 /// Cycles between the moment when all are locked and the begin of the measurement.
 const SETTLE_CYCLES: u32 = 10;
 /// For so many cycles clocks may take to settle once all are locked.
@@ -161,6 +159,12 @@ impl<'a> Run<'a> {
         self.world.network.member(id).station.discipline().time().state == SyncState::Locked
     }
 
+    /// Locked, and calibrated, as whoever gives the time once the primary is there must be, too.
+    fn has_joined(&self, id: usize) -> bool {
+        let needs_delay = id != PRIMARY && self.present[PRIMARY];
+        self.is_locked(id) && (!needs_delay || self.status(id).delay.is_some())
+    }
+
     /// Locked, or bridging a cycle.
     fn is_synchronised(&self, id: usize) -> bool {
         let state = self.world.network.member(id).station.discipline().time().state;
@@ -192,12 +196,12 @@ impl<'a> Run<'a> {
         let allowed = rounds.max().unwrap_or(0) * CALIBRATION_ALLOWANCE + JOIN_WITHIN;
         for _ in 0..allowed {
             // A master that is alone is locked before its first Synchronisation, which nothing begins before.
-            if self.all(Self::is_locked) && self.watch.borrow().analysis.grid().is_some() {
+            if self.all(Self::has_joined) && self.watch.borrow().analysis.grid().is_some() {
                 return Ok(());
             }
             self.step()?;
         }
-        let late = (0..self.present.len()).find(|&id| self.present[id] && !self.is_locked(id)).unwrap_or(0);
+        let late = (0..self.present.len()).find(|&id| self.present[id] && !self.has_joined(id)).unwrap_or(0);
         bail!(
             "station '{}' is not locked to the master after {allowed} cycles ({}): its wire, its host or its clock does \
              not let it; change them only later by an [[event]], if that is meant",
@@ -251,8 +255,13 @@ impl<'a> Run<'a> {
     /// many.
     fn begin(&mut self, cycles: u32) -> Result<(True, u32)> {
         let mut watch = self.watch.borrow_mut();
-        let Some((current, start)) = watch.analysis.grid() else { bail!("no Synchronisation was seen") };
-        let begin = watch.analysis.truth().truth(start + self.scenario.cycle * i64::from(SETTLE_CYCLES));
+        // Whoever gives the time may have been silent for a while.
+        let current = watch.analysis.cycle_at(self.now());
+        let first = current.map(|current| current.wrapping_add(SETTLE_CYCLES));
+        let Some((first, begin)) = first.and_then(|first| Some((first, watch.analysis.begin_of(first)?)))
+        else {
+            bail!("no Synchronisation was seen")
+        };
         let cycles = match self.options.until {
             None => cycles,
             Some(until) => {
@@ -269,7 +278,6 @@ impl<'a> Run<'a> {
             // Only an end that was asked for takes all of them.
             bail!(Hurried("there is no time to measure once all stations are locked".into()));
         }
-        let first = current.wrapping_add(SETTLE_CYCLES);
         watch.analysis.begin(first, cycles);
         self.judged_to = first;
         drop(watch);
@@ -277,7 +285,7 @@ impl<'a> Run<'a> {
         self.pass_until(begin.saturating_sub(self.cycle / 20));
         let mut watch = self.watch.borrow_mut();
         for id in (0..self.present.len()).filter(|&id| !self.present[id]) {
-            watch.records.absences.begin(id, Absence::Down, current);
+            watch.records.absences.begin(id, Absence::Down, first.wrapping_sub(SETTLE_CYCLES));
         }
         watch.counting = true;
         self.world.bound_deliveries(self.scenario, &watch.analysis, Arrivals::count_from);
@@ -288,89 +296,6 @@ impl<'a> Run<'a> {
 
     fn pass_until(&mut self, until: True) {
         self.world.network.run_until(until.max(self.now()));
-    }
-
-    /// By how much the clock is set back that all follow: so much of the run is counted again.
-    fn set_back_by(&self, act: &Act) -> True {
-        let watch = self.watch.borrow();
-        self.set_back_of(act, |station| watch.analysis.has_the_time(station))
-    }
-
-    /// The same at the most, whoever has the time then.
-    fn may_set_back_by(&self, act: &Act) -> True {
-        self.set_back_of(act, |station| self.scenario.stations[station].role != Role::Slave)
-    }
-
-    fn set_back_of(&self, act: &Act, moves_all: impl Fn(usize) -> bool) -> True {
-        match &self.scenario.conditions.events[act.event].what {
-            Happening::Clock(stations, step, ..) if stations.iter().any(|&station| moves_all(station)) => {
-                (-*step).nanos().max(0) as u64
-            }
-            _ => 0,
-        }
-    }
-
-    /// Something happens, or is over.
-    fn act(&mut self, act: &Act) -> Result<()> {
-        let what = &self.scenario.conditions.events[act.event].what;
-        let now = self.watch.borrow().analysis.cycle_at(act.at).unwrap_or(0);
-        match what {
-            Happening::Kill(stations) => {
-                for &id in stations {
-                    self.world.network.stop(id);
-                    self.present[id] = false;
-                    self.watch.borrow_mut().ended(id, now);
-                }
-            }
-            Happening::Restart(stations) | Happening::Start(stations) => {
-                for &id in stations {
-                    self.restart(id, now)?;
-                }
-            }
-            Happening::Stop(stations, _) => self.absent(stations, Absence::Stopped, act.part, now),
-            Happening::Unplug(stations, _) => self.absent(stations, Absence::NoCarrier, act.part, now),
-            Happening::Cut(stations, _) => {
-                self.watch.borrow_mut().cut_off(if act.part == Part::Begin { stations } else { &[] }, now);
-            }
-            _ => {}
-        }
-        faults::act(&mut self.world.network, self.scenario, what, act.part);
-        if let Happening::Clock(stations, step, ..) = what {
-            let mut watch = self.watch.borrow_mut();
-            let Watch { analysis, records, .. } = &mut *watch;
-            for &id in stations {
-                let clock = self.world.network.member(id).clock;
-                set_clock((analysis, records), (id, clock, *step), act.at, 0);
-            }
-        }
-        Ok(())
-    }
-
-    fn absent(&self, stations: &[usize], why: Absence, part: Part, now: u32) {
-        let absences = &mut self.watch.borrow_mut().records.absences;
-        for &id in stations {
-            match part {
-                Part::End => absences.end(id, why, now.wrapping_add(1)),
-                _ => absences.begin(id, why, now),
-            }
-        }
-    }
-
-    /// A new process in the place of a station's; a master goes on with the grid, if there is one.
-    fn restart(&mut self, id: usize, now: u32) -> Result<()> {
-        let mut watch = self.watch.borrow_mut();
-        let (grid, first) = (watch.analysis.grid(), watch.analysis.stations[id].beyond());
-        watch.ended(id, now);
-        watch.analysis.begins_anew(id);
-        watch.analysis.await_again(id, now.wrapping_add(1));
-        drop(watch);
-        (self.present[id], self.anew[id]) = (true, true);
-        // What the process before has counted goes on from 0 in this one.
-        self.before[id] = self.before[id] - self.world.counted(id);
-        self.world.counts[id] = Arc::default();
-        let station = self.world.station(self.scenario, id, grid, first)?;
-        self.world.network.restart(id, station);
-        Ok(())
     }
 
     /// Once a cycle: who is back, and who is not locked.
@@ -463,4 +388,7 @@ impl<'a> Run<'a> {
     }
 }
 
+mod events;
 mod facts;
+#[cfg(test)]
+mod tests;

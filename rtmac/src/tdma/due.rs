@@ -6,6 +6,7 @@ use rtnet::time::{Instant, Span};
 use super::anew::Purpose;
 use super::job::Job;
 use super::line::{LINE_GOOD_FOR, TimeLine};
+use super::master::Master;
 use super::slot::Turn;
 use super::{LatePolicy, Role, Tdma};
 
@@ -35,13 +36,7 @@ impl Tdma {
             Role::Slave(_) => turns(),
             Role::Master(master) => {
                 let config = master.config();
-                let sync = master.next_sync().map(|(cycle, at, sched)| Job::Sync {
-                    cycle,
-                    at,
-                    latest: at + config.sync_latest,
-                    sched,
-                    is_backups: config.backup.is_some(),
-                });
+                let sync = next_sync(master);
                 let reply = master.replies().next().map(|reply| Job::Reply {
                     cycle: reply.cycle,
                     at: reply.at,
@@ -254,6 +249,21 @@ impl Tdma {
         }
     }
 
+    /// A backup that gives the time hears another at `rx`: it makes way, and comes back no more to Synchronisations that it
+    /// has slept through.
+    pub(super) fn miss_syncs_before(&mut self, rx: Instant) {
+        let Role::Master(master) = &self.role else { return };
+        let makes_way = master.is_active() && master.config().backup.is_some();
+        let Some((job, line)) = next_sync(master).zip(master.line()).filter(|_| makes_way) else { return };
+        let (first, late, period) = (job.cycle(), rx - job.latest(), line.period);
+        let slept_through = (late + period).nanos().div_euclid(period.nanos()).clamp(0, TOLD_AT_MOST);
+        for cycles in 0..slept_through {
+            self.counters.syncs_skipped += 1;
+            let cycle = first.wrapping_add(cycles as u32);
+            self.events.note(cycle, EventKind::SyncSkipped, late - period * cycles);
+        }
+    }
+
     /// The kernel dropped the job's frame. A cycle whose Synchronisation was dropped is one without, as if the
     /// master had skipped it, and is counted with those.
     pub(super) fn guard_dropped(&mut self, job: &Job, late: Span) {
@@ -287,4 +297,15 @@ impl Tdma {
         };
         self.events.note_job(job, kind, late);
     }
+}
+
+fn next_sync(master: &Master) -> Option<Job> {
+    let config = master.config();
+    master.next_sync().map(|(cycle, at, sched)| Job::Sync {
+        cycle,
+        at,
+        latest: at + config.sync_latest,
+        sched,
+        is_backups: config.backup.is_some(),
+    })
 }

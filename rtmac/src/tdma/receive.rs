@@ -56,6 +56,7 @@ impl Tdma {
         (cycle, xmit, sched): (u32, GlobalTime, GlobalTime),
         status: Option<Status>,
     ) -> Result<(), Refusal> {
+        self.miss_syncs_before(rx);
         let events = &mut self.events;
         if let Role::Master(master) = &mut self.role
             && !master.on_foreign_sync(rx, (from, self.address), xmit - sched, events)

@@ -69,6 +69,24 @@ fn a_sync_keeps_a_backup_silent_that_comes_before_it_looks_and_not_one_that_come
 }
 
 #[test]
+fn a_backup_that_makes_way_tells_of_the_syncs_that_it_has_slept_through() {
+    let mut tdma = stand_by(Servo::Linear);
+    assert!(tdma.next_transmission(at(4_050)).is_none());
+    let sync = tdma.next_transmission(at(4_080)).expect("there was none");
+    tdma.on_sent(Sent::At(sync.at));
+    told(&mut tdma);
+    // Those of 5 and 6 were its own, and that of 7 would be yet.
+    hear_syncs(&mut tdma, 7..=7);
+    let told = told(&mut tdma);
+    let kinds: Vec<_> = told.iter().take(3).map(|&(cycle, kind, _)| (cycle, kind)).collect();
+    let skipped = |cycle| (cycle, EventKind::SyncSkipped);
+    assert_eq!(kinds, [skipped(5), skipped(6), (4, EventKind::SteppedDown)]);
+    assert_eq!(told[0].2 - told[1].2, Span::from_millis(1));
+    assert!((Span::ZERO..Span::from_micros(900)).contains(&told[1].2), "{:?}", told[1]);
+    assert_eq!(tdma.status().counters.syncs_skipped, 2);
+}
+
+#[test]
 fn a_backup_wakes_on_frames_as_long_as_it_only_listens() {
     let backup = MasterConfig { backup: Some(Span::from_micros(100)), ..master_config() };
     let mut tdma = Tdma::new(&config(RoleConfig::Master(backup))).unwrap();

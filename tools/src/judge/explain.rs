@@ -175,6 +175,7 @@ impl Records {
                 self.held_up(author, finding.span)
                     .or_else(|| self.of_an_earlier_turn(author, finding.span))
                     .or_else(|| self.moved_by(author).find_map(|master| self.held_up(master, finding.span)))
+                    .or_else(|| self.held_up_twice(author, finding.span))
                     .or_else(|| self.moved_to_another_turn(author, finding.span))
                     .or_else(|| self.last_words(author))
             }),
@@ -195,9 +196,10 @@ impl Records {
                 // It came when that of a later cycle had been there.
                 .or_else(|| {
                     let mut masters = self.masters(Author::sync(MASTER, finding.cycle));
-                    masters.find_map(|of| self.held_up(of, self.cycle))
+                    masters.find_map(|of| self.held_up(of, self.cycle / 2))
                 })
                 .or_else(|| self.next_reign(finding))
+                .or_else(|| self.both_made_way(finding))
                 .or_else(|| finding.authors.iter().flatten().find_map(|author| self.another_time(*author))),
             FindingKind::SlotMissed => authors.find_map(|author| {
                 // Who is gone is silent for that, not for want of a sync.
@@ -252,14 +254,19 @@ impl Records {
     }
 
     /// Why a station had a time to follow without a sync of this cycle, or the one that it bridges: its own, which it gave
-    /// and was too late to send.
+    /// and was too late to send, or gives from the next cycle on.
     fn gave_time_itself(&self, author: Author) -> Option<&'static str> {
         let skipped = |of| self.told_of(of_cycle(of), &[EventKind::SyncSkipped, EventKind::SyncDropped]);
         let has_stepped_down = self.reigns.has_ended(author.station, author.cycle);
         let bridged = (1..=BRIDGED).filter(|_| has_stepped_down);
-        skipped(author).or_else(|| {
-            bridged.map(|ago| Author { cycle: author.cycle.wrapping_sub(ago), ..author }).find_map(skipped)
-        })
+        let next = Author { cycle: author.cycle.wrapping_add(1), ..author };
+        skipped(author)
+            .or_else(|| {
+                bridged
+                    .map(|ago| Author { cycle: author.cycle.wrapping_sub(ago), ..author })
+                    .find_map(skipped)
+            })
+            .or_else(|| self.told(of_cycle(next), EventKind::MasterActive))
     }
 
     /// Why a sync is missing whose author has told that it gives the time no more: by a backup that has not heard its
@@ -302,8 +309,17 @@ impl Records {
         let Author { station, cycle, .. } = author;
         let not_sent = || self.masters(author).any(|master| self.told_of(master, &NO_SYNC_BY).is_some());
         self.syncs.is_without(station, cycle)
-            || !self.syncs.had(station, cycle) && (not_sent() || self.follows_who_is_away(station, cycle))
+            || !self.syncs.had(station, cycle)
+                && (not_sent() || self.follows_who_is_away(station, cycle) || self.nobody_gives_time(cycle))
             || self.told_of(of_cycle(author), &[EventKind::SyncLate, EventKind::TimeStep]).is_some()
+    }
+
+    /// Whether the primary is not there, and no backup has told that it gives the time.
+    fn nobody_gives_time(&self, cycle: u32) -> bool {
+        let gives = |&backup: &usize| self.reigns.holds(backup, cycle);
+        self.absences.of(MASTER, cycle).is_some()
+            && !self.backups.is_empty()
+            && !self.backups.iter().any(gives)
     }
 
     /// Whether the one whose Synchronisations a station had is not there.

@@ -37,6 +37,13 @@ pub fn cycles(scenario: &Scenario) -> u32 {
     u32::try_from(all).unwrap_or(FOREVER).saturating_add(AT_ONCE).min(FOREVER)
 }
 
+/// For so many cycles a host may keep a station from telling of what it missed.
+pub fn untold(scenario: &Scenario) -> u64 {
+    let Conditions { host, hosts, .. } = &scenario.conditions;
+    let longest = hosts.iter().map(|(_, host)| host).chain([host]).map(of_host).max().unwrap_or(0);
+    (longest / scenario.cycle.nanos().max(1)) as u64 + 1
+}
+
 /// Up to which cycle nothing more will be told, if all who are there need no longer than this: who is stopped, or was a
 /// short time ago, tells of what it missed when it goes on.
 pub fn judged_to(records: &Records, now: u32, patience: u32) -> u32 {

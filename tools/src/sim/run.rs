@@ -244,8 +244,8 @@ impl<'a> Run<'a> {
         }
         self.watch.borrow_mut().counting = false;
         self.world.bound_deliveries(self.scenario, &self.watch.borrow().analysis, Arrivals::count_until);
-        // What was sent in the last cycle is still on its way.
-        for _ in 0..LINGER_CYCLES {
+        // What was sent in the last cycle is still on its way, and who is held up has not told of it.
+        for _ in 0..LINGER_CYCLES.max(patience::untold(self.scenario)) {
             self.pass_until(self.now() + self.cycle);
         }
         Ok(())

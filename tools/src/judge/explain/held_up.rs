@@ -4,7 +4,7 @@
 use rtnet::discipline::{Cause, EventKind};
 use rtnet::time::Span;
 
-use super::{BRIDGED, MASTER, Records, key};
+use super::{BRIDGED, MASTER, NO_SYNC_BY, Records, key};
 use crate::judge::findings::{Author, Finding};
 use crate::scenario::StationPlan;
 
@@ -12,12 +12,22 @@ use crate::scenario::StationPlan;
 /// those of so many cycles: for longer the kernel takes no core from a thread.
 pub const HELD_UP_FOR: Span = Span::from_millis(100);
 
+/// Cycles in which backups that have heard each other wait for each other.
+const HESITATE: u8 = 2;
+
 impl Records {
     /// Whether a frame was held up, and by enough. A Synchronisation that was moves every station of its cycle.
     pub(super) fn held_up(&self, author: Author, late: Span) -> Option<&'static str> {
         let (by, _) = self.by_cycle.get(&key(author, EventKind::StalledInSend))?;
         let explains = Span::ZERO < late && late <= *by + self.in_time;
         explains.then(|| self.told(author, EventKind::StalledInSend)).flatten()
+    }
+
+    /// Whether it was, and the Synchronisation that it follows, too, by enough together.
+    pub(super) fn held_up_twice(&self, author: Author, late: Span) -> Option<&'static str> {
+        let by = |of| self.by_cycle.get(&key(of, EventKind::StalledInSend)).map(|(by, _)| *by);
+        let moved = self.moved_by(author).filter_map(by).max()?;
+        self.held_up(author, late - moved)
     }
 
     /// A program's frame does not say of which turn it is, nor does a tunnelled one: held up for long, it was taken for
@@ -35,6 +45,25 @@ impl Records {
             let of = Author { cycle: author.cycle.wrapping_sub(ago), ..author };
             let at_least = between.max(self.cycle * (i64::from(ago) - 1 - i64::from(BRIDGED))) + late;
             self.moved_by(of).find_map(|master| self.held_up(master, at_least))
+        })
+    }
+
+    /// A backup that gave the time has told that it gives it no more: it heard another's Synchronisation, which had been held
+    /// up or was of the same cycle, and whose author has made way in turn. Both hesitate for a cycle or two, and for longer
+    /// if the other one sleeps through those.
+    pub(super) fn both_made_way(&self, finding: &Finding) -> Option<&'static str> {
+        let author = finding.authors[0].filter(|of| self.reigns.has_ended(of.station, of.cycle))?;
+        let others =
+            |cycle| self.masters(Author::sync(MASTER, cycle)).filter(move |of| of.station != author.station);
+        let sleeps = others(author.cycle).any(|of| self.told_of(of, &NO_SYNC_BY).is_some());
+        let hesitate = i64::from(HESITATE) * if sleeps { 2 } else { 1 };
+        self.cycles_ago().skip(1).find_map(|ago| {
+            let cycle = author.cycle.wrapping_sub(ago);
+            let beyond = i64::from(ago) - hesitate;
+            let at_least = (self.cycle * beyond).max(Span::from_nanos(1));
+            let own = Author::sync(author.station, cycle);
+            let two_spoke = || self.told(own, EventKind::DuplicateCycle).filter(|_| beyond <= 0);
+            others(cycle).find_map(|of| self.held_up(of, at_least)).or_else(two_spoke)
         })
     }
 
@@ -80,8 +109,9 @@ impl Records {
     /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves
     /// nobody.
     pub(super) fn late_reply(&self, finding: &Finding) -> Option<&'static str> {
-        let of = |cycle| Author { station: MASTER, cycle, slot: None };
-        let told = |cycle| self.told(of(cycle), EventKind::ReplyStalled);
+        let told = |cycle| {
+            self.masters(Author::sync(MASTER, cycle)).find_map(|of| self.told(of, EventKind::ReplyStalled))
+        };
         let is_hit = finding.authors.contains(&None);
         is_hit.then(|| told(finding.cycle).or_else(|| told(finding.cycle.wrapping_sub(1)))).flatten()
     }

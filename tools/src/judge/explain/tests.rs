@@ -165,6 +165,14 @@ fn a_master_whose_own_sync_was_skipped_while_a_backups_was_the_last_may_send() {
 }
 
 #[test]
+fn a_primary_that_gives_the_time_from_the_next_cycle_on_needs_no_sync_in_this_one() {
+    let mut records = Records::default();
+    records.note(told_of(8, MASTER), EventKind::MasterActive, Span::ZERO, None);
+    let why = |cycle| records.explain(&finding(cycle, FindingKind::WithoutSync, MASTER)).is_some();
+    assert_eq!([6, 7, 8].map(why), [false, true, false]);
+}
+
+#[test]
 fn a_backup_that_steps_down_bridges_the_cycle_that_it_was_too_late_to_begin() {
     let why = |steps_down: bool, cycle, station| {
         let mut records = Records { backups: vec![1], ..Records::default() };

@@ -3,6 +3,7 @@ use rtnet::time::Span;
 
 use super::super::tests::{author, finding, told_of};
 use super::*;
+use crate::judge::absences::Absence;
 use crate::judge::findings::FindingKind;
 
 #[test]
@@ -55,6 +56,9 @@ fn a_held_up_calibration_reply_explains_what_it_hits_and_nothing_else() {
     assert!(records.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
     assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_none());
     assert!(records.explain(&finding(8, FindingKind::Overlap, 4)).is_none());
+    let mut of_a_backup = Records { backups: vec![1], ..Records::default() };
+    of_a_backup.note(told_of(9, 1), EventKind::ReplyStalled, Span::from_nanos(5), None);
+    assert!(of_a_backup.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
     let authors = [4, 5].map(|station| Some(author(9, station)));
     let others = Finding { authors, ..finding(9, FindingKind::Overlap, 4) };
     assert!(records.explain(&others).is_none(), "two others have met");
@@ -105,9 +109,59 @@ fn a_synchronisation_that_came_behind_a_later_one_is_missing_for_that_and_so_is_
         records.note(author(10, 2), EventKind::SlotSilent, Span::ZERO, None);
         records
     };
-    let [held_up, in_its_cycle] = [ms, ms - Span::from_nanos(1)].map(records);
-    for what in [finding(9, FindingKind::SyncGap, MASTER), finding(10, FindingKind::SlotMissed, 2)] {
+    // A backup's next one may be sent after a while, and one that it is held against, too: not by half of a cycle.
+    let [gap, silent] = [finding(9, FindingKind::SyncGap, MASTER), finding(10, FindingKind::SlotMissed, 2)];
+    for (what, at_least) in [(gap, ms / 2), (silent, ms)] {
+        let [held_up, in_its_cycle] = [at_least, at_least - Span::from_nanos(1)].map(records);
         assert!(held_up.explain(&what).is_some(), "{what:?}");
         assert!(in_its_cycle.explain(&what).is_none(), "{what:?}: it was there");
     }
+}
+
+#[test]
+fn backups_that_have_heard_each_other_wait_for_each_other_and_nobody_sends_for_that() {
+    let ms = Span::from_millis(1);
+    let why = |told: &[(u32, usize, EventKind, Span)], cycle| {
+        let mut records = Records { cycle: ms, backups: vec![1, 2], ..Records::default() };
+        records.absences.begin(MASTER, Absence::Down, 1);
+        records.note(told_of(5, 1), EventKind::TookOver, Span::ZERO, None);
+        records.note(told_of(9, 1), EventKind::SteppedDown, Span::ZERO, None);
+        records.note(author(cycle, 3), EventKind::SlotSilent, Span::ZERO, None);
+        told.iter().for_each(|&(cycle, of, kind, by)| records.note(told_of(cycle, of), kind, by, None));
+        let gap = Finding::of(Author::sync(1, cycle), FindingKind::SyncGap, Span::ZERO);
+        let silent = finding(cycle, FindingKind::SlotMissed, 3);
+        [gap, silent].map(|of| records.explain(&of).is_some())
+    };
+    use EventKind::*;
+    assert_eq!(
+        why(&[], 11),
+        [false, true],
+        "who is silent has nobody to follow; why that is, nobody has told"
+    );
+    assert_eq!(
+        why(&[(9, 2, StalledInSend, ms / 8)], 11),
+        [true, true],
+        "it came behind this one's, and both make way"
+    );
+    assert_eq!(why(&[(9, 2, StalledInSend, ms / 8)], 12), [false, true], "not for so long");
+    assert_eq!(why(&[(9, 2, StalledInSend, ms)], 12), [true, true], "it came in 10");
+    assert_eq!(why(&[(9, 1, DuplicateCycle, Span::ZERO)], 11), [true, true], "two have sent one of 9");
+    let sleeps = [(9, 2, StalledInSend, ms / 8), (12, 2, SyncSkipped, ms)];
+    assert_eq!(why(&sleeps, 12), [true, true], "who was to be next slept");
+    assert_eq!(why(&sleeps[1..], 12), [false, true], "that alone is no reason to make way");
+    assert_eq!(why(&[(9, 1, StalledInSend, ms)], 11), [false, true], "its own");
+}
+
+#[test]
+fn a_frame_whose_synchronisation_was_held_up_before_is_late_by_both() {
+    let [ms, ns] = [Span::from_millis(1), Span::from_nanos(1)];
+    let mut records = Records { cycle: ms, ..Records::default() };
+    records.note(Author::sync(MASTER, 9), EventKind::StalledInSend, ms, None);
+    records.note(author(9, 2), EventKind::StalledInSend, ms / 2, None);
+    let late = |by, station| {
+        let late = Finding { span: by, ..finding(9, FindingKind::OutOfSlot, station) };
+        records.explain(&late).is_some()
+    };
+    assert!(late(ms * 3 / 2, 2) && !late(ms * 3 / 2 + ns, 2));
+    assert!(late(ms, 3) && !late(ms + ns, 3), "that of a station that was not");
 }

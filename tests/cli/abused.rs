@@ -96,7 +96,7 @@ fn stopped(guard: &str, stop: fn(Pid, usize, u64)) -> Stopped {
         told >= STATIONS.len() as u64 * slept,
         "{told} of {slept} slots that each slept through: {causes}"
     );
-    Stopped { account, still: watch.longest() }
+    Stopped { account, still: watch.over().longest }
 }
 
 /// How much later than its slot's end the latest frame, or Synchronisation, was gone.

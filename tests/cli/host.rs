@@ -1,5 +1,6 @@
 //! Real networks need root, no other network beside them, and a host that runs.
 
+use std::any::Any;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -45,16 +46,22 @@ pub fn network(test: &str, body: impl Fn()) {
         let Still { longest, ppm } = watch.over();
         match outcome {
             Ok(()) => return,
-            Err(_) if (longest > STILL || ppm > STILL_PPM) && attempt < ATTEMPTS => {
-                let share = ppm as f64 / 1e4;
+            Err(panic) if (longest > STILL || ppm > STILL_PPM) && attempt < ATTEMPTS => {
+                let (share, why) = (ppm as f64 / 1e4, first_line(panic.as_ref()));
                 let _ = writeln!(
                     std::io::stderr(),
-                    "AGAIN {test}: this host stood still for {longest:?}, {share:.1} % of the time in all"
+                    "AGAIN {test}: this host stood still for {longest:?}, {share:.1} % of the time in all: {why}"
                 );
             }
             Err(panic) => resume_unwind(panic),
         }
     }
+}
+
+/// What a test that failed has said first.
+fn first_line(panic: &(dyn Any + Send)) -> &str {
+    let said = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+    said.and_then(|said| said.lines().next()).unwrap_or_default()
 }
 
 /// Runs something while the cores are taken away, each by itself, for up to `longest` at a time, as by a hypervisor.

@@ -1,5 +1,6 @@
 //! Frames that were held up behind their station's last look at the clock: late in their own slots, or taken for those of
-//! a later turn where they do not say of which they are.
+//! a later turn where they do not say of which they are. A Synchronisation that was moves who follows it, or comes when a
+//! backup has taken over.
 
 use rtnet::discipline::{Cause, EventKind};
 use rtnet::time::Span;

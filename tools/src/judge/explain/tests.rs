@@ -370,8 +370,8 @@ fn a_sync_is_missing_for_a_backup_that_repeated_the_one_before_once_its_author_h
     const SECOND: Address = Address([2, 0, 0, 0, 0, 3]);
     let gap = Finding::of(told_of(7, 1), FindingKind::SyncGap, Span::ZERO);
     let of = |sent: u32, told: &[(u32, usize, EventKind)]| {
-        let mut records =
-            Records { backups: vec![1, 2], addresses: vec![PRIMARY, BACKUP, SECOND], ..Records::default() };
+        let (backups, addresses) = (vec![1, 2], vec![PRIMARY, BACKUP, SECOND]);
+        let mut records = Records { cycle: Span::from_millis(1), backups, addresses, ..Records::default() };
         records.note_frame(&sync(BACKUP, 6));
         records.note_frame(&sync(SECOND, sent));
         told.iter().for_each(|&(cycle, of, kind)| {

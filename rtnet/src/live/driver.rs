@@ -62,7 +62,7 @@ pub enum Record {
 /// A driver's state as the control thread sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Snapshot<S> {
-    /// When it was taken, CLOCK_MONOTONIC.
+    /// When the station had last looked at the clock, CLOCK_MONOTONIC: what it missed until then is told.
     pub at: True,
     /// The discipline's.
     pub status: S,
@@ -182,7 +182,7 @@ impl<D: Discipline> Driver<D> {
         port.drain_control(|rx, frame| station.on_frame(rx, frame));
         port.drain_data(|rx, frame| station.on_frame(rx, frame));
         // Nobody publishes again: the oldest snapshot goes if nobody has looked at it.
-        let last = self.snapshot(monotonic());
+        let last = self.snapshot();
         self.snapshots.force_push(last);
     }
 
@@ -297,7 +297,7 @@ impl<D: Discipline> Driver<D> {
         if due && !self.snapshots.is_full() {
             self.shown = time.state;
             self.next_snapshot = now + SNAPSHOT_EVERY;
-            let snapshot = self.snapshot(now);
+            let snapshot = self.snapshot();
             let _ = self.snapshots.push(snapshot);
             if let (true, Some(waker)) = (changed, &self.config.changed) {
                 // It does not block: one that was not read is readable already.
@@ -337,9 +337,9 @@ impl<D: Discipline> Driver<D> {
         }
     }
 
-    fn snapshot(&mut self, now: True) -> Snapshot<D::Status> {
+    fn snapshot(&mut self) -> Snapshot<D::Status> {
         Snapshot {
-            at: now,
+            at: self.looked,
             status: self.station.discipline().status(),
             refusals: *self.station.refusals(),
             stale: self.station.stale(),

@@ -206,7 +206,8 @@ impl Records {
                 let gone =
                     || self.untold(author).filter(|_| self.told(author, EventKind::SlotSilent).is_none());
                 let told = self.told_of(author, &MISSED_BY).or_else(|| self.unmarked_frame(author));
-                let told = told.or_else(gone).or_else(|| self.silence(author));
+                let told =
+                    told.or_else(gone).or_else(|| self.not_yet(author)).or_else(|| self.silence(author));
                 self.missing(author, told)
             }),
             // One that was held up for so long that its slot was taken for missed; and a backup that heard nobody.
@@ -228,6 +229,14 @@ impl Records {
     /// What a station had to tell of its last moments went with it.
     fn last_words(&self, author: Author) -> Option<&'static str> {
         self.untold(author).filter(|&why| why == Absence::Down.name())
+    }
+
+    /// A station that is there again has no slots before it is locked, and sends in the first that comes then.
+    fn not_yet(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
+        let before = cycle.wrapping_sub(1);
+        let was_down = self.absences.of(station, before).filter(|&why| why == Absence::Down)?;
+        let locked = self.lines.newest_before(station, cycle.wrapping_add(1), true);
+        locked.filter(|locked| [before, cycle].contains(locked)).map(|_| was_down.name())
     }
 
     /// A station that was silent did what it must, but that alone explains nothing: why was there no sync to follow,

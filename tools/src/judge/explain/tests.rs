@@ -101,6 +101,9 @@ fn who_was_not_there_missed_its_slots_for_that_and_nobody_else_did() {
     assert_eq!(why(&records, 10, FindingKind::SlotMissed, 3), None);
     records.absences.end(2, Absence::Down, 20);
     assert_eq!(why(&records, 20, FindingKind::SlotMissed, 2), None, "it was heard");
+    records.note(told_of(20, 2), EventKind::Locked, Span::ZERO, None);
+    let missed = [20, 21].map(|cycle| why(&records, cycle, FindingKind::SlotMissed, 2));
+    assert_eq!(missed, [Some("station_down"), None], "what came before it was locked");
 }
 
 #[test]

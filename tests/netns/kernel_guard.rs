@@ -25,7 +25,7 @@ use rtnet::{Instant, Pool};
 use tests::bare::Bare;
 use tools::lab::namespace::{Namespace, Segment};
 
-use crate::live::{Medium, as_root, clock, our_master, our_slave};
+use crate::live::{Extras, Medium, as_root, clock, our_master, our_slave};
 
 const HERE: Address = Address([2, 0, 0, 0, 0, 1]);
 const THERE: Address = Address([2, 0, 0, 0, 0, 2]);
@@ -209,8 +209,9 @@ fn a_station_whose_frames_the_kernel_drops_tells_of_it_and_goes_on() {
     }
     let mut medium = Medium::new();
     let ideal = clock(Span::ZERO, 0);
-    let mut master = medium
-        .start_held(ideal, 1, Some(hold), |address| our_master(address, &ideal, Span::from_micros(3_500)));
+    let held = Extras { hold: Some(hold), ..Extras::default() };
+    let mut master =
+        medium.start_with(ideal, 1, held, |address| our_master(address, &ideal, Span::from_micros(3_500)));
     let mut slave = medium.start(clock(Span::from_millis(700), 50_000), 0, |address| {
         our_slave(address, 5, Span::from_micros(2_000))
     });

@@ -10,7 +10,7 @@ use rtmac::tdma::{
     TdmaConfig,
 };
 use rtmac::token::wire::TOKEN;
-use rtnet::clock::EmulatedClock;
+use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Discipline, Service};
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::interface::Interface;
@@ -32,6 +32,14 @@ pub use tests::as_root;
 pub struct Medium {
     segment: Segment,
     stations: u8,
+}
+
+/// What a station has besides its test traffic.
+#[derive(Default)]
+pub struct Extras {
+    /// What it does between its last look at the clock and each `send`.
+    pub hold: Option<fn()>,
+    pub service: Option<Box<dyn Service>>,
 }
 
 /// A running station; dropping it ends its thread.
@@ -76,15 +84,15 @@ impl Medium {
     where
         D::Status: Send,
     {
-        self.start_held(clock, to, None, discipline)
+        self.start_with(clock, to, Extras::default(), discipline)
     }
 
-    /// The same for one that does something between its last look at the clock and each `send`.
-    pub fn start_held<D: Discipline + 'static>(
+    /// The same for one that has more than that.
+    pub fn start_with<D: Discipline + 'static>(
         &mut self,
         clock: EmulatedClock,
         to: u8,
-        hold: Option<fn()>,
+        extras: Extras,
         discipline: impl FnOnce(Address) -> D,
     ) -> Running<D>
     where
@@ -99,12 +107,13 @@ impl Medium {
         let open =
             || Port::open(&Interface::find("rt0").unwrap(), &data, clock, spin, GuardMode::Auto).unwrap();
         let mut port = namespace.run(open).unwrap();
-        if let Some(hold) = hold {
+        if let Some(hold) = extras.hold {
             port.hold_before_send(hold);
         }
         let traffic = TestTraffic::new(number.into(), address, Self::address(to));
         let tally = traffic.tally.clone();
-        let services: Vec<Box<dyn Service>> = vec![Box::new(traffic)];
+        let mut services: Vec<Box<dyn Service>> = vec![Box::new(traffic)];
+        services.extend(extras.service);
         let stop = Arc::new(AtomicBool::new(false));
         let config = DriverConfig { stop: stop.clone(), sample_time: false, changed: None };
         let mut driver = Driver::new(Station::new(discipline(address), services), port, config);
@@ -119,6 +128,11 @@ impl<D: Discipline> Running<D> {
     pub fn status(&mut self) -> Option<D::Status> {
         self.latest = self.snapshots.pop().or(self.latest.take());
         self.latest.as_ref().map(|snapshot| snapshot.status)
+    }
+
+    /// The dates of the snapshots that nobody has looked at.
+    pub fn dates(&self) -> Vec<True> {
+        std::iter::from_fn(|| self.snapshots.pop()).map(|snapshot| snapshot.at).collect()
     }
 
     pub fn wait_until(&mut self, what: &str, holds: impl FnMut(&D::Status) -> bool) -> D::Status {

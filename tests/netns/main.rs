@@ -5,6 +5,7 @@
 
 mod data_between_slots;
 mod kernel_guard;
+mod last_look;
 mod linux_peer;
 mod live;
 mod not_for_us;

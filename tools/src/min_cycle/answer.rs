@@ -199,13 +199,24 @@ impl Answer {
 
     /// The run that proved the answer.
     pub fn proof(&self) -> Option<&Run> {
-        self.runs.last().filter(|run| self.cycle_ns == Some(run.cycle_ns))
+        let proves =
+            |run: &&Run| run.purpose == Purpose::Proof && run.holds && self.cycle_ns == Some(run.cycle_ns);
+        self.runs.iter().rfind(proves)
     }
 
     /// The longest cycle below the answer that was not held.
     pub fn next_shorter(&self) -> Option<&Run> {
         let shorter = self.runs.iter().filter(|run| Some(run.cycle_ns) < self.cycle_ns && !run.holds);
         shorter.max_by_key(|run| run.cycle_ns)
+    }
+
+    /// The trial of the shortest cycle that held, if what is proven is longer by more than searches differ, or nothing is:
+    /// then not what a cycle has room for decided, but outages of the host, which come and go.
+    pub fn decided_by_outages(&self) -> Option<&Run> {
+        let held = self.runs.iter().filter(|run| run.purpose == Purpose::Trial && run.holds);
+        let shortest = held.min_by_key(|run| run.cycle_ns)?;
+        let proven = self.cycle_ns.map_or(f64::INFINITY, |ns| ns as f64);
+        (proven > shortest.cycle_ns as f64 * AGREE_WITHIN).then_some(shortest)
     }
 }
 

@@ -91,6 +91,7 @@ fn runs(runs: &[Run], width: usize) -> Vec<String> {
 
 fn conclusion(answer: &Answer) -> String {
     let limit = percent(f64::from(answer.asked.miss_ppm) / 1e6);
+    let outages = outages(answer);
     let Some(proof) = answer.proof() else {
         let least = answer.runs.iter().min_by(|a, b| a.missed_share.total_cmp(&b.missed_share));
         let least = least.map_or(String::new(), |run| {
@@ -102,7 +103,7 @@ fn conclusion(answer: &Answer) -> String {
         });
         return format!(
             "NOT FOUND: no cycle that was tried misses at most {limit} of its slots{least}. `rtnet doctor` tells what holds \
-             this host's threads up; --miss allows more, --longest tries longer cycles, and fewer --stations need less"
+             this host's threads up; --miss allows more, --longest tries longer cycles, and fewer --stations need less{outages}"
         );
     };
     let shorter = match answer.next_shorter() {
@@ -110,13 +111,25 @@ fn conclusion(answer: &Answer) -> String {
         Some(run) => run_line(run),
     };
     format!(
-        "FOUND: {} is the shortest cycle that this host holds, proven for {}: {} of {} slots missed, {}; {shorter}",
+        "FOUND: {} is the shortest cycle that this host holds, proven for {}: {} of {} slots missed, {}; {shorter}{outages}",
         duration(proof.cycle_ns.unsigned_abs()),
         duration(proof.duration_ns.unsigned_abs()),
         grouped(proof.missed),
         grouped(proof.slots),
         percent(proof.missed_share),
     )
+}
+
+/// Why another search may well say something else.
+fn outages(answer: &Answer) -> String {
+    let held = answer.decided_by_outages();
+    held.map_or(String::new(), |run| {
+        let cycle = duration(run.cycle_ns.unsigned_abs());
+        format!(
+            ". A trial of {cycle} held: outages of this host, which come and go, decided that, more than how much room a cycle \
+             has; with a --miss of ten times what a cycle of 2ms misses, searches agree"
+        )
+    })
 }
 
 /// To what can be told apart of it.

@@ -3,15 +3,16 @@
 //! ```text
 //!            gallop: GALLOP rungs at a time             bisect                prove
 //! start ── holds ──► shorter ... until one does not ──► between the two ──► the shortest that held ── holds ──► found
-//!   └───── not ────► longer  ... until one holds ───────────┘                 └─ not: 1, 1, 2, 4, 8 rungs longer
+//!   └───── not ────► longer  ... until one holds ───────────┘                 └─ not: 1, 1, 2, 4, 8 rungs longer,
+//!                                                                                until one holds; then between the two
 //! ```
 
 use super::answer::{Purpose, Run};
 
 /// Rungs of the ladder at a time, until the answer lies between two: 1.5 times as long, or as short.
 const GALLOP: usize = 4;
-/// How many rungs longer the next proof is after one that failed: a host that stops threads now and then is better served by
-/// a cycle that is much longer than by ten proofs.
+/// How many rungs longer the next proof is after one that failed: where a host that stops threads now and then proves one at
+/// all is found in few proofs, and only then how short it may be.
 const STEPS: [usize; 5] = [1, 1, 2, 4, 8];
 
 /// Searches among so many rungs: the answer, if any holds, and what came of every run.
@@ -56,15 +57,18 @@ pub struct Search {
     /// The shortest that held a trial.
     holds: Option<usize>,
     next: Next,
-    /// Proofs that failed.
+    /// The longest whose proof failed, and how many have.
+    unproven: Option<usize>,
     failed_proofs: usize,
+    /// The shortest whose proof held.
+    proven: Option<usize>,
 }
 
 impl Search {
     /// Begins at a rung.
     pub fn new(rungs: usize, start: usize) -> Self {
         let next = if rungs == 0 { Next::NotFound } else { Next::Trial(start.min(rungs - 1)) };
-        Self { rungs, fails: None, holds: None, next, failed_proofs: 0 }
+        Self { rungs, fails: None, holds: None, next, unproven: None, failed_proofs: 0, proven: None }
     }
 
     /// What to do.
@@ -83,8 +87,15 @@ impl Search {
                 };
                 self.after_trial()
             }
-            Next::Proof(rung) if held => Next::Found(rung),
-            Next::Proof(rung) => self.after_failed_proof(rung),
+            Next::Proof(rung) => {
+                if held {
+                    self.proven = Some(rung)
+                } else {
+                    self.unproven = Some(rung);
+                    self.failed_proofs += 1;
+                };
+                self.after_proof()
+            }
             ended => ended,
         };
     }
@@ -101,13 +112,17 @@ impl Search {
         }
     }
 
-    fn after_failed_proof(&mut self, rung: usize) -> Next {
-        let step = STEPS.get(self.failed_proofs);
-        self.failed_proofs += 1;
-        match step {
-            Some(_) if rung + 1 == self.rungs => Next::NotFound,
-            Some(step) => Next::Proof((rung + step).min(self.rungs - 1)),
-            None => Next::NotFound,
+    fn after_proof(&self) -> Next {
+        match (self.unproven, self.proven) {
+            (Some(unproven), Some(proven)) if proven - unproven > 1 => {
+                Next::Proof(unproven + (proven - unproven) / 2)
+            }
+            (_, Some(proven)) => Next::Found(proven),
+            (Some(unproven), None) if unproven + 1 < self.rungs => {
+                let step = STEPS.get(self.failed_proofs - 1);
+                step.map_or(Next::NotFound, |step| Next::Proof((unproven + step).min(self.rungs - 1)))
+            }
+            (_, None) => Next::NotFound,
         }
     }
 }
@@ -153,12 +168,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_proven_is_proven_with_a_longer_cycle() {
+    fn what_is_not_proven_is_proven_with_the_shortest_longer_cycle_that_is() {
         for proven in 20..=36 {
             let (found, _, proofs) = searched(50, 25, |rung| rung >= 20, |rung| rung >= proven);
             let steps = [20, 21, 22, 24, 28, 36];
             let at = steps.iter().position(|&rung| rung >= proven).unwrap();
-            assert_eq!((found, proofs), (Next::Found(steps[at]), at + 1));
+            // Up to the first that is proven, and then between it and the last that is not.
+            let between = if at == 0 { 0 } else { (steps[at] - steps[at - 1]).ilog2() as usize };
+            assert_eq!((found, proofs), (Next::Found(proven), at + 1 + between), "{proven}");
         }
         // Tried: 25, 21, 17, 19, 20.
         assert_eq!(searched(50, 25, |rung| rung >= 20, |_| false), (Next::NotFound, 5, 6));

@@ -52,6 +52,22 @@ fn a_run_with_a_bad_verdict_and_one_that_did_not_come_up_hold_nothing_and_say_wh
 }
 
 #[test]
+fn an_answer_far_from_what_trials_held_is_one_of_outages() {
+    let trial = |us: i64, missed| {
+        let run = (us * 1_000, 100_000);
+        Run::of(Purpose::Trial, run, 5_000_000_000, (&figures([missed; 20], &[]), [missed; 20]), 1_000)
+    };
+    let why = |proven_us: Option<i64>| {
+        let runs = vec![trial(1_000, 1), trial(680, 9), trial(820, 1), trial(750, 9)];
+        let answer = Answer { runs, ..answer(proven_us.map(|us| us * 1_000)) };
+        answer.decided_by_outages().map(|run| run.cycle_ns)
+    };
+    assert_eq!([820, 1_000].map(|us| why(Some(us))), [None, None]);
+    assert_eq!([Some(1_100), None].map(why), [Some(820_000); 2]);
+    assert_eq!(answer(None).decided_by_outages().map(|run| run.cycle_ns), None, "no trial held");
+}
+
+#[test]
 fn what_is_longer_by_more_than_a_quarter_is_a_regression() {
     let compared = |now, kept| answer(now).compared_with(&answer(kept));
     let of = Some;

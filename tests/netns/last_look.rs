@@ -8,7 +8,6 @@ use rtnet::buf::Buf;
 use rtnet::counters::Refusal;
 use rtnet::discipline::{Opportunity, Outlet, Service};
 use rtnet::live::clock::monotonic;
-
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::EtherType;
 

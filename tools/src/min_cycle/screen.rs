@@ -127,7 +127,7 @@ fn outages(answer: &Answer) -> String {
         let cycle = duration(run.cycle_ns.unsigned_abs());
         format!(
             ". A trial of {cycle} held: outages of this host, which come and go, decided that, more than how much room a cycle \
-             has; with a --miss of ten times what a cycle of 2ms misses, searches agree"
+             has. With ten times what a cycle of 2ms misses as --miss, it is the other way round"
         )
     })
 }

@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most};
+use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most, schedule};
 use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
@@ -58,6 +58,8 @@ pub struct Records {
     cycle: Span,
     /// How long after its instant a frame that is not held up is sent, and another behind it.
     in_time: Span,
+    /// What is beside a line by no more is taken for the same.
+    step_limit: Span,
     /// Who may give the time instead of the master.
     backups: Vec<usize>,
     /// Who may send frames that do not say of which turn they are, of sockets or tunnelled ones; and how soon one of its
@@ -97,12 +99,14 @@ impl Records {
         let unmarked = scenario.stations.iter().enumerate().filter(|(_, plan)| unmarked(plan));
         let unmarked = unmarked.map(|(of, plan)| (of, nearest_turns(plan, scenario.cycle))).collect();
         let addresses = (0..scenario.stations.len()).map(|station| scenario.address(station)).collect();
-        Self { cycle: scenario.cycle, in_time, backups, unmarked, addresses, ..Self::default() }
+        let step_limit = schedule::step_limit(scenario.guard);
+        Self { cycle: scenario.cycle, in_time, step_limit, backups, unmarked, addresses, ..Self::default() }
     }
 
     /// The network has other slots, and a cycle of its own, now; what is looked for may be of before.
     pub fn follow(&mut self, scenario: &Scenario) {
         self.cycle = scenario.cycle;
+        self.step_limit = schedule::step_limit(scenario.guard).max(self.step_limit);
         for (station, nearest) in &mut self.unmarked {
             *nearest = nearest_turns(&scenario.stations[*station], scenario.cycle).min(*nearest);
         }
@@ -178,6 +182,7 @@ impl Records {
                     .or_else(|| self.held_up_twice(author, finding.span))
                     .or_else(|| self.moved_to_another_turn(author, finding.span))
                     .or_else(|| self.last_words(author))
+                    .or_else(|| self.begun_beside(author, finding.span))
             }),
             FindingKind::Overlap => authors
                 .find_map(|author| {
@@ -229,14 +234,6 @@ impl Records {
     /// What a station had to tell of its last moments went with it.
     fn last_words(&self, author: Author) -> Option<&'static str> {
         self.untold(author).filter(|&why| why == Absence::Down.name())
-    }
-
-    /// A station that is there again has no slots before it is locked, and sends in the first that comes then.
-    fn not_yet(&self, Author { station, cycle, .. }: Author) -> Option<&'static str> {
-        let before = cycle.wrapping_sub(1);
-        let was_down = self.absences.of(station, before).filter(|&why| why == Absence::Down)?;
-        let locked = self.lines.newest_before(station, cycle.wrapping_add(1), true);
-        locked.filter(|locked| [before, cycle].contains(locked)).map(|_| was_down.name())
     }
 
     /// A station that was silent did what it must, but that alone explains nothing: why was there no sync to follow,
@@ -399,6 +396,7 @@ fn of_cycle(author: Author) -> Author {
     Author { slot: None, ..author }
 }
 
+mod again;
 mod held_up;
 #[cfg(test)]
 mod tests;

@@ -98,7 +98,7 @@ impl Records {
     }
 
     /// In which cycles what is held up may have begun.
-    fn cycles_ago(&self) -> impl Iterator<Item = u32> + use<> {
+    pub(super) fn cycles_ago(&self) -> impl Iterator<Item = u32> + use<> {
         0..=(HELD_UP_FOR.nanos() / self.cycle.nanos().max(1)) as u32 + 1
     }
 
@@ -107,14 +107,19 @@ impl Records {
         self.unmarked.iter().find(|(of, _)| *of == station).map(|&(_, between)| between)
     }
 
-    /// A calibration reply, whose author nobody knows, meets others when it is late, of the next cycle, too; it moves
+    /// A calibration reply, whose author nobody knows, meets others when it is late, of a later cycle, too; it moves
     /// nobody.
     pub(super) fn late_reply(&self, finding: &Finding) -> Option<&'static str> {
-        let told = |cycle| {
-            self.masters(Author::sync(MASTER, cycle)).find_map(|of| self.told(of, EventKind::ReplyStalled))
+        let told = |ago: u32| {
+            let cycle = finding.cycle.wrapping_sub(ago);
+            let at_least = self.cycle * (i64::from(ago) - 1) - self.in_time;
+            self.masters(Author::sync(MASTER, cycle)).find_map(|of| {
+                let (by, _) = self.by_cycle.get(&key(of, EventKind::ReplyStalled))?;
+                self.told(of, EventKind::ReplyStalled).filter(|_| *by >= at_least)
+            })
         };
         let is_hit = finding.authors.contains(&None);
-        is_hit.then(|| told(finding.cycle).or_else(|| told(finding.cycle.wrapping_sub(1)))).flatten()
+        self.cycles_ago().filter(|_| is_hit).find_map(told)
     }
 }
 

@@ -51,14 +51,19 @@ fn a_held_up_synchronisation_explains_what_follows_in_its_cycle() {
 
 #[test]
 fn a_held_up_calibration_reply_explains_what_it_hits_and_nothing_else() {
-    let mut records = Records::default();
-    records.note(told_of(9, MASTER), EventKind::ReplyStalled, Span::from_nanos(5), None);
-    assert!(records.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
+    let [ms, ns] = [Span::from_millis(1), Span::from_nanos(1)];
+    let told = |station, by| {
+        let mut records = Records { backups: vec![1], cycle: ms, ..Records::default() };
+        records.note(told_of(9, station), EventKind::ReplyStalled, by, None);
+        records
+    };
+    let records = told(MASTER, ms * 2);
+    let hit = |cycle| records.explain(&finding(cycle, FindingKind::Overlap, 4)).is_some();
+    assert_eq!([8, 9, 10, 12, 13].map(hit), [false, true, true, true, false], "so far it was held up");
     assert!(records.explain(&finding(9, FindingKind::OutOfSlot, 4)).is_none());
-    assert!(records.explain(&finding(8, FindingKind::Overlap, 4)).is_none());
-    let mut of_a_backup = Records { backups: vec![1], ..Records::default() };
-    of_a_backup.note(told_of(9, 1), EventKind::ReplyStalled, Span::from_nanos(5), None);
-    assert!(of_a_backup.explain(&finding(9, FindingKind::Overlap, 4)).is_some());
+    let of = |records: Records, cycle| records.explain(&finding(cycle, FindingKind::Overlap, 4)).is_some();
+    assert!(!of(told(MASTER, ms * 2 - ns), 12), "for less");
+    assert!(of(told(1, ms * 2), 9), "a backup's");
     let authors = [4, 5].map(|station| Some(author(9, station)));
     let others = Finding { authors, ..finding(9, FindingKind::Overlap, 4) };
     assert!(records.explain(&others).is_none(), "two others have met");

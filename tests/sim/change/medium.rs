@@ -55,13 +55,13 @@ impl Watch {
         let id = usize::from(station);
         let is_in = |plan: &Plan| {
             let start = sched + plan.cycle() * i64::from(cycle - before);
-            (scheduled - start - plan.scenario.stations[id].slots[0].offset).abs() <= Span::ZERO
+            plan.scenario.stations[id].slots.first().is_some_and(|slot| scheduled - start == slot.offset)
         };
         let of: Vec<usize> = (0..self.schedules.len()).filter(|&i| is_in(&self.schedules[i])).collect();
         match of[..] {
             [] => {
-                let slot = |plan: &Plan| plan.scenario.stations[id].slots[0].offset;
-                let slots: Vec<Span> = self.schedules.iter().map(slot).collect();
+                let slot = |plan: &Plan| plan.scenario.stations[id].slots.first().map(|slot| slot.offset);
+                let slots: Vec<Option<Span>> = self.schedules.iter().map(slot).collect();
                 let after = scheduled - sched;
                 let what = format!(
                     "station {id} in cycle {cycle}, {after} behind {before}: its slots are {slots:?}"

@@ -110,6 +110,34 @@ fn a_station_that_joins_later_learns_the_schedule_that_is_in_use() {
 }
 
 #[test]
+fn a_station_that_is_left_out_acknowledges_it_is_silent_from_then_on_and_can_be_taken_in_again() {
+    let (first, left_out) = (plan(2), STATIONS - 1);
+    let mut second = turned(&first, CYCLE);
+    second.scenario.stations[left_out].slots.clear();
+    let mut changing = Changing::running(first, second);
+    changing.propose(Some(Activation::Soon)).unwrap();
+    changing.run_cycles(40);
+    // All but the one that gives the time.
+    assert_eq!((changing.change(0).acknowledged, changing.change(0).asked), (4, 4));
+    changing.run_cycles(150);
+    let [from] = changing.lab.cycles_with(left_out, EventKind::ScheduleSwitched)[..] else {
+        panic!("it has not switched once");
+    };
+    changing.schedules.swap(0, 1);
+    changing.propose(Some(Activation::Soon)).unwrap();
+    changing.run_cycles(200);
+    assert!((0..STATIONS).all(|id| changing.in_use(id) == 2));
+    let back = changing.lab.cycles_with(left_out, EventKind::ScheduleSwitched)[1];
+    let watch = changing.watch.borrow();
+    watch.check("one is left out, and taken in again");
+    let sent = |cycles: std::ops::Range<u32>| {
+        watch.data.range(cycles).filter(|(_, of)| of.contains(&left_out)).count()
+    };
+    assert!(sent(from - 50..from) > 40 && sent(back..back + 50) > 40);
+    assert_eq!(sent(from..back), 0);
+}
+
+#[test]
 fn a_station_that_does_not_answer_stops_the_change_and_is_named() {
     let first = plan(2);
     let mut changing = Changing::running(first.clone(), turned(&first, CYCLE));

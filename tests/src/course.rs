@@ -10,8 +10,8 @@ mod belief;
 mod describe;
 mod excuse;
 
-use rtmac::tdma::BACKUP_LOOKS_BEFORE;
 use rtmac::tdma::schedule::step_limit;
+use rtmac::tdma::{BACKUP_LOOKS_BEFORE, MOVED_LATE};
 use rtnet::sim::{Host, Link, StationId, Wander};
 use rtnet::time::Span;
 
@@ -95,7 +95,7 @@ impl Case {
     /// 1. Somebody gives the time. At the worst a backup has heard one Synchronisation and no more: it waits for a line as
     ///    long as it listens, and then listens.
     /// 2. Of several one is left: a backup steps down in the next cycle; one more each.
-    /// 3. The others follow: three Synchronisations, and one that is still of another line.
+    /// 3. The others follow: as many Synchronisations as are a later line.
     /// 4. They calibrate, two periods of the first slot a round, and one that waits for a lost reply before. Who is
     ///    calibrating when requests have come to their limit, or with each master when another begins, starts over: by a
     ///    backup, and by the primary that calibrates with it and returns. Who measures anew is locked meanwhile.
@@ -120,7 +120,7 @@ impl Case {
             + 1
             + 2 * listens
             + 1
-            + 3
+            + u64::from(MOVED_LATE)
             + 4
             + 3 * calibrates.max().unwrap_or(0)
             + slews

@@ -87,15 +87,20 @@ impl Mark {
         self.cycle == line.cycle && self.sched == line.sched && self.deviation_from(line).abs() <= limit
     }
 
-    /// Whether it is of the line, and came at `rx` after a later one. Where those do not come any more, it is of a master whose
+    /// Whether it says of its cycle what the line says, and came later. Nothing in it tells a frame that was long on its way
+    /// from a clock that was set.
+    pub fn is_late(&self, line: &TimeLine, limit: Option<Span>) -> bool {
+        let limit = step_limit(limit, line.period);
+        let is_near = (1 - LINE_GOOD_FOR..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle));
+        let says_the_same = (self.sched - line.sched_of(self.cycle)).abs() <= limit;
+        is_near && says_the_same && self.deviation_from(line) > limit
+    }
+
+    /// Whether it is late, and came at `rx` after a later one. Where those do not come any more, it may be of a master whose
     /// clock was set back.
     pub fn is_overtaken(&self, line: &TimeLine, rx: Instant, limit: Option<Span>) -> bool {
-        let limit = step_limit(limit, line.period);
-        let was_told = (self.sched - line.sched_of(self.cycle)).abs() <= limit;
-        let is_past = (1 - LINE_GOOD_FOR..=0).contains(&line.ahead(self.cycle));
-        is_past
-            && was_told
-            && self.deviation_from(line) > limit
+        line.ahead(self.cycle) <= 0
+            && self.is_late(line, limit)
             && rx - line.start < line.period * OVERTAKEN_WITHIN
     }
 

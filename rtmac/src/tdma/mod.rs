@@ -72,6 +72,7 @@ pub use master::{BACKUP_LOOKS_BEFORE, MasterConfig, Mastery};
 use promise::Promises;
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
 pub use report::{CalibrationReport, DelayOf, Delays};
+pub use slave::MOVED_LATE;
 use slave::Slave;
 use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, RT_SLOT, SlotConfig, SlotStatus};

@@ -26,10 +26,11 @@
 //!
 //! A Synchronisation that disagrees with the line is a *time step*: the next one tells whether the master moved (it
 //! agrees with the step) or one frame was held up on its way (it agrees with the line). Until then one that is a little
-//! late is as good as missing, and bridged; nothing is sent after one that is early or very late. On a very busy host
-//! two in a row are held up by as much now and then: a line that is a little later takes a third. What agrees lies on
-//! the line below all ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at most, and
-//! what is late by more than drift only by an eighth of it: frames are held up on their way, never early.
+//! late is as good as missing, and bridged; nothing is sent after one that is early or very late. A frame is never early,
+//! but it may be late by anything, and some in a row by as much: one that says what the line says, later, shows no more of
+//! the clocks than that it has not taken longer. So a later line takes eight in a row, an earlier one two. What agrees
+//! lies on the line below all ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at
+//! most, and what is late by more than drift only by an eighth of it: frames are held up on their way, never early.
 
 mod overwrite;
 mod rounds;
@@ -49,9 +50,11 @@ use super::mark::{self, Mark, Step};
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it: no sync window is longer.
 const GRACE_PARTS: i64 = 8;
-/// So many Synchronisations that agree with each other are a new line; so many, if they may have been held up.
+/// So many Synchronisations in a row that agree with each other are a new line...
 const MOVED: u32 = 2;
-const MOVED_LATE: u32 = 3;
+/// ... and so many, if each may be one of the line's that was long on its way. Where that is one in ten, so many in a row
+/// are once in 10^8 cycles. Nothing is sent meanwhile but in the cycles that are bridged.
+pub const MOVED_LATE: u32 = 8;
 /// A cycle starts at most this long before or after its Synchronisation is received; once the period is
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
@@ -208,7 +211,8 @@ impl Slave {
                     Followed::Agrees
                 } else {
                     let agreed = step.and_then(|step| step.confirmed_by(&mark, line.period));
-                    let needed = if mark.may_be_held_up(line) { MOVED_LATE } else { MOVED };
+                    let is_late = mark.is_late(line, self.config.step_limit);
+                    let needed = if is_late { MOVED_LATE } else { MOVED };
                     match agreed {
                         Some((seen, moved)) if seen >= needed && age <= moved.period => {
                             self.adopt(from, moved)

@@ -11,8 +11,8 @@ use super::timetable::before;
 
 /// Its name in reports.
 pub const NAME: &str = "clock_set";
-/// Within so many cycles all follow a clock that was set: three Synchronisations that agree are a new line, and one is
-/// bridged.
+/// Within so many cycles nobody sends by a clock that was set any more: three Synchronisations that agree are another line,
+/// and one is bridged. A station that waits for more, as a later line takes, is silent meanwhile, and says so.
 const FOLLOWED_WITHIN: u32 = 4;
 
 /// A clock that was set.

@@ -9,8 +9,9 @@ use super::timetable::before;
 
 /// Its name in reports.
 const NAME: &str = "medium_cut";
-/// Within so many cycles all follow one master again: of two backups one waits for two cycles, three Synchronisations that
-/// agree are a new line, and one is bridged.
+/// Within so many cycles nobody sends by another master's line any more: of two backups one waits for two cycles, three
+/// Synchronisations that agree are another line, and one is bridged. A station that waits for more, as a later line takes,
+/// is silent meanwhile, and says so.
 const WHOLE_WITHIN: u32 = 6;
 /// A line that another master's is a little beside moves to it little by little, half as fast as two clocks run apart at most.
 const SLEWS_FOR_PARTS: u32 = 2;

@@ -141,32 +141,74 @@ fn a_way_that_has_become_longer_is_believed_in_time() {
 }
 
 #[test]
-fn two_hold_ups_in_a_row_are_not_a_new_line() {
-    let mut bench = Bench::in_state(SyncState::Locked);
-    assert_eq!(bench.hear(3, 91_000), Ok(Followed::Pending));
-    assert_eq!(bench.hear(4, 91_500), Ok(Followed::Pending), "not even if by as much");
-    assert!(!bench.slave.may_send(4));
-    assert_eq!(bench.hear(5, 0), Ok(Followed::Agrees));
-    assert_eq!(bench.slave.line().unwrap().start.nanos(), 5 * PERIOD);
+fn late_syncs_in_a_row_move_nothing_before_the_eighth() {
+    // Beside the line by a little, by more than a quarter of the cycle, and by more than cycles.
+    for late in [25_000, 91_000, 251_000, 700_000, 2_500_000, 5_500_000] {
+        let mut bench = Bench::in_state(SyncState::Locked);
+        for cycle in 3..2 + MOVED_LATE {
+            let followed = bench.hear(cycle, late + i64::from(cycle % 3) * 300);
+            assert_eq!(followed, Ok(Followed::Pending), "cycle {cycle}, {late} ns late");
+            assert_eq!(bench.slave.line().unwrap().start.nanos(), 2 * PERIOD);
+            assert!(!bench.slave.may_send(cycle) || cycle == 3, "only one is bridged");
+        }
+        let eighth = 2 + MOVED_LATE;
+        assert_eq!(bench.hear(eighth, late), Ok(Followed::NewLine), "its clock was set");
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(eighth) * PERIOD + late as u64);
+    }
 }
 
 #[test]
-fn a_master_that_moves_is_followed_from_the_second_synchronisation_on_or_the_third_if_a_little_late() {
-    for (by, last) in [(-400_000, 4), (400_000, 4), (200_000, 5)] {
+fn one_sync_on_the_line_refutes_all_late_ones_before() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    for first in [3, 3 + MOVED_LATE, 3 + 2 * MOVED_LATE] {
+        for cycle in first..first + MOVED_LATE - 1 {
+            assert_eq!(bench.hear(cycle, 400_000), Ok(Followed::Pending));
+        }
+        let on_time = first + MOVED_LATE - 1;
+        assert_eq!(bench.hear(on_time, 0), Ok(Followed::Agrees));
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(on_time) * PERIOD);
+    }
+}
+
+/// Syncs that a medium delays by `late`, of `parts` one by chance, in the order in which they come.
+fn delayed(seed: u64, late: u64, parts: u64) -> Vec<(u64, u32)> {
+    let mut state = seed;
+    let mut arrivals: Vec<_> = (3..20_000)
+        .map(|cycle| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let is_late = (state >> 33).is_multiple_of(parts);
+            (u64::from(cycle) * PERIOD + if is_late { late } else { 0 }, cycle)
+        })
+        .collect();
+    arrivals.sort_unstable();
+    arrivals
+}
+
+#[test]
+fn overtaken_sync_never_moves_the_time_base() {
+    for seed in 1..=20 {
+        for late in [150_000, 300_000, 700_000, 1_500_000, 2_500_000, 5_500_000] {
+            let mut bench = Bench::in_state(SyncState::Locked);
+            for (at, cycle) in delayed(seed, late, 10) {
+                let (_, line) =
+                    (bench.hear(cycle, (at - u64::from(cycle) * PERIOD) as i64), bench.slave.line());
+                let error = line.unwrap().start_of(cycle) - Instant::from_nanos(u64::from(cycle) * PERIOD);
+                assert_eq!(error, Span::ZERO, "seed {seed}, {late} ns late, cycle {cycle}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_master_that_moves_its_grid_is_followed_from_the_second_sync_on() {
+    for by in [-400_000, 400_000, 200_000] {
         let mut bench = Bench::in_state(SyncState::Locked);
         let moved = |cycle: u32| (u64::from(cycle) * PERIOD).wrapping_add_signed(by);
-        for cycle in 3..last {
-            assert_eq!(bench.hear_from_line(cycle, moved(cycle), 0), Ok(Followed::Pending), "{by}");
-            assert_eq!(
-                bench.slave.may_send(cycle),
-                by == 200_000 && cycle == 3,
-                "{by}: one that is a little late is bridged"
-            );
-        }
-        assert_eq!(bench.hear_from_line(last, moved(last), 0), Ok(Followed::NewLine), "{by}");
-        assert_eq!(bench.slave.line().unwrap().start.nanos(), moved(last));
-        let steps: Vec<_> = (3..last).map(|cycle| (cycle, EventKind::TimeStep)).collect();
-        assert_eq!(bench.told(), steps, "each that is not followed");
+        assert_eq!(bench.hear_from_line(3, moved(3), 0), Ok(Followed::Pending), "{by}");
+        assert_eq!(bench.slave.may_send(3), by == 200_000, "{by}: one that is a little late is bridged");
+        assert_eq!(bench.hear_from_line(4, moved(4), 0), Ok(Followed::NewLine), "{by}: it says so itself");
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), moved(4));
+        assert_eq!(bench.told(), [(3, EventKind::TimeStep)], "each that is not followed");
     }
 }
 

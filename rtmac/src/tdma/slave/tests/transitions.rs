@@ -63,7 +63,7 @@ every! {
         Calibrating,
         /// The same, and nothing will be bridged as configured.
         CalibratingUnbridged,
-        /// Calibrating: the last Synchronisation was later than hold-ups are.
+        /// Calibrating: the last Synchronisation was early.
         CalibratingMoved,
         Locked,
         /// Locked, and nothing is bridged as configured.
@@ -76,14 +76,16 @@ every! {
         HeldUp,
         /// Holdover: the last two were, by as much.
         HeldUpTwice,
-        /// Locked: the last Synchronisation was later than hold-ups are.
+        /// Locked: the last Synchronisation was early.
         Moved,
         Holdover,
         /// Holdover, with two more cycles that are bridged as configured.
         Bridging,
         Lost,
-        /// Lost: one Synchronisation was heard since, and later than hold-ups are.
+        /// Lost: one Synchronisation was heard since, and it was early.
         LostMoved,
+        /// Lost: all but one of the late Synchronisations were heard that are a later line.
+        LostLate,
         /// Lost, and not calibrated yet.
         LostUncalibrated,
         /// Lost: its line was too old, and given up.
@@ -102,7 +104,7 @@ every! {
         AnothersSync,
         /// The next one, late by as much as a hold-up explains.
         HeldUpSync,
-        /// The next one, later than that.
+        /// The next one, early.
         JumpedSync,
         /// One in time whose number is of another count.
         RenumberedSync,
@@ -155,7 +157,7 @@ const PENDING: Answer = Answer::Sync(Followed::Pending);
 
 const BACKUP: Address = Address([2, 0, 0, 0, 0, 7]);
 const HELD_UP: i64 = 200_000;
-const JUMPED: i64 = 500_000;
+const JUMPED: i64 = -400_000;
 
 /// A slave in its place, with the last cycle that it heard of and the next that is due.
 struct Seat {

@@ -19,14 +19,16 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
             Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
             | HeldUp | Moved => stays(AGREES, None),
             HeldUpTwice | Holdover | Bridging => locked(AGREES, None),
-            Lost | LostMoved => locked(AGREES, Some(EventKind::Locked)),
+            Lost | LostMoved | LostLate => locked(AGREES, Some(EventKind::Locked)),
             LostUncalibrated => calibrates(AGREES),
         },
         Happening::HeldUpSync => match place {
             Nothing | First | GivenUp | GivenUpFirst => stays(PENDING, None),
-            HeldUpTwice => locked(NEW_LINE, None),
+            LostLate => locked(NEW_LINE, Some(EventKind::Locked)),
             Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
-            | HeldUp | Moved | Holdover | Bridging | Lost | LostMoved | LostUncalibrated => step,
+            | HeldUp | HeldUpTwice | Moved | Holdover | Bridging | Lost | LostMoved | LostUncalibrated => {
+                step
+            }
         },
         Happening::JumpedSync => match place {
             Nothing | First | GivenUp | GivenUpFirst => stays(PENDING, None),
@@ -34,19 +36,19 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
             CalibratingMoved => calibrates(NEW_LINE),
             LostMoved => locked(NEW_LINE, Some(EventKind::Locked)),
             Calibrating | CalibratingUnbridged | Locked | Unbridged | Anew | Doubled | HeldUp
-            | HeldUpTwice | Holdover | Bridging | Lost | LostUncalibrated => step,
+            | HeldUpTwice | Holdover | Bridging | Lost | LostLate | LostUncalibrated => step,
         },
         Happening::RenumberedSync => match place {
             Nothing | First | GivenUp | GivenUpFirst => stays(PENDING, None),
             Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
-            | HeldUp | HeldUpTwice | Moved | Holdover | Bridging | Lost | LostMoved | LostUncalibrated => {
-                step
-            }
+            | HeldUp | HeldUpTwice | Moved | Holdover | Bridging | Lost | LostMoved | LostLate
+            | LostUncalibrated => step,
         },
         Happening::RepeatedSync | Happening::BackupsRepeat => match place {
             Nothing | First | GivenUp | GivenUpFirst => stays(PENDING, None),
             Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
-            | HeldUp | HeldUpTwice | Moved | Holdover | Bridging | Lost | LostMoved | LostUncalibrated => {
+            | HeldUp | HeldUpTwice | Moved | Holdover | Bridging | Lost | LostMoved | LostLate
+            | LostUncalibrated => {
                 stays(Answer::Refused(Refusal::DuplicateCycle), Some(EventKind::DuplicateCycle))
             }
         },
@@ -60,7 +62,9 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
             // It goes on as before, with another delay.
             Anew => stays(Answer::Nothing, Some(EventKind::CalibratedAnew)),
             Nothing | First | Locked | Unbridged | Doubled | HeldUp | HeldUpTwice | Moved | Holdover
-            | Bridging | Lost | LostMoved | GivenUp | GivenUpFirst => refused(Refusal::UnexpectedReply),
+            | Bridging | Lost | LostMoved | LostLate | GivenUp | GivenUpFirst => {
+                refused(Refusal::UnexpectedReply)
+            }
         },
         Happening::ForeignReply => refused(Refusal::UnexpectedReply),
         Happening::ImplausibleReply => match place {
@@ -68,34 +72,37 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
                 refused(Refusal::ImplausibleReply)
             }
             Nothing | First | Locked | Unbridged | Doubled | HeldUp | HeldUpTwice | Moved | Holdover
-            | Bridging | Lost | LostMoved | GivenUp | GivenUpFirst => refused(Refusal::UnexpectedReply),
+            | Bridging | Lost | LostMoved | LostLate | GivenUp | GivenUpFirst => {
+                refused(Refusal::UnexpectedReply)
+            }
         },
         Happening::HalfACycle => match place {
             // What may be held up, or is of another line, is missing.
             HeldUp | Moved => bridges,
             HeldUpTwice => lost,
             Nothing | First | Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged
-            | Anew | Doubled | Holdover | Bridging | Lost | LostMoved | LostUncalibrated | GivenUp
-            | GivenUpFirst => nothing,
+            | Anew | Doubled | Holdover | Bridging | Lost | LostMoved | LostLate | LostUncalibrated
+            | GivenUp | GivenUpFirst => nothing,
         },
         Happening::OneCycleMore => match place {
             Locked | Anew | Doubled => bridges,
             CalibratingMoved | Unbridged | HeldUp | HeldUpTwice | Moved | Holdover => lost,
             // One that is missing does not interrupt a calibration.
-            Nothing | First | Calibrating | CalibratingUnbridged | Bridging | Lost | LostMoved
+            Nothing | First | Calibrating | CalibratingUnbridged | Bridging | Lost | LostMoved | LostLate
             | LostUncalibrated | GivenUp | GivenUpFirst => nothing,
         },
         Happening::TwoCyclesMore => match place {
             Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
             | HeldUp | HeldUpTwice | Moved | Holdover => lost,
-            Nothing | First | Bridging | Lost | LostMoved | LostUncalibrated | GivenUp | GivenUpFirst => {
-                nothing
-            }
+            Nothing | First | Bridging | Lost | LostMoved | LostLate | LostUncalibrated | GivenUp
+            | GivenUpFirst => nothing,
         },
         Happening::AThousandCyclesMore => match place {
             Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
             | HeldUp | HeldUpTwice | Moved | Holdover | Bridging => lost,
-            Lost | LostMoved | LostUncalibrated => stays(Answer::Nothing, Some(EventKind::LineGivenUp)),
+            Lost | LostMoved | LostLate | LostUncalibrated => {
+                stays(Answer::Nothing, Some(EventKind::LineGivenUp))
+            }
             Nothing | First | GivenUp | GivenUpFirst => nothing,
         },
         Happening::Forget => (SyncState::Waiting, Answer::Nothing, None),
@@ -104,7 +111,7 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
                 calibrates(Answer::Nothing)
             }
             Nothing | First | Locked | Unbridged | Anew | Doubled | HeldUp | HeldUpTwice | Moved
-            | Holdover | Bridging | Lost | LostMoved | GivenUp | GivenUpFirst => {
+            | Holdover | Bridging | Lost | LostMoved | LostLate | GivenUp | GivenUpFirst => {
                 locked(Answer::Nothing, None)
             }
         },

@@ -12,14 +12,14 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
         Calibrating | CalibratingUnbridged | CalibratingMoved | LostUncalibrated => {
             (SyncState::Calibrating, answer, None)
         }
-        Locked | Unbridged | Anew | Doubled | HeldUp | HeldUpTwice | Moved | LostMoved | Holdover
-        | Bridging => locked(answer, None),
+        Locked | Unbridged | Anew | Doubled | HeldUp | HeldUpTwice | Moved | LostMoved | LostLate
+        | Holdover | Bridging => locked(answer, None),
         Lost => locked(answer, Some(EventKind::Locked)),
     };
     // As far as who doubts is who does not.
     let counterpart = match place {
         Calibrating | CalibratingMoved => Calibrating,
-        Locked | Doubled | HeldUp | HeldUpTwice | Moved | LostMoved => Locked,
+        Locked | Doubled | HeldUp | HeldUpTwice | Moved | LostMoved | LostLate => Locked,
         Nothing | First | CalibratingUnbridged | Unbridged | Anew | Holdover | Bridging | Lost
         | LostUncalibrated | GivenUp | GivenUpFirst => place,
     };
@@ -33,16 +33,6 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
         }
         Happening::RepeatedSync | Happening::BackupsRepeat => follows(AGREES),
         Happening::RenumberedSync => follows(NEW_LINE),
-        // Its line begins half a cycle later, and one less is missing.
-        Happening::OneCycleMore | Happening::TwoCyclesMore
-            if matches!(place, CalibratingMoved | Moved | LostMoved) =>
-        {
-            let sooner = match happening {
-                Happening::TwoCyclesMore => Happening::OneCycleMore,
-                _ => Happening::HalfACycle,
-            };
-            expected::expected(sooner, counterpart)
-        }
         Happening::ImplausibleSync
         | Happening::Reply
         | Happening::ForeignReply

@@ -19,7 +19,7 @@ impl Place {
             Place::HeldUpTwice => or(State::HoldoverInDoubt, State::Locked),
             Place::Holdover | Place::Bridging => State::Holdover,
             Place::Lost | Place::LostUncalibrated => State::Lost,
-            Place::LostMoved => or(State::LostInDoubt, State::Locked),
+            Place::LostMoved | Place::LostLate => or(State::LostInDoubt, State::Locked),
             Place::GivenUp => State::LostForAny,
             Place::GivenUpFirst => State::LostForSecond,
         }
@@ -103,6 +103,13 @@ impl Place {
                 bench.wait_until(middle_of(4));
                 bench.hear(5, JUMPED).unwrap();
                 (5, 6)
+            }
+            Place::LostLate => {
+                bench.wait_until(middle_of(4));
+                for cycle in 5..4 + MOVED_LATE {
+                    bench.hear(cycle, HELD_UP).unwrap();
+                }
+                (3 + MOVED_LATE, 4 + MOVED_LATE)
             }
             Place::GivenUp | Place::GivenUpFirst => {
                 bench.wait_until(middle_of(4));

@@ -32,7 +32,7 @@ use rtnet::time::{Instant, Span};
 use super::edge::{Edge, Point};
 use super::line::{DRIFT_PARTS, Drift};
 use super::rate::Rate;
-use super::running::{self, GROUPS};
+use super::running::{self, GROUPS, LOOKS_BACK};
 
 /// Synchronisations of a window.
 const WINDOW: usize = 64;
@@ -80,7 +80,10 @@ const LEFT: usize = 32;
 /// The early Synchronisations, and the line through them. What every turn looks at comes first, together.
 #[repr(C)]
 pub struct Envelope {
-    window: Vec<Point>,
+    /// The last ones: those of this window, and of the one before as many as it takes to see a clock run off.
+    last: Vec<Point>,
+    /// How many of them are of the window before.
+    before: usize,
     /// Of this window, those that are clearly earlier than the line.
     too_early: usize,
     /// Since this cycle the clocks have been the same.
@@ -106,8 +109,16 @@ struct Known {
 
 impl Envelope {
     pub fn new() -> Self {
-        let (window, early) = (Vec::with_capacity(WINDOW), VecDeque::with_capacity(WINDOWS));
-        Self { window, too_early: 0, early, since: None, edge: None, scatter: Span::ZERO, known: None }
+        Self {
+            last: Vec::with_capacity(LOOKS_BACK + WINDOW),
+            before: 0,
+            too_early: 0,
+            early: VecDeque::with_capacity(WINDOWS),
+            since: None,
+            edge: None,
+            scatter: Span::ZERO,
+            known: None,
+        }
     }
 
     /// Whether there is ever a line at cycles of this length.
@@ -129,15 +140,23 @@ impl Envelope {
 
     /// The line was late, or the way has become quicker: the clocks are the same.
     fn forget_edge(&mut self) {
-        self.window.clear();
-        self.too_early = 0;
+        self.forget_last();
         self.early.clear();
         self.edge = None;
     }
 
+    fn forget_last(&mut self) {
+        self.last.clear();
+        (self.before, self.too_early) = (0, 0);
+    }
+
+    fn window(&self) -> &[Point] {
+        &self.last[self.before..]
+    }
+
     /// A Synchronisation is on its way for longer by so much than was believed: all cycles start that much earlier.
     pub fn lengthen(&mut self, by: Span) {
-        let points = self.window.iter_mut().chain(&mut self.early);
+        let points = self.last.iter_mut().chain(&mut self.early);
         points.for_each(|point| point.start = point.start - by);
         if let Some(edge) = &mut self.edge {
             edge.shift(-by);
@@ -184,33 +203,34 @@ impl Envelope {
             match self.edge.filter(|_| self.known_at(start).is_some()) {
                 // What they all say: the least early of them.
                 Some(edge) => {
-                    let too_early = self.window.drain(..).filter(|before| edge.late(before) < -NOISE);
-                    point = too_early.fold(point, |a, b| if edge.late(&a) < edge.late(&b) { b } else { a });
+                    let too_early = self.window().iter().filter(|&before| edge.late(before) < -NOISE);
+                    point = too_early.fold(point, |a, &b| if edge.late(&a) < edge.late(&b) { b } else { a });
+                    self.forget_last();
                     ends = true;
                 }
                 None => self.forget_edge(),
             }
         }
         self.since.get_or_insert(cycle);
-        self.window.push(point);
+        self.last.push(point);
         if let Some(early) = self.running() {
             self.run_off(early, period);
             return true;
         }
         // With a rate that is known any point makes a line.
-        ends |= self.window.len() == WINDOW || self.edge.is_none() && self.known_at(start).is_some();
+        ends |= self.window().len() == WINDOW || self.edge.is_none() && self.known_at(start).is_some();
         if ends {
             self.end_window(period);
         }
         ends
     }
 
-    /// The last of this window, if they leave the line as a clock does.
+    /// The last ones, if they leave the line as a clock does.
     fn running(&self) -> Option<[Point; GROUPS]> {
-        let (edge, last) = (self.edge.as_ref()?, self.window.last()?);
+        let (edge, last) = (self.edge.as_ref()?, self.last.last()?);
         let by = self.slower().max(NOISE).max(self.unsure_over(1));
         let is_late = edge.late(last) > by;
-        is_late.then(|| running::running(&self.window, edge, by)).flatten()
+        is_late.then(|| running::running(&self.last, edge, by)).flatten()
     }
 
     /// A clock has another rate since these.
@@ -235,8 +255,8 @@ impl Envelope {
         }
         let early = self.early_one(period);
         self.early.push_back(early);
-        self.window.clear();
-        self.too_early = 0;
+        self.last.drain(..self.last.len().saturating_sub(LOOKS_BACK));
+        (self.before, self.too_early) = (self.last.len(), 0);
         if let Some(stride) = STRIDES.into_iter().find(|&stride| self.runs_off(stride)) {
             self.keep_last(stride * (RUNNING - 1) + 1);
             self.known = None;
@@ -375,13 +395,14 @@ impl Envelope {
 
     /// Of this window's, by the drift that is known so far.
     fn early_one(&self, period: Span) -> Point {
-        let flat = Edge::through(self.window[0], self.drift().unwrap_or(Drift::NONE), period);
-        let mut late = [(Span::ZERO, self.window[0]); WINDOW];
-        for (late, &point) in late.iter_mut().zip(&self.window) {
+        let window = self.window();
+        let flat = Edge::through(window[0], self.drift().unwrap_or(Drift::NONE), period);
+        let mut late = [(Span::ZERO, window[0]); WINDOW];
+        for (late, &point) in late.iter_mut().zip(window) {
             *late = (flat.late(&point), point);
         }
-        let noted = &mut late[..self.window.len()];
-        noted.select_nth_unstable_by_key(self.window.len() / EARLY_PARTS, |&(late, _)| late).1.1
+        let noted = &mut late[..window.len()];
+        noted.select_nth_unstable_by_key(window.len() / EARLY_PARTS, |&(late, _)| late).1.1
     }
 }
 

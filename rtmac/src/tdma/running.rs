@@ -1,4 +1,4 @@
-//! A clock that has changed its rate, seen within one window.
+//! A clock that has changed its rate, seen in fewer Synchronisations than a window has.
 //!
 //! ```text
 //!  later than
@@ -21,14 +21,16 @@ use super::edge::{Edge, Point};
 pub const GROUPS: usize = 12;
 /// Synchronisations of a group: few where one says much, more where hosts are busy.
 const SIZES: [usize; 4] = [1, 2, 4, 5];
+/// So far back it looks at most.
+pub const LOOKS_BACK: usize = GROUPS * SIZES[SIZES.len() - 1];
 /// Beside the straight line each is by no more than this part of what it has left.
 const BESIDE_PARTS: i64 = 16;
 
-/// The early ones of the last groups of a window, if they have left the edge evenly, by more than `at_least`.
-pub fn running(window: &[Point], edge: &Edge, at_least: Span) -> Option<[Point; GROUPS]> {
+/// The early ones of the last groups of points, if they have left the edge evenly, by more than `at_least`.
+pub fn running(points: &[Point], edge: &Edge, at_least: Span) -> Option<[Point; GROUPS]> {
     SIZES.into_iter().find_map(|size| {
-        let last = window.len().checked_sub(GROUPS * size)?;
-        let mut groups = window[last..].chunks(size);
+        let last = points.len().checked_sub(GROUPS * size)?;
+        let mut groups = points[last..].chunks(size);
         let early = |group: &[Point]| group.iter().copied().min_by_key(|point| edge.late(point));
         let points = core::array::from_fn(|_| groups.next().and_then(early).unwrap_or_default());
         is_straight(&points, edge, at_least).then_some(points)

@@ -173,6 +173,29 @@ fn a_clock_that_changes_its_rate_is_followed() {
 }
 
 #[test]
+fn a_rate_that_changes_is_seen_in_twelve_syncs_anywhere() {
+    let period = Span::from_millis(20);
+    let at = |cycle: u32, gained: i64| {
+        Instant::from_nanos(1 << 40) + period * i64::from(cycle) + Span::from_nanos(gained)
+    };
+    // Wherever in a window of 64 it changes, by 50 ppm or 150, 1 or 3 us in a cycle.
+    for (changes, gains) in (1_280..1_344).flat_map(|changes| [(changes, 1_000), (changes, 3_000)]) {
+        let mut envelope = Envelope::new();
+        let true_at = |cycle: u32| at(cycle, i64::from(cycle.saturating_sub(changes)) * gains);
+        for cycle in 0..changes + 40 {
+            let start = true_at(cycle) + Span::from_nanos(i64::from(cycle * 7_919 % 101));
+            let expected = envelope.start_of(cycle).map_or(start, |(expected, _)| expected);
+            envelope.note(cycle, start, expected, period);
+            if let Some((line, _)) = envelope.start_of(cycle) {
+                let error = (true_at(cycle) - line).nanos();
+                assert!(error < 12 * gains + 200, "from {changes} on, {cycle}: {error}");
+                assert!(cycle <= changes + 12 || error < 1_000, "from {changes} on, {cycle}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
 fn what_no_clock_does_is_no_line() {
     let mut envelope = Envelope::new();
     hear(&mut envelope, 0..2_000, 300_000, |_| 0);

@@ -29,13 +29,17 @@ pub struct Mark {
     pub cycle: u32,
     pub sched: GlobalTime,
     pub offset: Offset,
+    /// By how much later than scheduled it was sent, by its author's clock.
+    pub sent: Span,
 }
 
-/// What disagrees with the line: the last of so many Synchronisations in a row that agree with each other.
+/// What disagrees with the line: the last of so many Synchronisations in a row that agree with each other, of as many as
+/// another line takes.
 #[derive(Clone, Copy)]
 pub struct Step {
     pub mark: Mark,
     pub seen: u32,
+    pub takes: u32,
 }
 
 impl TimeLine {
@@ -57,10 +61,12 @@ impl TimeLine {
 }
 
 impl Step {
-    /// How many there are with this one, and their line, if it agrees.
-    pub fn confirmed_by(&self, mark: &Mark, period: Span) -> Option<(u32, TimeLine)> {
+    /// The same with one more, which alone would take so many, and their line, if it agrees. If one of them cannot have been
+    /// late, none was.
+    pub fn with(&self, mark: Mark, takes: u32, period: Span) -> Option<(Step, TimeLine)> {
         let within = (period / CONFIRMED_PARTS).max(CONFIRMED_WITHIN);
-        self.mark.line_to(mark, Some(within)).map(|line| (self.seen + 1, line))
+        let step = Step { mark, seen: self.seen + 1, takes: self.takes.min(takes) };
+        self.mark.line_to(&mark, Some(within)).map(|line| (step, line))
     }
 }
 
@@ -88,11 +94,12 @@ impl Mark {
     }
 
     /// Whether it says of its cycle what the line says, and came later. Nothing in it tells a frame that was long on its way
-    /// from a clock that was set.
+    /// from a clock that was set. But one that was sent before its cycle had begun is of a master that has set its clock
+    /// since it chose the moment.
     pub fn is_late(&self, line: &TimeLine, limit: Option<Span>) -> bool {
         let limit = step_limit(limit, line.period);
         let is_near = (1 - LINE_GOOD_FOR..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle));
-        let says_the_same = (self.sched - line.sched_of(self.cycle)).abs() <= limit;
+        let says_the_same = (self.sched - line.sched_of(self.cycle)).abs() <= limit && self.sent >= -limit;
         is_near && says_the_same && self.deviation_from(line) > limit
     }
 
@@ -127,7 +134,7 @@ impl Mark {
             return None;
         }
         let period = (later.sched - self.sched) / i64::from(cycles);
-        let Mark { cycle, sched, offset } = *self;
+        let Mark { cycle, sched, offset, .. } = *self;
         let line = TimeLine { cycle, start: self.start(), sched, period, offset, drift: Drift::NONE };
         let fits = PERIODS.contains(&period) && later.agrees_with(&line, limit, Span::ZERO);
         fits.then(|| line.carried_on(later, later.start(), Drift::NONE))

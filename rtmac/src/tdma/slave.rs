@@ -132,7 +132,7 @@ impl Slave {
     ) -> Result<Followed, Refusal> {
         let delay = self.calibration.delay().unwrap_or(Span::ZERO);
         let offset = line::offset(xmit, delay, rx);
-        let mark = Mark { cycle, sched, offset };
+        let mark = Mark { cycle, sched, offset, sent: xmit - sched };
         let age = (mark.start() - rx).abs();
         let known = self.line().map_or(MAX_SYNC_AGE, |line| line.period);
         if age > known {
@@ -210,15 +210,15 @@ impl Slave {
                     self.disagreement.note(self.deviation);
                     Followed::Agrees
                 } else {
-                    let agreed = step.and_then(|step| step.confirmed_by(&mark, line.period));
                     let is_late = mark.is_late(line, self.config.step_limit);
-                    let needed = if is_late { MOVED_LATE } else { MOVED };
+                    let takes = if is_late { MOVED_LATE } else { MOVED };
+                    let agreed = step.and_then(|step| step.with(mark, takes, line.period));
                     match agreed {
-                        Some((seen, moved)) if seen >= needed && age <= moved.period => {
+                        Some((step, moved)) if step.seen >= step.takes && age <= moved.period => {
                             self.adopt(from, moved)
                         }
                         _ => {
-                            *step = Some(Step { mark, seen: agreed.map_or(1, |(seen, _)| seen) });
+                            *step = Some(agreed.map_or(Step { mark, seen: 1, takes }, |(step, _)| step));
                             events.note(mark.silences(line, rx), EventKind::TimeStep, self.deviation);
                             Followed::Pending
                         }

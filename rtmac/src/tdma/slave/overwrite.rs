@@ -23,7 +23,7 @@ impl Slave {
             Track::On { line, .. } => {
                 let &TimeLine { cycle, sched, offset, .. } = line;
                 self.deviation = mark.deviation_from(line);
-                (Mark { cycle, sched, offset }, Some(line.period))
+                (Mark { cycle, sched, offset, sent: Span::ZERO }, Some(line.period))
             }
         };
         let ahead = mark.cycle.wrapping_sub(before.cycle) as i32;
@@ -31,7 +31,7 @@ impl Slave {
             self.track = Track::First(mark);
             return Followed::Pending;
         };
-        let Mark { cycle, sched, offset } = mark;
+        let Mark { cycle, sched, offset, .. } = mark;
         let line = TimeLine { cycle, start: mark.start(), sched, period, offset, drift: Drift::NONE };
         let goes_on = known.is_some() && (0..=LINE_GOOD_FOR).contains(&ahead);
         if goes_on && from == self.line_of {

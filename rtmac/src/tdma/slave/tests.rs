@@ -213,6 +213,19 @@ fn a_master_that_moves_its_grid_is_followed_from_the_second_sync_on() {
 }
 
 #[test]
+fn a_sync_sent_before_its_cycle_shows_that_its_master_was_set_back() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    // The master chose the moment of cycle 3 by the clock before, which was 100 us ahead.
+    let mut hear = |cycle: u32, at: u64, xmit: u64| {
+        let [xmit, sched] = [xmit, u64::from(cycle) * PERIOD].map(|at| GlobalTime::from_nanos(at + AHEAD));
+        bench.slave.on_sync(Instant::from_nanos(at), MASTER, cycle, xmit, sched, &mut bench.events)
+    };
+    assert_eq!(hear(3, 3 * PERIOD, 3 * PERIOD - 100_000), Ok(Followed::Pending));
+    assert_eq!(hear(4, 4 * PERIOD + 100_000, 4 * PERIOD), Ok(Followed::NewLine), "as the one before says");
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 4 * PERIOD + 100_000);
+}
+
+#[test]
 fn a_synchronisation_whose_number_is_wrong_is_told_of_in_the_cycle_that_it_silences() {
     for number in [3 ^ 4, 3 ^ 1 << 9, 3 ^ 1 << 31] {
         let mut bench = Bench::in_state(SyncState::Locked);

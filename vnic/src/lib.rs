@@ -3,7 +3,7 @@
 //!
 //! [`tunnel`] is pure, and the same in virtual time, and so is [`proxy`], which gives Linux the station's own address instead
 //! of another; [`tun`] is the device that Linux sees, and the thread behind it; [`netlink`] is what the kernel is asked about
-//! it, and [`peers`] says who has which address where nobody can be asked.
+//! it; where only packets go through, [`peers`] says who has which address, and [`resolve`] asks and answers by ARP.
 //!
 //! ```
 //! use rtnet::wire::ethernet::{Address, EtherType};
@@ -20,5 +20,6 @@
 pub mod netlink;
 pub mod peers;
 pub mod proxy;
+pub mod resolve;
 pub mod tun;
 pub mod tunnel;

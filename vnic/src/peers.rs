@@ -1,12 +1,13 @@
-//! Which station has an address, where only packets go through the tunnel and nobody can be asked.
+//! Which station has an address, where only packets go through the tunnel: what was configured, and what ARP has told.
 
 use core::fmt;
 use core::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use core::str::FromStr;
 
+use rtnet::wire::arp::{self, Operation};
 use rtnet::wire::ethernet::{Address, NotAnAddress};
 
-/// Networks that a table takes.
+/// Networks that a table takes, and as many neighbours that it learns of.
 pub const MOST: usize = 256;
 
 /// Addresses that begin alike.
@@ -32,6 +33,8 @@ pub struct Peer {
 pub struct Peers {
     /// The longest prefixes first.
     all: Vec<Peer>,
+    /// Neighbours by their ARP, the one that has been there for longest first.
+    learned: Vec<(Ipv4Addr, Address)>,
     /// The networks that the device is part of: what is for all of one is for all stations.
     own: Vec<Prefix>,
     /// Whose table it is.
@@ -60,12 +63,15 @@ pub struct NotAHosts(pub Prefix);
 impl Peers {
     /// A table for this station's device, with these addresses.
     pub fn new(itself: Address, own: Vec<Prefix>) -> Self {
-        Self { all: Vec::new(), own, itself }
+        Self { all: Vec::new(), learned: Vec::new(), own, itself }
     }
 
     /// The same for a device with other addresses.
     pub fn with_own(self, own: Vec<Prefix>) -> Self {
-        Self { own, ..self }
+        let mut table = Self { own, ..self };
+        let Self { learned, own, .. } = &mut table;
+        learned.retain(|&(ip, _)| own.iter().any(|own| own.contains(ip.into())));
+        table
     }
 
     /// Enters a station; one for the same addresses is replaced.
@@ -85,9 +91,61 @@ impl Peers {
         Ok(())
     }
 
-    /// All that are known.
-    pub fn all(&self) -> &[Peer] {
-        &self.all
+    /// All that are known: those that were configured, and then those that were learned.
+    pub fn all(&self) -> impl Iterator<Item = Peer> + '_ {
+        let learned =
+            |&(ip, station): &(Ipv4Addr, Address)| Peer { network: Prefix::of_one(ip.into()), station };
+        self.all.iter().copied().chain(self.learned.iter().map(learned))
+    }
+
+    /// Hears what a station says by ARP: where its address is learned, and what it is answered, if anything.
+    pub fn hear(&mut self, heard: &arp::Packet) -> Option<arp::Packet> {
+        let (ip, station) = (heard.sender_ip(), heard.sender());
+        if station.is_group() || station == self.itself {
+            return None;
+        }
+        let is_asked = self.is_own(heard.target_ip());
+        let is_neighbour = self.neighbours(ip).is_some();
+        let known = self.learned.iter().position(|&(known, _)| known == ip);
+        // Whoever asks for this station will be sent to; others say something new only of whom is sent to already.
+        if is_neighbour && (is_asked || known.is_some()) {
+            match known {
+                Some(place) => self.learned[place].1 = station,
+                None => {
+                    if self.learned.len() == MOST {
+                        self.learned.remove(0);
+                    }
+                    self.learned.push((ip, station));
+                }
+            }
+        }
+        let is_request = heard.operation() == Operation::Request;
+        (is_asked && is_request).then(|| arp::Packet::reply_to(heard, self.itself))
+    }
+
+    /// What to ask all stations for a packet that nobody is known to take; none if its destination is no neighbour.
+    pub fn question(&self, packet: &[u8]) -> Option<arp::Packet> {
+        let Some(IpAddr::V4(to)) = destination(packet).filter(|_| self.station_of(packet).is_none()) else {
+            return None;
+        };
+        self.neighbours(to).map(|own| arp::Packet::request(self.itself, own, to))
+    }
+
+    fn is_own(&self, ip: Ipv4Addr) -> bool {
+        self.own.iter().any(|own| own.ip == IpAddr::V4(ip))
+    }
+
+    /// The device's own address in the network of another host.
+    fn neighbours(&self, ip: Ipv4Addr) -> Option<Ipv4Addr> {
+        let is_of = |own: &&Prefix| {
+            let other = Prefix { ip: ip.into(), length: own.length };
+            own.contains(other.ip) && other.of_a_host().is_ok()
+        };
+        let own = self.own.iter().find(is_of).filter(|_| !self.is_own(ip))?;
+        match own.ip {
+            IpAddr::V4(own) => Some(own),
+            IpAddr::V6(_) => None,
+        }
     }
 
     /// Whom a packet goes to: a station, a group of them, or nobody who is known.
@@ -104,12 +162,29 @@ impl Peers {
             IpAddr::V4(ip) if ip.is_broadcast() || self.own.iter().any(|own| own.is_all(ip)) => {
                 Some(Address::BROADCAST)
             }
-            ip => self.all.iter().find(|peer| peer.network.contains(ip)).map(|peer| peer.station),
+            ip => {
+                // A neighbour has an address of its own: what was configured for it alone goes before what it says.
+                let configured = self.all.iter().find(|peer| peer.network.contains(ip));
+                let learned = || self.learned.iter().find(|&&(known, _)| IpAddr::V4(known) == ip);
+                match configured.filter(|peer| peer.network.is_of_one()) {
+                    Some(peer) => Some(peer.station),
+                    None => learned().map(|&(_, station)| station).or(configured.map(|peer| peer.station)),
+                }
+            }
         }
     }
 }
 
 impl Prefix {
+    /// That of one address.
+    fn of_one(ip: IpAddr) -> Self {
+        Self { ip, length: if ip.is_ipv4() { 32 } else { 128 } }
+    }
+
+    fn is_of_one(&self) -> bool {
+        *self == Self::of_one(self.ip)
+    }
+
     /// Whether an address is one of these.
     pub fn contains(&self, ip: IpAddr) -> bool {
         Prefix { ip, ..*self }.masked() == self.masked() && ip.is_ipv4() == self.ip.is_ipv4()

@@ -185,3 +185,29 @@ fn a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line() {
         assert!(line.contains("the interface 'rt0' is gone"), "{line}");
     });
 }
+
+#[test]
+fn packets_and_frames_find_each_other_by_arp() {
+    network("packets_and_frames_find_each_other_by_arp", || {
+        let medium = Medium::new();
+        let names = ["tap", "tun"].map(|mode| format!("arp-{mode}-{}", std::process::id()));
+        let common = ["--interface", "rt0", "--discipline", "nomac", "--vnic-name", "vnic0"];
+        let tap = ["--vnic", "10.1.0.1/24", "--name", &names[0]];
+        let _tap = started(&medium.a, &[&common[..], &tap].concat());
+        let tun = ["--vnic-mode", "tun", "--vnic", "10.1.0.2/24", "--name", &names[1]];
+        let with_packets = || started(&medium.b, &[&common[..], &tun].concat());
+        let answers = |from: &Namespace, to: &'static str| {
+            let ping = from.run(move || Command::new("ping").args(["-c", "1", "-W", "1", to]).output());
+            ping.unwrap().unwrap().status.success()
+        };
+        // Linux behind the tap asks who has the address.
+        let first = with_packets();
+        wait_until("10.1.0.2 answers", || answers(&medium.a, "10.1.0.2"));
+        assert!(status_of(&names[1])["peers"].to_string().contains("02:00:00:00:00:0a"), "it is learned");
+        assert_eq!(first.end(), Some(0));
+        // Whoever is new knows nobody, and asks.
+        let _again = with_packets();
+        assert!(!status_of(&names[1])["peers"].to_string().contains("02:00:00:00:00:0a"));
+        wait_until("10.1.0.1 answers", || answers(&medium.b, "10.1.0.1"));
+    });
+}

@@ -33,8 +33,8 @@ pub struct VnicArgs {
     /// Its buffers, for both directions [default: 32]
     #[arg(long, value_name = "N", requires = "vnic", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub vnic_buffers: Option<u16>,
-    /// Which station has an address, where that cannot be asked: 10.0.0.3=02:00:00:00:00:03. Can be given several times. With
-    /// --vnic-mode tun
+    /// Which station has an address, where nobody tells by ARP (IPv6, networks behind a station): 10.2.0.0/24=02:00:00:00:00:03. Can
+    /// be given several times. With --vnic-mode tun
     #[arg(long, value_name = "IP[/PREFIX]=MAC", requires = "vnic")]
     pub vnic_peer: Vec<Peer>,
     /// Hosts are behind the device (a bridge): frames keep their source, which RTnet's lose, and those for such hosts are heard.

@@ -63,7 +63,7 @@ fn what_is_no_packet_goes_to_nobody() {
 #[test]
 fn the_same_addresses_are_entered_once_and_the_table_ends() {
     let mut table = table(&[], &["10.0.0.3=02:00:00:00:00:03", "10.0.0.3=02:00:00:00:00:04"]);
-    assert_eq!(table.all().len(), 1);
+    assert_eq!(table.all().count(), 1);
     assert_eq!(table.station_of(&packet("10.0.0.3")), Some(Address([2, 0, 0, 0, 0, 4])));
     let peer = |n: usize| Peer {
         network: Prefix { ip: Ipv4Addr::from_bits(n as u32).into(), length: 32 },
@@ -94,5 +94,73 @@ fn what_is_no_prefix_and_no_peer_is_refused_with_what_was_meant() {
     for (bad, part) in [("10.0.0.3", "'10.0.0.3'"), ("x=02:00:00:00:00:03", "'x'"), ("10.0.0.3=02", "'02'")] {
         let error = bad.parse::<Peer>().unwrap_err().to_string();
         assert!(error.contains(part), "{error}");
+    }
+}
+
+const OTHER: Address = Address([2, 0, 0, 0, 0, 3]);
+const THIRD: Address = Address([2, 0, 0, 0, 0, 4]);
+
+fn request(sender: Address, from: [u8; 4], to: [u8; 4]) -> arp::Packet {
+    arp::Packet::request(sender, from.into(), to.into())
+}
+
+#[test]
+fn what_is_configured_for_one_address_goes_before_arp() {
+    let configured = ["10.0.0.0/24=02:00:00:00:00:01", "10.0.0.4=02:00:00:00:00:04"];
+    let mut table = table(&["10.0.0.2/24"], &configured);
+    for last in [3, 4] {
+        assert!(table.hear(&request(OTHER, [10, 0, 0, last], [10, 0, 0, 2])).is_some());
+    }
+    let station = |to: &str| table.station_of(&packet(to));
+    assert_eq!([station("10.0.0.3"), station("10.0.0.4")], [Some(OTHER), Some(THIRD)]);
+    assert_eq!(station("10.0.0.5"), Some(Address([2, 0, 0, 0, 0, 1])));
+}
+
+#[test]
+fn arp_to_others_changes_only_who_is_known() {
+    let mut table = table(&["10.0.0.2/24"], &[]);
+    let announced = |table: &mut Peers, station| table.hear(&request(station, [10, 0, 0, 3], [10, 0, 0, 3]));
+    assert_eq!((announced(&mut table, OTHER), table.station_of(&packet("10.0.0.3"))), (None, None));
+    table.hear(&request(OTHER, [10, 0, 0, 3], [10, 0, 0, 2])).unwrap();
+    assert_eq!(announced(&mut table, THIRD), None);
+    assert_eq!(table.station_of(&packet("10.0.0.3")), Some(THIRD));
+    let moved = table.with_own(vec!["10.9.0.2/24".parse().unwrap()]);
+    assert_eq!((moved.station_of(&packet("10.0.0.3")), moved.all().count()), (None, 0));
+}
+
+#[test]
+fn arp_of_no_neighbour_is_not_learned() {
+    let mut table = table(&["10.0.0.2/24"], &[]);
+    // One that looks whether its address is free, one from beyond the network, one with this device's address.
+    for from in [[0, 0, 0, 0], [10, 0, 1, 3], [10, 0, 0, 2], [10, 0, 0, 255], [224, 0, 0, 1]] {
+        assert!(table.hear(&request(OTHER, from, [10, 0, 0, 2])).is_some(), "{from:?} is answered");
+    }
+    for sender in [Address::BROADCAST, Address([1, 0, 0x5e, 0, 0, 1]), ITSELF] {
+        assert_eq!(table.hear(&request(sender, [10, 0, 0, 3], [10, 0, 0, 2])), None, "{sender}");
+    }
+    assert_eq!(table.all().count(), 0);
+}
+
+#[test]
+fn the_oldest_neighbour_makes_room_for_a_new_one() {
+    let mut table = table(&["10.0.0.2/16"], &[]);
+    let ip = |n: usize| [10, 0, 1 + (n / 256) as u8, (n % 256) as u8];
+    for n in 0..=MOST {
+        table.hear(&request(OTHER, ip(n), [10, 0, 0, 2])).unwrap();
+    }
+    let known = |n: usize| table.station_of(&packet(&Ipv4Addr::from(ip(n)).to_string()));
+    assert_eq!(
+        (table.all().count(), known(0), known(1), known(MOST)),
+        (MOST, None, Some(OTHER), Some(OTHER))
+    );
+}
+
+#[test]
+fn only_unknown_neighbours_are_asked_for() {
+    let table = table(&["fd00::2/64", "10.0.0.2/24"], &["10.0.0.4=02:00:00:00:00:04"]);
+    let asked = table.question(&packet("10.0.0.3")).unwrap();
+    assert_eq!(asked, request(ITSELF, [10, 0, 0, 2], [10, 0, 0, 3]));
+    for to in ["10.0.0.4", "10.0.1.3", "10.0.0.2", "10.0.0.255", "224.0.0.1", "fd00::3"] {
+        assert_eq!(table.question(&packet(to)), None, "{to}");
     }
 }

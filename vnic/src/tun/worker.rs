@@ -4,16 +4,18 @@ mod hold_back;
 mod keep;
 
 use std::io;
+use std::net::Ipv4Addr;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
+use rtnet::wire::ethernet::EtherType;
 
 use self::hold_back::HeldBack;
 pub use self::hold_back::fed;
@@ -23,12 +25,15 @@ use super::{Device, Handle, Mode, Options, Order, StartError, Status, Turns};
 use crate::netlink::{Links, Watch};
 use crate::peers::{Peers, Prefix};
 use crate::proxy::PACKET;
+use crate::resolve;
 use crate::tunnel::{FRAME, HEAD, Inner, Loss, Mouth};
 
 /// Frames moved one way before the other one is looked at.
 const AT_ONCE: usize = 32;
 /// How often it is looked whether slots have changed, milliseconds.
 const LOOK_EVERY: u16 = 100;
+/// A neighbour that does not answer is asked for no more often, as Linux does it.
+const ASK_EVERY: Duration = Duration::from_secs(1);
 type Answer = Sender<Result<Status, String>>;
 
 /// What is behind a device: to be run by a thread of its own.
@@ -40,6 +45,8 @@ pub struct Vnic {
     name: String,
     index: u32,
     peers: Peers,
+    /// Who was asked for last, and when.
+    asked: Option<(Ipv4Addr, Instant)>,
     links: Links,
     watch: Watch,
     /// Where what is tunnelled to the station comes; what is for a proxy comes by its mouth.
@@ -107,6 +114,7 @@ impl Vnic {
             name: options.name.clone().unwrap_or_default(),
             index: 0,
             peers,
+            asked: None,
             links,
             watch: Watch::open()?,
             socket,
@@ -197,12 +205,15 @@ impl Vnic {
         }
     }
 
-    fn give_inner(&self, is_whole: bool) -> Result<(), Loss> {
+    fn give_inner(&mut self, is_whole: bool) -> Result<(), Loss> {
         let inner = Inner::of(&self.came).filter(|_| is_whole).ok_or(Loss::Truncated)?;
-        if self.options.mode == Mode::Tun
-            && inner.payload().first().and_then(|&first| kind_of_packet(first)) != Some(inner.kind())
-        {
-            return Err(Loss::NotIp);
+        if self.options.mode == Mode::Tun {
+            if inner.kind() == EtherType::ARP {
+                return resolve::hear(&self.mouth, &mut self.peers, &inner);
+            }
+            if inner.payload().first().and_then(|&first| kind_of_packet(first)) != Some(inner.kind()) {
+                return Err(Loss::NotIp);
+            }
         }
         self.give(|device| device.write(&inner))
     }
@@ -217,28 +228,29 @@ impl Vnic {
 
     /// Leaves what Linux sends where the station finds it.
     fn send_out(&mut self) {
-        let Some(device) = &self.device else { return };
+        let Self { device, mouth, peers, asked, .. } = self;
+        let Some(device) = device else { return };
         self.is_full = false;
         let mut is_gone = false;
-        let is_proxy = self.mouth.is_proxy();
+        let is_proxy = mouth.is_proxy();
         let at = match device.mode() {
             Mode::Tap => FRAME,
             Mode::Tun if is_proxy => PACKET,
             Mode::Tun => HEAD,
         };
         for _ in 0..AT_ONCE {
-            let taken = if is_proxy { self.mouth.take_for_packet() } else { self.mouth.take() };
+            let taken = if is_proxy { mouth.take_for_packet() } else { mouth.take() };
             let Some(mut frame) = taken else {
-                self.is_full = !self.mouth.wait_for_buffers();
+                self.is_full = !mouth.wait_for_buffers();
                 break;
             };
             match device.read(&mut frame, at) {
                 Ok(Some(len)) => {
                     // What is lost is counted there.
                     let _ = match device.mode() {
-                        Mode::Tap => self.mouth.send_frame(frame, len),
-                        Mode::Tun if is_proxy => self.mouth.send_plain(frame, len),
-                        Mode::Tun => self.send_packet(frame, len),
+                        Mode::Tap => mouth.send_frame(frame, len),
+                        Mode::Tun if is_proxy => mouth.send_plain(frame, len),
+                        Mode::Tun => Self::send_packet(mouth, peers, asked, frame, len),
                     };
                 }
                 Ok(None) => break,
@@ -248,7 +260,7 @@ impl Vnic {
                 }
             }
         }
-        if self.mouth.should_ring() {
+        if mouth.should_ring() {
             let _ = self.station.write(1);
         }
         if is_gone {
@@ -256,16 +268,31 @@ impl Vnic {
         }
     }
 
-    fn send_packet(&self, mut packet: Buf, len: usize) -> Result<(), Loss> {
+    fn send_packet(
+        mouth: &Mouth,
+        peers: &Peers,
+        asked: &mut Option<(Ipv4Addr, Instant)>,
+        mut packet: Buf,
+        len: usize,
+    ) -> Result<(), Loss> {
         let bytes = packet.room_mut().get(HEAD..HEAD + len);
-        let Some(bytes) = bytes else { return Err(self.mouth.lose(Loss::TooLong)) };
+        let Some(bytes) = bytes else { return Err(mouth.lose(Loss::TooLong)) };
         let Some(kind) = bytes.first().and_then(|&first| kind_of_packet(first)) else {
-            return Err(self.mouth.lose(Loss::NotIp));
+            return Err(mouth.lose(Loss::NotIp));
         };
-        let Some(station) = self.peers.station_of(bytes) else {
-            return Err(self.mouth.lose(Loss::NoStation));
-        };
-        self.mouth.send_packet(packet, len, station, kind)
+        if let Some(station) = peers.station_of(bytes) {
+            return mouth.send_packet(packet, len, station, kind);
+        }
+        if let Some(question) = peers.question(bytes) {
+            let neighbour = question.target_ip();
+            let is_due = |&(of, at): &(Ipv4Addr, Instant)| of != neighbour || at.elapsed() >= ASK_EVERY;
+            if asked.as_ref().is_none_or(is_due) {
+                *asked = Some((neighbour, Instant::now()));
+                // What is lost of it is counted there.
+                let _ = resolve::ask(mouth, packet, &question);
+            }
+        }
+        Err(mouth.lose(Loss::NoStation))
     }
 }
 

@@ -31,11 +31,12 @@ losses! {
     KernelRefused = "kernel_refused",
     /// Neither IPv4 nor IPv6, where only packets go through, or not IPv4, where only that does.
     NotIp = "not_ip",
-    /// From Linux: a packet to an address that no station is known to have, or that no route leads to.
+    /// From Linux: a packet to an address that no station is known to have (yet: a neighbour is asked for), or that no route
+    /// leads to.
     NoStation = "no_station",
     /// For Linux: too short to have a frame inside.
     Truncated = "truncated",
-    /// For Linux: a packet that the station's sockets had no part in, while no buffer of the proxy's was free.
+    /// For Linux: what needed a buffer while none was free, a packet for a proxy or the question of a neighbour.
     NoBuffer = "no_buffer",
     /// For Linux: the kernel's queue in front of the tunnel was full.
     QueueFull = "queue_full",

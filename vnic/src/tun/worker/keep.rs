@@ -258,7 +258,7 @@ impl Vnic {
             device,
             most: self.options.mtu,
             slot: self.mouth.mtu(),
-            peers: self.peers.all().to_vec(),
+            peers: self.peers.all().collect(),
             remarks,
             shaping: self.held_back.shaping(),
             filter: self.held_back.filter(),

@@ -32,7 +32,7 @@ pub fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
 }
 
 /// The station processes of a lab: its children.
-fn stations_of(lab: u32) -> Vec<i32> {
+pub fn stations_of(lab: u32) -> Vec<i32> {
     let tasks =
         fs::read_dir(format!("/proc/{lab}/task")).map(|dir| dir.flatten().collect()).unwrap_or(Vec::new());
     let children = tasks.iter().filter_map(|task| fs::read_to_string(task.path().join("children")).ok());

@@ -1,15 +1,22 @@
 //! `rtnet find-min-cycle` from the outside: a search among three cycles, kept, and compared with.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::Duration;
 
+use rtnet::live::realtime::allowed_cpus;
 use serde_json::Value;
 
 use crate::host::network;
+use crate::lab::stations_of;
 use crate::rtnet;
 
 /// The guard bands leave no room for cycles below 910us, and any share may be missed: whatever the host, that is the answer.
-const LOOSE: [&str; 8] = ["--stations", "2", "--guard", "400us", "--miss", "100%", "--trial", "300ms"];
+const LOOSE: [&str; 6] = ["--stations", "2", "--guard", "400us", "--miss", "100%"];
+/// Lengths of a trial and of a proof.
+const SHORT: [&str; 4] = ["--trial", "300ms", "--proof", "500ms"];
 
 /// Exit status, and all that is printed. A host that stands still at the end of a run fails it, however many may be missed: then it is
 /// asked again, aloud.
@@ -26,7 +33,7 @@ fn searched(options: &[&str], files: &[(&str, &Path)]) -> (Option<i32>, String) 
 
 fn searched_once(options: &[&str], files: &[(&str, &Path)]) -> (Option<i32>, String) {
     let mut search = rtnet();
-    search.arg("find-min-cycle").args(options).args(["--longest", "1.1ms", "--proof", "500ms"]);
+    search.arg("find-min-cycle").args(options).args(["--longest", "1.1ms"]);
     files.iter().for_each(|(option, file)| {
         search.arg(option).arg(file);
     });
@@ -39,7 +46,8 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
     network("the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression", || {
         let dir = tempfile::tempdir().unwrap();
         let [kept, again] = ["kept.json", "again.json"].map(|name| dir.path().join(name));
-        let (status, said) = searched(&LOOSE, &[("--json", &kept)]);
+        let loose = [&LOOSE[..], &SHORT].concat();
+        let (status, said) = searched(&loose, &[("--json", &kept)]);
         assert_eq!(status, Some(0), "{said}");
         assert!(
             said.contains("FOUND: 910us is the shortest cycle that this host holds, proven for 500ms"),
@@ -62,15 +70,25 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
         answer["cycle_ns"] = 700_000.into();
         fs::write(&kept, answer.to_string()).unwrap();
         let files = [("--compare", kept.as_path()), ("--json", again.as_path())];
-        let (status, said) = searched(&["--trial", "300ms"], &files);
+        let (status, said) = searched(&[], &files);
         assert_eq!(status, Some(1), "{said}");
         assert!(said.contains("REGRESSION: 910us now, 700us in "), "{said}");
-        let (status, said) = searched(&["--trial", "300ms"], &[("--compare", &again)]);
+        let answer: Value = serde_json::from_slice(&fs::read(&again).unwrap()).unwrap();
+        let lengths =
+            answer["runs"].as_array().unwrap().iter().map(|run| run["duration_ns"].as_i64().unwrap());
+        assert_eq!(
+            lengths.collect::<Vec<_>>(),
+            [300_000_000, 300_000_000, 500_000_000],
+            "as in the kept file"
+        );
+        let (status, said) = searched(&[], &[("--compare", &again)]);
         assert_eq!(status, Some(0), "{said}");
         assert!(said.contains("AS GOOD: 910us now, 910us in "), "{said}");
-        let (status, said) = searched(&["--stations", "3"], &[("--compare", &again)]);
-        assert_eq!(status, Some(2), "{said}");
-        assert!(said.contains("--compare is the answer to another question"), "{said}");
+        for other in [["--stations", "3"], ["--trial", "301ms"], ["--proof", "5s"]] {
+            let (status, said) = searched(&other, &[("--compare", &again)]);
+            assert_eq!(status, Some(2), "{said}");
+            assert!(said.contains("--compare is the answer to another question"), "{said}");
+        }
     });
 }
 
@@ -80,8 +98,8 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
         let dir = tempfile::tempdir().unwrap();
         let kept = dir.path().join("none.json");
         // 21 turns of 60 us each do not fit a core for 1.1 ms.
-        let (status, said) =
-            searched(&["--stations", "20", "--miss", "0%", "--trial", "300ms"], &[("--json", &kept)]);
+        let none = [&["--stations", "20", "--miss", "0%"][..], &SHORT].concat();
+        let (status, said) = searched(&none, &[("--json", &kept)]);
         assert_eq!(status, Some(1), "{said}");
         assert!(
             said.contains("NOT FOUND: no cycle that was tried misses at most 0 % of its slots"),
@@ -90,4 +108,43 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
         let answer: Value = serde_json::from_slice(&fs::read(&kept).unwrap()).unwrap();
         assert_eq!((&answer["cycle_ns"], &answer["runs"][0]["holds"]), (&Value::Null, &false.into()));
     });
+}
+
+#[test]
+fn a_search_runs_all_its_labs_on_one_core() {
+    network("a_search_runs_all_its_labs_on_one_core", || {
+        let cpus = allowed_cpus();
+        let (first, last) = (cpus[0].to_string(), cpus[cpus.len() - 1].to_string());
+        for (asked, core) in [(Some(&first), &first), (None, &last)] {
+            let mut search = rtnet();
+            search.arg("find-min-cycle").args(LOOSE).args(SHORT).args(["--longest", "1.1ms"]);
+            asked.iter().for_each(|core| {
+                search.args(["--cpu", core]);
+            });
+            let mut search = search.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+            let seen = stations_while_it_runs(&mut search);
+            // Two trials and a proof, of two stations each.
+            assert!(seen.len() >= 6, "--cpu {asked:?}: {seen:?}");
+            assert!(seen.iter().all(|(_, on)| on == core), "--cpu {asked:?}: {seen:?}");
+        }
+    });
+}
+
+/// Each station that a search starts: its process, and the core that its command line names.
+fn stations_while_it_runs(search: &mut Child) -> BTreeSet<(i32, String)> {
+    let mut seen = BTreeSet::new();
+    while search.try_wait().unwrap().is_none() {
+        for pid in stations_of(search.id()) {
+            let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            let mut words = line.split('\0').skip_while(|word| *word != "--cpu");
+            // Before it is the station's own, the line is that of its parent, which may name no core.
+            if line.contains("\0station\0")
+                && let Some(core) = words.nth(1)
+            {
+                seen.insert((pid, core.to_owned()));
+            }
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    seen
 }

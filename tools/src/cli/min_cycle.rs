@@ -35,12 +35,12 @@ pub struct MinCycleArgs {
     /// The longest cycle to try
     #[arg(long, default_value = "10ms", value_parser = parse_positive_span)]
     pub longest: Span,
-    /// How long each trial measures
-    #[arg(long, default_value = "5s", value_parser = parse_positive_span)]
-    pub trial: Span,
-    /// How long the proof measures
-    #[arg(long, default_value = "30s", value_parser = parse_positive_span)]
-    pub proof: Span,
+    /// How long each trial measures [default: 5s]
+    #[arg(long, value_parser = parse_positive_span)]
+    pub trial: Option<Span>,
+    /// How long the proof measures [default: 30s]
+    #[arg(long, value_parser = parse_positive_span)]
+    pub proof: Option<Span>,
     /// Keep the answer in this file, for a later --compare
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

@@ -11,7 +11,7 @@ use rtnet::time::Span;
 use super::{Failure, all_writable, say, screen_width, write_json};
 use crate::cli::MinCycleArgs;
 use crate::control::Directory;
-use crate::lab::{Lab, RunOptions, userns};
+use crate::lab::{Core, Lab, RunOptions, userns};
 use crate::min_cycle::answer::{Answer, Asked, Compared, KIND, Purpose, Run};
 use crate::min_cycle::{ladder, screen, search};
 use crate::report::host::HostFacts;
@@ -21,6 +21,8 @@ const DEFAULT_STATIONS: usize = 8;
 const DEFAULT_MISS_PPM: u32 = 1_000;
 const DEFAULT_PAYLOAD: usize = 64;
 const DEFAULT_RATE: u64 = 1_000_000_000;
+const DEFAULT_TRIAL: Span = Span::from_millis(5_000);
+const DEFAULT_PROOF: Span = Span::from_millis(30_000);
 /// Where a search begins: most hosts hold it.
 const START: Span = Span::from_millis(1);
 const SEED: u64 = 1;
@@ -32,8 +34,19 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     let asked = asked(args, kept.as_ref().map(|(_, kept)| &kept.asked)).map_err(Failure::Usage)?;
     let networks = networks(args, &asked).map_err(Failure::Usage)?;
     all_writable(&[args.json.as_ref()], None).map_err(Failure::Usage)?;
+    // In a user namespace one is root, and would look elsewhere.
+    let directory = Directory::of_user();
     userns::gain_namespaces().map_err(Failure::Usage)?;
-    let answer = search(args, asked, &networks)?;
+    let options = RunOptions {
+        warm_core: asked.warm_core,
+        core: Core::choose(args.cpu).map_err(Failure::Usage)?,
+        pcap: None,
+        home: None,
+        directory: Some(directory),
+        progress: false,
+        pictures: false,
+    };
+    let answer = search(asked, &networks, &options)?;
     if let Some(path) = &args.json {
         write_json(path, &answer).map_err(Failure::Run)?;
     }
@@ -50,6 +63,7 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
 /// What is searched for: what the options say, else what was kept, else what is usual. Answers to other questions are not
 /// compared.
 fn asked(args: &MinCycleArgs, kept: Option<&Asked>) -> anyhow::Result<Asked> {
+    let length = |kept: Option<i64>, usual| kept.map_or(usual, Span::from_nanos);
     let said = Asked {
         stations: args.stations.or(kept.map(|kept| kept.stations)).unwrap_or(DEFAULT_STATIONS),
         payload: args.payload.or(kept.map(|kept| kept.payload)).unwrap_or(DEFAULT_PAYLOAD),
@@ -57,6 +71,8 @@ fn asked(args: &MinCycleArgs, kept: Option<&Asked>) -> anyhow::Result<Asked> {
         guard_ns: args.guard.map(Span::nanos).or(kept.and_then(|kept| kept.guard_ns)),
         miss_ppm: args.miss.or(kept.map(|kept| kept.miss_ppm)).unwrap_or(DEFAULT_MISS_PPM),
         warm_core: args.warm_core || kept.is_some_and(|kept| kept.warm_core),
+        trial_ns: args.trial.unwrap_or(length(kept.map(|kept| kept.trial_ns), DEFAULT_TRIAL)).nanos(),
+        proof_ns: args.proof.unwrap_or(length(kept.map(|kept| kept.proof_ns), DEFAULT_PROOF)).nanos(),
     };
     let n = said.stations;
     ensure!(
@@ -67,10 +83,11 @@ fn asked(args: &MinCycleArgs, kept: Option<&Asked>) -> anyhow::Result<Asked> {
     let is_of_that = |kept: &Asked| {
         ensure!(
             *kept == said,
-            "--compare is the answer to another question than is asked here ({} stations, {} bytes, ...): leave the other \
-             options out, and it is asked again",
+            "--compare is the answer to another question than is asked here ({} stations, {} bytes, trials of {}, ...): \
+             leave the other options out, and it is asked again",
             kept.stations,
-            kept.payload
+            kept.payload,
+            Span::from_nanos(kept.trial_ns)
         );
         Ok(())
     };
@@ -84,7 +101,7 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
         Uniform {
             stations: asked.stations,
             cycle,
-            duration: args.trial,
+            duration: Span::from_nanos(asked.trial_ns),
             payload: asked.payload,
             rate: Rate::from_bits_per_second(asked.rate),
             guard: asked.guard_ns.map(Span::from_nanos),
@@ -116,7 +133,7 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
     Ok(networks)
 }
 
-fn search(args: &MinCycleArgs, asked: Asked, networks: &[Scenario]) -> Result<Answer, Failure> {
+fn search(asked: Asked, networks: &[Scenario], options: &RunOptions) -> Result<Answer, Failure> {
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, interrupted.clone())
@@ -125,7 +142,7 @@ fn search(args: &MinCycleArgs, asked: Asked, networks: &[Scenario]) -> Result<An
     let host = HostFacts::begin();
     let start = networks.partition_point(|network| network.cycle < START);
     let (found, runs) = search::search((networks.len(), start), |rung, purpose| {
-        let run = run(args, &asked, &networks[rung], purpose)?;
+        let run = run(&asked, &networks[rung], options, purpose)?;
         if interrupted.load(Ordering::Relaxed) {
             return Err(Failure::Run(anyhow!("interrupted: there is no answer yet")));
         }
@@ -138,18 +155,12 @@ fn search(args: &MinCycleArgs, asked: Asked, networks: &[Scenario]) -> Result<An
 }
 
 /// A network that cannot be stood up on this host at all ends the search; one that does not come up in time does not hold.
-fn run(args: &MinCycleArgs, asked: &Asked, network: &Scenario, purpose: Purpose) -> Result<Run, Failure> {
+fn run(asked: &Asked, network: &Scenario, options: &RunOptions, purpose: Purpose) -> Result<Run, Failure> {
     let mut network = network.clone();
     if purpose == Purpose::Proof {
-        network.duration = args.proof;
+        network.duration = Span::from_nanos(asked.proof_ns);
     }
-    let options = RunOptions {
-        warm_core: asked.warm_core,
-        cpu: args.cpu,
-        directory: Some(Directory::of_user()),
-        ..RunOptions::default()
-    };
-    let lab = Lab::set_up(&network, &options).map_err(Failure::Usage)?;
+    let lab = Lab::set_up(&network, options).map_err(Failure::Usage)?;
     let (what, duration_ns) = ((network.cycle.nanos(), network.guard.nanos()), network.duration.nanos());
     Ok(match lab.run(&network) {
         Ok(outcome) => {

@@ -8,7 +8,7 @@ use rtnet::time::Span;
 use super::{Failure, all_writable, say, screen_width, tell_of_ring, title, write_json, write_text};
 use crate::cli::{LabMeasureArgs, LabRunArgs};
 use crate::control::Directory;
-use crate::lab::{Lab, RunOptions, userns};
+use crate::lab::{Core, Lab, RunOptions, userns};
 use crate::report::html::Sheet;
 use crate::report::screen;
 use crate::ring;
@@ -92,20 +92,20 @@ pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Sc
 
 /// How to run it, on a host that lets us.
 fn ready(args: &LabRunArgs, html: Option<&PathBuf>, scenario: &Scenario) -> anyhow::Result<RunOptions> {
-    let options = RunOptions {
+    // In a user namespace one is root, and would look elsewhere.
+    let directory = Directory::of_user();
+    userns::gain_namespaces()?;
+    all_writable(&[args.json.as_ref(), args.pcap.as_ref(), html], args.file.as_deref())?;
+    Ok(RunOptions {
         warm_core: args.warm_core,
-        cpu: args.cpu,
+        core: Core::choose(args.cpu)?,
         pcap: args.pcap.clone(),
         home: None,
-        // In a user namespace one is root, and would look elsewhere.
-        directory: Some(Directory::of_user()),
+        directory: Some(directory),
         // Stations may take a while to be locked, too.
         progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,
         pictures: false,
-    };
-    userns::gain_namespaces()?;
-    all_writable(&[args.json.as_ref(), args.pcap.as_ref(), html], args.file.as_deref())?;
-    Ok(options)
+    })
 }
 
 fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {

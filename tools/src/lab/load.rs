@@ -49,13 +49,27 @@ fn is_throttled() -> bool {
     let runtime = std::fs::read_to_string("/proc/sys/kernel/sched_rt_runtime_us");
     runtime.map_or(true, |runtime| runtime.trim() != "-1")
 }
-/// The core of a lab's real-time threads, the last if none is asked for; its other threads stay off it, or a note says why not.
-pub(crate) fn core_of(asked: Option<usize>, notes: &mut Vec<String>) -> Result<usize> {
-    let cpus = allowed_cpus();
-    let cpu = asked.or(cpus.last().copied()).unwrap_or(0);
-    ensure!(cpus.contains(&cpu), "there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
-    if let Err(error) = avoid(cpu) {
-        notes.push(format!("cpu {cpu} is shared with the observer: {error}"));
+
+/// The core of a lab's real-time threads. It is chosen once for all labs that a process runs: the choice narrows the cores
+/// that the process may run on, so a second one would not find the first.
+#[derive(Clone, Debug)]
+pub struct Core {
+    /// Its number.
+    pub(crate) cpu: usize,
+    /// Why other threads may run there, too.
+    pub(crate) note: Option<String>,
+}
+
+impl Core {
+    /// The core that is asked for, otherwise the last. From now on the calling thread, and what it starts, stays off it.
+    ///
+    /// # Errors
+    /// The calling thread may not run there.
+    pub fn choose(asked: Option<usize>) -> Result<Self> {
+        let cpus = allowed_cpus();
+        let cpu = asked.or(cpus.last().copied()).unwrap_or(0);
+        ensure!(cpus.contains(&cpu), "there is no cpu {cpu} to run on here: choose --cpu from {cpus:?}");
+        let note = avoid(cpu).err().map(|error| format!("cpu {cpu} is shared with the observer: {error}"));
+        Ok(Self { cpu, note })
     }
-    Ok(cpu)
 }

@@ -31,5 +31,6 @@ pub mod userns;
 pub(crate) mod wires;
 
 pub use keep::keep;
+pub use load::Core;
 pub use processes::this_program;
 pub use run::{Lab, RunOptions};

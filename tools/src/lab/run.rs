@@ -16,7 +16,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::faults::{Play, only_simulated};
 use super::launch::{Launch, Resume, arguments};
-use super::load::{core_of, load, too_much};
+use super::load::{Core, load, too_much};
 use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
 use super::processes::{Process, Told};
@@ -63,12 +63,12 @@ pub(crate) fn port_name(station: usize) -> String {
 }
 
 /// How to run a scenario.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct RunOptions {
     /// Keep the real-time core from idling.
     pub warm_core: bool,
-    /// The core of all real-time threads; the last by default.
-    pub cpu: Option<usize>,
+    /// The core of all real-time threads.
+    pub core: Core,
     /// Where to write every frame.
     pub pcap: Option<PathBuf>,
     /// Where its stations are to be asked, if they are to be.
@@ -127,7 +127,8 @@ impl Lab {
     /// Stands a network up: its medium, its namespaces, its stations' processes.
     pub fn set_up(scenario: &Scenario, options: &RunOptions) -> Result<Self> {
         let mut notes = only_simulated(&scenario.conditions);
-        let cpu = core_of(options.cpu, &mut notes)?;
+        let Core { cpu, note } = options.core.clone();
+        notes.extend(note);
         let load = load(scenario);
         let declared =
             options.directory.as_ref().map(|directory| Load::declare(directory, cpu, load)).transpose();

@@ -10,7 +10,7 @@ use crate::report::figures::Figures;
 use crate::report::host::HostFacts;
 
 /// What the file says that it is.
-pub const KIND: &str = "rtnet find-min-cycle 1";
+pub const KIND: &str = "rtnet find-min-cycle 2";
 /// Two searches on one idle host agree within this: 25 %, two rungs of the ladder.
 pub const AGREE_WITHIN: f64 = 1.25;
 
@@ -30,6 +30,10 @@ pub struct Asked {
     pub miss_ppm: u32,
     /// The real-time core is kept from idling.
     pub warm_core: bool,
+    /// How long each trial measures.
+    pub trial_ns: i64,
+    /// How long each proof measures.
+    pub proof_ns: i64,
 }
 
 /// What a run was for.

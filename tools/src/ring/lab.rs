@@ -21,14 +21,14 @@ use self::play::Play;
 use super::figures::{self, RingFigures};
 use super::judge::Judge;
 use crate::control::Load;
-use crate::lab::RunOptions;
 use crate::lab::faults::only_simulated;
 use crate::lab::launch::clock;
-use crate::lab::load::{core_of, too_much};
+use crate::lab::load::too_much;
 use crate::lab::namespace::{Namespace, Segment};
 use crate::lab::processes::{Process, Told};
 use crate::lab::run::{INTERFACE, port_name};
 use crate::lab::wires::Wires;
+use crate::lab::{Core, RunOptions};
 use crate::report::capture::CaptureFile;
 use crate::report::host::{HostFacts, HostWatch};
 use crate::report::text::about;
@@ -87,7 +87,8 @@ impl<'a> Lab<'a> {
     fn set_up(scenario: &'a RingScenario, options: &RunOptions) -> Result<Self> {
         let plan = &scenario.network;
         let mut notes = only_simulated(&plan.conditions);
-        let cpu = core_of(options.cpu, &mut notes)?;
+        let Core { cpu, note } = options.core.clone();
+        notes.extend(note);
         let load = load(scenario);
         let declared =
             options.directory.as_ref().and_then(|directory| Load::declare(directory, cpu, load).ok());

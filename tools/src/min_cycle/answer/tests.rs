@@ -8,6 +8,8 @@ const ASKED: Asked = Asked {
     guard_ns: None,
     miss_ppm: 1_000,
     warm_core: false,
+    trial_ns: 5_000_000_000,
+    proof_ns: 30_000_000_000,
 };
 const MILLISECOND: (i64, i64) = (1_000_000, 110_000);
 

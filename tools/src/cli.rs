@@ -79,7 +79,8 @@ pub enum Verb {
     /// worst round trips, and what VNICs get. With --stations it prints the file of the network with the shortest cycle instead,
     /// for `rtnet lab run` and `rtnet sim run`. All of it is arithmetic; `rtnet find-min-cycle` tries.
     ///
-    /// Exit status: 0 it works; 1 it cannot: traffic that wants more turns than there are, or a --host that misses too many slots;
+    /// Exit status: 0 it works, if only on few hosts; 1 it cannot: traffic that wants more turns than there are, a guard band that
+    /// clocks take whole, or a --host that misses too many slots;
     /// 2 bad usage, or slots that do not go together, with the sum that shows it.
     Plan(PlanArgs),
     /// Run one station in the foreground, on any Ethernet interface

@@ -34,7 +34,7 @@ pub fn plan(args: &PlanArgs) -> std::result::Result<u8, Failure> {
     };
     told.map_err(Failure::Run)?;
     if args.file.is_none() {
-        for why in &plan.refused {
+        for why in plan.refused.iter().chain(&plan.warned) {
             // Whoever closed our standard error does not want to read it.
             let _ = writeln!(std::io::stderr(), "rtnet: {why}");
         }

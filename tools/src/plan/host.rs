@@ -179,7 +179,7 @@ impl OnHost {
 }
 
 /// The smallest guard band, in whole microseconds, by which so many stations may be that late.
-fn guard_for(lateness: Span, stations: usize) -> Span {
+pub(super) fn guard_for(lateness: Span, stations: usize) -> Span {
     // What clocks have of it is half of it at the most.
     let (mut low, mut high) = (0, lateness.nanos().max(0) / 500 + 1);
     while low < high {

@@ -20,6 +20,7 @@ use rtmac::tdma::{DEFAULT_LEAD, HOLDOVER_CYCLES};
 use rtnet::time::Span;
 use serde::Serialize;
 
+use crate::report::text::duration;
 use crate::scenario::Scenario;
 
 pub use host::{Host, OnHost};
@@ -31,6 +32,9 @@ pub use waits::{RoundTrip, RoundTrips, WaitRow};
 pub const KIND: &str = "rtnet plan 1";
 /// How wrong a stamp may be, and how long a frame may take from a station's last look at the clock to the wire.
 pub const STAMP_ERROR: Span = Span::from_nanos(1_500);
+/// How late a host must be allowed to be of which nothing is known: a thread on a core of its own wakes up to 12.6 us late in
+/// 99 of 100 cycles where that core goes idle, and within 0.1 us where it does not.
+pub const LATENESS_LEAST: Span = Span::from_micros(10);
 /// No clock is taken to be further from true time, however much a guard band would absorb: twice as much, from clock to clock, is what stations take
 /// for possible.
 pub const MAX_DRIFT_PPB: i64 = 100_000;
@@ -64,6 +68,8 @@ pub struct Plan {
     pub host: Option<OnHost>,
     /// What cannot work, with the sum that shows it; nothing of a schedule that does.
     pub refused: Vec<String>,
+    /// What works, but on few hosts.
+    pub warned: Vec<String>,
 }
 
 /// The guard band of every slot, and the bounds within which no frame meets another.
@@ -79,6 +85,11 @@ pub struct Guard {
     pub drift_ppb: i64,
     /// ... and stamps wrong by so much.
     pub stamp_error_ns: i64,
+    /// The smallest guard band that leaves hosts what they need, if nothing is known of them.
+    pub least_ns: i64,
+    /// Whether the clocks' part absorbs what stamps are wrong by.
+    #[serde(skip)]
+    absorbs_stamps: bool,
 }
 
 impl Plan {
@@ -86,9 +97,13 @@ impl Plan {
     pub fn of(scenario: &Scenario, host: Option<&Host>) -> Self {
         let schedule = scenario.schedule();
         let waits = waits::waits(scenario, DEFAULT_LEAD);
+        let guard = Guard::of(scenario);
         let mut refused = waits::overloaded(&waits);
         let host = host.map(|host| host.holds(scenario));
+        refused.extend(guard.refused());
         refused.extend(host.as_ref().and_then(OnHost::refused));
+        // What a host was measured to do goes before what hosts usually do.
+        let warned = guard.warned().filter(|_| host.is_none() && refused.is_empty());
         Self {
             kind: KIND,
             cycle_ns: scenario.cycle.nanos(),
@@ -96,13 +111,14 @@ impl Plan {
             rate: scenario.rate.bits_per_second(),
             stations: scenario.stations.len(),
             utilisation: schedule.utilisation(),
-            guard: Guard::of(scenario),
+            guard,
             table: TimeTable::of(scenario, &schedule),
             round_trips: RoundTrips::of(scenario, DEFAULT_LEAD),
             vnics: vnics::vnics(scenario),
             waits,
             host,
             refused,
+            warned: warned.into_iter().collect(),
         }
     }
 
@@ -116,13 +132,111 @@ impl Guard {
     fn of(scenario: &Scenario) -> Self {
         let (guard, stations) = (scenario.guard, scenario.stations.len());
         let clocks = clock_share(guard, stations);
+        let drift = drift_bound(clocks, scenario.cycle, HOLDOVER_CYCLES as u32, STAMP_ERROR);
         Self {
             band_ns: guard.nanos(),
             clocks_ns: clocks.nanos(),
             lateness_ns: latest(guard, stations).nanos(),
-            drift_ppb: drift_bound(clocks, scenario.cycle, HOLDOVER_CYCLES as u32, STAMP_ERROR)
-                .clamp(0, MAX_DRIFT_PPB),
+            drift_ppb: drift.clamp(0, MAX_DRIFT_PPB),
             stamp_error_ns: STAMP_ERROR.nanos(),
+            least_ns: host::guard_for(LATENESS_LEAST, stations).nanos(),
+            absorbs_stamps: drift >= 0,
         }
+    }
+
+    /// Why frames meet whatever hosts do, if so.
+    fn refused(&self) -> Option<String> {
+        let [band, clocks, least, stamp] =
+            [self.band_ns, self.clocks_ns, self.least_ns, self.stamp_error_ns].map(time);
+        (!self.absorbs_stamps).then(|| {
+            format!(
+                "a guard band of {band} has {clocks} at either end for clocks, and the stamps of a sync are wrong by up to \
+                 {stamp} each: a frame may leave its slot whatever hosts do; a guard band of {least} would do"
+            )
+        })
+    }
+
+    /// Why few hosts hold it, if so.
+    fn warned(&self) -> Option<String> {
+        let [band, clocks, least, left] =
+            [self.band_ns, self.clocks_ns, self.least_ns, self.lateness_ns].map(time);
+        (self.lateness_ns < LATENESS_LEAST.nanos()).then(|| {
+            format!(
+                "a guard band of {band} less {clocks} at either end leaves hosts {left}, and one of which nothing is known is \
+                 taken to be {LATENESS_LEAST} late: a guard band of {least} would do; --host decides by what `rtnet doctor \
+                 --json` has measured"
+            )
+        })
+    }
+}
+
+/// A time as a person reads it.
+fn time(ns: i64) -> String {
+    if ns < 0 { format!("-{}", time(-ns)) } else { duration(ns.unsigned_abs()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Source;
+
+    /// Three stations of 64 bytes in 1 ms, with this guard band.
+    fn plan(guard: &str, host: Option<&Host>) -> Plan {
+        let slaves =
+            "[[station]]\nname = \"a\"\nrole = \"slave\"\n[[station]]\nname = \"b\"\nrole = \"slave\"\n";
+        let text = format!(
+            "cycle = \"1ms\"\nguard = \"{guard}\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n{slaves}"
+        );
+        Plan::of(&Source::new("net.toml", &text).parse().unwrap(), host)
+    }
+
+    #[test]
+    fn guard_band_below_the_stamps_error_is_refused() {
+        // At either end a quarter is for clocks: 3.002us are needed, two stamps and rounding, so 12.008us in all.
+        for (guard, works) in [("0us", false), ("184ns", false), ("12.004us", false), ("12.008us", true)] {
+            assert_eq!(plan(guard, None).works(), works, "{guard}");
+        }
+        let refused = plan("184ns", None).refused;
+        let expected = "a guard band of 184ns has 46ns at either end for clocks, and the stamps of a sync are wrong by up to \
+                        1.5us each: a frame may leave its slot whatever hosts do; a guard band of 20us would do";
+        assert_eq!(refused, [expected]);
+        assert_eq!(plan("184ns", None).warned, [""; 0], "it is refused");
+    }
+
+    #[test]
+    fn guard_band_that_leaves_hosts_little_is_warned_of() {
+        // Half of it is for hosts, up to 20us.
+        for (guard, warned) in [("12.008us", 1), ("19.9us", 1), ("20us", 0), ("200us", 0)] {
+            let plan = plan(guard, None);
+            assert_eq!((plan.warned.len(), plan.works()), (warned, true), "{guard}: {:?}", plan.warned);
+        }
+        let warned = &plan("15us", None).warned[0];
+        assert!(
+            warned.starts_with("a guard band of 15us less 3.75us at either end leaves hosts 7.5us, and"),
+            "{warned}"
+        );
+    }
+
+    #[test]
+    fn measured_host_decides_alone_what_it_needs() {
+        let dir = tempfile::tempdir().unwrap();
+        let doctored = |share: f64| {
+            let path = dir.path().join("doctor.json");
+            // With 8 stations a guard band of 12us allows 6us.
+            let text = format!(
+                "{{\"candidates\": [{{\"warm_core\": true, \"stations\": 8, \"guard_ns\": 12000, \"late_share\": {share}, \
+                 \"uncertain_share\": 0.0, \"outage_share\": 0.0}}], \"recommended\": null, \"wire\": null}}"
+            );
+            std::fs::write(&path, text).unwrap();
+            Host::load(&path).unwrap()
+        };
+        let good = plan("15us", Some(&doctored(0.001)));
+        assert_eq!((good.works(), good.warned.len()), (true, 0), "{:?}", good.refused);
+        let bad = plan("200us", Some(&doctored(0.1)));
+        assert!(
+            bad.refused[0].starts_with("such a host misses up to 10 % of the slots"),
+            "{:?}",
+            bad.refused
+        );
     }
 }

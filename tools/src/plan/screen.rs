@@ -1,7 +1,7 @@
 //! A plan as a person reads it, in a terminal; the verdict is the last line.
 
 use super::host::percent;
-use super::{OnHost, Plan, RoundTrip, SlotRow, TimeTable, WaitRow};
+use super::{LATENESS_LEAST, OnHost, Plan, RoundTrip, SlotRow, TimeTable, WaitRow, time};
 use crate::doctor::verdict::LOAD_MAX;
 use crate::report::screen::{WIDTH_MIN, sections};
 use crate::report::text::{Column, cut, duration, grouped, list, paragraph, table};
@@ -21,6 +21,7 @@ pub fn render(plan: &Plan, width: usize) -> String {
         picture(plan, width),
         slots(&plan.table, width),
         guard(plan, width),
+        hosts(plan, width),
         backups(&plan.table, width),
         waits(&plan.waits, width),
         round_trips(plan, width),
@@ -28,10 +29,6 @@ pub fn render(plan: &Plan, width: usize) -> String {
         plan.host.as_ref().map_or(Vec::new(), |host| on_host(host, width)),
         verdict(plan, width),
     ])
-}
-
-fn time(ns: i64) -> String {
-    if ns < 0 { format!("-{}", time(-ns)) } else { duration(ns.unsigned_abs()) }
 }
 
 fn headline(plan: &Plan, width: usize) -> Vec<String> {
@@ -97,9 +94,7 @@ fn slots(table: &TimeTable, width: usize) -> Vec<String> {
             ["", "station"],
             rows.iter().map(|row| format!("{} {}", char::from(key(row)), cut(&row.station, NAME_MAX))),
         ),
-        right(["", "slot"], &|row| {
-            row.joint.map_or(row.slot.to_string(), |joint| format!("{}->{joint}", row.slot))
-        }),
+        right(["", "slot"], &SlotRow::name),
         right(["", "cycles"], &|row| {
             if row.period <= 1 { "all".into() } else { format!("{}/{}", row.phase + 1, row.period) }
         }),
@@ -122,14 +117,19 @@ fn shortened(mut lines: Vec<String>, rows: usize, what: &str) -> Vec<String> {
 
 fn guard(plan: &Plan, width: usize) -> Vec<String> {
     let of = &plan.guard;
+    let absorbs = if of.absorbs_stamps {
+        format!(
+            ": no frame meets another while each drifts by up to {:.0} ppm, a sync in a row is missing, and stamps and sends are right to {}",
+            of.drift_ppb as f64 / 1e3,
+            time(of.stamp_error_ns),
+        )
+    } else {
+        format!(", less than two stamps that are wrong by {} each", time(of.stamp_error_ns))
+    };
     let mut text = format!(
-        "{} behind each frame. At either end {} of it are for clocks: no frame meets another while each drifts by up to {:.0} ppm, a sync \
-         in a row is missing, and stamps and sends are right to {}. The {} between are for hosts: a station that is later than that is silent.",
+        "{} behind each frame. At either end {} of it are for clocks{absorbs}.",
         time(of.band_ns),
-        time(of.clocks_ns),
-        of.drift_ppb as f64 / 1e3,
-        time(of.stamp_error_ns),
-        time(of.lateness_ns),
+        time(of.clocks_ns)
     );
     if let Some(least) = plan.table.smallest_gap() {
         let until =
@@ -142,6 +142,24 @@ fn guard(plan: &Plan, width: usize) -> Vec<String> {
         );
     }
     paragraph("guard band: ", &text, width)
+}
+
+/// What the guard band leaves for hosts, and what they need of that.
+fn hosts(plan: &Plan, width: usize) -> Vec<String> {
+    let of = &plan.guard;
+    let needs = match &plan.host {
+        Some(_) => "what such a host needs stands below".to_owned(),
+        None => format!(
+            "{LATENESS_LEAST} are taken to be needed (--host decides by what `rtnet doctor --json` has measured)"
+        ),
+    };
+    let text = format!(
+        "{} are left: guard band {} - 2 x {} for clocks. A station that is later than that is silent; {needs}.",
+        time(of.lateness_ns),
+        time(of.band_ns),
+        time(of.clocks_ns),
+    );
+    paragraph("for hosts: ", &text, width)
 }
 
 fn backups(table: &TimeTable, width: usize) -> Vec<String> {
@@ -246,6 +264,9 @@ fn on_host(host: &OnHost, width: usize) -> Vec<String> {
 }
 
 fn verdict(plan: &Plan, width: usize) -> Vec<String> {
+    if let (true, Some(why)) = (plan.works(), plan.warned.first()) {
+        return paragraph("WORKS ON FEW HOSTS: ", why, width);
+    }
     if plan.works() {
         return vec![
             "WORKS: no slot meets another within these bounds, and all that is queued gets its turn".into(),

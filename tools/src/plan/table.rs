@@ -52,6 +52,13 @@ pub struct SlotRow {
     pub number: usize,
 }
 
+impl SlotRow {
+    /// Its number, with that of the slot whose queue it takes from.
+    pub fn name(&self) -> String {
+        self.joint.map_or(self.slot.to_string(), |joint| format!("{}->{joint}", self.slot))
+    }
+}
+
 /// A backup master in it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BackupRow {

@@ -88,7 +88,8 @@ impl Tdma {
         let cycle = self.cycle_at(rx);
         let Some(change) = &mut self.change else { return Err(Refusal::TdmaVersion) };
         match extension {
-            Extension::Answer(_) if header.destination != self.address => Err(Refusal::ScheduleUnknown),
+            // On a hub all hear it.
+            Extension::Answer(_) if header.destination != self.address => Ok(()),
             Extension::Answer(answer) => change.on_answer(cycle, header.source, &answer),
             Extension::Part(part) => {
                 if change.take(&part)? {

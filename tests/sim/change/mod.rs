@@ -2,6 +2,7 @@
 
 mod killed;
 mod medium;
+mod parts;
 mod undisturbed;
 
 use std::cell::RefCell;

@@ -8,7 +8,7 @@ use super::{
     AHEAD, AHEAD_AT_LEAST, ALONE, Book, Change, DEAF, FRESH, PATIENCE, PATIENCE_IN_TURNS, SEALED_BEFORE,
     State, Status, Stopped, Switch, reached,
 };
-use crate::wire::change::{Answer, Verdict};
+use crate::wire::change::{Answer, ScheduleId, Verdict};
 
 /// Part of a status that concerns whoever gives the time.
 pub struct Lead {
@@ -18,6 +18,8 @@ pub struct Lead {
     since: u32,
     /// The last cycle whose Synchronisation has left.
     pub sent: Option<u32>,
+    /// The schedule that it has named as proposed.
+    pub named: ScheduleId,
     /// It may have missed what others decided, and hears until then.
     unsure_until: Option<u32>,
     /// Another is sure of something else.
@@ -57,6 +59,7 @@ impl Lead {
             acts: false,
             since: 0,
             sent: None,
+            named: ScheduleId::default(),
             unsure_until: None,
             is_contradicted: false,
             is_inherited: false,
@@ -89,7 +92,7 @@ impl Change {
 
     /// Its Synchronisation has left.
     pub fn spoke(&mut self, cycle: u32) {
-        self.lead.sent = Some(cycle);
+        (self.lead.sent, self.lead.named) = (Some(cycle), self.told.admin);
     }
 
     fn take_over(&mut self, cycle: u32, others: bool) {
@@ -305,13 +308,16 @@ impl Change {
 
     /// A station's answer.
     pub fn on_answer(&mut self, cycle: u32, from: Address, answer: &Answer) -> Result<(), Refusal> {
-        if !self.lead.acts || (answer.id, answer.digest) != (self.told.admin, self.admin.digest()) {
+        if !self.lead.acts || answer.id != self.told.admin {
             return Err(Refusal::ScheduleUnknown);
         }
         let is_asked = matches!(self.told.state, State::Proposed | State::Committed);
         if !is_asked || self.lead.is_inherited {
             // It was repeated, and is not waited for any more.
             return Ok(());
+        }
+        if answer.digest != self.admin.digest() {
+            return Err(Refusal::ScheduleUnknown);
         }
         let Some(asked) = self.lead.asked.iter_mut().find(|asked| asked.station == from) else {
             // Who has no slots yet is not asked, and learns what is in use when it is.

@@ -359,9 +359,12 @@ impl Change {
     }
 
     fn next_part(&self) -> Option<Part> {
-        let (book, id) =
-            if self.is_pending() { (&self.admin, self.told.admin) } else { (&self.oper, self.told.oper) };
-        let is_known = self.lead.acts && book.holds(id) && id.number != 0;
+        let (book, id, is_named) = match self.is_pending() {
+            // Nobody collects what no Synchronisation has named yet.
+            true => (&self.admin, self.told.admin, self.lead.named == self.told.admin),
+            false => (&self.oper, self.told.oper, true),
+        };
+        let is_known = self.lead.acts && is_named && book.holds(id) && id.number != 0;
         is_known.then(|| book.part(self.next_part as usize % book.planned().len())).flatten()
     }
 

@@ -1,5 +1,7 @@
 //! What may be sent when, what is refused, and who is believed.
 
+use rtnet::counters::Refusal;
+
 use super::super::hear::is_later;
 use super::*;
 
@@ -188,4 +190,31 @@ fn who_slept_through_a_switch_uses_what_it_has_before_it_collects_another() {
     assert_eq!(seat.change.hear(now.wrapping_add(1), Some(status)), None);
     assert_eq!(seat.change.admin().id(), admin, "it is collected from then on");
     assert!(seat.change.may_send(now.wrapping_add(1), true));
+}
+
+#[test]
+fn no_part_is_sent_before_a_sync_has_named_its_schedule() {
+    let mut seat = Seat::at(Place::LeadsIdle);
+    seat.propose(Some(Activation::Soon)).unwrap();
+    (0..8).for_each(|_| seat.change.part_is_owed());
+    let part = |seat: &Seat| seat.change.part_in_turn().or(seat.change.part_for(0)).map(|part| part.id);
+    assert_eq!(part(&seat), None, "nobody would take it");
+    seat.speak();
+    assert_eq!(part(&seat), Some(seat.id()));
+}
+
+#[test]
+fn a_late_answer_is_not_unknown_after_the_switch() {
+    let mut seat = Seat::at(Place::LeadsReady);
+    let digest = seat.change.admin.digest();
+    let answer = Answer { id: seat.id(), digest, verdict: Verdict::Acknowledged, gives_time: false };
+    let other = Answer { digest: digest + 1, ..answer };
+    let heard = |seat: &mut Seat, answer: &Answer| seat.change.on_answer(seat.cycle, SLAVE, answer);
+    assert_eq!(heard(&mut seat, &other), Err(Refusal::ScheduleUnknown), "another schedule of that number");
+    let mut seat = Seat::at(Place::LeadsSwitched);
+    let switch = seat.change.begins(seat.cycle).unwrap();
+    seat.change.switch(switch.to, core::iter::empty(), None);
+    assert_eq!(heard(&mut seat, &answer), Ok(()));
+    let unknown = Answer { id: ScheduleId { number: 9, sum: 9 }, ..answer };
+    assert_eq!(heard(&mut seat, &unknown), Err(Refusal::ScheduleUnknown));
 }

@@ -386,3 +386,26 @@ fn stations_of_their_own_change_their_schedule_if_all_were_started_for_it() {
         assert_eq!((master.end(), slave.end()), (Some(0), Some(0)));
     });
 }
+
+#[test]
+fn a_master_alone_takes_a_schedule_of_one_station() {
+    network("a_master_alone_takes_a_schedule_of_one_station", || {
+        let medium = Medium::new();
+        let name = format!("schedule-alone-{}", std::process::id());
+        let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--sync-window", "150us"];
+        let master = Station::start(
+            &medium.a,
+            &[&cycle[..], &["--slot", "0=1ms", "--extensions", "--name", &name]].concat(),
+        );
+        master.wait_for("master_active");
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let one = "cycle = '4ms'\nsync_window = '150us'\n[[station]]\nname = 'm'\nrole = 'master'\nslots = [{ id = 0, offset = '2ms' }]\n";
+        std::fs::write(&file, one).unwrap();
+        let mut propose = rtnet();
+        propose.args(["schedule", "-S", &name, "propose"]).arg(file.path());
+        let output = propose.args(["--now", "--address", "m=02:00:00:00:00:0a"]).output().unwrap();
+        let said = text(&output.stdout) + &text(&output.stderr);
+        assert!(output.status.success() && said.contains("cycle 4ms, slots 0 at 2ms"), "{said}");
+        assert_eq!(master.end(), Some(0));
+    });
+}

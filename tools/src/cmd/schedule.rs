@@ -53,7 +53,7 @@ fn propose(
     addresses: &[(String, Address)],
     activate: Option<ActivationSaid>,
 ) -> Result<()> {
-    let scenario = scenario::load(file)?;
+    let scenario = scenario::load_schedule(file)?;
     match &which.place.lab {
         // A lab knows its stations by their names, and judges all slots together.
         Some(lab) => {

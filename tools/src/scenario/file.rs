@@ -5,7 +5,7 @@
 //! cycle = "1ms"             # required; everything else has a default or is per station
 //! rate = "1G"
 //! sync_window = "50us"      # default: this; as long as a slot where no station says where its slots are
-//! guard = "20us"            # default: what the closest slots leave
+//! guard = "20us"            # default: what the closest slots leave; "0us" is none at all, which no network holds
 //! duration = "10s"
 //! seed = 1
 //! late = "skip"             # or "send", as RTnet does
@@ -84,6 +84,11 @@ pub fn load(path: &Path) -> Result<Scenario, FileError> {
     read(path, |source| source.parse())
 }
 
+/// Reads a schedule from a file, for a network that runs: it may be of one station.
+pub fn load_schedule(path: &Path) -> Result<Scenario, FileError> {
+    read(path, |source| source.parse_schedule())
+}
+
 /// Reads a network from a file, by whatever its stations share the medium.
 pub fn load_network(path: &Path) -> Result<Network, FileError> {
     read(path, |source| source.parse_any())
@@ -137,13 +142,23 @@ enum Late {
 impl Source<'_> {
     /// Reads the network.
     pub fn parse(self) -> Result<Scenario, FileError> {
+        // Whoever is alone measures nothing.
+        self.parse_of(2)
+    }
+
+    /// A schedule for a network that runs.
+    pub fn parse_schedule(self) -> Result<Scenario, FileError> {
+        self.parse_of(1)
+    }
+
+    fn parse_of(self, fewest: usize) -> Result<Scenario, FileError> {
         self.check_has_slots()?;
         let tables = toml::de::Deserializer::from(self.tables()?);
         let mut network = NetworkFile::deserialize(tables).map_err(|error| self.no_toml(&error))?;
         let cycle = network.cycle.get_ref().0;
         check_cycle(cycle).map_err(|refused| self.impossible(network.cycle.span().start, refused))?;
         let rate = network.rate.map_or(DEFAULT_RATE, |rate| rate.0);
-        self.check_stations(&network.station)?;
+        self.check_stations(&network.station, fewest)?;
         let without =
             |entry: &&Spanned<StationFile>| entry.get_ref().slots.as_ref().is_none_or(Vec::is_empty);
         let divided = network.station.iter().all(|entry| without(&entry));

@@ -35,7 +35,7 @@ pub use acts::{Act, Part, acts, over};
 pub use change::room_for_parts;
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
-pub use file::{FileError, Place, Source, load, load_network, parse_phase, read_text};
+pub use file::{FileError, Place, Source, load, load_network, load_schedule, parse_phase, read_text};
 pub use follow::{DelayName, DelayPolicy, ServoName};
 pub use ring::{Network, RingScenario, RingTimes};
 pub use uniform::{ScenarioError, Uniform, UniformVnic};

@@ -115,15 +115,23 @@ fn check_name(name: &str) -> Result<(), String> {
 }
 
 impl Source<'_> {
-    pub(super) fn check_stations(&self, stations: &[Spanned<StationFile>]) -> Result<(), FileError> {
+    pub(super) fn check_stations(
+        &self,
+        stations: &[Spanned<StationFile>],
+        fewest: usize,
+    ) -> Result<(), FileError> {
         let first = stations.first().map_or(0, |entry| entry.span().start);
-        if !(2..=MAX_STATIONS).contains(&stations.len()) {
+        let n = stations.len();
+        if n < fewest {
+            let what =
+                format!("there must be {fewest} stations or more, and there are {n}: add a [[station]]");
+            return Err(self.impossible(first, what));
+        }
+        if let Some(beyond) = stations.get(MAX_STATIONS) {
             let what = format!(
-                "{} stations: there must be 2 to {MAX_STATIONS}; each takes some 0.2 MB of a simulation's memory",
-                stations.len()
+                "{n} stations: there must be {fewest} to {MAX_STATIONS}; each takes some 0.2 MB of a simulation's memory"
             );
-            let at = stations.get(MAX_STATIONS).map_or(first, |beyond| beyond.span().start);
-            return Err(self.impossible(at, what));
+            return Err(self.impossible(beyond.span().start, what));
         }
         self.check_names(&stations.iter().map(|entry| &entry.get_ref().name).collect::<Vec<_>>())?;
         let mut masters = stations.iter().filter(|entry| entry.get_ref().role == FileRole::Master);

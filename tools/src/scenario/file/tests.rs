@@ -1,4 +1,5 @@
 use super::*;
+use crate::control::ScheduleSaid;
 use crate::scenario::{DelayName, Measure, SlotPlan, StationPlan};
 use crate::station::traffic::Flow;
 
@@ -386,4 +387,14 @@ fn addresses_that_cannot_be_name_line_and_remedy() {
     }
     let full = with_addresses("guard = \"310us\"\nnetwork = \"10.0.0.0/24\"", "").unwrap_err().to_string();
     assert!(full.contains("with an address hold 1500 bytes: give all slots a size"), "{full}");
+}
+
+#[test]
+fn one_station_is_a_schedule_but_no_network() {
+    let alone = "cycle = \"50ms\"\n[[station]]\nname = \"m\"\nrole = \"master\"\nslots = [{ id = 0, offset = \"10ms\" }]\n";
+    let error = Source::new("net.toml", alone).parse().unwrap_err().to_string();
+    assert_eq!(error, "net.toml:2:1: there must be 2 stations or more, and there are 1: add a [[station]]");
+    let schedule = Source::new("net.toml", alone).parse_schedule().unwrap();
+    let book = ScheduleSaid::of(&schedule, |id| schedule.address(id).to_string()).book().unwrap();
+    assert_eq!((book.cycle(), book.planned().len()), (Span::from_millis(50), 1));
 }

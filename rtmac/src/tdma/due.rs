@@ -169,8 +169,11 @@ impl Tdma {
 
     /// Nothing is sent any more in the role that there is: the turns that are still to come up to `cycle` are none of the
     /// next one's. Who calibrates has had none since that began.
-    pub(super) fn leave_until(&mut self, cycle: u32) {
+    pub(super) fn leave_until(&mut self, cycle: u32, now: Instant) {
         let Some(line) = self.line().copied() else { return };
+        // What somebody else says of cycles that have not come is no turn of this station's.
+        let next = line.cycle_at(now).wrapping_add(1);
+        let cycle = if (cycle.wrapping_sub(next) as i32) > 0 { next } else { cycle };
         let told_from = if self.calibrates() {
             cycle.wrapping_add(1)
         } else {

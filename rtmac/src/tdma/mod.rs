@@ -428,7 +428,7 @@ impl Discipline for Tdma {
                     Role::Detached => {}
                 }
                 self.slots.planned().try_for_each(|slot| role.can_use(self.lead, [&slot]))?;
-                self.leave_until(cycle);
+                self.leave_until(cycle, now);
                 if let Role::Master(master) = &mut self.role {
                     self.counters.replies_given_up += master.answer_nobody();
                 }

@@ -175,7 +175,7 @@ impl Tdma {
         let Switch { from, to } = switch;
         let last = from.wrapping_sub(1);
         let (address, line) = (self.address, self.line().copied());
-        self.leave_until(last);
+        self.leave_until(last, now);
         let Some(change) = &mut self.change else { return };
         let (left, length) = (self.slots.planned(), line.map(|line| line.period));
         change.switch(to, left, length);
@@ -188,7 +188,7 @@ impl Tdma {
         if let Some(line) = self.line().copied() {
             self.slots.align(&line, line.start_of(from));
             if !self.calibrates() {
-                self.leave_until(line.cycle_at(now).wrapping_sub(1));
+                self.leave_until(line.cycle_at(now).wrapping_sub(1), now);
             }
         }
         self.events.note(from, EventKind::ScheduleSwitched, Span::from_nanos(to.number.into()));

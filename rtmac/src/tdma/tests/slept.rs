@@ -116,3 +116,14 @@ fn who_finds_another_line_after_a_long_sleep_tells_of_the_first_turns_only() {
     }
     assert_eq!(slave.status().counters.overruns, 9_999, "of 100 000");
 }
+
+#[test]
+fn a_switch_counts_no_turns_that_have_not_come() {
+    for ahead in [1 << 30, i32::MAX as u32 - 5] {
+        let mut slave = locked_slave();
+        hear_syncs(&mut slave, 3..=5);
+        slave.leave_until(5 + ahead, at(5_500));
+        // Those of cycles 3 to 5, and of the next one, which may be about to begin.
+        assert_eq!(slave.status().counters.slots_silent, 4, "{ahead} ahead");
+    }
+}

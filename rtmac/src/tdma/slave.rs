@@ -178,6 +178,7 @@ impl Slave {
                 }
             },
             Track::On { line, step } => {
+                let agrees = mark.agrees_with(line, self.config.step_limit, self.envelope.slower());
                 if cycle == line.cycle || step.is_some_and(|step| step.mark.cycle == cycle) {
                     // Media double frames; and a backup that has not heard its master says the same as that.
                     let is_copy = from == self.line_of && (cycle, mark.sched) == (line.cycle, line.sched);
@@ -186,13 +187,16 @@ impl Slave {
                         self.doubted = Some(cycle);
                     }
                     events.note(cycle, EventKind::DuplicateCycle, mark.deviation_from(line));
-                    return Err(Refusal::DuplicateCycle);
+                    // The other one was beside the line: which of the two is right for time is not in doubt.
+                    if !agrees {
+                        return Err(Refusal::DuplicateCycle);
+                    }
                 }
                 if mark.is_overtaken(line, rx, self.config.step_limit) {
                     return Ok(Followed::Late);
                 }
                 self.deviation = mark.deviation_from(line);
-                if mark.agrees_with(line, self.config.step_limit, self.envelope.slower()) {
+                if agrees {
                     if from != self.line_of {
                         // Another clock: it may drift otherwise.
                         self.envelope.restart();

@@ -249,6 +249,20 @@ fn a_repeated_cycle_is_refused_and_silences_itself() {
 }
 
 #[test]
+fn sync_on_the_line_counts_after_a_changed_copy_of_it() {
+    // The medium has doubled it, and changed the stamp of the first copy.
+    for by in [-500_000, -50_000, 251_000] {
+        let mut bench = Bench::in_state(SyncState::Locked);
+        assert_eq!(bench.hear(3, by), Ok(Followed::Pending));
+        assert_eq!(bench.hear(3, 900), Ok(Followed::Agrees));
+        assert_eq!(bench.told(), [(3, EventKind::TimeStep), (3, EventKind::DuplicateCycle)]);
+        assert!(!bench.slave.may_send(3), "its number came twice");
+        assert_eq!(bench.wait_until(4 * PERIOD + PERIOD / 2), SyncState::Holdover);
+        assert!(bench.slave.may_send(4), "the next one is lost, and bridged");
+    }
+}
+
+#[test]
 fn a_synchronisation_that_the_medium_doubles_is_refused_and_silences_nothing() {
     let mut bench = Bench::in_state(SyncState::Locked);
     assert_eq!(bench.hear(3, 0), Ok(Followed::Agrees));

@@ -149,7 +149,7 @@ enum Answer {
 }
 
 /// The state that it is in then, what it answers, and what it tells of.
-type Outcome = (SyncState, Answer, Option<EventKind>);
+type Outcome = (SyncState, Answer, Vec<EventKind>);
 
 const AGREES: Answer = Answer::Sync(Followed::Agrees);
 const NEW_LINE: Answer = Answer::Sync(Followed::NewLine);
@@ -175,9 +175,7 @@ fn check(servo: Servo, expected: impl Fn(Happening, Place) -> Outcome) {
             assert!(state_of(slave).is_some(), "{happening:?} while {place:?}");
             let (state, sends) = (slave.state(), slave.may_send(cycle));
             let told: Vec<EventKind> = seat.bench.told().into_iter().map(|(_, kind)| kind).collect();
-            let (expected_state, expected_answer, expected_told) = expected(happening, place);
-            let expected = (expected_state, expected_answer, Vec::from_iter(expected_told));
-            assert_eq!((state, answer, told), expected, "{happening:?} while {place:?}");
+            assert_eq!((state, answer, told), expected(happening, place), "{happening:?} while {place:?}");
             let silent = matches!(state, SyncState::Waiting | SyncState::Lost);
             assert!(!(silent && sends), "{happening:?} while {place:?}: it sends while {state:?}");
         }

@@ -4,11 +4,11 @@ use super::*;
 
 pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
     use Place::*;
-    let stays = |answer, told| (place.sync_state(Servo::Linear), answer, told);
-    let calibrates = |answer| (SyncState::Calibrating, answer, None);
-    let locked = |answer, told| (SyncState::Locked, answer, told);
-    let lost = (SyncState::Lost, Answer::Nothing, Some(EventKind::SyncLost));
-    let bridges = (SyncState::Holdover, Answer::Nothing, Some(EventKind::Holdover));
+    let stays = |answer, told| (place.sync_state(Servo::Linear), answer, Vec::from_iter(told));
+    let calibrates = |answer| (SyncState::Calibrating, answer, vec![]);
+    let locked = |answer, told| (SyncState::Locked, answer, Vec::from_iter(told));
+    let lost = (SyncState::Lost, Answer::Nothing, vec![EventKind::SyncLost]);
+    let bridges = (SyncState::Holdover, Answer::Nothing, vec![EventKind::Holdover]);
     let step = stays(PENDING, Some(EventKind::TimeStep));
     let nothing = stays(Answer::Nothing, None);
     let refused = |reason| stays(Answer::Refused(reason), None);
@@ -46,10 +46,15 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
         },
         Happening::RepeatedSync | Happening::BackupsRepeat => match place {
             Nothing | First | GivenUp | GivenUpFirst => stays(PENDING, None),
-            Calibrating | CalibratingUnbridged | CalibratingMoved | Locked | Unbridged | Anew | Doubled
-            | HeldUp | HeldUpTwice | Moved | Holdover | Bridging | Lost | LostMoved | LostLate
-            | LostUncalibrated => {
+            Calibrating | CalibratingUnbridged | Locked | Unbridged | Anew | Doubled | Holdover
+            | Bridging | Lost | LostUncalibrated => {
                 stays(Answer::Refused(Refusal::DuplicateCycle), Some(EventKind::DuplicateCycle))
+            }
+            // The other one of that number was beside the line.
+            CalibratingMoved | HeldUp | Moved => stays(AGREES, Some(EventKind::DuplicateCycle)),
+            HeldUpTwice => locked(AGREES, Some(EventKind::DuplicateCycle)),
+            LostMoved | LostLate => {
+                (SyncState::Locked, AGREES, vec![EventKind::DuplicateCycle, EventKind::Locked])
             }
         },
         Happening::ImplausibleSync => refused(Refusal::ImplausibleSync),
@@ -105,7 +110,7 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
             }
             Nothing | First | GivenUp | GivenUpFirst => nothing,
         },
-        Happening::Forget => (SyncState::Waiting, Answer::Nothing, None),
+        Happening::Forget => (SyncState::Waiting, Answer::Nothing, vec![]),
         Happening::Resume => match place {
             Calibrating | CalibratingUnbridged | CalibratingMoved | LostUncalibrated => {
                 calibrates(Answer::Nothing)
@@ -117,7 +122,7 @@ pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
         },
         // Whatever it was: a slave is handed back as it is, and one that is attached is at the begin.
         Happening::Detach => stays(Answer::Becomes(RoleName::Detached), None),
-        Happening::DetachAndAttach => (SyncState::Waiting, Answer::Becomes(RoleName::Slave), None),
+        Happening::DetachAndAttach => (SyncState::Waiting, Answer::Becomes(RoleName::Slave), vec![]),
         Happening::BecomePrimary => stays(Answer::Becomes(RoleName::Master), None),
         Happening::BecomeBackup => stays(Answer::Becomes(RoleName::Backup), None),
     }

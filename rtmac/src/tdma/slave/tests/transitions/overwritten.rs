@@ -5,12 +5,12 @@ use super::*;
 
 pub(super) fn expected(happening: Happening, place: Place) -> Outcome {
     use Place::*;
-    let stays = |answer, told| (place.sync_state(Servo::None), answer, told);
-    let locked = |answer, told| (SyncState::Locked, answer, told);
+    let stays = |answer, told| (place.sync_state(Servo::None), answer, Vec::from_iter(told));
+    let locked = |answer, told| (SyncState::Locked, answer, Vec::from_iter(told));
     let follows = |answer| match place {
         Nothing | First | GivenUp | GivenUpFirst => stays(PENDING, None),
         Calibrating | CalibratingUnbridged | CalibratingMoved | LostUncalibrated => {
-            (SyncState::Calibrating, answer, None)
+            (SyncState::Calibrating, answer, vec![])
         }
         Locked | Unbridged | Anew | Doubled | HeldUp | HeldUpTwice | Moved | LostMoved | LostLate
         | Holdover | Bridging => locked(answer, None),

@@ -72,9 +72,9 @@ pub enum Measure {
     RivalCycles,
     /// Cycles from the end of the last event until all stations were synchronised for good.
     RelockCycles,
-    /// Stations that were synchronised at the end: locked, or bridging a cycle.
+    /// Stations that were synchronised in one of the last cycles: locked, or bridging a cycle.
     Locked,
-    /// Stations that gave the time at the end.
+    /// Stations that gave the time in all of the last cycles.
     Masters,
     /// Largest difference between estimated and true global time.
     SyncError,

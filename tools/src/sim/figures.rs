@@ -58,9 +58,9 @@ pub struct Simulation {
 pub struct SimStation {
     /// Its name.
     pub name: String,
-    /// `locked`, `lost`, ...; `down` if it was not there.
+    /// `locked`, `lost`, ...; `down` if it was not there. Synchronised if it was in one of the last cycles.
     pub state: String,
-    /// Whether it gave the time.
+    /// Whether it gave the time in all of the last cycles.
     pub gives_time: bool,
     /// Frames that found its receive pool empty.
     pub dropped: u64,

@@ -11,6 +11,8 @@ use rtnet::clock::True;
 use rtnet::discipline::{Discipline, SyncState};
 use rtnet::time::Span;
 
+use at_end::{AtEnd, is_synchronised};
+
 use super::expect;
 use super::figures::{SimFigures, Simulation};
 use super::patience;
@@ -108,6 +110,8 @@ struct Run<'a> {
     over: True,
     /// When somebody was last seen not to be synchronised.
     unlocked: True,
+    /// How all were in the last cycles.
+    at_end: Vec<AtEnd>,
 }
 
 impl<'a> Run<'a> {
@@ -144,6 +148,7 @@ impl<'a> Run<'a> {
             patience: patience::cycles(scenario),
             over: 0,
             unlocked: 0,
+            at_end: vec![AtEnd::UNSEEN; n],
         })
     }
 
@@ -167,8 +172,7 @@ impl<'a> Run<'a> {
 
     /// Locked, or bridging a cycle.
     fn is_synchronised(&self, id: usize) -> bool {
-        let state = self.world.network.member(id).station.discipline().time().state;
-        matches!(state, SyncState::Locked | SyncState::Holdover)
+        is_synchronised(self.world.network.member(id).station.discipline().time().state)
     }
 
     fn all(&self, are: impl Fn(&Self, usize) -> bool) -> bool {
@@ -246,8 +250,10 @@ impl<'a> Run<'a> {
         self.world.bound_deliveries(self.scenario, &self.watch.borrow().analysis, Arrivals::count_until);
         // What was sent in the last cycle is still on its way, and who is held up has not told of it.
         for _ in 0..LINGER_CYCLES.max(patience::untold(self.scenario)) {
+            self.look_at_end();
             self.pass_until(self.now() + self.cycle);
         }
+        self.look_at_end();
         Ok(())
     }
 
@@ -388,6 +394,7 @@ impl<'a> Run<'a> {
     }
 }
 
+mod at_end;
 mod events;
 mod facts;
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! What is known of the stations at the end of a run.
 
-use rtmac::tdma::Mastery;
 use rtnet::time::Span;
 
 use super::Run;
+use super::at_end::AtEnd;
 use crate::judge::delivery::{Delivery, Heard};
 use crate::judge::outcome::Facts;
 use crate::scenario::Scenario;
@@ -12,18 +12,20 @@ use crate::station::link::PORT_POOL_EMPTY;
 
 impl Run<'_> {
     pub(super) fn relock_cycles(&self) -> Option<i64> {
-        if !self.all(Self::is_synchronised) || self.over > self.now() {
+        let is_back = |run: &Self, id: usize| run.at_end[id].synchronised.is_some();
+        if !self.all(is_back) || self.over > self.now() {
             return None;
         }
         Some(self.unlocked.saturating_sub(self.over).div_ceil(self.cycle) as i64)
     }
 
     pub(super) fn station(&self, id: usize) -> SimStation {
-        let status = self.status(id);
+        let AtEnd { gives_time, synchronised } = self.at_end[id];
+        let state = synchronised.unwrap_or_else(|| self.status(id).state);
         SimStation {
             name: self.scenario.stations[id].name.clone(),
-            state: if self.present[id] { status.state.name() } else { "down" }.into(),
-            gives_time: self.present[id] && status.mastery == Some(Mastery::Active),
+            state: if self.present[id] { state.name() } else { "down" }.into(),
+            gives_time,
             dropped: self.world.network.dropped(id),
         }
     }
@@ -46,7 +48,7 @@ impl Run<'_> {
         // What a process that was ended would have heard since, nobody knows.
         let streams = self.scenario.streams(self.scenario.sender(id)).filter(|_| self.present[id]);
         let name = &self.scenario.stations[id].name;
-        let is_lost = self.present[id] && !self.is_synchronised(id);
+        let is_lost = self.present[id] && self.at_end[id].synchronised.is_none();
         Facts {
             guarded: self.scenario.is_guarded(),
             delay_ns: status.delay.map(Span::nanos),

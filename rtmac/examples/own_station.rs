@@ -80,6 +80,7 @@ fn driver(name: &str, is_slave: bool, stop: Arc<AtomicBool>) -> Result<Driver<Td
         backup: None,
         backups_from: None,
         max_requests: DEFAULT_MAX_REQUESTS,
+        behind_sync: None,
         follow,
     };
     let slot = SlotConfig {

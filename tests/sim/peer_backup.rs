@@ -43,7 +43,7 @@ fn check_undisturbed(lab: &Lab, cycles: u64) {
     let judge = lab.judge();
     assert_eq!(judge.syncs, cycles, "one in every cycle");
     assert!(judge.faults.is_empty(), "on one grid, each number once: {:?}", judge.faults);
-    assert!(judge.overlaps.is_empty() && judge.out_of_slot.is_empty());
+    assert_eq!((&judge.overlaps[..], &judge.out_of_slot[..]), (&[][..], &[][..]));
     for id in SLAVES {
         assert_eq!((lab.state(id), judge.data[id]), (SyncState::Locked, cycles));
         for kind in

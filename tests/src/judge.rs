@@ -53,11 +53,7 @@ pub enum Kind {
         to: Address,
         /// Who asked, under that address; `None`: nobody did so.
         asked_by: Option<StationId>,
-        /// It is later than in the use of the slot that was asked for.
-        put_off: bool,
-        /// It is later than any that was put off: who asked, and who promised, numbered cycles otherwise.
-        outlived: bool,
-        /// It is in no use of that slot, or nobody has asked for it: the request was changed on its way.
+        /// It is neither in the turn that was asked for nor in a slot of its sender's, or nobody has asked for it.
         astray: bool,
     },
     /// Data.
@@ -87,8 +83,8 @@ pub struct Judge {
     pub syncs: u64,
     /// Calibration requests and replies.
     pub calibration: u64,
-    /// Replies that were put off.
-    pub put_off: u64,
+    /// Replies that were late, in a slot of the master's own.
+    pub late_replies: u64,
     /// Data frames of each station.
     pub data: Vec<u64>,
     /// Actual less scheduled instant of every data frame.
@@ -117,8 +113,6 @@ pub struct Spread {
 }
 
 const MAX_FAULTS: usize = 20;
-/// A reply is put off eight times, by two uses of its slot, and then given up.
-const LAST_USE: i64 = 17;
 
 impl Judge {
     /// A judge who has seen nothing.
@@ -132,7 +126,7 @@ impl Judge {
             on_air: None,
             syncs: 0,
             calibration: 0,
-            put_off: 0,
+            late_replies: 0,
             slot_error: Spread::default(),
             sync_error: Spread::default(),
             overlaps: Vec::new(),
@@ -202,31 +196,29 @@ impl Judge {
                 let Some(asked) = asked else {
                     self.fault(format!("a reply that {to} did not ask for"));
                     let cycle = self.last_sync.unwrap_or(0);
-                    let nobodys =
-                        Kind::Reply { to, asked_by: None, put_off: false, outlived: false, astray: true };
-                    return Some((author(cycle), nobodys));
+                    return Some((author(cycle), Kind::Reply { to, asked_by: None, astray: true }));
                 };
                 let asked = self.requests.swap_remove(asked);
-                let author = author(asked.reply_cycle);
-                self.check_slot(aired, author, to);
-                Some((author, self.reply(aired.at, &asked)))
+                Some(self.reply(aired, header.source, &asked))
             }
         }
     }
 
-    /// In which use of the slot a reply is that was asked for in another, in the next one.
-    fn reply(&mut self, at: True, asked: &Asked) -> Kind {
-        let &Layout { cycle, slot, ref addresses, ref periods, .. } = &self.layout;
+    /// A reply is in the turn of the asker's slot that follows the request's, or, late, in a slot of its sender's own.
+    fn reply(&mut self, aired: &Aired<'_>, source: Address, asked: &Asked) -> Frame {
+        let &Layout { cycle, slot, tolerance, ref addresses, ref periods, .. } = &self.layout;
         let id = addresses.iter().position(|address| *address == asked.of);
         let every = cycle.nanos() * i64::from(id.map_or(1, |id| periods[id]));
-        let gone = at.wrapping_sub(asked.at) as i64;
-        let uses = (gone + every / 2).div_euclid(every);
-        // Who asked may have been held up for some cycles.
-        let is_past = self.last_sync.is_some_and(|last| last.wrapping_sub(asked.reply_cycle) as i32 > 0);
-        let put_off = uses > 1 || is_past;
-        self.put_off += u64::from(put_off);
-        let (outlived, astray) = (uses > LAST_USE, (gone - uses * every).abs() > slot.nanos());
-        Kind::Reply { to: asked.of, asked_by: Some(asked.by), put_off, outlived, astray }
+        let gone = aired.at.wrapping_sub(asked.at) as i64;
+        // The request, too, may have been beside its slot.
+        let in_time = (gone - every).abs() <= (slot + tolerance).nanos();
+        let cycle = if in_time { asked.reply_cycle } else { self.last_sync.unwrap_or(asked.reply_cycle) };
+        let author = Author { from: aired.from, cycle };
+        let strays = self.out_of_slot.len();
+        self.check_slot(aired, author, if in_time { asked.of } else { source });
+        let astray = !in_time && self.out_of_slot.len() > strays;
+        self.late_replies += u64::from(!in_time && !astray);
+        (author, Kind::Reply { to: asked.of, asked_by: Some(asked.by), astray })
     }
 
     fn sync(&mut self, aired: &Aired<'_>, cycle: u32, sched: GlobalTime) {

@@ -19,7 +19,7 @@ use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::{Address, HEADER_LEN};
 use tools::cli::{Cli, LabMeasureArgs, LabRunArgs, LabVerb, Verb};
-use tools::scenario::{DelayName, Scenario, SlotPlan, StationPlan, Uniform};
+use tools::scenario::{DelayName, Scenario, SlotPlan, StationPlan, Uniform, room_for_replies};
 use tools::station::sync_latest;
 
 use crate::judge::{Judge, Layout};
@@ -353,6 +353,7 @@ impl Plan {
                 backup: self.backup(id),
                 backups_from: self.backups.iter().map(|&(_, after)| after).min(),
                 max_requests: self.max_requests,
+                behind_sync: room_for_replies(scenario.sync_window, scenario.rate),
                 follow,
             }),
             None => RoleConfig::Slave(follow),
@@ -369,9 +370,13 @@ impl Plan {
         Mixed::Ours(Box::new(if self.changes { tdma.with_changes(&self.change_config()) } else { tdma }))
     }
 
-    /// What ours are told of the schedule.
+    /// What ours are told of the schedule: peers know of no changes, and are not in it.
     pub fn change_config(&self) -> ChangeConfig {
-        let config = self.scenario.change_config().expect("there is room behind the Synchronisations");
+        let mut ours = self.scenario.clone();
+        for &id in &self.peers {
+            ours.stations[id].slots.clear();
+        }
+        let config = ours.change_config().expect("there is room behind the Synchronisations");
         let masters = self.backups.iter().map(|&(id, _)| id).chain([0]).map(|id| self.address(id));
         ChangeConfig { masters: masters.collect(), ..config }
     }

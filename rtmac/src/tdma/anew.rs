@@ -1,22 +1,24 @@
 //! Measuring the delay anew, by a station that stays in the cycle.
 //!
 //! ```text
-//! turns of its first slot   0         1         2      3                                   4
-//!                           request   (reply)   data   data, or (the reply, if it was late)  request
+//! turns of its first slot   0         1         2      3      4
+//!                           request   (reply)   data   data   request
 //! ```
 //!
-//! A round needs two turns of the slot, of which the second is the master's; a master that was late with it answers two
-//! turns later (`promise.rs`). So of four turns two carry data, or one, and all other slots are as ever. The delay that is known stays in use
-//! until the last round, which moves the line by the difference.
+//! A round needs two turns of the slot, of which the second is the master's; a master that was late with it answers in a
+//! slot of its own (`replies.rs`). So of four turns two carry data, and all other slots are as ever. The delay that is known
+//! stays in use until the last round, which moves the line by the difference.
+//!
+//! Nothing on the wire takes a request back. So the turn in which its reply was asked for carries nothing, whatever the
+//! station is by then: given up, master itself, in another role, detached and back.
 
 use super::config::{Refused, check_rounds};
 use super::job::Job;
-use super::replies::LAST_USE;
 use super::round::Room;
 use super::slot::Turn;
 use super::{MAX_ROUNDS, Role, Tdma};
 use rtnet::discipline::SyncState;
-use rtnet::time::Instant;
+use rtnet::time::{Instant, Span};
 
 /// After so many turns all begins again.
 const TURNS: u32 = 4;
@@ -48,7 +50,43 @@ pub enum Purpose {
     Reply,
 }
 
+/// A turn of the first slot that is left to a reply.
+#[derive(Clone, Copy, Debug)]
+pub struct ReplyTurn {
+    /// The turn in which it was asked for, and the one that it was asked for: by its cycle's number, for this clock may be
+    /// set until then, and by its instant, for cycles may have other numbers.
+    asked: Instant,
+    number: u32,
+    at: Instant,
+    /// From one cycle's start to the next.
+    cycle: Span,
+}
+
+impl ReplyTurn {
+    fn is(&self, turn: &Turn) -> bool {
+        turn.cycle == self.number || (turn.at - self.at).abs() < self.cycle / 2
+    }
+
+    /// Whether it is still to come, or has just been. On a clock that was set back behind the request nothing is known of it.
+    fn holds(&self, now: Instant) -> bool {
+        (self.asked..=self.at + self.cycle).contains(&now)
+    }
+}
+
 impl Tdma {
+    /// A request has left in its turn.
+    pub(super) fn await_reply(&mut self, turn: &Turn) {
+        let Some((line, slot)) = self.line().zip(self.slots.get(turn.id)) else { return };
+        let (asked, cycle) = (turn.at, line.period);
+        let (number, at) = (turn.cycle.wrapping_add(slot.period), asked + cycle * i64::from(slot.period));
+        self.reply_turn = Some(ReplyTurn { asked, number, at, cycle });
+    }
+
+    /// Whether the first slot stays as it is, since a reply may still come in it.
+    pub(super) fn awaits_reply(&self, now: Instant) -> bool {
+        self.reply_turn.is_some_and(|turn| turn.holds(now))
+    }
+
     /// Begins to measure the delay anew.
     pub(super) fn measure_anew(&mut self, asked: &mut NewRounds) -> Result<(), Refused> {
         let slots = check_rounds(asked.rounds, self.slots.planned().map(|slot| (slot.id, slot.period)));
@@ -89,7 +127,7 @@ impl Tdma {
         let Some(first) = self.slots.first().filter(|first| first.id == turn.id) else {
             return Purpose::Data;
         };
-        if self.promises.claim(turn) {
+        if self.reply_turn.is_some_and(|of| of.is(turn)) {
             return Purpose::Reply;
         }
         let meets_others = is_broken_off(turn.cycle, first.period);
@@ -107,8 +145,8 @@ impl Tdma {
     }
 }
 
-/// Whether numbers start over before the last reply to a request in this cycle, and phases with them: where the period is no
-/// part of 2^32, a period later is another station's turn then.
+/// Whether numbers start over before the reply to a request in this cycle, and phases with them: where the period is no part
+/// of 2^32, a period later is another station's turn then.
 fn is_broken_off(cycle: u32, period: u32) -> bool {
-    !period.is_power_of_two() && i64::from(cycle) + LAST_USE * i64::from(period) > i64::from(u32::MAX)
+    !period.is_power_of_two() && cycle.checked_add(period).is_none()
 }

@@ -410,7 +410,7 @@ impl Tdma {
         let follower = self.follower().filter(|follower| follower.line().is_some());
         let measures = follower.is_some_and(|follower| follower.calibration().is_measuring());
         match self.slots.first() {
-            Some(first) if (measures || self.promises.hold(now)) && id <= first.id => {
+            Some(first) if (measures || self.awaits_reply(now)) && id <= first.id => {
                 Err(Refused::Calibrating { id: first.id })
             }
             _ => Ok(()),

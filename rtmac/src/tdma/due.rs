@@ -28,6 +28,7 @@ impl Tdma {
             None => self.slots.next_turn(line, None).map(|turn| match self.purpose(&turn) {
                 Purpose::Request => Job::Request(turn),
                 Purpose::Data if self.said_in(&turn).is_some() => Job::Answer(turn),
+                Purpose::Data if self.owes_late_reply() => Job::ReplyInTurn(self.tolerant(turn, line)),
                 Purpose::Data | Purpose::Reply => Job::Data(self.tolerant(turn, line)),
             }),
         };
@@ -43,9 +44,20 @@ impl Tdma {
                     latest: reply.at + config.reply_latest,
                 });
                 // Replies and slots of one cycle come after its Synchronisation, which begins it.
-                sync.into_iter().chain(self.part_job()).chain(reply).chain(turns()).min_by_key(Job::at)
+                let behind = self.part_job().into_iter().chain(self.reply_behind_sync());
+                sync.into_iter().chain(behind).chain(reply).chain(turns()).min_by_key(Job::at)
             }
         }
+    }
+
+    fn owes_late_reply(&self) -> bool {
+        matches!(&self.role, Role::Master(master) if master.is_active() && master.replies().next_late().is_some())
+    }
+
+    /// The late reply that follows this station's Synchronisation, if that has left.
+    fn reply_behind_sync(&self) -> Option<Job> {
+        let ((cycle, at), Role::Master(master)) = (self.reply_in?, &self.role) else { return None };
+        Some(Job::ReplyBehindSync { cycle, at, latest: at + master.config().behind_sync?.latest })
     }
 
     /// Whether its first slot is used for calibration, and no other.
@@ -73,24 +85,23 @@ impl Tdma {
             let calibrates = self.calibrates();
             let is_left =
                 matches!(job, Job::Data(turn) if calibrates || self.purpose(&turn) == Purpose::Reply);
-            // Who slept through a slot missed it for that, whatever was heard meanwhile; not what it had left to a reply.
-            let is_late = now > job.latest();
-            if is_late && !is_left {
+            // A station that slept through a slot missed it for that, whatever was heard meanwhile.
+            if is_left {
+                self.calibrates_in(&job);
+            } else if now > job.latest() {
                 self.missed(&job, now - job.latest());
-            } else if !is_late && !self.may_do(&job) {
+            } else if !self.may_do(&job) {
                 let kind = self.silent_by(&job);
                 if kind == EventKind::SlotSilent {
                     self.silent = Some((job.cycle(), job.at()));
                 }
                 self.counters.slots_silent += 1;
                 self.events.note_job(&job, kind, Span::ZERO);
-            } else if is_left {
-                self.calibrates_in(&job);
             } else {
                 return Some(job);
             }
             self.pass(&job, now);
-            self.put_off(&job);
+            self.postpone(&job);
         }
         None
     }
@@ -125,8 +136,8 @@ impl Tdma {
         matches!(&self.role, Role::Master(master) if master.has_spoken())
     }
 
-    /// A turn that carries no data, since the delay is measured anew, or a reply may still come. Who calibrates for the first
-    /// time has no turns yet, but for one that has given the time without.
+    /// A turn that carries no data, since the delay is measured anew, a reply may come, or this station's own goes in it. Who
+    /// calibrates for the first time has no turns yet, but for one that has given the time without.
     pub(super) fn calibrates_in(&mut self, job: &Job) {
         if self.calibrates() && !self.has_given_the_time() {
             return;
@@ -194,12 +205,22 @@ impl Tdma {
         }
     }
 
-    /// A calibration reply that was not sent is due again later: real stations never repeat a request.
-    pub(super) fn put_off(&mut self, job: &Job) {
-        if let (Job::Reply { .. }, Role::Master(master)) = (job, &mut self.role)
-            && !master.put_off()
+    /// A calibration reply that was not sent goes where this station may send anyway: real stations never repeat a request.
+    pub(super) fn postpone(&mut self, job: &Job) {
+        if let (true, Role::Master(master)) = (job.is_reply(), &mut self.role) {
+            master.replies_mut().postpone();
+            self.drop_replies_without_a_place();
+        }
+    }
+
+    /// A master without slots, and without room behind its Synchronisation, drops a late reply as RTnet does.
+    pub(super) fn drop_replies_without_a_place(&mut self) {
+        let has_slots = self.slots.first().is_some();
+        if let Role::Master(master) = &mut self.role
+            && !has_slots
+            && master.config().behind_sync.is_none()
         {
-            self.counters.replies_given_up += 1;
+            master.replies_mut().drop_late();
         }
     }
 
@@ -213,20 +234,15 @@ impl Tdma {
     }
 
     fn may_follow(&self, job: &Job) -> bool {
-        match (self.follower(), job) {
-            (Some(slave), Job::Request(turn) | Job::Data(turn) | Job::Answer(turn)) => {
-                let fits = slave.line().is_some_and(|line| {
-                    self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period)
-                });
-                fits && slave.may_send(turn.cycle)
-            }
-            _ => true,
-        }
+        let Some((slave, turn)) = self.follower().zip(job.turn()) else { return true };
+        let fits = slave
+            .line()
+            .is_some_and(|line| self.slots.get(turn.id).is_some_and(|slot| slot.offset < line.period));
+        fits && slave.may_send(turn.cycle)
     }
 
     /// The job's time is over, whether it was done or not.
     pub(super) fn pass(&mut self, job: &Job, now: Instant) {
-        let calibrates = self.calibrates();
         if let (Some(turn), Some(change)) = (job.turn(), &mut self.change)
             && self.slots.first().is_some_and(|first| first.id == turn.id)
         {
@@ -238,14 +254,14 @@ impl Tdma {
                 self.begin_cycle(cycle, now);
             }
             (Job::Part { .. }, _) => self.part_in = None,
-            (Job::Reply { .. }, Role::Master(master)) => drop(master.take_reply()),
-            // The next one is for the reply: it is left free even if there was no request, for one that was put off. Who
-            // measures anew tells of such a turn when it comes.
-            (Job::Request(turn), _) if calibrates => {
-                let period = self.slots.get(turn.id).map_or(1, |slot| slot.period);
-                let replys = Turn { cycle: turn.cycle.wrapping_add(period), ..*turn };
-                self.calibrates_in(&Job::Data(replys));
-                self.slots.pass_until(turn.id, replys.cycle.wrapping_add(1));
+            (Job::Reply { .. }, Role::Master(master)) => drop(master.replies_mut().take()),
+            (Job::ReplyBehindSync { .. }, Role::Master(master)) => {
+                self.reply_in = None;
+                master.replies_mut().take_late();
+            }
+            (Job::ReplyInTurn(turn), Role::Master(master)) => {
+                master.replies_mut().take_late();
+                self.slots.pass(turn);
             }
             (Job::Request(turn) | Job::Data(turn) | Job::Answer(turn), _) => self.slots.pass(turn),
             _ => {}
@@ -283,7 +299,7 @@ impl Tdma {
                 self.counters.syncs_skipped += 1;
                 EventKind::SyncSkipped
             }
-            Job::Reply { .. } => {
+            Job::Reply { .. } | Job::ReplyBehindSync { .. } => {
                 self.counters.replies_late += 1;
                 EventKind::Overrun
             }
@@ -293,7 +309,7 @@ impl Tdma {
                 self.change.iter_mut().for_each(|change| change.part_is_owed());
                 return;
             }
-            Job::Request(_) | Job::Data(_) | Job::Answer(_) => {
+            Job::Request(_) | Job::ReplyInTurn(_) | Job::Data(_) | Job::Answer(_) => {
                 self.counters.overruns += 1;
                 EventKind::Overrun
             }

@@ -24,6 +24,14 @@ pub enum Job {
         at: Instant,
         latest: Instant,
     },
+    /// One that is late, behind this station's own Synchronisation.
+    ReplyBehindSync {
+        cycle: u32,
+        at: Instant,
+        latest: Instant,
+    },
+    /// One that is late, in a slot of this station's own.
+    ReplyInTurn(Turn),
     /// What of a schedule follows a Synchronisation.
     Part {
         cycle: u32,
@@ -46,20 +54,29 @@ pub struct Pending {
 impl Job {
     pub fn at(&self) -> Instant {
         match self {
-            Job::Sync { at, .. } | Job::Reply { at, .. } | Job::Part { at, .. } => *at,
-            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => turn.at,
+            Job::Sync { at, .. }
+            | Job::Reply { at, .. }
+            | Job::ReplyBehindSync { at, .. }
+            | Job::Part { at, .. } => *at,
+            Job::Request(turn) | Job::ReplyInTurn(turn) | Job::Answer(turn) | Job::Data(turn) => turn.at,
         }
     }
     pub fn latest(&self) -> Instant {
         match self {
-            Job::Sync { latest, .. } | Job::Reply { latest, .. } | Job::Part { latest, .. } => *latest,
-            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => turn.latest,
+            Job::Sync { latest, .. }
+            | Job::Reply { latest, .. }
+            | Job::ReplyBehindSync { latest, .. }
+            | Job::Part { latest, .. } => *latest,
+            Job::Request(turn) | Job::ReplyInTurn(turn) | Job::Answer(turn) | Job::Data(turn) => turn.latest,
         }
     }
     pub fn cycle(&self) -> u32 {
         match self {
-            Job::Sync { cycle, .. } | Job::Reply { cycle, .. } | Job::Part { cycle, .. } => *cycle,
-            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => turn.cycle,
+            Job::Sync { cycle, .. }
+            | Job::Reply { cycle, .. }
+            | Job::ReplyBehindSync { cycle, .. }
+            | Job::Part { cycle, .. } => *cycle,
+            Job::Request(turn) | Job::ReplyInTurn(turn) | Job::Answer(turn) | Job::Data(turn) => turn.cycle,
         }
     }
 
@@ -86,9 +103,14 @@ impl Job {
     /// The slot's turn that it is of.
     pub fn turn(&self) -> Option<&Turn> {
         match self {
-            Job::Sync { .. } | Job::Reply { .. } | Job::Part { .. } => None,
-            Job::Request(turn) | Job::Answer(turn) | Job::Data(turn) => Some(turn),
+            Job::Sync { .. } | Job::Reply { .. } | Job::ReplyBehindSync { .. } | Job::Part { .. } => None,
+            Job::Request(turn) | Job::ReplyInTurn(turn) | Job::Answer(turn) | Job::Data(turn) => Some(turn),
         }
+    }
+
+    /// Whether it is a calibration reply.
+    pub fn is_reply(&self) -> bool {
+        matches!(self, Job::Reply { .. } | Job::ReplyBehindSync { .. } | Job::ReplyInTurn(_))
     }
 
     /// Only data goes back to its queue; control frames are made anew.

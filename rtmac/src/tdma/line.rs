@@ -97,6 +97,11 @@ impl TimeLine {
         *self = TimeLine { cycle: from, start, sched, period, offset: self.offset, drift };
     }
 
+    /// The same line, told from another cycle.
+    pub fn at(&self, cycle: u32) -> TimeLine {
+        TimeLine { cycle, start: self.start_of(cycle), sched: self.sched_of(cycle), ..*self }
+    }
+
     /// Cycles from the one known best to `cycle`, shortest way round 2^32.
     pub fn ahead(&self, cycle: u32) -> i32 {
         cycle.wrapping_sub(self.cycle) as i32

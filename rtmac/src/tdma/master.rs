@@ -41,7 +41,7 @@ use rtnet::wire::ethernet::Address;
 use super::events::Events;
 use super::follow::{HOLDOVER_CYCLES, SlaveConfig};
 use super::line::{Drift, TimeLine};
-use super::replies::{DEFAULT_MAX_REQUESTS, Replies, Reply};
+use super::replies::{DEFAULT_MAX_REQUESTS, Replies};
 use super::rival::Rival;
 use super::slave::Slave;
 
@@ -78,8 +78,19 @@ pub struct MasterConfig {
     pub backups_from: Option<Span>,
     /// Calibration requests that are answered at a time, at least 1; more are refused.
     pub max_requests: usize,
+    /// Where a master without slots sends a calibration reply that is late. `None`: nowhere, and it is dropped.
+    pub behind_sync: Option<BehindSync>,
     /// How another master is followed.
     pub follow: SlaveConfig,
+}
+
+/// Room that the sync window has behind the Synchronisation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BehindSync {
+    /// So long after the instant of a Synchronisation a short frame may be sent.
+    pub after: Span,
+    /// So long after that it may still be begun.
+    pub latest: Span,
 }
 
 impl MasterConfig {
@@ -94,6 +105,7 @@ impl MasterConfig {
             backup: None,
             backups_from: None,
             max_requests: DEFAULT_MAX_REQUESTS,
+            behind_sync: None,
             follow: SlaveConfig::default(),
         }
     }
@@ -325,13 +337,19 @@ impl Master {
         }
     }
 
-    /// From `from` on cycles are this long. Replies were promised on the old ones.
+    /// From `from` on cycles are this long.
     pub fn run_at(&mut self, period: Span, from: u32) {
         self.config.cycle = period;
-        self.replies.clear();
         self.follower.run_at(period, from);
         if let Phase::Active { line } = &mut self.phase {
             line.run_at(period, from);
+        }
+    }
+
+    /// Another schedule is in use from cycle `from` on.
+    pub fn postpone_replies(&mut self, from: u32) {
+        if let Phase::Active { line } = &self.phase {
+            self.replies.postpone_all(line.start_of(from));
         }
     }
 
@@ -402,7 +420,7 @@ impl Master {
         let Some((cycle, ..)) = self.next_sync() else { return };
         match &mut self.phase {
             Phase::Active { line } => {
-                *line = TimeLine { cycle, start: line.start_of(cycle), sched: line.sched_of(cycle), ..*line };
+                *line = line.at(cycle);
             }
             Phase::StandBy { passed } => *passed = cycle,
             _ => {}
@@ -415,7 +433,7 @@ impl Master {
         let last = cycle.wrapping_sub(1);
         let skipped = line.ahead(last).max(0);
         if skipped > 0 {
-            *line = TimeLine { cycle: last, start: line.start_of(last), sched: line.sched_of(last), ..*line };
+            *line = line.at(last);
         }
         skipped as u64
     }
@@ -439,17 +457,8 @@ impl Master {
         self.replies.broken()
     }
 
-    /// Takes the reply whose instant is first.
-    pub fn take_reply(&mut self) -> Option<Reply> {
-        self.replies.take()
-    }
-
-    /// The reply that was taken came too late; `false` when it is given up.
-    pub fn put_off(&mut self) -> bool {
-        match &self.phase {
-            Phase::Active { line } => self.replies.put_off(line),
-            _ => false,
-        }
+    pub fn replies_mut(&mut self) -> &mut Replies {
+        &mut self.replies
     }
 }
 

@@ -6,7 +6,9 @@
 //! job          whose    when                       what
 //! Sync         master   start of each cycle        tells cycle number and time
 //!              backup   later, if it is missing    the same
-//! Reply        master   where a slave asked        answers a calibration request
+//! Reply        master   where a slave asked, or,   answers a calibration request
+//!                       if that is over, in the
+//!                       master's own next slot
 //! Request      slave    its first slot             asks, until calibrated, or anew; then silent for the reply
 //! Data         both     its slots                  the most urgent frame of the slot's queue
 //! ```
@@ -29,7 +31,6 @@ pub mod joint;
 pub mod line;
 mod mark;
 mod master;
-mod promise;
 mod rate;
 mod receive;
 mod replies;
@@ -55,6 +56,7 @@ use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
 
 pub use anew::NewRounds;
+use anew::ReplyTurn;
 pub use calibration::{DEFAULT_ROUNDS, MAX_ROUNDS};
 use change::Change;
 pub use config::{
@@ -68,8 +70,7 @@ use job::{Job, Pending};
 pub use line::TimeLine;
 pub use mark::held_up_at_most;
 use master::Master;
-pub use master::{BACKUP_LOOKS_BEFORE, MasterConfig, Mastery};
-use promise::Promises;
+pub use master::{BACKUP_LOOKS_BEFORE, BehindSync, MasterConfig, Mastery};
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
 pub use report::{CalibrationReport, DelayOf, Delays};
 pub use slave::MOVED_LATE;
@@ -85,7 +86,10 @@ use crate::wire::{self, Rtmac};
 /// with: of a thousand stations in virtual time it is what has to fit into a processor's cache.
 #[repr(C)]
 pub struct Tdma {
-    promises: Promises,
+    /// Where the reply was asked for by the last request.
+    reply_turn: Option<ReplyTurn>,
+    /// It has calibrated: its slots begin then, once it knows.
+    begins: Option<Instant>,
     address: Address,
     late: LatePolicy,
     lead: Span,
@@ -102,6 +106,8 @@ pub struct Tdma {
     events: Events,
     /// The cycle and the instant of what is to follow the last Synchronisation.
     part_in: Option<(u32, Instant)>,
+    /// The same of a reply that is late.
+    reply_in: Option<(u32, Instant)>,
     /// `None`: it takes no part in changes of the schedule.
     change: Option<Box<Change>>,
 }
@@ -180,12 +186,14 @@ impl Tdma {
             // All pending replies are built when their instant comes, one frame at a time.
             pool: Pool::new(2),
             pending: None,
-            promises: Promises::default(),
+            reply_turn: None,
+            begins: None,
             looked: Instant::default(),
             silent: None,
             events,
             counters: Counters::default(),
             part_in: None,
+            reply_in: None,
             change: None,
         })
     }
@@ -247,6 +255,9 @@ impl Discipline for Tdma {
 
     fn on_timeout(&mut self, now: Instant) {
         self.looked = now;
+        if let (Some(from), Some(line)) = (self.begins.take(), self.line().copied()) {
+            self.slots.align(&line, from.max(now));
+        }
         self.stand_by_for_switch(now);
         match &mut self.role {
             Role::Master(master) => {
@@ -255,8 +266,7 @@ impl Discipline for Tdma {
                 if master.on_timeout(now, has_slots, has_schedule, &mut self.events)
                     && let (Some(line), Some((cycle, ..))) = (master.line(), master.next_sync())
                 {
-                    let (start, sched) = (line.start_of(cycle), line.sched_of(cycle));
-                    let line = TimeLine { cycle, start, sched, ..*line };
+                    let line = line.at(cycle);
                     if let Some(left) = master.take_left() {
                         self.leave(&left, &left, now, true);
                     }
@@ -300,30 +310,31 @@ impl Discipline for Tdma {
             Sent::StalledUntil(until) => {
                 self.count_sent(&job, None);
                 self.counters.stalled_in_send += 1;
-                let kind = match job {
-                    Job::Reply { .. } => EventKind::ReplyStalled,
-                    _ => EventKind::StalledInSend,
-                };
-                self.events.note_job(&job, kind, until - job.latest());
+                let late = until - job.latest();
+                if job.is_reply() {
+                    self.events.note(job.cycle(), EventKind::ReplyStalled, late);
+                } else {
+                    self.events.note_job(&job, EventKind::StalledInSend, late);
+                }
             }
             Sent::Late(now, frame) => {
                 self.missed(&job, now - job.latest());
-                self.put_off(&job);
+                self.postpone(&job);
                 return job.returned(frame, priority);
             }
             Sent::Guarded(now, frame) => {
                 self.guard_dropped(&job, now - job.latest());
-                self.put_off(&job);
+                self.postpone(&job);
                 return job.returned(frame, priority);
             }
             Sent::Failed(errno, frame) => {
                 self.counters.send_failed += 1;
                 let kind = match job {
-                    Job::Reply { .. } => EventKind::ReplyFailed,
+                    Job::Reply { .. } | Job::ReplyBehindSync { .. } => EventKind::ReplyFailed,
                     _ => EventKind::SendFailed,
                 };
                 self.events.note_job(&job, kind, Span::from_nanos(i64::from(errno)));
-                self.put_off(&job);
+                self.postpone(&job);
                 return job.returned(frame, priority);
             }
         }

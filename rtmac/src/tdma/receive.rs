@@ -30,18 +30,20 @@ impl Tdma {
             }
             (Message::Request { .. }, _) if header.destination != self.address => Err(Refusal::NotMaster),
             (Message::Request { xmit, reply_cycle, reply_offset }, Role::Master(master)) => {
-                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
+                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)?;
+                self.drop_replies_without_a_place();
+                Ok(())
             }
             (Message::Request { .. }, Role::Slave(_)) => Err(Refusal::NotMaster),
             (Message::Reply { .. }, _) if header.destination != self.address => Err(Refusal::UnexpectedReply),
             (Message::Reply { request_xmit, reception, xmit }, _) => {
                 self.leave_turn_to_reply(rx);
-                self.promises.is_kept(request_xmit);
                 let Some(follower) = self.role.follower_mut() else { return Err(Refusal::UnexpectedReply) };
                 let done = follower.on_reply(rx, request_xmit, reception, xmit, &mut self.events)?;
-                if let (true, Some(line)) = (done, follower.line()) {
+                self.reply_turn = None;
+                if done {
                     // The reply has had its slot's turn, which a line that is a little late has still to come.
-                    self.slots.align(line, rx + self.lead);
+                    self.begins = Some(rx + self.lead);
                 }
                 Ok(())
             }

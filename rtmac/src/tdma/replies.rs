@@ -1,4 +1,15 @@
-//! The calibration replies that a master has promised, each at the instant that was asked for.
+//! The calibration replies that a master owes.
+//!
+//! ```text
+//!  asked ──► due at the instant asked for ──► sent
+//!                 │ not sent then, or another schedule is in use by then
+//!                 ▼
+//!               late ──► sent once, in the next slot of the master's own, which nobody else may use; a master without slots
+//!                        sends it behind its own Synchronisation, where the sync window has room
+//! ```
+//!
+//! A real station never repeats a request. It has one outstanding, and knows the reply by the request's stamp, whenever and
+//! wherever that comes. The slot that it asked for is its own again once the instant has passed.
 
 use rtnet::counters::Refusal;
 use rtnet::time::{Instant, Span};
@@ -12,10 +23,6 @@ pub const DEFAULT_MAX_REQUESTS: usize = 64;
 pub const MAX_REQUESTS: usize = 256;
 /// Furthest cycle a reply may be asked for: stations ask for one period of their first slot ahead.
 pub const MAX_REPLY_AHEAD: u32 = 1024;
-/// Times that a late reply is put off. Real stations never ask again: they wait for ever.
-const PUT_OFF_AT_MOST: u8 = 8;
-/// In this use of the slave's slot after the one that asked the last of them is due.
-pub const LAST_USE: i64 = 1 + 2 * PUT_OFF_AT_MOST as i64;
 
 /// A reply that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,9 +32,8 @@ pub struct Reply {
     pub cycle: u32,
     pub request_xmit: u64,
     pub reception: Instant,
-    /// From one use of the slave's slot to the next, in cycles.
-    period: u32,
-    put_off: u8,
+    /// It was not sent at its instant, and goes where this station may send anyway.
+    is_late: bool,
 }
 
 /// All of them.
@@ -36,14 +42,17 @@ pub struct Replies {
     at_most: usize,
     /// The one that is being sent.
     taken: Option<Reply>,
-    /// Promised, and not sent: this station gave the time no more, or who asked gives it.
+    /// When the schedule that is in use began: who asked before asked for an instant of another one.
+    since: Instant,
+    /// Promised, and not sent.
     broken: u64,
 }
 
 impl Replies {
     /// None yet, and so many at a time.
     pub fn of(at_most: usize) -> Self {
-        Self { pending: Vec::with_capacity(at_most), at_most, taken: None, broken: 0 }
+        let pending = Vec::with_capacity(at_most);
+        Self { pending, at_most, taken: None, since: Instant::default(), broken: 0 }
     }
 
     /// A calibration request, received at `rx` by the master of `line`.
@@ -57,74 +66,94 @@ impl Replies {
         offset: u64,
     ) -> Result<(), Refusal> {
         let ahead = i64::from(line.ahead(cycle));
-        if offset >= line.period.nanos() as u64 || ahead > i64::from(MAX_REPLY_AHEAD) {
+        let is_late = rx < self.since;
+        if !is_late && offset >= line.period.nanos() as u64 || ahead > i64::from(MAX_REPLY_AHEAD) {
             return Err(Refusal::ReplyImplausible);
         }
-        let at = line.start_of(cycle) + Span::from_nanos(offset as i64);
+        let at = if is_late { rx } else { line.start_of(cycle) + Span::from_nanos(offset as i64) };
         // Cycles that are long over may have begun before the clock did: their instants mean nothing.
         if ahead < 0 || at < rx {
             return Err(Refusal::ReplyOverdue);
         }
-        // Who asks again waits for nothing that was promised before, and takes nobody's place.
+        // A station that asks again waits for nothing that was promised before, and takes nobody's place.
         self.forget(from);
-        // The reply is asked for in the slot's next use.
-        let asked_in = ahead - (rx - line.start).nanos().div_euclid(line.period.nanos());
-        let period = asked_in.max(1) as u32;
-        let reply = Reply { at, to: from, cycle, request_xmit, reception: rx, period, put_off: 0 };
-        if self.promise(reply) { Ok(()) } else { Err(Refusal::ReplyBacklog) }
-    }
-
-    fn promise(&mut self, reply: Reply) -> bool {
-        let has_room = self.pending.len() < self.at_most;
-        if has_room {
-            self.pending.push(reply);
+        if self.pending.len() >= self.at_most {
+            return Err(Refusal::ReplyBacklog);
         }
-        has_room
+        self.pending.push(Reply { at, to: from, cycle, request_xmit, reception: rx, is_late });
+        Ok(())
     }
 
-    /// The one whose instant is first.
+    /// The one whose instant is first, of those that are not late.
     pub fn next(&self) -> Option<&Reply> {
-        self.pending.iter().min_by_key(|reply| reply.at)
+        self.first(false)
     }
 
-    /// Takes the one whose instant is first.
+    /// The one that is late since the longest.
+    pub fn next_late(&self) -> Option<&Reply> {
+        self.first(true)
+    }
+
+    fn first(&self, is_late: bool) -> Option<&Reply> {
+        self.pending.iter().filter(|reply| reply.is_late == is_late).min_by_key(|reply| reply.at)
+    }
+
+    /// Takes [`next`](Self::next).
     pub fn take(&mut self) -> Option<Reply> {
-        let first = self.next().copied()?;
+        self.take_first(false)
+    }
+
+    /// Takes [`next_late`](Self::next_late).
+    pub fn take_late(&mut self) -> Option<Reply> {
+        self.take_first(true)
+    }
+
+    fn take_first(&mut self, is_late: bool) -> Option<Reply> {
+        let first = *self.first(is_late)?;
         self.pending.retain(|reply| *reply != first);
         self.taken = Some(first);
         Some(first)
     }
 
-    /// The one that was taken came too late: it goes into the slave's slot two uses later. In the next, a slave that
-    /// repeats its request sends; two later it is silent again, for the reply to that. `false` when it is given up.
-    pub fn put_off(&mut self, line: &TimeLine) -> bool {
-        let Some(late) = self.taken.take() else { return false };
-        // Who was held up for long may have been asked again meanwhile.
+    /// The one that was taken was not sent. It is late, unless the station has asked again meanwhile.
+    pub fn postpone(&mut self) {
+        let Some(late) = self.taken.take() else { return };
         if self.pending.iter().any(|reply| reply.to == late.to) {
-            return true;
+            return;
         }
-        let cycles = late.period * 2;
-        let later = Reply {
-            at: late.at + line.period * i64::from(cycles),
-            cycle: late.cycle.wrapping_add(cycles),
-            put_off: late.put_off + 1,
-            ..late
-        };
-        late.put_off < PUT_OFF_AT_MOST && self.promise(later)
+        if self.pending.len() < self.at_most {
+            self.pending.push(Reply { is_late: true, ..late });
+        } else {
+            self.broken += 1;
+        }
+    }
+
+    /// Another schedule is in use from `since` on: whose the instants are that were asked for nobody knows.
+    pub fn postpone_all(&mut self, since: Instant) {
+        self.pending.iter_mut().for_each(|reply| reply.is_late = true);
+        self.since = since;
     }
 
     /// This station waits for none any more.
     pub fn forget(&mut self, station: Address) {
-        let promised = self.pending.len();
-        self.pending.retain(|reply| reply.to != station);
-        self.broken += (promised - self.pending.len()) as u64;
+        self.give_up(|reply| reply.to == station);
+    }
+
+    /// What is late is not sent: this station has no place of its own for it.
+    pub fn drop_late(&mut self) {
+        self.give_up(|reply| reply.is_late);
     }
 
     /// Who gives the time no more answers nobody: stations ask whose Synchronisation they hear.
     pub fn clear(&mut self) {
-        self.broken += self.pending.len() as u64;
-        self.pending.clear();
+        self.give_up(|_| true);
         self.taken = None;
+    }
+
+    fn give_up(&mut self, which: impl Fn(&Reply) -> bool) {
+        let promised = self.pending.len();
+        self.pending.retain(|reply| !which(reply));
+        self.broken += (promised - self.pending.len()) as u64;
     }
 
     /// How many were promised and could not be kept so far.
@@ -174,21 +203,23 @@ mod tests {
     }
 
     #[test]
-    fn a_late_reply_is_put_off_by_two_uses_of_the_slot_and_given_up_at_last() {
+    fn a_reply_that_was_not_sent_is_late_until_it_is() {
         let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
-        // Asked in cycle 1 for cycle 4: a slot that is used in every third.
         replies.ask(&line, at(4_400), A, 7, 4, 400_000).unwrap();
         assert_eq!(replies.take().unwrap().at, at(7_400));
-        assert!(replies.put_off(&line));
-        let later = *replies.next().unwrap();
-        assert_eq!((later.at, later.cycle, later.request_xmit), (at(13_400), 10, 7));
-        assert!(!replies.put_off(&line), "only what was taken");
-        let times = (0..).take_while(|_| replies.take().is_some() && replies.put_off(&line)).count();
-        assert_eq!(times, usize::from(PUT_OFF_AT_MOST) - 1);
+        replies.postpone();
+        for _ in 0..100 {
+            assert_eq!(replies.next(), None, "nobody waits for it at an instant");
+            let late = replies.take_late().unwrap();
+            assert_eq!((late.at, late.cycle, late.request_xmit), (at(7_400), 4, 7));
+            replies.postpone();
+        }
+        replies.take_late().unwrap();
+        assert_eq!((replies.next_late(), replies.broken()), (None, 0), "it is sent once");
     }
 
     #[test]
-    fn who_asks_again_is_answered_once() {
+    fn a_station_that_asks_again_is_answered_once() {
         let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
         let (first, second) = ((at(4_400), 7, 2), (at(6_400), 8, 4));
         let ask = |replies: &mut Replies, (rx, xmit, cycle)| replies.ask(&line, rx, A, xmit, cycle, 400_000);
@@ -197,15 +228,41 @@ mod tests {
             ask(&mut replies, first).unwrap();
             replies.take().unwrap();
             if noticed_at_once {
-                assert!(replies.put_off(&line));
+                replies.postpone();
             }
             ask(&mut replies, second).unwrap();
             if !noticed_at_once {
-                assert!(replies.put_off(&line));
+                replies.postpone();
             }
             let Reply { request_xmit, at: when, .. } = replies.take().unwrap();
-            assert_eq!((request_xmit, when, replies.next()), (8, at(7_400), None));
+            assert_eq!((request_xmit, when, replies.next(), replies.next_late()), (8, at(7_400), None, None));
         }
+    }
+
+    #[test]
+    fn another_schedule_makes_late_what_was_asked_before_it() {
+        let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
+        replies.ask(&line, at(4_400), A, 1, 3, 400_000).unwrap();
+        replies.postpone_all(at(5_000));
+        // Received late; its offset may be beyond the cycle that is in use by now.
+        replies.ask(&line, at(4_900), B, 2, 2, 1_700_000).unwrap();
+        replies.ask(&line, at(5_100), station(11), 3, 3, 300_000).unwrap();
+        assert_eq!(replies.next().map(|reply| reply.request_xmit), Some(3));
+        assert_eq!(replies.take_late().map(|reply| reply.request_xmit), Some(2));
+        assert_eq!(replies.take_late().map(|reply| reply.request_xmit), Some(1));
+        assert_eq!((replies.next_late(), replies.broken()), (None, 0));
+    }
+
+    #[test]
+    fn a_master_without_a_place_drops_only_what_is_late() {
+        let (mut replies, line) = (Replies::of(DEFAULT_MAX_REQUESTS), line(1));
+        replies.ask(&line, at(4_400), A, 1, 2, 400_000).unwrap();
+        replies.ask(&line, at(4_400), B, 2, 3, 400_000).unwrap();
+        replies.take().unwrap();
+        replies.postpone();
+        replies.drop_late();
+        assert_eq!((replies.next_late(), replies.broken()), (None, 1));
+        assert_eq!(replies.next().map(|reply| reply.to), Some(B));
     }
 
     #[test]
@@ -216,7 +273,7 @@ mod tests {
         (11..15).for_each(|last| ask(station(last), 4));
         ask(B, 5);
         ask(B, 6);
-        assert_eq!(replies.broken(), 1, "who asks again waits for the second only");
+        assert_eq!(replies.broken(), 1, "a station that asks again waits for the second only");
         assert_eq!(replies.take().map(|reply| reply.to), Some(A));
         replies.forget(A);
         assert_eq!(replies.broken(), 1, "it is being sent");

@@ -56,8 +56,9 @@ impl Tdma {
                 let sync = Message::Sync { cycle, xmit: GlobalTime::default(), sched };
                 Some((sync, Address::BROADCAST, master.epoch().nanos()))
             }
-            (Job::Reply { .. }, Role::Master(master)) => {
-                let asked = master.replies().next()?;
+            (Job::Reply { .. } | Job::ReplyBehindSync { .. } | Job::ReplyInTurn(_), Role::Master(master)) => {
+                let in_time = matches!(job, Job::Reply { .. });
+                let asked = if in_time { master.replies().next() } else { master.replies().next_late() }?;
                 // By the clock of its Synchronisations, as a real master's are: slaves compare the two.
                 let epoch = master.epoch();
                 let (request_xmit, reception) = (asked.request_xmit, epoch.global(asked.reception).nanos());
@@ -95,6 +96,15 @@ impl Tdma {
         Some(frame)
     }
 
+    /// How long after the Synchronisation that has left a late reply follows it: of a master that has no slot for it, and where
+    /// no part of a schedule is there.
+    fn reply_follows(&self) -> Option<Span> {
+        let Role::Master(master) = &self.role else { return None };
+        let is_free = self.slots.first().is_none() && self.part_in.is_none();
+        let owes = master.replies().next_late().is_some();
+        master.config().behind_sync.filter(|_| is_free && owes).map(|room| room.after)
+    }
+
     /// A job's frame has left, with this stamp unless it was held up.
     pub(super) fn count_sent(&mut self, job: &Job, stamped: Option<Instant>) {
         match (job, &mut self.role) {
@@ -108,8 +118,13 @@ impl Tdma {
                     let part = change.part_for(*cycle);
                     self.part_in = part.map(|_| (*cycle, job.at() + change.behind));
                 }
+                self.reply_in = self.reply_follows().map(|after| (*cycle, job.at() + after));
             }
-            (Job::Reply { .. }, _) => self.counters.replies_sent += 1,
+            (Job::Reply { .. } | Job::ReplyBehindSync { .. }, _) => self.counters.replies_sent += 1,
+            (Job::ReplyInTurn(_), _) => {
+                self.counters.replies_sent += 1;
+                self.calibrates_in(job);
+            }
             (Job::Part { .. }, _) => {
                 if let Some(change) = &mut self.change {
                     change.part_is_sent();
@@ -122,7 +137,7 @@ impl Tdma {
             }
             (Job::Request(turn), _) => {
                 self.counters.requests_sent += 1;
-                self.await_reply(turn, stamped);
+                self.await_reply(turn);
                 // A request that was held up would measure the hold-up: its reply is not awaited.
                 if let (Some(slave), Some(stamped)) = (self.role.follower_mut(), stamped) {
                     slave.calibration_mut().sent(stamped);

@@ -265,7 +265,12 @@ impl Slave {
         if line.period == period {
             return;
         }
+        let is_to_come = line.ahead(from) > 0;
         line.run_at(period, from);
+        if is_to_come {
+            // What is known best is not that cycle: its own Synchronisation is followed as any.
+            *line = line.at(from.wrapping_sub(1));
+        }
         (*step, self.missing) = (None, 0);
         self.disagreement = Disagreement::at_first(mark::step_limit(self.config.step_limit, period));
         self.envelope.begin_line();

@@ -37,7 +37,7 @@ pub struct Counters {
     pub send_failed: u64,
     /// Slots passed over because synchronisation did not allow them.
     pub slots_silent: u64,
-    /// Turns of a slot that carried no data, since the delay was measured anew in them.
+    /// Turns of a slot that carried no data, since the delay was measured anew in them, or a late reply went in them.
     pub slots_calibrating: u64,
     /// Calibration requests sent.
     pub requests_sent: u64,
@@ -45,9 +45,10 @@ pub struct Counters {
     pub calibration_timeouts: u64,
     /// Calibration replies sent.
     pub replies_sent: u64,
-    /// Calibration replies that were too late, and put off.
+    /// Times that a calibration reply was too late: it goes in the master's own next slot.
     pub replies_late: u64,
-    /// Calibration replies that were promised and not sent: put off too often, or by who gives the time no more.
+    /// Calibration replies that were promised and not sent: late, of a master that has no slot and no room behind its
+    /// Synchronisation; to a station that asked again; or by one that gives the time no more.
     pub replies_given_up: u64,
     /// Frames dropped because their slot is gone, or too small for them now.
     pub returned_dropped: u64,

@@ -183,7 +183,11 @@ impl Tdma {
         if let Some(cycle) = change.cycle_of(to) {
             self.role.run_at(cycle, from);
         }
-        self.promises = Default::default();
+        if let Role::Master(master) = &mut self.role {
+            master.postpone_replies(from);
+        }
+        self.drop_replies_without_a_place();
+        self.reply_turn = None;
         self.silent = None;
         if let Some(line) = self.line().copied() {
             self.slots.align(&line, line.start_of(from));
@@ -240,7 +244,7 @@ impl Tdma {
         let answer = change.answer(gives_time)?;
         // What is under way in the first slot is of where that is now.
         let measures = self.follower().is_some_and(|follower| follower.calibration().is_measuring());
-        let is_bound = measures || self.promises.hold(turn.at);
+        let is_bound = measures || self.awaits_reply(turn.at);
         let verdict = if is_bound && answer.verdict == Verdict::Acknowledged {
             Verdict::Refused(Why::Calibrating, first.id)
         } else {

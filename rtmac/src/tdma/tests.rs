@@ -5,8 +5,9 @@ mod calibration_frames;
 pub(super) mod every;
 mod first_slot;
 mod joint_slots;
+mod late_replies;
 mod made_way;
-mod promised;
+mod reply_turn;
 mod requests;
 mod shown;
 mod slept;
@@ -174,7 +175,7 @@ fn told(tdma: &mut Tdma) -> Vec<(u32, EventKind, Span)> {
 }
 
 #[test]
-fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off() {
+fn a_station_that_was_late_with_its_request_asks_a_turn_later() {
     let role = RoleConfig::Slave(SlaveConfig { rounds: 5, ..SlaveConfig::default() });
     let mut slave = Tdma::new(&config(role)).unwrap();
     hear_syncs(&mut slave, 1..=2);
@@ -182,9 +183,44 @@ fn who_could_not_ask_in_its_turn_leaves_the_next_one_to_a_reply_that_was_put_off
     slave.on_sent(Sent::At(request.at));
     hear_syncs(&mut slave, 3..=4);
     assert!(slave.next_transmission(at(4_450)).is_none(), "too late");
-    hear_syncs(&mut slave, 5..=6);
-    assert!(slave.next_transmission(at(5_400)).is_none(), "there the reply to the first may come");
-    assert!(slave.next_transmission(at(6_400)).is_some());
+    hear_syncs(&mut slave, 5..=5);
+    assert!(slave.next_transmission(at(5_400)).is_some(), "nobody was asked for a reply there");
+}
+
+/// Its line is the master's, and its only round is answered in cycle 3; slot 2 is 200 us behind slot 0.
+fn answered_in_cycle_3() -> Tdma {
+    let whole = with_slots(1, &[(0, 1), (2, 1)]);
+    let mut slots = whole.slots.clone();
+    slots[1].offset = Span::from_micros(600);
+    let mut slave = Tdma::new(&TdmaConfig { slots, ..whole }).unwrap();
+    hear_syncs(&mut slave, 1..=2);
+    let request = slave.next_transmission(at(2_400)).expect("a request");
+    slave.on_sent(Sent::At(request.at));
+    hear_syncs(&mut slave, 3..=3);
+    let reply = Message::Reply { request_xmit: 2_400_000, reception: 2_401_000, xmit: 3_400_000 };
+    let mut frame = Pool::new(1).take().unwrap();
+    reply.write(OWN, OTHER, &mut frame);
+    assert!(matches!(slave.on_frame(Some(at(3_401)), frame), Claimed::Kept));
+    slave
+}
+
+#[test]
+fn slots_begin_when_the_last_reply_is_looked_at() {
+    // At once, before slot 2; or where the next thing to do is, a cycle later.
+    for (looks_at, first) in [(3_402, (3, 2)), (4_350, (4, 0))] {
+        let mut slave = answered_in_cycle_3();
+        if looks_at > 4_000 {
+            hear_syncs(&mut slave, 4..=4);
+        }
+        slave.on_timeout(at(looks_at));
+        assert_eq!(slave.time().state, SyncState::Locked);
+        let deadline = slave.next_deadline().unwrap();
+        slave.on_timeout(deadline);
+        let turn = slave.opportunity(deadline).expect("a turn");
+        assert_eq!((turn.cycle, turn.channel), first, "looked at {looks_at}");
+        assert_eq!(slave.status().counters.overruns, 0);
+        assert!(told(&mut slave).iter().all(|(_, kind, _)| !kind.is_miss()));
+    }
 }
 
 #[test]
@@ -395,7 +431,7 @@ fn what_the_guard_drops_comes_back_and_a_cycle_without_its_sync_is_a_skipped_one
 }
 
 #[test]
-fn a_calibration_reply_that_the_guard_drops_is_put_off() {
+fn a_calibration_reply_that_the_guard_drops_goes_in_a_slot_of_the_masters() {
     let mut master = active_master();
     let request = Message::Request { xmit: 0, reply_cycle: 2, reply_offset: 100_000 };
     assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
@@ -403,11 +439,7 @@ fn a_calibration_reply_that_the_guard_drops_is_put_off() {
     master.next_transmission(at(4_960)).map(|sync| master.on_sent(Sent::At(sync.at)));
     let reply = master.next_transmission(at(5_060)).unwrap();
     assert!(master.on_sent(Sent::Guarded(at(5_141), reply.frame)).is_none());
-    let again = (5_960..12_000).step_by(10).find_map(|micros| {
-        let next = master.next_transmission(at(micros))?;
-        let is_reply = matches!(wire::parse(&next.frame), Ok(Rtmac::Tdma(Message::Reply { .. })));
-        master.on_sent(Sent::At(next.at));
-        is_reply.then_some(next.at)
-    });
-    assert_eq!(again, Some(at(9_100)), "two uses of the slot later");
+    let next = master.next_transmission(at(5_360)).expect("its own slot");
+    assert!(matches!(wire::parse(&next.frame), Ok(Rtmac::Tdma(Message::Reply { .. }))));
+    assert_eq!(next.at, at(5_400));
 }

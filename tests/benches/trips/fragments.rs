@@ -117,6 +117,7 @@ fn tdma(number: usize) -> Result<Tdma> {
             backup: None,
             backups_from: None,
             max_requests: DEFAULT_MAX_REQUESTS,
+            behind_sync: None,
             follow,
         }),
         _ => RoleConfig::Slave(follow),

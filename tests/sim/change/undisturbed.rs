@@ -1,7 +1,8 @@
 //! Nothing goes wrong: all switch in one cycle, and no frame is lost.
 
 use rtmac::wire::change::State;
-use rtnet::discipline::EventKind;
+use rtnet::counters::Refusal;
+use rtnet::discipline::{EventKind, SyncState};
 
 use super::*;
 
@@ -15,6 +16,7 @@ fn check_switched(changing: &Changing, from: u32) {
     assert_eq!(switch, Some(from), "the first cycle of the new schedule");
     assert!(watch.used.range(from..).all(|(_, used)| used.contains(&1)), "and none of the old one after it");
     for id in 0..STATIONS {
+        check_syncs(changing, id);
         assert_eq!(changing.in_use(id), 1, "station {id}");
         assert_eq!(changing.lab.cycles_with(id, EventKind::ScheduleSwitched), [from], "station {id}");
         let silent = changing.lab.cycles_with(id, EventKind::SlotSilent);
@@ -28,6 +30,16 @@ fn check_switched(changing: &Changing, from: u32) {
             assert_eq!(sent, usize::from(!answered), "station {id} in cycle {cycle}");
         }
     }
+}
+
+/// Every sync was followed, the one that begins the new schedule, too.
+fn check_syncs(changing: &Changing, id: usize) {
+    for kind in [EventKind::DuplicateCycle, EventKind::TimeStep, EventKind::Holdover] {
+        let cycles = changing.lab.cycles_with(id, kind);
+        assert!(cycles.is_empty(), "station {id}: {} in {cycles:?}", kind.name());
+    }
+    let refusals = changing.lab.network.member(id).station.refusals();
+    assert_eq!(refusals.get(Refusal::DuplicateCycle), 0, "station {id}");
 }
 
 fn undisturbed(backups: usize, cycle: Span, activate: impl FnOnce(u32) -> Activation) -> (Changing, u32) {
@@ -60,6 +72,30 @@ fn a_cycle_of_another_length_begins_in_the_activation_cycle() {
             check_switched(&changing, from);
             for id in 0..STATIONS {
                 assert_eq!(changing.lab.status(id).period, Some(Span::from_micros(micros)), "station {id}");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_sync_is_refused_when_the_cycle_changes_its_length() {
+    // Longer and shorter, by little and by half; 50 and 60 ms as with real stations.
+    let lengths = [2_500, 2_000, 4_000, 1_900, 1_901, 50_000, 60_000, 50_000, 100_000, 3_333];
+    for backups in [0, 2] {
+        let first = plan(backups);
+        let mut changing = Changing::running(first.clone(), first.clone());
+        changing.lab.events.clear();
+        for micros in lengths.into_iter().cycle().take(30) {
+            let before = changing.lab.status(0).period.unwrap();
+            changing.schedules[1] = turned(&first, Span::from_micros(micros));
+            changing.propose(Some(Activation::Soon)).unwrap();
+            // Of the cycles before and after; one is of 2 ms here.
+            let cycles = (before.nanos() + micros * 1_000) as u64 / 2_000_000 + 1;
+            changing.run_cycles(150 * cycles);
+            for id in 0..STATIONS {
+                assert_eq!(changing.lab.status(id).period, Some(Span::from_micros(micros)), "station {id}");
+                check_syncs(&changing, id);
+                assert_eq!(changing.lab.state(id), SyncState::Locked);
             }
         }
     }

@@ -13,11 +13,10 @@ pub struct Account {
     pub explained: u64,
     /// Frames that were held up, as their senders told.
     pub held_up: u64,
-    /// Overlaps of a reply that was put off with that station's next request, or another master's reply to that, in the
-    /// station's own slot.
+    /// Overlaps of a reply to a station's former life with what it asks, or is answered, since it was started anew.
     pub crossed: u64,
-    /// Replies that were put off.
-    pub put_off: u64,
+    /// Replies that were late, in a slot of the master's own.
+    pub late_replies: u64,
     /// Overlaps of a reply to a request that was changed on its way.
     pub astray: u64,
     /// Frames that were changed on their way.
@@ -49,7 +48,7 @@ impl Account {
             explained: self.explained + other.explained,
             held_up: self.held_up + other.held_up,
             crossed: self.crossed + other.crossed,
-            put_off: self.put_off + other.put_off,
+            late_replies: self.late_replies + other.late_replies,
             astray: self.astray + other.astray,
             changed: self.changed + other.changed,
             severed: self.severed + other.severed,
@@ -66,12 +65,13 @@ impl Account {
 impl fmt::Display for Account {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Account { settled_after, settles_within, explained, held_up, crossed, astray, .. } = self;
-        let Account { put_off, changed, severed, rivals, apart, apart_cycles, apart_within, frames, .. } =
-            self;
+        let Account {
+            late_replies, changed, severed, rivals, apart, apart_cycles, apart_within, frames, ..
+        } = self;
         write!(
             f,
-            "{frames} frames, overlaps: held up {explained} (by {held_up} hold-ups), with a reply that was put off {crossed} (of \
-             {put_off}), of a reply astray {astray} ({changed} frames changed), across a cut {severed}, of two primaries' syncs \
+            "{frames} frames, {late_replies} late replies, overlaps: held up {explained} (by {held_up} hold-ups), with a reply to a \
+             former life {crossed}, of a reply astray {astray} ({changed} frames changed), across a cut {severed}, of two primaries' syncs \
              {rivals}, of two whose lines were apart {apart} (in {apart_cycles} cycles of at most {apart_within}), otherwise 0; \
              settled after {settled_after} of {settles_within} cycles at the most"
         )

@@ -4,13 +4,11 @@ use rtnet::discipline::EventKind;
 use rtnet::sim::StationId;
 
 use super::{Course, RIVALS_LAST};
-use crate::chance::{Case, Fault, Trouble};
+use crate::chance::{Case, Fault, LONGEST_HOLD_UP, Trouble};
 use crate::judge::{Author, Frame, Kind};
 
 /// A frame of a turn is known by its cycle, a request's only by its reply's: that is a period later.
 const LONGEST_PERIOD: i32 = 4;
-/// A reply is put off so often, by two periods each.
-const PUT_OFF_AT_MOST: i32 = 8;
 /// A frame that comes in others' time lies on one that is there already, and one more comes while it is.
 const MEETS_AT_MOST: u64 = 2;
 
@@ -21,7 +19,7 @@ const SILENT_AFTER: u64 = 3;
 enum Excuse {
     /// A sender was held up behind its last look at the clock, and told of that.
     HeldUp,
-    /// A reply that was put off, and that station's next request, or another master's reply to that.
+    /// A reply to a station's former life, and what it asks, or is answered, since it was started anew.
     Crossed,
     /// The reply to a request that was changed on its way, or that was promised by a clock that was set since.
     Astray,
@@ -62,7 +60,8 @@ impl Case {
 
     /// Whether this station's clock was set while a reply may have been promised that is still to come.
     fn has_set(&self, station: StationId, cycle: u64) -> bool {
-        let longest = (2 * LONGEST_PERIOD * PUT_OFF_AT_MOST) as u64;
+        // By a clock that was set back it is sent later by as much.
+        let longest = LONGEST_PERIOD as u64 + self.set_back() / self.plan.cycle().nanos() as u64;
         self.faults.iter().any(|fault| {
             matches!(fault.trouble, Trouble::Step(of, _) if of == station)
                 && (fault.begins..fault.ends + longest).contains(&cycle)
@@ -172,8 +171,9 @@ impl Course<'_> {
                 && match (kind, event.kind) {
                     (Kind::Sync | Kind::Data, EventKind::StalledInSend) => later == 0,
                     (Kind::Request(_), EventKind::StalledInSend) => (1 - LONGEST_PERIOD..=0).contains(&later),
+                    // It was to leave in the cycle that was asked for, or in one before that in which it is seen.
                     (Kind::Reply { .. }, EventKind::ReplyStalled) => {
-                        (0..=2 * LONGEST_PERIOD * PUT_OFF_AT_MOST).contains(&later)
+                        (-(LONGEST_HOLD_UP as i32)..=LONGEST_PERIOD).contains(&later)
                     }
                     _ => false,
                 }
@@ -185,15 +185,11 @@ impl Course<'_> {
         let held_up = |kind| matches!(kind, EventKind::StalledInSend | EventKind::ReplyStalled);
         let account = &mut self.account;
         account.held_up = self.lab.events.iter().filter(|(_, event)| held_up(event.kind)).count() as u64;
-        account.put_off = self.lab.judge().put_off;
+        account.late_replies = self.lab.judge().late_replies;
         account.changed = self.lab.network.traffic().corrupted;
         let excused = [
             (account.explained, MEETS_AT_MOST * account.held_up, "overlaps with frames that were held up"),
-            (
-                account.crossed,
-                MEETS_AT_MOST * (account.put_off + self.case.starts()),
-                "overlaps with replies that were put off",
-            ),
+            (account.crossed, MEETS_AT_MOST * self.case.starts(), "overlaps with replies to a former life"),
             (
                 account.astray,
                 MEETS_AT_MOST * (account.changed + self.case.promised()),
@@ -213,14 +209,12 @@ impl Course<'_> {
     }
 }
 
-/// Whether both are of one station's calibration, and the other a reply that was put off, or to what asked before it was
-/// started anew; or whether that comes when nobody waits for it any more.
+/// Whether both are of one station's calibration, and the other is a reply to what it asked before it was started anew.
 fn crossed((author, one): Frame, (_, other): Frame) -> bool {
-    let Kind::Reply { to, asked_by, put_off, outlived, .. } = other else { return false };
+    let Kind::Reply { to, asked_by, .. } = other else { return false };
     match one {
-        Kind::Request(of) => of == to && (put_off || asked_by != Some(author.from)),
-        Kind::Reply { to: of, asked_by: by, .. } => of == to && (put_off || asked_by != by),
-        Kind::Data => outlived && asked_by == Some(author.from),
-        Kind::Sync => false,
+        Kind::Request(of) => of == to && asked_by != Some(author.from),
+        Kind::Reply { to: of, asked_by: by, .. } => of == to && asked_by != by,
+        Kind::Sync | Kind::Data => false,
     }
 }

@@ -24,7 +24,9 @@ use super::route::read_routes;
 use crate::cli::{DisciplineName, Late, Scheduling, StationArgs, VnicMode};
 use crate::control::SlotChange;
 use crate::scenario::read_text;
-use crate::scenario::{DelayName, RingTimes, SlotGuard, default_sync_window, parse_phase, room_for_parts};
+use crate::scenario::{
+    DelayName, RingTimes, SlotGuard, default_sync_window, parse_phase, room_for_parts, room_for_replies,
+};
 use crate::station::access::AccessConfig;
 use crate::station::link::{self, LabOptions, Report};
 use crate::station::packages::PackagesOptions;
@@ -344,6 +346,7 @@ fn tdma(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<TdmaConf
                 backup: args.backup,
                 backups_from: args.backups_from,
                 max_requests: args.max_requests,
+                behind_sync: room_for_replies(window, args.rate),
                 follow,
             })
         }

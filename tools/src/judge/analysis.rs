@@ -239,7 +239,7 @@ impl Analysis {
         } else {
             // Somebody else's, or nobody's: whom it hits, it hits.
             self.occupy(at, air, self.current, None);
-            self.stray(at, header.source, header.source, air);
+            self.stray(at, header.source, &[header.source], air);
         }
     }
 

@@ -1,8 +1,8 @@
 //! A network's slots as a schedule that can be changed while it runs.
 
-use rtmac::tdma::Refused;
 use rtmac::tdma::change::{Book, ChangeConfig, MAX_PLANNED};
 use rtmac::tdma::schedule::Rate;
+use rtmac::tdma::{BehindSync, Refused};
 use rtmac::wire::change::PART_LEN;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{self, Address};
@@ -26,6 +26,11 @@ pub fn room_for_parts(window: Span, rate: Rate) -> Option<(Span, Span)> {
     // A part of it is left for what a host takes from its last look at the clock to the wire.
     let latest = (window - behind - rate.air_time(PART_LEN)) * LATE_PARTS.0 / LATE_PARTS.1;
     (latest >= LATE_AT_LEAST).then_some((behind, latest))
+}
+
+/// The same for a calibration reply that a master without slots is late with, which is no longer.
+pub fn room_for_replies(window: Span, rate: Rate) -> Option<BehindSync> {
+    room_for_parts(window, rate).map(|(after, latest)| BehindSync { after, latest })
 }
 
 impl Scenario {

@@ -32,7 +32,7 @@ use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
-pub use change::room_for_parts;
+pub use change::{room_for_parts, room_for_replies};
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
 pub use file::{FileError, Place, Source, load, load_network, load_schedule, parse_phase, read_text};

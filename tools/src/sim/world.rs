@@ -21,7 +21,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use crate::judge::analysis::Analysis;
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
-use crate::scenario::{Conditions, DelayName, Scenario, Wandering, Wire};
+use crate::scenario::{Conditions, DelayName, Scenario, Wandering, Wire, room_for_replies};
 use crate::station::sync_latest;
 use crate::station::traffic::{Arrivals, Traffic, TrafficCounts, TrafficPlan};
 
@@ -259,6 +259,7 @@ pub fn discipline(
             backup: plan.backup,
             backups_from: scenario.stations.iter().filter_map(|station| station.backup).min(),
             max_requests: DEFAULT_MAX_REQUESTS,
+            behind_sync: room_for_replies(scenario.sync_window, scenario.rate),
             follow,
         })
     };

@@ -37,6 +37,7 @@ impl Bench {
             backup,
             backups_from,
             max_requests: DEFAULT_MAX_REQUESTS,
+            behind_sync: None,
             follow,
         };
         Self { master: Master::new(config), events: Events::new() }
@@ -159,7 +160,7 @@ fn who_gives_the_time_itself_waits_for_no_reply() {
         assert_eq!(primary.master.on_request(at(3_400), of, 0, 2, 400_000), Ok(()));
     }
     primary.hear(LOWER, 4, LATE);
-    assert_eq!(primary.master.take_reply().map(|reply| reply.to), Some(HIGHER));
+    assert_eq!(primary.master.replies_mut().take().map(|reply| reply.to), Some(HIGHER));
     assert_eq!(primary.master.replies().next(), None);
 }
 

@@ -39,24 +39,24 @@ impl Strangers {
 }
 
 impl Analysis {
-    /// An RTmac frame that is no Synchronisation: a reply is sent in a slot of who asked. For a stranger, who has none, it
-    /// is that one who is out of its slot.
+    /// An RTmac frame that is no Synchronisation: a reply is sent in a slot of who asked, or, late, in one of the master's own,
+    /// or behind its Synchronisation. For a stranger, who has none, it is that one who is out of its slot.
     pub(super) fn judge_rtmac(&mut self, at: True, header: &Header, rtmac: Option<Rtmac>, air: Span) {
         let Header { source, destination, .. } = *header;
         let is_reply = matches!(rtmac, Some(Rtmac::Tdma(Message::Reply { .. })));
-        if matches!(rtmac, Some(Rtmac::Extension(Extension::Part(_)))) && self.is_behind_sync(at, source, air)
-        {
+        let may_follow_sync = is_reply || matches!(rtmac, Some(Rtmac::Extension(Extension::Part(_))));
+        if may_follow_sync && self.is_behind_sync(at, source, air) {
             return;
         }
         match self.station_of(destination).is_some() {
-            _ if !is_reply => self.stray(at, source, source, air),
-            true => self.stray(at, source, destination, air),
+            _ if !is_reply => self.stray(at, source, &[source], air),
+            true => self.stray(at, source, &[destination, source], air),
             false if self.givers.has(source) => {}
-            false => self.stray(at, source, source, air),
+            false => self.stray(at, source, &[source], air),
         }
     }
 
-    /// A part of a schedule is in the sync window of whoever gives the time.
+    /// A part of a schedule, or a late reply, is in the sync window of whoever gives the time.
     fn is_behind_sync(&self, at: True, source: Address, air: Span) -> bool {
         let start = self.cycle_at(at).and_then(|cycle| self.start_of(cycle));
         let since = start.map(|start| self.error(at, start + self.givers.after(source)));
@@ -87,16 +87,16 @@ impl Analysis {
         turns.map(|(_, cycle, slot)| Author { station, cycle, slot: Some(slot) }).next()
     }
 
-    /// A frame that is no test traffic is in a slot of the station that may use it, or its sender babbles.
-    pub(super) fn stray(&mut self, at: True, source: Address, user: Address, air: Span) {
+    /// A frame that is no test traffic is in a slot of a station that may use it, or its sender babbles.
+    pub(super) fn stray(&mut self, at: True, source: Address, users: &[Address], air: Span) {
         let Some(cycle) = self.cycle_at(at).filter(|&cycle| self.counts(cycle)) else { return };
         let Some(start) = self.start_of(cycle) else { return };
         let is_in = |offset: Span, size| {
             let error = self.error(at, start + offset);
             -self.clock_share <= error && error + air <= self.length(size) - self.clock_share
         };
-        let user = self.station_of(user);
-        let mut slots = user.into_iter().flat_map(|station| self.timetable.usable(station, cycle));
+        let users = users.iter().filter_map(|&user| self.station_of(user));
+        let mut slots = users.flat_map(|station| self.timetable.usable(station, cycle));
         let is_stray = !slots.any(|slot| is_in(slot.offset, slot.size));
         drop(slots);
         if is_stray {

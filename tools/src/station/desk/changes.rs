@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use rtmac::tdma::schedule::Rate;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, MasterConfig, NewRole, NewRounds, RoleConfig, RoleName, SlaveConfig, TdmaCommand,
 };
@@ -12,7 +13,9 @@ use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::Desk;
 use crate::control::{Reply, RoleRequest, SlotChange};
-use crate::scenario::{DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_sync_window};
+use crate::scenario::{
+    DEFAULT_RATE, DelayName, DelayPolicy, ServoName, default_sync_window, room_for_replies,
+};
 use crate::station::{OwnSlots, sync_latest};
 
 /// A command is carried out after the next slot; a station that hears nothing looks ten times a second. Less than a lab
@@ -44,10 +47,14 @@ impl Desk {
         })
     }
 
-    /// What it keeps free for its Synchronisations as a master; who has no slots of its own to judge knows no rate.
+    /// What it keeps free for its Synchronisations as a master.
     fn sync_window(&self, cycle: Span) -> Span {
-        let rate = self.own_slots.as_ref().map_or(DEFAULT_RATE, OwnSlots::rate);
-        default_sync_window(cycle, rate)
+        default_sync_window(cycle, self.rate())
+    }
+
+    /// Who has no slots of its own to judge knows no rate.
+    fn rate(&self) -> Rate {
+        self.own_slots.as_ref().map_or(DEFAULT_RATE, OwnSlots::rate)
     }
 
     /// In as many rounds as the first time, unless it is said in how many.
@@ -130,15 +137,17 @@ impl Desk {
             }
             RoleRequest::Master { cycle_ns } => {
                 let cycle = Span::from_nanos(cycle_ns);
+                let window = self.sync_window(cycle);
                 NewRole::attached(RoleConfig::Master(MasterConfig {
                     cycle,
-                    sync_latest: sync_latest(self.sync_window(cycle)),
+                    sync_latest: sync_latest(window),
                     reply_latest: self.latest,
                     epoch: self.epoch(),
                     resume: None,
                     backup: None,
                     backups_from: None,
                     max_requests: self.max_requests,
+                    behind_sync: room_for_replies(window, self.rate()),
                     follow: SlaveConfig { rounds: DEFAULT_ROUNDS, ..self.follow },
                 }))
             }

@@ -58,13 +58,17 @@ fn a_slot_is_a_stations_only_in_the_cycles_of_its_phase() {
 }
 
 #[test]
-fn a_reply_is_in_its_place_in_a_slot_of_who_asked() {
+fn a_reply_is_in_place_in_the_askers_slot_or_the_masters() {
     let (mut bench, master, slave) = bench();
     let (own, others) = (bench.slot(1), bench.slot(0));
     bench.message(own, REPLY, slave, master);
     assert_eq!(bench.strays(), [0, 0]);
     bench.message(others, REPLY, slave, master);
-    assert_eq!(bench.strays(), [1, 0], "though that is its own");
+    assert_eq!(bench.strays(), [0, 0], "late, in one of its own");
+    bench.message(12 * CYCLE + 8_000, REPLY, slave, master);
+    assert_eq!(bench.strays(), [0, 0], "late, behind its Synchronisation");
+    bench.message(own + 400_000, REPLY, slave, master);
+    assert_eq!(bench.strays(), [1, 0], "in nobody's");
     // A stranger is answered where it wants: it is that one who is out of its slot.
     bench.message(others, REPLY, STRANGER, master);
     assert_eq!(bench.strays(), [1, 0]);

@@ -1,4 +1,4 @@
-//! Whom this station has asked for a calibration reply may still answer, whatever it is by then.
+//! The turn in which a calibration reply was asked for is left to it, whatever the station is by then.
 
 use super::*;
 
@@ -34,19 +34,16 @@ fn carried(tdma: &mut Tdma, cycles: impl Iterator<Item = u32>) -> Vec<&'static s
 }
 
 #[test]
-fn who_becomes_something_else_leaves_its_turn_to_every_reply_that_may_still_come() {
+fn a_station_in_another_role_leaves_the_turn_that_it_asked_for() {
     let mut slave = has_asked(5);
     become_slave(&mut slave, 0);
-    let carried = carried(&mut slave, (6..=60).step_by(3));
-    // In the first use behind the one that asked, and eight times put off by two.
-    let expected = (1..=19).map(|uses| if uses <= 17 && uses % 2 == 1 { "nothing" } else { "data" });
-    assert!(expected.eq(carried.iter().copied()), "{carried:?}");
+    assert_eq!(carried(&mut slave, (6..=15).step_by(3)), ["nothing", "data", "data", "data"]);
     let status = slave.status();
-    assert_eq!((status.counters.slots_calibrating, status.counters.overruns), (9, 0));
+    assert_eq!((status.counters.slots_calibrating, status.counters.overruns), (1, 0));
 }
 
 #[test]
-fn who_calibrates_in_another_role_asks_where_no_reply_to_the_one_before_may_come() {
+fn a_station_that_calibrates_in_another_role_asks_a_turn_later() {
     let mut slave = has_asked(5);
     become_slave(&mut slave, 5);
     let carried = carried(&mut slave, (6..=18).step_by(3));
@@ -55,7 +52,7 @@ fn who_calibrates_in_another_role_asks_where_no_reply_to_the_one_before_may_come
 }
 
 #[test]
-fn who_is_answered_in_another_role_has_all_of_its_turns_again() {
+fn a_station_answered_in_another_role_has_all_turns_again() {
     let mut slave = has_asked(5);
     become_slave(&mut slave, 0);
     hear_syncs(&mut slave, 4..=6);
@@ -70,7 +67,7 @@ fn who_is_answered_in_another_role_has_all_of_its_turns_again() {
 }
 
 #[test]
-fn a_slot_in_which_a_reply_may_still_come_stays_until_it_would_have_come() {
+fn a_slot_stays_until_the_reply_would_have_come() {
     let mut slave = has_asked(5);
     become_slave(&mut slave, 0);
     hear_syncs(&mut slave, 4..=5);
@@ -80,9 +77,9 @@ fn a_slot_in_which_a_reply_may_still_come_stays_until_it_would_have_come() {
     slave.command(at(5_500), &mut TdmaCommand::Become(NewRole::detached())).unwrap();
     let removed = slave.command(at(5_600), &mut TdmaCommand::RemoveSlot(0)).map(drop);
     assert_eq!(removed, refused, "whose it would be next might send there");
-    // Asked in cycle 3, the last in cycle 54, and a use for the slot itself.
-    assert_eq!(changed(&mut slave, 57_400), refused);
-    assert_eq!(changed(&mut slave, 57_401), Ok(()));
+    // Asked in cycle 3 for cycle 6, and a cycle for the slot itself.
+    assert_eq!(changed(&mut slave, 7_400), refused);
+    assert_eq!(changed(&mut slave, 7_401), Ok(()));
 }
 
 #[test]
@@ -98,50 +95,28 @@ fn a_turn_that_is_left_to_a_reply_and_slept_through_was_not_late() {
 }
 
 #[test]
-fn who_has_its_answer_uses_the_turn_that_is_kept_for_one_that_was_late() {
-    let mut slave = locked_slave();
-    slave.command(at(2_600), &mut TdmaCommand::Calibrate(NewRounds::of(2).unwrap())).unwrap();
-    assert_eq!(carried(&mut slave, 4..=5), ["request", "nothing"]);
+fn a_reply_that_comes_after_its_turn_is_taken() {
+    let mut slave = has_asked(2);
+    hear_syncs(&mut slave, 4..=6);
+    slave.on_timeout(at(6_400));
+    assert!(slave.next_transmission(at(6_400)).is_none(), "the turn is left to it");
+    hear_syncs(&mut slave, 7..=8);
+    let reply = Message::Reply { request_xmit: 3_400_000, reception: 3_401_000, xmit: 8_100_000 };
     let mut frame = Pool::new(1).take().unwrap();
-    let reply = Message::Reply { request_xmit: 4_400_000, reception: 4_401_000, xmit: 5_400_000 };
     reply.write(OWN, OTHER, &mut frame);
-    assert!(matches!(slave.on_frame(Some(at(5_402)), frame), Claimed::Kept));
-    assert_eq!(carried(&mut slave, 6..=8), ["data", "data", "request"]);
+    assert!(matches!(slave.on_frame(Some(at(8_101)), frame), Claimed::Kept));
+    assert_eq!(slave.status().calibrating, Some((1, 2)));
+    assert_eq!(carried(&mut slave, (9..=12).step_by(3)), ["request", "nothing"], "the next round");
+    assert_eq!(slave.status().calibration_repeats, 0);
 }
 
 #[test]
-fn who_is_answered_by_one_master_still_leaves_its_turns_to_another_that_it_asked_before() {
-    let mut slave = locked_slave();
-    slave.command(at(2_600), &mut TdmaCommand::Calibrate(NewRounds::of(9).unwrap())).unwrap();
-    assert_eq!(carried(&mut slave, 4..=7), ["request", "nothing", "data", "nothing"]);
-    // A backup has taken over, since the one that was asked first slept.
-    let backup = Address([2, 0, 0, 0, 0, 3]);
-    let hear = |slave: &mut Tdma, at: Instant, message: Message| {
-        let mut frame = Pool::new(1).take().unwrap();
-        message.write(OWN, backup, &mut frame);
-        assert!(matches!(slave.on_frame(Some(at), frame), Claimed::Kept));
-    };
-    for (cycle, carries) in [(8, "request"), (9, "nothing")] {
-        let sched = GlobalTime::from_nanos(u64::from(cycle) * 1_000_000);
-        hear(&mut slave, at(u64::from(cycle) * 1_000), Message::Sync { cycle, xmit: sched, sched });
-        assert_eq!(carried(&mut slave, cycle..=cycle), [carries]);
-    }
-    let reply = Message::Reply { request_xmit: 8_400_000, reception: 8_401_000, xmit: 9_400_000 };
-    hear(&mut slave, at(9_402), reply);
-    assert_eq!(
-        carried(&mut slave, 10..=12),
-        ["data", "nothing", "request"],
-        "the first may have woken by now"
-    );
-}
-
-#[test]
-fn nobody_asks_for_a_reply_that_would_come_when_cycles_are_numbered_anew_where_its_phase_is_anothers_then() {
+fn no_reply_is_asked_for_where_the_wrap_moves_the_phase() {
     let wrap = 1u64 << 32;
-    let asked = |period: u32| {
+    let asked = |period: u32, from: u64| {
         let mut slave = Tdma::new(&with_slots(50, &[(0, period)])).unwrap();
         let mut asked = Vec::new();
-        for n in wrap - 90..wrap + 30 {
+        for n in wrap - from..wrap + 30 {
             let sched = GlobalTime::from_nanos(n * 1_000_000);
             let mut frame = Pool::new(1).take().unwrap();
             let sync = Message::Sync { cycle: n as u32, xmit: sched, sched };
@@ -156,7 +131,8 @@ fn nobody_asks_for_a_reply_that_would_come_when_cycles_are_numbered_anew_where_i
         let before = asked.iter().filter(|&&n| n < wrap).max().map(|&n| wrap - n);
         (before, asked.iter().find(|&&n| n >= wrap).map(|&n| n - wrap))
     };
-    // The last reply may be put off by 17 turns.
-    assert_eq!(asked(3), (Some(52), Some(3)));
-    assert_eq!(asked(2), (Some(4), Some(0)), "a part of 2^32: phases go on as they were");
+    // 2^32 - 1 is a turn of every third cycle, and 0 is the next one.
+    assert_eq!(asked(3, 90), (Some(4), Some(0)), "in its own turn the last reply comes");
+    assert_eq!(asked(3, 93), (Some(7), Some(0)), "the reply to 2^32 - 1 would come in cycle 2");
+    assert_eq!(asked(2, 90), (Some(4), Some(0)), "a part of 2^32: phases go on as they were");
 }

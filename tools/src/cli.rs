@@ -70,8 +70,8 @@ pub enum Verb {
     /// 820us, 750us ... A trial is judged by what is usual in it: the middle one of its 20 parts. The shortest cycle that holds
     /// is then run for longer, and all that is missed counts; if that is too much, longer ones are proven.
     ///
-    /// Exit status: 0 found, and as good as in --compare's file; 1 none was found, or it is a regression, or it was interrupted;
-    /// 2 bad usage, or no privileges.
+    /// Exit status: 0 found, and as good as in --compare's file; 1 none was found, or it is a regression, or a file could not be
+    /// written; 2 bad usage, or no privileges; 130 it was interrupted.
     FindMinCycle(MinCycleArgs),
     /// Say what a network does before it runs: when who sends, how long frames wait at the worst; or propose one
     ///

@@ -10,7 +10,7 @@ use rtnet::time::Span;
 use super::VnicMode;
 use crate::control::{Place, parse_name};
 use crate::scenario::SlotGuard;
-use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate};
+use crate::units::{parse_nonnegative_span, parse_positive_span, parse_rate, parse_share};
 
 /// What can be done with a network on this machine.
 #[derive(Debug, Subcommand)]
@@ -22,20 +22,25 @@ pub enum LabVerb {
     /// frame is in its slot. An ordinary user's lab lives in a user namespace, without SCHED_FIFO. Durations
     /// are written 250us, 1ms, 10s.
     ///
-    /// Exit status: 0 all is well; 1 something unexplained, payload errors, lost frames or a lost station;
-    /// 2 bad usage, bad configuration, or no privileges.
+    /// Exit status: 0 OK; 1 NOT OK: something unexplained, payload errors, lost frames, a lost station, or a file that
+    /// could not be written; 2 bad usage, bad configuration, or no privileges; 3 INCONCLUSIVE: the host was too disturbed,
+    /// or part of the run was not observed; 4 DEGRADED: more was missed than --max-miss, all for known causes;
+    /// 130 INTERRUPTED.
     Run(LabMeasureArgs),
     /// Stand a network up and keep it: it runs until `rtnet lab down`
     ///
     /// Takes the same arguments as `lab run`; with --duration it goes down by itself. Exit status: 0 all its
-    /// stations are locked; 2 it could not be stood up, and nothing is left of it.
+    /// stations are locked; 2 it could not be stood up, and nothing is left of it; 130 it was interrupted before it was
+    /// up. With --foreground, once it was up, that of `lab down`.
     Up(LabUpArgs),
     /// Take a network down, and tell how it went
     ///
-    /// Exit status: 0 all was well; 1 something unexplained, payload errors, lost frames or a lost station;
-    /// 2 there is no such lab.
+    /// Exit status, of several labs the worst: 0 OK; 1 NOT OK, or a file of the lab could not be written; 2 there is no
+    /// such lab; 3 INCONCLUSIVE; 4 DEGRADED; see `lab run`.
     Down(LabDownArgs),
     /// How a network is going, or all of them
+    ///
+    /// Exit status: as of `lab down`, so far.
     Status(LabStatusArgs),
     /// Put a new process in the place of a station's, be it running, stopped or dead
     ///
@@ -160,6 +165,10 @@ pub struct LabRunArgs {
     /// What keeps stations from sending later than their slots allow [default: auto, or what the file says]
     #[arg(long)]
     pub slot_guard: Option<SlotGuard>,
+    /// Each station may miss so many of its slots, 0.5% or 50ppm, where no expectation of the file decides; more is DEGRADED
+    /// [default: 0.5%, or what the file says]
+    #[arg(long, value_name = "SHARE", value_parser = parse_share)]
+    pub max_miss: Option<u32>,
     /// Seed of the stations' clocks, which are off by up to 1 s and 50 ppm [default: 1]
     #[arg(long)]
     pub seed: Option<u64>,
@@ -172,10 +181,10 @@ pub struct LabRunArgs {
     /// The core of all real-time threads [default: the last]
     #[arg(long, value_name = "N")]
     pub cpu: Option<usize>,
-    /// Write the report as JSON, too
+    /// Write the report as JSON, too; - is standard output, and the report for the screen goes to standard error then
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write every frame on the medium as pcapng
-    #[arg(long, value_name = "FILE")]
+    /// Write every frame on the medium as pcapng; - as for --json: `rtnet lab run -w - | tshark -r -`
+    #[arg(short = 'w', long, value_name = "FILE")]
     pub pcap: Option<PathBuf>,
 }

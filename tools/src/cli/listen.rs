@@ -44,7 +44,7 @@ pub struct JitterArgs {
     /// Line rate at which overlaps are computed
     #[arg(long, default_value = "1G", value_parser = parse_rate)]
     pub rate: Rate,
-    /// Write the figures as JSON, too
+    /// Write the figures as JSON, too; - is standard output, and what is for the screen goes to standard error then
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -55,7 +55,7 @@ pub struct DumpArgs {
     /// Where.
     #[command(flatten)]
     pub at: ListenArgs,
-    /// Write the frames into this file, as pcapng, instead of showing them
+    /// Write the frames into this file, as pcapng, instead of showing them; - is standard output
     #[arg(short, long, value_name = "FILE.pcapng")]
     pub write: Option<PathBuf>,
     /// End after so many frames

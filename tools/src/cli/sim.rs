@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use rtnet::time::Span;
 
-use crate::units::parse_positive_span;
+use crate::units::{parse_positive_span, parse_share};
 
 /// What can be done with a network in virtual time.
 #[derive(Debug, Subcommand)]
@@ -16,8 +16,9 @@ pub enum SimVerb {
     /// with faults, with what happens when, and with what is expected: `rtnet sim example` prints one that says it
     /// all. One seed is one run, to the byte.
     ///
-    /// Exit status: 0 all is as expected, or, where nothing is, well; 1 it is not: the cycle and the frames
-    /// around it are shown; 2 bad usage, or a scenario that cannot be.
+    /// Exit status: 0 OK: all is as expected, or, where nothing is, well; 1 NOT OK: the cycle and the frames around
+    /// it are shown, or a file could not be written; 2 bad usage, or a scenario that cannot be; 3 INCONCLUSIVE: nothing was
+    /// measured; 4 DEGRADED: more was missed than --max-miss, all for known causes.
     Run(SimRunArgs),
     /// Print a scenario that says what can be said, and runs
     Example,
@@ -31,16 +32,20 @@ pub struct SimRunArgs {
     /// Everything random follows from it [default: what the file says, or 1]
     #[arg(long)]
     pub seed: Option<u64>,
+    /// Each station may miss so many of its slots, 0.5% or 50ppm, where no expectation decides; more is DEGRADED
+    /// [default: 0.5%, or what the file says]
+    #[arg(long, value_name = "SHARE", value_parser = parse_share)]
+    pub max_miss: Option<u32>,
     /// End after so much virtual time, joining included, whatever the file says
     #[arg(long, value_parser = parse_positive_span)]
     pub until: Option<Span>,
-    /// Write the report as JSON, too
+    /// Write the report as JSON, too; - is standard output, and the report for the screen goes to standard error then
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     /// Write the report as one HTML page, too, with plots and the slots of the worst cycles
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
-    /// Write every frame on the medium as pcapng, in virtual time
-    #[arg(long, value_name = "FILE")]
+    /// Write every frame on the medium as pcapng, in virtual time; - as for --json
+    #[arg(short = 'w', long, value_name = "FILE")]
     pub pcap: Option<PathBuf>,
 }

@@ -1,5 +1,6 @@
 //! A lab's account in words, and whether it is a good one.
 
+use anyhow::anyhow;
 use rtnet::time::Span;
 
 use super::tdma::longest;
@@ -11,19 +12,9 @@ use crate::report::text::{Column, grouped, micros, paragraph, table};
 /// Columns of the table.
 const WIDTH: usize = 110;
 
-/// Whether nothing happened that ought not to.
-pub fn is_well(status: &LabStatus) -> bool {
-    let of_station = |station: &MemberStatus| {
-        // Who has lost the master for a moment is there, and its misses have their cause.
-        let is_there = match station.state.as_str() {
-            "locked" | "holdover" | "detached" => true,
-            "lost" => !station.lost,
-            _ => false,
-        };
-        let wrong = [station.payload_errors, station.lost_records, station.frames_lost];
-        is_there && station.failed.is_none() && wrong == [0; 3]
-    };
-    status.unexplained == 0 && status.not_judged == 0 && status.stations.iter().all(of_station)
+/// What could not be written at the end of a lab.
+pub fn unwritten(status: &LabStatus) -> impl Iterator<Item = anyhow::Error> {
+    status.unwritten.iter().map(|what| anyhow!("lab '{}': {what}", status.name))
 }
 
 /// A lab in words.
@@ -106,9 +97,8 @@ pub fn account(status: &LabStatus) -> String {
         text +=
             &format!("not judged: {} frames, lost by the observer or wrongly stamped\n", status.not_judged);
     }
-    text += &format!(
-        "\n{}: {} of {} frames in their slots, {} missed, {} overlaps, {} out of slot, unexplained {}\n",
-        if is_well(status) { "OK" } else { "NOT OK" },
+    let counts = format!(
+        "{} of {} frames in their slots, {} missed, {} overlaps, {} out of slot, unexplained {}",
         grouped(status.frames_seen),
         grouped(status.frames_expected),
         grouped(status.slots_missed),
@@ -116,6 +106,8 @@ pub fn account(status: &LabStatus) -> String {
         status.out_of_slot,
         status.unexplained
     );
+    let verdict = status.verdict.lines(&counts, WIDTH).join("\n");
+    text += &if status.verdict.ok { format!("\n{verdict}\n") } else { format!("\n{counts}\n{verdict}\n") };
     text
 }
 

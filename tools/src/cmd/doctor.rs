@@ -4,7 +4,8 @@ use std::io::Write;
 
 use rtnet::time::Span;
 
-use super::{Failure, screen_width, writable, write_json};
+use super::delivery::Delivery;
+use super::{Failure, screen_width, writable};
 use crate::cli::DoctorArgs;
 use crate::control::Directory;
 use crate::doctor::rights::{self, Way};
@@ -29,10 +30,8 @@ pub fn doctor(args: &DoctorArgs) -> Result<u8, Failure> {
     }
     let options = Options { cpu: args.cpu, duration: args.duration, progress: args.duration > SHORT };
     let findings = doctor::examine(&options, &Way::find()).map_err(Failure::Usage)?;
-    if let Some(path) = &args.json {
-        write_json(path, &findings).map_err(Failure::Run)?;
-    }
-    // Whoever closed our output does not want to read the rest.
-    let _ = std::io::stdout().write_all(screen::render(&findings, screen_width()).as_bytes());
-    Ok(0)
+    let json = args.json.as_ref();
+    let mut delivery = Delivery::begin(&screen::render(&findings, screen_width()), &[json]);
+    delivery.json(json, &findings);
+    delivery.end_with(0)
 }

@@ -86,7 +86,7 @@ impl Output {
     }
 
     fn is_full(&self) -> bool {
-        self.left == 0 || self.closed
+        self.left == 0 || self.closed || self.file.as_ref().is_some_and(CaptureFile::is_closed)
     }
 
     fn take(&mut self, frame: &Captured<'_>, sight: &Sight) -> Result<()> {
@@ -106,6 +106,9 @@ impl Output {
     }
 
     fn flush(&mut self) -> Result<()> {
+        if let Some(file) = &mut self.file {
+            return file.show();
+        }
         let flushed = self.screen.flush();
         self.note(flushed)
     }

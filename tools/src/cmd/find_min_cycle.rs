@@ -8,7 +8,8 @@ use anyhow::{Context, anyhow, ensure};
 use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 
-use super::{Failure, all_writable, say, screen_width, write_json};
+use super::delivery::Delivery;
+use super::{Failure, all_writable, screen_width};
 use crate::cli::MinCycleArgs;
 use crate::control::Directory;
 use crate::lab::{Core, Lab, RunOptions, userns};
@@ -47,17 +48,15 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
         pictures: false,
     };
     let answer = search(asked, &networks, &options)?;
-    if let Some(path) = &args.json {
-        write_json(path, &answer).map_err(Failure::Run)?;
-    }
-    say(&screen::render(&answer, screen_width())).map_err(Failure::Run)?;
+    let mut text = screen::render(&answer, screen_width());
     let mut is_regression = false;
     if let Some((path, kept)) = &kept {
-        say(&(screen::comparison(&answer, kept, &path.display().to_string()) + "\n"))
-            .map_err(Failure::Run)?;
+        text += &(screen::comparison(&answer, kept, &path.display().to_string()) + "\n");
         is_regression = answer.compared_with(kept) == Compared::Regression;
     }
-    Ok(u8::from(answer.cycle_ns.is_none() || is_regression))
+    let mut delivery = Delivery::begin(&text, &[args.json.as_ref()]);
+    delivery.json(args.json.as_ref(), &answer);
+    delivery.end_with(u8::from(answer.cycle_ns.is_none() || is_regression))
 }
 
 /// What is searched for: what the options say, else what was kept, else what is usual. Answers to other questions are not
@@ -144,7 +143,7 @@ fn search(asked: Asked, networks: &[Scenario], options: &RunOptions) -> Result<A
     let (found, runs) = search::search((networks.len(), start), |rung, purpose| {
         let run = run(&asked, &networks[rung], options, purpose)?;
         if interrupted.load(Ordering::Relaxed) {
-            return Err(Failure::Run(anyhow!("interrupted: there is no answer yet")));
+            return Err(Failure::Interrupted(anyhow!("INTERRUPTED: there is no answer yet")));
         }
         // Whoever closed our standard error does not want to read it.
         let _ = writeln!(std::io::stderr(), "rtnet: {}", screen::run_line(&run));
@@ -156,7 +155,8 @@ fn search(asked: Asked, networks: &[Scenario], options: &RunOptions) -> Result<A
 
 /// A network that cannot be stood up on this host at all ends the search; one that does not come up in time does not hold.
 fn run(asked: &Asked, network: &Scenario, options: &RunOptions, purpose: Purpose) -> Result<Run, Failure> {
-    let mut network = network.clone();
+    // How many may be missed is decided here, by what is asked for.
+    let mut network = Scenario { max_miss_ppm: 1_000_000, ..network.clone() };
     if purpose == Purpose::Proof {
         network.duration = Span::from_nanos(asked.proof_ns);
     }

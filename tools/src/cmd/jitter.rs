@@ -1,12 +1,12 @@
 //! `rtnet jitter`.
 
-use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
+use super::delivery::Delivery;
 use super::dump::learn;
-use super::{Failure, writable, write_json};
+use super::{Failure, writable};
 use crate::cli::JitterArgs;
 use crate::observe::ear::Ear;
 use crate::observe::figures::JitterFigures;
@@ -33,20 +33,18 @@ pub fn jitter(args: &JitterArgs) -> Result<u8, Failure> {
     let observed = since.elapsed().as_nanos() as u64;
     let rate = args.rate.bits_per_second();
     let figures = JitterFigures::of(&mut ear, &tally, &watch.line, observed, rate, host.finish());
-    if let Some(path) = &args.json {
-        write_json(path, &figures).map_err(Failure::Run)?;
-    }
-    // Whoever closed our output does not want to read the rest.
-    let _ = std::io::stdout().write_all(screen::render(&figures, super::screen_width()).as_bytes());
-    heard.map_err(Failure::Run)?;
+    let json = args.json.as_ref();
+    let mut delivery = Delivery::begin(&screen::render(&figures, super::screen_width()), &[json]);
+    delivery.json(json, &figures);
+    delivery.unwritten(heard.err());
     if !figures.kinds.contains_key("sync") {
         eprintln!(
             "rtnet: no sync was heard on {}: without an active master there are no cycles",
             ear.place()
         );
-        return Ok(1);
+        return delivery.end_with(1);
     }
-    Ok(0)
+    delivery.end_with(0)
 }
 
 fn observe(ear: &mut Ear, watch: &mut Watch, tally: &mut Tally, until: Instant) -> Result<()> {

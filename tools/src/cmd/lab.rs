@@ -10,7 +10,8 @@ use anyhow::{Context, Result, anyhow, bail};
 use rtnet::time::Span;
 
 use super::Failure;
-use super::account::{account, is_well};
+use super::account::{account, unwritten};
+use super::delivery::Delivery;
 use rtnet::live::realtime::avoid;
 
 use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatusArgs};
@@ -36,18 +37,18 @@ pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
             Err(error) => errors.push(error),
         }
     }
-    let last = errors.pop();
-    if last.is_none() || !ended.is_empty() {
-        let words = |ended: &Vec<LabStatus>| ended.iter().map(account).collect::<Vec<_>>().join("\n");
-        super::print(args.json, &ended, words).map_err(Failure::Run)?;
-    }
-    errors.iter().for_each(|error| {
+    let words = |ended: &Vec<LabStatus>| ended.iter().map(account).collect::<Vec<_>>().join("\n");
+    let is_shown = errors.is_empty() || !ended.is_empty();
+    let shown = if is_shown { super::print(args.json, &ended, words) } else { Ok(()) };
+    let mut delivery = Delivery::after(shown);
+    delivery.unwritten(ended.iter().flat_map(unwritten));
+    let status = delivery.end_with(worst(&ended));
+    let Some(last) = errors.pop() else { return status };
+    let unwritten = status.err().map(Failure::into_error);
+    errors.into_iter().chain(unwritten).for_each(|error| {
         let _ = writeln!(std::io::stderr(), "rtnet: {error:#}");
     });
-    match last {
-        Some(error) => Err(Failure::Usage(error)),
-        None => Ok(if ended.iter().all(is_well) { 0 } else { 1 }),
-    }
+    Err(Failure::Usage(last))
 }
 
 /// The figures of its end; none if it was dead already, and only its traces were left to remove.
@@ -75,13 +76,18 @@ fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
     }
 }
 
+/// The exit status of the worst.
+fn worst(labs: &[LabStatus]) -> u8 {
+    labs.iter().map(|lab| lab.verdict.word).max().unwrap_or_default().exit_status()
+}
+
 /// Shows one lab, or all.
 pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
     let directory = Directory::of_user();
     if let Some(lab) = &args.name {
         let status = control::lab_status(&directory, lab).map_err(Failure::Usage)?;
         super::print(args.json, &status, account).map_err(Failure::Run)?;
-        return Ok(0);
+        return Ok(status.verdict.exit_status());
     }
     let mut all = Vec::new();
     for lab in directory.labs() {
@@ -97,7 +103,7 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
         some => some.iter().map(account).collect::<Vec<_>>().join("\n"),
     };
     super::print(args.json, &all, words).map_err(Failure::Run)?;
-    Ok(0)
+    Ok(worst(&all))
 }
 
 /// Puts a new process in the place of a station's, and waits until it is locked again.

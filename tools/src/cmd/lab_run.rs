@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use anyhow::{anyhow, ensure};
 use rtnet::time::Span;
 
-use super::{Failure, all_writable, say, screen_width, tell_of_ring, title, write_json, write_text};
+use super::delivery::Delivery;
+use super::{Failure, all_writable, screen_width, tell_of_ring, title};
 use crate::cli::{LabMeasureArgs, LabRunArgs};
 use crate::control::Directory;
 use crate::lab::{Core, Lab, RunOptions, userns};
@@ -21,10 +22,11 @@ const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_SEED: u64 = 1;
 /// Runs up to this long show no progress.
 const SHORT: Span = Span::from_millis(2_000);
+pub(super) const NO_MAX_MISS: &str = "--max-miss is about slots, and a ring has none: leave it out";
 /// Cycles that a network takes to come up: calibration, mostly.
 const JOINING_CYCLES: i64 = 250;
 
-/// Runs a lab and prints its report; the exit status is 1 if the verdict is bad.
+/// Runs a lab and prints its report; the exit status is that of its verdict.
 pub fn lab_run(args: &LabMeasureArgs) -> Result<u8, Failure> {
     let LabMeasureArgs { run: args, html } = args;
     if let Some(ring) = ring_of(args).map_err(Failure::Usage)? {
@@ -33,25 +35,21 @@ pub fn lab_run(args: &LabMeasureArgs) -> Result<u8, Failure> {
     let (scenario, mut options) = prepared(args, html.as_ref()).map_err(Failure::Usage)?;
     options.pictures = html.is_some();
     let lab = Lab::set_up(&scenario, &options).map_err(Failure::Usage)?;
-    let mut outcome = lab.run(&scenario).map_err(Failure::Run)?;
-    let expected = sim::of_lab(&scenario, &outcome.figures);
-    sim::add(&mut outcome.figures.verdict, &expected);
-    if let Some(path) = &args.json {
-        write_json(path, &outcome.figures).map_err(Failure::Run)?;
-    }
-    if let Some(path) = html {
-        let sheet = Sheet {
-            title: &args.file.as_deref().map_or_else(|| "rtnet lab run".into(), title),
-            scenario: &scenario,
-            figures: &outcome.figures,
-            kept: &outcome.kept,
-            simulation: None,
-        };
-        write_text(path, &sheet.page()).map_err(Failure::Run)?;
-    }
+    let mut outcome = lab.run(&scenario).map_err(|error| Failure::of_lab(error, Failure::Run))?;
+    outcome.add(sim::unmet(&sim::of_lab(&scenario, &outcome.figures)));
     let screen = screen::render(&outcome.figures, screen_width(), &outcome.slot_error_abs);
-    say(&screen).map_err(Failure::Run)?;
-    Ok(if outcome.figures.verdict.ok { 0 } else { 1 })
+    let files = [args.json.as_ref(), html.as_ref(), args.pcap.as_ref()];
+    let mut delivery = Delivery::begin(&screen, &files);
+    delivery.json(args.json.as_ref(), &outcome.figures);
+    let sheet = Sheet {
+        title: &args.file.as_deref().map_or_else(|| "rtnet lab run".into(), title),
+        scenario: &scenario,
+        figures: &outcome.figures,
+        kept: &outcome.kept,
+        simulation: None,
+    };
+    delivery.text(html.as_ref(), || sheet.page());
+    delivery.end(&outcome.figures.verdict)
 }
 
 /// The ring of a file, if it is one.
@@ -71,11 +69,14 @@ fn ring_run(args: &LabRunArgs, html: Option<&PathBuf>, ring: RingScenario) -> Re
         return Err(Failure::Usage(anyhow!(what)));
     }
     let RingScenario { ring, network } = ring;
+    if args.max_miss.is_some() {
+        return Err(Failure::Usage(anyhow!(NO_MAX_MISS)));
+    }
     let ring = RingScenario { ring, network: as_said(args, network) };
     let options = ready(args, html, &ring.network).map_err(Failure::Usage)?;
-    let figures = ring::run_live(&ring, &options).map_err(Failure::Run)?;
+    let figures = ring::run_live(&ring, &options).map_err(|error| Failure::of_lab(error, Failure::Run))?;
     let name = args.file.as_deref().map_or_else(|| "rtnet lab run".into(), title);
-    tell_of_ring(&figures, &name, args.json.as_deref(), html.map(PathBuf::as_path))
+    tell_of_ring(&figures, &name, args.json.as_ref(), html, args.pcap.as_ref())
 }
 
 /// The network and how to run it; what cannot be is refused before anything is made.
@@ -100,6 +101,7 @@ fn ready(args: &LabRunArgs, html: Option<&PathBuf>, scenario: &Scenario) -> anyh
         warm_core: args.warm_core,
         core: Core::choose(args.cpu)?,
         pcap: args.pcap.clone(),
+        json: None,
         home: None,
         directory: Some(directory),
         // Stations may take a while to be locked, too.
@@ -130,6 +132,9 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
 fn as_said(args: &LabRunArgs, mut scenario: Scenario) -> Scenario {
     if let Some(duration) = args.duration {
         scenario.duration = duration;
+    }
+    if let Some(max_miss) = args.max_miss {
+        scenario.max_miss_ppm = max_miss;
     }
     if let Some(slot_guard) = args.slot_guard {
         scenario.slot_guard = slot_guard;

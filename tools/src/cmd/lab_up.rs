@@ -2,25 +2,36 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::Stdio;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use nix::fcntl::{OFlag, open};
 use nix::sys::stat::Mode;
 use nix::unistd::{dup2_stderr, dup2_stdout};
 use rtnet::time::Span;
 
 use super::Failure;
-use super::account::{account, is_well};
+use super::account::{account, unwritten};
+use super::delivery::Delivery;
 use super::lab_run::prepared;
-use super::{say, write_json};
 use crate::cli::LabUpArgs;
 use crate::control::{Directory, Home, LabStatus};
 use crate::lab;
+use crate::report::draft::is_standard_output;
 
 /// Stands a lab up.
 pub fn lab_up(args: &LabUpArgs) -> Result<u8, Failure> {
-    if args.foreground { keep(args) } else { leave_behind().map_err(Failure::Usage) }
+    if args.foreground && !args.detached {
+        return keep(args);
+    }
+    let outputs = [("--json", &args.run.json), ("--pcap", &args.run.pcap)];
+    let is_output = |(_, path): &(_, &Option<PathBuf>)| path.as_deref().is_some_and(is_standard_output);
+    if let Some((option, _)) = outputs.into_iter().find(is_output) {
+        let what = "- is standard output, which a lab lets go of once it is up: write to a file, or say --foreground";
+        return Err(Failure::Usage(anyhow!("{option} {what}")));
+    }
+    if args.detached { keep(args) } else { leave_behind().map_err(Failure::Usage) }
 }
 
 /// Keeps the lab, in this process.
@@ -29,6 +40,7 @@ fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
     let directory = Directory::of_user();
     let (scenario, mut options) = prepared(&args.run, None).map_err(Failure::Usage)?;
     options.home = Some(Home { directory, lab: args.name.clone() });
+    options.json = args.run.json.clone().filter(|path| !is_standard_output(path));
     let mut is_up = false;
     let at_most = args.run.duration;
     let kept = lab::keep(scenario, &options, at_most, |status| {
@@ -37,14 +49,14 @@ fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
     });
     match kept {
         Ok(status) => {
-            if let Some(path) = &args.run.json {
-                write_json(path, &status).map_err(Failure::Run)?;
-            }
-            say(&account(&status)).map_err(Failure::Run)?;
-            Ok(if is_well(&status) { 0 } else { 1 })
+            let (json, pcap) = (args.run.json.as_ref(), args.run.pcap.as_ref());
+            let mut delivery = Delivery::begin(&account(&status), &[json, pcap]);
+            delivery.json(json.filter(|path| is_standard_output(path)), &status);
+            delivery.unwritten(unwritten(&status));
+            delivery.end(&status.verdict)
         }
         Err(error) if is_up => Err(Failure::Run(error)),
-        Err(error) => Err(Failure::Usage(error)),
+        Err(error) => Err(Failure::of_lab(error, Failure::Usage)),
     }
 }
 

@@ -1,6 +1,7 @@
 //! One module per verb: from arguments to the thing done.
 
 pub mod account;
+mod delivery;
 pub mod doctor;
 pub mod dump;
 pub mod find_min_cycle;
@@ -32,8 +33,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow, ensure};
 use serde::Serialize;
 
-use crate::report::draft::{Draft, can_be_written};
+use self::delivery::Delivery;
+use crate::lab::Interrupted;
+use crate::report::draft::{can_be_written, is_standard_output};
 use crate::report::screen::WIDTH_MIN;
+use crate::report::verdict::Word;
 use crate::ring::{self, RingFigures};
 
 /// Columns of a report when the terminal does not say.
@@ -46,6 +50,8 @@ pub enum Failure {
     Usage(anyhow::Error),
     /// It ran, and something was not as it should be: status 1.
     Run(anyhow::Error),
+    /// Somebody ended it before there was anything to report: status 130.
+    Interrupted(anyhow::Error),
 }
 
 impl Failure {
@@ -54,32 +60,49 @@ impl Failure {
         match self {
             Failure::Usage(_) => 2,
             Failure::Run(_) => 1,
+            Failure::Interrupted(_) => Word::Interrupted.exit_status(),
         }
     }
     /// What to tell the user.
     pub fn error(&self) -> &anyhow::Error {
         match self {
-            Failure::Usage(error) | Failure::Run(error) => error,
+            Failure::Usage(error) | Failure::Run(error) | Failure::Interrupted(error) => error,
         }
+    }
+
+    fn into_error(self) -> anyhow::Error {
+        match self {
+            Failure::Usage(error) | Failure::Run(error) | Failure::Interrupted(error) => error,
+        }
+    }
+
+    /// Of a lab: this one, but that it was interrupted is nobody's fault.
+    fn of_lab(error: anyhow::Error, otherwise: impl Fn(anyhow::Error) -> Failure) -> Failure {
+        if error.is::<Interrupted>() { Failure::Interrupted(error) } else { otherwise(error) }
     }
 }
 
-/// Tells of a ring's run on the screen, and in files that were asked for; the exit status is 1 if it was not well.
+/// Tells of a ring's run on the screen, and in files that were asked for.
 fn tell_of_ring(
     figures: &RingFigures,
     title: &str,
-    json: Option<&Path>,
-    html: Option<&Path>,
+    json: Option<&PathBuf>,
+    html: Option<&PathBuf>,
+    pcap: Option<&PathBuf>,
 ) -> Result<u8, Failure> {
-    json.map_or(Ok(()), |path| write_json(path, figures)).map_err(Failure::Run)?;
-    html.map_or(Ok(()), |path| write_text(path, &ring::page(title, figures))).map_err(Failure::Run)?;
-    say(&ring::render(figures, screen_width())).map_err(Failure::Run)?;
-    Ok(u8::from(!figures.verdict.ok))
+    let mut delivery = Delivery::begin(&ring::render(figures, screen_width()), &[json, html, pcap]);
+    delivery.json(json, figures);
+    delivery.text(html, || ring::page(title, figures));
+    delivery.end(&figures.verdict)
 }
 
 /// Prints something as JSON or in words.
 fn print<T: Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
-    say(&if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) })
+    say(&in_words(json, what, words)?)
+}
+
+fn in_words<T: Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<String> {
+    Ok(if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) })
 }
 
 /// Writes to standard output. Whoever closed it does not want to read the rest; whoever has no room for it wanted to.
@@ -101,6 +124,9 @@ fn screen_width() -> usize {
 
 /// A file that cannot be written is better known before the run than after it.
 fn writable(path: &Path) -> anyhow::Result<()> {
+    if is_standard_output(path) {
+        return Ok(());
+    }
     can_be_written(path).with_context(|| format!("{} cannot be written", path.display()))
 }
 
@@ -135,18 +161,4 @@ fn is_same(one: &Path, other: &Path) -> bool {
 /// What a report is called: by its scenario's file, without the way to it.
 fn title(file: &Path) -> String {
     file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned()
-}
-
-fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
-    write_text(path, &(serde_json::to_string_pretty(report)? + "\n"))
-}
-
-/// Writes a file that is there once it is whole.
-fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
-    let write = || {
-        let (draft, mut file) = Draft::begin(path)?;
-        file.write_all(text.as_bytes())?;
-        draft.keep()
-    };
-    write().with_context(|| format!("{} cannot be written", path.display()))
 }

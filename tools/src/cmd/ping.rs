@@ -220,7 +220,7 @@ impl<'a> Run<'a> {
             Err(error) => {
                 self.tried += 1;
                 self.look_for_station();
-                self.fails(sequence, &format!("{:#}", into_error(error)))
+                self.fails(sequence, &format!("{:#}", error.into_error()))
             }
         }
     }
@@ -379,12 +379,6 @@ fn jitter(mut values: Vec<u64>) -> u64 {
     let mut beside: Vec<u64> = values.iter().map(|value| value.abs_diff(middle)).collect();
     beside.sort_unstable();
     at(&beside, 0.95)
-}
-
-fn into_error(failure: Failure) -> anyhow::Error {
-    match failure {
-        Failure::Usage(error) | Failure::Run(error) => error,
-    }
 }
 
 /// As RTnet's: of the start in microseconds; and of the process, since two may start at once.

@@ -5,7 +5,8 @@ use std::io::Write;
 use anyhow::{Result, anyhow, bail};
 use rtnet::time::Span;
 
-use super::{Failure, all_writable, print, say, screen_width, write_text};
+use super::delivery::Delivery;
+use super::{Failure, all_writable, in_words, print, screen_width};
 use crate::cli::PlanArgs;
 use crate::plan::{Host, Plan, propose, screen, svg};
 use crate::ring::plan::{self as ring_plan, RingPlan};
@@ -25,21 +26,19 @@ pub fn plan(args: &PlanArgs) -> std::result::Result<u8, Failure> {
     };
     all_writable(&[args.svg.as_ref()], args.file.as_deref()).map_err(Failure::Usage)?;
     let plan = Plan::of(&scenario, host.as_ref());
-    if let Some(path) = &args.svg {
-        write_text(path, &svg::draw(&plan)).map_err(Failure::Run)?;
-    }
-    let told = match args.file {
-        None if !args.json => say(&propose::file(&scenario)),
-        _ => print(args.json, &plan, |plan| screen::render(plan, screen_width())),
+    let text = match args.file {
+        None if !args.json => propose::file(&scenario),
+        _ => in_words(args.json, &plan, |plan| screen::render(plan, screen_width())).map_err(Failure::Run)?,
     };
-    told.map_err(Failure::Run)?;
+    let mut delivery = Delivery::begin(&text, &[args.svg.as_ref()]);
+    delivery.text(args.svg.as_ref(), || svg::draw(&plan));
     if args.file.is_none() {
         for why in plan.refused.iter().chain(&plan.warned) {
             // Whoever closed our standard error does not want to read it.
             let _ = writeln!(std::io::stderr(), "rtnet: {why}");
         }
     }
-    Ok(u8::from(!plan.works()))
+    delivery.end_with(u8::from(!plan.works()))
 }
 
 /// Says how long anything takes in a ring; the exit status is 1 if it cannot work.

@@ -1,6 +1,10 @@
 //! `rtnet sim`.
 
-use super::{Failure, all_writable, say, screen_width, tell_of_ring, title, write_json, write_text};
+use anyhow::anyhow;
+
+use super::delivery::Delivery;
+use super::lab_run::NO_MAX_MISS;
+use super::{Failure, all_writable, say, screen_width, tell_of_ring, title};
 use crate::cli::SimRunArgs;
 use crate::report::html::Sheet;
 use crate::report::screen;
@@ -14,7 +18,7 @@ pub fn example() -> Result<u8, Failure> {
     say(sim::EXAMPLE).map(|()| 0).map_err(Failure::Run)
 }
 
-/// Runs a scenario and prints its report; the exit status is 1 if it is not as expected.
+/// Runs a scenario and prints its report; the exit status is that of its verdict.
 pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let network = scenario::load_network(&args.file).map_err(|why| Failure::Usage(why.into()))?;
     all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(&args.file))
@@ -22,31 +26,31 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let pictures = args.html.is_some();
     let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures };
     let scenario = match network {
-        Network::Slots(scenario) => with_seed(scenario, args.seed),
+        Network::Slots(scenario) => {
+            let max_miss_ppm = args.max_miss.unwrap_or(scenario.max_miss_ppm);
+            with_seed(Scenario { max_miss_ppm, ..scenario }, args.seed)
+        }
         Network::Ring(ring) => return ring_run(args, ring, &options),
     };
     let Ended { figures, slot_error_abs, kept, .. } = sim::run(&scenario, &options).map_err(failure)?;
-    if let Some(path) = &args.json {
-        write_json(path, &figures).map_err(Failure::Run)?;
-    }
-    if let Some(path) = &args.html {
-        let sheet = Sheet {
-            title: &title(&args.file),
-            scenario: &scenario,
-            figures: &figures.figures,
-            kept: &kept,
-            simulation: Some(&figures.simulation),
-        };
-        write_text(path, &sheet.page()).map_err(Failure::Run)?;
-    }
     let width = screen_width();
     let around =
         frames_around(&scenario, &options, &figures.simulation.expectations).map_err(Failure::Run)?;
     let text = sim_screen::render(&figures, around.as_ref(), width)
         + "\n"
         + &screen::render(&figures.figures, width, &slot_error_abs);
-    say(&text).map_err(Failure::Run)?;
-    Ok(if figures.figures.verdict.ok { 0 } else { 1 })
+    let (json, html, pcap) = (args.json.as_ref(), args.html.as_ref(), args.pcap.as_ref());
+    let mut delivery = Delivery::begin(&text, &[json, html, pcap]);
+    delivery.json(json, &figures);
+    let sheet = Sheet {
+        title: &title(&args.file),
+        scenario: &scenario,
+        figures: &figures.figures,
+        kept: &kept,
+        simulation: Some(&figures.simulation),
+    };
+    delivery.text(html, || sheet.page());
+    delivery.end(&figures.figures.verdict)
 }
 
 /// Too little time is bad usage: nothing ran that could have shown anything.
@@ -63,12 +67,16 @@ fn with_seed(scenario: Scenario, seed: Option<u64>) -> Scenario {
 
 /// The same of a ring.
 fn ring_run(args: &SimRunArgs, scenario: RingScenario, options: &Options) -> Result<u8, Failure> {
+    if args.max_miss.is_some() {
+        return Err(Failure::Usage(anyhow!(NO_MAX_MISS)));
+    }
     let scenario = match args.seed {
         Some(seed) => scenario.with_seed(seed),
         None => scenario,
     };
     let figures = ring::run(&scenario, options).map_err(failure)?;
-    tell_of_ring(&figures, &title(&args.file), args.json.as_deref(), args.html.as_deref())
+    let (json, html, pcap) = (args.json.as_ref(), args.html.as_ref(), args.pcap.as_ref());
+    tell_of_ring(&figures, &title(&args.file), json, html, pcap)
 }
 
 /// The frames around the first place where something was not as expected. The run is repeated for them: it is the same

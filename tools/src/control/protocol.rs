@@ -17,6 +17,7 @@ use super::vnic::{VnicRequest, VnicShown};
 use crate::judge::masters::Rivals;
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
+use crate::report::verdict::Verdict;
 use crate::scenario::{DelayName, DelayPolicy, ServoName};
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, Misses};
@@ -404,6 +405,12 @@ pub struct LabStatus {
     pub not_judged: u64,
     /// Frames on the medium that did not reach their receiver, though they were not to be lost; known at the end only.
     pub frames_lost: u64,
+    /// What it comes to so far, and why.
+    #[serde(default)]
+    pub verdict: Verdict,
+    /// What could not be written at its end: the file, and the error.
+    #[serde(default)]
+    pub unwritten: Vec<String>,
     /// Its stations.
     pub stations: Vec<MemberStatus>,
 }

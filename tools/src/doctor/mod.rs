@@ -86,7 +86,7 @@ pub fn examine(options: &Options, way: &Way) -> Result<Findings> {
     let _ = avoid(cpu);
     let other_cpus: Vec<_> = cpus.into_iter().filter(|&other| other != cpu).collect();
 
-    let watch = HostFacts::begin();
+    let watch = HostFacts::begin_on(cpu);
     let measured = measure(options, cpu, &other_cpus);
     let host = watch.finish();
     let measured = Measured { real_time_share: real_time_share(host.rt_runtime_us), ..measured };

@@ -49,12 +49,24 @@ pub fn advice(findings: &Findings) -> Vec<String> {
         lines.push("another core: observers and stations share the only one here".into());
     }
     lines.extend(outages(findings));
+    lines.extend(others(findings));
     let holds = findings.recommended.is_some_and(|recommended| recommended.holds);
     if let (false, [_, ..]) = (holds, &findings.other_cpus[..]) {
         let others = findings.other_cpus.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         lines.push(format!("try another core (--cpu {others}): this one is not good enough"));
     }
     lines
+}
+
+/// Real-time threads of other programs that take more of the core than slots may be missed: labs here are INCONCLUSIVE.
+fn others(findings: &Findings) -> Option<String> {
+    let others = &findings.host.other_real_time;
+    let share = others.iter().map(|of| of.ppm).sum::<u64>();
+    (share as f64 > MISSES_ACCEPTED * 1e6).then(|| {
+        let names: Vec<String> = others.iter().map(ToString::to_string).collect();
+        let cpu = findings.cpu;
+        format!("keep other real-time threads off cpu {cpu}, or choose another core: {}", names.join(", "))
+    })
 }
 
 fn warmth(findings: &Findings) -> Option<String> {

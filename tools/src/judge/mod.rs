@@ -24,4 +24,5 @@ mod sight;
 mod spells;
 pub mod syncs;
 pub mod timetable;
+pub mod verdict;
 pub mod worst;

@@ -10,21 +10,32 @@ use super::analysis::Analysis;
 use super::closely::envelope::Envelope;
 use super::delivery::Delivery;
 use super::kept::Kept;
-use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures, Verdict};
+use super::verdict::{Evidence, Reason, judge};
+use crate::report::figures::{Figures, QueueingFigures, Role, StationFigures};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
-use crate::scenario::{Measure, Scenario};
+use crate::scenario::Scenario;
 
 /// What a run has shown.
 pub struct Outcome {
     /// The report's figures.
     pub figures: Figures,
+    /// What its verdict follows from.
+    evidence: Evidence,
     /// |slot error - the station's median| of all stations.
     pub slot_error_abs: SignedHistogram,
     /// Slots missed and frames outside theirs, by part of the run.
     pub missed_in_parts: [u64; PARTS],
     /// What the pictures of a report show.
     pub kept: Kept,
+}
+
+impl Outcome {
+    /// Judges it once more, with what else speaks against it.
+    pub fn add(&mut self, reasons: impl IntoIterator<Item = Reason>) {
+        self.evidence.reasons.extend(reasons);
+        self.figures.verdict = judge(&self.evidence, self.figures.max_miss_ppm, &self.figures.host);
+    }
 }
 
 /// What a run leaves.
@@ -43,9 +54,11 @@ pub struct Parts {
     pub wall_steps: u64,
     /// Frames whose stamps a step of the wall clock made worthless.
     pub distrusted: u64,
-    /// What was to be captured is not whole.
-    pub capture_failed: bool,
-    /// It ended before its time, and somebody has said why.
+    /// Why what was to be captured is not whole.
+    pub capture_failed: Option<String>,
+    /// Somebody ended it before its time.
+    pub interrupted: bool,
+    /// It ended before its time for another reason, which is said elsewhere.
     pub ended_early: bool,
 }
 
@@ -66,6 +79,8 @@ pub struct Facts {
     pub sync_error_over_time: Envelope,
     /// How much later than it was to be its last look at the clock before a send was.
     pub late: SignedHistogram,
+    /// See [`Slots::woke_late`].
+    pub woke_late: Option<u64>,
     /// Resident memory, bytes.
     pub resident: u64,
     /// Processor time of the whole process, seconds.
@@ -86,8 +101,8 @@ pub struct Facts {
     pub lost_records: u64,
     /// Frames that its program queued and for which there was no room, by priority.
     pub queue_refused: BTreeMap<u8, u64>,
-    /// What is wrong with it, a sentence without a full stop.
-    pub reproach: Option<String>,
+    /// What is wrong with it.
+    pub reproach: Option<Reason>,
 }
 
 /// The figures.
@@ -106,6 +121,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         latest_frame_ns: analysis.latest.value(),
         sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
         host,
+        max_miss_ppm: scenario.max_miss_ppm,
         rt_cpu_percent: stations.iter().map(|station| station.rt_cpu_share).sum::<f64>() * 100.0,
         clock_steps: parts.wall_steps + stations.iter().map(|station| station.clock_steps).sum::<u64>(),
         capture_dropped: parts.dropped,
@@ -135,9 +151,12 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     figures.queueing = queueing(scenario, &parts, 0..stations.len());
     figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
     account.report(&mut figures);
-    figures.verdict = Verdict::from_reasons(reasons(scenario, &parts, &figures));
+    let evidence = reasons::evidence(scenario, &parts, &figures);
     let missed_in_parts = account.missed_in_parts;
-    Outcome { figures, slot_error_abs: all.slot_error_abs, missed_in_parts, kept: kept(parts) }
+    let slot_error_abs = all.slot_error_abs;
+    let mut outcome = Outcome { figures, evidence, slot_error_abs, missed_in_parts, kept: kept(parts) };
+    outcome.add([]);
+    outcome
 }
 
 /// What is left for the pictures of a report.
@@ -277,59 +296,6 @@ fn percent(cpu_seconds: f64, cycles: u32, scenario: &Scenario) -> f64 {
     if measured > 0.0 { cpu_seconds / measured * 100.0 } else { 0.0 }
 }
 
-/// Why a run is not as it ought to be. Of what its scenario expects something, that decides.
-fn reasons(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Vec<String> {
-    let expectations = &scenario.conditions.expectations;
-    let is_left_open = |measure, station: Option<usize>| {
-        let decides = |of: Option<usize>| of.is_none() || of == station;
-        !expectations.iter().any(|expected| expected.measure == measure && decides(expected.station))
-    };
-    let mut reasons = Vec::new();
-    for (station, plan) in parts.stations.iter().zip(&scenario.stations) {
-        reasons.extend(station.reproach.clone());
-        if station.lost_records > 0 {
-            reasons
-                .push(format!("station '{}' could not tell of {} events", plan.name, station.lost_records));
-        }
-    }
-    let plural = |n: u64| if n == 1 { "" } else { "s" };
-    if figures.unexplained > 0 && is_left_open(Measure::Unexplained, None) {
-        reasons.push(format!(
-            "{} unexplained miss{}",
-            figures.unexplained,
-            if figures.unexplained == 1 { "" } else { "es" }
-        ));
-    }
-    let all = || figures.per_station.iter().enumerate();
-    let wrong = all().filter(|(of, _)| is_left_open(Measure::PayloadErrors, Some(*of)));
-    let wrong = wrong.map(|(_, station)| station.payload_errors).sum::<u64>();
-    if wrong > 0 {
-        reasons.push(format!("{wrong} payload error{}", plural(wrong)));
-    }
-    for (_, station) in all().filter(|(of, _)| is_left_open(Measure::FramesLost, Some(*of))) {
-        let (name, n) = (&station.name, station.frames_lost - station.lost_on_purpose);
-        if n == 0 {
-            continue;
-        }
-        reasons.push(format!(
-            "station '{name}' did not receive {n} frame{} that {} on the medium",
-            plural(n),
-            if n == 1 { "was" } else { "were" }
-        ));
-    }
-    if figures.capture_dropped > 0 {
-        reasons.push(format!("the observer lost {} frames", figures.capture_dropped));
-    }
-    if parts.capture_failed {
-        reasons.push("the capture is not whole: a note above says why".into());
-    }
-    if parts.distrusted > 0 {
-        let n = parts.distrusted;
-        reasons.push(format!("the wall clock was set during the run: {n} frame{} not judged", plural(n)));
-    }
-    let asked = (scenario.duration.nanos() / scenario.cycle.nanos()).max(1) as u64;
-    if figures.cycles < asked && !parts.ended_early {
-        reasons.push(format!("the syncs ended after {} of {asked} cycles", figures.cycles));
-    }
-    reasons
-}
+mod reasons;
+
+pub(crate) use reasons::{counted, not_synchronised};

@@ -19,7 +19,9 @@ impl Lab {
             let deliveries: BTreeMap<_, _> =
                 streams.map(|of| (of, self.delivery(scenario, id, of))).collect();
             let note = wire_note(&self.wires.counts(id));
-            member.facts(&scenario.stations[id].name, is_judged, deliveries, note)
+            let facts = member.facts(&scenario.stations[id].name, is_judged, deliveries, note);
+            // Of one that its scenario holds up, nobody knows which was the host's doing.
+            Facts { woke_late: facts.woke_late.filter(|_| !scenario.conditions.holds_up(id)), ..facts }
         };
         (0..self.members.len()).map(facts).collect()
     }

@@ -6,6 +6,7 @@ mod schedules;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io::Write;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -16,11 +17,15 @@ use super::members::{Member, lost_at_most};
 use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
+use super::verdict;
 use crate::control::{
     Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_name, read,
 };
 use crate::judge::delivery::Delivery;
 use crate::judge::findings::{Author, Finding};
+use crate::report::draft::write_json;
+use crate::report::host::{HostFacts, HostWatch};
+use crate::report::verdict::Verdict;
 use crate::scenario::Scenario;
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, WORST};
@@ -31,6 +36,8 @@ use changes::Pending;
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
 /// How often to look which stations are stopped.
 const LOOK_AT_PROCESSES_EVERY: Duration = Duration::from_millis(100);
+/// How often to look what others take of the core, at the most.
+const LOOK_AT_HOST_EVERY: Duration = Duration::from_secs(1);
 /// How long records are kept.
 const RECORDS_KEPT: Duration = Duration::from_secs(600);
 /// How long a station that is restarted may take to end before it is killed: its slowest thread looks ten times a
@@ -61,8 +68,12 @@ pub fn keep(
     let mut server = Server::bind(&home.socket())?;
     let since = Instant::now();
     let restarting = scenario.stations.iter().map(|_| None).collect();
+    let watch = HostFacts::begin_on(lab.cpu);
     let mut keeper = Keeper {
         lab,
+        json: options.json.clone(),
+        watch,
+        host: None,
         scenario,
         home,
         tally: Tally::default(),
@@ -121,6 +132,11 @@ struct Keeper {
     pending: Option<Pending>,
     /// By station, whether it is to be started anew, and since when.
     restarting: Vec<Option<Instant>>,
+    /// Where its end is written.
+    json: Option<PathBuf>,
+    /// What others take of its core, and what that was when it was looked at last.
+    watch: HostWatch,
+    host: Option<(Instant, HostFacts)>,
     /// The figures of the end.
     over: Option<LabStatus>,
 }
@@ -175,6 +191,11 @@ impl Keeper {
         {
             member.state = state;
         }
+        self.host = None;
+        status.verdict = self.verdict(&status);
+        // Whoever takes it down is to hear of what cannot be written: nobody else listens.
+        let written = self.json.as_deref().map_or(Ok(()), |path| write_json(path, &status));
+        status.unwritten = written.err().map(|error| format!("{error:#}")).into_iter().collect();
         self.over = Some(status);
     }
 
@@ -251,7 +272,7 @@ impl Keeper {
         let not_judged = self.lab.not_judged();
         let stations: Vec<MemberStatus> = (0..self.lab.members.len()).map(|i| self.member(i)).collect();
         let analysis = &self.lab.analysis;
-        LabStatus {
+        let mut status = LabStatus {
             name: self.home.lab.clone(),
             pid: std::process::id(),
             bridge: self.lab.segment.bridge_name().to_owned(),
@@ -281,8 +302,22 @@ impl Keeper {
             worst: self.worst(),
             not_judged,
             frames_lost: stations.iter().map(|s| s.frames_lost).sum(),
+            verdict: Verdict::default(),
+            unwritten: Vec::new(),
             stations,
-        }
+        };
+        status.verdict = self.verdict(&status);
+        status
+    }
+
+    /// What it comes to. The host is looked at anew once in a while only: all its threads are counted then.
+    fn verdict(&mut self, status: &LabStatus) -> Verdict {
+        let is_new = |(at, _): &(Instant, HostFacts)| at.elapsed() < LOOK_AT_HOST_EVERY;
+        let known = self.host.take().filter(is_new);
+        let (_, host) = self.host.insert(known.unwrap_or_else(|| (Instant::now(), self.watch.finish())));
+        let woke_late: Vec<u64> = self.lab.members.iter().map(|member| member.woke_late).collect();
+        let failed = self.lab.capture.failed();
+        verdict::of(status, &woke_late, failed, self.scenario.max_miss_ppm, host)
     }
 
     /// What the host refused the stations, once each.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use rtnet::clock::{EmulatedClock, True};
-use rtnet::discipline::{Cause, Event};
+use rtnet::discipline::{Cause, Event, EventKind};
 use rtnet::live::Record;
 use rtnet::live::clock::monotonic;
 use rtnet::time::{GlobalTime, Span};
@@ -18,7 +18,8 @@ use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::givers::TrueMaster;
 use crate::judge::noteworthy::Noteworthy;
-use crate::judge::outcome::Facts;
+use crate::judge::outcome::{Facts, not_synchronised};
+use crate::judge::verdict::{Reason, Weight};
 use crate::report::histogram::SignedHistogram;
 use crate::station::link::{self, Order, Report, Standing};
 use crate::station::misses::Misses;
@@ -47,6 +48,10 @@ pub struct Member {
     pub sync_error_over_time: Envelope,
     /// How late it was for its sends.
     pub late: SignedHistogram,
+    /// Slots that it was more than a cycle late for, since the begin.
+    pub woke_late: u64,
+    /// From one cycle's start to the next.
+    pub cycle: Span,
     pub failed: Option<String>,
     /// Its process ended before it was told to.
     pub ended: bool,
@@ -79,8 +84,10 @@ pub struct Member {
 }
 
 impl Member {
-    pub fn new(namespace: Namespace) -> Self {
+    pub fn new(namespace: Namespace, cycle: Span) -> Self {
         Self {
+            cycle,
+            woke_late: 0,
             process: None,
             namespace,
             guarded: false,
@@ -281,6 +288,7 @@ impl Member {
             sync_error: self.sync_error.clone(),
             sync_error_over_time: self.sync_error_over_time.clone(),
             late: self.late.clone(),
+            woke_late: Some(self.woke_late),
             resident: self.resident,
             cpu_seconds: self.cpu_seconds,
             rt_cpu_share: self.rt_cpu_share(),
@@ -295,15 +303,16 @@ impl Member {
         }
     }
 
-    fn reproach(&self, name: &str, is_judged: bool) -> Option<String> {
+    fn reproach(&self, name: &str, is_judged: bool) -> Option<Reason> {
+        let wrong = |what| Some(Reason::new(Weight::Wrong, what));
         if let Some(why) = &self.failed {
-            Some(format!("station '{name}' failed: {why}"))
+            wrong(format!("station '{name}' failed: {why}"))
         } else if self.ended {
             let remedy = "its last words, if any, are above; run the lab again";
-            Some(format!("station '{name}' (process {}) was lost: {remedy}", self.pid()))
+            wrong(format!("station '{name}' (process {}) was lost: {remedy}", self.pid()))
         } else {
             let is_lost = is_judged && self.lost_at_end && !self.is_meant_to_end;
-            is_lost.then(|| format!("station '{name}' was not synchronised at the end"))
+            is_lost.then(|| not_synchronised(name))
         }
     }
 
@@ -352,8 +361,11 @@ impl Member {
 
     /// What a reader of the report should know.
     fn remember(&mut self, event: Event, cause: Option<Cause>) {
-        let Event { cycle, kind, .. } = event;
+        let Event { cycle, kind, slot, span } = event;
         if self.counting {
+            let is_late =
+                [EventKind::Overrun, EventKind::GuardDropped, EventKind::StalledInSend].contains(&kind);
+            self.woke_late += u64::from(is_late && slot.is_some() && span > self.cycle);
             *self.events.entry(kind.name().into()).or_default() += 1;
             self.misses.note(&[Record::Event(event, cause)]);
         }

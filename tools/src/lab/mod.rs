@@ -28,9 +28,10 @@ pub(crate) mod run;
 mod tally;
 mod unplugged;
 pub mod userns;
+mod verdict;
 pub(crate) mod wires;
 
 pub use keep::keep;
 pub use load::Core;
 pub use processes::this_program;
-pub use run::{Lab, RunOptions};
+pub use run::{Interrupted, Lab, RunOptions};

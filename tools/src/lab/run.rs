@@ -27,7 +27,7 @@ use crate::judge::analysis::Analysis;
 use crate::judge::explain::Records;
 use crate::judge::givers::TrueMaster;
 use crate::judge::outcome::{self, Outcome, Parts};
-use crate::report::capture::CaptureFile;
+use crate::report::capture::{Capture, CaptureFile};
 use crate::report::host::HostFacts;
 use crate::scenario::Scenario;
 use crate::station::link::{self, Report};
@@ -62,6 +62,11 @@ pub(crate) fn port_name(station: usize) -> String {
     format!("port{station}")
 }
 
+/// Somebody ended it before there was anything to report.
+#[derive(Debug, thiserror::Error)]
+#[error("INTERRUPTED before anything was measured: {0}")]
+pub struct Interrupted(pub(crate) String);
+
 /// How to run a scenario.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
@@ -71,6 +76,8 @@ pub struct RunOptions {
     pub core: Core,
     /// Where to write every frame.
     pub pcap: Option<PathBuf>,
+    /// Where to write how a lab that stayed has ended.
+    pub json: Option<PathBuf>,
     /// Where its stations are to be asked, if they are to be.
     pub home: Option<Home>,
     /// Where labs say what they take of a core.
@@ -92,8 +99,7 @@ pub struct Lab {
     wall: WallClock,
     distrusted_until: Option<Instant>,
     distrusted: u64,
-    capture: Option<CaptureFile>,
-    capture_failed: bool,
+    pub(super) capture: Capture,
     pub(super) analysis: Analysis,
     pub(super) records: Records,
     _warm: Option<WarmCore>,
@@ -118,7 +124,7 @@ impl Lab {
     pub fn run(mut self, scenario: &Scenario) -> Result<Outcome> {
         self.join(scenario)?;
         self.settle(scenario);
-        let host = HostFacts::begin();
+        let host = HostFacts::begin_on(self.cpu);
         self.measure(scenario)?;
         self.end();
         Ok(outcome::of(scenario, self.parts(scenario), host.finish()))
@@ -152,7 +158,7 @@ impl Lab {
             Some(_) => CaptureFile::create,
             None => CaptureFile::replace,
         };
-        let capture = options.pcap.as_deref().map(capture).transpose()?;
+        let capture = Capture::of(options.pcap.as_deref().map(capture).transpose()?);
 
         let mut segment = Segment::new()?;
         let bridge = segment.bridge_name().to_owned();
@@ -162,7 +168,7 @@ impl Lab {
         for station in 0..scenario.stations.len() {
             let namespace = Namespace::new()?;
             segment.attach(&namespace, &port_name(station), INTERFACE, scenario.address(station).0)?;
-            members.push(Member::new(namespace));
+            members.push(Member::new(namespace, scenario.cycle));
         }
         let (wires, unimpaired) = Wires::of(scenario, &segment)?;
         notes.extend(unimpaired);
@@ -196,7 +202,6 @@ impl Lab {
             distrusted_until: None,
             distrusted: 0,
             capture,
-            capture_failed: false,
             analysis,
             records: Records::new(scenario),
             _warm: warm,
@@ -227,7 +232,8 @@ impl Lab {
             self.fail_early(scenario)?;
             let locked = self.members.iter().filter(|member| member.is_locked()).count();
             if self.interrupted.load(Ordering::Relaxed) {
-                bail!("interrupted while {locked} of {} stations were locked", self.members.len());
+                let all = self.members.len();
+                bail!(Interrupted(format!("{locked} of {all} stations were locked")));
             }
             if Instant::now() > deadline {
                 let late = self.members.iter().position(|member| !member.is_locked()).unwrap_or(0);
@@ -322,10 +328,7 @@ impl Lab {
         }
         self.members.iter_mut().for_each(Member::see_it_end);
         self.analysis.finish();
-        if let Some(capture) = self.capture.take() {
-            let finished = capture.finish();
-            self.end_capture_that(finished);
-        }
+        self.capture.finish();
     }
 
     /// Waits a little, and takes what frames and reports there are.
@@ -342,11 +345,8 @@ impl Lab {
         }
         let trusted = self.distrusted_until.is_none_or(|until| Instant::now() > until);
         let Self { ring, wall, analysis, records, capture, distrusted, .. } = self;
-        let mut written = Ok(());
         ring.drain(|frame| {
-            if let (Some(file), true) = (capture.as_mut(), written.is_ok()) {
-                written = file.frame(frame.realtime_ns, frame.bytes, None);
-            }
+            capture.frame(frame.realtime_ns, frame.bytes, None);
             records.note_frame(frame.bytes);
             if trusted {
                 analysis.frame(wall.truth(frame.realtime_ns), frame.bytes);
@@ -354,7 +354,7 @@ impl Lab {
                 *distrusted += 1;
             }
         });
-        self.end_capture_that(written);
+        capture.show();
         while let Ok((station, report)) = self.told.try_recv() {
             self.note_absence(station, report.as_ref());
             if let Some(Report::Times(times)) = &report {
@@ -376,15 +376,6 @@ impl Lab {
     pub(super) fn take_lost(&mut self) {
         let Self { wires, records, .. } = self;
         wires.take_lost(|station, sync, is_cut| records.note_sync_lost(station, sync, is_cut));
-    }
-
-    /// A capture that cannot be written ends there: the lab does not. Nobody takes it for whole.
-    fn end_capture_that(&mut self, written: Result<()>) {
-        if let Err(error) = written {
-            self.capture.take().into_iter().for_each(CaptureFile::give_up);
-            self.capture_failed = true;
-            self.notes.push(format!("the capture is not whole: {error:#}"));
-        }
     }
 
     /// Frames of which nothing is known: lost by the observer, or stamped while the wall clock was set.
@@ -425,10 +416,11 @@ impl Lab {
             stations: self.facts(scenario, is_judged),
             dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),
             // A lost station ends the run, and says so itself.
-            ended_early: interrupted || self.members.iter().any(|member| member.ended),
+            interrupted,
+            ended_early: self.members.iter().any(|member| member.ended),
             wall_steps: self.wall.steps(),
             distrusted: self.distrusted,
-            capture_failed: self.capture_failed,
+            capture_failed: self.capture.failed().map(str::to_owned),
             account: Account::of(scenario, &mut self.analysis, &self.records),
             analysis: self.analysis,
             notes: self.notes,

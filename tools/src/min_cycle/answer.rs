@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::judge::account::PARTS;
 use crate::report::figures::Figures;
 use crate::report::host::HostFacts;
+use crate::report::verdict::Word;
 
 /// What the file says that it is.
 pub const KIND: &str = "rtnet find-min-cycle 2";
@@ -114,10 +115,11 @@ impl Run {
             Purpose::Proof => missed_share,
         };
         let verdict = &figures.verdict;
+        let is_sound = matches!(verdict.word, Word::Ok | Word::Degraded);
         Self {
             cycle_ns,
             purpose,
-            holds: verdict.ok && decides * 1e6 <= f64::from(miss_ppm),
+            holds: is_sound && decides * 1e6 <= f64::from(miss_ppm),
             guard_ns,
             duration_ns,
             slots,
@@ -126,7 +128,7 @@ impl Run {
             usual_share,
             unexplained: figures.unexplained,
             rt_cpu_percent: figures.rt_cpu_percent,
-            note: (!verdict.ok).then(|| verdict.reasons.join("; ")),
+            note: (!is_sound).then(|| verdict.reasons.join("; ")),
         }
     }
 

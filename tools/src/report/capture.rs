@@ -2,7 +2,8 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, ErrorKind, Write};
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -16,7 +17,7 @@ use pcap_file::pcapng::blocks::opt_common::CommonOption;
 use pcap_file::pcapng::blocks::section_header::{SectionHeaderBlock, SectionHeaderOption};
 use pcap_file::{DataLink, Endianness};
 
-use super::draft::Draft;
+use super::draft::{Draft, is_standard_output};
 
 const APPLICATION: &str = concat!("rtnet ", env!("CARGO_PKG_VERSION"));
 
@@ -33,18 +34,26 @@ pub struct CaptureFile {
     writer: Writer,
     /// It is to take the place of what may be there.
     draft: Option<Draft>,
+    /// Somebody may read it while it is written.
+    is_read: bool,
+    /// Whoever read it has had enough.
+    is_closed: bool,
 }
 
 impl CaptureFile {
     /// Makes the file, or empties it, and writes its head: the section, and one Ethernet interface
-    /// whose stamps count nanoseconds.
+    /// whose stamps count nanoseconds. `-` is standard output.
     ///
     /// # Errors
     /// The file cannot be made or written. Names it.
     pub fn create(path: &Path) -> Result<Self> {
-        let file = File::create(path).with_context(|| format!("cannot create {}", path.display()))?;
-        let writer = Writer::new(file).with_context(|| cannot_write(path))?;
-        Ok(Self { path: path.to_owned(), writer, draft: None })
+        match is_standard_output(path) {
+            true => Self::standard_output(),
+            false => {
+                let file = File::create(path).with_context(|| format!("cannot create {}", path.display()))?;
+                Self::begin(path, file, None)
+            }
+        }
     }
 
     /// The same, but what is there stays until this is whole; if it never is, nothing of it remains.
@@ -52,10 +61,23 @@ impl CaptureFile {
     /// # Errors
     /// The file could not be made or written. Names it.
     pub fn replace(path: &Path) -> Result<Self> {
+        if is_standard_output(path) {
+            return Self::standard_output();
+        }
         let (draft, file) =
             Draft::begin(path).with_context(|| format!("cannot create {}", path.display()))?;
+        Self::begin(path, file, Some(draft))
+    }
+
+    fn standard_output() -> Result<Self> {
+        let file = io::stdout().as_fd().try_clone_to_owned().context("cannot write to standard output")?;
+        Self::begin(Path::new("standard output"), File::from(file), None)
+    }
+
+    fn begin(path: &Path, file: File, draft: Option<Draft>) -> Result<Self> {
+        let is_read = file.metadata().is_ok_and(|there| !there.is_file());
         let writer = Writer::new(file).with_context(|| cannot_write(path))?;
-        Ok(Self { path: path.to_owned(), writer, draft: Some(draft) })
+        Ok(Self { path: path.to_owned(), writer, draft, is_read, is_closed: false })
     }
 
     /// Adds a frame, from its destination address on and without the checksum. `realtime_ns` is
@@ -65,21 +87,115 @@ impl CaptureFile {
     /// # Errors
     /// The file cannot be written; it ends in the middle of a frame then. Names it.
     pub fn frame(&mut self, realtime_ns: u64, bytes: &[u8], comment: Option<&str>) -> Result<()> {
-        self.writer.frame(realtime_ns, bytes, comment).with_context(|| cannot_write(&self.path))
+        if self.is_closed {
+            return Ok(());
+        }
+        let written = self.writer.frame(realtime_ns, bytes, comment);
+        self.unless_closed(written)
+    }
+
+    /// Shows what there is so far to whoever reads it meanwhile: from standard output, or a pipe.
+    ///
+    /// # Errors
+    /// See [`CaptureFile::frame`].
+    pub fn show(&mut self) -> Result<()> {
+        if !self.is_read || self.is_closed {
+            return Ok(());
+        }
+        let written = self.writer.0.get_mut().flush().map_err(Into::into);
+        self.unless_closed(written)
+    }
+
+    /// Whether whoever read it has had enough, which is no error.
+    pub fn is_closed(&self) -> bool {
+        self.is_closed
+    }
+
+    fn unless_closed(&mut self, written: Result<()>) -> Result<()> {
+        let is_of_pipe = |error: &anyhow::Error| {
+            error
+                .chain()
+                .filter_map(|cause| cause.downcast_ref::<io::Error>())
+                .any(|cause| cause.kind() == ErrorKind::BrokenPipe)
+        };
+        match written {
+            Err(error) if is_of_pipe(&error) => {
+                self.is_closed = true;
+                Ok(())
+            }
+            other => other.with_context(|| cannot_write(&self.path)),
+        }
     }
 
     /// Writes what is still buffered, and is there.
     ///
     /// # Errors
     /// The file cannot be written. Names it.
-    pub fn finish(self) -> Result<()> {
-        self.writer.0.into_inner().flush().with_context(|| cannot_write(&self.path))?;
+    pub fn finish(mut self) -> Result<()> {
+        if !self.is_closed {
+            let written = self.writer.0.get_mut().flush().map_err(Into::into);
+            self.unless_closed(written)?;
+        }
         self.draft.map_or(Ok(()), Draft::keep).with_context(|| cannot_write(&self.path))
     }
 
     /// It cannot be written any more, and what there is of it is better than nothing.
     pub fn give_up(self) {
         let _ = self.draft.map(Draft::keep);
+    }
+}
+
+/// A capture beside a run, which goes on without it. Why it is not whole is told at the end.
+#[derive(Debug, Default)]
+pub struct Capture {
+    file: Option<CaptureFile>,
+    failed: Option<String>,
+}
+
+impl Capture {
+    /// Into this file, if there is to be one.
+    pub fn of(file: Option<CaptureFile>) -> Self {
+        Self { file, failed: None }
+    }
+
+    /// Whether frames are still written.
+    pub fn goes_on(&self) -> bool {
+        self.file.is_some()
+    }
+
+    /// See [`CaptureFile::frame`].
+    pub fn frame(&mut self, realtime_ns: u64, bytes: &[u8], comment: Option<&str>) {
+        if let Some(file) = &mut self.file {
+            let written = file.frame(realtime_ns, bytes, comment);
+            self.end_if(written);
+        }
+    }
+
+    /// See [`CaptureFile::show`].
+    pub fn show(&mut self) {
+        if let Some(file) = &mut self.file {
+            let written = file.show();
+            self.end_if(written);
+        }
+    }
+
+    /// See [`CaptureFile::finish`].
+    pub fn finish(&mut self) {
+        let finished = self.file.take().map_or(Ok(()), CaptureFile::finish);
+        self.end_if(finished);
+    }
+
+    /// Why it is not whole: the file, and the error.
+    pub fn failed(&self) -> Option<&str> {
+        self.failed.as_deref()
+    }
+
+    /// What cannot be written ends there. What there is of it stays.
+    fn end_if(&mut self, written: Result<()>) {
+        if let Err(error) = written {
+            self.file.take().into_iter().for_each(CaptureFile::give_up);
+            self.failed = Some(format!("{error:#}"));
+        }
     }
 }
 

@@ -1,8 +1,11 @@
 //! Files that are there once they are whole: written beside their place, and then put into it.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde::Serialize;
 
 /// A file to be. Unless it is put into its place, what was there stays, and nothing of it remains.
 #[derive(Debug)]
@@ -58,6 +61,26 @@ impl Drop for Draft {
     }
 }
 
+/// `-` is standard output, as everywhere.
+pub fn is_standard_output(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
+/// See [`write_text`].
+pub fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
+    write_text(path, &(serde_json::to_string_pretty(report)? + "\n"))
+}
+
+/// Writes a file that is there once it is whole.
+pub fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
+    let write = || {
+        let (draft, mut file) = Draft::begin(path)?;
+        file.write_all(text.as_bytes())?;
+        draft.keep()
+    };
+    write().with_context(|| format!("{} cannot be written", path.display()))
+}
+
 /// Whether it can be written; nothing of it remains, and nothing of what is there is lost.
 pub fn can_be_written(path: &Path) -> io::Result<()> {
     // Who reads from a pipe is not to find its end already.
@@ -73,7 +96,6 @@ pub fn can_be_written(path: &Path) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::Write;
 
     fn names(directory: &Path) -> Vec<String> {
         let entries = fs::read_dir(directory).unwrap();

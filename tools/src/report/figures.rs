@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::histogram::Summary;
 use super::host::HostFacts;
+pub use super::verdict::Verdict;
 use crate::judge::masters::{Rivals, Takeover};
 
 /// A whole run.
@@ -61,8 +62,11 @@ pub struct Figures {
     pub per_station: Vec<StationFigures>,
     /// What the run took place on.
     pub host: HostFacts,
-    /// Whether the run kept what it promises.
+    /// What the run comes to, and why.
     pub verdict: Verdict,
+    /// So many of a million slots each station might miss, where no expectation decides.
+    #[serde(default)]
+    pub max_miss_ppm: u32,
     /// Processor time of all real-time threads, in per cent of one core.
     pub rt_cpu_percent: f64,
     /// How often the host's clock was seen to jump.
@@ -249,22 +253,6 @@ impl fmt::Display for GuardName {
 impl From<bool> for GuardName {
     fn from(is_guarded: bool) -> Self {
         if is_guarded { GuardName::Kernel } else { GuardName::User }
-    }
-}
-
-/// Whether a run kept what it promises.
-#[derive(Clone, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
-pub struct Verdict {
-    /// It did.
-    pub ok: bool,
-    /// Why not; one sentence each, without a full stop.
-    pub reasons: Vec<String>,
-}
-
-impl Verdict {
-    /// Good without a reason against it.
-    pub fn from_reasons(reasons: Vec<String>) -> Self {
-        Self { ok: reasons.is_empty(), reasons }
     }
 }
 

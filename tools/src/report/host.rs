@@ -2,9 +2,15 @@
 
 use std::env::consts::ARCH;
 use std::fs;
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use super::others::Others;
+pub use super::others::RealTimeThread;
+
+/// `/proc/stat` counts hundredths of a second on every architecture.
+const NANOS_IN_A_TICK: u64 = 10_000_000;
 /// What a run in virtual time has instead of a kernel.
 const VIRTUAL_TIME: &str = "virtual time";
 
@@ -30,6 +36,15 @@ pub struct HostFacts {
     /// Time in the run that the hypervisor gave to others, all processors together, in clock ticks
     /// (of 10 ms, mostly).
     pub steal_ticks: Option<u64>,
+    /// The core of the run's real-time threads, where they have one.
+    #[serde(default)]
+    pub core: Option<usize>,
+    /// The share of that core's time that the hypervisor gave to others, in parts per million.
+    #[serde(default)]
+    pub core_steal_ppm: Option<u64>,
+    /// Real-time threads of others that ran on that core meanwhile, the busiest first.
+    #[serde(default)]
+    pub other_real_time: Vec<RealTimeThread>,
     /// The version of this program.
     pub rtnet: String,
 }
@@ -37,7 +52,12 @@ pub struct HostFacts {
 impl HostFacts {
     /// Starts to watch the host; the facts are there at [`HostWatch::finish`].
     pub fn begin() -> HostWatch {
-        HostWatch { steal_at_start: steal_now() }
+        HostWatch { steal_at_start: steal_now("cpu"), core: None }
+    }
+
+    /// The same, and the core of the run's real-time threads: what others took of it.
+    pub fn begin_on(core: usize) -> HostWatch {
+        HostWatch { core: Some(CoreWatch::begin(core)), ..Self::begin() }
     }
 
     /// Of a run in virtual time, which no host has any part in.
@@ -56,15 +76,43 @@ impl HostFacts {
 #[must_use]
 pub struct HostWatch {
     steal_at_start: Option<u64>,
+    core: Option<CoreWatch>,
+}
+
+#[derive(Debug)]
+struct CoreWatch {
+    core: usize,
+    since: Instant,
+    steal_at_start: Option<u64>,
+    others: Others,
+}
+
+impl CoreWatch {
+    fn begin(core: usize) -> Self {
+        let steal_at_start = steal_now(&format!("cpu{core}"));
+        Self { core, since: Instant::now(), steal_at_start, others: Others::watch(core) }
+    }
+
+    /// The share of the core's time that was stolen, and what other real-time threads took of it.
+    fn shares(&self) -> (Option<u64>, Vec<RealTimeThread>) {
+        let passed = self.since.elapsed();
+        let stolen = steal_now(&format!("cpu{}", self.core))
+            .zip(self.steal_at_start)
+            .map(|(end, start)| end.saturating_sub(start).saturating_mul(NANOS_IN_A_TICK));
+        let share = |ns: u64| (u128::from(ns) * 1_000_000 / passed.as_nanos().max(1)) as u64;
+        (stolen.map(share), self.others.since(passed))
+    }
 }
 
 impl HostWatch {
-    /// The facts, with the time stolen since [`HostFacts::begin`].
-    pub fn finish(self) -> HostFacts {
+    /// The facts so far, with what others took since [`HostFacts::begin`].
+    pub fn finish(&self) -> HostFacts {
         let version = read("/proc/version").unwrap_or_default();
         let cpuinfo = read("/proc/cpuinfo").unwrap_or_default();
         let unknown = || "unknown".to_owned();
-        let steal_ticks = steal_now().zip(self.steal_at_start).map(|(end, start)| end.saturating_sub(start));
+        let (core_steal_ppm, other_real_time) = self.core.as_ref().map(CoreWatch::shares).unwrap_or_default();
+        let steal_ticks =
+            steal_now("cpu").zip(self.steal_at_start).map(|(end, start)| end.saturating_sub(start));
         HostFacts {
             kernel: read("/proc/sys/kernel/osrelease").unwrap_or_else(unknown),
             preemption: preemption(
@@ -80,6 +128,9 @@ impl HostWatch {
             idle_driver: read("/sys/devices/system/cpu/cpuidle/current_driver"),
             rt_runtime_us: read("/proc/sys/kernel/sched_rt_runtime_us").and_then(|text| text.parse().ok()),
             steal_ticks,
+            core: self.core.as_ref().map(|watch| watch.core),
+            core_steal_ppm,
+            other_real_time,
             rtnet: env!("CARGO_PKG_VERSION").to_owned(),
         }
     }
@@ -91,14 +142,16 @@ fn read(path: &str) -> Option<String> {
     Some(text.trim().to_owned()).filter(|text| !text.is_empty())
 }
 
-fn steal_now() -> Option<u64> {
-    steal(&read("/proc/stat")?)
+/// Of one core, `cpu1`, or of all together, `cpu`.
+fn steal_now(of: &str) -> Option<u64> {
+    steal(&read("/proc/stat")?, of)
 }
 
-/// The eighth figure of the first line, after `cpu user nice system idle iowait irq softirq`.
-fn steal(stat: &str) -> Option<u64> {
-    let all = stat.lines().next()?.strip_prefix("cpu ")?;
-    all.split_ascii_whitespace().nth(7)?.parse().ok()
+/// The eighth figure of a line, after `cpu user nice system idle iowait irq softirq`.
+fn steal(stat: &str, of: &str) -> Option<u64> {
+    let mut lines = stat.lines().map(str::split_ascii_whitespace);
+    let mut figures = lines.find_map(|mut words| (words.next() == Some(of)).then_some(words))?;
+    figures.nth(7)?.parse().ok()
 }
 
 /// From `/proc/version`, `/sys/kernel/realtime` and the scheduler's `preempt`, in which the mode in
@@ -146,10 +199,13 @@ mod tests {
     }
 
     #[test]
-    fn steal_is_the_eighth_figure_of_all_processors() {
-        assert_eq!(steal("cpu  63766 0 8119 309701 1047 0 98 4196 0 0\ncpu0 1 2 3\n"), Some(4196));
-        assert_eq!(steal("cpu  63766 0 8119\n"), None);
-        assert_eq!(steal(""), None);
+    fn steal_is_the_eighth_figure_of_its_line() {
+        let stat = "cpu  63766 0 8119 309701 1047 0 98 4196 0 0\ncpu0 1 2 3\ncpu1 1 2 3 4 5 6 7 8 9\n";
+        assert_eq!(
+            ["cpu", "cpu0", "cpu1", "cpu11"].map(|of| steal(stat, of)),
+            [Some(4196), None, Some(8), None]
+        );
+        assert_eq!(steal("", "cpu"), None);
     }
 
     #[test]

@@ -6,6 +6,8 @@ pub mod figures;
 pub mod histogram;
 pub mod host;
 pub mod html;
+mod others;
 pub(crate) mod recorded;
 pub mod screen;
 pub(crate) mod text;
+pub mod verdict;

@@ -8,11 +8,12 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use super::figures::{Figures, GuardName, Miss, QueueingFigures, StationFigures, Verdict};
+use super::figures::{Figures, GuardName, Miss, QueueingFigures, StationFigures};
 use super::histogram::{SignedHistogram, Summary};
 use super::host::HostFacts;
 use super::text::{
-    Column, about, cut, duration, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
+    Column, about, cut, duration, grouped, list, micros, micros_or_dash, paragraph, percent, signed_time,
+    table,
 };
 use crate::judge::masters::Rivals;
 
@@ -24,6 +25,9 @@ const MISSES_SHOWN: usize = 10;
 
 /// How often two gave the time at once, the last times; more are in the JSON report.
 const RIVALS_SHOWN: usize = 3;
+
+/// Other real-time threads shown, the busiest; more are in the JSON report.
+const OTHERS_SHOWN: usize = 3;
 
 /// Longer names of stations are cut in the tables.
 const NAME_MAX: usize = 12;
@@ -46,7 +50,7 @@ pub fn render(figures: &Figures, width: usize, histogram: &SignedHistogram) -> S
         misses(figures, width),
         notes(figures, width),
         host_lines(&figures.host, Some(guard_words(&figures.per_station)), width),
-        verdict_lines(&figures.verdict, &verdict_words(figures), width),
+        figures.verdict.lines(&well(figures), width),
     ])
 }
 
@@ -360,9 +364,23 @@ pub(crate) fn host_items(host: &HostFacts, more: Option<String>) -> Vec<String> 
         Err(_) => "no rt throttling".to_owned(),
     }));
     items.extend(host.steal_ticks.map(|ticks| format!("steal {} ticks", grouped(ticks))));
+    items.extend(beside(host));
     items.extend(more);
     items.push(format!("rtnet {}", host.rtnet));
     items
+}
+
+/// What others took of the core of the real-time threads.
+fn beside(host: &HostFacts) -> Vec<String> {
+    let Some(core) = host.core else { return Vec::new() };
+    let stolen = host.core_steal_ppm.map(|ppm| format!("{} of cpu {core} stolen", percent(ppm)));
+    let others: Vec<String> =
+        host.other_real_time.iter().take(OTHERS_SHOWN).map(ToString::to_string).collect();
+    let others = match others.len() {
+        0 => format!("no other real-time thread ran on cpu {core}"),
+        _ => format!("other real-time threads on cpu {core}: {}", others.join(" + ")),
+    };
+    stolen.into_iter().chain([others]).collect()
 }
 
 /// What enforced the slots, and where.
@@ -375,35 +393,20 @@ pub(crate) fn guard_words(stations: &[StationFigures]) -> String {
     }
 }
 
-/// Its last line says it all; reasons that do not fit that line stand above it.
-pub(crate) fn verdict_lines(verdict: &Verdict, in_one: &str, width: usize) -> Vec<String> {
-    if verdict.ok || in_one.chars().count() <= width {
-        return vec![cut(in_one, width)];
-    }
-    let reasons = &verdict.reasons;
-    let mut lines: Vec<_> = reasons.iter().flat_map(|reason| paragraph("- ", reason, width)).collect();
-    lines.push(format!("NOT OK: {} reasons, above", reasons.len()));
-    lines
-}
-
-/// The verdict in one line, however long.
-pub(crate) fn verdict_words(figures: &Figures) -> String {
-    if figures.verdict.ok {
-        let counts = format!("{} of {}", grouped(figures.frames_seen), grouped(figures.frames_expected));
-        match (figures.slots_missed, figures.out_of_slot + figures.overlaps) {
-            // Only a scenario expects that.
-            _ if figures.unexplained > 0 => {
-                format!("OK: as expected, {counts} frames seen; {} unexplained", grouped(figures.unexplained))
-            }
-            (0, 0) => format!("OK: every frame in its slot, {counts} seen"),
-            (missed, 0) => format!("OK: every frame seen in its slot, {counts}; {} missed", grouped(missed)),
-            (missed, stray) => format!(
-                "OK: nothing unexplained, {counts} frames seen; {} missed, {} out of slot or overlapping",
-                grouped(missed),
-                grouped(stray)
-            ),
+/// What a run that is well has shown.
+pub(crate) fn well(figures: &Figures) -> String {
+    let counts = format!("{} of {}", grouped(figures.frames_seen), grouped(figures.frames_expected));
+    match (figures.slots_missed, figures.out_of_slot + figures.overlaps) {
+        // Only a scenario expects that.
+        _ if figures.unexplained > 0 => {
+            format!("as expected, {counts} frames seen; {} unexplained", grouped(figures.unexplained))
         }
-    } else {
-        format!("NOT OK: {}", figures.verdict.reasons.join("; "))
+        (0, 0) => format!("every frame in its slot, {counts} seen"),
+        (missed, 0) => format!("every frame seen in its slot, {counts}; {} missed", grouped(missed)),
+        (missed, stray) => format!(
+            "as expected, {counts} frames seen; {} missed, {} out of slot or overlapping",
+            grouped(missed),
+            grouped(stray)
+        ),
     }
 }

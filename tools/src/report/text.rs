@@ -160,3 +160,14 @@ pub(crate) fn table(columns: &[Column], width: usize) -> Vec<String> {
     }
     lines
 }
+
+/// A share in words: `0.5 %`, `12 %`.
+pub fn percent(ppm: u64) -> String {
+    let digits = match ppm {
+        0..1_000 => 4,
+        1_000..10_000 => 2,
+        _ => 1,
+    };
+    let text = format!("{:.digits$}", ppm as f64 / 1e4);
+    format!("{} %", text.trim_end_matches('0').trim_end_matches('.'))
+}

@@ -9,8 +9,10 @@ use rtnet::time::Span;
 use serde::Serialize;
 
 use super::judge::{Judged, Seat};
+use super::verdict::{self, Observed};
 use crate::judge::closely::regular::Largest;
 use crate::judge::delivery::{Delivery, Passed};
+use crate::judge::verdict::Reason;
 use crate::report::figures::{QueueingFigures, Verdict};
 use crate::report::histogram::{SignedHistogram, Summary};
 use crate::report::host::HostFacts;
@@ -74,7 +76,7 @@ pub struct RingFigures {
     pub notes: Vec<String>,
     /// What the run took place on.
     pub host: HostFacts,
-    /// Whether the run kept what it promises.
+    /// What the run comes to, and why.
     pub verdict: Verdict,
     /// The seed of a run in virtual time.
     pub seed: Option<u64>,
@@ -181,7 +183,7 @@ pub struct Known {
     /// See [`RingStation::notes`].
     pub notes: Vec<String>,
     /// What speaks against the run.
-    pub reproach: Option<String>,
+    pub reproach: Option<Reason>,
 }
 
 impl RingKept {
@@ -218,6 +220,7 @@ pub fn of(
     judged: Judged,
     known: &[Known],
     (begin, measured_ns): (u64, u64),
+    seen: &Observed,
     host: HostFacts,
 ) -> RingFigures {
     let RingScenario { ring, network } = scenario;
@@ -259,7 +262,7 @@ pub fn of(
         seed: None,
         kept: RingKept::of(&judged.seats, network.conditions.joint),
     };
-    figures.verdict = verdict(scenario, &judged, known, &figures);
+    figures.verdict = verdict::of(scenario, &judged, known, seen, &figures);
     figures
 }
 
@@ -333,32 +336,6 @@ fn recoveries(scenario: &RingScenario, judged: &Judged, begin: u64) -> Vec<Recov
     all.sort_by_key(|of| (of.cause != "unexplained", -of.took_ns, of.at_ns));
     all.truncate(LISTED_MAX);
     all
-}
-
-/// It is well if nothing is unexplained or lost, and everything was within its bound that is only for hosts that are in time.
-fn verdict(scenario: &RingScenario, judged: &Judged, known: &[Known], figures: &RingFigures) -> Verdict {
-    let mut reasons: Vec<String> = known.iter().filter_map(|known| known.reproach.clone()).collect();
-    let mut reason = |holds: bool, what: String| reasons.extend((!holds).then_some(what));
-    let lost = figures.frames_lost - figures.lost_on_purpose;
-    reason(figures.frames_seen > 0, "nobody sent anything".into());
-    reason(figures.unexplained == 0, format!("{} unexplained", figures.unexplained));
-    reason(figures.payload_errors == 0, format!("{} payload errors", figures.payload_errors));
-    reason(lost == 0, format!("{lost} frames were on the medium and did not reach their receiver"));
-    // Who was later than a host may be has cost more than the bounds say.
-    if judged.seats.iter().all(|seat| seat.late == 0) {
-        if let Some((longest, bound)) = judged.undisturbed {
-            reason(
-                longest <= bound,
-                format!("a round took {longest}, and {bound} at the most were promised"),
-            );
-        }
-        let beyond = judged.recoveries.iter().filter(|of| of.took() > of.bound(&scenario.ring));
-        if let Some(of) = beyond.max_by_key(|of| of.took()) {
-            let (took, bound) = (of.took(), of.bound(&scenario.ring));
-            reason(false, format!("the token was back after {took}, and {bound} at the most were promised"));
-        }
-    }
-    Verdict { ok: reasons.is_empty(), reasons }
 }
 
 /// A time in nanoseconds, in words.

@@ -20,16 +20,17 @@ use self::member::{Member, arguments};
 use self::play::Play;
 use super::figures::{self, RingFigures};
 use super::judge::Judge;
+use super::verdict::Observed;
 use crate::control::Load;
 use crate::lab::faults::only_simulated;
 use crate::lab::launch::clock;
 use crate::lab::load::too_much;
 use crate::lab::namespace::{Namespace, Segment};
 use crate::lab::processes::{Process, Told};
-use crate::lab::run::{INTERFACE, port_name};
+use crate::lab::run::{INTERFACE, Interrupted, port_name};
 use crate::lab::wires::Wires;
 use crate::lab::{Core, RunOptions};
-use crate::report::capture::CaptureFile;
+use crate::report::capture::{Capture, CaptureFile};
 use crate::report::host::{HostFacts, HostWatch};
 use crate::report::text::about;
 use crate::scenario::RingScenario;
@@ -59,7 +60,7 @@ struct Lab<'a> {
     ring: CaptureRing,
     wall: WallClock,
     distrusted_until: Option<Instant>,
-    capture: Option<CaptureFile>,
+    capture: Capture,
     judge: Judge,
     _warm: Option<WarmCore>,
     _declared: Option<Load>,
@@ -77,7 +78,7 @@ struct Lab<'a> {
 pub fn run(scenario: &RingScenario, options: &RunOptions) -> Result<RingFigures> {
     let mut lab = Lab::set_up(scenario, options)?;
     lab.join()?;
-    let host = HostFacts::begin();
+    let host = HostFacts::begin_on(lab.cpu);
     let measured = lab.measure()?;
     lab.end();
     Ok(lab.figures(measured, host))
@@ -101,7 +102,7 @@ impl<'a> Lab<'a> {
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone())?;
         }
-        let capture = options.pcap.as_deref().map(CaptureFile::replace).transpose()?;
+        let capture = Capture::of(options.pcap.as_deref().map(CaptureFile::replace).transpose()?);
         let mut segment = Segment::new()?;
         let bridge = segment.bridge_name().to_owned();
         let ring = segment.namespace().run(|| CaptureRing::open(&bridge, CaptureConfig::default()))??;
@@ -179,7 +180,8 @@ impl<'a> Lab<'a> {
             }
             let here = self.members.iter().filter(|member| member.takes_part()).count();
             if self.interrupted.load(Ordering::Relaxed) {
-                bail!("interrupted while {here} of {} stations took part", self.members.len());
+                let all = self.members.len();
+                bail!(Interrupted(format!("{here} of {all} stations took part")));
             }
             if Instant::now() > deadline {
                 let late = self.members.iter().position(|member| !member.takes_part()).unwrap_or(0);
@@ -232,9 +234,7 @@ impl<'a> Lab<'a> {
             self.look();
         }
         self.members.iter_mut().for_each(Member::see_it_end);
-        if let Some(Err(error)) = self.capture.take().map(CaptureFile::finish) {
-            self.notes.push(format!("the capture is not whole: {error:#}"));
-        }
+        self.capture.finish();
     }
 
     /// Waits a little, and takes what frames and reports there are.
@@ -247,19 +247,13 @@ impl<'a> Lab<'a> {
         }
         let trusted = self.distrusted_until.is_none_or(|until| Instant::now() > until);
         let Self { ring, wall, judge, capture, .. } = self;
-        let mut written = Ok(());
         ring.drain(|frame| {
-            if let (Some(file), true) = (capture.as_mut(), written.is_ok()) {
-                written = file.frame(frame.realtime_ns, frame.bytes, None);
-            }
+            capture.frame(frame.realtime_ns, frame.bytes, None);
             if trusted {
                 judge.frame(wall.truth(frame.realtime_ns), frame.bytes);
             }
         });
-        if let Err(error) = written {
-            self.capture.take().into_iter().for_each(CaptureFile::give_up);
-            self.notes.push(format!("the capture is not whole: {error:#}"));
-        }
+        capture.show();
         while let Ok((station, report)) = self.told.try_recv() {
             if let Some(Report::Events(events)) = &report {
                 for (_, kind, ..) in link::told(station, events) {
@@ -284,14 +278,14 @@ impl<'a> Lab<'a> {
         });
         let known: Vec<_> = known.collect();
         let judged = self.judge.finish(monotonic());
-        let mut figures = figures::of(self.scenario, judged, &known, (begin, end - begin), host.finish());
+        let seen = Observed {
+            dropped,
+            capture_failed: self.capture.failed().map(str::to_owned),
+            interrupted: self.interrupted.load(Ordering::Relaxed),
+        };
+        let mut figures =
+            figures::of(self.scenario, judged, &known, (begin, end - begin), &seen, host.finish());
         figures.notes = self.notes;
-        if dropped > 0 {
-            let what =
-                format!("{dropped} frames were lost by the observer, so that nothing is known of them");
-            figures.verdict.reasons.push(what);
-            figures.verdict.ok = false;
-        }
         figures
     }
 

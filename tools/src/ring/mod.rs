@@ -15,6 +15,7 @@ pub mod plan;
 mod recovery;
 mod screen;
 mod sim;
+mod verdict;
 
 pub use figures::{RingFigures, RingStation};
 pub use lab::run as run_live;

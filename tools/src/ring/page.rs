@@ -4,12 +4,12 @@
 mod indicators;
 
 use super::figures::RingFigures;
-use super::screen::{counts, facts, kinds, notes_of, queueing_words, verdict_words, who, words};
+use super::screen::{counts, facts, kinds, notes_of, queueing_words, well, who, words};
 use crate::report::histogram::SignedHistogram;
 use crate::report::html::latency::{self, Plot};
 use crate::report::html::markup::{Table, count, escape, section, us};
 use crate::report::html::series::Series;
-use crate::report::html::shell;
+use crate::report::html::{shell, verdict};
 use crate::report::screen::host_items;
 use crate::report::text::signed_time;
 
@@ -26,7 +26,7 @@ pub fn page(title: &str, figures: &RingFigures) -> String {
         section("told", "What else there is to say", "", &listed(&notes_of(figures))),
         section("host", "Host", "", &listed(&host_items(&figures.host, None))),
     ];
-    shell(title, figures.verdict.ok, &body.concat())
+    shell(title, &figures.verdict, &body.concat())
 }
 
 const LEFT_OUT: &str = "A ring has no slots and no master’s time: there is no slot error, no picture of cycles and no sync error here.";
@@ -58,8 +58,6 @@ fn rounds(figures: &RingFigures) -> String {
 
 fn head(title: &str, figures: &RingFigures) -> String {
     let items: String = facts(figures).iter().map(|fact| format!("<li>{}</li>", escape(fact))).collect();
-    let (class, all) = (if figures.verdict.ok { "ok" } else { "bad" }, verdict_words(figures));
-    let (word, rest) = all.split_once(": ").unwrap_or((&all, ""));
     let three = [
         (
             "Frames seen",
@@ -95,10 +93,9 @@ fn head(title: &str, figures: &RingFigures) -> String {
         )
     });
     format!(
-        "<header>\n<h1>{}</h1>\n<ul class=\"facts\">{items}</ul>\n<div class=\"verdict {class}\"><strong>{word}</strong> <div>{}</div></div>\n\
-         <dl class=\"three\">\n{}</dl>\n</header>\n",
+        "<header>\n<h1>{}</h1>\n<ul class=\"facts\">{items}</ul>\n{}<dl class=\"three\">\n{}</dl>\n</header>\n",
         escape(title),
-        escape(rest),
+        verdict(&figures.verdict, &well(figures)),
         three.concat()
     )
 }

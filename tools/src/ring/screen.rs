@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::figures::{RecoveryFigures, RingFigures, RingStation, span};
 use crate::report::figures::QueueingFigures;
 use crate::report::histogram::Summary;
-use crate::report::screen::{WIDTH_MIN, host_lines, sections, verdict_lines};
+use crate::report::screen::{WIDTH_MIN, host_lines, sections};
 use crate::report::text::{
     Column, about, cut, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
@@ -25,7 +25,7 @@ pub fn render(figures: &RingFigures, width: usize) -> String {
         misses(figures, width),
         notes(figures, width),
         host_lines(&figures.host, None, width),
-        verdict_lines(&figures.verdict, &verdict_words(figures), width),
+        figures.verdict.lines(&well(figures), width),
     ])
 }
 
@@ -203,16 +203,13 @@ fn is_own(kind: &str) -> bool {
     !["token_repeated", "station_skipped", "token_claimed"].contains(&kind)
 }
 
-/// The verdict in one line, however long.
-pub(super) fn verdict_words(figures: &RingFigures) -> String {
-    if !figures.verdict.ok {
-        return format!("NOT OK: {}", figures.verdict.reasons.join("; "));
-    }
+/// What a ring that is well has shown.
+pub(super) fn well(figures: &RingFigures) -> String {
     let (frames, lost) = (grouped(figures.frames_seen), figures.recovery_ns.n);
     match lost {
-        0 => format!("OK: {frames} frames seen, no two at once, and no token lost"),
+        0 => format!("{frames} frames seen, no two at once, and no token lost"),
         _ => format!(
-            "OK: nothing unexplained, {frames} frames seen; the token lost and found {}",
+            "nothing unexplained, {frames} frames seen; the token lost and found {}",
             times_words(lost)
         ),
     }

@@ -17,8 +17,9 @@ use rtnet::time::Span;
 
 use super::figures::{self, Known, RingFigures};
 use super::judge::Judge;
+use super::verdict::{Observed, no_part};
 use crate::judge::delivery::{Delivery, Heard, Meant};
-use crate::report::capture::CaptureFile;
+use crate::report::capture::{Capture, CaptureFile};
 use crate::report::host::HostFacts;
 use crate::scenario::{Act, Happening, Part, RingScenario, acts};
 use crate::sim::world::{self, Counted, EPOCH, UPTIME};
@@ -44,8 +45,7 @@ pub fn run(scenario: &RingScenario, options: &Options) -> Result<RingFigures> {
 /// What is known of a run.
 struct Watch {
     judge: Judge,
-    capture: Option<CaptureFile>,
-    capture_failed: Option<anyhow::Error>,
+    capture: Capture,
     /// Test traffic that was lost on purpose, by receiver.
     meant: Vec<BTreeMap<Option<u8>, Meant>>,
     /// Who is stopped, and has no room for all that comes.
@@ -69,11 +69,7 @@ struct Run<'a> {
 impl Watch {
     fn aired(&mut self, aired: &Aired<'_>) {
         let realtime = EPOCH.nanos() + (aired.at - UPTIME);
-        if let Some(file) = &mut self.capture
-            && let Err(error) = file.frame(realtime, aired.bytes, None)
-        {
-            (self.capture, self.capture_failed) = (None, Some(error));
-        }
+        self.capture.frame(realtime, aired.bytes, None);
         self.judge.frame(aired.at, aired.bytes);
     }
 
@@ -99,8 +95,7 @@ impl<'a> Run<'a> {
         let clocks: Vec<_> = (0..n).map(|id| network.member(id).clock).collect();
         let watch = Watch {
             judge: Judge::new(scenario.ring.clone(), plan, &clocks),
-            capture: options.pcap.as_deref().map(CaptureFile::replace).transpose()?,
-            capture_failed: None,
+            capture: Capture::of(options.pcap.as_deref().map(CaptureFile::replace).transpose()?),
             meant: vec![BTreeMap::new(); n],
             stopped: vec![false; n],
         };
@@ -271,15 +266,14 @@ impl<'a> Run<'a> {
         let known: Vec<Known> = (0..self.present.len()).map(|id| self.known(id)).collect();
         let now = self.network.now();
         self.network.forget_watchers();
-        let watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
-        if let Some(error) = watch.capture_failed {
-            return Err(error);
-        }
-        watch.capture.map_or(Ok(()), CaptureFile::finish)?;
+        let mut watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
+        watch.capture.finish();
         let (begin, end) = self.measured;
         let judged = watch.judge.finish(now);
+        let seen =
+            Observed { capture_failed: watch.capture.failed().map(str::to_owned), ..Observed::default() };
         let host = HostFacts::of_virtual_time();
-        let figures = figures::of(self.scenario, judged, &known, (begin, end - begin), host);
+        let figures = figures::of(self.scenario, judged, &known, (begin, end - begin), &seen, host);
         Ok(RingFigures { seed: Some(self.scenario.network.seed), ..figures })
     }
 
@@ -308,8 +302,7 @@ impl<'a> Run<'a> {
             refusals: refusals.chain(no_room).map(|(why, n)| (why.to_owned(), n)).collect(),
             queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
             notes: Vec::new(),
-            reproach: (self.present[id] && !takes_part)
-                .then(|| format!("station '{name}' had no part in the ring at the end")),
+            reproach: (self.present[id] && !takes_part).then(|| no_part(name)),
         }
     }
 }

@@ -151,6 +151,16 @@ impl Conditions {
         *self == Conditions::default()
     }
 
+    /// Whether its events hold a station up, or set the clock by which it is late.
+    pub fn holds_up(&self, station: usize) -> bool {
+        self.events.iter().any(|event| match &event.what {
+            Happening::Stop(stations, _) | Happening::Stall(stations, _) | Happening::Clock(stations, ..) => {
+                stations.contains(&station)
+            }
+            _ => false,
+        })
+    }
+
     /// Stations in the order that `place` gives each: the numbers in here are of the order before.
     pub fn renumber(&mut self, place: impl Fn(usize) -> usize) {
         let all =

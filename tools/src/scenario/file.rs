@@ -7,6 +7,7 @@
 //! sync_window = "50us"      # default: this; as long as a slot where no station says where its slots are
 //! guard = "20us"            # default: what the closest slots leave; "0us" is none at all, which no network holds
 //! duration = "10s"
+//! max_miss = "0.5%"         # each station may miss so many of its slots, where no expectation decides: more is DEGRADED
 //! seed = 1
 //! late = "skip"             # or "send", as RTnet does
 //! slot_guard = "auto"       # or "kernel", "user": what keeps stations from sending later
@@ -66,11 +67,12 @@ pub use source::{FileError, Place, Source, read_text};
 use stations::{FileRole, StationFile};
 
 use super::{
-    Conditions, DEFAULT_RATE, DelayName, Network, Scenario, ServoName, SlotGuard, default_sync_window,
+    Conditions, DEFAULT_RATE, DelayName, MAX_MISS_PPM, Network, Scenario, ServoName, SlotGuard,
+    default_sync_window,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
-use crate::units::{FileRate, GuardBand, PositiveSpan};
+use crate::units::{FileRate, GuardBand, PositiveSpan, Share};
 
 const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_PAYLOAD: usize = 64;
@@ -112,6 +114,7 @@ struct NetworkFile {
     guard: Option<GuardBand>,
     duration: Option<PositiveSpan>,
     seed: Option<u64>,
+    max_miss: Option<Share>,
     late: Option<Late>,
     slot_guard: Option<SlotGuard>,
     servo: Option<ServoName>,
@@ -180,6 +183,7 @@ impl Source<'_> {
             guard: asked.unwrap_or(Span::ZERO),
             duration: network.duration.map_or(DEFAULT_DURATION, |duration| duration.0),
             seed: network.seed.unwrap_or(1),
+            max_miss_ppm: network.max_miss.map_or(MAX_MISS_PPM, |share| share.0),
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
             slot_guard: network.slot_guard.unwrap_or_default(),
             servo: network.servo.unwrap_or_default(),

@@ -53,6 +53,8 @@ const SYNC_WINDOW_OF_AIR: i64 = 4;
 const CLOCK_OFFSET: Span = Span::from_millis(1_000);
 /// And drift by up to 50 ppm.
 const CLOCK_DRIFT_PPB: i64 = 50_000;
+/// Slots that a station may miss of a million where nothing else is said: 0.5 %.
+pub const MAX_MISS_PPM: u32 = 5_000;
 /// Each takes some 0.2 MB of a simulation: that many are what a usual host has the memory for.
 pub const MAX_STATIONS: usize = 10_000;
 /// What one host holds as processes and interfaces, by far.
@@ -77,6 +79,8 @@ pub struct Scenario {
     pub duration: Span,
     /// Everything random follows from it.
     pub seed: u64,
+    /// Of a million slots each station may miss so many, where no expectation decides.
+    pub max_miss_ppm: u32,
     /// What stations do with a slot that has passed.
     pub late: LatePolicy,
     /// What keeps stations from sending later than that.

@@ -7,7 +7,7 @@ use rtmac::token::{LONGEST_FRAME, RingConfig, RingRefused};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
-use super::{Conditions, Scenario, ServoName, SlotGuard, StationPlan};
+use super::{Conditions, MAX_MISS_PPM, Scenario, ServoName, SlotGuard, StationPlan};
 
 /// A network, by what its stations share the medium.
 // There is one at a time.
@@ -78,6 +78,7 @@ impl RingScenario {
             guard: Span::ZERO,
             duration,
             seed,
+            max_miss_ppm: MAX_MISS_PPM,
             late: LatePolicy::Skip,
             slot_guard: SlotGuard::Auto,
             servo: ServoName::Linear,

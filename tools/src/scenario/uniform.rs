@@ -9,8 +9,8 @@ use vnic::peers::Prefix;
 
 use super::places::{self, TooSmall};
 use super::{
-    Conditions, MAX_STATIONS, MIN_PAYLOAD, SYNC_WINDOW, SYNC_WINDOW_PARTS, Scenario, ServoName, SlotGuard,
-    SlotPlan, StationPlan, VnicPlan,
+    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, SYNC_WINDOW, SYNC_WINDOW_PARTS, Scenario, ServoName,
+    SlotGuard, SlotPlan, StationPlan, VnicPlan,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
@@ -127,6 +127,7 @@ impl Uniform {
             guard,
             duration,
             seed,
+            max_miss_ppm: MAX_MISS_PPM,
             late,
             slot_guard,
             servo,

@@ -4,7 +4,8 @@ use serde::Serialize;
 
 use super::figures::{SimFigures, Simulation};
 use super::places::Places;
-use crate::report::figures::{Figures, QueueingFigures, Verdict};
+use crate::judge::verdict::{Reason, Weight};
+use crate::report::figures::{Figures, QueueingFigures};
 use crate::scenario::{Expectation, Measure, Scenario};
 
 /// What "never" is as a figure.
@@ -36,6 +37,9 @@ pub struct Checked {
     pub holds: bool,
     /// Where to look first, if it is not.
     pub cycle: Option<u32>,
+    /// How much that weighs.
+    #[serde(skip)]
+    pub weight: Weight,
 }
 
 /// What a lab can show of the expectations of its scenario: it knows nothing of what only a simulation measures.
@@ -69,6 +73,7 @@ fn check_those<'a>(
                 found => expected.measure.show(found),
             }),
             holds,
+            weight: weight(expected.measure),
             cycle: if holds { None } else { places.of_measure(expected) },
         }
     };
@@ -76,9 +81,17 @@ fn check_those<'a>(
 }
 
 /// What is not as expected counts against a run besides what does so in any.
-pub fn add(verdict: &mut Verdict, checked: &[Checked]) {
-    verdict.reasons.extend(checked.iter().filter(|checked| !checked.holds).map(Checked::reason));
-    verdict.ok = verdict.reasons.is_empty();
+pub fn unmet(checked: &[Checked]) -> impl Iterator<Item = Reason> {
+    let unmet = checked.iter().filter(|checked| !checked.holds);
+    unmet.map(|checked| Reason::new(checked.weight, checked.reason()))
+}
+
+/// No host changes a payload, and what it does is explained; it can do all else that can be expected not to be.
+fn weight(measure: Measure) -> Weight {
+    match measure {
+        Measure::Unexplained | Measure::PayloadErrors => Weight::Wrong,
+        _ => Weight::HostMay,
+    }
 }
 
 /// A figure of a run; none if there was nothing to measure.

@@ -18,7 +18,7 @@ mod sight;
 mod watch;
 pub(crate) mod world;
 
-pub use expect::{Checked, add, of_lab};
+pub use expect::{Checked, of_lab, unmet};
 pub use figures::{SimFigures, Simulation};
 pub use run::{Ended, Hurried, Options, run};
 pub use world::{World, discipline};

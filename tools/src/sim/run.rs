@@ -26,7 +26,7 @@ use crate::judge::closely::envelope::Envelope;
 use crate::judge::explain::Records;
 use crate::judge::kept::Kept;
 use crate::judge::outcome::{self, Outcome, Parts};
-use crate::report::capture::CaptureFile;
+use crate::report::capture::{Capture, CaptureFile};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
 use crate::scenario::{Scenario, acts, over};
@@ -122,7 +122,7 @@ impl<'a> Run<'a> {
         let mut world = World::new(scenario, is_there)?;
         let names = scenario.stations.iter().map(|station| station.name.clone()).collect();
         let mut watch = Watch::new(Analysis::new(scenario, world.truth), Records::new(scenario), names);
-        watch.capture = options.pcap.as_deref().map(CaptureFile::replace).transpose()?;
+        watch.capture = Capture::of(options.pcap.as_deref().map(CaptureFile::replace).transpose()?);
         watch.around = options.around;
         if options.pictures {
             watch.analysis.look_closely(scenario);
@@ -344,11 +344,8 @@ impl<'a> Run<'a> {
         self.world.network.forget_watchers();
         let watch = Rc::into_inner(self.watch).expect("nobody watches any more").into_inner();
         let (mut account, scenario) = (self.account, self.scenario);
-        let Watch { mut analysis, records, capture, capture_failed, lines, seen, .. } = watch;
-        if let Some(error) = capture_failed {
-            return Err(error);
-        }
-        capture.map_or(Ok(()), CaptureFile::finish)?;
+        let Watch { mut analysis, records, mut capture, lines, seen, .. } = watch;
+        capture.finish();
         if let Some(current) = analysis.cycle_at(now) {
             analysis.advance_to(current);
         }
@@ -364,11 +361,12 @@ impl<'a> Run<'a> {
             dropped: 0,
             wall_steps: 0,
             distrusted: 0,
-            capture_failed: false,
+            capture_failed: capture.failed().map(str::to_owned),
+            interrupted: false,
             ended_early: self.options.until.is_some(),
         };
-        let Outcome { figures, slot_error_abs, kept, missed_in_parts } =
-            outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
+        let mut outcome = outcome::of(self.scenario, parts, HostFacts::of_virtual_time());
+        let figures = &outcome.figures;
         let simulation = Simulation {
             seed: self.scenario.seed,
             virtual_ns: now - UPTIME,
@@ -387,9 +385,11 @@ impl<'a> Run<'a> {
             stations,
             expectations: Vec::new(),
         };
-        let mut figures = SimFigures { figures, simulation };
+        let mut figures = SimFigures { figures: figures.clone(), simulation };
         figures.simulation.expectations = expect::check(self.scenario, &figures, &places);
-        expect::add(&mut figures.figures.verdict, &figures.simulation.expectations);
+        outcome.add(expect::unmet(&figures.simulation.expectations));
+        let Outcome { figures: judged, slot_error_abs, kept, missed_in_parts, .. } = outcome;
+        figures.figures.verdict = judged.verdict;
         Ok(Ended { figures, slot_error_abs, lines, kept, missed_in_parts })
     }
 }

@@ -19,7 +19,7 @@ use crate::judge::explain::Records;
 use crate::judge::findings::Author;
 use crate::judge::noteworthy::Noteworthy;
 use crate::observe::decode::{Decoded, What, decode};
-use crate::report::capture::CaptureFile;
+use crate::report::capture::Capture;
 use crate::report::histogram::SignedHistogram;
 
 /// What is known of a run.
@@ -36,10 +36,8 @@ pub struct Watch {
     pub noteworthy: Vec<Noteworthy>,
     /// Test traffic that was lost on purpose, by receiver: usual frames, and of each priority.
     pub meant: Vec<BTreeMap<Option<u8>, Meant>>,
-    /// Where to write every frame, and why that failed.
-    pub capture: Option<CaptureFile>,
-    /// See `capture`.
-    pub capture_failed: Option<anyhow::Error>,
+    /// Where to write every frame.
+    pub capture: Capture,
     /// Frames of these cycles are kept as text.
     pub around: Option<(u32, u32)>,
     /// See `around`.
@@ -70,8 +68,7 @@ impl Watch {
             sync_error_over_time: None,
             noteworthy: vec![Noteworthy::default(); names.len()],
             meant: vec![BTreeMap::new(); names.len()],
-            capture: None,
-            capture_failed: None,
+            capture: Capture::default(),
             around: None,
             lines: Vec::new(),
             counting: false,
@@ -85,11 +82,9 @@ impl Watch {
     /// A frame goes on the air.
     pub fn aired(&mut self, aired: &Aired<'_>) {
         let realtime = EPOCH.nanos() + (aired.at - UPTIME);
-        let sight = self.capture.as_ref().map(|_| sight(&self.analysis, aired.at, aired.bytes));
-        if let (Some(file), Some(sight)) = (&mut self.capture, sight)
-            && let Err(error) = file.frame(realtime, aired.bytes, Some(&sight.comment()))
-        {
-            (self.capture, self.capture_failed) = (None, Some(error));
+        if self.capture.goes_on() {
+            let sight = sight(&self.analysis, aired.at, aired.bytes);
+            self.capture.frame(realtime, aired.bytes, Some(&sight.comment()));
         }
         self.analysis.frame(aired.at, aired.bytes);
         self.records.note_frame(aired.bytes);

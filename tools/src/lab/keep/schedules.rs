@@ -84,6 +84,7 @@ impl Keeper {
             station.slots = slots;
         }
         self.lab.records.follow(&self.scenario);
+        self.lab.members.iter_mut().for_each(|member| member.cycle = cycle);
         self.lab.load = load(&self.scenario);
         if let Some(declared) = &mut self.lab.declared {
             // Where it cannot be written, others see what it took before.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::report::figures::Verdict;
+use crate::report::verdict::{Verdict, Word};
 
 const ASKED: Asked = Asked {
     stations: 8,
@@ -18,7 +18,10 @@ fn figures(missed_in_parts: [u64; 20], reasons: &[&str]) -> Figures {
         frames_expected: 40_000,
         slots_missed: missed_in_parts.iter().sum::<u64>() - 1,
         out_of_slot: 1,
-        verdict: Verdict::from_reasons(reasons.iter().map(|&why| why.into()).collect()),
+        verdict: match reasons {
+            [] => Verdict::default(),
+            _ => Verdict::new(Word::NotOk, reasons.iter().map(|&why| why.into()).collect()),
+        },
         ..Figures::default()
     }
 }

@@ -22,6 +22,7 @@ use crate::judge::kept::Kept;
 use crate::report::figures::Figures;
 use crate::report::screen;
 use crate::report::text::{about, duration};
+use crate::report::verdict::Verdict;
 use crate::scenario::Scenario;
 use crate::sim::Simulation;
 
@@ -43,16 +44,30 @@ pub struct Sheet<'a> {
 }
 
 /// A page with this body, which is HTML.
-pub fn shell(title: &str, ok: bool, body: &str) -> String {
+pub fn shell(title: &str, verdict: &Verdict, body: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <meta name=\"color-scheme\" content=\"light dark\">\n\
          <title>{}: {}</title>\n<style>\n{}</style>\n</head>\n<body>\n<main>\n{body}</main>\n</body>\n</html>\n",
         escape(title),
-        if ok { "OK" } else { "NOT OK" },
+        verdict.word.name(),
         include_str!("style.css"),
     )
+}
+
+/// The word, and its reasons; or what an OK run has shown.
+pub fn verdict(verdict: &Verdict, well: &str) -> String {
+    let rest = match &verdict.reasons[..] {
+        [] => escape(well),
+        [why] => escape(why),
+        many => {
+            let reasons = many.iter().map(|reason| format!("<li>{}</li>", escape(reason)));
+            format!("<ul>{}</ul>", reasons.collect::<String>())
+        }
+    };
+    let (class, word) = (verdict.word.class(), verdict.word.name());
+    format!("<div class=\"verdict {class}\"><strong>{word}</strong> <div>{rest}</div></div>\n")
 }
 
 impl Sheet<'_> {
@@ -73,7 +88,7 @@ impl Sheet<'_> {
             causes::told(self),
             tables::host(self),
         ];
-        shell(self.title, self.figures.verdict.ok, &body.concat())
+        shell(self.title, &self.figures.verdict, &body.concat())
     }
 
     /// A station's name.
@@ -99,23 +114,9 @@ impl Sheet<'_> {
         format!(
             "<header>\n<h1>{}</h1>\n<ul class=\"facts\">{facts}</ul>\n{}{}</header>\n",
             escape(self.title),
-            self.verdict(),
+            verdict(&self.figures.verdict, &screen::well(self.figures)),
             self.three(),
         )
-    }
-
-    fn verdict(&self) -> String {
-        let verdict = &self.figures.verdict;
-        let (class, words) = (if verdict.ok { "ok" } else { "bad" }, screen::verdict_words(self.figures));
-        let (word, rest) = words.split_once(": ").unwrap_or((&words, ""));
-        let rest = match verdict.reasons.len() {
-            0 | 1 => escape(rest),
-            _ => {
-                let reasons = verdict.reasons.iter().map(|reason| format!("<li>{}</li>", escape(reason)));
-                format!("<ul>{}</ul>", reasons.collect::<String>())
-            }
-        };
-        format!("<div class=\"verdict {class}\"><strong>{word}</strong> <div>{rest}</div></div>\n")
     }
 
     fn three(&self) -> String {

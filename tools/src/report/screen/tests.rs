@@ -1,4 +1,5 @@
 use super::super::figures::{MissKind, Role, Verdict};
+use super::super::verdict::Word;
 use super::super::host::HostFacts;
 use super::*;
 
@@ -62,9 +63,12 @@ fn fixed() -> (Figures, SignedHistogram) {
             idle_driver: Some("none".into()),
             rt_runtime_us: Some(950_000),
             steal_ticks: Some(12),
+            core: Some(3),
+            core_steal_ppm: Some(1_200),
+            other_real_time: Vec::new(),
             rtnet: "0.1.0".into(),
         },
-        verdict: Verdict::from_reasons(vec!["1 unexplained miss".into()]),
+        verdict: Verdict::new(Word::NotOk, vec!["1 unexplained miss".into()]),
         rt_cpu_percent: 9.96,
         ..Figures::default()
     };
@@ -130,9 +134,9 @@ fn the_last_line_is_the_verdict() {
     let (mut figures, histogram) = fixed();
     let last = |figures: &Figures| render(figures, 80, &histogram).lines().last().unwrap().to_owned();
     assert_eq!(last(&figures), "NOT OK: 1 unexplained miss");
-    figures.verdict = Verdict::from_reasons(vec!["a reason of five words".into(); 8]);
+    figures.verdict = Verdict::new(Word::NotOk, vec!["a reason of five words".into(); 8]);
     assert_eq!(last(&figures), "NOT OK: 8 reasons, above");
-    figures.verdict = Verdict::from_reasons(Vec::new());
+    figures.verdict = Verdict::default();
     assert_eq!(last(&figures), "OK: as expected, 119 998 of 120 000 frames seen; 1 unexplained");
     figures.unexplained = 0;
     assert_eq!(last(&figures), "OK: every frame seen in its slot, 119 998 of 120 000; 2 missed");

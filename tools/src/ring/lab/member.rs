@@ -6,7 +6,9 @@ use rtnet::clock::EmulatedClock;
 use rtnet::time::Span;
 
 use super::super::figures::Known;
+use super::super::verdict::no_part;
 use crate::judge::delivery::{Delivery, Heard, Meant};
+use crate::judge::verdict::{Reason, Weight};
 use crate::lab::namespace::Namespace;
 use crate::lab::processes::{END_WITHIN, Process};
 use crate::lab::run::INTERFACE;
@@ -160,12 +162,14 @@ impl Member {
         meant: impl Fn(Option<u8>) -> Meant,
     ) -> Known {
         let standing = self.standing.as_ref();
-        let failed = self.failed.as_ref().map(|why| format!("station '{name}' failed: {why}"));
+        let wrong = |what| Reason::new(Weight::Wrong, what);
+        let failed = self.failed.as_ref().map(|why| wrong(format!("station '{name}' failed: {why}")));
         let lost = self.is_lost().then(|| {
-            format!("station '{name}' (process {}) was lost: its last words, if any, are above", self.pid())
+            let remedy = "its last words, if any, are above";
+            wrong(format!("station '{name}' (process {}) was lost: {remedy}", self.pid()))
         });
         let had_no_part = self.can_tell() && !self.takes_part();
-        let apart = had_no_part.then(|| format!("station '{name}' had no part in the ring at the end"));
+        let apart = had_no_part.then(|| no_part(name));
         Known {
             state: if self.told_to_end { standing.map_or("", |standing| &standing.state) } else { "down" }
                 .into(),

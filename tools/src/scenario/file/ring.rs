@@ -87,7 +87,7 @@ const NO_CUT: &str = "the parts of a ring that is cut have a token each, which t
 /// What other files say and these do not, where, and what to do.
 const NOT_OF_RINGS: &[(&str, &[&str], &str)] = &[
     ("", &["cycle"], NO_CYCLE),
-    ("", &["sync_window", "guard", "late", "slot_guard"], NO_SLOTS),
+    ("", &["sync_window", "guard", "late", "slot_guard", "max_miss"], NO_SLOTS),
     ("", &["servo", "delay"], NO_MASTER),
     (
         "",

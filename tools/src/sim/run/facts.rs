@@ -5,7 +5,7 @@ use rtnet::time::Span;
 use super::Run;
 use super::at_end::AtEnd;
 use crate::judge::delivery::{Delivery, Heard};
-use crate::judge::outcome::Facts;
+use crate::judge::outcome::{Facts, not_synchronised};
 use crate::scenario::Scenario;
 use crate::sim::figures::SimStation;
 use crate::station::link::PORT_POOL_EMPTY;
@@ -61,7 +61,7 @@ impl Run<'_> {
             notes: watch.noteworthy[id].lines().collect(),
             lost_records: counted.events_lost.max(0) as u64,
             queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
-            reproach: is_lost.then(|| format!("station '{name}' was not synchronised at the end")),
+            reproach: is_lost.then(|| not_synchronised(name)),
             ..Facts::default()
         }
     }

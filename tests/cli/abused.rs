@@ -369,6 +369,8 @@ fn a_lab_goes_down_whose_stations_are_stopped() {
         let account: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(account[0]["unexplained"], 0, "{account:#}");
         assert_eq!(account[0]["stations"][1]["state"], "stopped", "{account:#}");
+        let reasons = account[0]["verdict"]["reasons"].to_string();
+        assert!(reasons.contains("station 'slave1' is stopped"), "{reasons}");
     });
 }
 

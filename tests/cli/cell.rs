@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use socket2::{Domain, SockAddr, Socket, Type};
 
+use crate::host::is_sound;
 use crate::rtnet;
 
 /// Its stations.
@@ -48,7 +49,7 @@ impl Cell {
     }
 
     pub fn status(&self) -> Value {
-        json(rtnet().args(["lab", "status", &self.name, "--json"]))
+        status(&self.name)
     }
 
     pub fn station(&self, station: &str) -> Value {
@@ -80,7 +81,8 @@ impl Cell {
     pub fn down(self) -> Value {
         let output = rtnet().args(["lab", "down", &self.name, "--json"]).output().unwrap();
         let account: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{}\n{account:#}", wrong(&account[0]));
+        let is_sound = is_sound(&self.name, output.status.code(), &account[0]["verdict"]);
+        assert!(is_sound, "{}\n{account:#}", wrong(&account[0]));
         assert!(!Path::new("/run/rtnet").join(&self.name).exists(), "nothing is left");
         account[0].clone()
     }
@@ -105,7 +107,7 @@ fn wrong(account: &Value) -> String {
         )
     };
     let stations: Vec<String> = account["stations"].as_array().into_iter().flatten().map(of).collect();
-    let lab = figures(account, &["unexplained", "unexplained_last", "not_judged"]);
+    let lab = figures(account, &["verdict", "unexplained", "unexplained_last", "not_judged"]);
     format!("{lab}\n{}", stations.join("\n"))
 }
 
@@ -120,6 +122,13 @@ pub fn status_of(socket: &mut Socket) -> Value {
 
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// How a lab is going, whatever its verdict.
+pub fn status(lab: &str) -> Value {
+    let output = rtnet().args(["lab", "status", lab, "--json"]).output().unwrap();
+    assert_ne!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 pub fn json(command: &mut Command) -> Value {

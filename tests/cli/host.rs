@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use rtnet::live::realtime::{self, RealTime};
+use serde_json::Value;
 
 /// One network at a time: several would miss slots for each other.
 static NETWORK: Mutex<()> = Mutex::new(());
@@ -31,6 +32,17 @@ pub fn skip(test: &str, why: &str) {
 pub fn figure(test: &str, text: &str) {
     // Whoever does not listen misses nothing.
     let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
+}
+
+/// Whether what ended so kept what it promises, as far as its host let it: OK, or, aloud, DEGRADED or INCONCLUSIVE. What is
+/// NOT OK or INTERRUPTED is not.
+pub fn is_sound(test: &str, status: Option<i32>, verdict: &Value) -> bool {
+    let expected = [("ok", 0), ("inconclusive", 3), ("degraded", 4)];
+    let found = expected.iter().find(|(word, _)| verdict["word"] == *word);
+    if status != Some(0) {
+        figure(test, &format!("{}: {}", verdict["word"], verdict["reasons"]));
+    }
+    found.is_some_and(|(_, of_word)| status == Some(*of_word))
 }
 
 /// Runs a test of a network, and again, aloud, where it failed on a host that stood still meanwhile.

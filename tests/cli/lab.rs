@@ -10,7 +10,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::{figure, held_up, network};
+use crate::host::{figure, held_up, is_sound, network};
 use crate::rtnet;
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -70,8 +70,8 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
         let output = lab("3", "2s").arg("--json").arg(&json).arg("--pcap").arg(&pcap).output().unwrap();
         let screen = String::from_utf8(output.stdout).unwrap();
         let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{screen}");
-        assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
+        let test = "a_lab_reports_what_it_measured_and_leaves_nothing";
+        assert!(is_sound(test, output.status.code(), &report["verdict"]), "{screen}");
         assert_eq!(
             (&report["stations"], &report["cycle_ns"], &report["cycles"]),
             (&3.into(), &5_000_000.into(), &400.into())
@@ -98,9 +98,9 @@ fn a_lab_whose_capture_cannot_be_written_goes_on_and_says_so() {
         assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
         let report: Value = serde_json::from_slice(&fs::read(json.path()).unwrap()).unwrap();
         assert_eq!(report["cycles"], 200, "it measured to the end");
-        assert_eq!(report["verdict"]["reasons"][0], "the capture is not whole: a note above says why");
-        let note = report["per_station"][0]["notes"][0].as_str().unwrap();
-        assert!(note.contains("/dev/full") && note.contains("No space left"), "{note}");
+        let why = report["verdict"]["reasons"][0].as_str().unwrap();
+        let full = "the capture is not whole: cannot write the capture /dev/full: ";
+        assert!(why.starts_with(full) && why.contains("No space left"), "{why}");
     });
 }
 
@@ -136,6 +136,10 @@ fn what_a_host_takes_away_is_missed_and_explained() {
         for cause in ["timer_late", "sync_lost_or_late"] {
             assert!(report["causes"][cause].as_u64() > Some(0), "{cause}: {screen}");
         }
+        // Whoever takes the cores away is named, and nothing follows.
+        assert_eq!((output.status.code(), &report["verdict"]["word"]), (Some(3), &"inconclusive".into()), "{screen}");
+        let why = report["verdict"]["reasons"][0].as_str().unwrap();
+        assert!(why.starts_with("this host was disturbed: ") && why.contains("other real-time threads took "), "{why}");
     });
 }
 
@@ -169,11 +173,9 @@ fn a_lab_says_what_enforced_its_slots() {
 fn a_file_says_what_the_network_is() {
     network("a_file_says_what_the_network_is", || {
         let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/two_stations.toml");
-        let run = || rtnet().args(["lab", "run"]).arg(&example).output().unwrap();
-        // A host that stands still for a while at the end is not what this is about.
-        let output = Some(run()).filter(|output| output.status.success()).unwrap_or_else(run);
+        let output = rtnet().args(["lab", "run"]).arg(&example).output().unwrap();
         let screen = String::from_utf8(output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{screen}");
+        assert!(matches!(output.status.code(), Some(0 | 3 | 4)), "{screen}");
         // The arm sends in every second of 200 cycles, the master in each.
         assert!(screen.contains("/200") && screen.contains("/100"), "{screen}");
     });
@@ -205,7 +207,7 @@ fn frames_that_do_not_reach_their_receiver_fail_the_run() {
         kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
         let output = lab.wait_with_output().unwrap();
         let screen = String::from_utf8(output.stdout).unwrap();
-        assert_eq!(output.status.code(), Some(1));
+        assert_eq!(output.status.code(), Some(130), "it was interrupted");
         assert!(screen.contains("station 'slave2' did not receive"), "{screen}");
         assert!(screen.contains("port_socket_full"), "{screen}");
     });
@@ -220,8 +222,9 @@ fn ctrl_c_ends_the_run_with_the_report_so_far() {
         let output = lab.wait_with_output().unwrap();
         let screen = String::from_utf8(output.stdout).unwrap();
         assert!(screen.contains("3 stations, cycle 5ms"), "{screen}");
-        assert!(screen.lines().last().unwrap().starts_with("OK: "), "{screen}");
-        assert_eq!(output.status.code(), Some(0));
+        let last = screen.lines().last().unwrap();
+        assert!(last.starts_with("INTERRUPTED after ") && last.contains(" of 60s"), "{screen}");
+        assert_eq!(output.status.code(), Some(130));
         assert!(!stations.into_iter().any(is_there));
     });
 }
@@ -264,7 +267,7 @@ fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
         }
         let screen = String::from_utf8(output.stdout).unwrap();
         // Beside labs that have SCHED_FIFO it may lose its master, and says so; it ran, and knows of each miss why.
-        assert!(matches!(output.status.code(), Some(0 | 1)), "{screen}{message}");
+        assert!(matches!(output.status.code(), Some(0 | 1 | 3 | 4)), "{screen}{message}");
         assert!(screen.contains("SCHED_FIFO: EPERM"), "what it lacks is told: {screen}");
         assert!(screen.contains("unexplained 0,"), "{screen}");
     });
@@ -279,8 +282,8 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
         let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout);
         let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
-        let reasons = &report["verdict"]["reasons"];
-        assert!(output.status.success(), "{reasons} {text}");
+        let test = "a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot";
+        assert!(is_sound(test, output.status.code(), &report["verdict"]), "{text}");
         assert_eq!((&report["unexplained"], &report["overlaps"]), (&0.into(), &0.into()));
         let causes = &report["causes"];
         let count = |cause: &str| causes[cause].as_u64().unwrap_or(0);
@@ -308,7 +311,7 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
         if let Some(line) = is_late {
             figure("a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot", line.trim());
         }
-        for only in ["locked of line 62", "the event of line 49"] {
+        for only in ["locked of line 63", "the event of line 50"] {
             assert!(
                 text.contains(&format!("only in a simulation (rtnet sim run), and not here: {only}")),
                 "{text}"
@@ -338,7 +341,8 @@ fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
             crate::host::skip("a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why", &text);
             return;
         }
-        assert_eq!(output.status.code(), Some(0), "{} {text}", report["verdict"]["reasons"]);
+        let test = "a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why";
+        assert!(is_sound(test, output.status.code(), &report["verdict"]), "{text}");
         assert_eq!((&report["unexplained"], &report["overlaps"]), (&0.into(), &0.into()), "{text}");
         let of = |station: usize, what: &str| report["per_station"][station][what].as_u64().unwrap();
         for station in 0..4 {
@@ -376,7 +380,8 @@ fn clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs() {
         let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout);
         let report: Value = serde_json::from_slice(&fs::read(json).unwrap()).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{} {text}", report["verdict"]["reasons"]);
+        let test = "clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs";
+        assert!(is_sound(test, output.status.code(), &report["verdict"]), "{text}");
         assert!(!text.contains("only in a simulation"), "{text}");
         let of = |station: usize| &report["per_station"][station];
         // Five and six in virtual time, while it does not believe its clock.

@@ -291,7 +291,7 @@ fn an_ordinary_user_keeps_a_lab_up() {
         for refused in [refusal(&status_of_it), refusal(&all_but_it)] {
             assert!(refused.contains("lab 'coming-up' is coming up: ask again"), "{refused}");
         }
-        assert!(text(&all_but_it.stdout).contains("OK: "), "lab 'lab' is down: {}", text(&all_but_it.stdout));
+        assert!(text(&all_but_it.stdout).contains("lab 'lab': 2 stations"), "{}", text(&all_but_it.stdout));
         assert!(text(&rest.stderr).contains("was dead already"), "{}", text(&rest.stderr));
         assert_eq!(rest.status.code(), Some(0), "{}{}", text(&rest.stdout), text(&rest.stderr));
         assert_eq!(std::fs::read_dir(runtime.join("rtnet")).unwrap().count(), 0, "nothing is left");
@@ -399,8 +399,8 @@ fn what_other_programs_send_in_a_station_does_not_reach_the_medium() {
         });
         if is_guarded {
             assert_eq!(left, 0);
-            let account = json(rtnet().args(["lab", "down", &cell.name, "--json"]));
-            assert_eq!((&account[0]["unexplained"], &account[0]["overlaps"]), (&0.into(), &0.into()));
+            let account = cell.down();
+            assert_eq!((&account["unexplained"], &account["overlaps"]), (&0.into(), &0.into()));
         }
     });
 }

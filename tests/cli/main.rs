@@ -33,6 +33,8 @@ mod silent;
 mod socket_options;
 mod sockets;
 mod station;
+mod unwritten;
+mod verdicts;
 mod vnic;
 mod wait_on_cycle;
 mod wires;

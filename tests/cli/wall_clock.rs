@@ -73,8 +73,9 @@ fn a_step_of_the_wall_clock_moves_no_frame() {
     let screen = String::from_utf8(lab.wait_with_output().unwrap().stdout).unwrap();
     let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     let reasons = report["verdict"]["reasons"].as_array().unwrap();
-    assert_eq!(reasons.len(), 1, "{screen}");
-    assert!(reasons[0].as_str().unwrap().starts_with("the wall clock was set during the run"), "{screen}");
+    let is_told = |why: &Value| why.as_str().unwrap().starts_with("the wall clock was set during the run");
+    assert!(reasons.iter().any(is_told), "{screen}");
+    assert_eq!(report["verdict"]["word"], "inconclusive", "{screen}");
     // Once forth and once back, seen by each station and by the observer.
     assert!(report["clock_steps"].as_u64().unwrap() >= 2 * (3 + 1), "{screen}");
     assert_eq!((&report["unexplained"], &report["frames_lost"]), (&0.into(), &0.into()), "{screen}");

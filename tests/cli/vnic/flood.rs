@@ -117,7 +117,7 @@ impl Told {
 
 /// Waits for as many cycles as a flood lasts.
 fn for_a_while(cell: &Cell) {
-    let cycles = || json(rtnet().args(["lab", "status", &cell.name, "--json"]))["cycles"].as_u64().unwrap();
+    let cycles = || cell.status()["cycles"].as_u64().unwrap();
     let until = cycles() + SECONDS * 1_000;
     wait_until("it goes on", || cycles() >= until);
 }

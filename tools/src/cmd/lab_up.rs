@@ -63,11 +63,16 @@ fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
 fn tell(args: &LabUpArgs, status: &LabStatus) -> Result<()> {
     let (name, stations) = (&status.name, status.stations.len());
     let cycle = Span::from_nanos(status.cycle_ns as i64);
-    let told = writeln!(
-        std::io::stdout(),
+    let line = format!(
         "lab '{name}' is up: {stations} stations, cycle {cycle}; `rtnet lab status {name}` tells how it goes, \
-         `rtnet lab down {name}` ends it"
+         `rtnet lab down {name}` ends it\n"
     );
+    let outputs = [args.run.json.as_deref(), args.run.pcap.as_deref()];
+    let told = if outputs.into_iter().flatten().any(is_standard_output) {
+        std::io::stderr().write_all(line.as_bytes())
+    } else {
+        std::io::stdout().write_all(line.as_bytes())
+    };
     // In the foreground, whoever does not listen misses nothing that `lab status` would not tell.
     if args.detached {
         told.context("whoever asked for the lab has gone before it was up, so it is taken down")?;

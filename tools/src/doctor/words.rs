@@ -195,6 +195,7 @@ pub fn rounded(ns: i64) -> String {
 mod tests {
     use super::super::rights::{self, Rights};
     use super::*;
+    use crate::report::host::{HostFacts, RealTimeThread};
 
     fn network(cycle_us: i64, share: f64, load: f64) -> Prediction {
         Prediction {
@@ -280,6 +281,14 @@ mod tests {
         assert!(advice(&alone)[0].starts_with("another core"));
         let poor = findings("SCHED_FIFO", 0.1, false);
         assert_eq!(advice(&poor), ["try another core (--cpu 0): this one is not good enough"]);
+        let beside = |ppm| {
+            let other = RealTimeThread { name: "jackd".into(), pid: 7, ppm };
+            let host = HostFacts { other_real_time: vec![other], ..HostFacts::default() };
+            advice(&Findings { host, ..good.clone() })
+        };
+        assert_eq!(beside(5_000), [""; 0], "no more than may be missed");
+        let told = "keep other real-time threads off cpu 0, or choose another core: jackd (7) 2 %";
+        assert_eq!(beside(20_000), [told]);
         let nothing = Findings { recommended: None, ..good };
         assert_eq!(verdict(&nothing), ["NOT TOLD: nothing could be measured"]);
     }

@@ -88,9 +88,9 @@ fn the_worst_stations_are_named_and_the_others_counted() {
 
 #[test]
 fn verdict_is_never_ok_when_a_station_was_hardly_seen() {
-    let line = "NOT OK: station 'arm' was seen 10 times of 6,000";
+    let line = "NOT OK: station 'arm' was seen 10 times of 6 000";
     check(&seen(10, 6_000), &quiet(), Word::NotOk, line);
-    check(&seen(0, 6_000), &quiet(), Word::NotOk, "NOT OK: station 'arm' was seen 0 times of 6,000");
+    check(&seen(0, 6_000), &quiet(), Word::NotOk, "NOT OK: station 'arm' was seen 0 times of 6 000");
 }
 
 #[test]

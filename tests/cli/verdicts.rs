@@ -1,0 +1,86 @@
+//! What runs come to, from the outside: the word, its reasons, and the exit status.
+
+use std::path::Path;
+use std::process::Output;
+
+use serde_json::Value;
+
+use crate::rtnet;
+
+/// A simulation of a file, with options: its exit status, its last line, and the verdict of its JSON.
+fn simulated(text: &str, options: &[&str]) -> (Option<i32>, String, Value) {
+    let place = tempfile::tempdir().unwrap();
+    let (file, json) = (place.path().join("net.toml"), place.path().join("net.json"));
+    std::fs::write(&file, text).unwrap();
+    let output = rtnet().args(["sim", "run"]).arg(&file).arg("--json").arg(&json).args(options).output().unwrap();
+    let Output { status, stdout, stderr } = output;
+    let report = std::fs::read(json).unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&stderr)));
+    let report: Value = serde_json::from_slice(&report).unwrap();
+    let last = String::from_utf8(stdout).unwrap().lines().last().unwrap().to_owned();
+    (status.code(), last, report["verdict"].clone())
+}
+
+const ARM: &str = "cycle = \"1ms\"\nduration = \"6s\"\n[[station]]\nname = \"master\"\nrole = \"master\"\n\
+                   [[station]]\nname = \"arm\"\nrole = \"slave\"\n";
+
+/// The arm's process ends when so much of the run is over.
+fn killed(at: &str) -> String {
+    format!("{ARM}[[event]]\nat = \"{at}\"\nkill = \"arm\"\n")
+}
+
+#[test]
+fn verdict_of_a_quiet_run_is_ok() {
+    let (status, last, verdict) = simulated(ARM, &[]);
+    assert_eq!((status, &verdict["word"], &verdict["ok"]), (Some(0), &"ok".into(), &true.into()), "{last}");
+    assert!(last.starts_with("OK: every frame in its slot, "), "{last}");
+}
+
+#[test]
+fn verdict_is_not_ok_when_a_station_was_hardly_seen() {
+    let (status, last, verdict) = simulated(&killed("10ms"), &[]);
+    assert_eq!((status, &verdict["word"]), (Some(1), &"not_ok".into()), "{last}");
+    assert!(last.starts_with("NOT OK: station 'arm' was seen "), "{last}");
+}
+
+#[test]
+fn verdict_is_degraded_when_more_is_missed_than_may_be() {
+    let (status, last, verdict) = simulated(&killed("5900ms"), &[]);
+    assert_eq!((status, &verdict["word"]), (Some(4), &"degraded".into()), "{last}");
+    assert!(last.starts_with("DEGRADED: slots missed: 'arm' 1."), "{last}");
+    // An option, the file, and an expectation of the file each say otherwise.
+    assert_eq!(simulated(&killed("5900ms"), &["--max-miss", "2%"]).0, Some(0));
+    assert_eq!(simulated(&format!("max_miss = \"2%\"\n{}", killed("5900ms")), &[]).0, Some(0));
+    assert_eq!(simulated(&format!("{}[expect]\nslots_missed = \"<= 110\"\n", killed("5900ms")), &[]).0, Some(0));
+    let (status, last, _) = simulated(&killed("5900ms"), &["--max-miss", "1%"]);
+    assert!(status == Some(4) && last.ends_with("; 1 % may be"), "{last}");
+}
+
+#[test]
+fn verdict_is_not_ok_when_frames_collide_that_no_file_allows() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/html.toml");
+    let text = std::fs::read_to_string(file).unwrap();
+    let (before, _) = text.split_once("[expect]").unwrap();
+    let (status, last, verdict) = simulated(before, &[]);
+    assert_eq!((status, &verdict["word"]), (Some(1), &"not_ok".into()), "{last}");
+    let reasons = verdict["reasons"].to_string();
+    assert!(reasons.contains(" overlaps") && reasons.contains(" frames out of slot"), "{reasons}");
+    assert_eq!(simulated(&text, &[]).0, Some(0), "the file allows it");
+}
+
+#[test]
+fn a_ring_has_no_slots_to_miss() {
+    let ring = "discipline = \"token\"\nduration = \"100ms\"\n[[station]]\nname = \"a\"\n[[station]]\nname = \"b\"\n";
+    let (status, last, verdict) = simulated(ring, &[]);
+    assert_eq!((status, &verdict["word"]), (Some(0), &"ok".into()), "{last}");
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("ring.toml");
+    for (text, options, why) in [
+        (ring.to_owned(), &["--max-miss", "1%"][..], "--max-miss is about slots, and a ring has none"),
+        (format!("max_miss = \"1%\"\n{ring}"), &[], "max_miss: a ring has no slots"),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        let output = rtnet().args(["sim", "run"]).arg(&file).args(options).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && said.contains(why), "{said}");
+    }
+}

@@ -137,9 +137,16 @@ fn what_a_host_takes_away_is_missed_and_explained() {
             assert!(report["causes"][cause].as_u64() > Some(0), "{cause}: {screen}");
         }
         // Whoever takes the cores away is named, and nothing follows.
-        assert_eq!((output.status.code(), &report["verdict"]["word"]), (Some(3), &"inconclusive".into()), "{screen}");
+        assert_eq!(
+            (output.status.code(), &report["verdict"]["word"]),
+            (Some(3), &"inconclusive".into()),
+            "{screen}"
+        );
         let why = report["verdict"]["reasons"][0].as_str().unwrap();
-        assert!(why.starts_with("this host was disturbed: ") && why.contains("other real-time threads took "), "{why}");
+        assert!(
+            why.starts_with("this host was disturbed: ") && why.contains("other real-time threads took "),
+            "{why}"
+        );
     });
 }
 

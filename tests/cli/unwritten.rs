@@ -11,7 +11,8 @@ use crate::rtnet;
 
 const NET: &str = "cycle = \"1ms\"\nduration = \"100ms\"\n[[station]]\nname = \"master\"\nrole = \"master\"\n\
                    [[station]]\nname = \"arm\"\nrole = \"slave\"\n";
-const RING: &str = "discipline = \"token\"\nduration = \"100ms\"\n[[station]]\nname = \"a\"\n[[station]]\nname = \"b\"\n";
+const RING: &str =
+    "discipline = \"token\"\nduration = \"100ms\"\n[[station]]\nname = \"a\"\n[[station]]\nname = \"b\"\n";
 /// How a section header of pcapng begins.
 const PCAPNG: [u8; 4] = [0x0a, 0x0d, 0x0d, 0x0a];
 const NO_ROOM: &str = "No space left on device (os error 28)";
@@ -130,7 +131,11 @@ fn reader_of_a_capture_may_have_had_enough() {
 fn lab_writes_a_capture_and_json_to_standard_output() {
     network("lab_writes_a_capture_and_json_to_standard_output", || {
         let output = lab(&["-w", "-"]);
-        assert!(output.stdout.starts_with(&PCAPNG) && output.stdout.len() > 5_000, "{}", text(&output.stderr));
+        assert!(
+            output.stdout.starts_with(&PCAPNG) && output.stdout.len() > 5_000,
+            "{}",
+            text(&output.stderr)
+        );
         assert!(text(&output.stderr).contains("2 stations, cycle 5ms"), "{}", text(&output.stderr));
         let output = lab(&["--json", "-"]);
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -142,9 +147,14 @@ fn lab_writes_a_capture_and_json_to_standard_output() {
 fn dump_writes_a_capture_to_standard_output() {
     network("dump_writes_a_capture_to_standard_output", || {
         let cell = Cell::up("piped");
-        let output = rtnet().args(["dump", "--lab", &cell.name, "--count", "20", "-w", "-"]).output().unwrap();
+        let output =
+            rtnet().args(["dump", "--lab", &cell.name, "--count", "20", "-w", "-"]).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        assert!(output.stdout.starts_with(&PCAPNG) && output.stdout.len() > 20 * 60, "{}", output.stdout.len());
+        assert!(
+            output.stdout.starts_with(&PCAPNG) && output.stdout.len() > 20 * 60,
+            "{}",
+            output.stdout.len()
+        );
     });
 }
 
@@ -159,6 +169,9 @@ fn standard_output_is_one_file_and_not_of_a_lab_that_stays() {
     assert!(twice.contains("- is written twice: each output needs a file of its own"), "{twice}");
     for option in ["--json", "--pcap"] {
         let said = refused(rtnet().args(["lab", "up", option, "-"]).output().unwrap());
-        assert!(said.contains(&format!("{option} - is standard output")) && said.contains("say --foreground"), "{said}");
+        assert!(
+            said.contains(&format!("{option} - is standard output")) && said.contains("say --foreground"),
+            "{said}"
+        );
     }
 }

@@ -12,7 +12,8 @@ fn simulated(text: &str, options: &[&str]) -> (Option<i32>, String, Value) {
     let place = tempfile::tempdir().unwrap();
     let (file, json) = (place.path().join("net.toml"), place.path().join("net.json"));
     std::fs::write(&file, text).unwrap();
-    let output = rtnet().args(["sim", "run"]).arg(&file).arg("--json").arg(&json).args(options).output().unwrap();
+    let output =
+        rtnet().args(["sim", "run"]).arg(&file).arg("--json").arg(&json).args(options).output().unwrap();
     let Output { status, stdout, stderr } = output;
     let report = std::fs::read(json).unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&stderr)));
     let report: Value = serde_json::from_slice(&report).unwrap();
@@ -50,7 +51,10 @@ fn verdict_is_degraded_when_more_is_missed_than_may_be() {
     // An option, the file, and an expectation of the file each say otherwise.
     assert_eq!(simulated(&killed("5900ms"), &["--max-miss", "2%"]).0, Some(0));
     assert_eq!(simulated(&format!("max_miss = \"2%\"\n{}", killed("5900ms")), &[]).0, Some(0));
-    assert_eq!(simulated(&format!("{}[expect]\nslots_missed = \"<= 110\"\n", killed("5900ms")), &[]).0, Some(0));
+    assert_eq!(
+        simulated(&format!("{}[expect]\nslots_missed = \"<= 110\"\n", killed("5900ms")), &[]).0,
+        Some(0)
+    );
     let (status, last, _) = simulated(&killed("5900ms"), &["--max-miss", "1%"]);
     assert!(status == Some(4) && last.ends_with("; 1 % may be"), "{last}");
 }

@@ -1,6 +1,6 @@
 use super::super::figures::{MissKind, Role, Verdict};
-use super::super::verdict::Word;
 use super::super::host::HostFacts;
+use super::super::verdict::Word;
 use super::*;
 
 /// Four stations, two of them with a fault.

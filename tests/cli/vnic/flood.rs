@@ -15,9 +15,8 @@ use tools::lab::enter::enter;
 
 use super::{EVERY, MODES, Running, TUNNEL, assert_answers, done, lab, network, program, said, status, vnic};
 use crate::bare::Bare;
-use crate::cell::{Cell, STATIONS, json, wait_until};
+use crate::cell::{Cell, STATIONS, wait_until};
 use crate::host::figure;
-use crate::rtnet;
 
 /// Many times what the slots take, of the largest datagrams.
 const FLOOD: &str = "\

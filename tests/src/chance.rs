@@ -155,6 +155,7 @@ fn plan(random: &mut Random, seed: u64) -> Option<Plan> {
     let spare = cycle - begin - (air + guard) * parts.len() as i64;
     let stations = (0..stations).map(|id| station(random, id, payload, &backups)).collect();
     let mut scenario = Scenario {
+        max_miss_ppm: tools::scenario::MAX_MISS_PPM,
         cycle,
         sync_window,
         rate,

@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::host::network;
 use crate::lab::stations_of;
-use crate::rtnet;
+use crate::{documents, rtnet};
 
 /// The guard bands leave no room for cycles below 910us, and any share may be missed: whatever the host, that is the answer.
 const LOOSE: [&str; 6] = ["--stations", "2", "--guard", "400us", "--miss", "100%"];
@@ -54,7 +54,7 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
             "{said}"
         );
         assert!(said.contains("rtnet: 910us is proven"), "{said}");
-        let mut answer: Value = serde_json::from_slice(&fs::read(&kept).unwrap()).unwrap();
+        let mut answer: Value = documents::read(fs::read(&kept).unwrap());
         assert_eq!(answer["cycle_ns"], 910_000);
         let runs = answer["runs"].as_array().unwrap();
         let of =
@@ -105,7 +105,7 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
             said.contains("NOT FOUND: no cycle that was tried misses at most 0 % of its slots"),
             "{said}"
         );
-        let answer: Value = serde_json::from_slice(&fs::read(&kept).unwrap()).unwrap();
+        let answer: Value = documents::read(fs::read(&kept).unwrap());
         assert_eq!((&answer["cycle_ns"], &answer["runs"][0]["holds"]), (&Value::Null, &false.into()));
     });
 }

@@ -6,7 +6,7 @@ use rtnet::time::Span;
 use super::tdma::longest;
 use crate::control::{LabStatus, MemberStatus};
 use crate::report::figures::GuardName;
-use crate::report::screen::{latest, rivals, strays};
+use crate::report::screen::{implausible_syncs, latest, rivals, strays};
 use crate::report::text::{Column, grouped, micros, paragraph, table};
 
 /// Columns of the table.
@@ -76,6 +76,10 @@ pub fn account(status: &LabStatus) -> String {
     }
     if status.schedule_changes > 0 {
         text += &format!("the schedule has changed {} times\n", grouped(status.schedule_changes));
+    }
+    let implausible = implausible_syncs(&status.implausible_syncs);
+    if !implausible.is_empty() {
+        text += &format!("implausible syncs: {}\n", implausible.join(", "));
     }
     for line in rivals(&status.rivals) {
         text += &format!("gave the time: {line}\n");

@@ -4,9 +4,9 @@ use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
 use anyhow::anyhow;
-use serde::Serialize;
 
-use super::{Failure, say};
+use super::{Failure, pretty, say};
+use crate::report::document::{Document, Kind};
 use crate::report::draft::{is_standard_output, write_json, write_text};
 use crate::report::verdict::Verdict;
 
@@ -30,10 +30,10 @@ impl Delivery {
     }
 
     /// As JSON, if there is to be such a file.
-    pub fn json(&mut self, path: Option<&PathBuf>, report: &impl Serialize) {
+    pub fn json(&mut self, path: Option<&PathBuf>, report: &impl Kind) {
         let Some(path) = path else { return };
         self.note(if is_standard_output(path) {
-            serde_json::to_string_pretty(report).map_err(Into::into).and_then(|text| say(&(text + "\n")))
+            pretty(&Document::of(report)).and_then(|text| say(&text))
         } else {
             write_json(path, report)
         });

@@ -13,7 +13,7 @@ use super::{Failure, all_writable, screen_width};
 use crate::cli::MinCycleArgs;
 use crate::control::Directory;
 use crate::lab::{Core, Lab, RunOptions, userns};
-use crate::min_cycle::answer::{Answer, Asked, Compared, KIND, Purpose, Run};
+use crate::min_cycle::answer::{Answer, Asked, Compared, Purpose, Run};
 use crate::min_cycle::{ladder, screen, search};
 use crate::report::host::HostFacts;
 use crate::scenario::{MAX_LAB_STATIONS, Scenario, ScenarioError, Uniform};
@@ -42,6 +42,7 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
         warm_core: asked.warm_core,
         core: Core::choose(args.cpu).map_err(Failure::Usage)?,
         pcap: None,
+        json: None,
         home: None,
         directory: Some(directory),
         progress: false,
@@ -150,7 +151,7 @@ fn search(asked: Asked, networks: &[Scenario], options: &RunOptions) -> Result<A
         Ok(run)
     })?;
     let cycle_ns = found.map(|rung| networks[rung].cycle.nanos());
-    Ok(Answer { kind: KIND.into(), asked, cycle_ns, runs, host: host.finish() })
+    Ok(Answer { asked, cycle_ns, runs, host: host.finish() })
 }
 
 /// A network that cannot be stood up on this host at all ends the search; one that does not come up in time does not hold.

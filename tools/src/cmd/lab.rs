@@ -37,9 +37,9 @@ pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
             Err(error) => errors.push(error),
         }
     }
-    let words = |ended: &Vec<LabStatus>| ended.iter().map(account).collect::<Vec<_>>().join("\n");
+    let words = |ended: &[LabStatus]| ended.iter().map(account).collect::<Vec<_>>().join("\n");
     let is_shown = errors.is_empty() || !ended.is_empty();
-    let shown = if is_shown { super::print(args.json, &ended, words) } else { Ok(()) };
+    let shown = if is_shown { super::print_all(args.json, &ended, words) } else { Ok(()) };
     let mut delivery = Delivery::after(shown);
     delivery.unwritten(ended.iter().flat_map(unwritten));
     let status = delivery.end_with(worst(&ended));
@@ -98,11 +98,11 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
             }
         }
     }
-    let words = |all: &Vec<LabStatus>| match all.as_slice() {
+    let words = |all: &[LabStatus]| match all {
         [] => "no lab runs\n".to_owned(),
         some => some.iter().map(account).collect::<Vec<_>>().join("\n"),
     };
-    super::print(args.json, &all, words).map_err(Failure::Run)?;
+    super::print_all(args.json, &all, words).map_err(Failure::Run)?;
     Ok(worst(&all))
 }
 

@@ -35,6 +35,7 @@ use serde::Serialize;
 
 use self::delivery::Delivery;
 use crate::lab::Interrupted;
+use crate::report::document::{Document, Documents, Kind};
 use crate::report::draft::{can_be_written, is_standard_output};
 use crate::report::screen::WIDTH_MIN;
 use crate::report::verdict::Word;
@@ -97,12 +98,26 @@ fn tell_of_ring(
 }
 
 /// Prints something as JSON or in words.
-fn print<T: Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
+fn print<T: Kind>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<()> {
     say(&in_words(json, what, words)?)
 }
 
-fn in_words<T: Serialize>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<String> {
-    Ok(if json { serde_json::to_string_pretty(what)? + "\n" } else { words(what) })
+fn in_words<T: Kind>(json: bool, what: &T, words: impl Fn(&T) -> String) -> anyhow::Result<String> {
+    Ok(if json { pretty(&Document::of(what))? } else { words(what) })
+}
+
+/// Prints some of one kind as JSON or in words.
+fn print_all<T: Kind>(json: bool, all: &[T], words: impl Fn(&[T]) -> String) -> anyhow::Result<()> {
+    say(&if json { pretty(&Documents(all))? } else { words(all) })
+}
+
+fn pretty(documents: &impl Serialize) -> anyhow::Result<String> {
+    Ok(serde_json::to_string_pretty(documents)? + "\n")
+}
+
+/// A document in one line, for what is told one after the other.
+fn in_line(documents: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string(documents).map(|line| line + "\n").context("JSON").map_err(Failure::Run)
 }
 
 /// Writes to standard output. Whoever closed it does not want to read the rest; whoever has no room for it wanted to.

@@ -24,6 +24,7 @@ use crate::cli::{
     MailboxArgs, MailboxVerb, PackageRouteVerb, PackageVerb, PackageVerbArgs, WhichOf, duration,
 };
 use crate::control::Directory;
+use crate::report::document::{Document, Documents};
 use counts::Counts;
 use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
 use way::Way;
@@ -49,11 +50,11 @@ pub fn mailbox(args: &MailboxArgs) -> Result<u8, Failure> {
     let (component, json) = (attach(&args.which)?, args.which.json);
     match &args.verb {
         MailboxVerb::List => {
-            super::print(json, &looked_at(&component, None)?, |rows| list(rows)).map_err(Failure::Run)?;
+            super::print_all(json, &looked_at(&component, None)?, list).map_err(Failure::Run)?;
         }
         MailboxVerb::Stat { name } => {
             let rows = looked_at(&component, *name)?;
-            super::print(json, &rows, |rows| rows.iter().map(stat).collect()).map_err(Failure::Run)?;
+            super::print_all(json, &rows, |rows| rows.iter().map(stat).collect()).map_err(Failure::Run)?;
         }
         MailboxVerb::Watch { name, every, count } => {
             let mut before = looked_at(&component, *name)?;
@@ -61,7 +62,7 @@ pub fn mailbox(args: &MailboxArgs) -> Result<u8, Failure> {
                 std::thread::sleep(duration(*every));
                 let rows = looked_at(&component, *name)?;
                 let text = match json {
-                    true => serde_json::to_string(&rows).context("JSON").map_err(Failure::Run)? + "\n",
+                    true => super::in_line(&Documents(&rows))?,
                     false => rows.iter().map(|row| watched(row, &before)).collect(),
                 };
                 super::say(&text).map_err(Failure::Run)?;
@@ -124,7 +125,7 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
                 .iter()
                 .map(|Route { to, station }| RouteShown { to: to.to_string(), station: *station })
                 .collect();
-            super::print(json, &routes, |routes| {
+            super::print_all(json, &routes, |routes| {
                 routes.iter().map(|route| format!("{}={}\n", route.to, route.station)).collect()
             })
             .map_err(Failure::Run)?;
@@ -210,13 +211,9 @@ fn receive(
             continue;
         }
         let came = Came::of(&head, &body, &journey);
-        let line = if json {
-            serde_json::to_string(&came).context("JSON").map_err(Failure::Run)?
-        } else {
-            came.describe()
-        };
+        let line = if json { super::in_line(&Document::of(&came))? } else { came.describe() + "\n" };
         let mut out = std::io::stdout().lock();
-        writeln!(out, "{line}")
+        out.write_all(line.as_bytes())
             .and_then(|()| out.flush())
             .context("standard output")
             .map_err(Failure::Run)?;

@@ -16,6 +16,7 @@ use super::interface::{asked, of_interface, unasked, with_place};
 use super::tdma::found;
 use crate::cli::{PingArgs, Which};
 use crate::control::{Directory, EchoRequest, EchoShown, EchoesShown, Place, StackReply, StackRequest};
+use crate::report::document::document;
 use crate::report::text::micros;
 use plan::Plan;
 
@@ -37,6 +38,7 @@ const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// What came of a round of questions.
 #[derive(Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Round {
     to: Ipv4Addr,
     /// Questions that the station took.
@@ -66,7 +68,10 @@ struct Round {
     answers: VecDeque<Answer>,
 }
 
+document!(Round, "ping", ping_has_its_schema);
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Answer {
     sequence: u16,
     bytes: usize,
@@ -76,15 +81,21 @@ struct Answer {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Spread {
     min: u64,
     p50: u64,
     p99: u64,
     max: u64,
+    /// Of so many answers.
+    n: u64,
+    /// Questions of which there is no such time: they were not asked, or lost, or are no longer remembered.
+    gaps: u64,
 }
 
 /// A round beside what its stations' slots say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Scheduled {
     best_ns: u64,
     worst_ns: u64,
@@ -102,13 +113,15 @@ struct Scheduled {
 }
 
 impl Spread {
-    fn of(mut values: Vec<u64>) -> Option<Self> {
+    fn of(mut values: Vec<u64>, tried: u64) -> Option<Self> {
         values.sort_unstable();
         (!values.is_empty()).then(|| Self {
             min: at(&values, 0.0),
             p50: at(&values, 0.5),
             p99: at(&values, 0.99),
             max: at(&values, 1.0),
+            n: values.len() as u64,
+            gaps: tried.saturating_sub(values.len() as u64),
         })
     }
 }
@@ -345,7 +358,8 @@ impl<'a> Run<'a> {
             };
             with_place(self.which, &why)
         });
-        let spread = |of: fn(&Answer) -> Option<u64>| Spread::of(answers.iter().filter_map(of).collect());
+        let spread =
+            |of: fn(&Answer) -> Option<u64>| Spread::of(answers.iter().filter_map(of).collect(), tried);
         Round {
             to: self.args.ip,
             sent,
@@ -415,9 +429,10 @@ fn summary(place: &Place, round: &Round) -> String {
         ("waiting for the slot", round.waited_ns),
         ("on the way and at the other station", round.rest_ns),
     ] {
-        let Some(Spread { min, p50, p99, max }) = spread else { continue };
+        let Some(Spread { min, p50, p99, max, n, gaps }) = spread else { continue };
         let [min, p50, p99, max] = [min, p50, p99, max].map(|ns| micros(ns as i64));
-        text += &format!("{what}: min {min}, p50 {p50}, p99 {p99}, max {max} us\n");
+        text +=
+            &format!("{what}: min {min}, p50 {p50}, p99 {p99}, max {max} us; n {n}, {gaps} more without\n");
     }
     if let Some(scheduled) = round.schedule {
         let Scheduled { best_ns, worst_ns, lead_ns, jitter_ns, quicker, longer, slots_missed } = scheduled;

@@ -14,7 +14,7 @@ const WIDTH: usize = 100;
 pub fn pool(args: &ShowArgs) -> Result<u8, Failure> {
     let which = found(&args.which)?;
     let StackReply::Pools(pools) = asked(&which, StackRequest::Pools)? else { return Err(unasked(&which)) };
-    super::print(which.json, &pools, |pools: &Vec<PoolShown>| describe(pools)).map_err(Failure::Run)?;
+    super::print_all(which.json, &pools, describe).map_err(Failure::Run)?;
     Ok(0)
 }
 

@@ -14,6 +14,7 @@ use super::interface::{asked, check_asked, of_interface, unasked};
 use super::tdma::found_of;
 use crate::cli::{RouteArgs, RouteVerb, Which};
 use crate::control::{RouteSaid, RoutesShown, StackReply, StackRequest, Way};
+use crate::report::document::document;
 use crate::report::text::{Column, table};
 use crate::station::sockets::{Route, as_shown, parse};
 use crate::station::stack::add;
@@ -112,11 +113,17 @@ fn shown(text: &str) -> String {
     format!("{}{more}", begin.escape_debug())
 }
 
+/// Something was done.
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+struct Done {
+    /// It was.
+    done: bool,
+}
+
+document!(Done, "done", done_has_its_schema);
+
 fn done(which: &Which, request: StackRequest) -> Result<u8, Failure> {
-    #[derive(Serialize)]
-    struct Done {
-        done: bool,
-    }
     match asked(which, request)? {
         StackReply::Done => {
             let words = |_: &Done| format!("{}: done\n", which.place);
@@ -189,6 +196,16 @@ fn get(which: &Which, ip: Ipv4Addr) -> Result<u8, Failure> {
     Ok(0)
 }
 
+/// What of a file was taken.
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+struct Loaded {
+    /// So many routes.
+    routes: usize,
+}
+
+document!(Loaded, "routes-loaded", routes_loaded_has_its_schema);
+
 /// All of them are tried on a copy of the station's tables before the first is sent.
 fn load(which: &Which, file: &Path) -> Result<u8, Failure> {
     let read = read_routes(file).map_err(Failure::Usage)?;
@@ -203,10 +220,6 @@ fn load(which: &Which, file: &Path) -> Result<u8, Failure> {
         if !matches!(asked(which, StackRequest::AddRoutes(some.to_vec()))?, StackReply::Done) {
             return Err(unasked(which));
         }
-    }
-    #[derive(Serialize)]
-    struct Loaded {
-        routes: usize,
     }
     let loaded = Loaded { routes: said.len() };
     let words = |loaded: &Loaded| format!("{}: {} routes\n", which.place, loaded.routes);

@@ -8,15 +8,19 @@ use super::tdma::{applied, by_lab, found_of, slots, status, told};
 use super::waits;
 use crate::cli::{SlotArgs, SlotVerb, Which};
 use crate::control::{LabRequest, Request, SlotChange, SlotShown, StationStatus};
+use crate::report::document::document;
 
 /// A slot as it is listed.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Listed {
     #[serde(flatten)]
     shown: SlotShown,
     /// How long a frame waits for it at the worst, if none is ahead; for whichever comes first, where slots are joint.
     worst_wait_ns: Option<i64>,
 }
+
+document!(Listed, "slot", slot_has_its_schema);
 
 fn listed(status: &StationStatus) -> Vec<Listed> {
     let listed = |shown: &SlotShown| Listed {
@@ -32,8 +36,8 @@ pub fn slot(args: &SlotArgs) -> Result<u8, Failure> {
     let (from, what) = match &args.verb {
         SlotVerb::List => {
             let status = status(which).map_err(Failure::Usage)?;
-            let table = |_: &Vec<_>| slots(&status);
-            super::print(which.json, &listed(&status), table).map_err(Failure::Run)?;
+            let table = |_: &[_]| slots(&status);
+            super::print_all(which.json, &listed(&status), table).map_err(Failure::Run)?;
             return Ok(0);
         }
         SlotVerb::Set { slot } => (set(which, *slot), format!("{}: slot {} is set", which.place, slot.id)),

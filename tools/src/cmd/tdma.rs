@@ -11,6 +11,7 @@ use crate::control::{
     self, Directory, LabReply, LabRequest, MemberStatus, Place, Question, Reply, Request, RingShown,
     RoleRequest, SlotRequest, SlotShown, StationStatus,
 };
+use crate::report::document::document;
 use crate::report::text::{Column, grouped, micros, table};
 use crate::station::link::Standing;
 use crate::station::misses::{Miss, Misses, Refusal};
@@ -124,12 +125,18 @@ pub fn by_lab(lab: &str, request: LabRequest) -> Result<u32> {
     }
 }
 
+/// From when on a change holds.
+#[derive(serde::Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+struct Applied {
+    /// The first cycle in which it does.
+    from_cycle: u32,
+}
+
+document!(Applied, "applied", applied_has_its_schema);
+
 /// Tells of a change that was made.
 pub fn told(which: &Which, from: u32, what: &str, so_far: &str) -> Result<u8, Failure> {
-    #[derive(serde::Serialize)]
-    struct Applied {
-        from_cycle: u32,
-    }
     let line = |_: &Applied| format!("{what}, from cycle {from} on{so_far}\n");
     super::print(which.json, &Applied { from_cycle: from }, line).map_err(Failure::Run)?;
     Ok(0)

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// How a station follows its master's time, and how well.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ClockShown {
     /// `none` or `linear`; `None`: it follows nobody.
     pub servo: Option<String>,
@@ -26,6 +27,7 @@ pub struct ClockShown {
 
 /// How far a calibration is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Progress {
     /// Rounds that were measured.
     pub measured: u32,
@@ -35,6 +37,7 @@ pub struct Progress {
 
 /// What the rounds of a calibration have shown. Each is half of what its two frames were on their way, nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct CalibrationShown {
     /// How many were measured.
     pub rounds: u32,

@@ -15,6 +15,7 @@ use super::schedule::{ActivationSaid, ScheduleRequest, ScheduleSaid, ScheduleSho
 use super::sockets::{StackReply, StackRequest};
 use super::vnic::{VnicRequest, VnicShown};
 use crate::judge::masters::Rivals;
+use crate::report::document::document;
 use crate::report::figures::GuardName;
 use crate::report::histogram::Summary;
 use crate::report::verdict::Verdict;
@@ -105,6 +106,7 @@ pub enum Reply {
 
 /// A slot as it is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SlotRequest {
     /// Its id.
@@ -217,6 +219,7 @@ pub enum RoleRequest {
 
 /// A station as others see it.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct StationStatus {
     /// Its name.
     pub name: String,
@@ -270,8 +273,11 @@ pub struct StationStatus {
     pub control: BTreeMap<String, u64>,
 }
 
+document!(StationStatus, "station-status", station_status_has_its_schema);
+
 /// A slot, and what became of frames in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct SlotShown {
     /// What it is.
     #[serde(flatten)]
@@ -346,6 +352,7 @@ pub enum LabReply {
 
 /// A lab as others see it.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct LabStatus {
     /// Its name.
     pub name: String,
@@ -391,6 +398,10 @@ pub struct LabStatus {
     pub rivals: Vec<Rivals>,
     /// Frames outside all slots, of addresses that no station has; of the ninth and later ones together.
     pub strangers: BTreeMap<String, u64>,
+    /// Synchronisations that are not what they say, by reason: of a stranger, or of a cycle that cannot have begun or is long
+    /// over.
+    #[serde(default)]
+    pub implausible_syncs: BTreeMap<String, u64>,
     /// Of the frame that left the air latest: how long after its slot's end, or, below zero, before it.
     pub latest_frame_ns: Option<i64>,
     /// Of all that ought not to be, what has no record of its cause.
@@ -415,8 +426,11 @@ pub struct LabStatus {
     pub stations: Vec<MemberStatus>,
 }
 
+document!(LabStatus, "lab-status", lab_status_has_its_schema);
+
 /// One station of a lab.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct MemberStatus {
     /// Its name.
     pub name: String,

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// A ring, and where the token is.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RingShown {
     /// The station's place in it, from 0 on.
     pub place: u8,

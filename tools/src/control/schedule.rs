@@ -8,6 +8,7 @@ use rtnet::wire::ethernet::Address;
 use serde::{Deserialize, Serialize};
 
 use super::SlotRequest;
+use crate::report::document::document;
 use crate::scenario::Scenario;
 
 /// What of the schedule may be asked, or done.
@@ -144,6 +145,7 @@ impl ChangesTold {
 
 /// Where a station stands with changes of the schedule.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ScheduleShown {
     /// The station.
     pub station: String,
@@ -186,6 +188,8 @@ pub struct ScheduleShown {
     /// See `answers_sent`.
     pub parts_received: u64,
 }
+
+document!(ScheduleShown, "schedule", schedule_has_its_schema);
 
 impl ScheduleShown {
     /// Of a station that takes part in changes.

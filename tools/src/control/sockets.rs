@@ -7,6 +7,7 @@ use rtnet::buf::PoolStatistics;
 use serde::{Deserialize, Serialize};
 
 use super::VnicCounted;
+use crate::report::document::document;
 
 /// What a station with sockets may be asked.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -82,6 +83,7 @@ pub enum RouteSaid {
 
 /// A station's place in the Internet Protocol.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct InterfaceShown {
     /// The station's name.
     pub name: String,
@@ -111,8 +113,11 @@ pub struct InterfaceShown {
     pub counters: BTreeMap<String, u64>,
 }
 
+document!(InterfaceShown, "interface", interface_has_its_schema);
+
 /// What a channel takes.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ChannelShown {
     /// Largest payload behind the Ethernet header.
     pub payload: usize,
@@ -120,6 +125,7 @@ pub struct ChannelShown {
 
 /// A station's tables.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RoutesShown {
     /// Its own address.
     pub ip: Ipv4Addr,
@@ -135,8 +141,11 @@ pub struct RoutesShown {
     pub networks_at_most: usize,
 }
 
+document!(RoutesShown, "routes", routes_has_its_schema);
+
 /// A station on the medium.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HostShown {
     /// Its IP address.
     pub ip: Ipv4Addr,
@@ -148,6 +157,7 @@ pub struct HostShown {
 
 /// A network behind a station.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct NetworkShown {
     /// As 10.1.0.0/16.
     pub network: String,
@@ -157,6 +167,7 @@ pub struct NetworkShown {
 
 /// Where a packet would go.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Way {
     /// Where to.
     pub ip: Ipv4Addr,
@@ -167,6 +178,8 @@ pub struct Way {
     /// Whether it was asked for, and no answer has come.
     pub is_awaited: bool,
 }
+
+document!(Way, "way", way_has_its_schema);
 
 /// An echo as it is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -227,6 +240,7 @@ pub struct EchoShown {
 
 /// A pool.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PoolShown {
     /// Whose.
     pub pool: String,
@@ -242,6 +256,8 @@ pub struct PoolShown {
     pub dropped: u64,
 }
 
+document!(PoolShown, "pool", pool_has_its_schema);
+
 impl PoolShown {
     /// A pool of this name, with what was lost for want of its buffers.
     pub fn new(pool: String, statistics: PoolStatistics, dropped: u64) -> Self {
@@ -252,6 +268,7 @@ impl PoolShown {
 
 /// Everything that a station counts, by where and by name.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct CountersShown {
     /// The station's name.
     pub name: String,
@@ -277,3 +294,5 @@ pub struct CountersShown {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vnic: Option<VnicCounted>,
 }
+
+document!(CountersShown, "counters", counters_has_its_schema);

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::PoolShown;
+use crate::report::document::document;
 
 /// What its VNIC may be told.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -40,6 +41,7 @@ pub struct VnicChange {
 
 /// How a VNIC is.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct VnicShown {
     /// Its device's name.
     pub device: String,
@@ -81,8 +83,11 @@ pub struct VnicShown {
     pub news: Option<String>,
 }
 
+document!(VnicShown, "vnic", vnic_has_its_schema);
+
 /// What a VNIC counts, among what its station does.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct VnicCounted {
     /// What went through, by name.
     pub counters: BTreeMap<String, u64>,

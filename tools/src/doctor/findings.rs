@@ -4,12 +4,14 @@ use serde::Serialize;
 
 use super::rights::Rights;
 use super::verdict::Prediction;
+use crate::report::document::document;
 use crate::report::histogram::Summary;
 use crate::report::host::HostFacts;
 
 /// All that was found out. The order of the fields is the order in the JSON; times are in nanoseconds,
 /// shares from 0 to 1.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Findings {
     /// How long was measured altogether.
     pub duration_ns: i64,
@@ -49,8 +51,11 @@ pub struct Findings {
     pub host: HostFacts,
 }
 
+document!(Findings, "doctor", doctor_has_its_schema);
+
 /// A network to try.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Recommended {
     /// What is predicted for it.
     #[serde(flatten)]
@@ -65,6 +70,7 @@ pub struct Recommended {
 
 /// One network in one state of the core.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Candidate {
     /// With the core kept warm.
     pub warm_core: bool,
@@ -77,6 +83,7 @@ pub struct Candidate {
 
 /// Wake-ups in one state of the core.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Lateness {
     /// The core was kept from idling.
     pub warm_core: bool,
@@ -88,6 +95,7 @@ pub struct Lateness {
 
 /// The share beyond a limit.
 #[derive(Clone, Copy, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Share {
     /// The limit.
     pub than_ns: i64,
@@ -97,6 +105,7 @@ pub struct Share {
 
 /// Outages in figures.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct OutageFigures {
     /// How long the core was watched.
     pub watched_ns: i64,
@@ -108,6 +117,7 @@ pub struct OutageFigures {
 
 /// How often in a second.
 #[derive(Clone, Copy, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Rate {
     /// Of at least this length.
     pub at_least_ns: i64,
@@ -117,6 +127,7 @@ pub struct Rate {
 
 /// One thread waking another.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Hop {
     /// The core of the woken thread; the waking one is on the examined core.
     pub to_cpu: usize,
@@ -126,6 +137,7 @@ pub struct Hop {
 
 /// The wire in figures.
 #[derive(Clone, Copy, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct WireFigures {
     /// `send` of 60 bytes.
     pub send_ns: Summary,

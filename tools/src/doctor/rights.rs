@@ -24,6 +24,7 @@ const LOOPBACK: u32 = 1;
 
 /// One thing that the host allows or not.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Right {
     /// What it is.
     pub name: &'static str,
@@ -35,6 +36,7 @@ pub struct Right {
 
 /// All of them.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Rights {
     /// Of this process.
     pub process: Vec<Right>,

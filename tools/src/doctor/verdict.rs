@@ -84,6 +84,7 @@ pub struct Core<'a> {
 
 /// A network, and what it would do.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Prediction {
     /// From one cycle's start to the next.
     pub cycle_ns: i64,

@@ -21,9 +21,11 @@ use super::sight::Sight;
 use super::timetable::{Timetable, before};
 use super::worst::Worst;
 use crate::report::histogram::SignedHistogram;
+use crate::report::intervals::Intervals;
 use crate::scenario::{Scenario, StationPlan};
 use crate::station::traffic::Tag;
 
+use believed::{Doubt, Doubted};
 use cycles::Grid;
 pub use queueing::Queueing;
 pub use schedules::Known;
@@ -77,8 +79,8 @@ pub struct Analysis {
     current: Option<u32>,
     /// From the first cycle that was heard of follow all others.
     grid: Option<Grid>,
-    /// The last Synchronisation, and when it was; of one that was passed over that is not known.
-    last_sync: Option<(u32, Option<True>)>,
+    /// The last Synchronisation that was seen, or was passed over.
+    last_sync: Option<u32>,
     /// Until when the medium is, or either part of it, and by whom.
     busy: [Option<(True, Option<Author>)>; 2],
     /// Who is on the other side of a cut.
@@ -97,7 +99,9 @@ pub struct Analysis {
     /// Actual - scheduled transmit of Synchronisations.
     pub sync_slot_error: SignedHistogram,
     /// (t(n) - t(n-1)) - T of neighbouring cycles' Synchronisations.
-    pub sync_period_jitter: SignedHistogram,
+    pub sync_period: Intervals,
+    /// Since when that is measured, if it was seen: the last Synchronisation.
+    period_from: Option<(u32, Option<True>)>,
     /// What ought not to be, in the window.
     pub findings: Vec<Finding>,
     /// Findings beyond those that are kept.
@@ -106,6 +110,8 @@ pub struct Analysis {
     pub stations: Vec<Seen>,
     /// Frames of others, outside the slots of all.
     pub strangers: Strangers,
+    /// Synchronisations that are not what they say.
+    pub doubted: Doubted,
 }
 
 impl Seen {
@@ -156,11 +162,13 @@ impl Analysis {
             latest: Worst::default(),
             syncs: 0,
             sync_slot_error: SignedHistogram::new(),
-            sync_period_jitter: SignedHistogram::new(),
+            sync_period: Intervals::default(),
+            period_from: None,
             findings: Vec::new(),
             findings_dropped: 0,
             stations: scenario.stations.iter().map(seen).collect(),
             strangers: Strangers::default(),
+            doubted: Doubted::default(),
         }
     }
 
@@ -217,6 +225,10 @@ impl Analysis {
             let (from, rtmac) = (header.source, wire::parse(bytes).ok());
             if let Some(Rtmac::Tdma(Message::Sync { cycle, sched, .. })) = rtmac {
                 let author = Author::sync(self.givers.station(from), cycle);
+                if !self.can_have_begun(cycle, at) {
+                    self.occupy(at, air, self.cycle_at(at), None);
+                    return self.disbelieve(Doubt::CycleAhead, from, at);
+                }
                 Status::of_sync(bytes).iter().for_each(|status| self.note_schedule(cycle, status));
                 self.occupy(at, air, Some(cycle), Some(author));
                 self.sync(at, author, (from, sched), air);
@@ -229,6 +241,10 @@ impl Analysis {
                 self.judge_rtmac(at, header, rtmac, air);
             }
         } else if let Some((tag, author)) = self.author_of(bytes) {
+            if !self.can_have_begun(author.cycle, at) {
+                self.occupy(at, air, self.cycle_at(at), None);
+                return self.out_of_its_cycle(header.source, at);
+            }
             self.occupy(at, air, Some(author.cycle), Some(author));
             self.carried(author, bytes.len(), false);
             self.data(at, Some(tag), author, air);
@@ -248,6 +264,7 @@ impl Analysis {
     /// looked.
     pub fn lose_sight(&mut self) {
         (self.busy, self.last_sync, self.heard) = ([None; 2], None, None);
+        self.period_from = self.period_from.map(|(cycle, _)| (cycle, None));
         if let Some(current) = self.current {
             self.sight.lose(current);
         }
@@ -257,9 +274,10 @@ impl Analysis {
     pub fn finish(&mut self) {
         let Some((from, _)) = self.window else { return };
         let end = from.wrapping_add(self.cycles());
-        if let Some((last, _)) = self.last_sync {
+        if let Some(last) = self.last_sync {
             self.sync_gaps(self.givers.now(), last.wrapping_add(1), end);
         }
+        self.end_periods(end);
         for station in 0..self.stations.len() {
             self.look_back(station, end);
         }
@@ -330,22 +348,28 @@ impl Analysis {
 
     fn sync(&mut self, at: True, author: Author, (from, sched): (Address, GlobalTime), air: Span) {
         let cycle = author.cycle;
+        let gives = self.givers.has(from);
+        if !gives {
+            self.doubt(Doubt::Stranger, at);
+        }
         // Before anything counts, two may have begun at once, of which one makes way.
-        if self.window.is_none() || self.grid.is_none() {
+        if self.grid.is_none() || self.window.is_none() && gives {
             self.grid = Some(Grid::new(cycle, sched, self.cycle));
         }
         self.heard(author.station, cycle);
         self.masters.sync(from, cycle, self.counts(cycle));
         // Who was to send those that are missing.
         let gave_before = self.givers.now();
-        let is_newer = self.last_sync.is_none_or(|(last, _)| before(last, cycle));
-        let has_taken_over = is_newer && self.givers.heard(from, at);
+        let is_newer = self.last_sync.is_none_or(|last| before(last, cycle));
+        if is_newer {
+            self.givers.heard(from, at);
+        }
         let due = self.start_of(cycle).unwrap_or(sched);
         let error = self.error(at, due + self.givers.after(from));
         let is_off = error < -self.clock_share || error > self.sync_window - air;
         // What cycle it is, nobody need tell us.
-        let its = if self.givers.has(from) { Some(cycle) } else { self.cycle_at(at) };
-        if (sched != due || is_off || !self.givers.has(from))
+        let its = if gives { Some(cycle) } else { self.cycle_at(at) };
+        if (sched != due || is_off || !gives)
             && let Some(its) = its.filter(|&its| self.counts(its))
         {
             self.strays(from, its);
@@ -362,24 +386,21 @@ impl Analysis {
         if is_off {
             self.find(Finding::of(author, FindingKind::OutOfSlot, error));
         }
-        if let Some((last, last_at)) = self.last_sync {
+        if let Some(last) = self.last_sync {
             match cycle.wrapping_sub(last) as i32 {
-                1 => {
-                    if let (true, Some(last_at)) = (self.counts(cycle) && !has_taken_over, last_at) {
-                        let clock = self.truth().clock;
-                        let period = clock.local(at) - clock.local(last_at);
-                        self.sync_period_jitter.record((period - self.length_of(last)).nanos());
-                    }
-                }
+                1 => {}
                 ..=0 => self.find(Finding::of(author, FindingKind::Repeated, Span::ZERO)),
                 _ => self.sync_gaps(gave_before, last.wrapping_add(1), cycle),
             }
         }
+        if !is_newer && error >= HELD_UP_FOR {
+            self.doubt(Doubt::CycleBehind, at);
+        }
         // Whoever follows has had a newer one.
-        let is_overtaken = !is_newer && (self.sync_window..HELD_UP_FOR).contains(&error);
-        if !is_overtaken {
+        if is_newer || error < self.sync_window {
             self.heard = Some(cycle);
-            self.last_sync = Some((cycle, Some(at)));
+            self.last_sync = Some(cycle);
+            self.note_period(cycle, at);
             self.current = Some(cycle);
         }
     }
@@ -456,6 +477,7 @@ impl Analysis {
     }
 }
 
+mod believed;
 mod closer;
 mod cycles;
 mod gaps;

@@ -45,10 +45,19 @@ struct Giver {
     /// When it sends, after a cycle's start.
     after: Span,
     truth: TrueMaster,
+    /// The furthest that its clock was ahead of what it shows now, before it was set back: others still go by that.
+    before: Option<EmulatedClock>,
     has_given: bool,
 }
 
 impl Giver {
+    /// The latest that global time is at a true moment, by its clock, and by what that was.
+    fn latest_at(&self, at: True) -> GlobalTime {
+        let TrueMaster { epoch, .. } = self.truth;
+        let before = self.before.map(|clock| TrueMaster { clock, epoch }.global(at));
+        before.map_or(self.truth.global(at), |before| later(before, self.truth.global(at)))
+    }
+
     fn goes_on_by_its_own(&self) -> bool {
         self.has_given && self.after == Span::ZERO
     }
@@ -66,6 +75,7 @@ impl Givers {
                 address: scenario.address(station),
                 after: plan.backup.unwrap_or(Span::ZERO),
                 truth: TrueMaster { clock, epoch },
+                before: None,
                 has_given: false,
             })
         };
@@ -142,8 +152,19 @@ impl Givers {
 
     /// A station has another clock from now on: a master's global time goes on by it, or jumps with it.
     pub fn set_clock(&mut self, station: usize, clock: EmulatedClock) {
-        let its = self.all.iter_mut().filter(|giver| giver.station == station);
-        its.for_each(|giver| giver.truth.clock = clock);
+        for giver in self.all.iter_mut().filter(|giver| giver.station == station) {
+            let ahead = |of: &EmulatedClock| of.local(clock.anchor) - clock.local(clock.anchor);
+            let was = giver.before.into_iter().chain([giver.truth.clock]).max_by_key(ahead);
+            giver.before = was.filter(|was| ahead(was) > Span::ZERO);
+            giver.truth.clock = clock;
+        }
+    }
+
+    /// The latest that global time can be at a true moment: by the clock of who gives it, and by those of all who gave it and
+    /// may not have heard of another since.
+    pub fn latest_at(&self, at: True) -> GlobalTime {
+        let others = self.all.iter().filter(|giver| giver.has_given).map(|giver| giver.latest_at(at));
+        others.fold(self.all[self.now].latest_at(at), later)
     }
 
     /// What a station took global time for at a true moment: that of who gives it is right.
@@ -153,6 +174,11 @@ impl Givers {
             giver.truth.epoch = Offset::between(giver.truth.clock.local(at), global);
         }
     }
+}
+
+/// The later of two, modulo 2^64 as they are.
+fn later(a: GlobalTime, b: GlobalTime) -> GlobalTime {
+    if b - a > Span::ZERO { b } else { a }
 }
 
 /// From another clock to the global time that a master's clock showed when all clocks were anchored.

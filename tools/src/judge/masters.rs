@@ -12,6 +12,7 @@ const TAKEOVERS_AT_MOST: usize = 1_000;
 
 /// Another station gives the time.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Takeover {
     /// The cycle of its first Synchronisation.
     pub cycle: u32,
@@ -26,6 +27,7 @@ const RIVALS_AT_MOST: usize = 100;
 
 /// Two who gave the time at once.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Rivals {
     /// The first cycle in which they did.
     pub cycle: u32,

@@ -119,7 +119,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         stalled_in_send: own(EventKind::StalledInSend) + own(EventKind::ReplyStalled),
         guard_drops: own(EventKind::GuardDropped) + own(EventKind::SyncDropped),
         latest_frame_ns: analysis.latest.value(),
-        sync_period_jitter_ns: analysis.sync_period_jitter.summary(),
+        sync_period_jitter_ns: analysis.sync_period.summary(),
         host,
         max_miss_ppm: scenario.max_miss_ppm,
         rt_cpu_percent: stations.iter().map(|station| station.rt_cpu_share).sum::<f64>() * 100.0,
@@ -131,6 +131,7 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         masters_seen: analysis.masters.takeovers.clone(),
         rivals: analysis.masters.rivals(scenario),
         strangers: analysis.strangers.named(),
+        implausible_syncs: analysis.doubted.named(),
         ..Figures::default()
     };
     let mut all = Histograms::new();
@@ -144,12 +145,14 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
         figures.lost_on_purpose += one.lost_on_purpose;
         figures.per_station.push(one);
     }
-    figures.slot_error_ns = all.slot_error.summary();
-    figures.slot_error_abs_ns = all.slot_error_abs.summary();
-    figures.sync_error_ns = all.sync_error.summary();
+    // Who gives the time throughout has no estimate of it.
+    let untold = figures.per_station.iter().filter_map(|station| station.sync_error_ns.gaps).sum();
+    figures.slot_error_ns = all.slot_error.summary().with_gaps(figures.slots_missed);
+    figures.slot_error_abs_ns = all.slot_error_abs.summary().with_gaps(0);
+    figures.sync_error_ns = all.sync_error.summary().with_gaps(untold);
     figures.wake_latency = wake_latency(&parts.stations);
     figures.queueing = queueing(scenario, &parts, 0..stations.len());
-    figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary();
+    figures.sync_error_abs_ns = all.sync_error.deviation_from(0).summary().with_gaps(untold);
     account.report(&mut figures);
     let evidence = reasons::evidence(scenario, &parts, &figures);
     let missed_in_parts = account.missed_in_parts;
@@ -233,9 +236,12 @@ fn station_figures(
         guard: facts.guarded.into(),
         guard_drops: own(EventKind::GuardDropped) + own(EventKind::SyncDropped),
         payload_errors: facts.payload_errors,
-        slot_error_ns: seen.slot_error.summary(),
-        slot_error_abs_ns: slot_error_abs.summary(),
-        sync_error_ns: facts.sync_error.summary(),
+        slot_error_ns: seen.slot_error.summary().with_gaps(missed),
+        slot_error_abs_ns: slot_error_abs.summary().with_gaps(0),
+        sync_error_ns: match plan.role {
+            Role::Master => facts.sync_error.summary(),
+            _ => facts.sync_error.summary().with_gaps(missed),
+        },
         rss_bytes: facts.resident,
         cpu_percent: percent(facts.cpu_seconds, parts.analysis.cycles(), scenario),
         sequence_gaps: facts.sequence_gaps,
@@ -264,7 +270,7 @@ fn queueing(scenario: &Scenario, parts: &Parts, stations: Range<usize>) -> Vec<Q
             priority,
             frames_seen: delay.len(),
             refused: refused(&priority),
-            delay_ns: delay.summary(),
+            delay_ns: delay.summary().with_gaps(refused(&priority)),
             lost: lost().map(|lost| lost.frames).sum(),
             lost_on_purpose: lost().map(|lost| lost.on_purpose).sum(),
         }

@@ -286,7 +286,7 @@ impl Keeper {
             frames_expected: stations.iter().map(|s| s.frames_seen + s.slots_missed).sum(),
             frames_seen: stations.iter().map(|s| s.frames_seen).sum(),
             slots_missed: stations.iter().map(|s| s.slots_missed).sum(),
-            sync_slot_error_ns: analysis.sync_slot_error.summary(),
+            sync_slot_error_ns: analysis.sync_slot_error.summary().with_gaps(self.tally.syncs_missing),
             sync_window_ns: self.scenario.sync_window.nanos(),
             overlaps: self.tally.overlaps,
             out_of_slot: self.tally.out_of_slot,
@@ -295,6 +295,7 @@ impl Keeper {
             time_by: self.scenario.stations[analysis.giver()].name.clone(),
             rivals: analysis.masters.rivals(&self.scenario),
             strangers: analysis.strangers.named(),
+            implausible_syncs: analysis.doubted.named(),
             latest_frame_ns: analysis.latest.value(),
             unexplained: self.tally.unexplained,
             unexplained_last: self.tally.shown.iter().map(|finding| self.words(finding)).collect(),
@@ -355,6 +356,7 @@ impl Keeper {
     fn member(&self, station: usize) -> MemberStatus {
         let (plan, member) = (&self.scenario.stations[station], &self.lab.members[station]);
         let seen = &self.lab.analysis.stations[station];
+        let slots_missed = self.lab.analysis.expected(station).saturating_sub(seen.frames);
         // How much a receiver has heard is known only once it has told of its end.
         let sender = self.scenario.sender(station);
         let lost_of = |of| {
@@ -372,11 +374,11 @@ impl Keeper {
             address: self.scenario.address(station).to_string(),
             ip: plan.ip.map(|OwnIp { ip, prefix }| format!("{ip}/{prefix}")),
             frames_seen: seen.frames,
-            slots_missed: self.lab.analysis.expected(station).saturating_sub(seen.frames),
+            slots_missed,
             stray: seen.stray,
             payload_errors: member.payload_errors(),
             frames_lost: lost,
-            slot_error_ns: seen.slot_error.summary(),
+            slot_error_ns: seen.slot_error.summary().with_gaps(slots_missed),
             slot_length_ns: self.lab.analysis.slot_length(station).nanos(),
             guard: member.guarded.into(),
             events: member.events.clone(),

@@ -2,21 +2,21 @@
 
 use std::path::Path;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, anyhow};
 use serde::{Deserialize, Serialize};
 
 use crate::judge::account::PARTS;
+use crate::report::document::{NotRead, document, read};
 use crate::report::figures::Figures;
 use crate::report::host::HostFacts;
 use crate::report::verdict::Word;
 
-/// What the file says that it is.
-pub const KIND: &str = "rtnet find-min-cycle 2";
 /// Two searches on one idle host agree within this: 25 %, two rungs of the ladder.
 pub const AGREE_WITHIN: f64 = 1.25;
 
 /// What was searched for.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
     /// The master included.
@@ -39,6 +39,7 @@ pub struct Asked {
 
 /// What a run was for.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
     /// To find out where to search.
@@ -49,6 +50,7 @@ pub enum Purpose {
 
 /// One run.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Run {
     /// From one cycle's start to the next.
@@ -80,10 +82,9 @@ pub struct Run {
 
 /// What was found.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Answer {
-    /// [`KIND`].
-    pub kind: String,
     /// For what.
     pub asked: Asked,
     /// The shortest cycle that is proven; none, if no cycle that was tried is.
@@ -93,6 +94,8 @@ pub struct Answer {
     /// On what.
     pub host: HostFacts,
 }
+
+document!(Answer, "find-min-cycle", find_min_cycle_has_its_schema);
 
 impl Run {
     /// Of a network that came up, and missed so many slots in each part of the run. A trial is judged by what is usual in it, a
@@ -172,19 +175,13 @@ impl Answer {
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("{name} cannot be read"))?;
-        let kind = serde_json::from_str(&text)
-            .map(|value: serde_json::Value| {
-                value.get("kind").and_then(|kind| kind.as_str()).map(str::to_owned)
-            })
-            .with_context(|| {
-                format!("{name} is not JSON: keep an answer with `rtnet find-min-cycle --json`")
-            })?;
-        ensure!(
-            kind.as_deref() == Some(KIND),
-            "{name} is not an answer of this version ({KIND}): keep one with `rtnet find-min-cycle --json`"
-        );
-        serde_json::from_str(&text).with_context(|| {
-            format!("{name} is not whole: keep an answer with `rtnet find-min-cycle --json` again")
+        read(&text).map_err(|error: NotRead| {
+            let what = match &error {
+                NotRead::Json(why) if why.is_data() => "is not whole",
+                NotRead::Json(_) => "is not JSON",
+                NotRead::Another { .. } => "is not an answer of this version",
+            };
+            anyhow!("{name} {what}: {error}: keep an answer with `rtnet find-min-cycle --json`")
         })
     }
 

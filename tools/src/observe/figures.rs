@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::ear::Ear;
 use super::line::Line;
 use super::tally::{Tally, Which};
-use crate::report::histogram::Summary;
+use crate::report::document::document;
+use crate::report::histogram::{SignedHistogram, Summary};
 use crate::report::host::HostFacts;
 
 /// How far a kernel's software stamp on a bridge may be from the frame's moment on the medium: it is taken in the
@@ -18,6 +19,7 @@ pub const STAMP_ERROR_NS: u64 = 1_000;
 
 /// A whole observation.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct JitterFigures {
     /// The interface that was listened on.
     pub interface: String,
@@ -37,6 +39,9 @@ pub struct JitterFigures {
     pub sync_gaps: u64,
     /// Syncs whose cycle number does not follow the one before.
     pub syncs_repeated: u64,
+    /// Syncs of cycles that cannot have begun yet.
+    #[serde(default)]
+    pub syncs_implausible: u64,
     /// Two frames on the air at once, at the medium's rate.
     pub overlaps: u64,
     /// Bits per second for which overlaps are counted.
@@ -63,8 +68,11 @@ pub struct JitterFigures {
     pub host: HostFacts,
 }
 
+document!(JitterFigures, "jitter", jitter_has_its_schema);
+
 /// A station's syncs, or its frames in one slot.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct SlotFigures {
     /// Its address.
     pub source: String,
@@ -88,6 +96,7 @@ pub struct SlotFigures {
 
 /// A station's frames of one kind that do not say when they were scheduled.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct OtherFigures {
     /// Its address.
     pub source: String,
@@ -125,6 +134,7 @@ impl JitterFigures {
             kinds: tally.kinds.iter().map(|(&kind, &count)| (kind.to_owned(), count)).collect(),
             sync_gaps: tally.sync_gaps,
             syncs_repeated: tally.syncs_repeated,
+            syncs_implausible: tally.syncs_implausible,
             overlaps: tally.overlaps,
             rate,
             dropped_by_ring: ear.dropped(),
@@ -133,13 +143,19 @@ impl JitterFigures {
             not_judged: tally.not_judged,
             frames_beyond: tally.frames_beyond,
             stamp_error_ns: STAMP_ERROR_NS,
-            sync_period_jitter_ns: tally.sync_period_jitter.summary(),
+            sync_period_jitter_ns: tally.sync_period.summary(),
             host,
             ..Self::default()
         };
         for (stream, seen) in &tally.streams {
             let (source, name) = (stream.source.to_string(), ear.names.get(&stream.source).cloned());
-            let (frames, missed, times) = (seen.frames, seen.missed(), seen.times.summary());
+            let (frames, missed) = (seen.frames, seen.missed());
+            let has_turns = !matches!(stream.which, Which::Sporadic(_));
+            let with_gaps = |of: &SignedHistogram| match has_turns {
+                true => of.summary().with_gaps(missed),
+                false => of.summary(),
+            };
+            let times = with_gaps(&seen.times);
             let spread = seen.times.deviation_from(seen.times.median());
             let of_slot = |station, slot| SlotFigures {
                 source: source.clone(),
@@ -149,7 +165,7 @@ impl JitterFigures {
                 frames,
                 missed,
                 slot_error_ns: times,
-                slot_error_abs_ns: spread.summary(),
+                slot_error_abs_ns: with_gaps(&spread),
                 slot_errors_abs: spread.iter().collect(),
             };
             match stream.which {
@@ -162,7 +178,7 @@ impl JitterFigures {
                     frames,
                     missed: matches!(which, Which::Foreign(_)).then_some(missed),
                     place_ns: times,
-                    place_spread_ns: spread.summary(),
+                    place_spread_ns: with_gaps(&spread),
                 }),
             }
         }

@@ -13,6 +13,7 @@ pub mod decode;
 pub mod ear;
 pub mod figures;
 pub mod line;
+pub mod numbers;
 pub mod screen;
 pub mod tally;
 pub mod watch;

@@ -66,7 +66,9 @@ fn slots(figures: &JitterFigures, width: usize) -> Vec<String> {
     let nothing = String::new;
     let name = "sync period jitter".to_owned();
     let times = figures.sync_period_jitter_ns;
-    let period = Row { name, which: nothing(), frames: nothing(), missed: nothing(), times };
+    let which = times.longest_gap_ns.map_or_else(nothing, |ns| format!("gap {}", duration(ns as u64)));
+    let missed = times.gaps.map_or_else(nothing, grouped);
+    let period = Row { name, which, frames: nothing(), missed, times };
     let rows: Vec<Row> = figures.slots.iter().take(SHOWN).map(Row::of).chain([period]).collect();
     let left = |head, cell: fn(&Row) -> &String| Column::left(head, rows.iter().map(|row| cell(row).clone()));
     let right =
@@ -119,7 +121,10 @@ fn name(name: &Option<String>, source: &str) -> String {
 
 fn definitions(figures: &JitterFigures, width: usize) -> Vec<String> {
     let mut rows = vec![
-        ("sync period jitter", "(t(n) - t(n-1)) - T, T = sched_xmit(n) - sched_xmit(n-1)"),
+        (
+            "sync period jitter",
+            "(t(n) - t(n-1)) - T, T = sched_xmit(n) - sched_xmit(n-1); missed: gaps, in which syncs were missing or not stamped, which have no jitter; gap: the longest, from sync to sync",
+        ),
         ("slot error", "stamp - (scheduled + offset), scheduled as the frame itself says"),
         ("offset", "smallest stamp - max(sched_xmit, xmit_stamp) of 16 syncs, less drift"),
         ("missed", "turns without a frame between two; a turn is the shortest step seen"),
@@ -143,6 +148,7 @@ fn counts(figures: &JitterFigures, width: usize) -> Vec<String> {
     let counts = [
         ("cycles without a sync".to_owned(), figures.sync_gaps),
         ("syncs out of turn".to_owned(), figures.syncs_repeated),
+        ("implausible syncs".to_owned(), figures.syncs_implausible),
         (format!("overlaps at {rate} Mbit/s"), figures.overlaps),
         ("lost by the ring".to_owned(), figures.dropped_by_ring),
         ("clock steps".to_owned(), figures.clock_steps),

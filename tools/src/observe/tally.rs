@@ -5,12 +5,14 @@ use std::collections::BTreeMap;
 use rtmac::tdma::schedule::Rate;
 use rtmac::wire::Message;
 use rtnet::clock::True;
-use rtnet::time::{GlobalTime, Span};
+use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 
 use super::decode::What;
+use super::numbers::{Following, Follows};
 use super::watch::{Sight, When};
 use crate::report::histogram::SignedHistogram;
+use crate::report::intervals::Intervals;
 
 /// Streams that are told apart; forged addresses may make any number.
 const STREAMS_AT_MOST: usize = 1_000;
@@ -34,15 +36,16 @@ pub struct Tally {
     pub sync_gaps: u64,
     /// Syncs whose cycle number does not follow the one before.
     pub syncs_repeated: u64,
+    /// Syncs of cycles that cannot have begun yet.
+    pub syncs_implausible: u64,
     /// (t(n) - t(n-1)) - T of neighbouring cycles' syncs.
-    pub sync_period_jitter: SignedHistogram,
+    pub sync_period: Intervals,
     /// Each station's frames of one kind or slot.
     pub streams: BTreeMap<Stream, Seen>,
     /// Frames of streams beyond those that are told apart.
     pub frames_beyond: u64,
     /// Frames that came when there was no line, or no stamp to be trusted.
     pub not_judged: u64,
-    last_sync: Option<(u32, GlobalTime, Option<True>)>,
     busy_until: Option<True>,
 }
 
@@ -89,6 +92,8 @@ pub struct Seen {
 #[derive(Clone, Copy, Debug, Default)]
 struct Turns {
     last: Option<u32>,
+    /// Of which count of a master, see [`Numbers::counts`](super::numbers::Numbers::counts).
+    of: u64,
     count: u64,
     spanned: u64,
     step: u64,
@@ -104,11 +109,11 @@ impl Tally {
             overlaps: 0,
             sync_gaps: 0,
             syncs_repeated: 0,
-            sync_period_jitter: SignedHistogram::new(),
+            syncs_implausible: 0,
+            sync_period: Intervals::default(),
             streams: BTreeMap::new(),
             frames_beyond: 0,
             not_judged: 0,
-            last_sync: None,
             busy_until: None,
         }
     }
@@ -119,32 +124,30 @@ impl Tally {
         self.frames += 1;
         *self.kinds.entry(what.kind()).or_default() += 1;
         self.occupy(at, wire_len);
-        if let What::Tdma(Message::Sync { cycle, sched, .. }) = *what {
-            self.sync(at, cycle, sched);
-        }
+        sight.follows.into_iter().for_each(|of| self.sync(of));
         if sight.when == When::Unknown {
             self.not_judged += 1;
         }
         if let Some(which) = which(what) {
             self.enter(Stream { source: sight.decoded.source, which }, sight);
         }
-        if let What::Data(tag) = what
+        if let (What::Data(tag), Some(count)) = (what, sight.count)
             && tag.priority().is_some()
         {
             let which = Which::Slot { station: tag.station(), slot: tag.slot };
             let slot = self.streams.get_mut(&Stream { source: sight.decoded.source, which });
             // The usual frame has not missed this turn.
-            slot.into_iter().for_each(|seen| seen.turns.note(tag.cycle()));
+            slot.into_iter().for_each(|seen| seen.turns.note(tag.cycle(), count));
         }
-        if let (What::Other(..) | What::Tunnel(..), When::Place(place), Some(cycle)) =
-            (what, sight.when, sight.cycle)
+        if let (What::Other(..) | What::Tunnel(..), When::Place(place), Some(cycle), Some(count)) =
+            (what, sight.when, sight.cycle, sight.count)
         {
-            self.take_turn(sight.decoded.source, cycle, place);
+            self.take_turn(sight.decoded.source, (cycle, count), place);
         }
     }
 
     /// What a program sends takes a turn from its station's usual frame: of the last slot that has begun by then.
-    fn take_turn(&mut self, source: Address, cycle: u32, place: Span) {
+    fn take_turn(&mut self, source: Address, (cycle, count): (u32, u64), place: Span) {
         let is_there = |offset: Span| offset <= place + EARLY && place <= offset + LATE;
         let of_source = self.streams.range_mut(Stream { source, which: Which::Sync }..);
         let begun = of_source
@@ -153,7 +156,7 @@ impl Tally {
             .map(|(_, seen)| seen)
             .filter(|seen| seen.offset.is_some_and(is_there) && seen.turns.has(cycle));
         if let Some(seen) = begun.max_by_key(|seen| seen.offset) {
-            seen.turns.note(cycle);
+            seen.turns.note(cycle, count);
         }
     }
 
@@ -167,20 +170,18 @@ impl Tally {
         self.busy_until = Some(self.busy_until.map_or(until, |busy| busy.max(until)));
     }
 
-    fn sync(&mut self, at: Option<True>, cycle: u32, sched: GlobalTime) {
-        if let Some((last, last_sched, last_at)) = self.last_sync {
-            match cycle.wrapping_sub(last) as i32 {
-                1 => {
-                    if let (Some(at), Some(last_at)) = (at, last_at) {
-                        let period = Span::from_nanos(at.wrapping_sub(last_at) as i64);
-                        self.sync_period_jitter.record((period - (sched - last_sched)).nanos());
-                    }
-                }
-                ..=0 => self.syncs_repeated += 1,
-                ahead => self.sync_gaps += ahead as u64 - 1,
+    fn sync(&mut self, Following { how, times }: Following) {
+        match (how, times) {
+            (Follows::Anew, _) => {}
+            (Follows::Next, Some([actual, nominal])) => self.sync_period.next(actual, nominal),
+            (Follows::Next, None) => self.sync_period.gap(None),
+            (Follows::Missing(cycles), _) => {
+                self.sync_gaps += u64::from(cycles);
+                self.sync_period.gap(times.map(|[actual, _]| actual));
             }
+            (Follows::Again, _) => self.syncs_repeated += 1,
+            (Follows::Implausible, _) => self.syncs_implausible += 1,
         }
-        self.last_sync = Some((cycle, sched, at));
     }
 
     fn enter(&mut self, stream: Stream, sight: &Sight) {
@@ -190,8 +191,8 @@ impl Tally {
         }
         let seen = self.streams.entry(stream).or_default();
         seen.frames += 1;
-        if let Some(cycle) = sight.cycle {
-            seen.turns.note(cycle);
+        if let (Some(cycle), Some(count)) = (sight.cycle, sight.count) {
+            seen.turns.note(cycle, count);
         }
         if let When::SlotError(time) | When::Place(time) = sight.when {
             seen.times.record(time.nanos());
@@ -226,15 +227,22 @@ impl Turns {
         self.last.is_none_or(|last| self.step == 0 || u64::from(cycle.wrapping_sub(last)) % self.step == 0)
     }
 
-    fn note(&mut self, cycle: u32) {
+    fn note(&mut self, cycle: u32, of: u64) {
+        if self.of != of {
+            (self.of, self.last) = (of, None);
+        }
         match self.last.map(|last| cycle.wrapping_sub(last) as i32) {
             Some(0) => return,
             Some(step @ 1..) => {
                 self.spanned += step as u64;
                 self.step = if self.step == 0 { step as u64 } else { self.step.min(step as u64) };
             }
-            // The first; or a master counts from another number.
-            _ => {}
+            // One that others have overtaken.
+            Some(_) => {
+                self.count += 1;
+                return;
+            }
+            None => {}
         }
         self.count += 1;
         self.last = Some(cycle);

@@ -9,12 +9,14 @@ use rtnet::time::Span;
 
 use super::decode::{Decoded, What, decode, signed_micros};
 use super::line::Line;
+use super::numbers::{Following, Follows, Numbers};
 
 /// An observer's knowledge.
 #[derive(Debug, Default)]
 pub struct Watch {
     /// Where cycles begin.
     pub line: Line,
+    numbers: Numbers,
 }
 
 /// A frame, and where it was.
@@ -30,6 +32,10 @@ pub struct Sight {
     pub when: When,
     /// How long after the cycle's start its slot begins, by its own account, as far as that is known.
     pub offset: Option<Span>,
+    /// Of a sync: how it follows the one before.
+    pub follows: Option<Following>,
+    /// In which count of a master its cycle is, see [`Numbers::counts`]; none if that cannot have begun yet.
+    pub count: Option<u64>,
 }
 
 /// When a frame was on the medium, as far as an observer can tell.
@@ -51,14 +57,22 @@ impl Watch {
             What::Data(tag) if tag.priority().is_none() => Some(tag.slot),
             _ => None,
         };
+        let follows = match decoded.what {
+            What::Tdma(Message::Sync { cycle, sched, .. }) => Some(self.numbers.sync(cycle, sched, at)),
+            _ => None,
+        };
         let Some(at) = at else {
             self.line.forget();
             let cycle = decoded.what.scheduled().map(|(cycle, _)| cycle);
-            return Sight { decoded, cycle, slot, when: When::Unknown, offset: None };
+            return Sight { decoded, cycle, slot, when: When::Unknown, offset: None, follows, count: None };
         };
-        if let What::Tdma(Message::Sync { cycle, sched, xmit }) = decoded.what {
+        if let What::Tdma(Message::Sync { cycle, sched, xmit }) = decoded.what
+            && follows.is_some_and(|of| !matches!(of.how, Follows::Implausible | Follows::Again))
+        {
             self.line.sync(at, cycle, sched, xmit);
         }
+        let has_begun = |cycle| self.numbers.can_have_begun(cycle, Some(at)) == Some(true);
+        let count = |cycle| has_begun(cycle).then(|| self.numbers.counts());
         let place = self.line.place(at);
         match decoded.what.scheduled() {
             Some((cycle, scheduled)) => {
@@ -67,11 +81,12 @@ impl Watch {
                 let place = place.filter(|(came_in, _)| *came_in == cycle).map(|(_, place)| place);
                 let offset = place.zip(error).map(|(place, error)| place - error);
                 let when = error.map_or(When::Unknown, When::SlotError);
-                Sight { decoded, cycle: Some(cycle), slot, when, offset }
+                Sight { decoded, cycle: Some(cycle), slot, when, offset, follows, count: count(cycle) }
             }
             None => {
                 let when = place.map_or(When::Unknown, |(_, span)| When::Place(span));
-                Sight { decoded, cycle: place.map(|(cycle, _)| cycle), slot, when, offset: None }
+                let cycle = place.map(|(cycle, _)| cycle);
+                Sight { decoded, cycle, slot, when, offset: None, follows, count: cycle.and_then(count) }
             }
         }
     }

@@ -35,6 +35,7 @@ pub struct Host {
 
 /// What such a host does to a schedule. Times are in nanoseconds, shares from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct OnHost {
     /// With the core kept warm.
     pub warm_core: bool,

@@ -20,6 +20,7 @@ use rtmac::tdma::{DEFAULT_LEAD, HOLDOVER_CYCLES};
 use rtnet::time::Span;
 use serde::Serialize;
 
+use crate::report::document::document;
 use crate::report::text::duration;
 use crate::scenario::Scenario;
 
@@ -28,8 +29,6 @@ pub use table::{BackupRow, SlotRow, TimeTable};
 pub use vnics::VnicRow;
 pub use waits::{RoundTrip, RoundTrips, WaitRow};
 
-/// What files with a plan say that they are; the number changes with what is in them.
-pub const KIND: &str = "rtnet plan 1";
 /// How wrong a stamp may be, and how long a frame may take from a station's last look at the clock to the wire.
 pub const STAMP_ERROR: Span = Span::from_nanos(1_500);
 /// How late a host must be allowed to be of which nothing is known: a thread on a core of its own wakes up to 12.6 us late in
@@ -41,9 +40,8 @@ pub const MAX_DRIFT_PPB: i64 = 100_000;
 
 /// A schedule, and what it does. Times are in nanoseconds, shares from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Plan {
-    /// [`KIND`].
-    pub kind: &'static str,
     /// From one cycle's start to the next.
     pub cycle_ns: i64,
     /// The Synchronisation's share of each cycle.
@@ -72,8 +70,11 @@ pub struct Plan {
     pub warned: Vec<String>,
 }
 
+document!(Plan, "plan", plan_has_its_schema);
+
 /// The guard band of every slot, and the bounds within which no frame meets another.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Guard {
     /// Behind each frame.
     pub band_ns: i64,
@@ -105,7 +106,6 @@ impl Plan {
         // What a host was measured to do goes before what hosts usually do.
         let warned = guard.warned().filter(|_| host.is_none() && refused.is_empty());
         Self {
-            kind: KIND,
             cycle_ns: scenario.cycle.nanos(),
             sync_window_ns: scenario.sync_window.nanos(),
             rate: scenario.rate.bits_per_second(),

@@ -13,6 +13,7 @@ const PHASES_AT_MOST: u64 = 1 << 16;
 
 /// The time table of a schedule. Times are in nanoseconds from a cycle's start.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TimeTable {
     /// After how many cycles it repeats; none where that is more than 65 536.
     pub phases: Option<u64>,
@@ -24,6 +25,7 @@ pub struct TimeTable {
 
 /// A slot in it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct SlotRow {
     /// Whose.
     pub station: String,
@@ -61,6 +63,7 @@ impl SlotRow {
 
 /// A backup master in it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct BackupRow {
     /// Whose.
     pub station: String,

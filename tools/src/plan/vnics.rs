@@ -12,6 +12,7 @@ use crate::scenario::{Scenario, StationPlan, VnicPlan};
 
 /// The VNIC of a station.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct VnicRow {
     /// Whose.
     pub station: String,

@@ -14,6 +14,7 @@ pub const PAIRS_AT_MOST: usize = 250;
 
 /// What one queue of a station takes, or one priority of what its program puts into it, and how long that waits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct WaitRow {
     /// Whose.
     pub station: String,
@@ -37,6 +38,7 @@ pub struct WaitRow {
 
 /// What questions and answers take together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RoundTrips {
     /// How long a frame is on its way, there as back: nanoseconds.
     pub way_ns: i64,
@@ -46,6 +48,7 @@ pub struct RoundTrips {
 
 /// The worst from a question's being queued to its answer, where nobody takes time and nothing waits before them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RoundTrip {
     /// Who asks.
     pub asks: String,

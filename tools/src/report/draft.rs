@@ -4,8 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use super::document::{Document, Kind};
 use anyhow::Context;
-use serde::Serialize;
 
 /// A file to be. Unless it is put into its place, what was there stays, and nothing of it remains.
 #[derive(Debug)]
@@ -67,8 +67,8 @@ pub fn is_standard_output(path: &Path) -> bool {
 }
 
 /// See [`write_text`].
-pub fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
-    write_text(path, &(serde_json::to_string_pretty(report)? + "\n"))
+pub fn write_json(path: &Path, report: &impl Kind) -> anyhow::Result<()> {
+    write_text(path, &(serde_json::to_string_pretty(&Document::of(report))? + "\n"))
 }
 
 /// Writes a file that is there once it is whole.

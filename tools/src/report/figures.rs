@@ -8,6 +8,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::document::document;
 use super::histogram::Summary;
 use super::host::HostFacts;
 pub use super::verdict::Verdict;
@@ -15,6 +16,7 @@ use crate::judge::masters::{Rivals, Takeover};
 
 /// A whole run.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Figures {
     /// Stations in the lab, the master included.
     pub stations: u64,
@@ -106,6 +108,10 @@ pub struct Figures {
     /// Frames outside all slots, of addresses that no station has; of the ninth and later ones together.
     #[serde(default)]
     pub strangers: BTreeMap<String, u64>,
+    /// Synchronisations that are not what they say, by reason: of a stranger, or of a cycle that cannot have begun or is long
+    /// over.
+    #[serde(default)]
+    pub implausible_syncs: BTreeMap<String, u64>,
     /// How much later than it was to be the last look at the clock before each send was, all stations: ranges of
     /// nanoseconds, lowest and highest, and how many. A simulation's hosts draw from it: `late = "recorded FILE"`.
     #[serde(default)]
@@ -114,6 +120,8 @@ pub struct Figures {
     #[serde(default)]
     pub queueing: Vec<QueueingFigures>,
 }
+
+document!(Figures, "lab-run", lab_run_has_its_schema);
 
 impl Figures {
     /// How many misses are kept, so that a bad run's report stays readable.
@@ -128,6 +136,7 @@ impl Figures {
 
 /// One station's part in a run.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct StationFigures {
     /// The station's name.
     pub name: String,
@@ -190,6 +199,7 @@ pub struct StationFigures {
 
 /// What became of frames of one priority that programs queued.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct QueueingFigures {
     /// 0 is the most urgent.
     pub priority: u8,
@@ -209,6 +219,7 @@ pub struct QueueingFigures {
 
 /// The part that a station plays in the cycle.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Sends the Synchronisation frames.
@@ -232,6 +243,7 @@ impl fmt::Display for Role {
 
 /// What keeps a station from sending after its slot's `latest` instant.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum GuardName {
     /// The kernel guard, behind its own last look at the clock.
@@ -258,6 +270,7 @@ impl From<bool> for GuardName {
 
 /// Something that went wrong with one slot, or with one cycle's Synchronisation frame.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Miss {
     /// The number of the cycle.
     pub cycle: u64,
@@ -300,6 +313,7 @@ impl Miss {
 
 /// What can go wrong with a slot, worst first.
 #[derive(Clone, Copy, Debug, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum MissKind {
     /// No known cause.

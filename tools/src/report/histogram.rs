@@ -182,6 +182,8 @@ impl SignedHistogram {
             p9999: some(self.quantile(0.9999)),
             max: some(self.max()),
             sd: some(self.sd().round() as i64),
+            gaps: None,
+            longest_gap_ns: None,
         }
     }
 
@@ -205,6 +207,7 @@ impl Default for SignedHistogram {
 
 /// What a report says of a [`SignedHistogram`]: integers in nanoseconds, none of them if `n` is 0.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Summary {
     /// The number of values.
     pub n: u64,
@@ -222,6 +225,19 @@ pub struct Summary {
     pub max: Option<i64>,
     /// The standard deviation, rounded.
     pub sd: Option<i64>,
+    /// How many more there would be, had nothing been missed; none where nothing can be.
+    #[serde(default)]
+    pub gaps: Option<u64>,
+    /// The longest time without one, where what was missed has a length.
+    #[serde(default)]
+    pub longest_gap_ns: Option<i64>,
+}
+
+impl Summary {
+    /// The same with what was missed, and so has no value.
+    pub fn with_gaps(self, gaps: u64) -> Self {
+        Self { gaps: Some(gaps), ..self }
+    }
 }
 
 /// The magnitudes of one half, ascending: the middle of each bin that holds any, and how many.
@@ -363,6 +379,6 @@ mod tests {
     fn an_empty_summary_is_all_null() {
         let json = serde_json::to_string(&SignedHistogram::new().summary()).unwrap();
         let nulls = r#""min":null,"p50":null,"p99":null,"p999":null,"p9999":null,"max":null,"sd":null"#;
-        assert_eq!(json, format!(r#"{{"n":0,{nulls}}}"#));
+        assert_eq!(json, format!(r#"{{"n":0,{nulls},"gaps":null,"longest_gap_ns":null}}"#));
     }
 }

@@ -16,6 +16,7 @@ const VIRTUAL_TIME: &str = "virtual time";
 
 /// The host of a run. `None`, or `unknown`, where the host does not say.
 #[derive(Clone, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HostFacts {
     /// The kernel's release, `6.18.44`.
     pub kernel: String,

@@ -154,10 +154,22 @@ fn bar_length(count: u64, highest: u64, width: usize) -> usize {
 
 fn jitter(figures: &Figures, width: usize) -> Vec<String> {
     let rows = [
-        ("slot error", "actual - scheduled transmit", &figures.slot_error_ns),
-        ("slot error, abs", "|slot error - the station's median|", &figures.slot_error_abs_ns),
-        ("sync period jitter", "(t(n) - t(n-1)) - T", &figures.sync_period_jitter_ns),
-        ("sync error", "estimated - true global time", &figures.sync_error_ns),
+        ("slot error", "actual - scheduled transmit; gaps: slots missed", &figures.slot_error_ns),
+        (
+            "slot error, abs",
+            "|slot error - the station's median|; a missed slot is in n, as long as a whole slot",
+            &figures.slot_error_abs_ns,
+        ),
+        (
+            "sync period jitter",
+            "(t(n) - t(n-1)) - T; gaps: times from one sync to the next with syncs missing between, or not stamped",
+            &figures.sync_period_jitter_ns,
+        ),
+        (
+            "sync error",
+            "estimated - true global time whenever a station sends; gaps: slots missed",
+            &figures.sync_error_ns,
+        ),
     ];
     let right = |head, cell: fn(&Summary) -> String| {
         Column::right(["", head], rows.iter().map(|(_, _, summary)| cell(summary)))
@@ -165,6 +177,8 @@ fn jitter(figures: &Figures, width: usize) -> Vec<String> {
     let columns = [
         Column::left(["", "jitter in us"], rows.iter().map(|(name, _, _)| (*name).to_owned())),
         right("n", |s| grouped(s.n)),
+        right("gaps", gaps),
+        right("longest", |s| micros_or_dash(s.longest_gap_ns)),
         right("min", |s| micros_or_dash(s.min)),
         right("p50", |s| micros_or_dash(s.p50)),
         right("p99", |s| micros_or_dash(s.p99)),
@@ -173,8 +187,15 @@ fn jitter(figures: &Figures, width: usize) -> Vec<String> {
         right("max", |s| micros_or_dash(s.max)),
         right("SD", |s| micros_or_dash(s.sd)),
     ];
-    let definitions = rows.iter().map(|(name, definition, _)| format!("  {name:<18} = {definition}"));
+    let definitions = rows
+        .iter()
+        .flat_map(|(name, definition, _)| paragraph(&format!("  {name:<18} = "), definition, width));
     table(&columns, width).into_iter().chain(definitions).collect()
+}
+
+/// What has no value since it was missed.
+pub(crate) fn gaps(of: &Summary) -> String {
+    of.gaps.map_or_else(|| "-".to_owned(), grouped)
 }
 
 /// How long what programs queued has waited, by priority.
@@ -193,8 +214,10 @@ fn queueing(queueing: &[QueueingFigures], width: usize) -> Vec<String> {
         right("refused", |of| grouped(of.refused)),
         right("lost", |of| grouped(of.lost)),
     ];
-    let definition = "  queueing           = frame on the wire - queued by its program".to_owned();
-    table(&columns, width).into_iter().chain([definition]).collect()
+    let what =
+        "frame on the wire - queued by its program; those that were refused or lost are in their own columns";
+    let definition = paragraph("  queueing           = ", what, width);
+    table(&columns, width).into_iter().chain(definition).collect()
 }
 
 /// What was missed, by kind.
@@ -277,6 +300,10 @@ pub(crate) fn notes(figures: &Figures, width: usize) -> Vec<String> {
         .collect();
     let stray = strays(figures.per_station.iter().map(|of| (&of.name, of.stray)), &figures.strangers);
     let mut lines = if refusals.is_empty() { Vec::new() } else { list("refused: ", &refusals, width) };
+    let implausible = implausible_syncs(&figures.implausible_syncs);
+    if !implausible.is_empty() {
+        lines.extend(list("implausible syncs: ", &implausible, width));
+    }
     let masters = masters(figures);
     if !masters.is_empty() {
         lines.extend(list("masters: ", &masters, width));
@@ -323,6 +350,11 @@ pub(crate) fn rivals(all: &[Rivals]) -> Vec<String> {
     let more = all.len() - shown.len();
     let more = (more > 0).then(|| format!("two at once {} times before", grouped(more as u64)));
     more.into_iter().chain(shown.iter().map(told)).collect()
+}
+
+/// Synchronisations that are not what they say, by reason, where there are some.
+pub(crate) fn implausible_syncs(reasons: &BTreeMap<String, u64>) -> Vec<String> {
+    reasons.iter().map(|(reason, n)| format!("{} {}", words(reason), grouped(*n))).collect()
 }
 
 /// Frames outside their slots, by sender, where there are some; of a stranger its address.

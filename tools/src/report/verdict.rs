@@ -6,6 +6,7 @@ use super::text::{cut, paragraph};
 
 /// What a run comes to, the best first.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Eq, Ord, PartialEq, PartialOrd, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Word {
     /// It kept what it promises.
@@ -59,6 +60,7 @@ impl Word {
 
 /// What a run comes to, and why.
 #[derive(Clone, Debug, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Verdict {
     /// Whether the word is OK.
     pub ok: bool,

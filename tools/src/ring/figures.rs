@@ -13,6 +13,7 @@ use super::verdict::{self, Observed};
 use crate::judge::closely::regular::Largest;
 use crate::judge::delivery::{Delivery, Passed};
 use crate::judge::verdict::Reason;
+use crate::report::document::document;
 use crate::report::figures::{QueueingFigures, Verdict};
 use crate::report::histogram::{SignedHistogram, Summary};
 use crate::report::host::HostFacts;
@@ -23,6 +24,7 @@ const LISTED_MAX: usize = 100;
 
 /// A whole run. Times are integers in nanoseconds.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RingFigures {
     /// `token`.
     pub discipline: &'static str,
@@ -85,6 +87,8 @@ pub struct RingFigures {
     pub kept: RingKept,
 }
 
+document!(RingFigures, "ring-run", ring_run_has_its_schema);
+
 /// What is kept of a run for its page.
 #[derive(Clone, Debug, Default)]
 pub struct RingKept {
@@ -100,6 +104,7 @@ pub struct RingKept {
 
 /// `rtmac::token::bound` of this ring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Bounds {
     /// Of a round, all stations present.
     pub rotation_ns: i64,
@@ -117,6 +122,7 @@ pub struct Bounds {
 
 /// One that was lost, and found again.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RecoveryFigures {
     /// How long after the begin of the measurement.
     pub at_ns: u64,
@@ -132,6 +138,7 @@ pub struct RecoveryFigures {
 
 /// One station's part in a run.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RingStation {
     /// Its name.
     pub name: String,
@@ -249,8 +256,8 @@ pub fn of(
         tokens_void: judged.tokens.void,
         invitations: judged.tokens.invitations,
         causes: judged.causes.clone(),
-        rotation_ns: merged(judged.seats.iter().map(|seat| &seat.rotation)),
-        delivery_ns: merged(judged.seats.iter().map(|seat| &seat.delivery)),
+        rotation_ns: merged(judged.seats.iter().map(|seat| (&seat.rotation, seat.rotation_gaps))),
+        delivery_ns: merged(judged.seats.iter().map(|seat| (&seat.delivery, seat.delivery_gaps))),
         recovery_ns: recovery_ns.summary(),
         queueing: queueing(&judged.seats, known),
         bounds: Bounds::of(ring),
@@ -266,10 +273,13 @@ pub fn of(
     figures
 }
 
-fn merged<'a>(histograms: impl Iterator<Item = &'a SignedHistogram>) -> Summary {
-    let mut all = SignedHistogram::new();
-    histograms.for_each(|one| all.merge(one));
-    all.summary()
+fn merged<'a>(histograms: impl Iterator<Item = (&'a SignedHistogram, u64)>) -> Summary {
+    let (mut all, mut gaps) = (SignedHistogram::new(), 0);
+    for (one, without) in histograms {
+        all.merge(one);
+        gaps += without;
+    }
+    all.summary().with_gaps(gaps)
 }
 
 fn station(
@@ -296,8 +306,8 @@ fn station(
         state: known.state.clone(),
         frames_seen: seat.frames,
         visits: seat.visits,
-        rotation_ns: seat.rotation.summary(),
-        delivery_ns: seat.delivery.summary(),
+        rotation_ns: seat.rotation.summary().with_gaps(seat.rotation_gaps),
+        delivery_ns: seat.delivery.summary().with_gaps(seat.delivery_gaps),
         frames_lost,
         lost_on_purpose,
         payload_errors: known.payload_errors,

@@ -166,7 +166,7 @@ impl Judge {
     /// A new process is in the place of a station's, and what was before is none of its.
     pub fn begins_anew(&mut self, station: usize) {
         if let Some(seat) = self.seats.get_mut(station) {
-            seat.begins_anew();
+            seat.begins_anew(self.counting);
         }
     }
 
@@ -265,7 +265,7 @@ impl Judge {
             count(&mut self.tokens.claimed, counts);
             self.lost(last.at, Some(last.token.to));
         } else if token.from == last.token.from && token.from != last.token.to {
-            self.is_absent(last.token.to);
+            self.seats[usize::from(last.token.to)].is_absent(counts);
             // Who was invited in vain costs only that.
             if !last.invites {
                 count(&mut self.tokens.skipped, counts);
@@ -310,11 +310,6 @@ impl Judge {
         }
         let open = self.open.get_or_insert_with(|| Recovery::new(since));
         open.note(victim.map(usize::from));
-    }
-
-    /// A station is taken to be absent: no round of it goes on.
-    fn is_absent(&mut self, station: u8) {
-        self.seats[usize::from(station)].came = None;
     }
 
     /// A frame of a station: all is well again if that is who has the token.

@@ -101,12 +101,14 @@ fn head(title: &str, figures: &RingFigures) -> String {
 }
 
 fn times(figures: &RingFigures) -> String {
-    let heads = ["times", "n", "min µs", "p50 µs", "p99 µs", "p99.9 µs", "max µs", "bound µs"];
+    let heads = ["times", "n", "gaps", "min µs", "p50 µs", "p99 µs", "p99.9 µs", "max µs", "bound µs"];
     let mut table = Table::new("", 1, &heads);
     let mut meanings = Table::new("", 2, &["times", "what it is"]).of_prose();
     for (name, what, of, bound) in kinds(figures) {
         let quantiles = [of.min, of.p50, of.p99, of.p999, of.max, bound].map(us);
-        table.row([name.to_owned(), count(of.n)].into_iter().chain(quantiles));
+        table.row(
+            [name.to_owned(), count(of.n), of.gaps.map_or("–".into(), count)].into_iter().chain(quantiles),
+        );
         meanings.row([name.to_owned(), escape(what)]);
     }
     let bounds = figures.bounds;

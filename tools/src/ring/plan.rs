@@ -5,21 +5,19 @@ use rtnet::wire::ethernet::HEADER_LEN;
 use serde::Serialize;
 
 use super::figures::{Bounds, span};
+use crate::report::document::document;
 use crate::report::screen::{WIDTH_MIN, sections};
 use crate::report::text::{Column, cut, list, paragraph, table};
 use crate::scenario::{RingScenario, StationPlan};
 
-/// What files with such a plan say that they are.
-pub const KIND: &str = "rtnet plan of a ring 1";
 /// Stations that are listed, on the screen.
 const ROWS_SHOWN: usize = 32;
 const NAME_MAX: usize = 16;
 
 /// A ring, and what it does. Times are in nanoseconds, shares from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RingPlan {
-    /// [`KIND`].
-    pub kind: &'static str,
     /// The medium's, bits per second.
     pub rate: u64,
     /// How long each may send at a time.
@@ -40,8 +38,11 @@ pub struct RingPlan {
     pub refused: Vec<String>,
 }
 
+document!(RingPlan, "ring-plan", ring_plan_has_its_schema);
+
 /// A station's place in a ring.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Place {
     /// Its name.
     pub station: String,
@@ -61,7 +62,6 @@ impl RingPlan {
         let refused =
             stations.iter().filter_map(|place| place.overloaded(ring.hold.nanos(), bounds.rotation_ns));
         Self {
-            kind: KIND,
             rate: ring.rate.bits_per_second(),
             hold_ns: ring.hold.nanos(),
             rest_ns: ring.rest.nanos(),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::figures::{RecoveryFigures, RingFigures, RingStation, span};
 use crate::report::figures::QueueingFigures;
 use crate::report::histogram::Summary;
-use crate::report::screen::{WIDTH_MIN, host_lines, sections};
+use crate::report::screen::{WIDTH_MIN, gaps, host_lines, sections};
 use crate::report::text::{
     Column, about, cut, grouped, list, micros, micros_or_dash, paragraph, signed_time, table,
 };
@@ -65,8 +65,8 @@ fn stations(stations: &[RingStation], width: usize) -> Vec<String> {
 /// Each kind of time that was measured, what it is, and how long it may be.
 pub(super) fn kinds(figures: &RingFigures) -> [(&'static str, &'static str, &Summary, Option<i64>); 3] {
     let bounds = &figures.bounds;
-    let round = "from one time that the token came to a station to the next; the bound is for one in which nothing is lost";
-    let delivery = "from the begin of a station's usual frame to the end of its next one: so long is a value under way that just missed one";
+    let round = "from one time that the token came to a station to the next; the bound is for one in which nothing is lost; gaps: it was absent meanwhile";
+    let delivery = "from the begin of a station's usual frame to the end of its next one: so long is a value under way that just missed one; gaps: a new process began meanwhile";
     let recovery = "from the last token before one was lost to the next frame; the bound is for one station dead, each more has its own";
     [
         ("round", round, &figures.rotation_ns, Some(bounds.rotation_ns)),
@@ -83,6 +83,7 @@ fn times(figures: &RingFigures, width: usize) -> Vec<String> {
     let columns = [
         Column::left(["", "times in us"], rows.iter().map(|(name, ..)| (*name).to_owned())),
         right("n", |s| grouped(s.n)),
+        right("gaps", gaps),
         right("min", |s| micros_or_dash(s.min)),
         right("p50", |s| micros_or_dash(s.p50)),
         right("p99", |s| micros_or_dash(s.p99)),

@@ -22,6 +22,7 @@ impl Checked {
 
 /// An expectation, and what was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Checked {
     /// The line of the file.
     pub line: usize,

@@ -4,10 +4,12 @@ use rtnet::discipline::SyncState;
 use serde::Serialize;
 
 use super::expect::Checked;
+use crate::report::document::document;
 use crate::report::figures::Figures;
 
 /// The report of a run: that of a lab, and what only a simulation knows.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct SimFigures {
     /// As of a lab.
     #[serde(flatten)]
@@ -16,8 +18,11 @@ pub struct SimFigures {
     pub simulation: Simulation,
 }
 
+document!(SimFigures, "sim-run", sim_run_has_its_schema);
+
 /// What only a simulation knows.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Simulation {
     /// Everything random followed from it.
     pub seed: u64,
@@ -55,6 +60,7 @@ pub struct Simulation {
 
 /// How a station ended.
 #[derive(Clone, Debug, Default, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct SimStation {
     /// Its name.
     pub name: String,

@@ -26,12 +26,20 @@ pub fn sight(analysis: &Analysis, at: True, bytes: &[u8]) -> Sight {
         && let Some(error) = analysis.slot_error(at, author)
     {
         let (cycle, slot) = (Some(author.cycle), author.slot);
-        return Sight { decoded, cycle, slot, when: When::SlotError(error), offset: None };
+        return Sight {
+            decoded,
+            cycle,
+            slot,
+            when: When::SlotError(error),
+            offset: None,
+            follows: None,
+            count: None,
+        };
     }
     let (cycle, when) = match (decoded.what.scheduled(), analysis.place(at)) {
         (Some((cycle, due)), _) => (Some(cycle), When::SlotError(analysis.error(at, due))),
         (None, Some((cycle, place))) => (Some(cycle), When::Place(place)),
         (None, None) => (None, When::Unknown),
     };
-    Sight { decoded, cycle, slot: None, when, offset: None }
+    Sight { decoded, cycle, slot: None, when, offset: None, follows: None, count: None }
 }

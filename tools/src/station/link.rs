@@ -138,6 +138,7 @@ impl Report {
 
 /// Where a station stands.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Standing {
     /// CLOCK_MONOTONIC.
     pub at: u64,

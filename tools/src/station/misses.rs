@@ -14,6 +14,7 @@ const LATEST: usize = 50;
 
 /// A station's misses.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Misses {
     /// How many, by cause.
     pub causes: BTreeMap<String, u64>,
@@ -28,6 +29,7 @@ pub struct Misses {
 
 /// How often the kernel refused a frame for this reason.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Refusal {
     /// Its error number.
     pub errno: i32,
@@ -41,6 +43,7 @@ pub struct Refusal {
 
 /// One of them.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Miss {
     /// In which cycle.
     pub cycle: u32,

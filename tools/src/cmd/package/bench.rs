@@ -106,7 +106,7 @@ impl Bench<'_> {
             came: times.len(),
             lost: asked - times.len(),
             took_ns: begun.elapsed().as_nanos() as u64,
-            round_trip_ns: times.summary(),
+            round_trip_ns: times.summary().with_gaps(asked - times.len()),
             longest,
             scheduled: None,
         };

@@ -11,6 +11,7 @@ use package_router::name::MailboxName;
 use package_router::wire::Head;
 use serde::Serialize;
 
+use crate::report::document::document;
 use crate::report::text::grouped;
 
 /// A command: from now on data of who sends it is counted anew.
@@ -49,10 +50,13 @@ struct All {
 
 /// The same as it is shown.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct AllShown {
     received: u64,
     answered: u64,
 }
+
+document!(AllShown, "package-counts", package_counts_has_its_schema);
 
 impl Counts {
     /// Of a mailbox whose packages are shown, or, if it is `quiet`, only counted: then it tells also when it is ended.

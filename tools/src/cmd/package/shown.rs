@@ -10,18 +10,25 @@ use package_router::wire::Head;
 use rtnet::time::{GlobalTime, Span};
 use serde::Serialize;
 
+use crate::report::document::document;
 use crate::report::text::grouped;
 
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct RouteShown {
     pub to: String,
     pub station: Ipv4Addr,
 }
 
+document!(RouteShown, "package-route", package_route_has_its_schema);
+
 /// A package that came.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Came {
     pub from: String,
+    /// A document's kind is another thing.
+    #[serde(rename = "type")]
     pub kind: i8,
     pub priority: u8,
     pub id: u8,
@@ -40,6 +47,8 @@ pub(super) struct Came {
     pub router_ns: Option<i64>,
     pub mailbox_ns: i64,
 }
+
+document!(Came, "package", package_has_its_schema);
 
 impl Came {
     pub fn of(head: &Head, body: &[u8], journey: &Journey) -> Self {
@@ -98,6 +107,7 @@ fn us(nanos: i64) -> String {
 
 /// What questions showed.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Trips {
     pub to: String,
     pub asked: u64,
@@ -108,6 +118,8 @@ pub(super) struct Trips {
     pub max_ns: Option<u64>,
 }
 
+document!(Trips, "package-ping", package_ping_has_its_schema);
+
 impl Trips {
     pub fn describe(&self) -> String {
         let Self { to, asked, came, .. } = self;
@@ -117,7 +129,11 @@ impl Trips {
             (self.min_ns, self.p50_ns, self.p99_ns, self.max_ns)
         {
             let [min, p50, p99, max] = [min, p50, p99, max].map(us);
-            let _ = writeln!(text, "round trip: min {min:.1}, p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us");
+            let _ = writeln!(
+                text,
+                "round trip: min {min:.1}, p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us; n {came}, {} more without",
+                asked - came
+            );
         }
         text
     }
@@ -125,6 +141,7 @@ impl Trips {
 
 /// A mailbox as it is shown.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Shown {
     pub name: String,
     pub process: u32,
@@ -144,7 +161,10 @@ pub(super) struct Shown {
     pub senders: Vec<SenderShown>,
 }
 
+document!(Shown, "mailbox", mailbox_has_its_schema);
+
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct SenderShown {
     pub from: String,
     pub sent: u64,

@@ -17,10 +17,10 @@ fn args(line: &str) -> PingArgs {
 
 #[test]
 fn a_spread_is_of_values_that_occurred() {
-    assert_eq!(Spread::of(Vec::new()), None);
-    let all = Spread::of((1..=200).rev().collect());
-    assert_eq!(all, Some(Spread { min: 1, p50: 100, p99: 198, max: 200 }));
-    assert_eq!(Spread::of(vec![7]), Some(Spread { min: 7, p50: 7, p99: 7, max: 7 }));
+    assert_eq!(Spread::of(Vec::new(), 7), None);
+    let all = Spread::of((1..=200).rev().collect(), 210);
+    assert_eq!(all, Some(Spread { min: 1, p50: 100, p99: 198, max: 200, n: 200, gaps: 10 }));
+    assert_eq!(Spread::of(vec![7], 1), Some(Spread { min: 7, p50: 7, p99: 7, max: 7, n: 1, gaps: 0 }));
 }
 
 #[test]

@@ -53,7 +53,8 @@ impl Grid {
         start + length * i64::from(cycle.wrapping_sub(first) as i32)
     }
 
-    fn cycle_at(&self, now: GlobalTime) -> u32 {
+    /// The cycle that it is then.
+    pub fn cycle_at(&self, now: GlobalTime) -> u32 {
         let has_begun = |stretch: &&Stretch| (now - stretch.start) >= Span::ZERO;
         let stretch = self.stretches.iter().rev().find(has_begun).unwrap_or(&self.stretches[0]);
         let gone = (now - stretch.start).nanos().div_euclid(stretch.length.nanos());

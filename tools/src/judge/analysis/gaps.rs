@@ -1,5 +1,6 @@
 //! What is missing from the medium: turns of slots without a frame, cycles without a Synchronisation.
 
+use rtnet::clock::True;
 use rtnet::time::Span;
 
 use super::{Analysis, FINDINGS_MAX};
@@ -22,12 +23,12 @@ impl Analysis {
     /// Nothing more of the cycles before `end` will come: what is missing of them is found.
     pub fn look_back_on_all(&mut self, end: u32) {
         (0..self.stations.len()).for_each(|station| self.look_back(station, end));
-        if let Some((last, _)) = self.last_sync
+        if let Some(last) = self.last_sync
             && before(last.wrapping_add(1), end)
             && self.window.is_some()
         {
             self.sync_gaps(self.givers.now(), last.wrapping_add(1), end);
-            self.last_sync = Some((end.wrapping_sub(1), None));
+            self.last_sync = Some(end.wrapping_sub(1));
         }
     }
 
@@ -49,7 +50,7 @@ impl Analysis {
 
     /// The same of Synchronisations.
     pub fn pass_over_syncs(&mut self, begin: u32, end: u32) -> u64 {
-        let Some((last, _)) = self.last_sync else { return 0 };
+        let Some(last) = self.last_sync else { return 0 };
         let next = last.wrapping_add(1);
         if self.window.is_none() || !before(next, end) {
             return 0;
@@ -57,7 +58,7 @@ impl Analysis {
         let begin = if before(begin, end) { begin } else { end };
         let first = if before(next, begin) { begin } else { next };
         self.sync_gaps(self.givers.now(), next, first);
-        self.last_sync = Some((end.wrapping_sub(1), None));
+        self.last_sync = Some(end.wrapping_sub(1));
         end.wrapping_sub(first).into()
     }
 
@@ -80,6 +81,31 @@ impl Analysis {
         let Some((next, end)) = self.in_window(next, end) else { return };
         let missing = turns(next, end, 0, 1).take(self.room()).map(|cycle| Author::sync(giver, cycle));
         self.gaps(missing, FindingKind::SyncGap, end.wrapping_sub(next).into());
+    }
+
+    /// From the last Synchronisation that was seen to this one.
+    pub(super) fn note_period(&mut self, cycle: u32, at: True) {
+        let Some((last, last_at)) = self.period_from.replace((cycle, Some(at))) else { return };
+        if !before(last, cycle) || !self.counts(cycle) {
+            return;
+        }
+        let clock = self.truth().clock;
+        let actual = last_at.map(|last_at| clock.local(at) - clock.local(last_at));
+        match actual.filter(|_| cycle.wrapping_sub(last) == 1) {
+            Some(actual) => self.sync_period.next(actual, self.length_of(last)),
+            None => self.sync_period.gap(actual),
+        }
+    }
+
+    /// No Synchronisation came any more up to this cycle's begin: that is a gap, too.
+    pub(super) fn end_periods(&mut self, end: u32) {
+        let Some((last, last_at)) = self.period_from.take() else { return };
+        if !before(last.wrapping_add(1), end) {
+            return;
+        }
+        let over = self.begin_of(end).zip(last_at);
+        let clock = self.truth().clock;
+        self.sync_period.gap(over.map(|(over, last_at)| clock.local(over) - clock.local(last_at)));
     }
 
     /// What of a range of cycles counts, if anything does.

@@ -33,6 +33,8 @@ pub struct Regular {
     last: BTreeMap<(usize, u8), [Option<True>; 2]>,
     /// From the begin of a slot's frame to the end of its next one, no turn missed between.
     pub delivery: Largest,
+    /// The same where any number of turns was missed between.
+    pub delivery_with_misses: Largest,
     /// The same to the end of the one after that: the one between might have been lost, or was.
     pub delivery_with_a_loss: Largest,
     /// Payload behind the Ethernet header, and frames, by station: what is not tunnelled.
@@ -58,6 +60,9 @@ impl Regular {
             }
             (1, Some(then), _) => self.delivery_with_a_loss.note(since(then)),
             _ => {}
+        }
+        if let (1.., Some(then)) = (missed, *last) {
+            self.delivery_with_misses.note(since(then));
         }
         *before = last.filter(|_| missed == 0);
         *last = Some(at);
@@ -89,6 +94,9 @@ mod tests {
         // 1000, 1100, 1000 behind the missed turn, and 1000 behind the three.
         assert_eq!(regular.delivery, Largest { span: Some(Span::from_nanos(1_800)), n: 4 });
         // 2100 over the frame between, 1900 where it was missing; three in a row are no single loss.
+        // 1900 with one missed, 4000 with three.
+        let with_misses = Largest { span: Some(Span::from_nanos(4_700)), n: 2 };
+        assert_eq!(regular.delivery_with_misses, with_misses);
         let with_a_loss = Largest { span: Some(Span::from_nanos(2_800)), n: 2 };
         assert_eq!(regular.delivery_with_a_loss, with_a_loss);
     }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::report::document::Document;
 use crate::report::verdict::{Verdict, Word};
 
 const ASKED: Asked = Asked {
@@ -27,7 +28,7 @@ fn figures(missed_in_parts: [u64; 20], reasons: &[&str]) -> Figures {
 }
 
 fn answer(cycle_ns: Option<i64>) -> Answer {
-    Answer { kind: KIND.into(), asked: ASKED, cycle_ns, runs: Vec::new(), host: HostFacts::default() }
+    Answer { asked: ASKED, cycle_ns, runs: Vec::new(), host: HostFacts::default() }
 }
 
 /// Of 40 000 slots, 2 000 to a part, 0.1 % is 40, and 2 to a part.
@@ -97,17 +98,16 @@ fn what_is_kept_is_read_again_and_nothing_else_is() {
         (&figures([1; 20], &[]), [1; 20]),
         1_000,
     ));
-    std::fs::write(&path, serde_json::to_string(&kept).unwrap()).unwrap();
+    std::fs::write(&path, serde_json::to_string(&Document::of(&kept)).unwrap()).unwrap();
     assert_eq!(Answer::load(&path).unwrap(), kept);
 
     let error = |text: &str| {
         std::fs::write(&path, text).unwrap();
         format!("{:#}", Answer::load(&path).unwrap_err()).replace(&path.display().to_string(), "FILE")
     };
-    assert!(error("cycle = 1").starts_with("FILE is not JSON: keep an answer with"));
-    assert!(
-        error("{\"stations\": 8}").starts_with(&format!("FILE is not an answer of this version ({KIND})"))
-    );
-    let half = format!("{{\"kind\": \"{KIND}\", \"runs\": []}}");
-    assert!(error(&half).starts_with("FILE is not whole: keep an answer with"), "{}", error(&half));
+    assert!(error("cycle = 1").starts_with("FILE is not JSON: "));
+    assert!(error("{\"stations\": 8}").starts_with("FILE is not an answer of this version: "));
+    let half = "{\"kind\": \"find-min-cycle\", \"version\": 1, \"runs\": []}";
+    assert!(error(half).starts_with("FILE is not whole: "), "{}", error(half));
+    assert!(error(half).ends_with("keep an answer with `rtnet find-min-cycle --json`"));
 }

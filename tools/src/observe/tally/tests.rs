@@ -1,6 +1,7 @@
 //! What an observer counts, frame by frame.
 
 use rtnet::buf::Pool;
+use rtnet::time::GlobalTime;
 use rtnet::wire::ethernet::Header;
 use zerocopy::IntoBytes;
 
@@ -144,7 +145,7 @@ fn periods_are_those_of_neighbouring_cycles() {
     for (cycle, late) in [(1, 0), (2, 300), (3, 0), (5, 9_000), (5, 9_500), (6, 9_000)] {
         medium.sync(cycle, late);
     }
-    let summary = medium.1.sync_period_jitter.summary();
+    let summary = medium.1.sync_period.summary();
     assert_eq!((summary.n, summary.min, summary.max), (3, Some(-500), Some(300)));
     assert_eq!((medium.1.sync_gaps, medium.1.syncs_repeated), (1, 1));
 }

@@ -86,7 +86,15 @@ fn delivery(sheet: &Sheet<'_>) -> Indicator {
     });
     let what = "The longest that a value was under way which had just missed its slot’s frame: from the begin of that one to the \
                 end of the slot’s next frame on the medium, t(n) − t(n−1) + air time, no turn missed between.";
-    let definition = what.to_owned() + &queued.collect::<String>();
+    let Largest { span, n } = sheet.kept.regular.delivery_with_misses;
+    let missed = span.map_or(String::new(), |span| {
+        format!(
+            " Not in it: {} with turns missed between, the longest {} µs.",
+            count(n),
+            us(Some(span.nanos()))
+        )
+    });
+    let definition = what.to_owned() + &missed + &queued.collect::<String>();
     measured(
         sheet.kept.regular.delivery,
         "Delivery time, max, no frame lost",

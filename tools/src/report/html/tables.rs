@@ -10,8 +10,19 @@ use crate::report::text::signed_time;
 /// Stations that are listed: what a lab holds. All are in the JSON report.
 const ROWS_MAX: usize = 250;
 
-const QUANTILES: [&str; 9] =
-    ["station", "n", "min µs", "p50 µs", "p99 µs", "p99.9 µs", "p99.99 µs", "max µs", "SD µs"];
+const QUANTILES: [&str; 11] = [
+    "station",
+    "n",
+    "gaps",
+    "longest gap µs",
+    "min µs",
+    "p50 µs",
+    "p99 µs",
+    "p99.9 µs",
+    "p99.99 µs",
+    "max µs",
+    "SD µs",
+];
 
 /// Who they are, and what became of their frames.
 pub fn stations(sheet: &Sheet<'_>) -> String {
@@ -52,8 +63,13 @@ pub fn stations(sheet: &Sheet<'_>) -> String {
 /// Every jitter with its definition, per station and of all.
 pub fn jitter(sheet: &Sheet<'_>) -> String {
     let figures = sheet.figures;
-    let mut slot = Table::new(defined("Slot error", "actual − scheduled transmit"), 1, &QUANTILES);
-    let mut sync = Table::new(defined("Sync error", "estimated − true global time"), 1, &QUANTILES);
+    let mut slot =
+        Table::new(defined("Slot error", "actual − scheduled transmit; gaps: slots missed"), 1, &QUANTILES);
+    let mut sync = Table::new(
+        defined("Sync error", "estimated − true global time whenever a station sends; gaps: slots missed"),
+        1,
+        &QUANTILES,
+    );
     for station in shown(sheet) {
         slot.row(quantiles(escape(&station.name), &station.slot_error_ns));
         if station.sync_error_ns.n > 0 {
@@ -68,11 +84,15 @@ pub fn jitter(sheet: &Sheet<'_>) -> String {
     let mut others = Table::new("Of the whole network", 1, &QUANTILES);
     let deviation = "|slot error − the station’s median|; a missed slot counts as a whole slot";
     others.row(quantiles(defined("Slot error, abs", deviation), &figures.slot_error_abs_ns));
-    let period = "(t(n) − t(n−1)) − T of Synchronisation frames";
+    let period = "(t(n) − t(n−1)) − T of Synchronisation frames; gaps: times from one to the next with some missing between, or not \
+                  stamped";
     others.row(quantiles(defined("Sync period jitter", period), &figures.sync_period_jitter_ns));
     for of in &figures.queueing {
         let name = format!("Queueing, priority {}", of.priority);
-        others.row(quantiles(defined(&name, "frame on the wire − queued by its program"), &of.delay_ns));
+        others.row(quantiles(
+            defined(&name, "frame on the wire − queued by its program; gaps: frames that found no room"),
+            &of.delay_ns,
+        ));
     }
     let note = "Early is below zero. A quantile is the least value that the share of all does not exceed; minimum, maximum and SD are exact.";
     section("jitter", "Jitter, by its definitions", note, &(slot.html() + &sync.html() + &others.html()))
@@ -90,10 +110,11 @@ fn defined(name: &str, definition: &str) -> String {
     format!("<b>{name}</b> = {definition}")
 }
 
-fn quantiles(name: String, of: &Summary) -> [String; 9] {
+fn quantiles(name: String, of: &Summary) -> [String; 11] {
     let [min, p50, p99, p999, p9999, max, sd] =
         [of.min, of.p50, of.p99, of.p999, of.p9999, of.max, of.sd].map(us);
-    [name, count(of.n), min, p50, p99, p999, p9999, max, sd]
+    let gaps = of.gaps.map_or("–".into(), count);
+    [name, count(of.n), gaps, us(of.longest_gap_ns), min, p50, p99, p999, p9999, max, sd]
 }
 
 fn shown<'a>(sheet: &'a Sheet<'_>) -> &'a [StationFigures] {

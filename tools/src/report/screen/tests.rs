@@ -49,9 +49,18 @@ fn fixed() -> (Figures, SignedHistogram) {
         slots_missed: 2,
         overruns: 1,
         unexplained: 1,
-        slot_error_ns: errors.summary(),
-        slot_error_abs_ns: deviations.summary(),
-        sync_error_ns: sync.summary(),
+        slot_error_ns: errors.summary().with_gaps(2),
+        slot_error_abs_ns: deviations.summary().with_gaps(0),
+        sync_period_jitter_ns: Summary {
+            n: 29_997,
+            min: Some(-800),
+            max: Some(91_000),
+            gaps: Some(1),
+            longest_gap_ns: Some(3_001_000),
+            ..Summary::default()
+        },
+        sync_error_ns: sync.summary().with_gaps(2),
+        implausible_syncs: [("cycle_ahead".to_owned(), 3)].into(),
         per_station,
         host: HostFacts {
             kernel: "6.18.44".into(),
@@ -185,7 +194,7 @@ fn what_programs_queued_is_told_by_priority_if_there_is_any() {
         "queueing in us   n p50 p99   max refused lost",
         "priority 3     100 500 990 1 000       0   12",
         "priority 20    100 500 990 1 000   1 234    0",
-        "  queueing           = frame on the wire - queued by its program",
+        "  queueing           = frame on the wire - queued by its program; those that",
     ] {
         assert!(screen.lines().any(|of| of == line), "{line}\n{screen}");
     }

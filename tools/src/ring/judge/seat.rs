@@ -18,8 +18,12 @@ pub struct Seat {
     pub visits: u64,
     /// From one time that the token came to the next.
     pub rotation: SignedHistogram,
+    /// Rounds without a time: it was taken to be absent meanwhile, or a new process began.
+    pub rotation_gaps: u64,
     /// From the begin of one usual frame to the end of the next.
     pub delivery: SignedHistogram,
+    /// Those without a time: a new process began.
+    pub delivery_gaps: u64,
     /// From when its program queued a frame, by its own clock, to its begin on the medium; by priority.
     pub queueing: BTreeMap<u8, SignedHistogram>,
     /// Which of its frames were on the medium: usual ones, and by priority.
@@ -51,7 +55,9 @@ impl Seat {
             frames: 0,
             visits: 0,
             rotation: SignedHistogram::new(),
+            rotation_gaps: 0,
             delivery: SignedHistogram::new(),
+            delivery_gaps: 0,
             queueing: BTreeMap::new(),
             passed: streams.map(|of| (of, Passed::default())).collect(),
             unheard: BTreeMap::new(),
@@ -101,7 +107,15 @@ impl Seat {
     }
 
     /// A new process is in its place.
-    pub(super) fn begins_anew(&mut self) {
-        (self.came, self.last) = (None, [None; 2]);
+    pub(super) fn begins_anew(&mut self, counts: bool) {
+        self.is_absent(counts);
+        self.delivery_gaps += u64::from(counts && self.last[0].is_some());
+        self.last = [None; 2];
+    }
+
+    /// It is taken to be absent: no round of it goes on.
+    pub(super) fn is_absent(&mut self, counts: bool) {
+        let was_there = self.came.take().is_some();
+        self.rotation_gaps += u64::from(counts && was_there);
     }
 }

@@ -73,6 +73,7 @@ pub struct Arrivals {
 
 /// The same at a moment.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Arrived {
     /// Frames received that are what was sent.
     pub received: u64,

@@ -25,6 +25,7 @@ pub const BUFFERS_OF_FLOWS: usize = 64;
 
 /// Frames of one priority, queued again and again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Flow {
     /// 0 to [`Flow::LAST_PRIORITY`]; a station has one flow of each.
     pub priority: u8,

@@ -19,6 +19,7 @@ const TOLD_WITHIN: std::time::Duration = std::time::Duration::from_millis(100);
 
 /// What is known of the slots of both ways.
 #[derive(Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Scheduled {
     /// Of who asks, then of who answers, if that is known.
     pub waits: Vec<Waits>,
@@ -41,6 +42,7 @@ pub(super) struct Scheduled {
 
 /// How long a frame waits for its slot at the worst, and is on its way.
 #[derive(Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Waits {
     pub station: String,
     pub slot: u8,

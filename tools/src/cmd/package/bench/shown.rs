@@ -6,11 +6,13 @@ use serde::Serialize;
 
 use super::scheduled::{Scheduled, Waits};
 use crate::cli::BenchArgs;
+use crate::report::document::document;
 use crate::report::histogram::Summary;
 use crate::report::text::{about, grouped, micros, micros_or_dash};
 
 /// What questions showed.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Trips {
     pub to: String,
     pub bytes: usize,
@@ -26,8 +28,11 @@ pub(super) struct Trips {
     pub scheduled: Option<Scheduled>,
 }
 
+document!(Trips, "package-round-trips", package_round_trips_has_its_schema);
+
 /// A round trip, and when it was asked for, by CLOCK_MONOTONIC.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Long {
     pub took_ns: u64,
     pub asked_at_ns: u64,
@@ -35,6 +40,7 @@ pub(super) struct Long {
 
 /// What came of as many packages as the way takes.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Stream {
     pub to: String,
     pub bytes: usize,
@@ -57,6 +63,8 @@ pub(super) struct Stream {
     pub scheduled: Option<Scheduled>,
 }
 
+document!(Stream, "package-stream", package_stream_has_its_schema);
+
 impl Trips {
     pub fn describe(&self) -> String {
         let Self { to, bytes, asked, came, lost, took_ns, round_trip_ns: trip, scheduled, .. } = self;
@@ -72,7 +80,9 @@ impl Trips {
                 [trip.min, trip.p50, trip.p99, trip.p999, trip.p9999, trip.max].map(micros_or_dash);
             let _ = writeln!(
                 text,
-                "round trip: min {min}, p50 {p50}, p99 {p99}, p99.9 {p999}, p99.99 {p9999}, max {max} us"
+                "round trip: min {min}, p50 {p50}, p99 {p99}, p99.9 {p999}, p99.99 {p9999}, max {max} us; n {}, {} more without",
+                grouped(trip.n),
+                grouped(trip.gaps.unwrap_or(0))
             );
         }
         text + &scheduled.as_ref().map_or(String::new(), Scheduled::describe)
@@ -182,7 +192,7 @@ mod tests {
     #[test]
     fn round_trips_and_streams_are_told_in_words_and_what_is_not_known_is_left_out() {
         let trip = json!({
-            "n": 2, "min": 1_000, "p50": 1_250, "p99": 20_000, "p999": 3_000_000, "p9999": 3_000_000, "max": 3_000_000, "sd": 1,
+            "n": 2, "min": 1_000, "p50": 1_250, "p99": 20_000, "p999": 3_000_000, "p9999": 3_000_000, "max": 3_000_000, "sd": 1, "gaps": 1,
         });
         let mut trips = Trips {
             to: "Camera(0/0)".into(),
@@ -196,7 +206,7 @@ mod tests {
             scheduled: None,
         };
         let words = "Camera(0/0): 3 asked in 5s with 64 bytes, 2 answered, 1 lost\n\
-                     round trip: min 1.00, p50 1.25, p99 20.0, p99.9 3 000, p99.99 3 000, max 3 000 us\n";
+                     round trip: min 1.00, p50 1.25, p99 20.0, p99.9 3 000, p99.99 3 000, max 3 000 us; n 2, 1 more without\n";
         assert_eq!(trips.describe(), words);
         trips.came = 0;
         assert_eq!(trips.describe().lines().count(), 1);

@@ -350,7 +350,8 @@ impl Keeper {
     fn words(&self, finding: &Finding) -> String {
         let who = |author: Author| self.scenario.stations[author.station].name.clone();
         let who: Vec<String> = finding.authors.iter().flatten().copied().map(who).collect();
-        format!("cycle {}: {} of {} ({})", finding.cycle, finding.kind.name(), who.join(", "), finding.span)
+        let who = if who.is_empty() { "foreign".to_owned() } else { who.join(", ") };
+        format!("cycle {}: {} of {} ({})", finding.cycle, finding.kind.name(), who, finding.span)
     }
 
     fn member(&self, station: usize) -> MemberStatus {

@@ -12,7 +12,6 @@ mod cell;
 mod changes;
 mod documents;
 mod examples;
-mod forged;
 mod host;
 mod html;
 mod interface;

@@ -393,11 +393,13 @@ impl Analysis {
                 _ => self.sync_gaps(gave_before, last.wrapping_add(1), cycle),
             }
         }
-        if !is_newer && error >= HELD_UP_FOR {
+        // By its sender's own clock, which may have been set back while another gave the time.
+        let late = self.givers.global_of(from, at) - due - self.givers.after(from);
+        if !is_newer && late >= HELD_UP_FOR {
             self.doubt(Doubt::CycleBehind, at);
         }
         // Whoever follows has had a newer one.
-        if is_newer || error < self.sync_window {
+        if is_newer || late < self.sync_window {
             self.heard = Some(cycle);
             self.last_sync = Some(cycle);
             self.note_period(cycle, at);

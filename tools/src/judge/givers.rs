@@ -119,6 +119,12 @@ impl Givers {
         self.giver(address).after
     }
 
+    /// Global time at a true moment, by the clock of who has given it and goes on by its own; else by that of who gives it.
+    pub fn global_of(&self, address: Address, at: True) -> GlobalTime {
+        let its = self.giver(address);
+        if its.goes_on_by_its_own() { its.truth.global(at) } else { self.truth().global(at) }
+    }
+
     fn giver(&self, address: Address) -> &Giver {
         self.all.iter().find(|giver| giver.address == address).unwrap_or(&self.all[self.now])
     }

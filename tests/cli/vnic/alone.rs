@@ -1,6 +1,8 @@
 //! Stations in the foreground: without a TUN device, without the right to one, and two of them in one namespace.
 
+use std::net::UdpSocket;
 use std::process::Command;
+use std::time::Duration;
 
 use tools::lab::namespace::{Namespace, Segment};
 
@@ -188,7 +190,8 @@ fn a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line() {
 
 #[test]
 fn packets_and_frames_find_each_other_by_arp() {
-    network("packets_and_frames_find_each_other_by_arp", || {
+    // No ping is needed: sockets of this process do.
+    crate::host::network("packets_and_frames_find_each_other_by_arp", || {
         let medium = Medium::new();
         let names = ["tap", "tun"].map(|mode| format!("arp-{mode}-{}", std::process::id()));
         let common = ["--interface", "rt0", "--discipline", "nomac", "--vnic-name", "vnic0"];
@@ -196,18 +199,32 @@ fn packets_and_frames_find_each_other_by_arp() {
         let _tap = started(&medium.a, &[&common[..], &tap].concat());
         let tun = ["--vnic-mode", "tun", "--vnic", "10.1.0.2/24", "--name", &names[1]];
         let with_packets = || started(&medium.b, &[&common[..], &tun].concat());
-        let answers = |from: &Namespace, to: &'static str| {
-            let ping = from.run(move || Command::new("ping").args(["-c", "1", "-W", "1", to]).output());
-            ping.unwrap().unwrap().status.success()
+        let knows_the_tap = || status_of(&names[1])["peers"].to_string().contains("02:00:00:00:00:0a");
+        let bound = |namespace: &Namespace, ip: &'static str| {
+            let socket = namespace.run(move || UdpSocket::bind((ip, 4_000))).unwrap().unwrap();
+            socket.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
+            socket
+        };
+        // A datagram there, and one back.
+        let answers = |asks: &UdpSocket, other: &UdpSocket| {
+            let mut room = [0; 8];
+            asks.send_to(b"there?", other.local_addr().unwrap()).is_ok()
+                && other.recv_from(&mut room).is_ok_and(|(_, from)| other.send_to(b"here", from).is_ok())
+                && asks.recv_from(&mut room).is_ok()
         };
         // Linux behind the tap asks who has the address.
         let first = with_packets();
-        wait_until("10.1.0.2 answers", || answers(&medium.a, "10.1.0.2"));
-        assert!(status_of(&names[1])["peers"].to_string().contains("02:00:00:00:00:0a"), "it is learned");
+        let frames = bound(&medium.a, "10.1.0.1");
+        let packets = bound(&medium.b, "10.1.0.2");
+        wait_until("10.1.0.2 answers", || answers(&frames, &packets));
+        assert!(knows_the_tap(), "it is learned");
+        drop(packets);
         assert_eq!(first.end(), Some(0));
-        // Whoever is new knows nobody, and asks.
+        // A new station knows nobody, and asks.
         let _again = with_packets();
-        assert!(!status_of(&names[1])["peers"].to_string().contains("02:00:00:00:00:0a"));
-        wait_until("10.1.0.1 answers", || answers(&medium.b, "10.1.0.1"));
+        let packets = bound(&medium.b, "10.1.0.2");
+        assert!(!knows_the_tap());
+        wait_until("10.1.0.1 answers", || answers(&packets, &frames));
+        assert!(knows_the_tap());
     });
 }

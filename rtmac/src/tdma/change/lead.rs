@@ -18,7 +18,9 @@ pub struct Lead {
     since: u32,
     /// The last cycle whose Synchronisation has left.
     pub sent: Option<u32>,
-    /// The schedule that it has named as proposed.
+    /// The schedule that the last Synchronisation which was made names as proposed, and the one that has left: something may be
+    /// proposed between the two.
+    named_next: ScheduleId,
     pub named: ScheduleId,
     /// It may have missed what others decided, and hears until then.
     unsure_until: Option<u32>,
@@ -59,6 +61,7 @@ impl Lead {
             acts: false,
             since: 0,
             sent: None,
+            named_next: ScheduleId::default(),
             named: ScheduleId::default(),
             unsure_until: None,
             is_contradicted: false,
@@ -87,12 +90,13 @@ impl Change {
             self.doubt(cycle);
         }
         self.go_on(cycle);
+        self.lead.named_next = self.told.admin;
         self.told
     }
 
     /// Its Synchronisation has left.
     pub fn spoke(&mut self, cycle: u32) {
-        (self.lead.sent, self.lead.named) = (Some(cycle), self.told.admin);
+        (self.lead.sent, self.lead.named) = (Some(cycle), self.lead.named_next);
     }
 
     fn take_over(&mut self, cycle: u32, others: bool) {

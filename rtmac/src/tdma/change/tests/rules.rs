@@ -195,7 +195,11 @@ fn who_slept_through_a_switch_uses_what_it_has_before_it_collects_another() {
 #[test]
 fn no_part_is_sent_before_a_sync_has_named_its_schedule() {
     let mut seat = Seat::at(Place::LeadsIdle);
+    seat.cycle = seat.cycle.wrapping_add(1);
+    seat.change.say(seat.cycle, true);
+    // Its sync waits for its instant meanwhile.
     seat.propose(Some(Activation::Soon)).unwrap();
+    seat.change.spoke(seat.cycle);
     (0..8).for_each(|_| seat.change.part_is_owed());
     let part = |seat: &Seat| seat.change.part_in_turn().or(seat.change.part_for(0)).map(|part| part.id);
     assert_eq!(part(&seat), None, "nobody would take it");

@@ -34,7 +34,7 @@ mod time_board;
 mod time_page;
 mod tunnelled;
 mod visit;
-mod wait;
+pub(crate) mod wait;
 
 pub use bells::Bells;
 pub use clock_order::ClockOrder;

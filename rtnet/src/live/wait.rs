@@ -128,4 +128,4 @@ impl Waiter {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -9,7 +9,7 @@ fn a_station_that_is_gone_is_no_device_any_more() {
     assert_eq!(number(b.try_receive(&mut [])), Errno::EAGAIN);
     a.send_to(b"last words", to_second()).unwrap();
     let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
-    assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
+    assert_eq!(poll(&mut fds, PollTimeout::from(20_000u16)), Ok(1));
     pair.end();
     let mut room = [0; 20];
     assert_eq!(b.receive(&mut room).unwrap().len, 10, "what has come is there");

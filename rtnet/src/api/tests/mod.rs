@@ -33,6 +33,8 @@ use crate::socket::{Flags, LinkMode, LinkType, Sender};
 use crate::time::Instant;
 use crate::wire::ethernet::{Address, EtherType};
 
+/// As long as anything may take on a host that has other things to do.
+const PATIENCE: Duration = Duration::from_secs(20);
 const IP: [Ipv4Addr; 2] = [Ipv4Addr::new(10, 0, 0, 1), Ipv4Addr::new(10, 0, 0, 2)];
 
 fn address(station: usize) -> Address {
@@ -144,7 +146,7 @@ impl Pair {
     fn sockets(&self) -> [UdpSocket; 2] {
         let sockets = self.stations.each_ref().map(|station| station.udp().unwrap());
         sockets[1].bind(any(36_000)).unwrap();
-        sockets.iter().for_each(|socket| socket.set_timeout(Some(Duration::from_secs(5))));
+        sockets.iter().for_each(|socket| socket.set_timeout(Some(PATIENCE)));
         sockets
     }
 
@@ -152,7 +154,7 @@ impl Pair {
     fn until(&self, what: &str, holds: impl Fn(&Seen) -> bool) {
         let begun = std::time::Instant::now();
         while !holds(&self.seen) {
-            assert!(begun.elapsed() < Duration::from_secs(5), "{what}");
+            assert!(begun.elapsed() < PATIENCE, "{what}");
             std::thread::sleep(Duration::from_millis(1));
         }
     }
@@ -285,7 +287,7 @@ fn only_who_sleeps_is_woken() {
     assert_eq!(number(b.try_receive(&mut room)), Errno::EAGAIN);
     a.send_to(b"asleep", to_second()).unwrap();
     let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
-    assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
+    assert_eq!(poll(&mut fds, PollTimeout::from(20_000u16)), Ok(1));
     assert_eq!(b.try_receive(&mut room).unwrap().len, 6);
     pair.until("it was woken once more", |seen| seen.wakes.load(Ordering::Relaxed) == 2);
 }
@@ -296,7 +298,7 @@ fn who_waits_before_it_has_ever_looked_is_woken() {
     let [a, b] = pair.sockets();
     a.send_to(b"first", to_second()).unwrap();
     let mut fds = [PollFd::new(b.as_fd(), PollFlags::POLLIN)];
-    assert_eq!(poll(&mut fds, PollTimeout::from(5_000u16)), Ok(1));
+    assert_eq!(poll(&mut fds, PollTimeout::from(20_000u16)), Ok(1));
     assert_eq!(b.try_receive(&mut [0; 10]).unwrap().len, 5);
 }
 
@@ -344,7 +346,7 @@ fn a_program_has_a_protocol_of_its_own() {
         pair.stations[n].packet(LinkMode::Datagram, LinkType::Only(own)).unwrap()
     };
     let (a, b) = (open(0), open(1));
-    b.set_timeout(Some(Duration::from_secs(5)));
+    b.set_timeout(Some(PATIENCE));
     a.send_to(&bytes(100), address(1), own).unwrap();
     let mut room = [0; 200];
     let received = b.receive(&mut room).unwrap();

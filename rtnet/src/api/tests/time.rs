@@ -8,7 +8,7 @@ use std::time::Duration;
 use nix::errno::Errno;
 use socket2::{Domain, SockAddr, Socket, Type};
 
-use super::number;
+use super::{PATIENCE, number};
 use crate::api::client::Station;
 use crate::api::door;
 use crate::api::handshake::Ask;
@@ -18,8 +18,6 @@ use crate::live::{TimePublisher, WaitError};
 use crate::time::{GlobalTime, Offset, Span};
 
 const CYCLE: Span = Span::from_millis(5);
-/// Long enough for a loaded machine, and never waited for in full when all is well.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 /// How a station ends.
 #[derive(Clone, Copy, PartialEq)]
@@ -51,8 +49,10 @@ impl Clock {
         let publisher = TimePublisher::new(clock);
         let start = publisher.board().now();
         let offset = Offset::between(start, GlobalTime::from_nanos(1_795_000_000_000_000_000));
+        // However long a busy machine lets the thread wait that shows it, the line is not too old.
         let (state, period) = (SyncState::Locked, Some(period));
-        let view = TimeView { state, cycle: 100, start, offset, period, ..TimeView::default() };
+        let view =
+            TimeView { state, cycle: 100, start, offset, period, holdover: 999, ..TimeView::default() };
         let (ends, until) = channel();
         let thread = Some(std::thread::spawn(move || show(&listener, publisher, view, &until)));
         Self { station: Station::at(path), view, ends, thread, _scratch: scratch }

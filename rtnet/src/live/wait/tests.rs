@@ -22,8 +22,10 @@ fn station() -> (TimePublisher, TimeView) {
     (publisher, view)
 }
 
-/// Keeps the line of `view` up to date, as a station's loop does, until told to stop.
-fn kept(mut publisher: TimePublisher, mut view: TimeView) -> (Arc<AtomicBool>, std::thread::JoinHandle<()>) {
+/// Keeps the line of `view` up to date, as a station's loop does, until told to stop. However long a busy machine lets it
+/// wait, the line is not too old.
+fn kept(mut publisher: TimePublisher, view: TimeView) -> (Arc<AtomicBool>, std::thread::JoinHandle<()>) {
+    let mut view = TimeView { holdover: 999, ..view };
     let stop = Arc::new(AtomicBool::new(false));
     let until = stop.clone();
     publisher.publish(&view);
@@ -142,6 +144,18 @@ fn who_waits_for_sync_that_does_not_come_is_told_in_time() {
     assert!(timeout <= waited && waited < SOON, "{waited:?}");
 }
 
+/// Waits until a thread of this process waits for something.
+pub fn until_asleep(thread: nix::unistd::Pid) {
+    let (stat, deadline) =
+        (format!("/proc/self/task/{thread}/stat"), monotonic() + PATIENCE.as_nanos() as u64);
+    // Its state is behind its name: proc(5).
+    let is_asleep = |stat: String| stat.rsplit(") ").next().is_some_and(|rest| rest.starts_with('S'));
+    while !std::fs::read_to_string(&stat).is_ok_and(is_asleep) {
+        assert!(monotonic() < deadline, "it never waits");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
 /// Lets somebody wait for a cycle that is far away, and does `meanwhile`; what became of it.
 fn disturbed(meanwhile: impl FnOnce(TimePublisher, TimeView)) -> Result<Cycle, WaitError> {
     let (mut publisher, view) = station();
@@ -150,11 +164,10 @@ fn disturbed(meanwhile: impl FnOnce(TimePublisher, TimeView)) -> Result<Cycle, W
     let board = publisher.board();
     let (told, waits) = std::sync::mpsc::channel();
     let waiter = std::thread::spawn(move || {
-        told.send(()).unwrap();
+        told.send(nix::unistd::gettid()).unwrap();
         board.waiter().wait_cycle(PATIENCE)
     });
-    waits.recv().unwrap();
-    std::thread::sleep(Duration::from_millis(30));
+    until_asleep(waits.recv().unwrap());
     meanwhile(publisher, long);
     let begun = monotonic();
     let outcome = waiter.join().unwrap();
@@ -187,7 +200,7 @@ fn who_waits_while_the_line_moves_wakes_by_the_new_one() {
     let outcome = disturbed(|mut publisher, view| {
         // The first cycle by it that has begun since the wait did.
         let start = publisher.board().now() + CYCLE;
-        let moved = TimeView { cycle: 7_000, start, period: Some(Span::from_millis(1_000)), ..view };
+        let moved = TimeView { cycle: 7_000, start, ..view };
         publisher.publish(&moved);
         kept = Some(publisher);
     });

@@ -39,7 +39,7 @@ use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 use tools::control::{Answers, Server, Traffic};
 
-const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(30);
 const PORT: u16 = 36_000;
 
 /// Frames, the oldest first.

@@ -12,7 +12,6 @@ mod cell;
 mod changes;
 mod documents;
 mod examples;
-mod host;
 mod html;
 mod interface;
 mod lab;
@@ -47,6 +46,9 @@ mod bare;
 #[allow(dead_code)]
 #[path = "../src/captures.rs"]
 mod captures;
+#[allow(dead_code)]
+#[path = "../src/host.rs"]
+mod host;
 #[allow(dead_code)]
 #[path = "../src/vectors.rs"]
 mod vectors;

@@ -4,7 +4,6 @@
 // fork, and giving up privileges for one thread
 #![allow(unsafe_code)]
 
-use std::io::Write;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
@@ -23,9 +22,10 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 use rtnet::{Instant, Pool};
 use tests::bare::Bare;
+use tests::host::{network, skip};
 use tools::lab::namespace::{Namespace, Segment};
 
-use crate::live::{Extras, Medium, as_root, clock, our_master, our_slave};
+use crate::live::{Extras, Medium, clock, our_master, our_slave};
 
 const HERE: Address = Address([2, 0, 0, 0, 0, 1]);
 const THERE: Address = Address([2, 0, 0, 0, 0, 2]);
@@ -34,6 +34,7 @@ const SECOND: u64 = 1_000_000_000;
 const LATEST: Span = Span::from_millis(20);
 const STOPPED: Duration = Duration::from_millis(60);
 const ATTEMPTS: usize = 10;
+const PATIENCE: Duration = Duration::from_secs(30);
 /// Exit statuses of the process that is stopped.
 const LEFT_LATE: i32 = 1;
 const DROPPED: i32 = 2;
@@ -66,17 +67,24 @@ impl Wire {
         Self { here, listener, _there: there, _segment: segment }
     }
 
-    /// When frames have arrived, and the last byte of each.
-    fn arrived(&mut self) -> Vec<(Instant, u8)> {
-        let mut frames = Vec::new();
-        self.listener.wait_for_frame(20);
-        self.listener.drain_control(|_, _| panic!("nobody sent a control frame"));
-        self.listener.drain_data(|rx, frame| frames.push((rx.unwrap(), frame[59])));
-        frames
+    /// When frames have arrived, and the last byte of each: as many as are expected are waited for, more only for a moment.
+    fn arrived(&mut self, expected: usize) -> Vec<(Instant, u8)> {
+        let (mut frames, deadline) = (Vec::new(), std::time::Instant::now() + PATIENCE);
+        loop {
+            self.listener.wait_for_frame(20);
+            self.listener.drain_control(|_, _| panic!("nobody sent a control frame"));
+            self.listener.drain_data(|rx, frame| frames.push((rx.unwrap(), frame[59])));
+            if frames.len() >= expected || std::time::Instant::now() > deadline {
+                return frames;
+            }
+        }
     }
 
-    fn numbers(&mut self) -> Vec<u8> {
-        self.arrived().into_iter().map(|(_, last)| last).collect()
+    /// The last byte of the only frame that arrives.
+    fn number(&mut self) -> u8 {
+        let arrived = self.arrived(1);
+        assert_eq!(arrived.len(), 1, "{arrived:?}");
+        arrived[0].1
     }
 }
 
@@ -95,53 +103,49 @@ fn frame(last: u8) -> [u8; 60] {
     frame
 }
 
-/// Says aloud, past the test harness, that this host has no guard.
-fn skip(test: &str, why: &str) {
-    // Nothing better can be done about standard error that is closed.
-    let _ = writeln!(std::io::stderr(), "SKIP {test}: {why}");
-}
-
-/// Whether this host can guard; if not, says so.
-fn can_guard(test: &str) -> bool {
-    as_root(test) && {
-        let refused = Wire::new().here.run(|| open(GuardMode::Auto).unwrap()).unwrap();
-        refused.guard_refused().inspect(|line| skip(test, line)).is_none()
-    }
+/// Runs a test where this host can guard; if it cannot, says so.
+fn guarded(test: &str, body: impl Fn()) {
+    network(test, || {
+        let opened = Wire::new().here.run(|| open(GuardMode::Auto).unwrap()).unwrap();
+        match opened.guard_refused() {
+            Some(line) => skip(test, line),
+            None => body(),
+        }
+    });
 }
 
 #[test]
 fn what_is_outside_its_window_does_not_reach_the_medium() {
-    if !can_guard("what_is_outside_its_window_does_not_reach_the_medium") {
-        return;
-    }
-    let mut wire = Wire::new();
-    let attach = || {
-        let interface = Interface::find("rt0").unwrap();
-        let (ours, others) = (Bare::open(&interface).unwrap(), Bare::open(&interface).unwrap());
-        ours.mark(MARK).unwrap();
-        (Guard::attach(interface.index).unwrap(), ours, others)
-    };
-    let (guard, ours, others) = wire.here.run(attach).unwrap();
-    let now = monotonic();
+    guarded("what_is_outside_its_window_does_not_reach_the_medium", || {
+        let mut wire = Wire::new();
+        let attach = || {
+            let interface = Interface::find("rt0").unwrap();
+            let (ours, others) = (Bare::open(&interface).unwrap(), Bare::open(&interface).unwrap());
+            ours.mark(MARK).unwrap();
+            (Guard::attach(interface.index).unwrap(), ours, others)
+        };
+        let (guard, ours, others) = wire.here.run(attach).unwrap();
+        let now = monotonic();
 
-    assert!(!ours.send(&frame(1)), "before the first window");
-    guard.open(now, now + 60 * SECOND);
-    assert!(ours.send(&frame(2)), "in its window");
-    assert_eq!(wire.numbers(), [2]);
-    guard.open(now, monotonic());
-    assert!(!ours.send(&frame(3)), "late");
-    guard.open(now + 60 * SECOND, now + 61 * SECOND);
-    assert!(!ours.send(&frame(4)), "early");
-    guard.open(now, now + 60 * SECOND);
-    guard.close();
-    assert!(!ours.send(&frame(5)), "behind a window that is closed");
-    assert!(others.send(&frame(6)), "somebody else's, whatever the window");
-    assert_eq!(wire.numbers(), [6]);
-    assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 3, early: 1, others: 1 });
+        assert!(!ours.send(&frame(1)), "before the first window");
+        guard.open(now, now + 60 * SECOND);
+        assert!(ours.send(&frame(2)), "in its window");
+        assert_eq!(wire.number(), 2);
+        guard.open(now, monotonic());
+        assert!(!ours.send(&frame(3)), "late");
+        guard.open(now + 60 * SECOND, now + 61 * SECOND);
+        assert!(!ours.send(&frame(4)), "early");
+        guard.open(now, now + 60 * SECOND);
+        guard.close();
+        assert!(!ours.send(&frame(5)), "behind a window that is closed");
+        assert!(others.send(&frame(6)), "somebody else's, whatever the window");
+        assert_eq!(wire.number(), 6);
+        assert_eq!(guard.counters(), GuardCounters { passed: 1, late: 3, early: 1, others: 1 });
 
-    drop(guard);
-    assert!(ours.send(&frame(7)), "nobody guards any more");
-    assert_eq!(wire.numbers(), [7]);
+        drop(guard);
+        assert!(ours.send(&frame(7)), "nobody guards any more");
+        assert_eq!(wire.number(), 7);
+    });
 }
 
 /// What becomes of a frame whose process is stopped between its last look at the clock and `send`, until long
@@ -178,50 +182,49 @@ fn stopped_before_send(wire: &mut Wire, guard: GuardMode) -> (i32, Option<Span>)
         std::thread::sleep(STOPPED);
         kill(child, Signal::SIGCONT).unwrap();
         let WaitStatus::Exited(_, status) = waitpid(child, None).unwrap() else { panic!("it was killed") };
-        return (status, wire.arrived().first().map(|&(rx, _)| rx - (at + LATEST)));
+        let expected = usize::from(status == LEFT_LATE);
+        return (status, wire.arrived(expected).first().map(|&(rx, _)| rx - (at + LATEST)));
     }
     panic!("this host held it up {ATTEMPTS} times");
 }
 
 #[test]
 fn a_process_that_is_stopped_before_send_puts_no_late_frame_on_a_guarded_medium() {
-    if !can_guard("a_process_that_is_stopped_before_send_puts_no_late_frame_on_a_guarded_medium") {
-        return;
-    }
-    let mut wire = Wire::new();
-    let (status, late) = stopped_before_send(&mut wire, GuardMode::User);
-    assert_eq!(status, LEFT_LATE);
-    assert!(late.unwrap() > Span::ZERO, "{late:?}: what the guard is for");
-    assert_eq!(stopped_before_send(&mut wire, GuardMode::Kernel), (DROPPED, None));
+    guarded("a_process_that_is_stopped_before_send_puts_no_late_frame_on_a_guarded_medium", || {
+        let mut wire = Wire::new();
+        let (status, late) = stopped_before_send(&mut wire, GuardMode::User);
+        assert_eq!(status, LEFT_LATE);
+        assert!(late.unwrap() > Span::ZERO, "{late:?}: what the guard is for");
+        assert_eq!(stopped_before_send(&mut wire, GuardMode::Kernel), (DROPPED, None));
+    });
 }
 
 #[test]
 fn a_station_whose_frames_the_kernel_drops_tells_of_it_and_goes_on() {
-    if !can_guard("a_station_whose_frames_the_kernel_drops_tells_of_it_and_goes_on") {
-        return;
-    }
-    static SENT: AtomicU32 = AtomicU32::new(0);
-    /// Every seventh is held up for longer than any of its frames may be.
-    fn hold() {
-        if SENT.fetch_add(1, Ordering::Relaxed) % 7 == 6 {
-            std::thread::sleep(Duration::from_millis(2));
+    guarded("a_station_whose_frames_the_kernel_drops_tells_of_it_and_goes_on", || {
+        static SENT: AtomicU32 = AtomicU32::new(0);
+        /// Every seventh is held up for longer than any of its frames may be.
+        fn hold() {
+            if SENT.fetch_add(1, Ordering::Relaxed) % 7 == 6 {
+                std::thread::sleep(Duration::from_millis(2));
+            }
         }
-    }
-    let mut medium = Medium::new();
-    let ideal = clock(Span::ZERO, 0);
-    let held = Extras { hold: Some(hold), ..Extras::default() };
-    let mut master =
-        medium.start_with(ideal, 1, held, |address| our_master(address, &ideal, Span::from_micros(3_500)));
-    let mut slave = medium.start(clock(Span::from_millis(700), 50_000), 0, |address| {
-        our_slave(address, 5, Span::from_micros(2_000))
+        let mut medium = Medium::new();
+        let ideal = clock(Span::ZERO, 0);
+        let held = Extras { hold: Some(hold), ..Extras::default() };
+        let mut master = medium
+            .start_with(ideal, 1, held, |address| our_master(address, &ideal, Span::from_micros(3_500)));
+        let mut slave = medium.start(clock(Span::from_millis(700), 50_000), 0, |address| {
+            our_slave(address, 5, Span::from_micros(2_000))
+        });
+        slave.wait_until("locked", |status| status.state == SyncState::Locked);
+        master.wait_for_frames(50);
+        slave.wait_for_frames(50);
+        let counters =
+            master.wait_until("frames are dropped", |status| status.counters.guard_drops >= 20).counters;
+        assert!(counters.syncs_skipped > 0, "some of them were syncs: {counters:?}");
+        assert_eq!(counters.send_failed, 0);
     });
-    slave.wait_until("locked", |status| status.state == SyncState::Locked);
-    master.wait_for_frames(50);
-    slave.wait_for_frames(50);
-    let counters =
-        master.wait_until("frames are dropped", |status| status.counters.guard_drops >= 20).counters;
-    assert!(counters.syncs_skipped > 0, "some of them were syncs: {counters:?}");
-    assert_eq!(counters.send_failed, 0);
 }
 
 /// Gives up all privileges of the calling thread but raw sockets, for good.
@@ -238,29 +241,32 @@ fn keep_raw_sockets_only() {
 
 #[test]
 fn without_privileges_a_port_goes_on_unguarded_and_says_why_in_one_line() {
-    if !as_root("without_privileges_a_port_goes_on_unguarded_and_says_why_in_one_line") {
-        return;
-    }
-    let mut wire = Wire::new();
-    let opened = wire.here.run(|| {
-        keep_raw_sockets_only();
-        [GuardMode::Auto, GuardMode::User, GuardMode::Kernel].map(open)
-    });
-    let [auto, user, kernel] = opened.unwrap();
-    let mut auto = auto.unwrap();
-    assert!(!auto.is_guarded());
-    let line = auto.guard_refused().unwrap();
-    assert!(line.starts_with("kernel guard: ") && line.contains("Operation not permitted"), "{line}");
-    assert!(line.contains("CAP_BPF") && !line.contains('\n'), "{line}");
-    assert_eq!(user.unwrap().guard_refused(), None, "nobody asked for one");
-    let refused = kernel.err().unwrap();
-    assert!(matches!(refused, OpenError::Guard(..)), "{refused}");
+    network("without_privileges_a_port_goes_on_unguarded_and_says_why_in_one_line", || {
+        let mut wire = Wire::new();
+        let opened = wire.here.run(|| {
+            keep_raw_sockets_only();
+            [GuardMode::Auto, GuardMode::User, GuardMode::Kernel].map(open)
+        });
+        let [auto, user, kernel] = opened.unwrap();
+        let mut auto = auto.unwrap();
+        assert!(!auto.is_guarded());
+        let line = auto.guard_refused().unwrap();
+        assert!(line.starts_with("kernel guard: ") && line.contains("Operation not permitted"), "{line}");
+        assert!(line.contains("CAP_BPF") && !line.contains('\n'), "{line}");
+        assert_eq!(user.unwrap().guard_refused(), None, "nobody asked for one");
+        let refused = kernel.err().unwrap();
+        assert!(matches!(refused, OpenError::Guard(..)), "{refused}");
 
-    let mut buf = Pool::new(1).take().unwrap();
-    buf.fill(&frame(8));
-    let at = auto.now();
-    let sent =
-        auto.transmit(Transmission { frame: buf, at, latest: at + Span::from_millis(1_000), stamp: None });
-    assert!(matches!(sent, Sent::At(_)), "{sent:?}");
-    assert_eq!(wire.numbers(), [8]);
+        let mut buf = Pool::new(1).take().unwrap();
+        buf.fill(&frame(8));
+        let at = auto.now();
+        let sent = auto.transmit(Transmission {
+            frame: buf,
+            at,
+            latest: at + Span::from_millis(1_000),
+            stamp: None,
+        });
+        assert!(matches!(sent, Sent::At(_)), "{sent:?}");
+        assert_eq!(wire.number(), 8);
+    });
 }

@@ -10,8 +10,9 @@ use rtnet::discipline::{Opportunity, Outlet, Service};
 use rtnet::live::clock::monotonic;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::EtherType;
+use tests::host::network;
 
-use crate::live::{Extras, Medium, as_root, clock, our_master};
+use crate::live::{Extras, Medium, clock, our_master};
 
 /// Longer than a snapshot waits for the next one, which is due then.
 const HELD_UP: Duration = Duration::from_millis(150);
@@ -43,30 +44,32 @@ impl Service for HoldsUp {
 
 #[test]
 fn what_is_shown_behind_a_hold_up_is_dated_before_it() {
-    if !as_root("what_is_shown_behind_a_hold_up_is_dated_before_it") {
-        return;
-    }
-    let ideal = clock(Span::ZERO, 0);
-    let (from, until) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
-    let holds_up = HoldsUp { rests: 0, from: from.clone(), until: until.clone() };
-    let extras = Extras { service: Some(Box::new(holds_up)), ..Extras::default() };
-    let mut medium = Medium::new();
-    let master =
-        medium.start_with(ideal, 0, extras, |address| our_master(address, &ideal, Span::from_millis(2)));
-    let mut dates = Vec::new();
-    while until.load(Ordering::Acquire) == 0
-        || dates.last().is_none_or(|&at| at <= until.load(Ordering::Acquire))
-    {
-        dates.extend(master.dates());
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let (from, until) = (from.load(Ordering::Relaxed), until.load(Ordering::Relaxed));
-    // What it missed meanwhile it tells of only when it looks at the clock again; the next snapshot is due 100 ms later.
-    let soon = until + 20_000_000;
-    assert_eq!(
-        dates.iter().filter(|&at| (from..soon).contains(at)).count(),
-        0,
-        "{from} to {until}: {dates:?}"
-    );
-    assert!(dates.iter().any(|&at| (from - 50_000_000..from).contains(&at)), "{from} to {until}: {dates:?}");
+    network("what_is_shown_behind_a_hold_up_is_dated_before_it", || {
+        let ideal = clock(Span::ZERO, 0);
+        let (from, until) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
+        let holds_up = HoldsUp { rests: 0, from: from.clone(), until: until.clone() };
+        let extras = Extras { service: Some(Box::new(holds_up)), ..Extras::default() };
+        let mut medium = Medium::new();
+        let master =
+            medium.start_with(ideal, 0, extras, |address| our_master(address, &ideal, Span::from_millis(2)));
+        let mut dates = Vec::new();
+        while until.load(Ordering::Acquire) == 0
+            || dates.last().is_none_or(|&at| at <= until.load(Ordering::Acquire))
+        {
+            dates.extend(master.dates());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let (from, until) = (from.load(Ordering::Relaxed), until.load(Ordering::Relaxed));
+        // What it missed meanwhile it tells of only when it looks at the clock again; the next snapshot is due 100 ms later.
+        let soon = until + 20_000_000;
+        assert_eq!(
+            dates.iter().filter(|&at| (from..soon).contains(at)).count(),
+            0,
+            "{from} to {until}: {dates:?}"
+        );
+        assert!(
+            dates.iter().any(|&at| (from - 50_000_000..from).contains(&at)),
+            "{from} to {until}: {dates:?}"
+        );
+    });
 }

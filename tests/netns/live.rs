@@ -14,19 +14,18 @@ use rtnet::clock::{EmulatedClock, True};
 use rtnet::discipline::{Discipline, Service};
 use rtnet::live::clock::{monotonic, realtime};
 use rtnet::live::interface::Interface;
+use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY};
+use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::live::{Driver, DriverConfig, GuardMode, Port, Snapshot, TimeBoard};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
 use rtnet::wire::ethernet::{Address, EtherType};
-use tests::bare::Bare;
 use tests::traffic::{Tally, TestTraffic};
 use tools::lab::namespace::{Namespace, Segment};
 
 pub const CYCLE: Span = Span::from_millis(5);
 /// Long enough for a loaded machine, and never waited for in full when all is well.
 const PATIENCE: Duration = Duration::from_secs(30);
-
-pub use tests::as_root;
 
 /// A medium with its stations.
 pub struct Medium {
@@ -64,14 +63,10 @@ impl Medium {
         Address([2, 0, 0, 0, 0, station + 1])
     }
 
-    /// Somebody who only hears frames of an EtherType, in a namespace that goes with it.
-    pub fn listen(&mut self, kind: EtherType) -> (Bare, Namespace) {
-        let (number, namespace) = (self.stations, Namespace::new().unwrap());
-        self.stations += 1;
-        let address = Self::address(number);
-        self.segment.attach(&namespace, &format!("port{number}"), "rt0", address.0).unwrap();
-        let open = || Bare::hearing(&Interface::find("rt0").unwrap(), kind).unwrap();
-        (namespace.run(open).unwrap(), namespace)
+    /// The kernel's own record of all that is on the medium from now on.
+    pub fn observe(&self) -> CaptureRing {
+        let open = || CaptureRing::open(self.segment.bridge_name(), RingConfig::default()).unwrap();
+        self.segment.namespace().run(open).unwrap()
     }
 
     /// Starts the next station; it sends a frame in each slot to `to`.
@@ -118,7 +113,7 @@ impl Medium {
         let config = DriverConfig { stop: stop.clone(), sample_time: false, changed: None };
         let mut driver = Driver::new(Station::new(discipline(address), services), port, config);
         let (snapshots, time) = (driver.snapshots(), driver.time());
-        let thread = Some(std::thread::spawn(move || driver.run()));
+        let thread = Some(as_a_station(move || driver.run()));
         Running { latest: None, snapshots, tally, time, stop, thread, _namespace: namespace }
     }
 }
@@ -135,22 +130,27 @@ impl<D: Discipline> Running<D> {
         std::iter::from_fn(|| self.snapshots.pop()).map(|snapshot| snapshot.at).collect()
     }
 
-    pub fn wait_until(&mut self, what: &str, holds: impl FnMut(&D::Status) -> bool) -> D::Status {
-        self.within(PATIENCE, holds).unwrap_or_else(|| panic!("in vain: {what}"))
-    }
-
-    /// The first status that `holds`, if there is one so soon.
-    pub fn within(&mut self, time: Duration, mut holds: impl FnMut(&D::Status) -> bool) -> Option<D::Status> {
-        let deadline = Instant::now() + time;
-        while Instant::now() < deadline {
+    pub fn wait_until(&mut self, what: &str, mut holds: impl FnMut(&D::Status) -> bool) -> D::Status {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
             if let Some(status) = self.status()
                 && holds(&status)
             {
-                return Some(status);
+                return status;
             }
+            assert!(Instant::now() < deadline, "in vain: {what}");
             std::thread::sleep(Duration::from_millis(10));
         }
-        None
+    }
+
+    /// Waits until what it does before a `send` has ended its thread.
+    pub fn wait_until_dead(&mut self) {
+        let (deadline, thread) = (Instant::now() + PATIENCE, self.thread.take().expect("it runs"));
+        while !thread.is_finished() {
+            assert!(Instant::now() < deadline, "it lives on");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(thread.join().is_err(), "it has ended by itself");
     }
 
     pub fn wait_for_frames(&self, frames: u64) {
@@ -170,6 +170,15 @@ impl<D: Discipline> Drop for Running<D> {
             assert!(ended.is_ok() || std::thread::panicking(), "a station panicked");
         }
     }
+}
+
+/// Runs a station's loop as a station does that is a process of its own: whatever else the host runs waits for it.
+pub fn as_a_station(run: impl FnOnce() + Send + 'static) -> JoinHandle<()> {
+    std::thread::spawn(move || {
+        // Where the host refuses that, a disturbed host is what tests are run again for.
+        RealTime { priority: Some(SLAVE_PRIORITY), cpu: None }.apply();
+        run();
+    })
 }
 
 pub fn clock(offset: Span, drift_ppb: i64) -> EmulatedClock {

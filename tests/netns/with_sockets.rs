@@ -12,12 +12,15 @@ use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Discipline;
 use rtnet::ip::route::{HostRoute, Interface as Place, Origin};
 use rtnet::ip::{Stack, StackConfig};
+use rtnet::live::clock::monotonic;
 use rtnet::live::interface::Interface;
 use rtnet::live::{Data, Driver, DriverConfig, GuardMode, Port, Snapshot};
 use rtnet::socket::{Access, Flags, Program, Sender, Socket, SocketId};
 use rtnet::station::Station;
 use rtnet::wire::ethernet::Address;
 use tools::lab::namespace::{Namespace, Segment};
+
+use crate::live::as_a_station;
 
 pub const STATION: [u8; 6] = [2, 0, 0, 0, 0, 1];
 pub const HOST: [u8; 6] = [2, 0, 0, 0, 0, 2];
@@ -32,11 +35,19 @@ pub struct Echo {
     unopened: Option<Box<Socket>>,
     socket: Option<SocketId>,
     room: Vec<u8>,
-    heard: Arc<AtomicU64>,
+    heard: Arc<Heard>,
+}
+
+/// What the program has heard.
+#[derive(Default)]
+pub struct Heard {
+    pub datagrams: AtomicU64,
+    /// When the last one was there for it, CLOCK_MONOTONIC.
+    pub last: AtomicU64,
 }
 
 impl Echo {
-    fn new(heard: Arc<AtomicU64>) -> Self {
+    fn new(heard: Arc<Heard>) -> Self {
         let unopened = Some(Socket::udp(Arc::new(Pool::new(BUFFERS))));
         Self { unopened, socket: None, room: vec![0; 65_536], heard }
     }
@@ -51,7 +62,8 @@ impl Program for Echo {
         }
         let Some(id) = self.socket else { return };
         while let Ok(received) = sockets.receive(id, &mut self.room, Flags::NONE) {
-            self.heard.fetch_add(1, Ordering::Relaxed);
+            self.heard.last.store(monotonic(), Ordering::Relaxed);
+            self.heard.datagrams.fetch_add(1, Ordering::Release);
             let Sender::Udp(from) = received.from else { continue };
             // Whoever knows nothing of times hears the same.
             let now = sockets.time().to_global(sockets.now());
@@ -64,8 +76,7 @@ impl Program for Echo {
 /// A station with an [`Echo`], and the namespace of a host on the same medium. Dropping it ends the station.
 pub struct Pair<D: Discipline> {
     pub host: Namespace,
-    /// Datagrams that the program has heard.
-    pub heard: Arc<AtomicU64>,
+    pub heard: Arc<Heard>,
     pub snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -85,7 +96,7 @@ impl<D: Discipline + 'static> Pair<D> {
         let spin = DEFAULT_LEAD.nanos() as u64;
         let open = || Port::open(&Interface::find("rt0").unwrap(), Data::All, clock, spin, GuardMode::Auto);
         let port = here.run(open).unwrap().unwrap();
-        let heard = Arc::new(AtomicU64::new(0));
+        let heard = Arc::<Heard>::default();
         let place = Place { address: Address(STATION), ip: STATION_IP, prefix: 24 };
         let mut stack = Stack::new(StackConfig::new(place), vec![Box::new(Echo::new(heard.clone()))]);
         let route = HostRoute { ip: HOST_IP, address: Address(HOST), origin: Origin::Static };
@@ -95,7 +106,7 @@ impl<D: Discipline + 'static> Pair<D> {
         let config = DriverConfig { stop: stop.clone(), sample_time: false, changed: None };
         let mut driver = Driver::new(station, port, config);
         let snapshots = driver.snapshots();
-        let thread = Some(std::thread::spawn(move || driver.run()));
+        let thread = Some(as_a_station(move || driver.run()));
         Self { host, heard, snapshots, stop, thread, _medium: (here, segment) }
     }
 }

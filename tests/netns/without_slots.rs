@@ -9,8 +9,9 @@ use rtnet::direct::Direct;
 use rtnet::discipline::Discipline;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
+use tests::host::network;
 
-use crate::live::{Medium, as_root, clock};
+use crate::live::{Medium, clock};
 
 /// Frames that a test waits for: one each millisecond.
 const FRAMES: u64 = 200;
@@ -39,24 +40,25 @@ fn exchange<D: Discipline + 'static>(discipline: impl Fn() -> D) {
 
 #[test]
 fn stations_without_slots_exchange_frames_over_veth() {
-    if !as_root("stations_without_slots_exchange_frames_over_veth") {
-        return;
-    }
-    exchange(|| NoMac::new(DEFAULT_ASK_EVERY));
-    exchange(|| Direct::new(DEFAULT_ASK_EVERY));
+    network("stations_without_slots_exchange_frames_over_veth", || {
+        exchange(|| NoMac::new(DEFAULT_ASK_EVERY));
+        exchange(|| Direct::new(DEFAULT_ASK_EVERY));
+    });
 }
 
 #[test]
 fn stations_in_a_ring_exchange_frames_over_veth() {
-    if !as_root("stations_in_a_ring_exchange_frames_over_veth") {
-        return;
-    }
-    let ms = Span::from_millis;
-    let ring =
-        RingConfig { late: ms(20), delay: ms(5), ..RingConfig::new((0..2).map(Medium::address).collect()) };
-    let (took, received) =
-        exchanged(|address| Token::new(Ring::new(ring.clone(), address).expect("it is in it")));
-    // One in each round, in which both rest.
-    let at_most = took.as_nanos() as i64 / (ring.rest * 2).nanos() + 2;
-    assert!(received as i64 <= at_most, "{received} frames, and no more than {at_most}");
+    network("stations_in_a_ring_exchange_frames_over_veth", || {
+        let ms = Span::from_millis;
+        let ring = RingConfig {
+            late: ms(20),
+            delay: ms(5),
+            ..RingConfig::new((0..2).map(Medium::address).collect())
+        };
+        let (took, received) =
+            exchanged(|address| Token::new(Ring::new(ring.clone(), address).expect("it is in it")));
+        // One in each round, in which both rest.
+        let at_most = took.as_nanos() as i64 / (ring.rest * 2).nanos() + 2;
+        assert!(received as i64 <= at_most, "{received} frames, and no more than {at_most}");
+    });
 }

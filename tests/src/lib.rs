@@ -7,6 +7,7 @@
 //! chance     networks that follow from a seed: schedules, clocks, hosts, faults
 //! course     what happens to one of them, and what must be true of it all the while
 //! bench      one station by hand: frames in at their stamps, transmissions out at their instants
+//! host       real networks: one at a time, and again, aloud, on a host that was disturbed
 //! ends       stacks by hand: frames in, calls of programs, and where every buffer is
 //! peer       an independent TDMA station with the habits of real RTnet's
 //! rings      rings of the token discipline in virtual time
@@ -20,6 +21,7 @@ pub mod captures;
 pub mod chance;
 pub mod course;
 pub mod ends;
+pub mod host;
 pub mod judge;
 pub mod mixed;
 pub mod networks;
@@ -30,14 +32,3 @@ pub mod stacks;
 pub mod traffic;
 pub mod tunnels;
 pub mod vectors;
-
-/// Whether network namespaces can be made; if not, says aloud, past the test harness, that `test` does not run.
-pub fn as_root(test: &str) -> bool {
-    use std::io::Write;
-    let root = nix::unistd::geteuid().is_root();
-    if !root {
-        // Nothing better can be done about standard error that is closed.
-        let _ = writeln!(std::io::stderr(), "SKIP {test}: needs root (CAP_SYS_ADMIN) for network namespaces");
-    }
-    root
-}

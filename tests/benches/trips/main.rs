@@ -126,7 +126,7 @@ fn main() -> Result<()> {
         [] => {}
         _ => bail!("no arguments: what is to be measured is said on standard input"),
     }
-    if !tests::as_root("bench trips") {
+    if !tests::host::is_root("bench trips") {
         return Ok(());
     }
     let network = Network::new()?;

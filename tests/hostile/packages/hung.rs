@@ -255,8 +255,12 @@ fn what_one_sent_that_went_before_it_rang_wakes_its_receiver_all_the_same() {
     let (mut lane, which) = mistaken.binds(MISTAKEN, SINK);
     // It is let in before it sends: that rings, too.
     assert_eq!(sink.receive(Some(Duration::from_millis(20))).err(), Some(ReceiveError::TimedOut));
-    let waits = thread::spawn(move || sink.receive(Some(PATIENCE)).map(|package| package.body().to_vec()));
-    thread::sleep(Duration::from_millis(20));
+    let (told, thread) = std::sync::mpsc::channel();
+    let waits = thread::spawn(move || {
+        told.send(this_thread()).unwrap();
+        sink.receive(Some(PATIENCE)).map(|package| package.body().to_vec())
+    });
+    until_asleep(thread.recv().unwrap());
     let head = Head { from: MISTAKEN, to: SINK, ..Head::default() };
     assert_eq!(lane.send(&head, b"last", &Stamps { sent: 1, ..Stamps::default() }), Ok(true), "it sleeps");
     thread::sleep(Duration::from_millis(20));

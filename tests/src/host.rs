@@ -1,0 +1,289 @@
+//! Real networks need root, no other network beside them, and a host that runs.
+//!
+//! A test of a real network decides by what stations, kernels and observers recorded. A test that fails is run again,
+//! aloud (`AGAIN ...`), if the host was disturbed meanwhile: [`Still`] is the measure, the constants below are the limits.
+//! The last of its attempts counts, whatever the host did.
+
+// A test of a real network waits for it.
+#![allow(clippy::disallowed_methods)]
+
+use std::any::Any;
+use std::fmt;
+use std::io::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use nix::unistd::{Pid, gettid};
+use rtnet::live::realtime::{self, RealTime};
+use serde_json::Value;
+
+/// One network at a time: several would miss slots for each other.
+static NETWORK: Mutex<()> = Mutex::new(());
+/// A network that fails while its host stood still for so long, several cycles, says nothing of the network: not even what
+/// is most urgent on a core ran meanwhile. What fails by its own doing fails again.
+const STILL: Duration = Duration::from_millis(20);
+/// Nor does one whose host stood still for so many parts in a million of the time, a fraction of a cycle at once.
+const STILL_PPM: u64 = 5_000;
+/// What is later than this has stood still: on a host of one's own what is most urgent wakes in less.
+const LATE: Duration = Duration::from_micros(200);
+/// What runs under ordinary scheduling, as the test itself and a station's control thread do, has waited for a core for so
+/// long: several cycles, and whatever a test waits for before it looks at something.
+const WAITED: Duration = Duration::from_millis(20);
+const ATTEMPTS: usize = 4;
+/// Long enough for whatever is sure to come.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Says aloud, past the test harness, that a test did not run.
+pub fn skip(test: &str, why: &str) {
+    // Nothing better can be done about standard error that is closed.
+    let _ = writeln!(std::io::stderr(), "SKIP {test}: {why}");
+}
+
+/// Says aloud what a test has measured, for `scripts/accept`.
+pub fn figure(test: &str, text: &str) {
+    // Whoever does not listen misses nothing.
+    let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
+}
+
+/// Whether a run that ended so kept what it promises, as far as its host let it: OK, or, aloud, DEGRADED or INCONCLUSIVE.
+/// NOT OK and INTERRUPTED are not.
+pub fn is_sound(test: &str, status: Option<i32>, verdict: &Value) -> bool {
+    let expected = [("ok", 0), ("inconclusive", 3), ("degraded", 4)];
+    let found = expected.iter().find(|(word, _)| verdict["word"] == *word);
+    if status != Some(0) {
+        figure(test, &format!("{}: {}", verdict["word"], verdict["reasons"]));
+    }
+    found.is_some_and(|(_, of_word)| status == Some(*of_word))
+}
+
+/// Whether network namespaces can be made; if not, says that the test does not run.
+pub fn is_root(test: &str) -> bool {
+    let root = nix::unistd::geteuid().is_root();
+    if !root {
+        skip(test, "needs root (CAP_SYS_ADMIN) for network namespaces");
+    }
+    root
+}
+
+/// Runs a test of a network, and again, aloud, where it failed on a host that was disturbed meanwhile.
+pub fn network(test: &str, body: impl Fn()) {
+    if !is_root(test) {
+        return;
+    }
+    // A test that failed has taken its network down.
+    let _alone = NETWORK.lock().unwrap_or_else(PoisonError::into_inner);
+    let attempt = || {
+        let watch = Standstill::watch();
+        let outcome = catch_unwind(AssertUnwindSafe(&body));
+        (outcome, watch.over())
+    };
+    attempts(attempt, |why| {
+        let _ = writeln!(std::io::stderr(), "AGAIN {test}: {why}");
+    });
+}
+
+/// Does something until it does not panic, or panics on a host that was not disturbed, or for the last time; says why it does
+/// it again.
+fn attempts(attempt: impl Fn() -> (std::thread::Result<()>, Still), again: impl Fn(&str)) {
+    for number in 1..=ATTEMPTS {
+        match attempt() {
+            (Ok(()), _) => return,
+            (Err(panic), still) if still.is_disturbed() && number < ATTEMPTS => {
+                let why = first_line(panic.as_ref());
+                again(&format!("{still}: {why}"));
+            }
+            (Err(panic), _) => resume_unwind(panic),
+        }
+    }
+}
+
+/// What a test that failed has said first.
+fn first_line(panic: &(dyn Any + Send)) -> &str {
+    let said = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+    said.and_then(|said| said.lines().next()).unwrap_or_default()
+}
+
+/// Runs something while the cores are taken away, each by itself, for up to `longest` at a time, as by a hypervisor.
+pub fn held_up<T>(longest: Duration, body: impl FnOnce() -> T) -> T {
+    struct Stop<'a>(&'a AtomicBool);
+    impl Drop for Stop<'_> {
+        fn drop(&mut self) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let _stop = Stop(&over);
+        for cpu in realtime::allowed_cpus() {
+            let over = &over;
+            scope.spawn(move || {
+                RealTime { priority: Some(99), cpu: Some(cpu) }.apply();
+                let mut random = 7 + cpu as u32;
+                while !over.load(Ordering::Relaxed) {
+                    random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    let share = f64::from(random >> 8) / f64::from(1 << 24);
+                    let until = Instant::now() + longest.mul_f64(share);
+                    while Instant::now() < until {}
+                    std::thread::sleep(longest.mul_f64(2.0 + 2.0 * share));
+                }
+            });
+        }
+        body()
+    })
+}
+
+/// Watches for how long cores ran nothing, not even what is most urgent, and how long ordinary threads waited for one.
+pub struct Standstill {
+    stop: Arc<AtomicBool>,
+    urgent: Vec<JoinHandle<Late>>,
+    ordinary: Vec<JoinHandle<Late>>,
+}
+
+/// How a host was disturbed: on the core where it was the longest, and for the most of the time.
+#[derive(Clone, Copy, Default)]
+pub struct Still {
+    /// For so long at once a core ran not even what is most urgent.
+    pub longest: Duration,
+    /// For so many parts in a million of the time it did not.
+    pub ppm: u64,
+    /// An ordinary thread waited for so long to be run.
+    pub waited: Duration,
+}
+
+/// How late a thread woke, at the most and for how much of the time.
+#[derive(Clone, Copy, Default)]
+struct Late {
+    longest: Duration,
+    ppm: u64,
+}
+
+impl Late {
+    fn or(self, other: Self) -> Self {
+        Self { longest: self.longest.max(other.longest), ppm: self.ppm.max(other.ppm) }
+    }
+}
+
+impl Still {
+    /// Whether a test that failed meanwhile says nothing of what it tests.
+    fn is_disturbed(&self) -> bool {
+        self.longest > STILL || self.ppm > STILL_PPM || self.waited > WAITED
+    }
+}
+
+impl fmt::Display for Still {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Still { longest, ppm, waited } = self;
+        let share = *ppm as f64 / 1e4;
+        write!(
+            f,
+            "this host stood still for {longest:?}, {share:.1} % of the time in all, and let ordinary threads wait for \
+             {waited:?}"
+        )
+    }
+}
+
+impl Standstill {
+    /// On every core, from now on.
+    pub fn watch() -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let watch = |priority: Option<i32>| {
+            let each = |cpu| {
+                let stopped = stop.clone();
+                std::thread::spawn(move || naps(priority, cpu, &stopped))
+            };
+            realtime::allowed_cpus().into_iter().map(each).collect()
+        };
+        let (urgent, ordinary) = (watch(Some(99)), watch(None));
+        Self { stop, urgent, ordinary }
+    }
+
+    /// What it was, at the end.
+    pub fn over(self) -> Still {
+        self.stop.store(true, Ordering::Relaxed);
+        let all = |threads: Vec<JoinHandle<Late>>| {
+            let each = threads.into_iter().map(|thread| thread.join().unwrap_or_default());
+            each.fold(Late::default(), Late::or)
+        };
+        let (Late { longest, ppm }, ordinary) = (all(self.urgent), all(self.ordinary));
+        Still { longest, ppm, waited: ordinary.longest }
+    }
+}
+
+/// Sleeps for a millisecond again and again, until it is stopped: how late it woke.
+fn naps(priority: Option<i32>, cpu: usize, stop: &AtomicBool) -> Late {
+    // Where the host refuses a priority, what is more urgent counts as standstill, too.
+    RealTime { priority, cpu: Some(cpu) }.apply();
+    let nap = Duration::from_millis(1);
+    let (begin, mut longest, mut all) = (Instant::now(), Duration::ZERO, Duration::ZERO);
+    while !stop.load(Ordering::Relaxed) {
+        let before = Instant::now();
+        std::thread::sleep(nap);
+        let asleep = before.elapsed();
+        longest = longest.max(asleep);
+        all += asleep.checked_sub(nap + LATE).map_or(Duration::ZERO, |late| late + LATE);
+    }
+    let ppm = all.as_nanos() as u64 * 1_000_000 / begin.elapsed().as_nanos().max(1) as u64;
+    Late { longest, ppm }
+}
+
+/// Which thread this is, for [`until_asleep`].
+pub fn this_thread() -> Pid {
+    gettid()
+}
+
+/// Waits until a thread of this process waits for something.
+pub fn until_asleep(thread: Pid) {
+    let stat = format!("/proc/self/task/{thread}/stat");
+    let deadline = Instant::now() + PATIENCE;
+    // Its state is behind its name, which may have spaces: proc(5).
+    while !std::fs::read_to_string(&stat)
+        .is_ok_and(|stat| stat.rsplit(") ").next().unwrap_or("").starts_with('S'))
+    {
+        assert!(Instant::now() < deadline, "thread {thread} never waits");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    fn still(longest: u64, ppm: u64, waited: u64) -> Still {
+        Still { longest: Duration::from_millis(longest), ppm, waited: Duration::from_millis(waited) }
+    }
+
+    #[test]
+    fn host_is_disturbed_beyond_each_limit() {
+        assert!(!still(20, 5_000, 20).is_disturbed());
+        assert!([still(21, 0, 0), still(0, 5_001, 0), still(0, 0, 21)].iter().all(Still::is_disturbed));
+    }
+
+    #[test]
+    fn failure_is_tried_again_on_disturbed_hosts_only() {
+        // What becomes of a test that fails so often, how often it was run, and how often again, aloud.
+        let tried = |failures: usize, still: Still| {
+            let (runs, said) = (Cell::new(0), Cell::new(0));
+            let attempt = || {
+                runs.set(runs.get() + 1);
+                let outcome =
+                    if runs.get() > failures { Ok(()) } else { Err(Box::new("a reason") as Box<_>) };
+                (outcome, still)
+            };
+            let again = |why: &str| {
+                assert!(why.ends_with(": a reason"), "{why}");
+                said.set(said.get() + 1);
+            };
+            let ended = catch_unwind(AssertUnwindSafe(|| attempts(attempt, again)));
+            (ended.is_ok(), runs.get(), said.get())
+        };
+        assert_eq!(tried(0, still(0, 0, 0)), (true, 1, 0));
+        assert_eq!(tried(1, still(0, 0, 0)), (false, 1, 0));
+        assert_eq!(tried(3, still(21, 0, 0)), (true, 4, 3));
+        assert_eq!(tried(4, still(21, 0, 0)), (false, 4, 3));
+    }
+}

@@ -158,7 +158,8 @@ fn changes(args: &StationArgs, lab: Option<&LabOptions>) -> anyhow::Result<Optio
         None => (Span::ZERO, Span::ZERO),
     };
     let (capacity, first, masters) = (SLOTS_OF_OTHERS, None, Vec::new());
-    Ok(Some(ChangeConfig { capacity, first, masters, behind: room.0, latest: room.1 }))
+    let (behind, latest) = room;
+    Ok(Some(ChangeConfig { capacity, is_reserved: true, first, masters, behind, latest }))
 }
 
 /// Its address and sockets, with routes that can be.

@@ -1,5 +1,7 @@
 //! What is asked and answered of changes of the schedule.
 
+use std::sync::Arc;
+
 use rtmac::tdma::TdmaStatus;
 use rtmac::tdma::change::{Activation, Book, ChangeConfig, ChangeStatus};
 use rtmac::wire::change::ScheduleId;
@@ -135,7 +137,8 @@ impl ChangesTold {
     pub fn config(&self) -> Result<ChangeConfig, String> {
         Ok(ChangeConfig {
             capacity: self.capacity,
-            first: self.first.as_ref().map(ScheduleSaid::book).transpose()?,
+            is_reserved: true,
+            first: self.first.as_ref().map(ScheduleSaid::book).transpose()?.map(Arc::new),
             masters: self.masters.iter().copied().map(Address).collect(),
             behind: Span::from_nanos(self.behind_ns),
             latest: Span::from_nanos(self.late_ns),

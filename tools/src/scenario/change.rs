@@ -1,5 +1,7 @@
 //! A network's slots as a schedule that can be changed while it runs.
 
+use std::sync::Arc;
+
 use rtmac::tdma::change::{Book, ChangeConfig, MAX_PLANNED};
 use rtmac::tdma::schedule::Rate;
 use rtmac::tdma::{BehindSync, Refused};
@@ -57,8 +59,8 @@ impl Scenario {
         if slots > MAX_PLANNED {
             return None;
         }
-        let first = Some(self.book().ok()?);
+        let first = Some(Arc::new(self.book().ok()?));
         let capacity = (slots * GROWS).clamp(SLOTS_AT_LEAST, MAX_PLANNED);
-        Some(ChangeConfig { capacity, first, masters: self.masters(), behind, latest })
+        Some(ChangeConfig { capacity, is_reserved: true, first, masters: self.masters(), behind, latest })
     }
 }

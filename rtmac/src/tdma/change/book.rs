@@ -36,14 +36,14 @@ pub struct Book {
 }
 
 impl Book {
-    /// Nothing, with room for so many slots: what comes later takes no memory.
-    pub fn empty(capacity: usize) -> Self {
+    /// Nothing, for so many slots. What comes later takes no memory if it is reserved.
+    pub fn empty(capacity: usize, is_reserved: bool) -> Self {
         let capacity = capacity.min(MAX_PLANNED);
         Self {
             id: ScheduleId::default(),
             digest: 0,
             cycle: Span::ZERO,
-            planned: Vec::with_capacity(capacity),
+            planned: Vec::with_capacity(if is_reserved { capacity } else { 0 }),
             has: [0; WORDS],
             missing: 0,
             capacity,
@@ -93,6 +93,11 @@ impl Book {
     pub fn begin(&mut self, id: ScheduleId) {
         self.planned.clear();
         (self.id, self.digest, self.has, self.missing) = (id, 0, [0; WORDS], usize::MAX);
+    }
+
+    /// For so many slots.
+    pub fn capacity(&self) -> usize {
+        self.capacity
     }
 
     /// One part of it has come; `true` if it is whole by that.
@@ -215,7 +220,7 @@ mod tests {
         #[test]
         fn parts_in_any_order_and_number_make_the_whole(order in prop::collection::vec(0usize..9, 0..80)) {
             let whole = book(9);
-            let mut other = Book::empty(16);
+            let mut other = Book::empty(16, true);
             other.begin(whole.id());
             let mut seen = std::collections::BTreeSet::new();
             for index in order {
@@ -232,7 +237,7 @@ mod tests {
     #[test]
     fn a_part_that_was_changed_spoils_the_whole_which_is_collected_anew() {
         let whole = book(2);
-        let mut other = Book::empty(16);
+        let mut other = Book::empty(16, true);
         other.begin(whole.id());
         let mut wrong = whole.part(0).unwrap();
         wrong.slot.size = 60;
@@ -247,10 +252,12 @@ mod tests {
     #[test]
     fn parts_of_another_schedule_and_of_one_without_room_are_refused() {
         let whole = book(3);
-        let mut small = Book::empty(2);
+        let mut small = Book::empty(2, true);
         small.begin(whole.id());
         assert_eq!(small.take(&whole.part(0).unwrap()), Err(Refusal::ScheduleTooLarge));
-        let mut other = Book::empty(16);
+        let mut unreserved = Book::empty(2, false);
+        assert!(matches!(unreserved.copy_from(&whole, 1), Err(Refused::ScheduleSize { slots: 3, most: 2 })));
+        let mut other = Book::empty(16, true);
         other.begin(ScheduleId { number: 8, sum: 1 });
         assert_eq!(other.take(&whole.part(0).unwrap()), Err(Refusal::ScheduleUnknown));
         assert!(matches!(small.copy_from(&whole, 1), Err(Refused::ScheduleSize { slots: 3, most: 2 })));
@@ -258,6 +265,18 @@ mod tests {
             Book::of(Span::from_micros(1_000), []),
             Err(Refused::ScheduleSize { slots: 0, .. })
         ));
+    }
+
+    #[test]
+    fn book_that_is_not_reserved_takes_memory_when_slots_come() {
+        let (whole, mut reserved, mut other) = (book(9), Book::empty(16, true), Book::empty(16, false));
+        let memory = |book: &Book| book.planned.capacity();
+        assert_eq!((memory(&reserved), memory(&other)), (16, 0));
+        for book in [&mut reserved, &mut other] {
+            book.copy_from(&whole, 1).unwrap();
+            assert_eq!(book.planned(), whole.planned());
+        }
+        assert_eq!(memory(&reserved), 16);
     }
 
     #[test]

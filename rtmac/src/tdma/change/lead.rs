@@ -56,7 +56,8 @@ pub enum Activation {
 }
 
 impl Lead {
-    pub fn new(capacity: usize, masters: &[Address]) -> Self {
+    /// For so many stations without taking memory.
+    pub fn new(reserved: usize, masters: &[Address]) -> Self {
         Self {
             acts: false,
             since: 0,
@@ -66,7 +67,7 @@ impl Lead {
             unsure_until: None,
             is_contradicted: false,
             is_inherited: false,
-            asked: Vec::with_capacity(capacity),
+            asked: Vec::with_capacity(reserved),
             asked_in: 0,
             patience: 0,
             ahead: AHEAD,
@@ -238,7 +239,7 @@ impl Change {
         if let Some(Activation::At(at)) = activate {
             self.check_activation(cycle, at)?;
         }
-        let known = if self.oper.holds(self.in_use) { Some(&self.oper) } else { self.first.as_ref() };
+        let known = if self.oper.holds(self.in_use) { Some(&self.oper) } else { self.first.as_deref() };
         let known = known.filter(|_| self.told.oper == self.in_use).unwrap_or(book);
         let lacks =
             |master: &&Address| **master != own && !known.stations().any(|station| station == **master);
@@ -246,7 +247,7 @@ impl Change {
             return Err(Refused::MasterWithoutSlot { station });
         }
         let others = known.stations().filter(|&station| station != own);
-        let room = self.lead.asked.capacity();
+        let room = self.admin.capacity();
         self.lead.asked.clear();
         self.lead.asked.extend(others.take(room).map(|station| {
             let gives_time = self.lead.masters.contains(&station);

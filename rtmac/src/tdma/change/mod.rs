@@ -37,6 +37,8 @@ mod book;
 mod hear;
 mod lead;
 
+use std::sync::Arc;
+
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
 
@@ -77,9 +79,12 @@ const OWED_SELDOM: u32 = 8;
 pub struct ChangeConfig {
     /// Most slots of a schedule, of all stations together: memory for twice as many.
     pub capacity: usize,
+    /// Whether all of that memory is taken at the start, as a real-time thread must have it. Else it is when a schedule comes:
+    /// for thousands of stations in virtual time.
+    pub is_reserved: bool,
     /// The schedule that all stations were started with, as far as it is known: whoever has slots in it is asked. Without
-    /// it those are asked that have slots in the schedule that is proposed.
-    pub first: Option<Book>,
+    /// it those are asked that have slots in the schedule that is proposed. The stations of one process have it in common.
+    pub first: Option<Arc<Book>>,
     /// Who may give the time, as far as it is known: all of them must have slots, to confirm in.
     pub masters: Vec<Address>,
     /// How long after the instant of a Synchronisation a part of a schedule is sent.
@@ -186,7 +191,7 @@ pub(super) struct Change {
     /// The one that is proposed, or collected, or that was in use before.
     admin: Book,
     /// What all stations were started with; its slots of this station as they were when it left them.
-    first: Option<Book>,
+    first: Option<Arc<Book>>,
     first_slots: Vec<SlotConfig>,
     first_cycle: Option<Span>,
     in_use: ScheduleId,
@@ -214,13 +219,13 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// A station that has the slots of `first`. What it will ever hold has its place now.
+    /// A station that has the slots of `first`. What it will ever hold has its place now, if that is reserved.
     pub fn new(config: &ChangeConfig, max_slot_id: u8) -> Self {
-        let ChangeConfig { capacity, first, masters, behind, latest } = config;
+        let ChangeConfig { capacity, is_reserved, first, masters, behind, latest } = config;
         let capacity = first.as_ref().map_or(0, |first| first.planned().len()).max(*capacity);
         Self {
-            oper: Book::empty(capacity),
-            admin: Book::empty(capacity),
+            oper: Book::empty(capacity, *is_reserved),
+            admin: Book::empty(capacity, *is_reserved),
             first: first.clone(),
             first_slots: Vec::with_capacity(usize::from(max_slot_id) + 1),
             first_cycle: None,
@@ -237,7 +242,7 @@ impl Change {
             verdict: None,
             answering: Answering::default(),
             confirmed: None,
-            lead: Lead::new(capacity, masters),
+            lead: Lead::new(if *is_reserved { capacity } else { 0 }, masters),
             behind: *behind,
             latest: *latest,
             switched: 0,

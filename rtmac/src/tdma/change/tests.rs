@@ -26,9 +26,10 @@ pub(super) fn book(shift: i64, stations: &[Address]) -> Book {
 }
 
 pub(super) fn config(masters: &[Address], stations: &[Address]) -> ChangeConfig {
-    let (first, masters) = (Some(book(0, stations)), masters.to_vec());
+    let (first, masters) = (Some(book(0, stations).into()), masters.to_vec());
     ChangeConfig {
         capacity: 16,
+        is_reserved: true,
         first,
         masters,
         behind: Span::from_micros(10),

@@ -47,7 +47,7 @@ fn came_back(child: Child) -> u64 {
 
 fn socket(cell: &Cell, station: &str, port: u16) -> UdpSocket {
     let socket = Station::named(&cell.place(station)).and_then(|station| station.udp()).unwrap();
-    socket.set_timeout(Some(Duration::from_secs(2)));
+    socket.set_timeout(Some(Duration::from_secs(20)));
     socket.bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port)).unwrap();
     socket
 }

@@ -65,7 +65,7 @@ impl Cell {
     pub fn connect(&self, station: &str) -> Socket {
         let path = Path::new("/run/rtnet").join(&self.name).join(format!("{station}.sock"));
         let socket = Socket::new(Domain::UNIX, Type::SEQPACKET, None).unwrap();
-        socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        socket.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
         socket.connect(&SockAddr::unix(path).unwrap()).unwrap();
         socket
     }
@@ -138,7 +138,7 @@ pub fn json(command: &mut Command) -> Value {
 }
 
 pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
-    let deadline = Instant::now() + Duration::from_secs(10);
+    let deadline = Instant::now() + Duration::from_secs(60);
     while !holds() {
         assert!(Instant::now() < deadline, "in vain: {what}");
         std::thread::sleep(Duration::from_millis(20));

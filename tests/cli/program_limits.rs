@@ -205,7 +205,7 @@ fn the_real_time_thread_waits_for_no_page_of_what_programs_bring() {
         let mut exchanged = 0;
         for _ in 0..8 {
             let own = Attached::named(&name).unwrap().udp_with(1_024).unwrap();
-            own.set_timeout(Some(Duration::from_secs(1)));
+            own.set_timeout(Some(PATIENCE));
             let to = SocketAddrV4::new(IP.parse().unwrap(), own.local_addr().unwrap().port());
             for len in [64, 1_472, 65_507] {
                 own.send_to(&room[..len], to).unwrap();

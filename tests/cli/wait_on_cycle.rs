@@ -1,10 +1,10 @@
 //! A program that is another process waits for the cycles of running stations, and is told when one is killed.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use nix::errno::Errno;
 use rtnet::api::Station as Attached;
+use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY};
 use rtnet::live::{TimeBoard, WaitError};
 use rtnet::time::{GlobalTime, Span};
 
@@ -15,6 +15,8 @@ const CYCLES: usize = 100;
 
 /// The cycles that a program wakes in: their numbers, their starts on the master's clock, and how late it woke.
 fn cycles(time: &Arc<TimeBoard>) -> Vec<(u32, GlobalTime, Span)> {
+    // Less urgent than stations, as programs are, and more than all else that the host runs.
+    RealTime { priority: Some(SLAVE_PRIORITY - 10), cpu: None }.apply();
     let mut waiter = time.waiter();
     let cycle = || loop {
         match waiter.wait_cycle(PATIENCE) {
@@ -68,7 +70,7 @@ fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_k
         let anew = Attached::named(&names[0]).unwrap().time();
         assert_eq!(anew.err().and_then(|error| error.raw_os_error()), Some(Errno::ENODEV as i32));
         let mut waiter = at_slave.waiter();
-        let lost = (0..CYCLES).find_map(|_| waiter.wait_cycle(Duration::from_secs(1)).err());
+        let lost = (0..CYCLES).find_map(|_| waiter.wait_cycle(PATIENCE).err());
         assert!(matches!(lost, Some(WaitError::NotSynchronised(_))), "{lost:?}");
         // Whoever has its name next takes along what it has left.
         drop(Station::master(&medium, &names[0]));

@@ -36,7 +36,7 @@ fn packet_socket(station: &Namespace) -> (Box<dyn DataLinkSender>, Box<dyn DataL
     let open = || {
         let interface = pnet_datalink::interfaces().into_iter().find(|i| i.name == "rt0").unwrap();
         let config =
-            Config { read_timeout: Some(Duration::from_secs(2)), promiscuous: false, ..Config::default() };
+            Config { read_timeout: Some(Duration::from_secs(20)), promiscuous: false, ..Config::default() };
         let Channel::Ethernet(sender, receiver) = pnet_datalink::channel(&interface, config).unwrap() else {
             panic!("not an Ethernet channel")
         };
@@ -132,7 +132,7 @@ fn dropped_handles_leave_nothing_behind() {
     assert!(survivor.link("rt0").is_ok());
     drop(segment);
     // The segment's namespace takes the wire with it; the kernel does so from a work queue.
-    let gone = (0..500).any(|_| {
+    let gone = (0..2_000).any(|_| {
         thread::sleep(Duration::from_millis(10));
         survivor.link("rt0").is_err()
     });

@@ -18,6 +18,7 @@ pub mod pool;
 pub mod route;
 pub mod schedule;
 pub mod sim;
+mod sim_seeds;
 pub mod slot;
 pub mod stat;
 pub mod station;

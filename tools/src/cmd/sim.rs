@@ -1,9 +1,12 @@
 //! `rtnet sim`.
 
+use std::path::Path;
+
 use anyhow::anyhow;
 
 use super::delivery::Delivery;
 use super::lab_run::NO_MAX_MISS;
+use super::sim_seeds::{only, sim_seeds};
 use super::{Failure, all_writable, say, screen_width, tell_of_ring, title};
 use crate::cli::SimRunArgs;
 use crate::report::html::Sheet;
@@ -20,17 +23,25 @@ pub fn example() -> Result<u8, Failure> {
 
 /// Runs a scenario and prints its report; the exit status is that of its verdict.
 pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
-    let network = scenario::load_network(&args.file).map_err(|why| Failure::Usage(why.into()))?;
-    all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(&args.file))
+    if let Some(seeds) = args.seeds {
+        return sim_seeds(args, seeds);
+    }
+    let file = only(&args.files)?;
+    let network = scenario::load_network(file).map_err(|why| Failure::Usage(why.into()))?;
+    all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(file))
         .map_err(Failure::Usage)?;
     let pictures = args.html.is_some();
     let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures };
     let scenario = match network {
         Network::Slots(scenario) => {
             let max_miss_ppm = args.max_miss.unwrap_or(scenario.max_miss_ppm);
-            with_seed(Scenario { max_miss_ppm, ..scenario }, args.seed)
+            let scenario = Scenario { max_miss_ppm, ..scenario };
+            match args.seed {
+                Some(seed) => scenario.with_seed(seed),
+                None => scenario,
+            }
         }
-        Network::Ring(ring) => return ring_run(args, ring, &options),
+        Network::Ring(ring) => return ring_run((args, file), ring, &options),
     };
     let Ended { figures, slot_error_abs, kept, .. } = sim::run(&scenario, &options).map_err(failure)?;
     let width = screen_width();
@@ -43,7 +54,7 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     let mut delivery = Delivery::begin(&text, &[json, html, pcap]);
     delivery.json(json, &figures);
     let sheet = Sheet {
-        title: &title(&args.file),
+        title: &title(file),
         scenario: &scenario,
         figures: &figures.figures,
         kept: &kept,
@@ -58,15 +69,12 @@ fn failure(error: anyhow::Error) -> Failure {
     if error.is::<Hurried>() { Failure::Usage(error) } else { Failure::Run(error) }
 }
 
-fn with_seed(scenario: Scenario, seed: Option<u64>) -> Scenario {
-    match seed {
-        Some(seed) => Scenario { seed, ..scenario }.with_random_clocks(),
-        None => scenario,
-    }
-}
-
 /// The same of a ring.
-fn ring_run(args: &SimRunArgs, scenario: RingScenario, options: &Options) -> Result<u8, Failure> {
+fn ring_run(
+    (args, file): (&SimRunArgs, &Path),
+    scenario: RingScenario,
+    options: &Options,
+) -> Result<u8, Failure> {
     if args.max_miss.is_some() {
         return Err(Failure::Usage(anyhow!(NO_MAX_MISS)));
     }
@@ -76,7 +84,7 @@ fn ring_run(args: &SimRunArgs, scenario: RingScenario, options: &Options) -> Res
     };
     let figures = ring::run(&scenario, options).map_err(failure)?;
     let (json, html, pcap) = (args.json.as_ref(), args.html.as_ref(), args.pcap.as_ref());
-    tell_of_ring(&figures, &title(&args.file), json, html, pcap)
+    tell_of_ring(&figures, &title(file), json, html, pcap)
 }
 
 /// The frames around the first place where something was not as expected. The run is repeated for them: it is the same

@@ -8,6 +8,7 @@ pub mod histogram;
 pub mod host;
 pub mod html;
 pub mod intervals;
+pub mod junit;
 mod others;
 pub(crate) mod recorded;
 pub mod screen;

@@ -230,6 +230,11 @@ impl SlotGuard {
 }
 
 impl Scenario {
+    /// The same with another seed, and the clocks that follow from it.
+    pub fn with_seed(self, seed: u64) -> Self {
+        Self { seed, ..self }.with_random_clocks()
+    }
+
     /// Gives every station the clock that its file says, or one off by up to a second and 50 ppm, by the
     /// seed.
     pub fn with_random_clocks(mut self) -> Self {

@@ -96,7 +96,7 @@ impl RingScenario {
 
     /// The same with clocks that follow from a seed.
     pub fn with_seed(self, seed: u64) -> Self {
-        let network = Scenario { seed, ..self.network }.with_random_clocks();
+        let network = self.network.with_seed(seed);
         Self { network, ..self }
     }
 }

@@ -96,7 +96,7 @@ fn weight(measure: Measure) -> Weight {
 }
 
 /// A figure of a run; none if there was nothing to measure.
-fn figure(figures: &SimFigures, expected: &Expectation) -> Option<i64> {
+pub(super) fn figure(figures: &SimFigures, expected: &Expectation) -> Option<i64> {
     let &Expectation { measure, station, priority, .. } = expected;
     let run = &figures.figures;
     let count = |n: u64| Some(i64::try_from(n).unwrap_or(i64::MAX));

@@ -14,6 +14,7 @@ mod patience;
 mod places;
 mod run;
 pub mod screen;
+pub mod seeds;
 mod sight;
 mod watch;
 pub(crate) mod world;

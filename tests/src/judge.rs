@@ -206,12 +206,14 @@ impl Judge {
 
     /// A reply is in the turn of the asker's slot that follows the request's, or, late, in a slot of its sender's own.
     fn reply(&mut self, aired: &Aired<'_>, source: Address, asked: &Asked) -> Frame {
-        let &Layout { cycle, slot, tolerance, ref addresses, ref periods, .. } = &self.layout;
+        let &Layout { cycle, ref addresses, ref periods, .. } = &self.layout;
         let id = addresses.iter().position(|address| *address == asked.of);
         let every = cycle.nanos() * i64::from(id.map_or(1, |id| periods[id]));
         let gone = aired.at.wrapping_sub(asked.at) as i64;
-        // The request, too, may have been beside its slot.
-        let in_time = (gone - every).abs() <= (slot + tolerance).nanos();
+        let is_next = (gone + every / 2).div_euclid(every) == 1;
+        // A peer may have asked late, by a turn; and a cycle may have no sync to be known by.
+        let is_asked_for = is_next || self.last_sync == Some(asked.reply_cycle);
+        let in_time = is_asked_for && id.is_some_and(|id| self.is_in_slot(aired, id));
         let cycle = if in_time { asked.reply_cycle } else { self.last_sync.unwrap_or(asked.reply_cycle) };
         let author = Author { from: aired.from, cycle };
         let strays = self.out_of_slot.len();
@@ -266,17 +268,25 @@ impl Judge {
         }
     }
 
+    fn is_in_slot(&self, aired: &Aired<'_>, id: StationId) -> bool {
+        self.is_within(aired, self.layout.offsets[id], self.layout.slot)
+    }
+
     /// A frame has to be within `begin` and `length` of some cycle.
     fn check_bounds(&mut self, aired: &Aired<'_>, author: Author, begin: Span, length: Span) {
-        let Some((_, start)) = self.grid else { return self.out_of_slot.push(author) };
+        if !self.is_within(aired, begin, length) {
+            self.out_of_slot.push(author);
+        }
+    }
+
+    fn is_within(&self, aired: &Aired<'_>, begin: Span, length: Span) -> bool {
+        let Some((_, start)) = self.grid else { return false };
         let Layout { cycle, tolerance, clock, epoch, .. } = &self.layout;
         let half = cycle.nanos() / 2;
         let since = (epoch.global(clock.local(aired.at)) - (start + begin)).nanos();
         let early = Span::from_nanos((since + half).rem_euclid(cycle.nanos()) - half);
         let end = early + Span::from_nanos((aired.until - aired.at) as i64);
-        if early < -*tolerance || end > length + *tolerance {
-            self.out_of_slot.push(author);
-        }
+        early >= -*tolerance && end <= length + *tolerance
     }
 
     fn fault(&mut self, what: String) {

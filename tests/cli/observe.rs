@@ -77,10 +77,6 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).unwrap()
 }
 
-fn json(output: &Output) -> Value {
-    documents::read(&output.stdout)
-}
-
 #[test]
 fn observers_tell_of_a_lab_what_it_does_and_send_nothing() {
     let test = "observers_tell_of_a_lab_what_it_does_and_send_nothing";

@@ -16,6 +16,7 @@ const LEAST_PPM: u64 = 100;
 
 /// One that ran.
 #[derive(Clone, Debug, Default, Deserialize, Eq, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RealTimeThread {
     /// Its name.
     pub name: String,

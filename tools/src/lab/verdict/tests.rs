@@ -56,6 +56,7 @@ fn lab() -> LabStatus {
         time_by: "master".into(),
         rivals: Vec::new(),
         strangers: BTreeMap::new(),
+        implausible_syncs: BTreeMap::new(),
         latest_frame_ns: None,
         unexplained: 0,
         unexplained_last: Vec::new(),

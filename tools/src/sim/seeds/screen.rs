@@ -20,8 +20,9 @@ pub fn render(report: &SeedsReport, width: usize) -> String {
 
 /// One line while runs are still to come.
 pub fn progress(runs: u64, all: u64, failed: u64, seconds: u64) -> String {
-    let rest =
-        if runs == 0 { String::new() } else { format!(", about {}s left", seconds * (all - runs) / runs) };
+    let rest = (seconds * (all - runs))
+        .checked_div(runs)
+        .map_or(String::new(), |left| format!(", about {left}s left"));
     format!("{} of {} runs, {} failed, {seconds}s{rest}", grouped(runs), grouped(all), grouped(failed))
 }
 

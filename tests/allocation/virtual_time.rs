@@ -12,6 +12,7 @@ use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 use tests::chance::Case;
+use tests::seeds;
 use tests::traffic;
 use tools::station::traffic::{Flow, FlowPlan, TrafficCounts};
 
@@ -76,7 +77,7 @@ fn changes_of_slots() -> Vec<TdmaCommand> {
 
 #[test]
 fn networks_by_chance_allocate_nothing_once_they_run() {
-    for seed in 0..50 {
+    for seed in seeds::in_a_row("once they run", 50) {
         let case = Case::of(seed);
         let mut lab = case.settled().unwrap_or_else(|why| panic!("seed {seed}: {why}"));
         // The judge writes down what it sees.
@@ -100,7 +101,7 @@ const SIMULATOR_GROWS: u64 = 64;
 #[test]
 fn networks_by_chance_allocate_nothing_while_faults_come_and_go_but_for_frames_that_the_simulator_keeps() {
     let mut most = 0;
-    for seed in 0..200 {
+    for seed in seeds::in_a_row("faults", 200) {
         let counted = Case::of(seed).calls_while_it_runs(calls);
         most = most.max(counted.unwrap_or_else(|why| panic!("seed {seed}: {why}")));
     }

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use nix::time::{ClockId, clock_gettime};
 use rtnet::sim::Random;
+use tests::seeds;
 
 /// What is fuzzed.
 pub struct Target {
@@ -40,7 +41,8 @@ pub fn fuzz(target: &Target) {
         let input = unhex(&hex).unwrap_or_else(|| panic!("RTNET_FUZZ_INPUT: pairs of hexadecimal digits"));
         return println!("{}: {:x?}", target.name, (target.run)(&input));
     }
-    let (seconds, seed) = (number("RTNET_FUZZ_SECONDS", SECONDS), number("RTNET_FUZZ_SEED", 1));
+    let (seconds, seed) =
+        (number("RTNET_FUZZ_SECONDS", SECONDS), number("RTNET_FUZZ_SEED", seeds::one(target.name)));
     let until = Instant::now() + Duration::from_secs(seconds);
     let (mut kept, mut known, mut random) = (Vec::new(), BTreeSet::new(), Random::new(seed));
     let stored = if target.has_corpus { stored(target.name) } else { Vec::new() };

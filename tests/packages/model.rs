@@ -17,6 +17,7 @@ use package_router::mailbox::{self, TooSmall, WhenFull, of_owner, of_sender};
 use package_router::registry::Refused;
 use package_router::wire::Head;
 use rtnet::sim::Random;
+use tests::seeds;
 
 use super::*;
 use lists::*;
@@ -216,7 +217,7 @@ fn what_processes_do_with_mailboxes_is_what_simple_lists_would() {
         be_a_member(&of);
     }
     let number = |variable, default| std::env::var(variable).map_or(default, |n: String| n.parse().unwrap());
-    let (operations, seed) = (number("RTNET_OPERATIONS", OPERATIONS), number("RTNET_SEED", 1));
+    let (operations, seed) = (number("RTNET_OPERATIONS", OPERATIONS), seeds::one(TEST));
     let station = Station::new();
     let mut members = driven(&station);
     let (mut model, mut dice) = (Model::default(), Random::new(seed));

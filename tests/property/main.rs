@@ -1,7 +1,7 @@
 //! Networks by chance: what must be true of every one of them, whatever its schedule, clocks, hosts and faults.
 //!
-//! `RTNET_CASES=10000` runs so many, `RTNET_SEED=7` the one of a seed. Seeds that once found something are in
-//! `seeds.txt`, and run first.
+//! The seeds follow from the commit's date. `RTNET_CASES=10000` runs the first so many instead, `RTNET_SEED=7` or
+//! `RTNET_SEED=1..100` those alone. Seeds that once found something are in `seeds.txt`, and run first.
 
 mod plans;
 
@@ -9,6 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use tests::chance::Case;
 use tests::course::Account;
+use tests::seeds;
 
 const SEEDS: &str = include_str!("seeds.txt");
 /// Cases that are run unless asked otherwise: some seconds.
@@ -19,6 +20,11 @@ const MOST_FAILURES: usize = 10;
 fn number(variable: &str) -> Option<u64> {
     let value = std::env::var(variable).ok()?;
     Some(value.parse().unwrap_or_else(|_| panic!("{variable}={value}: it must be a number")))
+}
+
+/// The first so many seeds if `RTNET_CASES` asks for that, else so many in a row that follow from the commit's date.
+fn cases(name: &str, usual: u64) -> Vec<u64> {
+    number("RTNET_CASES").map_or_else(|| seeds::in_a_row(name, usual), |count| (0..count).collect())
 }
 
 /// Seeds that are known, one a line, behind which anything may be said of it.
@@ -33,9 +39,9 @@ fn run(case: impl Fn() -> Case) -> Result<Account, String> {
 
 #[test]
 fn networks_by_chance_overlap_for_a_cause_only_and_settle_in_time() {
-    let (at_first, seeds): (Vec<u64>, Vec<u64>) = match number("RTNET_SEED") {
-        Some(seed) => (vec![seed], vec![seed]),
-        None => (known().collect(), known().chain(0..number("RTNET_CASES").unwrap_or(CASES)).collect()),
+    let (at_first, seeds): (Vec<u64>, Vec<u64>) = match seeds::asked() {
+        Some(seeds) => (seeds.clone(), seeds),
+        None => (known().collect(), known().chain(cases("networks", CASES)).collect()),
     };
     // What a seed found was in what was drawn then.
     let at_first = at_first.iter().map(|&seed| (seed, run(|| Case::as_at_first(seed))));

@@ -7,6 +7,7 @@ use rtmac::tdma::schedule::{Rate, Uncertainty, guard_band};
 use rtnet::sim::{Host, Latency, Medium, StationId};
 use rtnet::time::Span;
 use tests::networks::{Lab, Plan};
+use tests::seeds;
 use tools::scenario::Uniform;
 
 const STATIONS: usize = 8;
@@ -41,7 +42,7 @@ fn alternating(id: StationId) -> i64 {
 }
 
 fn run(guard: Span, payload: usize, cycles: u64) -> Lab {
-    let mut lab = lab(guard, payload, 3, 10_000).with_drift(alternating).build();
+    let mut lab = lab(guard, payload, seeds::one("drift_and_loss"), 10_000).with_drift(alternating).build();
     lab.run_cycles(cycles);
     lab
 }
@@ -66,7 +67,10 @@ fn half_of_that_guard_band_is_not_enough() {
 #[test]
 fn the_guard_band_is_tight() {
     // For who calibrates too shortly to know the rate of the clocks from it.
-    let mut lab = lab(computed_guard(), PAYLOAD, 3, 10_000).with_drift(alternating).with_rounds(5).build();
+    let mut lab = lab(computed_guard(), PAYLOAD, seeds::one("tight"), 10_000)
+        .with_drift(alternating)
+        .with_rounds(5)
+        .build();
     lab.run_cycles(100_000);
     let gap = lab.network.traffic().smallest_gap.expect("frames were sent");
     let guard = lab.plan.scenario.guard;
@@ -94,7 +98,7 @@ fn gains(drift: impl Fn(StationId) -> i64, id: StationId) -> i64 {
 #[test]
 fn every_slave_finds_out_how_far_its_clock_drifts() {
     let drift = |id: StationId| 12_345 * (id as i64 - 3);
-    let mut lab = lab(computed_guard(), PAYLOAD, 5, 10_000).with_drift(drift).build();
+    let mut lab = lab(computed_guard(), PAYLOAD, seeds::one("drift"), 10_000).with_drift(drift).build();
     lab.run_until_locked();
     lab.run_cycles(1_000);
     for id in 1..STATIONS {

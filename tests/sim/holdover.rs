@@ -5,6 +5,7 @@ use rtnet::discipline::SyncState;
 use rtnet::sim::{Host, Latency, StationId};
 use rtnet::time::Span;
 use tests::networks::{Lab, Plan};
+use tests::seeds;
 use tools::scenario::{ServoName, Uniform};
 
 const SLAVES: [StationId; 3] = [1, 2, 3];
@@ -62,19 +63,19 @@ fn in_holdover_a_slave_is_never_further_off_than_it_says() {
         (Host::IDEAL, 5, 0, Span::from_micros(125)),
         (noisy, 5, 0, Span::from_micros(160)),
     ] {
-        for seed in 1..=5 {
+        seeds::each(5, move |seed| {
             let mut lab = locked(plan(seed).with_rounds(rounds), HOLDOVER, host.clone(), cycles);
             let worst = worst_in_holdover(&mut lab, seed);
             for (error, bound) in &worst[1..] {
                 assert!(*bound <= most, "{rounds} rounds, seed {seed}: {bound} says nothing, it is {error}");
             }
-        }
+        });
     }
 }
 
 #[test]
 fn without_a_filter_it_is_not_either() {
-    for seed in 1..=5 {
+    seeds::each(5, |seed| {
         let noisy =
             Host { send: Latency::Uniform(Span::ZERO, Span::from_micros(8)), ..Host::VIRTUAL_MACHINE };
         let mut plan = plan(seed);
@@ -82,7 +83,7 @@ fn without_a_filter_it_is_not_either() {
         let mut lab = locked(plan, HOLDOVER, noisy, 1_000);
         let worst = worst_in_holdover(&mut lab, seed);
         assert!(worst[1].0 > Span::from_micros(80), "190 ppm for half a second: {}", worst[1].0);
-    }
+    });
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use rtnet::time::Span;
 use tests::networks::Plan;
+use tests::seeds;
 use tools::scenario::Uniform;
 
 fn plan(stations: usize) -> Plan {
@@ -10,7 +11,7 @@ fn plan(stations: usize) -> Plan {
 
 #[test]
 fn every_frame_leaves_at_its_scheduled_instant_to_the_nanosecond() {
-    for seed in 1..=5 {
+    seeds::each(5, |seed| {
         let options = Uniform { seed, ..Plan::lab_options(8) };
         let mut lab = Plan::of(&options).with_drift(|_| 0).build();
         lab.run_until_locked();
@@ -21,7 +22,7 @@ fn every_frame_leaves_at_its_scheduled_instant_to_the_nanosecond() {
         assert_eq!((judge.sync_error.min, judge.sync_error.max), (Span::ZERO, Span::ZERO));
         assert_eq!((judge.syncs, &judge.data[..]), (2_000, &[2_000; 8][..]), "one frame each a cycle");
         assert!(judge.faults.is_empty(), "{:?}", judge.faults);
-    }
+    });
 }
 
 #[test]

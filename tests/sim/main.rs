@@ -12,6 +12,7 @@ mod holdover;
 mod ideal_host;
 mod isolation;
 mod joint_slots;
+mod known;
 mod late_join;
 mod late_replies;
 mod looks_like_test_traffic;

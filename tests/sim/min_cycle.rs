@@ -5,6 +5,7 @@ use std::convert::Infallible;
 use rtmac::tdma::schedule::Rate;
 use rtnet::sim::{Host, Latency};
 use rtnet::time::Span;
+use tests::seeds;
 use tools::min_cycle::answer::{AGREE_WITHIN, Purpose, Run};
 use tools::min_cycle::{ladder, search};
 use tools::scenario::Uniform;
@@ -64,8 +65,10 @@ fn idle(mean_us: i64, outage_ppm: u32) -> Host {
 #[test]
 fn searches_on_one_idle_host_agree_within_a_quarter() {
     for host in [idle(10, 0), idle(20, 300)] {
-        let found: Vec<Span> =
-            (1..=3).map(|seed| searched(&host, seed).expect("it holds some cycle")).collect();
+        let found: Vec<Span> = seeds::drawn("searches", 3)
+            .into_iter()
+            .map(|seed| searched(&host, seed).expect("it holds some cycle"))
+            .collect();
         let (least, most) = (found.iter().min().unwrap(), found.iter().max().unwrap());
         assert!(most.nanos() as f64 <= least.nanos() as f64 * AGREE_WITHIN, "{host:?}: {found:?}");
         assert!(*least > ladder::SHORTEST && *most < LONGEST, "{found:?}");

@@ -7,11 +7,9 @@ use rtnet::sim::Host;
 use rtnet::time::Span;
 use tests::judge::Author;
 use tests::networks::{Lab, Plan};
-use tools::scenario::Uniform;
 
 fn run(host: Host, cycles: u64) -> Lab {
-    let options = Uniform { seed: 7, ..Plan::lab_options(8) };
-    let mut lab = Plan::of(&options).on(host).build();
+    let mut lab = Plan::lab(8).on(host).build();
     lab.run_until_locked();
     lab.judge_from_here();
     lab.run_cycles(cycles);

@@ -5,6 +5,7 @@ use rtnet::discipline::SyncState;
 use rtnet::sim::Host;
 use rtnet::time::{Offset, Span};
 use tests::networks::{Lab, Plan};
+use tests::seeds;
 use tools::scenario::{DelayName, Scenario, ServoName, Source, Uniform};
 use tools::sim::{self, Options, discipline};
 
@@ -31,13 +32,13 @@ fn run(servo: ServoName, seed: u64) -> (Span, Lab) {
 
 #[test]
 fn with_a_filter_slots_are_many_times_nearer_to_where_they_belong_than_without() {
-    for seed in 1..=4 {
+    seeds::each(4, |seed| {
         let (linear, _) = run(ServoName::Linear, seed);
         let (none, lab) = run(ServoName::None, seed);
         assert!(linear * 4 < none, "seed {seed}: {linear} on average with a filter, {none} without");
         assert!(none > Span::from_micros(5) && none < Span::from_micros(18), "which is the host's: {none}");
         assert!((1..4).all(|id| lab.state(id) == SyncState::Locked && lab.status(id).drift_ppb.is_none()));
-    }
+    });
 }
 
 #[test]

@@ -10,6 +10,7 @@
 //! host       real networks: one at a time, and again, aloud, on a host that was disturbed
 //! ends       stacks by hand: frames in, calls of programs, and where every buffer is
 //! peer       an independent TDMA station with the habits of real RTnet's
+//! seeds      with which seeds tests run: drawn from the commit's date
 //! rings      rings of the token discipline in virtual time
 //! stacks     stations with sockets, and programs that use them
 //! tunnels    stations with tunnels, and a simulated Linux at the mouth of each
@@ -28,6 +29,7 @@ pub mod networks;
 pub mod observed;
 pub mod peer;
 pub mod rings;
+pub mod seeds;
 pub mod stacks;
 pub mod traffic;
 pub mod tunnels;

@@ -25,6 +25,7 @@ use tools::station::sync_latest;
 use crate::judge::{Judge, Layout};
 use crate::mixed::{Mixed, MixedStatus};
 use crate::peer::{Peer, PeerConfig, PeerSlot, PeerStatus};
+use crate::seeds;
 use crate::traffic::{Tally, TestTraffic};
 
 /// What a network is to be like. Station 0 is the master.
@@ -81,7 +82,7 @@ impl Plan {
         Plan::of(&Plan::lab_options(stations))
     }
 
-    /// What `lab run --stations N --cycle 1ms` is told.
+    /// What `lab run --stations N --cycle 1ms` is told, with a seed that is drawn from the commit's date.
     pub fn lab_options(stations: usize) -> Uniform {
         let line = format!("rtnet lab run --stations {stations} --cycle 1ms");
         let verb = Cli::parse_from(line.split(' ')).verb;
@@ -96,7 +97,7 @@ impl Plan {
             payload,
             rate,
             guard,
-            seed: 1,
+            seed: seeds::one("Plan::lab"),
             vnic: None,
         }
     }

@@ -1,11 +1,15 @@
 //! How long the most urgent frame waits.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use rtmac::token::RingConfig;
 use rtmac::token::bound::access_delay_bound;
 use rtnet::buf::Pool;
 use rtnet::sim::{Host, Latency, Random};
 use rtnet::time::Span;
 use tests::rings::{Habits, Rings, config};
+use tests::seeds;
 
 const STATIONS: usize = 5;
 const URGENT: u8 = 9;
@@ -49,13 +53,15 @@ fn the_worst_wait_of_the_most_urgent_frame_is_reached_where_all_send_all_that_th
 
 #[test]
 fn no_urgent_frame_waits_longer_than_the_bound_whatever_hosts_and_loads_are() {
-    let (mut random, mut longest) = (Random::new(7), 0);
     let config = config(STATIONS);
     let bound = access_delay_bound(&config, STATIONS, 0).nanos() as u64;
-    // Woken and held up before a frame: both together no later than is configured.
-    let half =
-        |random: &mut Random| Span::from_nanos(random.below(config.late.nanos() as u64 / 2 + 1) as i64);
-    for seed in 0..300 {
+    let longest = Arc::new(AtomicU64::new(0));
+    let noted = longest.clone();
+    seeds::each(300, move |seed| {
+        let mut random = Random::new(seed);
+        // Woken and held up before a frame: both together no later than is configured.
+        let half =
+            |random: &mut Random| Span::from_nanos(random.below(config.late.nanos() as u64 / 2 + 1) as i64);
         let habits: Vec<Habits> = (0..STATIONS)
             .map(|_| {
                 let wake = Latency::Uniform(Span::ZERO, half(&mut random));
@@ -68,12 +74,13 @@ fn no_urgent_frame_waits_longer_than_the_bound_whatever_hosts_and_loads_are() {
         let mut ring = Rings::running(config.clone(), |id| habits[id].clone(), seed);
         for _ in 0..5 {
             let id = random.below(STATIONS as u64) as usize;
-            longest = longest.max(waits(&mut ring, id, random.below(5_000_000)));
+            let waited = waits(&mut ring, id, random.below(5_000_000));
+            assert!(waited <= bound, "{waited} ns, and no more than {bound}");
+            noted.fetch_max(waited, Ordering::Relaxed);
         }
         assert_eq!((ring.sum(|c| c.claims), ring.sum(|c| c.repeats), ring.sum(|c| c.overdue)), (1, 0, 0));
-        let aired = ring.aired();
-        assert!(tests::rings::clashes(&aired).is_empty(), "seed {seed}");
-    }
-    assert!(longest <= bound, "{longest} ns, and no more than {bound}");
-    assert!(longest > bound / 2, "{longest} of {bound} ns: nothing ever waited");
+        assert!(tests::rings::clashes(&ring.aired()).is_empty());
+    });
+    let longest = longest.load(Ordering::Relaxed);
+    assert!(longest > bound / 2 || seeds::asked().is_some(), "{longest} of {bound} ns: nothing ever waited");
 }

@@ -4,8 +4,9 @@ use rtmac::token::bound::{doubling_bound, recovery_bound, rejoin_bound};
 use rtnet::sim::{Host, Latency, Random};
 use rtnet::time::Span;
 use tests::rings::{Habits, Rings, clashes, config, longest_without_data};
+use tests::seeds;
 
-const SEEDS: u64 = 100;
+const SEEDS: usize = 100;
 
 /// What befalls a ring.
 #[derive(Clone, Copy, Debug)]
@@ -23,9 +24,9 @@ const FAULTS: [Fault; 6] =
 
 #[test]
 fn rings_by_chance_have_one_token_again_within_the_bounds_after_every_fault() {
-    for seed in 0..SEEDS {
+    seeds::each(SEEDS, |seed| {
         run(seed);
-    }
+    });
 }
 
 fn run(seed: u64) {

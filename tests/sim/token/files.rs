@@ -1,5 +1,6 @@
 //! Rings in files, as `rtnet sim run` runs them.
 
+use tests::seeds;
 use tools::report::html::markup::{count, us};
 use tools::ring::{self, RingFigures, page, render};
 use tools::scenario::{Network, RingScenario, Source};
@@ -86,14 +87,14 @@ fn each_that_dies_while_another_babbles_or_is_stopped_is_explained() {
         .enumerate()
         .map(|(i, event)| format!("[[event]]\nat = \"{}ms\"\n{event}", 100 + i * 250))
         .collect();
-    for seed in 1..=20 {
+    seeds::each(20, move |seed| {
         let scenario = scenario(&all.concat()).with_seed(seed);
         let figures = ring::run(&scenario, &Options::default()).unwrap();
         assert_well(&figures);
         assert!(figures.recovery_ns.n >= 4, "{}", render(&figures, 100));
         assert!(figures.tokens_claimed > 0 || figures.stations_skipped > 0);
         assert_eq!(figures.per_station[0].state, "down");
-    }
+    });
 }
 
 #[test]

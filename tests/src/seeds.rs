@@ -1,0 +1,91 @@
+//! With which seeds a test runs, and how it tells of those that fail.
+
+mod drawn;
+
+use std::any::type_name;
+
+use tools::sim::seeds::{start, usual_jobs};
+
+pub use drawn::{HIGHEST, asked, drawn};
+
+/// The closure of a test must hold for so many seeds that are drawn from the commit's date, run on all CPUs: it asserts.
+#[track_caller]
+pub fn each<F: Fn(u64) + Send + Sync + 'static>(count: usize, test: F) {
+    // `sim::holdover::in_holdover_...::{{closure}}`
+    let path = type_name::<F>().trim_end_matches("::{{closure}}");
+    let (binary, name) = path.split_once("::").unwrap_or((path, path));
+    let run = move |seed| {
+        test(seed);
+        Ok(())
+    };
+    let command = |seed| format!("RTNET_SEED={seed} cargo test --workspace --test {binary} {name}");
+    hold(&drawn(path, count), run, command);
+}
+
+/// One seed, drawn from the commit's date.
+pub fn one(name: &str) -> u64 {
+    drawn(name, 1)[0]
+}
+
+/// So many seeds in a row, from a drawn one on.
+pub fn in_a_row(name: &str, count: u64) -> Vec<u64> {
+    asked().unwrap_or_else(|| {
+        let first = one(name);
+        (first..first + count).collect()
+    })
+}
+
+/// Runs on all CPUs with each of these seeds; if some fail or panic, panics with the reasons and the command that repeats each.
+#[track_caller]
+pub fn hold(
+    seeds: &[u64],
+    run: impl Fn(u64) -> Result<(), String> + Send + Sync + 'static,
+    command: impl Fn(u64) -> String,
+) {
+    let failed = failures(seeds, run);
+    let told: Vec<String> =
+        failed.iter().map(|(seed, why)| format!("seed {seed}: {why}\n  $ {}\n", command(*seed))).collect();
+    assert!(failed.is_empty(), "{} of {} seeds fail\n{}", failed.len(), seeds.len(), told.concat());
+}
+
+/// Those of the seeds that fail, and why.
+fn failures(
+    seeds: &[u64],
+    run: impl Fn(u64) -> Result<(), String> + Send + Sync + 'static,
+) -> Vec<(u64, String)> {
+    let of_runs = seeds.to_vec();
+    let runs = start(seeds.len(), usual_jobs(), move |place| run(of_runs[place])).expect("a thread");
+    let mut outcomes: Vec<_> = runs.into_iter().collect();
+    assert_eq!(outcomes.len(), seeds.len(), "all came to an end");
+    outcomes.sort_by_key(|(place, _)| *place);
+    let failed = |(place, outcome): (usize, Result<Result<(), String>, String>)| {
+        let why = outcome.and_then(|outcome| outcome).err()?;
+        Some((seeds[place], why))
+    };
+    outcomes.into_iter().filter_map(failed).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_that_fails_or_panics_is_named_with_its_reason() {
+        let run = |seed| match seed {
+            3 => Err("it is odd".to_owned()),
+            5 => panic!("it breaks"),
+            _ => Ok(()),
+        };
+        let failed = failures(&[1, 3, 4, 5], run);
+        assert_eq!(failed.len(), 2);
+        assert_eq!(failed[0], (3, "it is odd".to_owned()));
+        assert!(failed[1].0 == 5 && failed[1].1.ends_with("it breaks"), "{failed:?}");
+    }
+
+    #[test]
+    #[should_panic(expected = "1 of 2 seeds fail\nseed 8: no\n  $ try 8\n")]
+    fn a_command_repeats_each_seed_that_failed() {
+        let run = |seed| if seed == 8 { Err("no".to_owned()) } else { Ok(()) };
+        hold(&[7, 8], run, |seed| format!("try {seed}"));
+    }
+}

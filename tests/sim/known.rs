@@ -26,7 +26,7 @@ fn parse(text: &str) -> Result<Vec<Known>, String> {
     let lines =
         text.lines().zip(1..).map(|(line, number)| (line.split('#').next().unwrap_or_default(), number));
     let lines = lines.filter(|(line, _)| !line.trim().is_empty());
-    let known = |(line, number)| {
+    let known = |(line, number): (&str, usize)| {
         let why = || format!("line {number}: '{}': write FILE SEED, or FILE SEED {OPEN}", line.trim());
         let words: Vec<&str> = line.split_whitespace().collect();
         let (&[file, seed], open) = words.split_first_chunk().ok_or_else(why)?;

@@ -15,6 +15,7 @@ mod joint_slots;
 mod known;
 mod late_join;
 mod late_replies;
+mod long_cycles;
 mod looks_like_test_traffic;
 mod lost_on_purpose;
 mod master_dies;

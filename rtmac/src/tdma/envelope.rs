@@ -34,10 +34,9 @@ use super::line::{DRIFT_PARTS, Drift};
 use super::rate::Rate;
 use super::running::{self, GROUPS, LOOKS_BACK};
 
-/// Synchronisations of a window.
+/// Most Synchronisations of a window.
 const WINDOW: usize = 64;
-/// Crystals change their rate: where a window would be longer, at cycles above 31 ms, the few that it may have of
-/// this time do not show a line, and there is none.
+/// Crystals change their rate: a window is no longer, and of cycles above 31 ms it has fewer Synchronisations.
 const WINDOW_AT_MOST: Span = Span::from_millis(2_000);
 /// The early one of a window has this part of it before it: the very first may be a stamp's error.
 const EARLY_PARTS: usize = 8;
@@ -121,11 +120,6 @@ impl Envelope {
         }
     }
 
-    /// Whether there is ever a line at cycles of this length.
-    pub fn serves(period: Span) -> bool {
-        period * WINDOW as i64 <= WINDOW_AT_MOST
-    }
-
     /// All that is known is of other clocks.
     pub fn restart(&mut self) {
         self.begin_line();
@@ -176,7 +170,7 @@ impl Envelope {
     /// What calibration has shown by now: the clocks' rate, and that a Synchronisation is on its way for `delay`.
     pub fn know(&mut self, at: Instant, rate: Rate, delay: Span, period: Span) {
         let known = Known { at, rate, delay, against: 0.0 };
-        let windows = (period * WINDOW as i64 * 2).nanos() as f64;
+        let windows = (window_of(period) * 2).nanos() as f64;
         let is_known = rate.unsure <= KNOWN_WELL
             && rate.unsure * windows <= NOISE.nanos() as f64
             && rate.gains.abs() <= GAINS_AT_MOST;
@@ -194,9 +188,6 @@ impl Envelope {
     /// One more Synchronisation, of a cycle that was `expected` to start by what is followed now. Whether the line is
     /// another since.
     pub fn note(&mut self, cycle: u32, start: Instant, expected: Instant, period: Span) -> bool {
-        if !Self::serves(period) {
-            return false;
-        }
         let mut point = Point { cycle, start };
         let mut ends = false;
         if self.is_disproved(expected - start, period) {
@@ -218,7 +209,8 @@ impl Envelope {
             return true;
         }
         // With a rate that is known any point makes a line.
-        ends |= self.window().len() == WINDOW || self.edge.is_none() && self.known_at(start).is_some();
+        ends |= self.window().len() >= syncs_of_window(period)
+            || self.edge.is_none() && self.known_at(start).is_some();
         if ends {
             self.end_window(period);
         }
@@ -256,7 +248,11 @@ impl Envelope {
         let early = self.early_one(period);
         self.early.push_back(early);
         self.last.drain(..self.last.len().saturating_sub(LOOKS_BACK));
-        (self.before, self.too_early) = (self.last.len(), 0);
+        self.before = self.last.len();
+        // Of a window that has few it may take the next one to tell.
+        if self.edge.is_none_or(|edge| edge.late(&early) >= -NOISE) {
+            self.too_early = 0;
+        }
         if let Some(stride) = STRIDES.into_iter().find(|&stride| self.runs_off(stride)) {
             self.keep_last(stride * (RUNNING - 1) + 1);
             self.known = None;
@@ -340,7 +336,7 @@ impl Envelope {
     fn unsure_over(&self, windows: usize) -> Span {
         let known = self.edge.as_ref().filter(|_| self.known.is_some());
         known.map_or(Span::ZERO, |edge| {
-            Span::from_nanos((edge.unsure * (edge.period * (windows * WINDOW) as i64).nanos() as f64) as i64)
+            Span::from_nanos((edge.unsure * (window_of(edge.period) * windows as i64).nanos() as f64) as i64)
         })
     }
 
@@ -406,9 +402,20 @@ impl Envelope {
     }
 }
 
+/// How many Synchronisations a window has at cycles of this length: one at the least.
+fn syncs_of_window(period: Span) -> usize {
+    let fit = WINDOW_AT_MOST.nanos() / period.nanos().max(1);
+    (fit as usize).clamp(1, WINDOW)
+}
+
+/// How long that is.
+fn window_of(period: Span) -> Span {
+    period * syncs_of_window(period) as i64
+}
+
 /// How many windows are remembered at cycles of this length.
 fn kept(period: Span) -> usize {
-    let young = OLDEST.nanos() / (period.nanos() * WINDOW as i64).max(1);
+    let young = OLDEST.nanos() / window_of(period).nanos().max(1);
     (young as usize).clamp(WINDOWS_KEPT_AT_LEAST, WINDOWS)
 }
 

@@ -380,8 +380,8 @@ impl Slave {
         self.envelope.drift().map(|drift| drift.parts_per_billion(line.period))
     }
 
-    /// Whether the drift is known well, and the delay by the line as it is since, or its rounds are old; where cycles are too long for that, whether
-    /// it is locked. Until then time may be off by some microseconds on a busy host.
+    /// Whether the drift is known well, and the delay by the line as it is since, or its rounds are old. Until then time may be
+    /// off by some microseconds on a busy host.
     pub fn is_settled(&self) -> bool {
         let Some(line) = self.line() else { return false };
         let locked = matches!(self.state, SyncState::Locked | SyncState::Holdover);
@@ -390,7 +390,7 @@ impl Slave {
         let corrected =
             |done| !envelope.is_unbroken_since(done) || envelope.unsure_in(done).is_some() || is_old(done);
         let clear = envelope.is_clear() && self.calibration.done().is_none_or(corrected);
-        locked && (clear || !Envelope::serves(line.period) || self.config.servo == Servo::None)
+        locked && (clear || self.config.servo == Servo::None)
     }
 
     fn adopt(&mut self, from: Address, line: TimeLine) -> Followed {

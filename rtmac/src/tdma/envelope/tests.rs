@@ -125,11 +125,51 @@ fn lost_ones_and_the_number_that_starts_over_do_not_matter() {
 }
 
 #[test]
-fn cycles_too_long_for_windows_have_no_line() {
-    let (mut envelope, period) = (Envelope::new(), Span::from_millis(32));
-    let start = |cycle: u32| Instant::from_nanos(0) + period * i64::from(cycle);
-    assert!((0..1_000).all(|cycle| !envelope.note(cycle, start(cycle), start(cycle), period)));
-    assert_eq!(envelope.start_of(1_000), None);
+fn eight_windows_show_the_drift_however_long_cycles_are() {
+    for millis in [1, 31, 32, 50, 100, 1_000, 10_000] {
+        let (mut envelope, period) = (Envelope::new(), Span::from_millis(millis));
+        let needed = (8 * syncs_of_window(period)) as u32;
+        let start = |cycle: u32| {
+            let gained = Span::from_nanos(i64::from(cycle) * period.nanos() / 50_000);
+            Instant::from_nanos(1 << 40) + period * i64::from(cycle) + gained
+        };
+        for cycle in 0..needed {
+            assert!(envelope.start_of(cycle).is_none(), "{millis} ms, cycle {cycle}");
+            envelope.note(cycle, start(cycle), start(cycle), period);
+        }
+        let (at, drift) = envelope.start_of(needed + 10).expect("known by now");
+        assert!((at - start(needed + 10)).abs() <= Span::from_nanos(2), "{millis} ms");
+        assert_eq!(drift.parts_per_billion(period), 20_000, "{millis} ms");
+        assert_eq!(envelope.is_clear(), millis > 1, "{millis} ms: 2 us of half a second are 4 ppm");
+    }
+}
+
+#[test]
+fn a_window_of_long_cycles_has_few_syncs_and_at_least_one() {
+    let syncs = [1, 31, 32, 50, 100, 1_000, 2_001, 100_000].map(|ms| syncs_of_window(Span::from_millis(ms)));
+    assert_eq!(syncs, [64, 64, 62, 40, 20, 2, 1, 1]);
+}
+
+#[test]
+fn what_is_earlier_than_the_line_proves_it_wrong_in_short_windows() {
+    for millis in [100, 1_000, 10_000] {
+        let (mut envelope, period) = (Envelope::new(), Span::from_millis(millis));
+        let mut hear = |cycles: core::ops::Range<u32>, early: i64| {
+            for cycle in cycles {
+                let ideal = Instant::from_nanos(1 << 40) + period * i64::from(cycle);
+                let expected = envelope.start_of(cycle).map_or(ideal, |(expected, _)| expected);
+                envelope.note(cycle, ideal - Span::from_nanos(early), expected, period);
+            }
+            envelope.start_of(1_000).is_some()
+        };
+        assert!(hear(0..400, 0), "{millis} ms");
+        assert!(hear(400..401, 30_000), "{millis} ms: a stamp's noise");
+        assert!(hear(401..601, 0), "{millis} ms");
+        hear(601..605, 2_000_000);
+        let left = envelope.start_of(1_000).map(|(at, _)| at);
+        let old = Instant::from_nanos(1 << 40) + period * 1_000;
+        assert!(left.is_none_or(|at| old - at > Span::from_micros(1_000)), "{millis} ms: {left:?}");
+    }
 }
 
 #[test]

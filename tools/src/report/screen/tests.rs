@@ -144,7 +144,7 @@ fn the_last_line_is_the_verdict() {
     let last = |figures: &Figures| render(figures, 80, &histogram).lines().last().unwrap().to_owned();
     assert_eq!(last(&figures), "NOT OK: 1 unexplained miss");
     figures.verdict = Verdict::new(Word::NotOk, vec!["a reason of five words".into(); 8]);
-    let first = "NOT OK: a reason of five words; a reason of five words; a reas...";
+    let first = "NOT OK: a reason of five words; a reason of five words; a ...";
     assert_eq!(last(&figures), format!("{first} (8 reasons, above)"));
     figures.verdict = Verdict::default();
     assert_eq!(last(&figures), "OK: as expected, 119 998 of 120 000 frames seen; 1 unexplained");

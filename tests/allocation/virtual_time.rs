@@ -86,11 +86,20 @@ fn networks_by_chance_allocate_nothing_once_they_run() {
         let cycle = case.plan.cycle().nanos() as u64;
         // The simulator's own lists have become as long as they will be.
         lab.network.run_until(lab.network.now() + 1_000 * cycle);
-        let (before, sent) = (calls(), lab.network.traffic().frames);
-        lab.network.run_until(lab.network.now() + 500 * cycle);
-        let allocations = calls() - before;
-        assert!(lab.network.traffic().frames > sent + 500, "seed {seed}: they were at work");
-        assert_eq!(allocations, 0, "seed {seed}");
+        let mut allocations = || {
+            let (before, sent) = (calls(), lab.network.traffic().frames);
+            lab.network.run_until(lab.network.now() + 500 * cycle);
+            let allocations = calls() - before;
+            assert!(lab.network.traffic().frames > sent + 500, "seed {seed}: they were at work");
+            allocations
+        };
+        // The simulator's lists double when more frames are on their way than ever before: a window in which they did is
+        // followed by others. A station that allocates in its cycles does so in each window.
+        let windows = [(); 3].map(|()| allocations());
+        assert!(
+            windows.contains(&0) && windows.iter().sum::<u64>() <= SIMULATOR_GROWS,
+            "seed {seed}: {windows:?}"
+        );
     }
 }
 

@@ -80,6 +80,7 @@ impl Cell {
     /// Takes it down; its account.
     pub fn down(self) -> Value {
         let output = rtnet().args(["lab", "down", &self.name, "--json"]).output().unwrap();
+        assert!(!output.stdout.is_empty(), "lab down: {}", text(&output.stderr));
         let account = documents::read(&output.stdout);
         let is_sound = is_sound(&self.name, output.status.code(), &account[0]["verdict"]);
         assert!(is_sound, "{}\n{account:#}", wrong(&account[0]));

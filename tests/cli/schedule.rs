@@ -401,11 +401,23 @@ fn a_master_alone_takes_a_schedule_of_one_station() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let one = "cycle = '4ms'\nsync_window = '150us'\n[[station]]\nname = 'm'\nrole = 'master'\nslots = [{ id = 0, offset = '2ms' }]\n";
         std::fs::write(&file, one).unwrap();
-        let mut propose = rtnet();
-        propose.args(["schedule", "-S", &name, "propose"]).arg(file.path());
-        let output = propose.args(["--now", "--address", "m=02:00:00:00:00:0a"]).output().unwrap();
-        let said = text(&output.stdout) + &text(&output.stderr);
-        assert!(output.status.success() && said.contains("cycle 4ms, slots 0 at 2ms"), "{said}");
+        let propose = || {
+            let mut propose = rtnet();
+            propose.args(["schedule", "-S", &name, "propose"]).arg(file.path());
+            let output = propose.args(["--now", "--address", "m=02:00:00:00:00:0a"]).output().unwrap();
+            (output.status.success(), text(&output.stdout) + &text(&output.stderr))
+        };
+        // It knows which schedule is in use once its first Synchronisation has left.
+        let proposed = std::cell::RefCell::new(propose());
+        wait_until("it takes proposals", || {
+            let refused = proposed.borrow().1.contains("ask the acting master");
+            if refused {
+                *proposed.borrow_mut() = propose();
+            }
+            !refused
+        });
+        let proposed = proposed.into_inner();
+        assert!(proposed.0 && proposed.1.contains("cycle 4ms, slots 0 at 2ms"), "{}", proposed.1);
         assert_eq!(master.end(), Some(0));
     });
 }

@@ -103,6 +103,7 @@ fn a_flood_of_data_leaves_a_station_most_of_its_core() {
         let after = newest().unwrap();
         assert!(monotonic() > begun && after.port.received > before.port.received, "it hears them");
         let share = (after.cpu - before.cpu) as f64 / (after.at - before.at) as f64;
-        assert!(share < 0.4, "{share:.2} of a core for a flood");
+        // A quarter for the data by the limit, and what its wake-ups cost besides. Without a limit it is all of the core.
+        assert!(share < 0.5, "{share:.2} of a core for a flood");
     });
 }

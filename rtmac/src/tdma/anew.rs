@@ -67,6 +67,10 @@ impl ReplyTurn {
         turn.cycle == self.number || (turn.at - self.at).abs() < self.cycle / 2
     }
 
+    pub(super) fn is_later_than(&self, now: Instant) -> bool {
+        self.at > now
+    }
+
     /// Whether it is still to come, or has just been. On a clock that was set back behind the request nothing is known of it.
     fn holds(&self, now: Instant) -> bool {
         (self.asked..=self.at + self.cycle).contains(&now)

@@ -40,7 +40,8 @@ impl Tdma {
                 self.leave_turn_to_reply(rx);
                 let Some(follower) = self.role.follower_mut() else { return Err(Refusal::UnexpectedReply) };
                 let done = follower.on_reply(rx, request_xmit, reception, xmit, &mut self.events)?;
-                self.reply_turn = None;
+                // A turn that is still to come stays the master's: a reply that came before it may be forged.
+                self.reply_turn = self.reply_turn.filter(|turn| turn.is_later_than(rx + self.lead));
                 if done {
                     // The reply has had its slot's turn, which a line that is a little late has still to come.
                     self.begins = Some(rx + self.lead);

@@ -65,10 +65,10 @@ pub(super) fn expected(happening: Happening, place: Place, config: Config) -> Ou
             NoLine => stays(Answer::Kept),
             Idle | Outstanding | LastOutstanding | Exhausted => other_line,
             // Whose slot had a turn on the line that was left.
-            Done | WithoutRounds => {
-                (state, (samples, attempts, repeats), Answer::Kept, Some(EventKind::Overrun))
-            }
-            Anew => (idle, (samples, 0, repeats), Answer::Kept, Some(EventKind::Overrun)),
+            WithoutRounds => (state, (samples, attempts, repeats), Answer::Kept, Some(EventKind::Overrun)),
+            // That one was left to the last reply, which had come before it.
+            Done => stays(Answer::Kept),
+            Anew => (idle, (samples, 0, repeats), Answer::Kept, None),
             // That one was left to the reply.
             AnewOutstanding | AnewLastOutstanding | AnewExhausted => other_line,
         },

@@ -75,6 +75,8 @@ fn keep_panics() {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Barrier;
+
     use super::*;
 
     fn all(count: usize, jobs: usize) -> Vec<Result<usize, String>> {
@@ -101,15 +103,23 @@ mod tests {
 
     #[test]
     fn no_run_starts_once_nobody_listens() {
-        let count = Arc::new(AtomicUsize::new(0));
-        let counted = count.clone();
-        let results = start(1_000, 1, move |_| counted.fetch_add(1, Ordering::Relaxed)).unwrap();
+        let (count, dropped) = (Arc::new(AtomicUsize::new(0)), Arc::new(Barrier::new(2)));
+        let (counted, gate) = (count.clone(), dropped.clone());
+        // The second run lasts until nobody listens.
+        let run = move |place| {
+            if place == 1 {
+                gate.wait();
+            }
+            counted.fetch_add(1, Ordering::Relaxed)
+        };
+        let results = start(1_000, 1, run).unwrap();
         results.recv().unwrap().1.unwrap();
         drop(results);
+        dropped.wait();
         // The thread holds the only other count until it ends.
         while Arc::strong_count(&count) > 1 {
             thread::yield_now();
         }
-        assert!(count.load(Ordering::Relaxed) < 1_000);
+        assert_eq!(count.load(Ordering::Relaxed), 2);
     }
 }

@@ -79,7 +79,7 @@ pub struct Facts {
     pub sync_error_over_time: Envelope,
     /// How much later than it was to be its last look at the clock before a send was.
     pub late: SignedHistogram,
-    /// See [`Slots::woke_late`].
+    /// See [`super::verdict::Slots::woke_late`].
     pub woke_late: Option<u64>,
     /// Resident memory, bytes.
     pub resident: u64,

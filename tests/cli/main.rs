@@ -12,6 +12,7 @@ mod cell;
 mod changes;
 mod documents;
 mod examples;
+mod forged;
 mod html;
 mod interface;
 mod lab;

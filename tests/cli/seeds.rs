@@ -156,7 +156,8 @@ fn an_interrupted_command_shows_what_has_ended() {
 #[test]
 fn progress_is_shown_on_a_terminal() {
     let (_dir, command) = command(&[("net.toml", &ALL_HOLD.replace("50ms", "20s"))]);
-    let line = format!("{} sim run net.toml --seeds 1..20 2>&1 >/dev/null", env!("CARGO_BIN_EXE_rtnet"));
+    let line =
+        format!("{} sim run net.toml --seeds 1..20 --jobs 1 2>&1 >/dev/null", env!("CARGO_BIN_EXE_rtnet"));
     let mut script = Command::new("script");
     script.args(["-qec", &line, "/dev/null"]).current_dir(command.get_current_dir().unwrap());
     let Ok(output) = script.stdin(Stdio::null()).output() else {

@@ -29,6 +29,8 @@ const STILL: Duration = Duration::from_millis(20);
 const STILL_PPM: u64 = 5_000;
 /// What is later than this has stood still: on a host of one's own what is most urgent wakes in less.
 const LATE: Duration = Duration::from_micros(200);
+/// How often it is looked: seldom enough that the looks take less of a core than what the verdict takes for a disturbance.
+const NAP: Duration = Duration::from_millis(5);
 /// What runs under ordinary scheduling, as the test itself and a station's control thread do, has waited for a core for so
 /// long: several cycles, and whatever a test waits for before it looks at something.
 const WAITED: Duration = Duration::from_millis(20);
@@ -212,18 +214,17 @@ impl Standstill {
     }
 }
 
-/// Sleeps for a millisecond again and again, until it is stopped: how late it woke.
+/// Sleeps again and again, until it is stopped: how late it woke.
 fn naps(priority: Option<i32>, cpu: usize, stop: &AtomicBool) -> Late {
     // Where the host refuses a priority, what is more urgent counts as standstill, too.
     RealTime { priority, cpu: Some(cpu) }.apply();
-    let nap = Duration::from_millis(1);
     let (begin, mut longest, mut all) = (Instant::now(), Duration::ZERO, Duration::ZERO);
     while !stop.load(Ordering::Relaxed) {
         let before = Instant::now();
-        std::thread::sleep(nap);
+        std::thread::sleep(NAP);
         let asleep = before.elapsed();
         longest = longest.max(asleep);
-        all += asleep.checked_sub(nap + LATE).map_or(Duration::ZERO, |late| late + LATE);
+        all += asleep.checked_sub(NAP + LATE).map_or(Duration::ZERO, |late| late + LATE);
     }
     let ppm = all.as_nanos() as u64 * 1_000_000 / begin.elapsed().as_nanos().max(1) as u64;
     Late { longest, ppm }

@@ -7,16 +7,42 @@
 //!   packet to a neighbour that nobody knows        ──► a tunnelled request leaves in its place; the packet is lost
 //! ```
 //!
-//! The lost packet is counted ([`Loss::NoStation`]); what Linux sends after the reply goes to the station. Pure: the caller
-//! limits how often it asks.
+//! The lost packet is counted ([`Loss::NoStation`]); what Linux sends after the reply goes to the station. How
+//! often it asks [`Asked`] limits.
+
+use std::net::Ipv4Addr;
 
 use rtnet::buf::Buf;
+use rtnet::time::{Instant, Span};
 use rtnet::wire::arp;
 use rtnet::wire::ethernet::{Address, EtherType};
 use zerocopy::IntoBytes;
 
 use crate::peers::Peers;
 use crate::tunnel::{HEAD, Inner, Loss, Mouth};
+
+/// A neighbour that does not answer is asked for no more often, as Linux does it.
+const ASK_EVERY: Span = Span::from_millis(1_000);
+/// So many neighbours are asked for in that time.
+const ASK_AT_MOST: usize = 16;
+
+/// The neighbours that were asked for last, and when.
+#[derive(Default)]
+pub struct Asked([Option<(Ipv4Addr, Instant)>; ASK_AT_MOST]);
+
+impl Asked {
+    /// Whether this one may be asked for now: it counts as asked then.
+    pub fn may_ask(&mut self, neighbour: Ipv4Addr, now: Instant) -> bool {
+        let last = self.0.iter().position(|asked| asked.is_some_and(|(of, _)| of == neighbour));
+        let oldest = || (0..ASK_AT_MOST).min_by_key(|&place| self.0[place].map(|(_, at)| at));
+        let Some(place) = last.or_else(oldest) else { return false };
+        let is_due = self.0[place].is_none_or(|(_, at)| now - at >= ASK_EVERY);
+        if is_due {
+            self.0[place] = Some((neighbour, now));
+        }
+        is_due
+    }
+}
 
 /// Takes the ARP packet inside a tunnelled frame.
 ///
@@ -44,7 +70,7 @@ fn send(mouth: &Mouth, mut frame: Buf, packet: &arp::Packet, to: Address) -> Res
 #[cfg(test)]
 mod tests {
     use rtnet::discipline::{Opportunity, Service};
-    use rtnet::time::{GlobalTime, Instant};
+    use rtnet::time::GlobalTime;
 
     use super::*;
     use crate::tunnel::{Config, Tunnel, new};
@@ -125,5 +151,21 @@ mod tests {
             (all.len(), hear(&mouth, &mut peers, &Inner::of(&REQUEST).unwrap())),
             (2, Err(Loss::NoBuffer))
         );
+    }
+
+    #[test]
+    fn each_neighbour_is_asked_for_once_a_second_and_16_in_all() {
+        let asks = |neighbours: u8, packets_a_second: u32| {
+            let mut asked = Asked::default();
+            let packets = (0..10 * packets_a_second).map(|n| (n, 1_000_000 / packets_a_second * n));
+            let is_asked = |(n, micros): &(u32, u32)| {
+                let neighbour = Ipv4Addr::new(10, 0, 0, (n % u32::from(neighbours)) as u8);
+                asked.may_ask(neighbour, Instant::from_nanos(u64::from(*micros) * 1_000))
+            };
+            packets.filter(is_asked).count()
+        };
+        assert_eq!([asks(1, 1_000), asks(2, 1_000), asks(16, 1_000)], [10, 20, 160]);
+        assert!((144..=160).contains(&asks(200, 1_000)), "{}", asks(200, 1_000));
+        assert_eq!(asks(1, 1), 10, "whoever is slower asks each time");
     }
 }

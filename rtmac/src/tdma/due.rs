@@ -74,6 +74,10 @@ impl Tdma {
 
     /// The next job if its time has come. Jobs that must not or can no longer be done pass on the way.
     pub(super) fn due(&mut self, now: Instant) -> Option<Job> {
+        // The station that waited for it has asked again, or this one gives the time no more.
+        if self.reply_in.is_some() && !self.owes_late_reply() {
+            self.reply_in = None;
+        }
         for passed in 0.. {
             if passed == TOLD_AT_MOST {
                 self.leave_out(now);
@@ -132,7 +136,7 @@ impl Tdma {
     }
 
     /// Whoever has, had its turns, too, which it misses while it calibrates for the first time.
-    fn has_given_the_time(&self) -> bool {
+    pub(super) fn has_given_the_time(&self) -> bool {
         matches!(&self.role, Role::Master(master) if master.has_spoken())
     }
 
@@ -209,18 +213,6 @@ impl Tdma {
     pub(super) fn postpone(&mut self, job: &Job) {
         if let (true, Role::Master(master)) = (job.is_reply(), &mut self.role) {
             master.replies_mut().postpone();
-            self.drop_replies_without_a_place();
-        }
-    }
-
-    /// A master without slots, and without room behind its Synchronisation, drops a late reply as RTnet does.
-    pub(super) fn drop_replies_without_a_place(&mut self) {
-        let has_slots = self.slots.first().is_some();
-        if let Role::Master(master) = &mut self.role
-            && !has_slots
-            && master.config().behind_sync.is_none()
-        {
-            master.replies_mut().drop_late();
         }
     }
 
@@ -299,10 +291,8 @@ impl Tdma {
                 self.counters.syncs_skipped += 1;
                 EventKind::SyncSkipped
             }
-            Job::Reply { .. } | Job::ReplyBehindSync { .. } => {
-                self.counters.replies_late += 1;
-                EventKind::Overrun
-            }
+            // Whoever postpones it counts it, once.
+            Job::Reply { .. } | Job::ReplyBehindSync { .. } => EventKind::Overrun,
             // The next one brings another.
             Job::Part { .. } => {
                 self.counters.parts_late += 1;

@@ -79,9 +79,9 @@ const LEFT: usize = 32;
 /// The early Synchronisations, and the line through them. What every turn looks at comes first, together.
 #[repr(C)]
 pub struct Envelope {
-    /// The last ones: those of this window, and of the one before as many as it takes to see a clock run off.
+    /// The last ones: those of this window, and of those before as many as it takes to see a clock run off.
     last: Vec<Point>,
-    /// How many of them are of the window before.
+    /// How many of them are of windows before this one.
     before: usize,
     /// Of this window, those that are clearly earlier than the line.
     too_early: usize,

@@ -7,12 +7,17 @@ use super::line::{self, DRIFT_PARTS, Drift, LINE_GOOD_FOR, PERIODS, TimeLine};
 /// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`](super::SlaveConfig).
 const STEP_AT_LEAST: Span = Span::from_micros(20);
 const STEP_PARTS: i64 = 100;
-/// Synchronisations beside the line are a new one only if they agree much better than that: hold-ups in a row are seldom
-/// of one length.
+/// So many Synchronisations in a row that agree with each other are a new line...
+pub const MOVED: u32 = 2;
+/// ... and so many, if each may be one of the line's that was long on its way. Where that is one in ten, so many in a row
+/// are once in 10^8 cycles. Nothing is sent meanwhile but in the cycles that are bridged.
+pub const MOVED_LATE: u32 = 8;
+/// Two Synchronisations beside the line are a new one only if they agree much better than that: hold-ups in a row are seldom
+/// of one length. Where it takes more of them they may be as far apart as any two of one line.
 const CONFIRMED_WITHIN: Span = Span::from_micros(2);
 const CONFIRMED_PARTS: i64 = 2_000;
-/// What is late by less than this part of the cycle, and than hosts are held up, may have been held up; what is later is
-/// of a master that has moved.
+/// What is late by less than this part of the cycle, and than hosts are held up, is bridged as a missing one; what is later
+/// silences its cycle at once.
 const HELD_UP_PARTS: i64 = 4;
 const HELD_UP_AT_MOST: Span = Span::from_millis(4);
 /// So many cycles after a Synchronisation those that it has overtaken may come.
@@ -63,10 +68,17 @@ impl TimeLine {
 impl Step {
     /// The same with one more, which alone would take so many, and their line, if it agrees. If one of them cannot have been
     /// late, none was.
-    pub fn with(&self, mark: Mark, takes: u32, period: Span) -> Option<(Step, TimeLine)> {
-        let within = (period / CONFIRMED_PARTS).max(CONFIRMED_WITHIN);
+    pub fn with(
+        &self,
+        mark: Mark,
+        takes: u32,
+        limit: Option<Span>,
+        period: Span,
+    ) -> Option<(Step, TimeLine)> {
         let step = Step { mark, seen: self.seen + 1, takes: self.takes.min(takes) };
-        self.mark.line_to(&mark, Some(within)).map(|line| (step, line))
+        let closely = (period / CONFIRMED_PARTS).max(CONFIRMED_WITHIN);
+        let limit = if step.takes > MOVED { limit } else { Some(closely) };
+        self.mark.line_to(&mark, limit).map(|line| (step, line))
     }
 }
 
@@ -120,7 +132,7 @@ impl Mark {
         if is_early { self.cycle } else { here }
     }
 
-    /// Whether it is likely one of the line's that was long on its way.
+    /// Whether it is late by so little that it is bridged as a missing one.
     pub fn may_be_held_up(&self, line: &TimeLine) -> bool {
         let late = self.deviation_from(line);
         let on_the_line = (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle));
@@ -141,7 +153,7 @@ impl Mark {
     }
 }
 
-/// What is later than its line by so much or more is not believed to have been held up.
+/// What is later than its line by so much or more silences its cycle at once.
 pub fn held_up_at_most(period: Span) -> Span {
     (period / HELD_UP_PARTS).min(HELD_UP_AT_MOST)
 }

@@ -451,12 +451,6 @@ impl Master {
         &self.replies
     }
 
-    /// It is to be something else: how many replies it has promised and could not send.
-    pub fn answer_nobody(&mut self) -> u64 {
-        self.replies.clear();
-        self.replies.broken()
-    }
-
     pub fn replies_mut(&mut self) -> &mut Replies {
         &mut self.replies
     }

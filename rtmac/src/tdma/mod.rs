@@ -68,12 +68,12 @@ use events::Events;
 pub use follow::{HOLDOVER_CYCLES, MAX_HOLDOVER, OnMasterChange, Servo, SlaveConfig};
 use job::{Job, Pending};
 pub use line::TimeLine;
+pub use mark::MOVED_LATE;
 pub use mark::held_up_at_most;
 use master::Master;
 pub use master::{BACKUP_LOOKS_BEFORE, BehindSync, MasterConfig, Mastery};
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
 pub use report::{CalibrationReport, DelayOf, Delays};
-pub use slave::MOVED_LATE;
 use slave::Slave;
 use slot::Slots;
 pub use slot::{DEFAULT_MAX_SLOT_ID, MIN_SIZE, NON_RT_SLOT, RT_SLOT, SlotConfig, SlotStatus};
@@ -256,12 +256,18 @@ impl Discipline for Tdma {
     fn on_timeout(&mut self, now: Instant) {
         self.looked = now;
         if let (Some(from), Some(line)) = (self.begins.take(), self.line().copied()) {
-            self.slots.align(&line, from.max(now));
+            // Who has had its turns meanwhile, has them to tell of.
+            let from = if self.has_given_the_time() { from } else { from.max(now) };
+            self.slots.align(&line, from);
         }
         self.stand_by_for_switch(now);
         match &mut self.role {
             Role::Master(master) => {
                 let has_slots = self.slots.first().is_some();
+                if !has_slots && master.config().behind_sync.is_none() {
+                    // It has no place for a late reply, and drops it as RTnet does.
+                    master.replies_mut().drop_late();
+                }
                 let has_schedule = self.change.as_ref().is_none_or(|change| change.is_able());
                 if master.on_timeout(now, has_slots, has_schedule, &mut self.events)
                     && let (Some(line), Some((cycle, ..))) = (master.line(), master.next_sync())
@@ -441,7 +447,9 @@ impl Discipline for Tdma {
                 self.slots.planned().try_for_each(|slot| role.can_use(self.lead, [&slot]))?;
                 self.leave_until(cycle, now);
                 if let Role::Master(master) = &mut self.role {
-                    self.counters.replies_given_up += master.answer_nobody();
+                    master.replies_mut().clear();
+                    self.counters.replies_late += master.replies().late();
+                    self.counters.replies_given_up += master.replies().broken();
                 }
                 core::mem::swap(&mut self.role, role);
                 self.silent = None;

@@ -30,9 +30,7 @@ impl Tdma {
             }
             (Message::Request { .. }, _) if header.destination != self.address => Err(Refusal::NotMaster),
             (Message::Request { xmit, reply_cycle, reply_offset }, Role::Master(master)) => {
-                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)?;
-                self.drop_replies_without_a_place();
-                Ok(())
+                master.on_request(rx, header.source, xmit, reply_cycle, reply_offset)
             }
             (Message::Request { .. }, Role::Slave(_)) => Err(Refusal::NotMaster),
             (Message::Reply { .. }, _) if header.destination != self.address => Err(Refusal::UnexpectedReply),

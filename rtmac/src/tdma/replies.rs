@@ -44,6 +44,8 @@ pub struct Replies {
     taken: Option<Reply>,
     /// When the schedule that is in use began: who asked before asked for an instant of another one.
     since: Instant,
+    /// Not sent at the instant that was asked for.
+    late: u64,
     /// Promised, and not sent.
     broken: u64,
 }
@@ -52,7 +54,7 @@ impl Replies {
     /// None yet, and so many at a time.
     pub fn of(at_most: usize) -> Self {
         let pending = Vec::with_capacity(at_most);
-        Self { pending, at_most, taken: None, since: Instant::default(), broken: 0 }
+        Self { pending, at_most, taken: None, since: Instant::default(), late: 0, broken: 0 }
     }
 
     /// A calibration request, received at `rx` by the master of `line`.
@@ -80,6 +82,7 @@ impl Replies {
         if self.pending.len() >= self.at_most {
             return Err(Refusal::ReplyBacklog);
         }
+        self.late += u64::from(is_late);
         self.pending.push(Reply { at, to: from, cycle, request_xmit, reception: rx, is_late });
         Ok(())
     }
@@ -109,15 +112,15 @@ impl Replies {
     }
 
     fn take_first(&mut self, is_late: bool) -> Option<Reply> {
-        let first = *self.first(is_late)?;
-        self.pending.retain(|reply| *reply != first);
-        self.taken = Some(first);
-        Some(first)
+        self.taken = self.first(is_late).copied();
+        self.pending.retain(|reply| Some(*reply) != self.taken);
+        self.taken
     }
 
     /// The one that was taken was not sent. It is late, unless the station has asked again meanwhile.
     pub fn postpone(&mut self) {
         let Some(late) = self.taken.take() else { return };
+        self.late += u64::from(!late.is_late);
         if self.pending.iter().any(|reply| reply.to == late.to) {
             return;
         }
@@ -130,7 +133,10 @@ impl Replies {
 
     /// Another schedule is in use from `since` on: whose the instants are that were asked for nobody knows.
     pub fn postpone_all(&mut self, since: Instant) {
-        self.pending.iter_mut().for_each(|reply| reply.is_late = true);
+        for reply in self.pending.iter_mut().filter(|reply| !reply.is_late) {
+            reply.is_late = true;
+            self.late += 1;
+        }
         self.since = since;
     }
 
@@ -154,6 +160,11 @@ impl Replies {
         let promised = self.pending.len();
         self.pending.retain(|reply| !which(reply));
         self.broken += (promised - self.pending.len()) as u64;
+    }
+
+    /// How many were not sent at the instant that was asked for so far.
+    pub fn late(&self) -> u64 {
+        self.late
     }
 
     /// How many were promised and could not be kept so far.

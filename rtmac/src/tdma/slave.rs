@@ -46,15 +46,10 @@ use super::envelope::{Envelope, OLDEST};
 use super::events::Events;
 use super::follow::{Servo, SlaveConfig};
 use super::line::{self, Drift, LINE_GOOD_FOR, TimeLine};
-use super::mark::{self, Mark, Step};
+use super::mark::{self, MOVED, MOVED_LATE, Mark, Step};
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it: no sync window is longer.
 const GRACE_PARTS: i64 = 8;
-/// So many Synchronisations in a row that agree with each other are a new line...
-const MOVED: u32 = 2;
-/// ... and so many, if each may be one of the line's that was long on its way. Where that is one in ten, so many in a row
-/// are once in 10^8 cycles. Nothing is sent meanwhile but in the cycles that are bridged.
-pub const MOVED_LATE: u32 = 8;
 /// A cycle starts at most this long before or after its Synchronisation is received; once the period is
 /// known, at most one period.
 const MAX_SYNC_AGE: Span = Span::from_millis(10_000);
@@ -216,7 +211,8 @@ impl Slave {
                 } else {
                     let is_late = mark.is_late(line, self.config.step_limit);
                     let takes = if is_late { MOVED_LATE } else { MOVED };
-                    let agreed = step.and_then(|step| step.with(mark, takes, line.period));
+                    let agreed =
+                        step.and_then(|step| step.with(mark, takes, self.config.step_limit, line.period));
                     match agreed {
                         Some((step, moved)) if step.seen >= step.takes && age <= moved.period => {
                             self.adopt(from, moved)

@@ -7,6 +7,7 @@ use rtnet::wire::ethernet::Address;
 
 use super::change::ChangeStatus;
 use super::master::{Master, Mastery};
+use super::replies::Replies;
 use super::report::{CalibrationReport, DelayOf};
 use super::slot::SlotStatus;
 use super::{Role, Servo, Tdma};
@@ -45,7 +46,8 @@ pub struct Counters {
     pub calibration_timeouts: u64,
     /// Calibration replies sent.
     pub replies_sent: u64,
-    /// Times that a calibration reply was too late: it goes in the master's own next slot.
+    /// Calibration replies that were not sent at the instant that was asked for: each goes in the master's own next slot, in
+    /// place of data, or behind the Synchronisation of one without slots.
     pub replies_late: u64,
     /// Calibration replies that were promised and not sent: late, of a master that has no slot and no room behind its
     /// Synchronisation; to a station that asked again; or by one that gives the time no more.
@@ -184,11 +186,12 @@ impl TdmaStatus {
             _ => None,
         };
         let mut shown = tdma.slots.statuses();
+        let replies = master.map(|master| master.replies());
         let counters = Counters {
             returned_dropped: tdma.counters.returned_dropped + tdma.slots.dropped(),
             joints_detached: tdma.slots.detached(),
-            replies_given_up: tdma.counters.replies_given_up
-                + master.map_or(0, |master| master.replies().broken()),
+            replies_late: tdma.counters.replies_late + replies.map_or(0, Replies::late),
+            replies_given_up: tdma.counters.replies_given_up + replies.map_or(0, Replies::broken),
             ..tdma.counters
         };
         Self {

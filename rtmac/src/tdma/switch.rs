@@ -186,7 +186,6 @@ impl Tdma {
         if let Role::Master(master) = &mut self.role {
             master.postpone_replies(from);
         }
-        self.drop_replies_without_a_place();
         self.reply_turn = None;
         self.silent = None;
         if let Some(line) = self.line().copied() {

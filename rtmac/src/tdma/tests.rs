@@ -52,9 +52,13 @@ fn active_master() -> Tdma {
 }
 
 fn hear(tdma: &mut Tdma, source: Address, message: Message) -> Claimed {
+    hear_at(tdma, 3_500, source, message)
+}
+
+fn hear_at(tdma: &mut Tdma, micros: u64, source: Address, message: Message) -> Claimed {
     let mut frame = Pool::new(1).take().unwrap();
     message.write(OWN, source, &mut frame);
-    tdma.on_frame(Some(at(3_500)), frame)
+    tdma.on_frame(Some(at(micros)), frame)
 }
 
 #[test]
@@ -431,7 +435,7 @@ fn what_the_guard_drops_comes_back_and_a_cycle_without_its_sync_is_a_skipped_one
 }
 
 #[test]
-fn a_calibration_reply_that_the_guard_drops_goes_in_a_slot_of_the_masters() {
+fn a_reply_that_the_guard_drops_goes_in_a_slot_of_the_masters() {
     let mut master = active_master();
     let request = Message::Request { xmit: 0, reply_cycle: 2, reply_offset: 100_000 };
     assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));

@@ -3,7 +3,7 @@
 use std::process::Command;
 use std::sync::OnceLock;
 
-/// Seeds are drawn from 1 to this. `scripts/soak` runs all of them, so that no commit fails because of its date alone.
+/// Seeds are drawn from 1 to this: of each file of `tests/sim`, `scripts/soak` runs them all.
 pub const HIGHEST: u64 = 1_000;
 /// The date where there is no git.
 const WITHOUT_GIT: &str = "2026-01-01";

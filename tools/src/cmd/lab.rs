@@ -17,11 +17,12 @@ use rtnet::live::realtime::avoid;
 use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatusArgs};
 use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, Place};
 use crate::lab;
+use crate::lab::processes::END_WITHIN;
 
-/// How long a lab that has answered may take to be gone.
-const GONE_WITHIN: Duration = Duration::from_secs(5);
-/// How long a station that was restarted is waited for: calibration takes some hundred cycles.
-const LOCKED_WITHIN: Duration = Duration::from_secs(30);
+/// How long a lab that has answered may take to be gone: its stations end one beside the other.
+const GONE_WITHIN: Duration = END_WITHIN.saturating_mul(2);
+/// How long a station that was restarted is waited for: it ends first. Calibration takes some hundred cycles.
+const LOCKED_WITHIN: Duration = END_WITHIN.saturating_mul(2);
 /// And so many cycles: twice what 100 calibration rounds take.
 const CALIBRATED_WITHIN: u32 = 400;
 

@@ -160,7 +160,9 @@ fn last_line(report: &SeedsReport, took: Duration) -> String {
 /// What repeats a run.
 fn command(args: &SimRunArgs, file: &str, seed: u64) -> String {
     let until = args.until.map_or(String::new(), |until| format!(" --until {until}"));
-    format!("rtnet sim run {} --seed {seed}{until}", quoted(file))
+    let max_miss =
+        args.max_miss.map_or(String::new(), |ppm| format!(" --max-miss {}%", f64::from(ppm) / 1e4));
+    format!("rtnet sim run {} --seed {seed}{until}{max_miss}", quoted(file))
 }
 
 /// As a shell takes it for one word.

@@ -417,7 +417,6 @@ pub struct LabStatus {
     /// Frames on the medium that did not reach their receiver, though they were not to be lost; known at the end only.
     pub frames_lost: u64,
     /// What it comes to so far, and why.
-    #[serde(default)]
     pub verdict: Verdict,
     /// What could not be written at its end: the file, and the error.
     #[serde(default)]

@@ -97,6 +97,11 @@ impl Absences {
         insert(&mut times.over);
     }
 
+    /// Whether its process was ever stopped.
+    pub fn was_stopped(&self, station: usize) -> bool {
+        self.list.contains_key(&(station, Absence::Stopped))
+    }
+
     /// Whether it is still not there.
     pub fn is_open(&self, station: usize, why: Absence) -> bool {
         self.list.get(&(station, why)).is_some_and(|times| times.open.is_some())

@@ -11,15 +11,16 @@
 //!
 //! The worst decides. An interrupted run is INTERRUPTED, whatever else it has shown; its other reasons follow.
 //!
-//! A host is disturbed if something that is none of the network's doing took a larger share of the time than may be missed
-//! at all (`--max-miss`): a slot falls into such a time with that probability, so that a larger share of misses says nothing
-//! of the network. Three measures tell: threads that woke more than a whole cycle late, which no slot or guard band
+//! A host is disturbed if something that is none of the network's doing took a larger share of the time than a network
+//! may miss unless asked otherwise ([`MAX_MISS_PPM`]): a slot falls into such a time with that probability, so that a larger
+//! share of misses says nothing of the network. Three measures tell: threads that woke more than a whole cycle late, which no slot or guard band
 //! of this cycle could have absorbed; time of the core that the hypervisor gave away; and time of it that other real-time
 //! threads took.
 
 use crate::report::host::HostFacts;
 use crate::report::text::{grouped, percent};
 use crate::report::verdict::{Verdict, Word};
+use crate::scenario::MAX_MISS_PPM;
 
 /// A station that misses more of its slots than it uses is no part of the network.
 const MOST_PPM: u64 = 500_000;
@@ -97,7 +98,7 @@ pub fn judge(evidence: &Evidence, max_miss_ppm: u32, host: &HostFacts) -> Verdic
     let mut reasons = evidence.reasons.clone();
     reasons.extend(slots.and_then(unmeasured));
     reasons.extend(slots.into_iter().flat_map(|slots| too_many_missed(slots, max_miss_ppm)));
-    let disturbed = disturbances(slots.unwrap_or_default(), max_miss_ppm, host);
+    let disturbed = disturbances(slots.unwrap_or_default(), host);
     let word = |reason: &Reason| match reason.weight {
         Weight::Wrong => Word::NotOk,
         Weight::HostMay if disturbed.is_empty() => Word::NotOk,
@@ -154,14 +155,14 @@ fn named(stations: &[&Slots], words: impl Fn(&&Slots) -> String) -> String {
     worst.iter().take(NAMED).map(words).chain(more).collect::<Vec<_>>().join(", ")
 }
 
-/// What took a larger share of the time than may be missed; see above. In virtual time the host has no part.
-fn disturbances(slots: &[Slots], max_miss_ppm: u32, host: &HostFacts) -> Vec<String> {
+/// What took too large a share of the time; see above. In virtual time the host has no part.
+fn disturbances(slots: &[Slots], host: &HostFacts) -> Vec<String> {
     if host.is_virtual_time() {
         return Vec::new();
     }
     let witnesses = slots.iter().filter_map(|of| Some((of.woke_late?, of.expected)));
     let (late, of) = witnesses.fold((0, 0), |(late, of), (more, slots)| (late + more, of + slots));
-    let is_more = |share: &u64| *share > u64::from(max_miss_ppm);
+    let is_more = |share: &u64| *share > u64::from(MAX_MISS_PPM);
     let cpu = host.core.map_or("the core".into(), |core| format!("cpu {core}"));
     let woke = Some(ppm(late, of))
         .filter(is_more)

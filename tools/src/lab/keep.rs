@@ -60,6 +60,9 @@ pub fn keep(
     if !scenario.conditions.events.is_empty() {
         lab.notes.push("a lab that stays plays no [[event]]: `rtnet lab run` does".into());
     }
+    if !scenario.conditions.expectations.is_empty() {
+        lab.notes.push("a lab that stays checks no [expect]: `rtnet lab run` does".into());
+    }
     for note in &lab.notes {
         tell(note);
     }
@@ -316,7 +319,10 @@ impl Keeper {
         let is_new = |(at, _): &(Instant, HostFacts)| at.elapsed() < LOOK_AT_HOST_EVERY;
         let known = self.host.take().filter(is_new);
         let (_, host) = self.host.insert(known.unwrap_or_else(|| (Instant::now(), self.watch.finish())));
-        let woke_late: Vec<u64> = self.lab.members.iter().map(|member| member.woke_late).collect();
+        let woke_late = |(id, member): (usize, &Member)| {
+            (!self.lab.records.absences.was_stopped(id)).then_some(member.woke_late)
+        };
+        let woke_late: Vec<_> = self.lab.members.iter().enumerate().map(woke_late).collect();
         let failed = self.lab.capture.failed();
         verdict::of(status, &woke_late, failed, self.scenario.max_miss_ppm, host)
     }

@@ -6,10 +6,10 @@ use crate::judge::verdict::{Evidence, Reason, Slots, Weight, judge};
 use crate::report::host::HostFacts;
 use crate::report::verdict::Verdict;
 
-/// The verdict on what it shows. Of each station: slots that it was more than a cycle late for.
+/// The verdict on what it shows. Of each station: slots that it was more than a cycle late for, if nobody has stopped it.
 pub fn of(
     status: &LabStatus,
-    woke_late: &[u64],
+    woke_late: &[Option<u64>],
     capture_failed: Option<&str>,
     max_miss_ppm: u32,
     host: &HostFacts,
@@ -18,7 +18,7 @@ pub fn of(
         station: station.name.clone(),
         expected: station.frames_seen + station.slots_missed,
         seen: station.frames_seen,
-        woke_late: Some(woke_late),
+        woke_late,
         is_decided: false,
     });
     let mut reasons: Vec<Reason> = status.stations.iter().flat_map(of_station).collect();

@@ -61,7 +61,8 @@ impl Others {
     /// Of this core. Neither this process nor its children, a lab's stations, are others.
     pub fn watch(core: usize) -> Self {
         let own = std::process::id();
-        let at_begin = threads(core, own).into_iter().map(|thread| (thread.tid, thread.ran)).collect();
+        // Whatever runs elsewhere now, or is not real-time yet, may come.
+        let at_begin = threads(own, |_| true).into_iter().map(|thread| (thread.tid, thread.ran)).collect();
         Self { core, own, at_begin }
     }
 
@@ -69,27 +70,28 @@ impl Others {
     pub fn since(&self, passed: Duration) -> Vec<RealTimeThread> {
         let share = |thread: Thread| {
             let ran = thread.ran.saturating_sub(self.at_begin.get(&thread.tid).copied().unwrap_or(0));
-            // One that is new may have run before it was real-time: for no longer than this.
+            // One that is new may have run elsewhere, or before it was real-time: for no longer than this.
             let ran = u128::from(ran).min(passed.as_nanos());
             let ppm = (ran * 1_000_000 / passed.as_nanos().max(1)) as u64;
             RealTimeThread { name: thread.name, pid: thread.pid, ppm }
         };
-        let mut all: Vec<_> = threads(self.core, self.own).into_iter().map(share).collect();
+        let is_one = |stat: &Stat| stat.processor == self.core && REAL_TIME.contains(&stat.policy);
+        let mut all: Vec<_> = threads(self.own, is_one).into_iter().map(share).collect();
         all.retain(|thread| thread.ppm >= LEAST_PPM);
         all.sort_by(|a, b| (b.ppm, &a.name, a.pid).cmp(&(a.ppm, &b.name, b.pid)));
         all
     }
 }
 
-/// The real-time threads that last ran on a core, but for those of a process and its children.
-fn threads(core: usize, own: u32) -> Vec<Thread> {
+/// Threads of such a state, but for those of a process and its children.
+fn threads(own: u32, is_one: impl Fn(&Stat) -> bool) -> Vec<Thread> {
     let processes = numbers("/proc").into_iter().filter(|&pid| pid != own);
     let all = processes
         .flat_map(|pid| numbers(&format!("/proc/{pid}/task")).into_iter().map(move |tid| (pid, tid)));
     let thread = |(pid, tid): (u32, u32)| {
         let place = format!("/proc/{pid}/task/{tid}");
         let stat = parse(&fs::read_to_string(format!("{place}/stat")).ok()?)?;
-        if stat.processor != core || stat.parent == own || !REAL_TIME.contains(&stat.policy) {
+        if stat.parent == own || !is_one(&stat) {
             return None;
         }
         let ran = fs::read_to_string(format!("{place}/schedstat")).ok()?;

@@ -65,7 +65,6 @@ pub struct Verdict {
     /// Whether the word is OK.
     pub ok: bool,
     /// The word.
-    #[serde(default)]
     pub word: Word,
     /// Why it is no better; a sentence each, without a full stop. The first says most.
     pub reasons: Vec<String>,

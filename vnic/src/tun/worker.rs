@@ -4,17 +4,17 @@ mod hold_back;
 mod keep;
 
 use std::io;
-use std::net::Ipv4Addr;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use rtnet::buf::{Buf, Pool};
 use rtnet::live::Tunnelled;
+use rtnet::live::clock::monotonic;
 use rtnet::wire::ethernet::EtherType;
 
 use self::hold_back::HeldBack;
@@ -25,15 +25,13 @@ use super::{Device, Handle, Mode, Options, Order, StartError, Status, Turns};
 use crate::netlink::{Links, Watch};
 use crate::peers::{Peers, Prefix};
 use crate::proxy::PACKET;
-use crate::resolve;
+use crate::resolve::{self, Asked};
 use crate::tunnel::{FRAME, HEAD, Inner, Loss, Mouth};
 
 /// Frames moved one way before the other one is looked at.
 const AT_ONCE: usize = 32;
 /// How often it is looked whether slots have changed, milliseconds.
 const LOOK_EVERY: u16 = 100;
-/// A neighbour that does not answer is asked for no more often, as Linux does it.
-const ASK_EVERY: Duration = Duration::from_secs(1);
 type Answer = Sender<Result<Status, String>>;
 
 /// What is behind a device: to be run by a thread of its own.
@@ -45,8 +43,8 @@ pub struct Vnic {
     name: String,
     index: u32,
     peers: Peers,
-    /// Who was asked for last, and when.
-    asked: Option<(Ipv4Addr, Instant)>,
+    /// Neighbours that were asked for lately.
+    asked: Asked,
     links: Links,
     watch: Watch,
     /// Where what is tunnelled to the station comes; what is for a proxy comes by its mouth.
@@ -114,7 +112,7 @@ impl Vnic {
             name: options.name.clone().unwrap_or_default(),
             index: 0,
             peers,
-            asked: None,
+            asked: Asked::default(),
             links,
             watch: Watch::open()?,
             socket,
@@ -209,6 +207,8 @@ impl Vnic {
         let inner = Inner::of(&self.came).filter(|_| is_whole).ok_or(Loss::Truncated)?;
         if self.options.mode == Mode::Tun {
             if inner.kind() == EtherType::ARP {
+                // An answer would draw packets here that nobody takes.
+                self.device.as_ref().ok_or(Loss::DeviceDown)?;
                 return resolve::hear(&self.mouth, &mut self.peers, &inner);
             }
             if inner.payload().first().and_then(|&first| kind_of_packet(first)) != Some(inner.kind()) {
@@ -271,7 +271,7 @@ impl Vnic {
     fn send_packet(
         mouth: &Mouth,
         peers: &Peers,
-        asked: &mut Option<(Ipv4Addr, Instant)>,
+        asked: &mut Asked,
         mut packet: Buf,
         len: usize,
     ) -> Result<(), Loss> {
@@ -283,14 +283,11 @@ impl Vnic {
         if let Some(station) = peers.station_of(bytes) {
             return mouth.send_packet(packet, len, station, kind);
         }
-        if let Some(question) = peers.question(bytes) {
-            let neighbour = question.target_ip();
-            let is_due = |&(of, at): &(Ipv4Addr, Instant)| of != neighbour || at.elapsed() >= ASK_EVERY;
-            if asked.as_ref().is_none_or(is_due) {
-                *asked = Some((neighbour, Instant::now()));
-                // What is lost of it is counted there.
-                let _ = resolve::ask(mouth, packet, &question);
-            }
+        if let Some(question) = peers.question(bytes)
+            && asked.may_ask(question.target_ip(), rtnet::time::Instant::from_nanos(monotonic()))
+        {
+            // What is lost of it is counted there.
+            let _ = resolve::ask(mouth, packet, &question);
         }
         Err(mouth.lose(Loss::NoStation))
     }

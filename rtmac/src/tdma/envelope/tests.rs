@@ -151,7 +151,7 @@ fn a_window_of_long_cycles_has_few_syncs_and_at_least_one() {
 }
 
 #[test]
-fn what_is_earlier_than_the_line_proves_it_wrong_in_short_windows() {
+fn what_is_before_the_line_proves_it_wrong_in_short_windows() {
     for millis in [100, 1_000, 10_000] {
         let (mut envelope, period) = (Envelope::new(), Span::from_millis(millis));
         let mut hear = |cycles: core::ops::Range<u32>, early: i64| {

@@ -1,5 +1,7 @@
 mod anew;
+mod delay;
 mod holdover;
+mod late;
 mod servo;
 mod settled;
 mod transitions;
@@ -132,75 +134,7 @@ fn an_early_synchronisation_moves_the_line_by_a_300th_of_the_cycle_at_most() {
 }
 
 #[test]
-fn a_way_that_has_become_longer_is_believed_in_time() {
-    let mut bench = Bench::in_state(SyncState::Locked);
-    for cycle in 3..60 {
-        assert_eq!(bench.hear(cycle, 10_000), Ok(Followed::Agrees));
-    }
-    assert_eq!(bench.slave.line().unwrap().start.nanos() - 59 * PERIOD, 10_000);
-}
-
-#[test]
-fn late_syncs_in_a_row_move_nothing_before_the_eighth() {
-    // Beside the line by a little, by more than a quarter of the cycle, and by more than cycles.
-    for late in [25_000, 91_000, 251_000, 700_000, 2_500_000, 5_500_000] {
-        let mut bench = Bench::in_state(SyncState::Locked);
-        for cycle in 3..2 + MOVED_LATE {
-            let followed = bench.hear(cycle, late + i64::from(cycle % 3) * 300);
-            assert_eq!(followed, Ok(Followed::Pending), "cycle {cycle}, {late} ns late");
-            assert_eq!(bench.slave.line().unwrap().start.nanos(), 2 * PERIOD);
-            assert!(!bench.slave.may_send(cycle) || cycle == 3, "only one is bridged");
-        }
-        let eighth = 2 + MOVED_LATE;
-        assert_eq!(bench.hear(eighth, late), Ok(Followed::NewLine), "its clock was set");
-        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(eighth) * PERIOD + late as u64);
-    }
-}
-
-#[test]
-fn one_sync_on_the_line_refutes_all_late_ones_before() {
-    let mut bench = Bench::in_state(SyncState::Locked);
-    for first in [3, 3 + MOVED_LATE, 3 + 2 * MOVED_LATE] {
-        for cycle in first..first + MOVED_LATE - 1 {
-            assert_eq!(bench.hear(cycle, 400_000), Ok(Followed::Pending));
-        }
-        let on_time = first + MOVED_LATE - 1;
-        assert_eq!(bench.hear(on_time, 0), Ok(Followed::Agrees));
-        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(on_time) * PERIOD);
-    }
-}
-
-/// Syncs that a medium delays by `late`, of `parts` one by chance, in the order in which they come.
-fn delayed(seed: u64, late: u64, parts: u64) -> Vec<(u64, u32)> {
-    let mut state = seed;
-    let mut arrivals: Vec<_> = (3..20_000)
-        .map(|cycle| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            let is_late = (state >> 33).is_multiple_of(parts);
-            (u64::from(cycle) * PERIOD + if is_late { late } else { 0 }, cycle)
-        })
-        .collect();
-    arrivals.sort_unstable();
-    arrivals
-}
-
-#[test]
-fn overtaken_sync_never_moves_the_time_base() {
-    for seed in 1..=20 {
-        for late in [150_000, 300_000, 700_000, 1_500_000, 2_500_000, 5_500_000] {
-            let mut bench = Bench::in_state(SyncState::Locked);
-            for (at, cycle) in delayed(seed, late, 10) {
-                let (_, line) =
-                    (bench.hear(cycle, (at - u64::from(cycle) * PERIOD) as i64), bench.slave.line());
-                let error = line.unwrap().start_of(cycle) - Instant::from_nanos(u64::from(cycle) * PERIOD);
-                assert_eq!(error, Span::ZERO, "seed {seed}, {late} ns late, cycle {cycle}");
-            }
-        }
-    }
-}
-
-#[test]
-fn a_master_that_moves_its_grid_is_followed_from_the_second_sync_on() {
+fn a_master_that_moves_its_grid_is_followed_from_sync_two_on() {
     for by in [-400_000, 400_000, 200_000] {
         let mut bench = Bench::in_state(SyncState::Locked);
         let moved = |cycle: u32| (u64::from(cycle) * PERIOD).wrapping_add_signed(by);
@@ -213,7 +147,7 @@ fn a_master_that_moves_its_grid_is_followed_from_the_second_sync_on() {
 }
 
 #[test]
-fn a_sync_sent_before_its_cycle_shows_that_its_master_was_set_back() {
+fn a_sync_sent_early_shows_that_its_master_was_set_back() {
     let mut bench = Bench::in_state(SyncState::Locked);
     // The master chose the moment of cycle 3 by the clock before, which was 100 us ahead.
     let mut hear = |cycle: u32, at: u64, xmit: u64| {
@@ -287,20 +221,6 @@ fn what_a_master_that_was_set_back_says_of_the_lines_last_cycle_is_no_copy_of_it
 }
 
 #[test]
-fn synchronisations_that_were_overtaken_are_no_other_line_however_many() {
-    let mut bench = Bench::in_state(SyncState::Locked);
-    for cycle in [5, 8, 11] {
-        assert_eq!(bench.hear(cycle, 0), Ok(Followed::Agrees));
-        for late in [cycle - 2, cycle - 1] {
-            assert_eq!(bench.hear(late, 2_500_000), Ok(Followed::Late), "of cycle {late}");
-        }
-        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(cycle) * PERIOD);
-        assert!(bench.slave.may_send(cycle) && bench.slave.may_send(cycle + 1));
-    }
-    assert!(!bench.told().iter().any(|(_, kind)| *kind == EventKind::TimeStep));
-}
-
-#[test]
 fn a_backup_that_has_not_heard_its_master_says_the_same_and_silences_nothing() {
     let backup = Address([2, 0, 0, 0, 0, 7]);
     let repeated = |xmit_late: i64, sched_off: i64| {
@@ -345,6 +265,21 @@ fn times_that_cannot_be_meant_are_refused() {
 fn hear_all(bench: &mut Bench, cycles: core::ops::Range<u32>) {
     for cycle in cycles {
         assert_eq!(bench.hear(cycle, 0), Ok(Followed::Agrees), "cycle {cycle}");
+    }
+}
+
+/// Feeds Synchronisations that are `late`, and replies until the delay is known; other frames take `way` nanoseconds.
+fn hear_and_calibrate(bench: &mut Bench, cycles: core::ops::Range<u32>, late: i64, way: u64) {
+    for cycle in cycles {
+        bench.hear(cycle, late).unwrap();
+        if bench.slave.calibration().delay().is_none() {
+            bench.slave.calibration_mut().begin_round();
+            let sent = u64::from(cycle) * PERIOD + 100_000;
+            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+            let [there, back] = [way, way + 200].map(|after| sent + after + AHEAD);
+            let rx = Instant::from_nanos(sent + 2 * way + 200);
+            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
+        }
     }
 }
 
@@ -401,93 +336,6 @@ fn a_slave_has_settled_once_its_line_is_long_enough() {
 }
 
 #[test]
-fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
-    let mut bench = Bench::new(1);
-    bench.hear(1, 0).unwrap();
-    bench.hear(2, 0).unwrap();
-    hear_all(&mut bench, 3..1_000);
-    bench.slave.calibration_mut().begin_round();
-    let sent = 999 * PERIOD + 1_000;
-    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
-    // It takes 700 ns each way.
-    let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD - 700);
-    let done = bench.slave.on_reply(Instant::from_nanos(sent + 1_600), sent, there, back, &mut bench.events);
-    assert_eq!((done, bench.slave.calibration().delay()), (Ok(true), Some(Span::from_nanos(700))));
-    hear_all(&mut bench, 1_000..1_010);
-    assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_009 * PERIOD - 700);
-}
-
-/// Feeds Synchronisations that are `late`, and replies until the delay is known; other frames take `way` nanoseconds.
-fn hear_and_calibrate(bench: &mut Bench, cycles: core::ops::Range<u32>, late: i64, way: u64) {
-    for cycle in cycles {
-        bench.hear(cycle, late).unwrap();
-        if bench.slave.calibration().delay().is_none() {
-            bench.slave.calibration_mut().begin_round();
-            let sent = u64::from(cycle) * PERIOD + 100_000;
-            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
-            let [there, back] = [way, way + 200].map(|after| sent + after + AHEAD);
-            let rx = Instant::from_nanos(sent + 2 * way + 200);
-            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
-        }
-    }
-}
-
-#[test]
-fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
-    let mut bench = Bench::new(20);
-    bench.hear(1, 5_000).unwrap();
-    // A frame takes 700 ns, a sync too, but for now it is 5 us late.
-    hear_and_calibrate(&mut bench, 2..200, 5_000, 700);
-    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(5)));
-    assert_eq!(bench.slave.line().unwrap().start.nanos(), 199 * PERIOD);
-    for cycle in 200..1_500 {
-        bench.hear(cycle, 700).unwrap();
-    }
-    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_nanos(700)));
-    assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_499 * PERIOD);
-}
-
-#[test]
-fn who_calibrates_while_a_sync_takes_much_longer_is_right_in_the_end() {
-    let mut bench = Bench::new(20);
-    bench.hear(1, 20_000).unwrap();
-    // A frame takes 4 us, a sync too, but for now 20 us.
-    hear_and_calibrate(&mut bench, 2..700, 20_000, 4_000);
-    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(20)));
-    assert!(bench.slave.drift_ppb().is_some());
-    bench.hear(700, 4_000).unwrap();
-    bench.hear(701, 4_000).unwrap();
-    bench.hear(702, 4_000).unwrap();
-    assert_eq!(bench.slave.drift_ppb(), None, "the line begins anew");
-    for cycle in 703..3_000 {
-        bench.hear(cycle, 4_000).unwrap();
-    }
-    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(4)));
-    assert_eq!(bench.slave.line().unwrap().start.nanos(), 2_999 * PERIOD);
-}
-
-#[test]
-fn who_calibrates_for_long_enough_corrects_a_slow_way_as_soon_as_it_is_quicker_and_moves_nothing() {
-    let mut bench = Bench::new(600);
-    bench.hear(1, 33_000).unwrap();
-    // A frame for one station takes 4 us or a little more, a sync behind many ports 33 and, from cycle 800 on, 15.
-    for cycle in 2..800 {
-        hear_and_calibrate(&mut bench, cycle..cycle + 1, 33_000, 4_000 + u64::from(cycle * 7_919 % 97));
-    }
-    let delay = |bench: &Bench| bench.slave.calibration().delay().unwrap().nanos();
-    assert!((32_900..33_100).contains(&delay(&bench)), "{}", delay(&bench));
-    assert!(bench.slave.is_settled(), "it has a line since calibration");
-    for cycle in 800..1_000 {
-        bench.hear(cycle, 15_000).unwrap();
-        let error = (bench.slave.line().unwrap().start_of(cycle)
-            - Instant::from_nanos(u64::from(cycle) * PERIOD))
-        .abs();
-        assert!(error < Span::from_micros(1), "cycle {cycle}: {error}");
-    }
-    assert!((14_000..16_000).contains(&delay(&bench)), "{}", delay(&bench));
-}
-
-#[test]
 fn another_master_has_another_drift() {
     let mut bench = Bench::in_state(SyncState::Locked);
     hear_all(&mut bench, 3..1_000);
@@ -498,29 +346,6 @@ fn another_master_has_another_drift() {
     let rx = Instant::from_nanos(1_001 * PERIOD);
     bench.slave.on_sync(rx, backup, 1_001, sched(1_001), sched(1_001), &mut bench.events).unwrap();
     assert_eq!(bench.slave.drift_ppb(), None);
-}
-
-#[test]
-fn rounds_of_a_master_that_is_gone_say_nothing_of_the_next() {
-    let mut bench = Bench::new(1);
-    let first = 100_000;
-    bench.hear(first - 1, 700).unwrap();
-    bench.hear(first, 700).unwrap();
-    bench.slave.calibration_mut().begin_round();
-    let sent = u64::from(first) * PERIOD + 100_000;
-    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
-    let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD);
-    bench.slave.on_reply(Instant::from_nanos(sent + 1_600), sent, there, back, &mut bench.events).unwrap();
-    let delay = bench.slave.calibration().delay();
-    assert_eq!(delay, Some(Span::from_nanos(700)));
-    // It counts from 1, its clock is 3 us beside: as much as syncs might be late.
-    let at = |cycle: u32| u64::from(first + 50 + cycle) * PERIOD;
-    for cycle in 1..1_000 {
-        let (rx, sched) =
-            (Instant::from_nanos(at(cycle) + 700), GlobalTime::from_nanos(at(cycle) + AHEAD - 3_000));
-        bench.slave.on_sync(rx, MASTER, cycle, sched, sched, &mut bench.events).unwrap();
-    }
-    assert_eq!((bench.slave.calibration().delay(), bench.slave.drift_ppb()), (delay, Some(0)));
 }
 
 #[test]

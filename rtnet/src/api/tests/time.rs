@@ -52,7 +52,7 @@ impl Clock {
         // However long a busy machine lets the thread wait that shows it, the line is not too old.
         let (state, period) = (SyncState::Locked, Some(period));
         let view =
-            TimeView { state, cycle: 100, start, offset, period, holdover: 999, ..TimeView::default() };
+            TimeView { state, cycle: 100, start, offset, period, holdover: u16::MAX, ..TimeView::default() };
         let (ends, until) = channel();
         let thread = Some(std::thread::spawn(move || show(&listener, publisher, view, &until)));
         Self { station: Station::at(path), view, ends, thread, _scratch: scratch }

@@ -25,7 +25,7 @@ fn station() -> (TimePublisher, TimeView) {
 /// Keeps the line of `view` up to date, as a station's loop does, until told to stop. However long a busy machine lets it
 /// wait, the line is not too old.
 fn kept(mut publisher: TimePublisher, view: TimeView) -> (Arc<AtomicBool>, std::thread::JoinHandle<()>) {
-    let mut view = TimeView { holdover: 999, ..view };
+    let mut view = TimeView { holdover: u16::MAX, ..view };
     let stop = Arc::new(AtomicBool::new(false));
     let until = stop.clone();
     publisher.publish(&view);
@@ -80,7 +80,7 @@ fn waiters_wake_in_cycle_after_cycle_each_with_its_number_and_start() {
 fn who_waits_while_cycles_are_bridged_wakes_in_each_with_its_number() {
     let (mut publisher, view) = station();
     // So many may be bridged that the line is not too old for a long time, however busy the machine.
-    let told = TimeView { holdover: 999, ..view };
+    let told = TimeView { holdover: u16::MAX, ..view };
     publisher.publish(&told);
     let board = publisher.board();
     let mut waiter = board.waiter();

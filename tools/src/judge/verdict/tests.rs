@@ -129,7 +129,7 @@ fn each_measure_of_the_host_is_stated() {
 }
 
 #[test]
-fn a_station_that_was_stopped_on_purpose_tells_nothing_of_the_host() {
+fn a_station_stopped_on_purpose_shows_nothing_of_the_host() {
     let mut evidence = seen(5_000, 6_000);
     evidence.slots.as_mut().unwrap()[1].woke_late = None;
     assert_eq!(judge(&evidence, MAX_MISS_PPM, &quiet()).word, Word::Degraded);

@@ -103,11 +103,13 @@ impl Tally {
 
     /// A run has ended.
     pub fn note(&mut self, seed: u64, run: Run) {
+        let done = self.runs();
         self.done[(seed - self.seeds.first()) as usize] = true;
         for (i, &(value, holds)) in run.found.iter().enumerate() {
             self.not_met[i] += u64::from(!holds);
             if let Some(badness) = self.rows[i].badness(value) {
-                let is_of_all = self.worst[i].is_none();
+                // A run that had no value before this one has found something else.
+                let is_of_all = self.worst[i].is_none() && done == 0;
                 self.worst[i] = Some(worse(self.worst[i], Worst { badness, value, seed, is_of_all }));
             }
         }

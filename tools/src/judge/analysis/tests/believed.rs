@@ -135,7 +135,7 @@ fn a_sync_of_long_ago_does_not_set_the_count_back() {
 }
 
 #[test]
-fn syncs_go_on_by_a_clock_that_was_set_back_until_all_have_heard() {
+fn syncs_go_on_by_a_clock_set_back_until_all_have_heard() {
     let mut bench = Bench::new();
     let master = bench.scenario.address(0);
     (FIRST..12).for_each(|cycle| bench.sync_from(master, cycle, 0));

@@ -1,0 +1,98 @@
+//! The delay of a way, known late, measured on busy hosts, or of a master that is gone.
+
+use super::*;
+
+#[test]
+fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
+    let mut bench = Bench::new(1);
+    bench.hear(1, 0).unwrap();
+    bench.hear(2, 0).unwrap();
+    hear_all(&mut bench, 3..1_000);
+    bench.slave.calibration_mut().begin_round();
+    let sent = 999 * PERIOD + 1_000;
+    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+    // It takes 700 ns each way.
+    let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD - 700);
+    let done = bench.slave.on_reply(Instant::from_nanos(sent + 1_600), sent, there, back, &mut bench.events);
+    assert_eq!((done, bench.slave.calibration().delay()), (Ok(true), Some(Span::from_nanos(700))));
+    hear_all(&mut bench, 1_000..1_010);
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_009 * PERIOD - 700);
+}
+
+#[test]
+fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
+    let mut bench = Bench::new(20);
+    bench.hear(1, 5_000).unwrap();
+    // A frame takes 700 ns, a sync too, but for now it is 5 us late.
+    hear_and_calibrate(&mut bench, 2..200, 5_000, 700);
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(5)));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 199 * PERIOD);
+    for cycle in 200..1_500 {
+        bench.hear(cycle, 700).unwrap();
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_nanos(700)));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 1_499 * PERIOD);
+}
+
+#[test]
+fn who_calibrates_while_a_sync_takes_much_longer_is_right_in_the_end() {
+    let mut bench = Bench::new(20);
+    bench.hear(1, 20_000).unwrap();
+    // A frame takes 4 us, a sync too, but for now 20 us.
+    hear_and_calibrate(&mut bench, 2..700, 20_000, 4_000);
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(20)));
+    assert!(bench.slave.drift_ppb().is_some());
+    bench.hear(700, 4_000).unwrap();
+    bench.hear(701, 4_000).unwrap();
+    bench.hear(702, 4_000).unwrap();
+    assert_eq!(bench.slave.drift_ppb(), None, "the line begins anew");
+    for cycle in 703..3_000 {
+        bench.hear(cycle, 4_000).unwrap();
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(4)));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), 2_999 * PERIOD);
+}
+
+#[test]
+fn who_calibrates_for_long_enough_corrects_a_slow_way_as_soon_as_it_is_quicker_and_moves_nothing() {
+    let mut bench = Bench::new(600);
+    bench.hear(1, 33_000).unwrap();
+    // A frame for one station takes 4 us or a little more, a sync behind many ports 33 and, from cycle 800 on, 15.
+    for cycle in 2..800 {
+        hear_and_calibrate(&mut bench, cycle..cycle + 1, 33_000, 4_000 + u64::from(cycle * 7_919 % 97));
+    }
+    let delay = |bench: &Bench| bench.slave.calibration().delay().unwrap().nanos();
+    assert!((32_900..33_100).contains(&delay(&bench)), "{}", delay(&bench));
+    assert!(bench.slave.is_settled(), "it has a line since calibration");
+    for cycle in 800..1_000 {
+        bench.hear(cycle, 15_000).unwrap();
+        let error = (bench.slave.line().unwrap().start_of(cycle)
+            - Instant::from_nanos(u64::from(cycle) * PERIOD))
+        .abs();
+        assert!(error < Span::from_micros(1), "cycle {cycle}: {error}");
+    }
+    assert!((14_000..16_000).contains(&delay(&bench)), "{}", delay(&bench));
+}
+
+#[test]
+fn rounds_of_a_master_that_is_gone_say_nothing_of_the_next() {
+    let mut bench = Bench::new(1);
+    let first = 100_000;
+    bench.hear(first - 1, 700).unwrap();
+    bench.hear(first, 700).unwrap();
+    bench.slave.calibration_mut().begin_round();
+    let sent = u64::from(first) * PERIOD + 100_000;
+    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+    let [there, back] = [sent + 700, sent + 900].map(|at| at + AHEAD);
+    bench.slave.on_reply(Instant::from_nanos(sent + 1_600), sent, there, back, &mut bench.events).unwrap();
+    let delay = bench.slave.calibration().delay();
+    assert_eq!(delay, Some(Span::from_nanos(700)));
+    // It counts from 1, its clock is 3 us beside: as much as syncs might be late.
+    let at = |cycle: u32| u64::from(first + 50 + cycle) * PERIOD;
+    for cycle in 1..1_000 {
+        let (rx, sched) =
+            (Instant::from_nanos(at(cycle) + 700), GlobalTime::from_nanos(at(cycle) + AHEAD - 3_000));
+        bench.slave.on_sync(rx, MASTER, cycle, sched, sched, &mut bench.events).unwrap();
+    }
+    assert_eq!((bench.slave.calibration().delay(), bench.slave.drift_ppb()), (delay, Some(0)));
+}

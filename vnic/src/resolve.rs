@@ -10,7 +10,7 @@
 //! The lost packet is counted ([`Loss::NoStation`]); what Linux sends after the reply goes to the station. How
 //! often it asks [`Asked`] limits.
 
-use std::net::Ipv4Addr;
+use core::net::Ipv4Addr;
 
 use rtnet::buf::Buf;
 use rtnet::time::{Instant, Span};

@@ -9,6 +9,7 @@ const CARGO: &str = r#"#!/bin/sh
 echo "$*" >>"$SOAK_CALLS"
 case $(sed -n "$(wc -l <"$SOAK_CALLS")p" "$SOAK_COURSES") in
 passes) echo "test a ... ok"; echo "test result: ok. 1 passed; 0 failed;" ;;
+again) echo "test a ... AGAIN a::b: this host stood still for 30ms: why"; echo "test result: ok. 1 passed; 0 failed;" ;;
 fails) cat <<'END'; exit 101 ;;
      Running sim/main.rs (target/debug/deps/sim-0123456789abcdef)
 failures:
@@ -74,10 +75,10 @@ fn soak_counts_how_often_each_test_fails() {
 
 #[test]
 fn soak_ends_well_if_no_test_fails() {
-    let (output, _) = soak(&["passes"; 2], &["--tests", "2"]);
+    let (output, _) = soak(&["passes", "again"], &["--tests", "2"]);
     let text = printed(&output);
     assert!(text.contains("2 of 2 runs of `cargo test --workspace --no-fail-fast` in "), "{text}");
-    assert!(text.ends_with(" s: 0 failed\n"), "{text}");
+    assert!(text.ends_with(" s: 0 failed\n   again  test\n       1  a::b\n"), "{text}");
     assert_eq!(output.status.code(), Some(0));
 }
 

@@ -16,8 +16,8 @@ use super::sockets::{StackReply, StackRequest};
 
 /// A control thread answers within milliseconds; one that does not is stopped or stuck.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// A lab that ends waits for stations that may be stopped.
-const DOWN_WITHIN: Duration = Duration::from_secs(20);
+/// A lab that ends waits for its stations, which may be stopped, or be closed slowly by a busy kernel.
+const DOWN_WITHIN: Duration = Duration::from_secs(60);
 /// Longest reply: a lab with 250 stations.
 const REPLY_AT_MOST: usize = 192 * 1024;
 

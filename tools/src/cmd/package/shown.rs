@@ -155,6 +155,8 @@ pub(super) struct Shown {
     pub cleaned: u64,
     pub forged: u64,
     pub nonsense: u64,
+    /// How many packages were timed from send to receive: those that were received.
+    pub latency_n: u64,
     pub latency_p50_ns: Option<u64>,
     pub latency_p99_ns: Option<u64>,
     pub latency_max_ns: Option<u64>,
@@ -197,6 +199,7 @@ impl Shown {
             cleaned: seen.cleaned,
             forged: seen.forged,
             nonsense: seen.nonsense,
+            latency_n: seen.latencies.count(),
             latency_p50_ns: seen.latencies.quantile(0.5),
             latency_p99_ns: seen.latencies.quantile(0.99),
             latency_max_ns: seen.latencies.quantile(1.0),
@@ -245,7 +248,10 @@ pub(super) fn stat(row: &Shown) -> String {
         let [p50, p99, max] = [p50, p99, max].map(|nanos| nanos as f64 / 1000.0);
         let _ = writeln!(
             text,
-            "  from send to receive: p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us, each a quarter too long at the most"
+            "  from send to receive: p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us, each a quarter too long at the most; n {}, {} more \
+             cleaned or waiting",
+            grouped(row.latency_n),
+            grouped(row.cleaned + row.waiting)
         );
     }
     for sender in &row.senders {

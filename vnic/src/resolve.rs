@@ -21,9 +21,9 @@ use zerocopy::IntoBytes;
 use crate::peers::Peers;
 use crate::tunnel::{HEAD, Inner, Loss, Mouth};
 
-/// A neighbour that does not answer is asked for no more often, as Linux does it.
+/// Shortest time between two questions for one neighbour, as in Linux.
 const ASK_EVERY: Span = Span::from_millis(1_000);
-/// So many neighbours are asked for in that time.
+/// Largest number of neighbours asked for in that time.
 const ASK_AT_MOST: usize = 16;
 
 /// The neighbours that were asked for last, and when.

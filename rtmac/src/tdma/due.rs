@@ -74,7 +74,7 @@ impl Tdma {
 
     /// The next job if its time has come. Jobs that must not or can no longer be done pass on the way.
     pub(super) fn due(&mut self, now: Instant) -> Option<Job> {
-        // The station that waited for it has asked again, or this one gives the time no more.
+        // The slave has asked again, or this station no longer gives the time.
         if self.reply_in.is_some() && !self.owes_late_reply() {
             self.reply_in = None;
         }
@@ -291,7 +291,7 @@ impl Tdma {
                 self.counters.syncs_skipped += 1;
                 EventKind::SyncSkipped
             }
-            // Whoever postpones it counts it, once.
+            // `Replies::postpone` counts it, once.
             Job::Reply { .. } | Job::ReplyBehindSync { .. } => EventKind::Overrun,
             // The next one brings another.
             Job::Part { .. } => {

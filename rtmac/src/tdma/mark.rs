@@ -7,17 +7,17 @@ use super::line::{self, DRIFT_PARTS, Drift, LINE_GOOD_FOR, PERIODS, TimeLine};
 /// Smallest disagreement that is a time step, and as a part of the cycle; see [`SlaveConfig`](super::SlaveConfig).
 const STEP_AT_LEAST: Span = Span::from_micros(20);
 const STEP_PARTS: i64 = 100;
-/// So many Synchronisations in a row that agree with each other are a new line...
+/// Number of consecutive early Synchronisations that make a new line.
 pub const MOVED: u32 = 2;
-/// ... and so many, if each may be one of the line's that was long on its way. Where that is one in ten, so many in a row
-/// are once in 10^8 cycles. Nothing is sent meanwhile but in the cycles that are bridged.
+/// Number of consecutive late Synchronisations that make a new line: the network may have delayed each. If it delays one in
+/// ten, it delays eight in a row once in 10^8 cycles. The slave sends nothing meanwhile, except in bridged cycles.
 pub const MOVED_LATE: u32 = 8;
-/// Two Synchronisations beside the line are a new one only if they agree much better than that: hold-ups in a row are seldom
-/// of one length. Where it takes more of them they may be as far apart as any two of one line.
+/// Two early Synchronisations make a new line only if they agree within this, or within this part of the cycle: delays in a
+/// row seldom have one length. For [`MOVED_LATE`] of them the step limit applies.
 const CONFIRMED_WITHIN: Span = Span::from_micros(2);
 const CONFIRMED_PARTS: i64 = 2_000;
-/// What is late by less than this part of the cycle, and than hosts are held up, is bridged as a missing one; what is later
-/// silences its cycle at once.
+/// A Synchronisation that is late by less than this part of the cycle, and by less than [`HELD_UP_AT_MOST`], is bridged like a
+/// missing one. A later one silences its cycle.
 const HELD_UP_PARTS: i64 = 4;
 const HELD_UP_AT_MOST: Span = Span::from_millis(4);
 /// So many cycles after a Synchronisation those that it has overtaken may come.
@@ -132,7 +132,7 @@ impl Mark {
         if is_early { self.cycle } else { here }
     }
 
-    /// Whether it is late by so little that it is bridged as a missing one.
+    /// Whether its cycle is bridged, as if it were missing; see [`HELD_UP_PARTS`].
     pub fn may_be_held_up(&self, line: &TimeLine) -> bool {
         let late = self.deviation_from(line);
         let on_the_line = (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle));
@@ -153,7 +153,7 @@ impl Mark {
     }
 }
 
-/// What is later than its line by so much or more silences its cycle at once.
+/// A Synchronisation that is late by this or more silences its cycle.
 pub fn held_up_at_most(period: Span) -> Span {
     (period / HELD_UP_PARTS).min(HELD_UP_AT_MOST)
 }

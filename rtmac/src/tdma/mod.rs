@@ -68,8 +68,7 @@ use events::Events;
 pub use follow::{HOLDOVER_CYCLES, MAX_HOLDOVER, OnMasterChange, Servo, SlaveConfig};
 use job::{Job, Pending};
 pub use line::TimeLine;
-pub use mark::MOVED_LATE;
-pub use mark::held_up_at_most;
+pub use mark::{MOVED_LATE, held_up_at_most};
 use master::Master;
 pub use master::{BACKUP_LOOKS_BEFORE, BehindSync, MasterConfig, Mastery};
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};
@@ -256,7 +255,7 @@ impl Discipline for Tdma {
     fn on_timeout(&mut self, now: Instant) {
         self.looked = now;
         if let (Some(from), Some(line)) = (self.begins.take(), self.line().copied()) {
-            // Who has had its turns meanwhile, has them to tell of.
+            // A station that has given the time had turns meanwhile: they are reported.
             let from = if self.has_given_the_time() { from } else { from.max(now) };
             self.slots.align(&line, from);
         }
@@ -265,7 +264,7 @@ impl Discipline for Tdma {
             Role::Master(master) => {
                 let has_slots = self.slots.first().is_some();
                 if !has_slots && master.config().behind_sync.is_none() {
-                    // It has no place for a late reply, and drops it as RTnet does.
+                    // Without a place for a late reply, the master drops it as RTnet does.
                     master.replies_mut().drop_late();
                 }
                 let has_schedule = self.change.as_ref().is_none_or(|change| change.is_able());

@@ -292,7 +292,7 @@ impl Lab {
             let findings = self.analysis.findings.len();
             self.show_progress(|| format!("cycle {done} of {cycles}, {findings} misses"));
         }
-        // Whoever is impatient from here on cuts nothing short.
+        // An interrupt from here on no longer shortens the run.
         self.interrupted = Arc::new(AtomicBool::new(self.interrupted.load(Ordering::Relaxed)));
         self.note_late_events();
         self.note_end_without_master();

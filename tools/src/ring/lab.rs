@@ -218,7 +218,7 @@ impl<'a> Lab<'a> {
             self.show_progress(|| format!("{} of {}", about(done), plan.duration));
         }
         self.play.note_late(&mut self.notes);
-        // Whoever is impatient from here on cuts nothing short.
+        // An interrupt from here on no longer shortens the run.
         self.interrupted = Arc::new(AtomicBool::new(self.interrupted.load(Ordering::Relaxed)));
         Ok((begin, end))
     }

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
+fn delay_known_late_holds_for_the_line_there_is() {
     let mut bench = Bench::new(1);
     bench.hear(1, 0).unwrap();
     bench.hear(2, 0).unwrap();
@@ -20,7 +20,7 @@ fn a_delay_that_becomes_known_late_holds_for_the_line_that_has_lasted() {
 }
 
 #[test]
-fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
+fn slave_corrects_a_delay_measured_on_a_busy_host() {
     let mut bench = Bench::new(20);
     bench.hear(1, 5_000).unwrap();
     // A frame takes 700 ns, a sync too, but for now it is 5 us late.
@@ -35,7 +35,7 @@ fn who_calibrates_while_the_host_is_busy_is_right_when_it_is_quiet_again() {
 }
 
 #[test]
-fn who_calibrates_while_a_sync_takes_much_longer_is_right_in_the_end() {
+fn slave_corrects_a_delay_measured_with_slow_syncs() {
     let mut bench = Bench::new(20);
     bench.hear(1, 20_000).unwrap();
     // A frame takes 4 us, a sync too, but for now 20 us.
@@ -54,7 +54,7 @@ fn who_calibrates_while_a_sync_takes_much_longer_is_right_in_the_end() {
 }
 
 #[test]
-fn who_calibrates_for_long_enough_corrects_a_slow_way_as_soon_as_it_is_quicker_and_moves_nothing() {
+fn slave_corrects_a_slow_way_that_gets_quicker() {
     let mut bench = Bench::new(600);
     bench.hear(1, 33_000).unwrap();
     // A frame for one station takes 4 us or a little more, a sync behind many ports 33 and, from cycle 800 on, 15.

@@ -91,7 +91,7 @@ fn overtaken_sync_never_moves_the_time_base() {
 }
 
 #[test]
-fn synchronisations_that_were_overtaken_are_no_other_line_however_many() {
+fn overtaken_syncs_never_make_another_line() {
     let mut bench = Bench::in_state(SyncState::Locked);
     for cycle in [5, 8, 11] {
         assert_eq!(bench.hear(cycle, 0), Ok(Followed::Agrees));

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::cell::{self, Cell};
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station, asked, wait_until};
 
@@ -11,7 +11,7 @@ use crate::station::{Medium, Station, asked, wait_until};
 fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
     network("a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured", || {
         let medium = Medium::new();
-        let names = ["master", "slave"].map(|role| format!("anew-{role}-{}", std::process::id()));
+        let names = ["master", "slave"].map(|role| unique(&format!("anew-{role}")));
         let [master, slave] = &names;
         let _first = Station::master(&medium, master);
         let options =

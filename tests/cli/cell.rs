@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use socket2::{Domain, SockAddr, Socket, Type};
 
-use crate::host::is_sound;
+use crate::host::{is_sound, unique};
 use crate::{documents, rtnet};
 
 /// Its stations.
@@ -27,7 +27,12 @@ impl Cell {
 
     /// With the file changed. How many slots are missed, of stations that are stopped and killed, decides nothing.
     pub fn with(what: &str, change: impl FnOnce(String) -> String) -> Self {
-        let cell = Self { name: format!("{what}-{}", std::process::id()) };
+        Self::named(unique(what), change)
+    }
+
+    /// The same under this name.
+    pub fn named(name: String, change: impl FnOnce(String) -> String) -> Self {
+        let cell = Self { name };
         let original = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/cell.toml");
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("cell.toml");

@@ -17,7 +17,7 @@ use socket2::{Domain, Socket, Type};
 use tools::control::REQUEST_AT_MOST;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 
 /// What a command that is refused says: one line.
@@ -227,7 +227,7 @@ fn abuse(cell: &Cell, socket: &str, whole: &[u8]) {
 fn two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo() {
     network("two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo", || {
         let up = |name: &str| {
-            let name = format!("{name}-{}", std::process::id());
+            let name = unique(name);
             let mut command = rtnet();
             command.args(["lab", "up", "--stations", "4", "--cycle", "600us", "--name", &name]);
             let output = command.output().unwrap();
@@ -311,7 +311,7 @@ fn hold(place: &Path, uid: u32) -> Flock<File> {
 #[test]
 fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
     network("a_lab_whose_program_was_replaced_starts_its_stations_anew", || {
-        let cell = Cell { name: format!("replaced-{}", std::process::id()) };
+        let cell = Cell { name: unique("replaced") };
         let dir = tempfile::tempdir().unwrap();
         let binary = dir.path().join("rtnet");
         std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
@@ -336,7 +336,7 @@ fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
 fn a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind() {
     network("a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind", || {
         use nix::sys::signal::{Signal, kill};
-        let cell = Cell { name: format!("given-up-{}", std::process::id()) };
+        let cell = Cell { name: unique("given-up") };
         let place = Path::new("/run/rtnet").join(&cell.name);
         // Calibration takes 200 cycles, four seconds: long enough for a busy host to ask how it stands meanwhile.
         for pause in [300, 0] {
@@ -371,7 +371,7 @@ fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
         let refused = refusal(&rtnet().args(["lab", "status", &cell.name]).output().unwrap());
         assert!(refused.contains("does not run any more"), "{refused}");
 
-        let next = Cell::up("killed");
+        let next = Cell::named(cell.name.clone(), |text| text);
         assert_eq!(next.down()["unexplained"], 0);
         let again = rtnet().args(["lab", "down", &cell.name]).output().unwrap();
         assert!(refusal(&again).contains("there is no lab"));

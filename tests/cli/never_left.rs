@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -41,7 +41,7 @@ fn round(name: &str, questions: &str) -> Value {
 #[test]
 fn a_slave_without_a_master_says_that_no_question_left_and_what_is_missing() {
     network("a_slave_without_a_master_says_that_no_question_left_and_what_is_missing", || {
-        let (medium, name) = (Medium::new(), format!("alone-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("alone"));
         let _station = station(&medium, &name, &["--slave"], "Ctrl-C ends it");
         let words = said(&["ping", "-S", &name, "-c", "10", "-i", "20ms", THERE]);
         let why = format!(
@@ -65,7 +65,7 @@ fn a_slave_without_a_master_says_that_no_question_left_and_what_is_missing() {
 #[test]
 fn a_station_whose_only_slot_was_removed_says_which_is_missing() {
     network("a_station_whose_only_slot_was_removed_says_which_is_missing", || {
-        let (medium, name) = (Medium::new(), format!("slotless-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("slotless"));
         let _station = station(&medium, &name, &["--master", "--cycle", "10ms"], "master_active");
         let sent = round(&name, "3");
         assert_eq!((&sent["lost"], &sent["never_left"]), (&3.into(), &0.into()), "they left: {sent:#}");
@@ -80,7 +80,7 @@ fn a_station_whose_only_slot_was_removed_says_which_is_missing() {
 #[test]
 fn a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave() {
     network("a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave", || {
-        let (medium, name) = (Medium::new(), format!("midway-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("midway"));
         let _station = station(&medium, &name, &["--master", "--cycle", "10ms"], "master_active");
         let mut command = rtnet();
         command.args(["ping", "-S", &name, "-c", "50", "-i", "100ms", "--json", THERE]);

@@ -19,7 +19,7 @@ use rtnet::api::{Station as Attached, UdpSocket};
 use serde_json::Value;
 use socket2::{Domain, SockAddr, Socket, Type};
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -58,7 +58,7 @@ fn is_served(socket: &UdpSocket) {
 #[test]
 fn a_program_that_was_ended_for_nonsense_is_counted_and_so_are_those_that_were_woken() {
     network("a_program_that_was_ended_for_nonsense_is_counted_and_so_are_those_that_were_woken", || {
-        let (medium, name) = (Medium::new(), format!("nonsense-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("nonsense"));
         let options = ["--interface", "rt0", "--discipline", "direct", "--ip", "10.0.0.1/24"];
         let station = Station::start(&medium.a, &[&options[..], &["--name", &name]].concat());
         station.wait_for("Ctrl-C ends it");

@@ -15,7 +15,7 @@ use tools::observe::watch::{Watch, When};
 use tools::report::histogram::SignedHistogram;
 
 use crate::cell::status;
-use crate::host::{is_sound, network, skip};
+use crate::host::{is_sound, network, skip, unique};
 use crate::{documents, rtnet};
 
 /// A lab that goes when the test is done with it.
@@ -26,7 +26,7 @@ struct Lab {
 
 impl Lab {
     fn up(what: &str, stations: &str) -> Self {
-        let name = format!("{what}-{}", std::process::id());
+        let name = unique(what);
         let output = run(&["lab", "up", "--stations", stations, "--cycle", "2ms", "--name", &name]);
         assert!(output.status.success(), "{}", text(&output.stderr));
         Self { name, is_up: true }

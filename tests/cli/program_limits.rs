@@ -10,7 +10,7 @@ use nix::errno::Errno;
 use nix::sys::resource::{Resource, setrlimit};
 use rtnet::api::{Station as Attached, UdpSocket, memory, segment};
 
-use crate::host::{figure, network, skip};
+use crate::host::{figure, network, skip, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station, status};
 
@@ -19,7 +19,7 @@ const POOR_AT: &str = "RTNET_POOR_AT";
 const IP: &str = "10.0.0.1";
 
 fn named(what: &str) -> String {
-    format!("limits-{what}-{}", std::process::id())
+    unique(&format!("limits-{what}"))
 }
 
 /// A station with sockets whose process may have as much, and which keeps no right to more.

@@ -10,7 +10,7 @@ use rtnet::api::{Station as Attached, UdpSocket};
 use rtnet::socket::{Flags, Sender};
 use serde_json::Value;
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -202,5 +202,5 @@ fn until_heard(a: &str, b: &str) {
 
 /// A name that no other test's station has.
 fn named(station: &str) -> String {
-    format!("program-{station}-{}", std::process::id())
+    unique(&format!("program-{station}"))
 }

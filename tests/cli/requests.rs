@@ -6,7 +6,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station, asked, status, wait_until};
 
@@ -45,7 +45,7 @@ fn master_and_slave_tell_the_same_global_time_when_they_are_asked() {
 fn no_request_to_a_station_waits_for_ever() {
     network("no_request_to_a_station_waits_for_ever", || {
         let medium = Medium::new();
-        let name = format!("alone-{}", std::process::id());
+        let name = unique("alone");
         let options = ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--lead", "70us", "--name", &name];
         let slave = Station::start(&medium.b, &options);
         runs(&slave, &name);
@@ -89,7 +89,7 @@ fn a_station_without_slots_says_so_and_refuses_what_is_about_them() {
     network("a_station_without_slots_says_so_and_refuses_what_is_about_them", || {
         let medium = Medium::new();
         for discipline in ["nomac", "direct"] {
-            let name = format!("{discipline}-{}", std::process::id());
+            let name = unique(discipline);
             let options = ["--interface", "rt0", "--discipline", discipline, "--name", &name];
             let station = Station::start(&medium.a, &options);
             runs(&station, &name);

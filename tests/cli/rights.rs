@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use caps::{CapSet, Capability};
 
 use crate::cell::{Cell, STATIONS};
-use crate::host::{network, skip};
+use crate::host::{network, skip, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -56,7 +56,7 @@ fn no_thread_of_a_running_station_keeps_a_capability() {
         let (_, left) = capabilities(std::process::id());
         assert!(!left.is_empty(), "a process that has some is seen to");
         let medium = Medium::new();
-        let master = Station::master(&medium, &format!("bare-{}", std::process::id()));
+        let master = Station::master(&medium, &unique("bare"));
         let threads = assert_gives_up_all(master.child.id());
         println!("FIGURE threads of a station without any capability: {threads}");
     });
@@ -77,7 +77,7 @@ fn no_thread_of_a_labs_stations_keeps_a_capability() {
 fn the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything() {
     network("the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything", || {
         let medium = Medium::new();
-        let name = format!("admin-{}", std::process::id());
+        let name = unique("admin");
         let options =
             ["--interface", "rt0", "--discipline", "nomac", "--vnic", "10.1.0.1/24", "--name", &name];
         let station = Station::start(&medium.a, &options);
@@ -98,7 +98,7 @@ fn the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything
 fn a_station_that_may_lock_no_memory_says_so_in_one_line_and_runs() {
     network("a_station_that_may_lock_no_memory_says_so_in_one_line_and_runs", || {
         let medium = Medium::new();
-        let name = format!("unlocked-{}", std::process::id());
+        let name = unique("unlocked");
         let mut limited = Command::new("sh");
         limited.args(["-c", "ulimit -l 64; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_rtnet"), "station"]);
         limited.args(["--interface", "rt0", "--master", "--cycle", "5ms", "--name", &name]);

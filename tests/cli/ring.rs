@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::time::Instant;
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::station::{Medium, PATIENCE, Station};
 use crate::{documents, rtnet};
 
@@ -38,7 +38,7 @@ fn wait_until(name: &str, what: &str, holds: impl Fn(&Value) -> bool) -> Value {
 fn two_stations_of_a_ring_show_it_and_one_goes_on_alone_until_the_other_is_back() {
     network("two_stations_of_a_ring_show_it_and_one_goes_on_alone_until_the_other_is_back", || {
         let medium = Medium::new();
-        let names = ["a", "b"].map(|side| format!("ring-{side}-{}", std::process::id()));
+        let names = ["a", "b"].map(|side| unique(&format!("ring-{side}")));
         let (a, name) = start(&medium.a, &names[0]);
         let (mut b, _) = start(&medium.b, &names[1]);
         let both = |ring: &Value| ring["present"] == serde_json::json!([true, true]);
@@ -67,7 +67,7 @@ fn two_stations_of_a_ring_show_it_and_one_goes_on_alone_until_the_other_is_back(
 fn a_station_without_a_ring_is_told_from_one_in_it() {
     network("a_station_without_a_ring_is_told_from_one_in_it", || {
         let medium = Medium::new();
-        let name = format!("alone-{}", std::process::id());
+        let name = unique("alone");
         let station =
             Station::start(&medium.a, &["--interface", "rt0", "--discipline", "nomac", "--name", &name]);
         station.wait_for("Ctrl-C ends it");

@@ -13,7 +13,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{figure, network};
+use crate::host::{figure, network, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station};
 
@@ -339,7 +339,7 @@ fn a_schedule_is_in_use_from_the_cycle_on_that_is_said() {
 fn stations_of_their_own_change_their_schedule_if_all_were_started_for_it() {
     network("stations_of_their_own_change_their_schedule_if_all_were_started_for_it", || {
         let medium = Medium::new();
-        let names = ["a", "b"].map(|side| format!("schedule-{side}-{}", std::process::id()));
+        let names = ["a", "b"].map(|side| unique(&format!("schedule-{side}")));
         let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--sync-window", "150us"];
         let giving = [&cycle[..], &["--slot", "0=1ms", "--extensions", "--name", &names[0]]].concat();
         let master = Station::start(&medium.a, &giving);
@@ -391,7 +391,7 @@ fn stations_of_their_own_change_their_schedule_if_all_were_started_for_it() {
 fn a_master_alone_takes_a_schedule_of_one_station() {
     network("a_master_alone_takes_a_schedule_of_one_station", || {
         let medium = Medium::new();
-        let name = format!("schedule-alone-{}", std::process::id());
+        let name = unique("schedule-alone");
         let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--sync-window", "150us"];
         let master = Station::start(
             &medium.a,

@@ -13,7 +13,7 @@ use rtnet::wire::udp;
 use serde_json::Value;
 use zerocopy::IntoBytes;
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -35,7 +35,7 @@ struct Two {
 impl Two {
     fn start(what: &str, options: [&[&str]; 2]) -> Self {
         let medium = Medium::new();
-        let names = [0, 1].map(|n| format!("{what}-{n}-{}", std::process::id()));
+        let names = [0, 1].map(|n| unique(&format!("{what}-{n}")));
         let start = |n: usize, namespace| {
             let ip = format!("{}/24", IP[n]);
             let usual = ["--interface", "rt0", "--discipline", "direct", "--name", &names[n], "--ip", &ip];

@@ -9,7 +9,7 @@ use nix::unistd::Pid;
 use rtnet::api::Station as Attached;
 use serde_json::Value;
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -27,7 +27,7 @@ struct Two {
 impl Two {
     fn start(what: &str) -> Self {
         let medium = Medium::new();
-        let [a, b] = ["a", "b"].map(|which| format!("{what}-{which}-{}", std::process::id()));
+        let [a, b] = ["a", "b"].map(|which| unique(&format!("{what}-{which}")));
         let of = |name: &str, ip: &str, more: &[&str]| {
             let options = ["--interface", "rt0", "--discipline", "direct", "--name", name, "--ip", ip];
             [&options, more].concat().iter().map(|text| text.to_string()).collect::<Vec<_>>()
@@ -204,7 +204,7 @@ fn names(pools: &Value) -> Vec<&str> {
 #[test]
 fn a_station_with_slots_shows_the_pool_of_its_control_frames() {
     network("a_station_with_slots_shows_the_pool_of_its_control_frames", || {
-        let (medium, name) = (Medium::new(), format!("control-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("control"));
         let options = ["--master", "--cycle", "5ms", "--ip", "10.0.0.1/24", "--name", &name];
         let station = Station::start(&medium.a, &[&["--interface", "rt0"], &options[..]].concat());
         station.wait_for("master_active");
@@ -287,7 +287,7 @@ fn of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is
 fn a_station_without_an_address_says_what_to_start_it_with() {
     network("a_station_without_an_address_says_what_to_start_it_with", || {
         let medium = Medium::new();
-        let name = format!("plain-{}", std::process::id());
+        let name = unique("plain");
         let options = ["--interface", "rt0", "--discipline", "direct", "--name", &name];
         let station = Station::start(&medium.a, &options);
         station.wait_for("Ctrl-C ends it");

@@ -10,7 +10,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 use tools::lab::namespace::{Namespace, Segment};
 
-use crate::host::network;
+use crate::host::{network, unique};
 use crate::rtnet;
 
 const A: [u8; 6] = [2, 0, 0, 0, 0, 0xa];
@@ -265,7 +265,7 @@ pub fn asked(arguments: &[&str]) -> Result<(), String> {
 fn a_running_station_refuses_slots_of_its_own_that_clash() {
     network("a_running_station_refuses_slots_of_its_own_that_clash", || {
         let medium = Medium::new();
-        let name = format!("clash-{}", std::process::id());
+        let name = unique("clash");
         let options =
             ["--interface", "rt0", "--master", "--cycle", "5ms", "--slot", "0=200us", "--name", &name];
         let master = Station::start(&medium.a, &options);

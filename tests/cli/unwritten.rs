@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 use crate::cell::{Cell, text};
-use crate::host::{network, skip};
+use crate::host::{network, skip, unique};
 use crate::rtnet;
 
 const NET: &str = "cycle = \"1ms\"\nduration = \"100ms\"\n[[station]]\nname = \"master\"\nrole = \"master\"\n\
@@ -71,9 +71,10 @@ fn simulation_shows_its_report_on_a_full_disk() {
 #[test]
 fn lab_shows_its_report_when_a_file_has_no_room() {
     network("lab_shows_its_report_when_a_file_has_no_room", || {
-        for option in ["--json", "--html", "--pcap"] {
-            is_told(&lab(&[option, "/dev/full"]), "/dev/full", "2 stations, cycle 5ms");
-        }
+        let output = lab(&["--json", "/dev/full", "--html", "/dev/full", "--pcap", "/dev/full"]);
+        is_told(&output, "/dev/full", "2 stations, cycle 5ms");
+        let said = text(&output.stdout) + &text(&output.stderr);
+        assert!(said.matches("/dev/full").count() >= 3, "{said}");
     });
 }
 
@@ -81,7 +82,7 @@ fn lab_shows_its_report_when_a_file_has_no_room() {
 fn lab_down_tells_what_its_lab_could_not_write() {
     network("lab_down_tells_what_its_lab_could_not_write", || {
         for (option, file) in [("--json", "/dev/full"), ("--pcap", "/dev/full")] {
-            let cell = Cell { name: format!("full-{}", std::process::id()) };
+            let cell = Cell { name: unique("full") };
             let mut up = rtnet();
             up.args(["lab", "up", "--stations", "2", "--cycle", "5ms", "--name", &cell.name, option, file]);
             let up = up.output().unwrap();

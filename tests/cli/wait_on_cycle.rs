@@ -8,7 +8,7 @@ use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY};
 use rtnet::live::{TimeBoard, WaitError};
 use rtnet::time::{GlobalTime, Span};
 
-use crate::host::{figure, network};
+use crate::host::{figure, network, unique};
 use crate::station::{Medium, PATIENCE, Station};
 
 const CYCLES: usize = 100;
@@ -34,7 +34,7 @@ fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_k
     let test = "a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_killed";
     network(test, || {
         let medium = Medium::new();
-        let names = ["master", "slave"].map(|role| format!("wait-{role}-{}", std::process::id()));
+        let names = ["master", "slave"].map(|role| unique(&format!("wait-{role}")));
         // Neither has sockets.
         let mut master = Station::master(&medium, &names[0]);
         let _slave = Station::slave(&medium, &names[1]);

@@ -11,17 +11,18 @@ use std::any::Any;
 use std::fmt;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use nix::sched::{CpuSet, sched_setaffinity};
 use nix::unistd::{Pid, gettid};
 use rtnet::live::realtime::{self, RealTime};
 use serde_json::Value;
 
-/// One network at a time: several would miss slots for each other.
-static NETWORK: Mutex<()> = Mutex::new(());
+/// Cores without a network: one at a time on each, for several would miss slots for each other.
+static CORES: Cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
 /// A network that fails while its host stood still for so long, several cycles, says nothing of the network: not even what
 /// is most urgent on a core ran meanwhile. What fails by its own doing fails again.
 const STILL: Duration = Duration::from_millis(20);
@@ -70,13 +71,23 @@ pub fn is_root(test: &str) -> bool {
     root
 }
 
-/// Runs a test of a network, and again, aloud, where it failed on a host that was disturbed meanwhile.
+/// Runs a test of a network on a core that has no other, and again, aloud, where it failed on a host that was disturbed
+/// meanwhile. All that the test starts runs there.
 pub fn network(test: &str, body: impl Fn()) {
+    on_cores(test, |allowed| allowed.min(1), body);
+}
+
+/// The same of a test that is about several cores, or needs them for its load: while no other network runs.
+pub fn network_of_all_cores(test: &str, body: impl Fn()) {
+    on_cores(test, |allowed| allowed, body);
+}
+
+fn on_cores(test: &str, count: impl Fn(usize) -> usize, body: impl Fn()) {
     if !is_root(test) {
         return;
     }
     // A test that failed has taken its network down.
-    let _alone = NETWORK.lock().unwrap_or_else(PoisonError::into_inner);
+    let _cores = CORES.take(count);
     let attempt = || {
         let watch = Standstill::watch();
         let outcome = catch_unwind(AssertUnwindSafe(&body));
@@ -85,6 +96,59 @@ pub fn network(test: &str, body: impl Fn()) {
     attempts(attempt, |why| {
         let _ = writeln!(std::io::stderr(), "AGAIN {test}: {why}");
     });
+}
+
+/// A name that begins so, and that no other test's station or lab has.
+pub fn unique(what: &str) -> String {
+    static COUNT: AtomicUsize = AtomicUsize::new(1);
+    format!("{what}-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
+}
+
+/// The cores of this host.
+struct Cores {
+    /// Those that no test has; none is known of before the first is taken.
+    free: Mutex<Option<Vec<usize>>>,
+    given_back: Condvar,
+}
+
+/// Cores that the calling thread is kept to, with all that it starts, until this is dropped.
+struct Taken<'a> {
+    of: &'a Cores,
+    cores: Vec<usize>,
+    /// Where it might run before.
+    allowed: Vec<usize>,
+}
+
+impl Cores {
+    /// Waits until as many cores are free as `count` says of those that there are.
+    fn take(&self, count: impl Fn(usize) -> usize) -> Taken<'_> {
+        let allowed = realtime::allowed_cpus();
+        let count = count(allowed.len());
+        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let has_fewer =
+            |free: &mut Option<Vec<usize>>| free.get_or_insert_with(|| allowed.clone()).len() < count;
+        let mut free = self.given_back.wait_while(free, has_fewer).unwrap_or_else(PoisonError::into_inner);
+        let free = free.get_or_insert_default();
+        let cores = free.split_off(free.len() - count);
+        keep_to(&cores);
+        Taken { of: self, cores, allowed }
+    }
+}
+
+impl Drop for Taken<'_> {
+    fn drop(&mut self) {
+        keep_to(&self.allowed);
+        let mut free = self.of.free.lock().unwrap_or_else(PoisonError::into_inner);
+        free.get_or_insert_default().append(&mut self.cores);
+        self.of.given_back.notify_all();
+    }
+}
+
+/// Keeps the calling thread, and what it starts from now on, to these cores.
+fn keep_to(cores: &[usize]) {
+    let mut set = CpuSet::new();
+    cores.iter().for_each(|&core| set.set(core).expect("it is allowed"));
+    sched_setaffinity(Pid::from_raw(0), &set).expect("they are allowed");
 }
 
 /// Does something until it does not panic, or panics on a host that was not disturbed, or for the last time; says why it does

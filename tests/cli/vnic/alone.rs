@@ -8,6 +8,7 @@ use tools::lab::namespace::{Namespace, Segment};
 
 use super::{are_there, network, refused, status_of, vnic_of};
 use crate::cell::{json, text, wait_until};
+use crate::host::unique;
 use crate::rtnet;
 use crate::station::{Medium, Station};
 
@@ -26,7 +27,7 @@ fn without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on(
         if !are_there(test, &[("unshare", "util-linux"), ("setpriv", "util-linux")]) {
             return;
         }
-        let (medium, name) = (Medium::new(), format!("refused-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("refused"));
         for (script, line) in [
             (
                 "mount -t tmpfs none /dev/net && exec \"$0\" \"$@\"",
@@ -57,7 +58,7 @@ fn without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on(
 #[test]
 fn a_station_that_was_not_to_have_one_says_what_to_start_it_with() {
     network("a_station_that_was_not_to_have_one_says_what_to_start_it_with", || {
-        let (medium, name) = (Medium::new(), format!("plain-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("plain"));
         let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name];
         let _station = started(&medium.a, &options);
         let message = refused(vnic_of(&name, &["status"]));
@@ -79,7 +80,7 @@ fn ticks_of(station: &Station) -> [u64; 2] {
 fn a_station_without_a_master_sleeps_though_linux_has_something_to_send() {
     network("a_station_without_a_master_sleeps_though_linux_has_something_to_send", || {
         for more in [&["--ip", "10.0.0.2/24"][..], &[]] {
-            let (medium, name) = (Medium::new(), format!("alone-{}", std::process::id()));
+            let (medium, name) = (Medium::new(), unique("alone"));
             let role =
                 ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--slot", "1=2ms", "--name", &name];
             let station = started(&medium.a, &[&role[..], &["--vnic", "10.1.0.1/24"], more].concat());
@@ -111,7 +112,7 @@ fn two_stations_of_one_namespace_have_a_device_each() {
         segment.attach(&host, "port0", "rt0", [2, 0, 0, 0, 0, 0xa]).unwrap();
         segment.attach(&host, "port1", "rt1", [2, 0, 0, 0, 0, 0xb]).unwrap();
         segment.attach(&other, "port2", "rt0", [2, 0, 0, 0, 0, 0xc]).unwrap();
-        let [a, b, c] = ["a", "b", "c"].map(|which| format!("two-{which}-{}", std::process::id()));
+        let [a, b, c] = ["a", "b", "c"].map(|which| unique(&format!("two-{which}")));
         let nomac = |name, interface, more: &[&'static str]| {
             let all = ["--discipline", "nomac", "--name", name, "--interface", interface];
             [&all[..], more].concat()
@@ -138,7 +139,7 @@ fn two_stations_of_one_namespace_have_a_device_each() {
 #[test]
 fn a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools() {
     network("a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools", || {
-        let (medium, name) = (Medium::new(), format!("counts-{}", std::process::id()));
+        let (medium, name) = (Medium::new(), unique("counts"));
         for with_ip in [&[][..], &["--ip", "10.0.0.1/24"]] {
             let options = ["--interface", "rt0", "--master", "--cycle", "5ms", "--slot", "0=1ms"];
             let vnic = ["--slot", "1=2ms,size=500", "--name", &name, "--vnic", "10.1.0.1/24"];
@@ -177,7 +178,7 @@ fn a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools() {
 #[test]
 fn a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line() {
     network("a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line", || {
-        let (mut medium, name) = (Medium::new(), format!("gone-{}", std::process::id()));
+        let (mut medium, name) = (Medium::new(), unique("gone"));
         let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name];
         let mut station = started(&medium.a, &[&options[..], &["--vnic", "10.1.0.1/24"]].concat());
         wait_until("it has its device", || status_of(&name)["state"] == "up");
@@ -193,7 +194,7 @@ fn packets_and_frames_find_each_other_by_arp() {
     // No ping is needed: sockets of this process do.
     crate::host::network("packets_and_frames_find_each_other_by_arp", || {
         let medium = Medium::new();
-        let names = ["tap", "tun"].map(|mode| format!("arp-{mode}-{}", std::process::id()));
+        let names = ["tap", "tun"].map(|mode| unique(&format!("arp-{mode}")));
         let common = ["--interface", "rt0", "--discipline", "nomac", "--vnic-name", "vnic0"];
         let tap = ["--vnic", "10.1.0.1/24", "--name", &names[0]];
         let _tap = started(&medium.a, &[&common[..], &tap].concat());

@@ -8,6 +8,7 @@ use tools::lab::namespace::Namespace;
 
 use super::{are_there, done, network, status_of};
 use crate::cell::wait_until;
+use crate::host::unique;
 use crate::observe::each_frame;
 use crate::rtnet;
 use crate::station::Station;
@@ -61,7 +62,7 @@ impl Behind {
         // No bridge of theirs: it would know where the host is, or not.
         wire(&a, "rt0", A, &b, "rt0", B);
         wire(&a, "port", "02:00:00:00:00:98", &host, "eth0", HOST);
-        let [name_of_a, name_of_b] = ["a", "b"].map(|which| format!("behind-{which}-{}", std::process::id()));
+        let [name_of_a, name_of_b] = ["a", "b"].map(|which| unique(&format!("behind-{which}")));
         let start = |namespace, name: &str, more: &[&str]| {
             let options = ["--interface", "rt0", "--discipline", "nomac", "--name", name, "--vnic"];
             let station = Station::start(namespace, &[&options, more].concat());

@@ -10,7 +10,7 @@ use tools::lab::namespace::{Namespace, Segment};
 use super::{EVERY, network};
 use crate::bare::Bare;
 use crate::captures;
-use crate::host::figure;
+use crate::host::{figure, unique};
 use crate::station::{PATIENCE, Station};
 use crate::vectors::vector;
 
@@ -76,7 +76,7 @@ impl Between {
         let mut segment = Segment::new().unwrap();
         segment.attach(&here, "port0", "rt0", mac).unwrap();
         segment.attach(&there, "port1", "rt0", other).unwrap();
-        let name = format!("{what}-{}", std::process::id());
+        let name = unique(what);
         let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name, "--vnic", ip];
         let station = Station::start(&here, &options);
         station.wait_for("Ctrl-C ends it");

@@ -26,7 +26,7 @@ pub struct Target {
     pub run: fn(&[u8]) -> Vec<u64>,
 }
 
-const SECONDS: u64 = 5;
+const SECONDS: u64 = 2;
 /// Inputs that are kept at the most: mutations of the first ones are to be found among them, too.
 const MOST_KEPT: usize = 4_096;
 /// No input takes as long unless something does not end: that of the largest scenario takes a hundredth.

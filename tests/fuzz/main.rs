@@ -6,7 +6,7 @@
 //!            └──────────────────────────────┴─► a panic: shortened, shown, to be added to the corpus
 //! ```
 //!
-//! `RTNET_FUZZ_SECONDS=60` runs each target so long (default: 5), `RTNET_FUZZ_SEED=7` another course,
+//! `RTNET_FUZZ_SECONDS=60` runs each target so long (default: 2), `RTNET_FUZZ_SEED=7` another course,
 //! `RTNET_FUZZ_INPUT=HEX` that input alone; `scripts/fuzz` says so for one target.
 
 // It runs for so long.

@@ -12,7 +12,7 @@ use socket2::Socket;
 use tools::lab::netlink::Netlink;
 
 use crate::cell::{Cell, STATIONS, status_of, text, wait_until};
-use crate::host::{Standstill, figure, network, skip};
+use crate::host::{Standstill, figure, network, skip, stop};
 use crate::rtnet;
 
 const MILLIS: [u64; 4] = [1, 5, 50, 500];
@@ -41,7 +41,7 @@ fn stop_at_random(pid: Pid, times: usize, seed: u64) {
     for millis in MILLIS.into_iter().cycle().take(times) {
         random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         std::thread::sleep(Duration::from_micros(20_000 + (random >> 33) % 20_000));
-        signal(pid, Signal::SIGSTOP);
+        stop(pid);
         std::thread::sleep(Duration::from_millis(millis));
         signal(pid, Signal::SIGCONT);
     }
@@ -362,7 +362,7 @@ fn a_lab_goes_down_whose_stations_are_stopped() {
     network("a_lab_goes_down_whose_stations_are_stopped", || {
         let cell = Cell::up("halted");
         wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
-        STATIONS[1..].iter().for_each(|name| signal(pid(&cell, name), Signal::SIGSTOP));
+        STATIONS[1..].iter().for_each(|name| stop(pid(&cell, name)));
         std::thread::sleep(Duration::from_millis(300));
         // It ends at all only because nobody waits for them: a lab that stays is told of instead of its account.
         let output = rtnet().args(["lab", "down", &cell.name, "--json"]).output().unwrap();
@@ -382,7 +382,7 @@ fn a_master_that_is_away_for_long_is_missed_by_cause_to_the_end() {
         wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
         let master = pid(&cell, "master");
         // For more cycles than slaves keep their line without it.
-        signal(master, Signal::SIGSTOP);
+        stop(master);
         wait_until("it is seen", || cell.status()["stations"][0]["state"] == "stopped");
         std::thread::sleep(Duration::from_millis(4_500));
         signal(master, Signal::SIGCONT);

@@ -17,7 +17,7 @@ use socket2::{Domain, Socket, Type};
 use tools::control::REQUEST_AT_MOST;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{network, unique};
+use crate::host::{network, stop, unique};
 use crate::rtnet;
 
 /// What a command that is refused says: one line.
@@ -138,7 +138,7 @@ fn a_station_that_was_stopped_says_that_it_was_preempted() {
         let cell = Cell::up("stopped");
         let slave = nix::unistd::Pid::from_raw(pid(&cell.station("slave2")) as i32);
         for millis in [1, 5, 50, 200].into_iter().cycle().take(20) {
-            kill(slave, Signal::SIGSTOP).unwrap();
+            stop(slave);
             std::thread::sleep(Duration::from_millis(millis));
             kill(slave, Signal::SIGCONT).unwrap();
             std::thread::sleep(Duration::from_millis(30));

@@ -6,7 +6,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::{network, unique};
+use crate::host::{network, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station, asked, status, wait_until};
 
@@ -58,7 +58,7 @@ fn no_request_to_a_station_waits_for_ever() {
 
         // Nor does it help to ask who is stopped.
         let process = Pid::from_raw(slave.child.id() as i32);
-        kill(process, Signal::SIGSTOP).unwrap();
+        stop(process);
         let requests = [
             vec!["tdma", "-S", &name, "status"],
             vec!["tdma", "-S", &name, "master", "--cycle", "5ms"],

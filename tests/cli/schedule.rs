@@ -13,7 +13,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{figure, network, unique};
+use crate::host::{figure, network, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station};
 
@@ -293,7 +293,7 @@ fn a_station_that_is_stopped_stops_the_change_and_all_go_on() {
         let slave = lab.cell.station("slave2");
         let address = slave["address"].as_str().unwrap();
         let pid = Pid::from_raw(slave["pid"].as_i64().unwrap() as i32);
-        kill(pid, Signal::SIGSTOP).unwrap();
+        stop(pid);
         let output = lab.schedule("master", &["propose", file.to_str().unwrap(), "--now"]);
         kill(pid, Signal::SIGCONT).unwrap();
         let said = text(&output.stderr);

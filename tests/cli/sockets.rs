@@ -9,7 +9,7 @@ use nix::unistd::Pid;
 use rtnet::api::Station as Attached;
 use serde_json::Value;
 
-use crate::host::{network, unique};
+use crate::host::{network, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -231,7 +231,7 @@ fn what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool()
         let socket = Attached::named(&two.a).and_then(|station| station.udp()).unwrap();
         let to = SocketAddrV4::new([10, 0, 0, 2].into(), 36_000);
         let still = Pid::from_raw(two.stations[1].child.id() as i32);
-        kill(still, Signal::SIGSTOP).unwrap();
+        stop(still);
         let deadline = Instant::now() + PATIENCE;
         // Far more than the kernel keeps for it.
         for _ in 0..1_000 {

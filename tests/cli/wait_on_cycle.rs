@@ -39,6 +39,8 @@ fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_k
         let mut master = Station::master(&medium, &names[0]);
         let _slave = Station::slave(&medium, &names[1]);
         let times = names.each_ref().map(|name| Attached::named(name).unwrap().time().unwrap());
+        // From then on both see the same cycles.
+        times.iter().for_each(|time| time.waiter().wait_synchronised(PATIENCE).unwrap());
         let [at_master, at_slave] = std::thread::scope(|scope| {
             let programs = times.each_ref().map(|time| scope.spawn(|| cycles(time)));
             programs.map(|program| program.join().unwrap())

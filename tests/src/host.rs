@@ -11,12 +11,14 @@ use std::any::Any;
 use std::fmt;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nix::sched::{CpuSet, sched_setaffinity};
+use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, gettid};
 use rtnet::live::realtime::{self, RealTime};
 use serde_json::Value;
@@ -301,13 +303,23 @@ pub fn this_thread() -> Pid {
 
 /// Waits until a thread of this process waits for something.
 pub fn until_asleep(thread: Pid) {
-    let stat = format!("/proc/self/task/{thread}/stat");
+    until_in_state('S', Path::new(&format!("/proc/self/task/{thread}")));
+}
+
+/// Stops a process, and waits until none of its threads runs any more.
+pub fn stop(process: Pid) {
+    kill(process, Signal::SIGSTOP).expect("it is there");
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).expect("it is there");
+    threads.for_each(|thread| until_in_state('T', &thread.expect("it is there").path()));
+}
+
+fn until_in_state(state: char, thread: &Path) {
     let deadline = Instant::now() + PATIENCE;
     // Its state is behind its name, which may have spaces: proc(5).
-    while !std::fs::read_to_string(&stat)
-        .is_ok_and(|stat| stat.rsplit(") ").next().unwrap_or("").starts_with('S'))
+    while !std::fs::read_to_string(thread.join("stat"))
+        .is_ok_and(|stat| stat.rsplit(") ").next().unwrap_or("").starts_with(state))
     {
-        assert!(Instant::now() < deadline, "thread {thread} never waits");
+        assert!(Instant::now() < deadline, "{} never comes to state {state}", thread.display());
         std::thread::sleep(Duration::from_millis(1));
     }
 }
@@ -326,6 +338,29 @@ mod tests {
     fn host_is_disturbed_beyond_each_limit() {
         assert!(!still(20, 5_000, 20).is_disturbed());
         assert!([still(21, 0, 0), still(0, 5_001, 0), still(0, 0, 21)].iter().all(Still::is_disturbed));
+    }
+
+    #[test]
+    fn a_core_is_one_tests_until_it_is_given_back() {
+        let cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
+        let allowed = realtime::allowed_cpus();
+        let one = cores.take(|_| 1);
+        assert_eq!((one.cores.len(), realtime::allowed_cpus()), (1, one.cores.clone()));
+        let is_given_back = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let (waits, is_waiting) = std::sync::mpsc::channel();
+            let (cores, is_given_back, count) = (&cores, &is_given_back, allowed.len());
+            scope.spawn(move || {
+                waits.send(this_thread()).unwrap();
+                let all = cores.take(|_| count);
+                assert!(is_given_back.load(Ordering::Relaxed));
+                assert_eq!(all.cores.len(), count);
+            });
+            until_asleep(is_waiting.recv().unwrap());
+            is_given_back.store(true, Ordering::Relaxed);
+            drop(one);
+        });
+        assert_eq!(realtime::allowed_cpus(), allowed, "as before");
     }
 
     #[test]

@@ -8,13 +8,15 @@ use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY};
 use rtnet::live::{TimeBoard, WaitError};
 use rtnet::time::{GlobalTime, Span};
 
-use crate::host::{figure, network, unique};
+use crate::host::{figure, network_of_all_cores, unique};
 use crate::station::{Medium, PATIENCE, Station};
 
-const CYCLES: usize = 100;
+const CYCLES: u32 = 100;
+/// Cycles that both see: enough for their median.
+const ENOUGH: usize = 10;
 
-/// The cycles that a program wakes in: their numbers, their starts on the master's clock, and how late it woke.
-fn cycles(time: &Arc<TimeBoard>) -> Vec<(u32, GlobalTime, Span)> {
+/// The cycles up to this one that a program wakes in: their numbers, their starts on the master's clock, and how late it woke.
+fn cycles(time: &Arc<TimeBoard>, last: u32) -> Vec<(u32, GlobalTime, Span)> {
     // Less urgent than stations, as programs are, and more than all else that the host runs.
     RealTime { priority: Some(SLAVE_PRIORITY - 10), cpu: None }.apply();
     let mut waiter = time.waiter();
@@ -26,13 +28,13 @@ fn cycles(time: &Arc<TimeBoard>) -> Vec<(u32, GlobalTime, Span)> {
             Err(error) => panic!("{error}"),
         }
     };
-    std::iter::repeat_with(cycle).take(CYCLES).collect()
+    std::iter::repeat_with(cycle).take_while(|&(number, ..)| number <= last).collect()
 }
 
 #[test]
 fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_killed() {
     let test = "a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_killed";
-    network(test, || {
+    network_of_all_cores(test, || {
         let medium = Medium::new();
         let names = ["master", "slave"].map(|role| unique(&format!("wait-{role}")));
         // Neither has sockets.
@@ -41,8 +43,9 @@ fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_k
         let times = names.each_ref().map(|name| Attached::named(name).unwrap().time().unwrap());
         // From then on both see the same cycles.
         times.iter().for_each(|time| time.waiter().wait_synchronised(PATIENCE).unwrap());
+        let last = times[0].waiter().wait_cycle(PATIENCE).unwrap().number + CYCLES;
         let [at_master, at_slave] = std::thread::scope(|scope| {
-            let programs = times.each_ref().map(|time| scope.spawn(|| cycles(time)));
+            let programs = times.each_ref().map(|time| scope.spawn(move || cycles(time, last)));
             programs.map(|program| program.join().unwrap())
         });
         for seen in [&at_master, &at_slave] {
@@ -54,7 +57,8 @@ fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_k
             Some((there.1 - global).abs())
         };
         let mut apart: Vec<Span> = at_master.iter().filter_map(apart).collect();
-        assert!(apart.len() > CYCLES / 2, "only {} cycles were seen by both", apart.len());
+        // A program sees no cycle while its station is not synchronised: how often that is the host says, which delays syncs.
+        assert!(apart.len() >= ENOUGH, "only {} cycles were seen by both", apart.len());
         apart.sort_unstable();
         let apart = apart[apart.len() / 2];
         // What is not the same cycle is 5 ms off.

@@ -8,7 +8,7 @@ use rtnet::api::{Station, UdpSocket};
 use serde_json::Value;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{figure, network, network_of_all_cores, skip};
+use crate::host::{alone, figure, network, skip};
 use crate::rtnet;
 
 const LAB: &str = include_str!("addresses.toml");
@@ -144,7 +144,7 @@ fn a_lab_without_addresses_has_no_sockets() {
 #[test]
 fn echoes_in_a_lab_take_what_the_schedule_says() {
     let test = "echoes_in_a_lab_take_what_the_schedule_says";
-    network_of_all_cores(test, || {
+    alone(test, || {
         let cell = lab("schedule");
         let round = ask(&cell, "ping", "arm", &["-c", "1000", "-i", "2ms", MASTER]);
         let (schedule, rest) = (&round["schedule"], &round["rest_ns"]["p50"]);

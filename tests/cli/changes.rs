@@ -4,13 +4,13 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use crate::cell::{Cell, text, wait_until};
-use crate::host::{network, network_of_all_cores};
+use crate::host::{alone, network};
 use crate::rtnet;
 
 /// A station that is stopped is waited for by whoever changes it; meanwhile nobody looks at the medium.
 #[test]
 fn changes_that_nobody_answers_neither_blind_the_lab_nor_come_later() {
-    network_of_all_cores("changes_that_nobody_answers_neither_blind_the_lab_nor_come_later", || {
+    alone("changes_that_nobody_answers_neither_blind_the_lab_nor_come_later", || {
         use nix::sys::signal::{Signal, kill};
         let cell = Cell::up("unanswered");
         let slave = nix::unistd::Pid::from_raw(cell.station("slave2")["pid"].as_i64().unwrap() as i32);

@@ -87,7 +87,7 @@ fn a_slot_moves_a_hundred_times_and_no_frame_is_lost() {
             let set = cell.slot("slave2", &["set", offset]);
             assert_eq!(set.status.code(), Some(0), "{}", text(&set.stderr));
         }
-        // What it has missed is known two seconds later.
+        // The lab counts a missed slot two seconds later.
         wait_until("it had one turn a cycle, wherever its slot was, and none twice", || {
             let status = cell.status();
             let count = |name: &str| status["stations"][2][name].as_u64().unwrap();

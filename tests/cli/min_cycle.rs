@@ -9,7 +9,7 @@ use std::time::Duration;
 use rtnet::live::realtime::allowed_cpus;
 use serde_json::Value;
 
-use crate::host::{network, network_of_all_cores};
+use crate::host::{alone, network};
 use crate::lab::stations_of;
 use crate::{documents, rtnet};
 
@@ -112,7 +112,7 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
 
 #[test]
 fn a_search_runs_all_its_labs_on_one_core() {
-    network_of_all_cores("a_search_runs_all_its_labs_on_one_core", || {
+    alone("a_search_runs_all_its_labs_on_one_core", || {
         let cpus = allowed_cpus();
         let (first, last) = (cpus[0].to_string(), cpus[cpus.len() - 1].to_string());
         for (asked, core) in [(Some(&first), &first), (None, &last)] {

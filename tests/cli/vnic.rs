@@ -47,9 +47,9 @@ fn network(test: &str, body: impl Fn()) {
 }
 
 /// The same where programs flood or fill the tunnel: they have other cores than the lab's.
-fn network_of_all_cores(test: &str, body: impl Fn()) {
+fn alone(test: &str, body: impl Fn()) {
     if are_there(test, &[("ping", "iputils-ping")]) {
-        crate::host::network_of_all_cores(test, body);
+        crate::host::alone(test, body);
     }
 }
 

@@ -8,7 +8,7 @@ use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY};
 use rtnet::live::{TimeBoard, WaitError};
 use rtnet::time::{GlobalTime, Span};
 
-use crate::host::{figure, network_of_all_cores, unique};
+use crate::host::{alone, figure, unique};
 use crate::station::{Medium, PATIENCE, Station};
 
 const CYCLES: u32 = 100;
@@ -34,7 +34,7 @@ fn cycles(time: &Arc<TimeBoard>, last: u32) -> Vec<(u32, GlobalTime, Span)> {
 #[test]
 fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_killed() {
     let test = "a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_killed";
-    network_of_all_cores(test, || {
+    alone(test, || {
         let medium = Medium::new();
         let names = ["master", "slave"].map(|role| unique(&format!("wait-{role}")));
         // Neither has sockets.

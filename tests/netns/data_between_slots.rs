@@ -12,7 +12,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header};
 use rtnet::wire::ipv4::{self, Fields, Protocol};
 use rtnet::wire::udp;
 use tests::bare::Bare;
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 use zerocopy::IntoBytes;
 
 use crate::live::master_of;
@@ -55,7 +55,7 @@ fn datagram(port: u16) -> Vec<u8> {
 #[test]
 fn a_datagram_that_comes_between_two_slots_is_with_its_program_long_before_the_next() {
     let test = "a_datagram_that_comes_between_two_slots_is_with_its_program_long_before_the_next";
-    network_of_all_cores(test, || {
+    alone(test, || {
         let (pair, sender) = station();
         // Until it gives the time, it is awake for every frame.
         std::thread::sleep(Duration::from_millis(1_000));
@@ -83,7 +83,7 @@ fn a_datagram_that_comes_between_two_slots_is_with_its_program_long_before_the_n
 #[test]
 fn a_flood_of_data_leaves_a_station_most_of_its_core() {
     let test = "a_flood_of_data_leaves_a_station_most_of_its_core";
-    network_of_all_cores(test, || {
+    alone(test, || {
         let (pair, sender) = station();
         std::thread::sleep(Duration::from_millis(1_000));
         let newest = || std::iter::from_fn(|| pair.snapshots.pop()).last();

@@ -22,7 +22,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 use rtnet::{Instant, Pool};
 use tests::bare::Bare;
-use tests::host::{network_of_all_cores, skip};
+use tests::host::{alone, skip};
 use tools::lab::namespace::{Namespace, Segment};
 
 use crate::live::{Extras, Medium, clock, our_master, our_slave};
@@ -105,7 +105,7 @@ fn frame(last: u8) -> [u8; 60] {
 
 /// Runs a test where this host can guard; if it cannot, says so.
 fn guarded(test: &str, body: impl Fn()) {
-    network_of_all_cores(test, || {
+    alone(test, || {
         let opened = Wire::new().here.run(|| open(GuardMode::Auto).unwrap()).unwrap();
         match opened.guard_refused() {
             Some(line) => skip(test, line),
@@ -241,7 +241,7 @@ fn keep_raw_sockets_only() {
 
 #[test]
 fn without_privileges_a_port_goes_on_unguarded_and_says_why_in_one_line() {
-    network_of_all_cores("without_privileges_a_port_goes_on_unguarded_and_says_why_in_one_line", || {
+    alone("without_privileges_a_port_goes_on_unguarded_and_says_why_in_one_line", || {
         let mut wire = Wire::new();
         let opened = wire.here.run(|| {
             keep_raw_sockets_only();

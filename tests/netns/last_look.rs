@@ -10,7 +10,7 @@ use rtnet::discipline::{Opportunity, Outlet, Service};
 use rtnet::live::clock::monotonic;
 use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::EtherType;
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 
 use crate::live::{Extras, Medium, clock, our_master};
 
@@ -44,7 +44,7 @@ impl Service for HoldsUp {
 
 #[test]
 fn what_is_shown_behind_a_hold_up_is_dated_before_it() {
-    network_of_all_cores("what_is_shown_behind_a_hold_up_is_dated_before_it", || {
+    alone("what_is_shown_behind_a_hold_up_is_dated_before_it", || {
         let ideal = clock(Span::ZERO, 0);
         let (from, until) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
         let holds_up = HoldsUp { rests: 0, from: from.clone(), until: until.clone() };

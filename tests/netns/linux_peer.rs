@@ -10,7 +10,7 @@ use rtnet::direct::Direct;
 use rtnet::discipline::Discipline;
 use rtnet::time::Span;
 use socket2::{Domain, Protocol, Socket, Type};
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 
 use crate::live::{CYCLE, master_of};
 use crate::with_sockets::{HOST_IP, PORT, Pair, STATION, STATION_IP};
@@ -81,33 +81,24 @@ fn converse<D: Discipline + 'static>(
 
 #[test]
 fn a_linux_host_and_a_station_without_slots_exchange_datagrams_up_to_the_longest_and_echoes() {
-    network_of_all_cores(
-        "a_linux_host_and_a_station_without_slots_exchange_datagrams_up_to_the_longest_and_echoes",
-        || {
-            converse(|_| Direct::new(DEFAULT_ASK_EVERY), 65_507);
-        },
-    );
+    alone("a_linux_host_and_a_station_without_slots_exchange_datagrams_up_to_the_longest_and_echoes", || {
+        converse(|_| Direct::new(DEFAULT_ASK_EVERY), 65_507);
+    });
 }
 
 #[test]
 fn a_linux_host_and_a_station_in_a_ring_exchange_datagrams_in_fragments_and_echoes() {
-    network_of_all_cores(
-        "a_linux_host_and_a_station_in_a_ring_exchange_datagrams_in_fragments_and_echoes",
-        || {
-            // Of one station: the host knows no token, and answers at any time.
-            let ring = |address| Ring::new(RingConfig::new(vec![address]), address).unwrap();
-            converse(|address| Token::new(ring(address)), 65_507);
-        },
-    );
+    alone("a_linux_host_and_a_station_in_a_ring_exchange_datagrams_in_fragments_and_echoes", || {
+        // A ring of one station: the Linux host has no token, and answers at any time.
+        let ring = |address| Ring::new(RingConfig::new(vec![address]), address).unwrap();
+        converse(|address| Token::new(ring(address)), 65_507);
+    });
 }
 
 #[test]
 fn a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_echoes() {
-    network_of_all_cores(
-        "a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_echoes",
-        || {
-            let clock = EmulatedClock::default();
-            converse(|address| master_of(CYCLE, address, &clock, Span::from_millis(2), 1_500), 65_507);
-        },
-    );
+    alone("a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_echoes", || {
+        let clock = EmulatedClock::default();
+        converse(|address| master_of(CYCLE, address, &clock, Span::from_millis(2), 1_500), 65_507);
+    });
 }

@@ -9,7 +9,7 @@ use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::live::{Data, GuardMode, Port, Tunnelled};
 use rtnet::wire::ethernet::EtherType;
 use tests::bare::Bare;
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 use tools::lab::namespace::{Namespace, Segment};
 
 const SENDER: [u8; 6] = [2, 0, 0, 0, 0, 1];
@@ -70,7 +70,7 @@ fn wired() -> (Bare, Port, CaptureRing, impl Sized) {
 
 #[test]
 fn a_frame_to_another_station_neither_reaches_nor_wakes_a_port() {
-    network_of_all_cores("a_frame_to_another_station_neither_reaches_nor_wakes_a_port", || {
+    alone("a_frame_to_another_station_neither_reaches_nor_wakes_a_port", || {
         let (sender, mut port, mut observer, _medium) = wired();
         let mut received = 0;
         for ether_type in [EtherType::RTMAC, EtherType::EXPERIMENTAL] {
@@ -87,7 +87,7 @@ fn a_frame_to_another_station_neither_reaches_nor_wakes_a_port() {
 
 #[test]
 fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
-    network_of_all_cores("a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic", || {
+    alone("a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic", || {
         let (sender, mut port, mut observer, _medium) = wired();
         let tunnelled = |to, flags| {
             let mut frame = frame(to, EtherType::RTMAC);
@@ -116,7 +116,7 @@ fn a_tunnelled_frame_to_all_does_not_wake_who_has_no_vnic() {
 
 #[test]
 fn what_was_tunnelled_before_the_vnic_was_there_is_let_go() {
-    network_of_all_cores("what_was_tunnelled_before_the_vnic_was_there_is_let_go", || {
+    alone("what_was_tunnelled_before_the_vnic_was_there_is_let_go", || {
         let (sender, mut port, mut observer, _medium) = wired();
         let mut frame = frame(STATION, EtherType::RTMAC);
         frame[14..18].copy_from_slice(&[0x08, 0x06, 2, 1]);
@@ -137,7 +137,7 @@ fn what_was_tunnelled_before_the_vnic_was_there_is_let_go() {
 fn what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_that_keeps_no_sync_away() {
     let test =
         "what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_that_keeps_no_sync_away";
-    network_of_all_cores(test, || {
+    alone(test, || {
         let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
         let mut segment = Segment::new().unwrap();
         segment.attach(&here, "port0", "rt0", SENDER).unwrap();
@@ -203,42 +203,37 @@ fn what_is_tunnelled_to_who_has_a_vnic_wakes_its_thread_only_and_what_floods_tha
 
 #[test]
 fn a_station_with_sockets_hears_every_ether_type_but_rtmac_s_no_vlan_and_not_itself() {
-    network_of_all_cores(
-        "a_station_with_sockets_hears_every_ether_type_but_rtmac_s_no_vlan_and_not_itself",
-        || {
-            let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
-            let mut segment = Segment::new().unwrap();
-            segment.attach(&here, "port0", "rt0", SENDER).unwrap();
-            segment.attach(&there, "port1", "rt0", STATION).unwrap();
-            let sender = here.run(|| Bare::open(&Interface::find("rt0").unwrap()).unwrap()).unwrap();
-            let open = || {
-                let interface = Interface::find("rt0").unwrap();
-                let port =
-                    Port::open(&interface, Data::All, EmulatedClock::default(), 50_000, GuardMode::User)
-                        .unwrap();
-                (port, Bare::open(&interface).unwrap())
-            };
-            let (mut port, itself) = there.run(open).unwrap();
-            let mut vlan = frame(STATION, EtherType(0x8100));
-            vlan[16..18].copy_from_slice(&EtherType::EXPERIMENTAL.0.to_be_bytes());
-            let mut own = frame(SENDER, EtherType::EXPERIMENTAL);
-            own[6..12].copy_from_slice(&STATION);
-            assert!(itself.send(&own));
-            let others = [vlan, frame(STATION, EtherType::RTMAC), frame(ANOTHER, EtherType::EXPERIMENTAL)];
-            let ours =
-                [EtherType::EXPERIMENTAL, EtherType::ARP, EtherType(0x1234)].map(|of| frame(STATION, of));
-            for frame in others.iter().chain(&ours).chain([&frame(ALL, EtherType::EXPERIMENTAL)]) {
-                assert!(sender.send(frame));
-            }
-            let (deadline, mut heard) = (Instant::now() + LONG, Vec::new());
-            while heard.len() < 4 && Instant::now() < deadline {
-                port.wait_for_frame(SHORT.as_millis() as i32);
-                port.drain_control(|_, _| ());
-                port.drain_data(|_, frame| heard.push([frame[12], frame[13]]));
-            }
-            std::thread::sleep(SHORT);
+    alone("a_station_with_sockets_hears_every_ether_type_but_rtmac_s_no_vlan_and_not_itself", || {
+        let (here, there) = (Namespace::new().unwrap(), Namespace::new().unwrap());
+        let mut segment = Segment::new().unwrap();
+        segment.attach(&here, "port0", "rt0", SENDER).unwrap();
+        segment.attach(&there, "port1", "rt0", STATION).unwrap();
+        let sender = here.run(|| Bare::open(&Interface::find("rt0").unwrap()).unwrap()).unwrap();
+        let open = || {
+            let interface = Interface::find("rt0").unwrap();
+            let port =
+                Port::open(&interface, Data::All, EmulatedClock::default(), 50_000, GuardMode::User).unwrap();
+            (port, Bare::open(&interface).unwrap())
+        };
+        let (mut port, itself) = there.run(open).unwrap();
+        let mut vlan = frame(STATION, EtherType(0x8100));
+        vlan[16..18].copy_from_slice(&EtherType::EXPERIMENTAL.0.to_be_bytes());
+        let mut own = frame(SENDER, EtherType::EXPERIMENTAL);
+        own[6..12].copy_from_slice(&STATION);
+        assert!(itself.send(&own));
+        let others = [vlan, frame(STATION, EtherType::RTMAC), frame(ANOTHER, EtherType::EXPERIMENTAL)];
+        let ours = [EtherType::EXPERIMENTAL, EtherType::ARP, EtherType(0x1234)].map(|of| frame(STATION, of));
+        for frame in others.iter().chain(&ours).chain([&frame(ALL, EtherType::EXPERIMENTAL)]) {
+            assert!(sender.send(frame));
+        }
+        let (deadline, mut heard) = (Instant::now() + LONG, Vec::new());
+        while heard.len() < 4 && Instant::now() < deadline {
+            port.wait_for_frame(SHORT.as_millis() as i32);
+            port.drain_control(|_, _| ());
             port.drain_data(|_, frame| heard.push([frame[12], frame[13]]));
-            assert_eq!(heard, [[0x88, 0xb5], [8, 6], [0x12, 0x34], [0x88, 0xb5]]);
-        },
-    );
+        }
+        std::thread::sleep(SHORT);
+        port.drain_data(|_, frame| heard.push([frame[12], frame[13]]));
+        assert_eq!(heard, [[0x88, 0xb5], [8, 6], [0x12, 0x34], [0x88, 0xb5]]);
+    });
 }

@@ -2,7 +2,7 @@
 
 use rtnet::discipline::SyncState;
 use rtnet::time::Span;
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 use tests::peer::{Peer, PeerConfig, PeerSlot};
 
 use crate::live::{CYCLE, Medium, clock, our_master, our_slave};
@@ -19,7 +19,7 @@ fn peer(address: rtnet::wire::ethernet::Address, master: Option<Span>, offset: S
 
 #[test]
 fn peer_joins_our_master() {
-    network_of_all_cores("peer_joins_our_master", || {
+    alone("peer_joins_our_master", || {
         let mut medium = Medium::new();
         let ahead = clock(Span::from_millis(300), 20_000);
         let master = medium.start(ahead, 1, |address| our_master(address, &ahead, Span::from_micros(1_000)));
@@ -37,7 +37,7 @@ fn peer_joins_our_master() {
 
 #[test]
 fn our_slave_joins_a_peer_master() {
-    network_of_all_cores("our_slave_joins_a_peer_master", || {
+    alone("our_slave_joins_a_peer_master", || {
         let mut medium = Medium::new();
         let master = medium.start(clock(Span::from_millis(150), -10_000), 1, |address| {
             peer(address, Some(CYCLE), Span::from_micros(1_000))

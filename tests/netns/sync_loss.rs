@@ -2,13 +2,13 @@
 
 use rtnet::discipline::SyncState;
 use rtnet::time::Span;
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 
 use crate::live::{Medium, clock, our_master, our_slave};
 
 #[test]
 fn a_slave_falls_silent_without_its_master() {
-    network_of_all_cores("a_slave_falls_silent_without_its_master", || {
+    alone("a_slave_falls_silent_without_its_master", || {
         let mut medium = Medium::new();
         let ideal = clock(Span::ZERO, 0);
         let master = medium.start(ideal, 1, |address| our_master(address, &ideal, Span::from_micros(1_000)));

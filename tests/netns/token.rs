@@ -10,7 +10,7 @@ use rtnet::live::clock::realtime;
 use rtnet::live::ring::CaptureRing;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{EtherType, Header};
-use tests::host::{figure, network_of_all_cores};
+use tests::host::{alone, figure};
 
 use crate::live::{Extras, Medium, Running, clock};
 
@@ -76,7 +76,7 @@ fn first<T>(observer: &mut CaptureRing, from: u64, find: impl Fn(&[u8]) -> Optio
 #[test]
 fn ring_outlives_the_death_of_its_token_holder() {
     let test = "ring_outlives_the_death_of_its_token_holder";
-    network_of_all_cores(test, || {
+    alone(test, || {
         IS_TO_DIE.store(false, Ordering::Relaxed);
         let mut medium = Medium::new();
         let mut stations = start(&mut medium);

@@ -7,7 +7,7 @@ use rtnet::live::clock::monotonic;
 use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY};
 use rtnet::live::{TimeBoard, WaitError};
 use rtnet::time::{GlobalTime, Span};
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 
 use crate::live::{CYCLE, Medium, clock, our_master, our_slave};
 
@@ -34,7 +34,7 @@ fn program(time: Arc<TimeBoard>) -> Vec<Seen> {
 
 #[test]
 fn programs_on_two_stations_wake_in_the_same_cycle_by_the_same_number() {
-    network_of_all_cores("programs_on_two_stations_wake_in_the_same_cycle_by_the_same_number", || {
+    alone("programs_on_two_stations_wake_in_the_same_cycle_by_the_same_number", || {
         let mut medium = Medium::new();
         let ahead = clock(Span::from_millis(300), 20_000);
         let master = medium.start(ahead, 1, |address| our_master(address, &ahead, Span::from_micros(1_000)));

@@ -9,7 +9,7 @@ use rtnet::direct::Direct;
 use rtnet::discipline::Discipline;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
-use tests::host::network_of_all_cores;
+use tests::host::alone;
 
 use crate::live::{Medium, clock};
 
@@ -40,7 +40,7 @@ fn exchange<D: Discipline + 'static>(discipline: impl Fn() -> D) {
 
 #[test]
 fn stations_without_slots_exchange_frames_over_veth() {
-    network_of_all_cores("stations_without_slots_exchange_frames_over_veth", || {
+    alone("stations_without_slots_exchange_frames_over_veth", || {
         exchange(|| NoMac::new(DEFAULT_ASK_EVERY));
         exchange(|| Direct::new(DEFAULT_ASK_EVERY));
     });
@@ -48,7 +48,7 @@ fn stations_without_slots_exchange_frames_over_veth() {
 
 #[test]
 fn stations_in_a_ring_exchange_frames_over_veth() {
-    network_of_all_cores("stations_in_a_ring_exchange_frames_over_veth", || {
+    alone("stations_in_a_ring_exchange_frames_over_veth", || {
         let ms = Span::from_millis;
         let ring = RingConfig {
             late: ms(20),

@@ -79,8 +79,8 @@ pub fn network(test: &str, body: impl Fn()) {
     on_cores(test, |allowed| allowed.min(1), body);
 }
 
-/// The same of a test that is about several cores, or needs them for its load: while no other network runs.
-pub fn network_of_all_cores(test: &str, body: impl Fn()) {
+/// The same with all cores, and while no other network runs: for a test of several cores, or with programs that load them.
+pub fn alone(test: &str, body: impl Fn()) {
     on_cores(test, |allowed| allowed, body);
 }
 
@@ -100,7 +100,7 @@ fn on_cores(test: &str, count: impl Fn(usize) -> usize, body: impl Fn()) {
     });
 }
 
-/// A name that begins so, and that no other test's station or lab has.
+/// A name with this beginning that no other station or lab of the tests has.
 pub fn unique(what: &str) -> String {
     static COUNT: AtomicUsize = AtomicUsize::new(1);
     format!("{what}-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))

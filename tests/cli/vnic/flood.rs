@@ -13,10 +13,7 @@ use rtnet::live::interface::Interface;
 use serde_json::Value;
 use tools::lab::enter::enter;
 
-use super::{
-    EVERY, MODES, Running, TUNNEL, assert_answers, done, lab, network_of_all_cores, program, said, status,
-    vnic,
-};
+use super::{EVERY, MODES, Running, TUNNEL, alone, assert_answers, done, lab, program, said, status, vnic};
 use crate::bare::Bare;
 use crate::cell::{Cell, STATIONS, wait_until};
 use crate::host::figure;
@@ -127,7 +124,7 @@ fn for_a_while(cell: &Cell) {
 #[test]
 fn linux_floods_the_tunnel_and_real_time_loses_nothing() {
     let test = "linux_floods_the_tunnel_and_real_time_loses_nothing";
-    network_of_all_cores(test, || {
+    alone(test, || {
         for mode in MODES {
             let cell = lab("flood", TUNNEL, mode);
             assert_answers(&cell, "slave1", "10.1.0.4");

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use super::{
-    MODES, MTU, PATIENCE, Running, TUNNEL, are_there, assert_answers, bytes, lab, network,
-    network_of_all_cores, program, said,
+    MODES, MTU, PATIENCE, Running, TUNNEL, alone, are_there, assert_answers, bytes, lab, network, program,
+    said,
 };
 use crate::cell::{Cell, text};
 use crate::host::{figure, skip};
@@ -55,7 +55,7 @@ fn quiet(mut command: Command) -> Command {
 #[test]
 fn iperf3_fills_the_slots_and_loses_nothing_below_them() {
     let test = "iperf3_fills_the_slots_and_loses_nothing_below_them";
-    network_of_all_cores(test, || {
+    alone(test, || {
         if !are_there(test, &[("iperf3", "iperf3")]) {
             return;
         }

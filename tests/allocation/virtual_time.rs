@@ -121,7 +121,7 @@ fn networks_by_chance_allocate_nothing_while_faults_come_and_go_but_for_frames_t
 fn what_a_program_queues_allocates_nothing() {
     let flow = Flow { priority: 3, every_ns: 3_000_000, burst: 40, payload: 100, slot: 0 };
     let flows = FlowPlan { flows: vec![flow, Flow { priority: 9, ..flow }], ..FlowPlan::default() };
-    let counts = Arc::new(TrafficCounts::default());
+    let counts = Arc::new(TrafficCounts::of(&flows));
     let address = Address([2, 0, 0, 0, 0, 1]);
     let mut traffic = traffic::of_a_lab((0, address), address, 1, counts.clone()).with_flows(flows);
     let (mut queued, mut waiting) = (0, Vec::with_capacity(100));

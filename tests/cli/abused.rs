@@ -12,7 +12,7 @@ use socket2::Socket;
 use tools::lab::netlink::Netlink;
 
 use crate::cell::{Cell, STATIONS, status_of, text, wait_until};
-use crate::host::{Standstill, figure, network, skip, stop};
+use crate::host::{Standstill, figure, network, skip, stop, until_stopped};
 use crate::rtnet;
 
 const MILLIS: [u64; 4] = [1, 5, 50, 500];
@@ -28,11 +28,6 @@ fn stops() -> usize {
 
 fn signal(pid: Pid, signal: Signal) {
     kill(pid, signal).unwrap();
-}
-
-fn is_stopped(pid: Pid) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('T'))
 }
 
 /// Stops a station, for each of the lengths in turn.
@@ -52,12 +47,7 @@ fn stop_before_send(pid: Pid, times: usize, _: u64) {
     for millis in MILLIS.into_iter().cycle().take(times) {
         std::thread::sleep(Duration::from_millis(30));
         signal(pid, Signal::SIGUSR1);
-        // One that is silent sends nothing that it could be stopped before.
-        let deadline = Instant::now() + Duration::from_secs(60);
-        while !is_stopped(pid) {
-            assert!(Instant::now() < deadline, "it sends nothing");
-            std::thread::sleep(Duration::from_micros(200));
-        }
+        until_stopped(pid);
         std::thread::sleep(Duration::from_millis(millis));
         signal(pid, Signal::SIGCONT);
     }

@@ -12,9 +12,6 @@ use crate::host::{alone, figure, unique};
 use crate::station::{Medium, PATIENCE, Station};
 
 const CYCLES: u32 = 100;
-/// Cycles that both see: enough for their median.
-const ENOUGH: usize = 10;
-
 /// The cycles up to this one that a program wakes in: their numbers, their starts on the master's clock, and how late it woke.
 fn cycles(time: &Arc<TimeBoard>, last: u32) -> Vec<(u32, GlobalTime, Span)> {
     // Less urgent than stations, as programs are, and more than all else that the host runs.
@@ -57,8 +54,8 @@ fn a_program_wakes_in_the_same_cycles_of_two_stations_and_is_told_that_one_was_k
             Some((there.1 - global).abs())
         };
         let mut apart: Vec<Span> = at_master.iter().filter_map(apart).collect();
-        // A program sees no cycle while its station is not synchronised: how often that is the host says, which delays syncs.
-        assert!(apart.len() >= ENOUGH, "only {} cycles were seen by both", apart.len());
+        // A program sees no cycle while its station is not synchronised: a host may delay two syncs in a row.
+        assert!(apart.len() > CYCLES as usize / 2, "only {} cycles were seen by both", apart.len());
         apart.sort_unstable();
         let apart = apart[apart.len() / 2];
         // What is not the same cycle is 5 ms off.

@@ -1,7 +1,5 @@
 //! Stations with joint slots: several opportunities in a cycle for one queue.
 
-use std::sync::atomic::Ordering;
-
 use rtmac::tdma::{Counters, SlotConfig, TdmaStatus};
 use rtnet::buf::{Buf, Pool};
 use rtnet::counters::Refusal;
@@ -44,9 +42,9 @@ fn a_station_with_a_joint_slot_sends_twice_as_often_and_nothing_is_unexplained()
     let cycles = u64::from(CYCLES);
     assert_eq!(seen, [cycles, 2 * cycles, cycles + cycles / 2]);
     for (id, counts) in lab.received.iter().enumerate() {
-        let (received, missing) = (&counts.usual.received, &counts.usual.missing);
-        assert_eq!(missing.load(Ordering::Relaxed), 0, "in the order in which they were queued");
-        assert!(received.load(Ordering::Relaxed) >= seen[lab.plan.scenario.sender(id)]);
+        let arrived = counts.arrived(None);
+        assert_eq!(arrived.missing, 0, "in the order in which they were queued");
+        assert!(arrived.received >= seen[lab.plan.scenario.sender(id)]);
         assert_eq!(lab.network.member(id).station.refusals().total(), 0);
     }
 }
@@ -92,7 +90,7 @@ fn slots_that_are_parted_resized_and_joined_while_they_run_lose_no_frame() {
     }
     let Counters { returned_dropped, joints_detached, .. } = axis(&lab).counters;
     assert_eq!((returned_dropped, joints_detached), (0, 1));
-    assert!(lab.received.iter().all(|counts| counts.usual.missing.load(Ordering::Relaxed) == 0));
+    assert!(lab.received.iter().all(|counts| counts.arrived(None).missing == 0));
 }
 
 /// What waits stays where it waits: frames of one priority may overtake others then, but not be lost, and every turn that

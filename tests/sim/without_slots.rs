@@ -3,7 +3,6 @@
 use std::cell::RefCell;
 use std::ops::RangeInclusive;
 use std::rc::Rc;
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
 use rtmac::tdma::{DEFAULT_LEAD, DEFAULT_MAX_SLOT_ID, LatePolicy, RoleConfig, SlaveConfig, Tdma, TdmaConfig};
@@ -70,10 +69,10 @@ fn check_exchanged(config: &AccessConfig, expected: RangeInclusive<u64>) {
     // Both have done with what they have begun.
     network.run_until(BEGIN + SECOND + 500_000);
     for (id, counts) in counts.iter().enumerate() {
-        let (received, from_other) = (counts.usual.received.load(Ordering::Relaxed), sent(&network, 1 - id));
+        let (received, from_other) = (counts.arrived(None).received, sent(&network, 1 - id));
         assert!(expected.contains(&from_other), "{from_other}");
         assert!(received + 1 >= from_other && received <= from_other, "{received} of {from_other}");
-        assert_eq!(counts.usual.missing.load(Ordering::Relaxed), 0);
+        assert_eq!(counts.arrived(None).missing, 0);
         let refusals = network.member(id).station.refusals();
         assert_eq!(refusals.total(), refusals.get(Refusal::TokenStale), "what is no loss of a frame");
     }

@@ -309,6 +309,11 @@ pub fn until_asleep(thread: Pid) {
 /// Stops a process, and waits until none of its threads runs any more.
 pub fn stop(process: Pid) {
     kill(process, Signal::SIGSTOP).expect("it is there");
+    until_stopped(process);
+}
+
+/// Waits until none of a process's threads runs any more: it is stopped.
+pub fn until_stopped(process: Pid) {
     let threads = std::fs::read_dir(format!("/proc/{process}/task")).expect("it is there");
     threads.for_each(|thread| until_in_state('T', &thread.expect("it is there").path()));
 }

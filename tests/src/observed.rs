@@ -59,7 +59,8 @@ impl Observed {
         network.run_until(BEGIN);
         let watching = analysis.clone();
         network.observe(move |aired| watching.borrow_mut().frame(aired.at, aired.bytes));
-        let received: Vec<Arc<TrafficCounts>> = (0..plan.stations()).map(|_| Arc::default()).collect();
+        let counts = |id| Arc::new(TrafficCounts::of(&plan.scenario.flow_plan(id)));
+        let received: Vec<_> = (0..plan.stations()).map(counts).collect();
         for (id, counts) in received.iter().enumerate() {
             let discipline = plan.ours(id, (id == 0).then_some(plan.cycle()));
             let station = Station::new(discipline, vec![traffic(&plan, id, counts.clone())]);

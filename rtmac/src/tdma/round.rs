@@ -52,10 +52,8 @@ pub struct Round {
     /// When it was, on this clock and on the master's.
     middle: Instant,
     global: GlobalTime,
-    /// The cycle that had begun, as it was known then. As a [`Begun`] these three would make a round eight bytes longer.
-    cycle: u32,
-    start: Instant,
-    offset: Offset,
+    /// The cycle that had begun, as it was known then.
+    begun: Begun,
     /// Which of the lines that were followed that was, and by how much the cycle's start is later than that line.
     pub line: u32,
     pub beside: Span,
@@ -97,9 +95,7 @@ impl Round {
             delay: line::delay(request_xmit, reception, reply_xmit, rx.nanos()),
             middle: Instant::from_nanos(request_xmit) + half(request_xmit, rx.nanos()),
             global: GlobalTime::from_nanos(reception) + half(reception, reply_xmit),
-            cycle,
-            start,
-            offset,
+            begun: Begun { cycle, start, offset },
             line: 0,
             beside: Span::ZERO,
         }
@@ -107,7 +103,7 @@ impl Round {
 
     /// The cycle that had begun, as it was known then.
     pub fn begun(&self) -> Begun {
-        Begun { cycle: self.cycle, start: self.start, offset: self.offset }
+        self.begun
     }
 
     /// By how much the master's clock, which gains `apart` on this one, was ahead of what a cycle's start says.
@@ -209,7 +205,7 @@ mod tests {
     fn told(mut rounds: Vec<Round>, more: impl Fn(&Round) -> i64) -> i64 {
         let one = keep_quicker(&mut rounds).quartile;
         let apart = rate(&rounds).map_or(0.0, |rate| -rate.gains);
-        let late = |round: &Round| round.ahead_of(round.begun(), apart) + Span::from_nanos(more(round));
+        let late = |round: &Round| round.ahead_of(round.begun, apart) + Span::from_nanos(more(round));
         (one + later(&mut rounds, one, PERIOD, late).unwrap_or(Span::ZERO)).nanos()
     }
 
@@ -227,7 +223,7 @@ mod tests {
     #[test]
     fn syncs_that_are_held_up_all_the_while_are_not_believed() {
         assert_eq!(told(rounds(0, 0, |_| 0), |_| 65_000), 5_000);
-        let some = |round: &Round| i64::from(round.cycle / 2 % 2) * 10_000;
+        let some = |round: &Round| i64::from(round.begun.cycle / 2 % 2) * 10_000;
         assert_eq!(told(rounds(0, 0, |_| 0), some), 9_000);
     }
 

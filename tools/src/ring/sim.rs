@@ -90,7 +90,7 @@ impl<'a> Run<'a> {
             plan.conditions.events.iter().flat_map(|event| event.what.starts()).collect();
         let is_there = |id: usize| !later.contains(&id);
         let n = plan.stations.len();
-        let counts: Vec<Arc<TrafficCounts>> = (0..n).map(|_| Arc::default()).collect();
+        let counts: Vec<_> = (0..n).map(|id| world::traffic_counts(plan, id)).collect();
         let mut network = world::network(plan, is_there, |id| station(scenario, id, counts[id].clone(), 0))?;
         let clocks: Vec<_> = (0..n).map(|id| network.member(id).clock).collect();
         let watch = Watch {
@@ -255,8 +255,8 @@ impl<'a> Run<'a> {
         self.watch.borrow_mut().judge.begins_anew(id);
         let first = self.watch.borrow().judge.beyond(id);
         // What the process before has counted goes on from 0 in this one.
-        self.before[id] = self.before[id] - self.counted(id);
-        self.counts[id] = Arc::default();
+        self.before[id] = std::mem::take(&mut self.before[id]) - self.counted(id);
+        self.counts[id] = world::traffic_counts(&self.scenario.network, id);
         let station = station(self.scenario, id, self.counts[id].clone(), first)?;
         self.network.restart(id, station);
         Ok(())
@@ -279,7 +279,7 @@ impl<'a> Run<'a> {
 
     fn known(&self, id: usize) -> Known {
         let (plan, counts) = (&self.scenario.network, &self.counts[id]);
-        let counted = self.counted(id) - self.before[id];
+        let counted = self.counted(id) - self.before[id].clone();
         let refusals = self.network.member(id).station.refusals();
         let refusals = refusals.nonzero().map(|(why, n)| (why.name(), n));
         let no_room = Some((PORT_POOL_EMPTY, self.network.dropped(id))).filter(|&(_, n)| n > 0);
@@ -300,7 +300,7 @@ impl<'a> Run<'a> {
             deliveries: streams.map(delivery).collect(),
             payload_errors: counted.payload_errors.max(0) as u64,
             refusals: refusals.chain(no_room).map(|(why, n)| (why.to_owned(), n)).collect(),
-            queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
+            queue_refused: counted.refused().collect(),
             notes: Vec::new(),
             reproach: (self.present[id] && !takes_part).then(|| no_part(name)),
         }

@@ -1,8 +1,8 @@
 //! From a scenario to its stations in virtual time.
 
+use std::collections::BTreeMap;
 use std::ops::Sub;
 use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Result, anyhow};
 use rtmac::tdma::change::ChangeConfig;
@@ -14,7 +14,6 @@ use rtmac::tdma::{
 use rtnet::clock::{EmulatedClock, True};
 use rtnet::counters::Refusal;
 use rtnet::discipline::Discipline;
-use rtnet::queue::Priority;
 use rtnet::sim::{Host, Link, Medium, Member, Network, Wander};
 use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Offset, Span};
@@ -35,7 +34,7 @@ pub const EPOCH: GlobalTime = GlobalTime::from_nanos(1_795_000_000_000_000_000);
 const GUARD_TOLERANCE: Span = Span::from_micros(10);
 
 /// What a station has counted, or how much more than at another time.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Counted {
     /// Frames that were not what was sent.
     pub payload_errors: i64,
@@ -44,17 +43,20 @@ pub struct Counted {
     /// Events that it could not tell of.
     pub events_lost: i64,
     /// Frames of its program that found no room in their queue, by priority.
-    pub queue_refused: [i64; Priority::LEVELS],
+    queue_refused: BTreeMap<u8, i64>,
 }
 
 impl Sub for Counted {
     type Output = Counted;
-    fn sub(self, other: Counted) -> Counted {
+    fn sub(mut self, other: Counted) -> Counted {
+        for (priority, n) in other.queue_refused {
+            *self.queue_refused.entry(priority).or_default() -= n;
+        }
         Counted {
             payload_errors: self.payload_errors - other.payload_errors,
             missing: self.missing - other.missing,
             events_lost: self.events_lost - other.events_lost,
-            queue_refused: std::array::from_fn(|i| self.queue_refused[i] - other.queue_refused[i]),
+            queue_refused: self.queue_refused,
         }
     }
 }
@@ -76,7 +78,7 @@ impl World {
     pub fn new(scenario: &Scenario, is_there: impl Fn(usize) -> bool) -> Result<Self> {
         let master = clock(scenario, 0);
         let truth = TrueMaster { clock: master, epoch: Offset::between(master.local(UPTIME), EPOCH) };
-        let counts: Vec<Arc<TrafficCounts>> = scenario.stations.iter().map(|_| Arc::default()).collect();
+        let counts: Vec<_> = (0..scenario.stations.len()).map(|id| traffic_counts(scenario, id)).collect();
         let changes = scenario.change_config().map(|config| ChangeConfig { is_reserved: false, ..config });
         let station =
             |id: usize| station(scenario, id, (&truth, changes.as_ref()), None, counts[id].clone(), 0);
@@ -113,6 +115,11 @@ impl World {
 }
 
 impl Counted {
+    /// Frames of its program that found no room in their queue, by priority.
+    pub fn refused(&self) -> impl Iterator<Item = (u8, u64)> {
+        self.queue_refused.iter().map(|(priority, n)| (*priority, (*n).max(0) as u64))
+    }
+
     /// Of a station, its traffic, and how many events it lost.
     pub fn of<D: Discipline>(station: &Station<D>, counts: &TrafficCounts, events_lost: u64) -> Self {
         let queued = counts.arrived_queued().map(|(_, arrived)| arrived.missing);
@@ -121,7 +128,7 @@ impl Counted {
             payload_errors: station.refusals().get(Refusal::BadPayload) as i64,
             missing: missing as i64,
             events_lost: events_lost as i64,
-            queue_refused: counts.refused.each_ref().map(|count| count.load(Relaxed) as i64),
+            queue_refused: counts.refused().map(|(priority, n)| (priority, n as i64)).collect(),
         }
     }
 }
@@ -143,6 +150,11 @@ fn station(
         None => tdma,
     };
     Ok(Station::new(tdma, vec![Box::new(traffic(scenario, id, counts, first))]))
+}
+
+/// For what the test traffic of a station counts.
+pub fn traffic_counts(scenario: &Scenario, id: usize) -> Arc<TrafficCounts> {
+    Arc::new(TrafficCounts::of(&scenario.flow_plan(id)))
 }
 
 /// The test traffic of a station, whose first frame has this number.

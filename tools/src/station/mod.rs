@@ -174,7 +174,8 @@ pub fn set_up(options: Options) -> Result<Ready> {
     limits::raise_files();
     let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
-    let counts = Arc::new(TrafficCounts::default());
+    let flows = options.lab.as_ref().map(|lab| &lab.flows);
+    let counts = Arc::new(flows.map(TrafficCounts::of).unwrap_or_default());
     let mut port = port(&options, &interface)?;
     let bells = port.bells();
     let programs =

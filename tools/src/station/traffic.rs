@@ -65,18 +65,34 @@ pub struct TrafficPlan {
 #[derive(Debug, Default)]
 pub struct TrafficCounts {
     /// What came of the sender's usual frames.
-    pub usual: Arrivals,
-    /// The same of its flows, by priority.
-    pub queued: [Arrivals; Priority::LEVELS],
-    /// Frames of flows that found no room in their queue, by priority.
-    pub refused: [AtomicU64; Priority::LEVELS],
+    usual: Arrivals,
+    /// The same of each of its flows, by priority.
+    queued: Box<[(u8, Arrivals)]>,
+    /// Frames of this station's flows that found no room in their queue, by priority.
+    refused: Box<[(u8, AtomicU64)]>,
 }
 
 impl TrafficCounts {
+    /// Counts for these flows, besides the usual frames.
+    pub fn of(plan: &FlowPlan) -> Self {
+        let (sent, from) = (plan.flows.iter(), plan.from.iter());
+        Self {
+            usual: Arrivals::default(),
+            queued: from.map(|flow| (flow.priority, Arrivals::default())).collect(),
+            refused: sent.map(|flow| (flow.priority, AtomicU64::new(0))).collect(),
+        }
+    }
+
+    fn are_of(&self, plan: &FlowPlan) -> bool {
+        let sent = plan.flows.iter().map(|flow| flow.priority);
+        let from = plan.from.iter().map(|flow| flow.priority);
+        self.refused.iter().map(|(of, _)| *of).eq(sent) && self.queued.iter().map(|(of, _)| *of).eq(from)
+    }
+
     /// Frames of flows that found no room in their queue: each priority of which there were any, and how many.
     pub fn refused(&self) -> impl Iterator<Item = (u8, u64)> {
-        let counts = self.refused.iter().map(|count| count.load(Ordering::Relaxed));
-        (0..).zip(counts).filter(|&(_, n)| n > 0)
+        let counts = self.refused.iter().map(|(priority, count)| (*priority, count.load(Ordering::Relaxed)));
+        counts.filter(|&(_, n)| n > 0)
     }
 
     /// What came of the frames with this [`Tag::priority`].
@@ -91,12 +107,14 @@ impl TrafficCounts {
 
     /// What counts them; none where there is no such priority.
     pub fn arrivals(&self, of: Option<u8>) -> Option<&Arrivals> {
-        of.map_or(Some(&self.usual), |priority| self.queued.get(usize::from(priority)))
+        let queued =
+            |priority| self.queued.iter().find(|(of, _)| *of == priority).map(|(_, arrivals)| arrivals);
+        of.map_or(Some(&self.usual), queued)
     }
 
     /// The same of each flow of which something came, by priority.
     pub fn arrived_queued(&self) -> impl Iterator<Item = (u8, Arrived)> {
-        let all = (0..).zip(self.queued.iter().map(Arrivals::now));
+        let all = self.queued.iter().map(|(priority, arrivals)| (*priority, arrivals.now()));
         all.filter(|(_, arrived)| arrived.received > 0)
     }
 }
@@ -110,7 +128,11 @@ impl Traffic {
     }
 
     /// The same with flows.
+    ///
+    /// # Panics
+    /// If the counts are not [of](TrafficCounts::of) these flows.
     pub fn with_flows(self, flows: FlowPlan) -> Self {
+        assert!(self.counts.are_of(&flows), "the counts are of other flows");
         let flows = Flows::new(flows, self.plan.first);
         Self { flows, ..self }
     }
@@ -123,7 +145,7 @@ impl Traffic {
         (is_intact(frame) && expected).then_some(())?;
         let sequence = tag.sequence();
         if let Some(priority) = tag.priority() {
-            let counts = self.counts.queued.get(usize::from(priority))?;
+            let counts = self.counts.arrivals(Some(priority))?;
             return counts.note(self.flows.heard(priority, payload.len())?, sequence);
         }
         (payload.len() == from_payload).then_some(())?;
@@ -179,7 +201,9 @@ impl Service for Traffic {
             plan.write(plan.queued(slot, queued), queued.flow.payload, frame)
         };
         let refused = |flow: &Flow, n| {
-            counts.refused[usize::from(flow.priority)].fetch_add(n, Ordering::Relaxed);
+            if let Some((_, count)) = counts.refused.iter().find(|(priority, _)| *priority == flow.priority) {
+                count.fetch_add(n, Ordering::Relaxed);
+            }
         };
         flows.poll(slot, out, write, refused);
     }

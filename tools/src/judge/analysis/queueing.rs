@@ -67,6 +67,8 @@ impl Analysis {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use rtmac::wire::Message;
     use rtnet::buf::Pool;
     use rtnet::clock::EmulatedClock;
@@ -79,7 +81,7 @@ mod tests {
     use crate::judge::findings::FindingKind;
     use crate::judge::givers::TrueMaster;
     use crate::scenario::{Scenario, Source};
-    use crate::station::traffic::{Traffic, TrafficPlan};
+    use crate::station::traffic::{FlowPlan, Traffic, TrafficCounts, TrafficPlan};
 
     const NETWORK: &str = r#"
 cycle = "1ms"
@@ -99,6 +101,10 @@ every = "2ms"
     const ARM: usize = 1;
     const SLOT: u64 = 500_000;
 
+    fn with_flows(plan: TrafficPlan, flows: FlowPlan) -> Traffic {
+        Traffic::new(plan, Arc::new(TrafficCounts::of(&flows))).with_flows(flows)
+    }
+
     /// The frames of an arm whose clock is the true one, in cycles 10 to 14, but in one that it missed; in cycle 12 there is
     /// one that was queued, this much late.
     fn seen(late: u64, missed: Option<u32>) -> (Scenario, Analysis) {
@@ -116,7 +122,7 @@ every = "2ms"
             from_payload: 64,
             first: 0,
         };
-        let mut traffic = Traffic::new(plan, Default::default()).with_flows(scenario.flow_plan(ARM));
+        let mut traffic = with_flows(plan, scenario.flow_plan(ARM));
         let mut held_up: Option<(u64, Vec<u8>)> = None;
         for cycle in 9..=15_u32 {
             let start = u64::from(cycle) * 1_000_000;
@@ -219,7 +225,7 @@ every = "2ms"
                 first: 0,
             };
             let mut made = None;
-            let mut traffic = Traffic::new(plan, Default::default()).with_flows(flows);
+            let mut traffic = with_flows(plan, flows);
             for cycle in [10_u32, 12] {
                 let at = u64::from(cycle) * 1_000_000 + SLOT;
                 let (begin, scheduled) = (Instant::from_nanos(at), GlobalTime::from_nanos(at));

@@ -1,7 +1,5 @@
 //! What happens to a network while it runs, as its scenario has it.
 
-use std::sync::Arc;
-
 use anyhow::Result;
 use rtnet::clock::True;
 
@@ -12,6 +10,7 @@ use crate::report::figures::Role;
 use crate::scenario::{Act, Happening, Part};
 use crate::sim::faults;
 use crate::sim::watch::Watch;
+use crate::sim::world::traffic_counts;
 
 impl Run<'_> {
     /// By how much the clock is set back that all follow: so much of the run is counted again.
@@ -90,8 +89,8 @@ impl Run<'_> {
         drop(watch);
         (self.present[id], self.anew[id]) = (true, true);
         // What the process before has counted goes on from 0 in this one.
-        self.before[id] = self.before[id] - self.world.counted(id);
-        self.world.counts[id] = Arc::default();
+        self.before[id] = std::mem::take(&mut self.before[id]) - self.world.counted(id);
+        self.world.counts[id] = traffic_counts(self.scenario, id);
         let station = self.world.station(self.scenario, id, grid, first)?;
         self.world.network.restart(id, station);
         Ok(())

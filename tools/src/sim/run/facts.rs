@@ -32,7 +32,7 @@ impl Run<'_> {
 
     pub(super) fn facts(&self, id: usize) -> Facts {
         let (status, counts) = (self.status(id), &self.world.counts[id]);
-        let counted = self.world.counted(id) - self.before[id];
+        let counted = self.world.counted(id) - self.before[id].clone();
         let refusals = self.world.network.member(id).station.refusals();
         let refusals = refusals.nonzero().map(|(why, n)| (why.name(), n));
         // As a live station counts it, frame by frame.
@@ -60,7 +60,7 @@ impl Run<'_> {
             refusals: refusals.chain(no_room).map(|(why, n)| (why.to_owned(), n)).collect(),
             notes: watch.noteworthy[id].lines().collect(),
             lost_records: counted.events_lost.max(0) as u64,
-            queue_refused: (0..).zip(counted.queue_refused.map(|n| n.max(0) as u64)).collect(),
+            queue_refused: counted.refused().collect(),
             reproach: is_lost.then(|| not_synchronised(name)),
             ..Facts::default()
         }

@@ -160,7 +160,8 @@ mod tests {
 
     impl Bench {
         fn new(flows: &[Flow]) -> Self {
-            let counts = Arc::new(TrafficCounts::default());
+            let flows = FlowPlan { flows: flows.to_vec(), from: Vec::new() };
+            let counts = Arc::new(TrafficCounts::of(&flows));
             let (source, destination) = (Address([2, 0, 0, 0, 0, 1]), Address([2, 0, 0, 0, 0, 2]));
             let plan = TrafficPlan {
                 station: 0,
@@ -171,7 +172,6 @@ mod tests {
                 from_payload: 64,
                 first: 0,
             };
-            let flows = FlowPlan { flows: flows.to_vec(), from: Vec::new() };
             let traffic = Traffic::new(plan, counts.clone()).with_flows(flows);
             Self { traffic, counts, waiting: Vec::new(), left: Vec::new(), room: usize::MAX }
         }
@@ -293,7 +293,8 @@ mod tests {
             first: 0,
         };
         let receiver = |from: Vec<Flow>| {
-            Traffic::new(plan, Arc::default()).with_flows(FlowPlan { from, ..FlowPlan::default() })
+            let flows = FlowPlan { from, ..FlowPlan::default() };
+            Traffic::new(plan, Arc::new(TrafficCounts::of(&flows))).with_flows(flows)
         };
         let pool = Pool::new(4);
         let copy = |frame: &Buf| {

@@ -82,8 +82,8 @@ impl Station {
 
     /// A master of a cycle of 5 ms in `a`.
     pub fn master(medium: &Medium, name: &str) -> Self {
-        // A core that was idle for a cycle takes longer than the window of 100 us that is usual: a host of these skipped a
-        // sync in ten, and the slave was lost with every second one in a row.
+        // A core that was idle for a cycle is late more often than the usual window of 50 us bears: one sync in ten was
+        // skipped, and two in a row are a loss of sync.
         let room = ["--sync-window", "800us", "--name", name];
         let role = ["--interface", "rt0", "--master", "--cycle", "5ms"];
         let master = Self::start(&medium.a, &[&role[..], &room].concat());

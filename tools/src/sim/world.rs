@@ -152,7 +152,7 @@ fn station(
     Ok(Station::new(tdma, vec![Box::new(traffic(scenario, id, counts, first))]))
 }
 
-/// For what the test traffic of a station counts.
+/// Counts for the test traffic of a station.
 pub fn traffic_counts(scenario: &Scenario, id: usize) -> Arc<TrafficCounts> {
     Arc::new(TrafficCounts::of(&scenario.flow_plan(id)))
 }

@@ -41,6 +41,8 @@ fn verdict_is_not_ok_when_a_station_was_hardly_seen() {
     let (status, last, verdict) = simulated(&killed("10ms"), &[]);
     assert_eq!((status, &verdict["word"]), (Some(1), &"not_ok".into()), "{last}");
     assert!(last.starts_with("NOT OK: station 'arm' was seen "), "{last}");
+    let some = format!("{}[expect]\nslots_missed = \">= 1\"\n", killed("10ms"));
+    assert_eq!(simulated(&some, &[]).0, Some(1), "that it misses some allows no number of them");
 }
 
 #[test]
@@ -69,6 +71,8 @@ fn verdict_is_not_ok_when_frames_collide_that_no_file_allows() {
     let reasons = verdict["reasons"].to_string();
     assert!(reasons.contains(" overlaps") && reasons.contains(" frames out of slot"), "{reasons}");
     assert_eq!(simulated(&text, &[]).0, Some(0), "the file allows it");
+    let some = format!("{before}[expect]\noverlaps = \">= 1\"\nout_of_slot = \">= 1\"\n");
+    assert_eq!(simulated(&some, &[]).0, Some(1), "that there are some allows no number of them");
 }
 
 #[test]

@@ -230,6 +230,15 @@ impl Expectation {
         Ok((relation, limit))
     }
 
+    /// Whether it bounds how bad a figure may be: too few frames seen, too many of all else.
+    pub fn is_a_bound(&self) -> bool {
+        match self.relation {
+            Relation::Equal => true,
+            Relation::Less | Relation::AtMost => self.measure != Measure::FramesSeen,
+            Relation::More | Relation::AtLeast => self.measure == Measure::FramesSeen,
+        }
+    }
+
     /// Whether a figure is as expected.
     pub fn holds(&self, figure: i64) -> bool {
         match self.relation {

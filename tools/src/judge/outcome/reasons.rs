@@ -7,7 +7,7 @@ use crate::judge::verdict::{Evidence, Reason, Slots, Weight};
 use crate::report::figures::Figures;
 use crate::scenario::{Expectation, Measure, Scenario};
 
-/// What decides on a run. Where its scenario expects something of a figure, that decides instead.
+/// What decides on a run. Where its scenario bounds a figure, that decides instead.
 pub(super) fn evidence(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Evidence {
     let measured = Span::from_nanos((figures.cycles * figures.cycle_ns) as i64);
     let stations = figures.per_station.iter().zip(&parts.stations).enumerate();
@@ -28,10 +28,11 @@ pub(super) fn evidence(scenario: &Scenario, parts: &Parts, figures: &Figures) ->
     }
 }
 
-/// Whether the scenario expects nothing of a figure, of this station or of all.
+/// Whether the scenario has no bound for a figure, of this station or of all. That there are some bounds nothing.
 fn is_left_open(scenario: &Scenario, measure: Measure, station: Option<usize>) -> bool {
     let decides = |of: &Expectation| {
-        of.measure == measure && of.priority.is_none() && (of.station.is_none() || of.station == station)
+        let is_of = of.priority.is_none() && (of.station.is_none() || of.station == station);
+        of.measure == measure && is_of && of.is_a_bound()
     };
     !scenario.conditions.expectations.iter().any(decides)
 }

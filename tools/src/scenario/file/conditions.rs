@@ -29,6 +29,7 @@
 //!
 //! [expect]
 //! overlaps = 0
+//! out_of_slot = [">= 1", "<= 8"]    # both have to hold
 //! takeover_cycles = "<= 1"  # expect = { ... } of a [[station]] is of that one alone
 //! ```
 
@@ -55,12 +56,24 @@ const LONGEST: Span = Span::from_millis(3_600_000);
 /// What is expected: of all, or of a single station.
 pub type ExpectFile = BTreeMap<Spanned<String>, Spanned<Figure>>;
 
-/// A count or a time, behind a relation or not.
+/// A count or a time, behind a relation or not; or several, which all have to hold.
 #[derive(Clone, Deserialize)]
-#[serde(untagged, expecting = "a count, or a text like \"<= 2\" or \"< 20us\"")]
+#[serde(untagged, expecting = "a count, a text like \"<= 2\" or \"< 20us\", or a list of them")]
 pub enum Figure {
     Count(i64),
     Text(String),
+    All(Vec<Figure>),
+}
+
+impl Figure {
+    /// Each of them, as a text.
+    fn texts(&self) -> Vec<String> {
+        match self {
+            Figure::Count(count) => vec![count.to_string()],
+            Figure::Text(text) => vec![text.clone()],
+            Figure::All(all) => all.iter().flat_map(Figure::texts).collect(),
+        }
+    }
 }
 
 /// The sections of a file that say all this.
@@ -132,18 +145,18 @@ impl Reader<'_> {
 
     fn expectations(&self, files: &[(Whose, ExpectFile)]) -> Result<Vec<Expectation>, FileError> {
         let lines = files.iter().flat_map(|(whose, file)| file.iter().map(move |line| (*whose, line)));
-        let read = lines.map(|(whose, (name, figure))| self.expectation(name, figure, whose));
-        let mut all = read.collect::<Result<Vec<_>, _>>()?;
+        let read = lines.map(|(whose, (name, figure))| self.expected(name, figure, whose));
+        let mut all = read.collect::<Result<Vec<_>, _>>()?.concat();
         all.sort_by_key(|expected| expected.place);
         Ok(all)
     }
 
-    fn expectation(
+    fn expected(
         &self,
         named: &Spanned<String>,
         figure: &Spanned<Figure>,
         whose: Whose,
-    ) -> Result<Expectation, FileError> {
+    ) -> Result<Vec<Expectation>, FileError> {
         let at = figure.span().start;
         let refuse = |what: String| self.source.impossible(at, what);
         let name = named.get_ref().as_str();
@@ -154,13 +167,18 @@ impl Reader<'_> {
             let what = format!("nothing {of}is called '{name}': expect {}", names.join(", "));
             return Err(self.source.impossible(named.span().start, what));
         };
-        let text = match figure.get_ref() {
-            Figure::Count(count) => count.to_string(),
-            Figure::Text(text) => text.clone(),
-        };
-        let (relation, limit) = Expectation::parse(measure, &text).map_err(refuse)?;
+        let texts = figure.get_ref().texts();
+        if texts.is_empty() {
+            return Err(refuse(format!(
+                "an empty list expects nothing of {name}: write for example [\">= 1\", \"<= 9\"]"
+            )));
+        }
         let (Whose { station, priority }, place) = (whose, self.source.place(at));
-        Ok(Expectation { measure, station, priority, relation, limit, place })
+        let read = texts.iter().map(|text| {
+            let (relation, limit) = Expectation::parse(measure, text).map_err(refuse)?;
+            Ok(Expectation { measure, station, priority, relation, limit, place })
+        });
+        read.collect()
     }
 }
 

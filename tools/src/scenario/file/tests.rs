@@ -86,6 +86,16 @@ fn what_cannot_be_names_file_line_and_remedy() {
 }
 
 #[test]
+fn a_list_of_expectations_is_each_of_them() {
+    let expecting = |figure: &str| parse(&format!("{GOOD}\n[expect]\nout_of_slot = {figure}\n"));
+    let all = expecting("[\">= 1\", \"<= 8\"]").unwrap().conditions.expectations;
+    let all: Vec<String> = all.iter().map(ToString::to_string).collect();
+    assert_eq!(all, ["out_of_slot >= 1", "out_of_slot <= 8"]);
+    let error = expecting("[]").unwrap_err().to_string();
+    assert!(error.contains("an empty list expects nothing of out_of_slot: write for example"), "{error}");
+}
+
+#[test]
 fn traffic_is_read_most_urgent_first_and_what_cannot_be_of_it_is_refused_where_it_stands() {
     let with =
         |more: &str| {

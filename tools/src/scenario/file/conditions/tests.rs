@@ -190,7 +190,7 @@ fn what_nobody_measures_is_refused_with_what_can_be_expected() {
         "[expect]\ncollisions = 0\n",
         "net.toml:14:14: collisions: this medium has none; see joint of [medium]",
     );
-    refused("[expect]\noverlaps = 0.5\n", "a count, or a text like");
+    refused("[expect]\noverlaps = 0.5\n", "a count, a text like");
     let of_one = NETWORK.replace("slots_missed = \"<= 3\"", "overlaps = 0");
     let error = Source::new("net.toml", &of_one).parse().unwrap_err().to_string();
     assert!(

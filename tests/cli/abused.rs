@@ -354,6 +354,9 @@ fn a_lab_goes_down_whose_stations_are_stopped() {
         wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
         STATIONS[1..].iter().for_each(|name| stop(pid(&cell, name)));
         std::thread::sleep(Duration::from_millis(300));
+        let output = rtnet().args(["lab", "status", &cell.name]).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "so far, too: {}", text(&output.stdout));
+        assert!(text(&output.stdout).contains("station 'slave1' is stopped"), "{}", text(&output.stdout));
         // It ends at all only because nobody waits for them: a lab that stays is told of instead of its account.
         let output = rtnet().args(["lab", "down", &cell.name, "--json"]).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "they are stopped: {}", text(&output.stderr));

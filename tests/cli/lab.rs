@@ -10,8 +10,8 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::{figure, held_up, is_sound, network};
-use crate::{documents, rtnet};
+use crate::host::{figure, held_up, is_sound, network, unique};
+use crate::{rtnet, schema};
 
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -69,7 +69,7 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
         let (json, pcap) = (dir.path().join("report.json"), dir.path().join("frames.pcapng"));
         let output = lab("3", "2s").arg("--json").arg(&json).arg("--pcap").arg(&pcap).output().unwrap();
         let screen = String::from_utf8(output.stdout).unwrap();
-        let report: Value = documents::read(fs::read(&json).unwrap());
+        let report: Value = schema::read(fs::read(&json).unwrap());
         let test = "a_lab_reports_what_it_measured_and_leaves_nothing";
         assert!(is_sound(test, output.status.code(), &report["verdict"]), "{screen}");
         assert_eq!(
@@ -96,7 +96,7 @@ fn a_lab_whose_capture_cannot_be_written_goes_on_and_says_so() {
         let mut lab = lab("2", "1s");
         let output = lab.args(["--pcap", "/dev/full", "--json"]).arg(json.path()).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
-        let report: Value = documents::read(fs::read(json.path()).unwrap());
+        let report: Value = schema::read(fs::read(json.path()).unwrap());
         assert_eq!(report["cycles"], 200, "it measured to the end");
         let why = report["verdict"]["reasons"][0].as_str().unwrap();
         let full = "the capture is not whole: cannot write the capture /dev/full: ";
@@ -110,7 +110,7 @@ fn a_lab_whose_clocks_take_long_does_not_wait_for_ever() {
         let json = tempfile::NamedTempFile::new().unwrap();
         let network = ["--stations", "2", "--cycle", "200us", "--duration", "200ms", "--json"];
         let output = rtnet().args(["lab", "run"]).args(network).arg(json.path()).output().unwrap();
-        let report: Value = documents::read(fs::read(json.path()).unwrap());
+        let report: Value = schema::read(fs::read(json.path()).unwrap());
         assert_eq!(report["frames_expected"], 2_000, "{}", String::from_utf8_lossy(&output.stderr));
         // Calibration is over in 40 ms, too soon to show a rate to 2 ppm, and the line shows it after a second: 3000 cycles
         // are 0.6.
@@ -129,7 +129,7 @@ fn what_a_host_takes_away_is_missed_and_explained() {
         lab.args(["lab", "run", "--stations", "6", "--cycle", "1ms", "--duration", "6s", "--json"])
             .arg(&json);
         let output = held_up(Duration::from_millis(15), || lab.output().unwrap());
-        let report: Value = documents::read(fs::read(&json).unwrap());
+        let report: Value = schema::read(fs::read(&json).unwrap());
         let screen = String::from_utf8(output.stdout).unwrap();
         assert_eq!(report["unexplained"], 0, "{screen}");
         assert!(report["slots_missed"].as_u64() > Some(1_000), "{screen}");
@@ -158,7 +158,7 @@ fn a_lab_says_what_enforced_its_slots() {
         let report = |slot_guard: &str| {
             let mut lab = lab("2", "500ms");
             let output = lab.args(["--slot-guard", slot_guard, "--json"]).arg(&json).output().unwrap();
-            let report: Value = documents::read(fs::read(&json).unwrap());
+            let report: Value = schema::read(fs::read(&json).unwrap());
             let guards =
                 report["per_station"].as_array().unwrap().iter().map(|station| station["guard"].clone());
             (String::from_utf8(output.stdout).unwrap(), guards.collect::<Vec<_>>())
@@ -237,6 +237,26 @@ fn ctrl_c_ends_the_run_with_the_report_so_far() {
 }
 
 #[test]
+fn ctrl_c_before_a_lab_was_up_for_its_time_interrupts_it() {
+    network("ctrl_c_before_a_lab_was_up_for_its_time_interrupts_it", || {
+        let name = unique("early");
+        let options =
+            ["--foreground", "--name", &name, "--stations", "2", "--cycle", "5ms", "--duration", "60s"];
+        let mut command = rtnet();
+        command.args(["lab", "up"]).args(options).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let lab = command.spawn().unwrap();
+        let is_up = || rtnet().args(["lab", "status", &name]).output().unwrap().status.code() != Some(2);
+        eventually("it is up", is_up);
+        kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
+        let output = lab.wait_with_output().unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        let last = screen.lines().last().unwrap_or_default();
+        assert!(last.starts_with("INTERRUPTED after ") && last.contains(" of 60s"), "{screen}");
+        assert_eq!(output.status.code(), Some(130));
+    });
+}
+
+#[test]
 fn a_killed_lab_takes_its_stations_and_interfaces_along() {
     network("a_killed_lab_takes_its_stations_and_interfaces_along", || {
         let before = veths();
@@ -288,7 +308,7 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
         let json = directory.path().join("report.json");
         let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout);
-        let report: Value = documents::read(fs::read(json).unwrap());
+        let report: Value = schema::read(fs::read(json).unwrap());
         let test = "a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot";
         assert!(is_sound(test, output.status.code(), &report["verdict"]), "{text}");
         assert_eq!((&report["unexplained"], &report["overlaps"]), (&0.into(), &0.into()));
@@ -343,7 +363,7 @@ fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
         let json = directory.path().join("report.json");
         let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout);
-        let report: Value = documents::read(fs::read(json).unwrap());
+        let report: Value = schema::read(fs::read(json).unwrap());
         if text.contains("wires lose nothing, and none is cut off") {
             crate::host::skip("a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why", &text);
             return;
@@ -386,7 +406,7 @@ fn clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs() {
         let json = directory.path().join("report.json");
         let output = rtnet().args(["lab", "run"]).arg(&scenario).arg("--json").arg(&json).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout);
-        let report: Value = documents::read(fs::read(json).unwrap());
+        let report: Value = schema::read(fs::read(json).unwrap());
         let test = "clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs";
         assert!(is_sound(test, output.status.code(), &report["verdict"]), "{text}");
         assert!(!text.contains("only in a simulation"), "{text}");

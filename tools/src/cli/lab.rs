@@ -31,7 +31,7 @@ pub enum LabVerb {
     ///
     /// Takes the same arguments as `lab run`; with --duration it goes down by itself. Exit status: 0 all its
     /// stations are locked; 2 it could not be stood up, and nothing is left of it; 130 it was interrupted before it was
-    /// up. With --foreground, once it was up, that of `lab down`.
+    /// up. With --foreground, once it was up, that of `lab down`; 130 INTERRUPTED before its --duration was over.
     Up(LabUpArgs),
     /// Take a network down, and tell how it went
     ///

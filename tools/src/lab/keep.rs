@@ -84,6 +84,7 @@ pub fn keep(
         changes: 0,
         pending: None,
         restarting,
+        interrupted: None,
         over: None,
     };
     for note in keeper.refused() {
@@ -106,8 +107,12 @@ pub fn keep(
             judged = Instant::now();
             keeper.judge();
         }
-        let interrupted = keeper.lab.interrupted.load(Ordering::Relaxed) || keeper.lab.analysis.is_complete();
-        if keeper.over.is_none() && (interrupted || until.is_some_and(|until| Instant::now() >= until)) {
+        let interrupted = keeper.lab.interrupted.load(Ordering::Relaxed);
+        let is_time_up = until.is_some_and(|until| Instant::now() >= until);
+        if keeper.over.is_none() && (interrupted || is_time_up || keeper.lab.analysis.is_complete()) {
+            let early = at_most.filter(|_| interrupted && !is_time_up);
+            let been = Span::from_millis(since.elapsed().as_millis() as i64);
+            keeper.interrupted = early.map(|asked| format!("{been} of {asked}"));
             keeper.end();
         }
     }
@@ -140,6 +145,8 @@ struct Keeper {
     /// What others take of its core, and what that was when it was looked at last.
     watch: HostWatch,
     host: Option<(Instant, HostFacts)>,
+    /// After how much of how long it was to stay it was interrupted.
+    interrupted: Option<String>,
     /// The figures of the end.
     over: Option<LabStatus>,
 }
@@ -324,7 +331,8 @@ impl Keeper {
         };
         let woke_late: Vec<_> = self.lab.members.iter().enumerate().map(woke_late).collect();
         let failed = self.lab.capture.failed();
-        verdict::of(status, &woke_late, failed, self.scenario.max_miss_ppm, host)
+        let interrupted = self.interrupted.as_deref();
+        verdict::of(status, &woke_late, failed, interrupted, self.scenario.max_miss_ppm, host)
     }
 
     /// What the host refused the stations, once each.

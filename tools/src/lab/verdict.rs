@@ -7,10 +7,12 @@ use crate::report::host::HostFacts;
 use crate::report::verdict::Verdict;
 
 /// The verdict on what it shows. Of each station: slots that it was more than a cycle late for, if nobody has stopped it.
+/// Interrupted: how much of how long it was to stay.
 pub fn of(
     status: &LabStatus,
     woke_late: &[Option<u64>],
     capture_failed: Option<&str>,
+    interrupted: Option<&str>,
     max_miss_ppm: u32,
     host: &HostFacts,
 ) -> Verdict {
@@ -35,7 +37,11 @@ pub fn of(
     reasons.extend(
         capture_failed.map(|why| Reason::new(Weight::Wrong, format!("the capture is not whole: {why}"))),
     );
-    judge(&Evidence { interrupted: None, slots: Some(slots.collect()), reasons }, max_miss_ppm, host)
+    judge(
+        &Evidence { interrupted: interrupted.map(str::to_owned), slots: Some(slots.collect()), reasons },
+        max_miss_ppm,
+        host,
+    )
 }
 
 fn of_station(station: &MemberStatus) -> Vec<Reason> {

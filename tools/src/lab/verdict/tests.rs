@@ -74,7 +74,7 @@ fn lab() -> LabStatus {
 fn check(change: impl FnOnce(&mut LabStatus), word: Word, line: &str) {
     let mut status = lab();
     change(&mut status);
-    let verdict = of(&status, &[Some(0); 2], None, MAX_MISS_PPM, &HostFacts::default());
+    let verdict = of(&status, &[Some(0); 2], None, None, MAX_MISS_PPM, &HostFacts::default());
     assert_eq!((verdict.word, verdict.line("all seen").as_str()), (word, line));
 }
 
@@ -116,6 +116,7 @@ fn verdict_is_never_ok_when_no_cycle_was_watched() {
 
 #[test]
 fn verdict_is_never_ok_when_the_capture_failed() {
-    let verdict = of(&lab(), &[Some(0); 2], Some("/full: no room"), MAX_MISS_PPM, &HostFacts::default());
+    let verdict =
+        of(&lab(), &[Some(0); 2], Some("/full: no room"), None, MAX_MISS_PPM, &HostFacts::default());
     assert_eq!(verdict.line(""), "NOT OK: the capture is not whole: /full: no room");
 }

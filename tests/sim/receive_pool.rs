@@ -9,6 +9,7 @@ use rtnet::sim::{Host, Medium, Member, Network};
 use rtnet::station::Station;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, MIN_FRAME};
+use tests::seeds;
 use tools::station::access::{Access, AccessConfig};
 
 const STATIONS: usize = 3;
@@ -25,7 +26,7 @@ fn station(id: usize) -> Station<Access> {
 }
 
 fn network() -> Network<Access> {
-    let mut network = Network::new(Medium::default(), 7);
+    let mut network = Network::new(Medium::default(), seeds::one("receive_pool"));
     network.run_until(BEGIN);
     for id in 0..STATIONS {
         let clock = EmulatedClock { anchor: BEGIN, ..EmulatedClock::default() };

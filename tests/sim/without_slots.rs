@@ -18,6 +18,7 @@ use rtnet::station::Station;
 use rtnet::time::{GlobalTime, Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, MIN_FRAME};
 use tests::rings;
+use tests::seeds;
 use tests::traffic::of_a_lab;
 use tools::station::access::{Access, AccessConfig, AccessStatus};
 use tools::station::traffic::TrafficCounts;
@@ -59,7 +60,7 @@ fn two_stations_in_a_ring_exchange_a_second_of_frames_and_lose_none() {
 }
 
 fn check_exchanged(config: &AccessConfig, expected: RangeInclusive<u64>) {
-    let mut network = Network::new(Medium::default(), 7);
+    let mut network = Network::new(Medium::default(), seeds::one("without_slots"));
     let counts: [Arc<TrafficCounts>; 2] = Default::default();
     for (id, (from, to)) in [(A, B), (B, A)].into_iter().enumerate() {
         let traffic = of_a_lab((id as u16, from), to, 1 - id as u16, counts[id].clone());
@@ -131,7 +132,7 @@ fn station_says(
 ) -> (Network<Access>, Arc<Mutex<Vec<SendError>>>, Heard) {
     let talk = Talk::new(says);
     let refused = talk.refused.clone();
-    let mut network = Network::new(Medium::default(), 7);
+    let mut network = Network::new(Medium::default(), seeds::one("without_slots"));
     let talker = Member { host: Host::IDEAL.into(), ..member(config, B, Box::new(talk)) };
     network.add(talker, BEGIN);
     let heard = Heard::default();

@@ -20,6 +20,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, MTU};
 
 use crate::networks::epoch;
+use crate::seeds;
 
 /// From one cycle's start to the next.
 pub const CYCLE: Span = Span::from_millis(1);
@@ -145,7 +146,7 @@ pub fn in_slots(id: usize, slots: &[SlotConfig]) -> Tdma {
 
 /// A network of these stations on hosts like this one, which begin at once.
 pub fn network<D: Discipline>(stations: Vec<Station<D>>, host: Host) -> Network<D> {
-    let mut network = Network::new(Medium::default(), 1);
+    let mut network = Network::new(Medium::default(), seeds::one("stacks"));
     network.run_until(BEGIN);
     for (id, station) in stations.into_iter().enumerate() {
         let clock = EmulatedClock { anchor: BEGIN, offset: Span::from_micros(id as i64 * 777), drift_ppb: 0 };

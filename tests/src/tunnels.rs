@@ -14,6 +14,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType, HEADER_LEN, Header};
 use vnic::tunnel::{self, Config, FRAME, Inner, Mouth, Tunnel};
 
+use crate::seeds;
 use crate::stacks::{BEGIN, CYCLE, address};
 
 /// Payload that is not worth a tunnel's padding: a frame of this and less is as long as the smallest.
@@ -172,7 +173,7 @@ pub struct Tunnelled<D: Discipline> {
 impl<D: Discipline> Tunnelled<D> {
     /// Stations with these stacks, and tunnels to a Linux with these habits where there are any. Their clocks run apart.
     pub fn new(kind: &Kind, stations: Vec<(D, Stack, Option<Habits>)>) -> Self {
-        let mut network = Network::new(kind.medium, 1);
+        let mut network = Network::new(kind.medium, seeds::one("tunnels"));
         network.run_until(BEGIN);
         let mut linuxes = Vec::new();
         for (id, (discipline, stack, habits)) in stations.into_iter().enumerate() {

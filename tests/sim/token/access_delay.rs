@@ -16,7 +16,11 @@ const URGENT: u8 = 9;
 
 /// All send as much as they may, in the longest frames.
 fn full(config: RingConfig, host: &Host) -> Rings {
-    Rings::running(config, |_| Habits { host: host.clone(), load: (8, 1514), ..Habits::default() }, 1)
+    Rings::running(
+        config,
+        |_| Habits { host: host.clone(), load: (8, 1514), ..Habits::default() },
+        seeds::one("token"),
+    )
 }
 
 /// How long a frame waits that is queued at a station so many nanoseconds from now.

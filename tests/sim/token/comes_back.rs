@@ -2,11 +2,12 @@
 
 use rtmac::token::bound::{rejoin_bound, rotation_bound};
 use tests::rings::{Habits, Rings, clashes, config};
+use tests::seeds;
 
 const STATIONS: usize = 5;
 
 fn ring() -> Rings {
-    Rings::running(config(STATIONS), |_| Habits { load: (1, 500), ..Habits::default() }, 1)
+    Rings::running(config(STATIONS), |_| Habits { load: (1, 500), ..Habits::default() }, seeds::one("token"))
 }
 
 #[test]

@@ -4,13 +4,14 @@ use rtmac::token::bound::{doubling_bound, recovery_bound};
 use rtmac::token::wire::{Kind, Token as Message};
 use rtnet::buf::Pool;
 use tests::rings::{Habits, Rings, clashes, config, longest_without_data};
+use tests::seeds;
 use tests::stacks::address;
 
 const STATIONS: usize = 4;
 const MOMENTS: u64 = 200;
 
 fn ring() -> Rings {
-    Rings::running(config(STATIONS), |_| Habits { load: (4, 1514), ..Habits::default() }, 1)
+    Rings::running(config(STATIONS), |_| Habits { load: (4, 1514), ..Habits::default() }, seeds::one("token"))
 }
 
 /// The last token that was on the air.

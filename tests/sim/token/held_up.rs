@@ -3,12 +3,13 @@
 use rtmac::token::bound::{recovery_bound, rotation_bound};
 use rtnet::time::Span;
 use tests::rings::{Habits, Rings, clashes, config, longest_without_data};
+use tests::seeds;
 
 const STATIONS: usize = 4;
 const MOMENTS: u64 = 200;
 
 fn ring() -> Rings {
-    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, 1)
+    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, seeds::one("token"))
 }
 
 /// Holds station 1 up for so long at every moment of a round; tells how often it had lost its token.

@@ -2,13 +2,14 @@
 
 use rtmac::token::bound::{recovery_bound, rotation_bound};
 use tests::rings::{Habits, Rings, clashes, config, longest_without_data};
+use tests::seeds;
 
 const STATIONS: usize = 4;
 /// Moments of a round that are tried.
 const MOMENTS: u64 = 500;
 
 fn ring() -> Rings {
-    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, 1)
+    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, seeds::one("token"))
 }
 
 /// Kills these stations at every moment of two rounds; tells the longest time without data behind that, and how often a token

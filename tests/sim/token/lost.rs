@@ -2,11 +2,12 @@
 
 use rtmac::token::bound::{recovery_bound, rotation_bound, waits_for_one};
 use tests::rings::{Habits, Rings, Seen, clashes, config, longest_without_data};
+use tests::seeds;
 
 const STATIONS: usize = 4;
 
 fn ring() -> Rings {
-    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, 1)
+    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, seeds::one("token"))
 }
 
 /// When the token is passed on by a station next, seen from a ring that runs the same way.

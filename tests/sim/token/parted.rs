@@ -2,12 +2,13 @@
 
 use rtmac::token::bound::{doubling_bound, recovery_bound, rejoin_bound, rotation_bound};
 use tests::rings::{Habits, Rings, clashes, config};
+use tests::seeds;
 
 const STATIONS: usize = 5;
 const MOMENTS: u64 = 40;
 
 fn ring() -> Rings {
-    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, 1)
+    Rings::running(config(STATIONS), |_| Habits { load: (2, 500), ..Habits::default() }, seeds::one("token"))
 }
 
 #[test]

@@ -5,6 +5,7 @@ use rtnet::buf::Pool;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::MIN_FRAME;
 use tests::rings::{Habits, Rings, clashes, config, data};
+use tests::seeds;
 use tests::stacks::address;
 
 const STATIONS: usize = 4;
@@ -12,7 +13,7 @@ const REST: Span = Span::from_micros(200);
 
 fn ring(frames: usize) -> Rings {
     let config = RingConfig { rest: REST, ..config(STATIONS) };
-    Rings::running(config, |_| Habits { load: (frames, MIN_FRAME), ..Habits::default() }, 1)
+    Rings::running(config, |_| Habits { load: (frames, MIN_FRAME), ..Habits::default() }, seeds::one("token"))
 }
 
 #[test]

@@ -39,6 +39,8 @@ test result: FAILED. 1 passed; 1 failed;
   process didn't exit successfully: `target/debug/deps/cli-0123456789abcdef` (signal: 9, SIGKILL: kill)
 END
 broken) echo "error: could not compile"; exit 101 ;;
+busy) # Besides this one, the script has one child for each core.
+    [ "$(wc -w </proc/$PPID/task/$PPID/children)" = "$(($(nproc) + 1))" ] || exit 1 ;;
 esac
 "#;
 
@@ -83,13 +85,30 @@ fn soak_ends_well_if_no_test_fails() {
 }
 
 #[test]
+fn soak_computes_on_each_core_of_a_busy_host() {
+    let (output, calls) = soak(&["busy", "busy"], &["--tests", "2", "--busy"]);
+    let text = printed(&output);
+    assert_eq!((calls.lines().count(), output.status.code()), (2, Some(0)), "{text}");
+    let first = text.lines().next().unwrap();
+    let load = first.strip_prefix("busy: ").and_then(|text| text.strip_suffix(" compute")).expect(first);
+    for process in load.split(' ') {
+        assert!(!Path::new("/proc").join(process).exists(), "{process} ends with it");
+    }
+}
+
+#[test]
 fn soak_refuses_nonsense() {
-    for arguments in
-        [&["--tests"][..], &["--tests", "0"], &["--tests", "few"], &["7"], &["--seeds", "1..2", "3"]]
-    {
+    for arguments in [
+        &["--tests"][..],
+        &["--tests", "0"],
+        &["--tests", "few"],
+        &["7"],
+        &["--seeds", "1..2", "3"],
+        &["--seeds", "1..2", "--busy"],
+    ] {
         let (output, calls) = soak(&[], arguments);
         assert_eq!((output.status.code(), calls.as_str()), (Some(2), ""), "{arguments:?}");
         let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(said, "usage: scripts/soak [--seeds A..B] | scripts/soak --tests N\n");
+        assert_eq!(said, "usage: scripts/soak [--seeds A..B] | scripts/soak --tests N [--busy]\n");
     }
 }

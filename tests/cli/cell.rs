@@ -9,7 +9,7 @@ use serde_json::Value;
 use socket2::{Domain, SockAddr, Socket, Type};
 
 use crate::host::{is_sound, unique};
-use crate::{documents, rtnet};
+use crate::{rtnet, schema};
 
 /// Its stations.
 pub const STATIONS: [&str; 4] = ["master", "slave1", "slave2", "slave3"];
@@ -87,7 +87,7 @@ impl Cell {
     pub fn down(self) -> Value {
         let output = rtnet().args(["lab", "down", &self.name, "--json"]).output().unwrap();
         assert!(!output.stdout.is_empty(), "lab down: {}", text(&output.stderr));
-        let account = documents::read(&output.stdout);
+        let account = schema::read(&output.stdout);
         let is_sound = is_sound(&self.name, output.status.code(), &account[0]["verdict"]);
         assert!(is_sound, "{}\n{account:#}", wrong(&account[0]));
         assert!(!Path::new("/run/rtnet").join(&self.name).exists(), "nothing is left");
@@ -141,7 +141,7 @@ pub fn status(lab: &str) -> Value {
 pub fn json(command: &mut Command) -> Value {
     let output = command.output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    documents::read(&output.stdout)
+    schema::read(&output.stdout)
 }
 
 pub fn wait_until(what: &str, holds: impl Fn() -> bool) {

@@ -11,6 +11,9 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde_json::Value;
 
+#[path = "../src/schema.rs"]
+mod schema;
+
 /// This host, examined for a second: the screen and the JSON.
 static EXAMINED: LazyLock<(String, Value)> = LazyLock::new(|| {
     let dir = tempfile::tempdir().unwrap();
@@ -25,7 +28,7 @@ fn examined(mut doctor: Command, json: &Path) -> (String, Value) {
     let output = doctor.args(["doctor", "--duration", "1s", "--json"]).arg(json).output().unwrap();
     let screen = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{screen}{}", String::from_utf8_lossy(&output.stderr));
-    (screen, serde_json::from_slice(&fs::read(json).unwrap()).unwrap())
+    (screen, schema::read(fs::read(json).unwrap()))
 }
 
 fn share(value: &Value) -> f64 {

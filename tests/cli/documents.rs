@@ -1,48 +1,12 @@
-//! Every JSON document that a test reads is as its schema says.
+//! The JSON of runs and plans against its schemas.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use boon::{Compiler, Schemas};
 use serde_json::Value;
 
 use crate::rtnet;
-
-fn schema_of(document: &Value) -> Result<PathBuf, String> {
-    let (kind, version) = (document["kind"].as_str(), document["version"].as_u64());
-    let (Some(kind), Some(version)) = (kind, version) else {
-        return Err(format!("it does not say what it is: {document:#}"));
-    };
-    let schema = format!("../docs/schema/{kind}.v{version}.json");
-    Ok(Path::new(env!("CARGO_MANIFEST_DIR")).join(schema))
-}
-
-/// What is wrong with a document, or with one of an array.
-fn wrong_with(document: &Value) -> Result<(), String> {
-    if let Value::Array(documents) = document {
-        return documents.iter().try_for_each(wrong_with);
-    }
-    let path = schema_of(document)?;
-    let (mut schemas, mut compiler) = (Schemas::new(), Compiler::new());
-    let schema = compiler.compile(&path.display().to_string(), &mut schemas);
-    let schema = schema.map_err(|error| format!("{}: {error}", path.display()))?;
-    schemas.validate(document, schema).map_err(|error| format!("{error:#}\n{document:#}"))
-}
-
-/// The same document, if it is as its schema says.
-#[track_caller]
-pub fn checked(document: Value) -> Value {
-    if let Err(why) = wrong_with(&document) {
-        panic!("{why}");
-    }
-    document
-}
-
-/// A document, as text.
-#[track_caller]
-pub fn read(text: impl AsRef<[u8]>) -> Value {
-    checked(serde_json::from_slice(text.as_ref()).expect("JSON"))
-}
+use crate::schema::{read, wrong_with};
 
 /// What needs no kernel: of runs in virtual time and of plans.
 fn documents() -> BTreeMap<String, Value> {
@@ -52,15 +16,15 @@ fn documents() -> BTreeMap<String, Value> {
     let cell = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/html.toml");
     let report = dir.path().join("report.json");
     let mut all = BTreeMap::new();
-    for (verb, file) in [("sim", &cell), ("sim", &ring), ("plan", &cell), ("plan", &ring)] {
+    let (run, seeds, plan) = (&["sim", "run"][..], &["sim", "run", "--seeds", "1..2"][..], &["plan"][..]);
+    for (verb, file) in [(run, &cell), (run, &ring), (seeds, &cell), (plan, &cell), (plan, &ring)] {
         let mut command = rtnet();
-        match verb {
-            "sim" => command.args(["sim", "run"]).arg(file).arg("--json").arg(&report),
-            _ => command.arg("plan").arg(file).arg("--json"),
-        };
+        command.args(verb).arg(file).arg("--json");
+        if verb != plan {
+            command.arg(&report);
+        }
         let output = command.output().unwrap();
-        let written = if verb == "sim" { std::fs::read(&report).unwrap() } else { output.stdout };
-        let document = read(written);
+        let document = read(if verb == plan { output.stdout } else { std::fs::read(&report).unwrap() });
         all.insert(document["kind"].as_str().unwrap().to_owned(), document);
     }
     all
@@ -79,7 +43,7 @@ name = "b"
 fn reports_are_as_their_schemas_say() {
     let all = documents();
     let kinds: Vec<&str> = all.keys().map(String::as_str).collect();
-    assert_eq!(kinds, ["plan", "ring-plan", "ring-run", "sim-run"]);
+    assert_eq!(kinds, ["plan", "ring-plan", "ring-run", "sim-run", "sim-seeds"]);
     for (kind, document) in &all {
         let text = document.to_string();
         assert!(text.contains("\"kind\"") && wrong_with(document) == Ok(()), "{kind}");

@@ -52,6 +52,8 @@ mod captures;
 #[allow(dead_code)]
 #[path = "../src/host.rs"]
 mod host;
+#[path = "../src/schema.rs"]
+mod schema;
 #[allow(dead_code)]
 #[path = "../src/vectors.rs"]
 mod vectors;

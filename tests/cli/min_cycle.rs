@@ -11,27 +11,15 @@ use serde_json::Value;
 
 use crate::host::{alone, network};
 use crate::lab::stations_of;
-use crate::{documents, rtnet};
+use crate::{rtnet, schema};
 
 /// The guard bands leave no room for cycles below 910us, and any share may be missed: whatever the host, that is the answer.
 const LOOSE: [&str; 6] = ["--stations", "2", "--guard", "400us", "--miss", "100%"];
 /// Lengths of a trial and of a proof.
 const SHORT: [&str; 4] = ["--trial", "300ms", "--proof", "500ms"];
 
-/// Exit status, and all that is printed. A host that stands still at the end of a run fails it, however many may be missed: then it is
-/// asked again, aloud.
+/// Exit status, and all that is printed.
 fn searched(options: &[&str], files: &[(&str, &Path)]) -> (Option<i32>, String) {
-    for attempt in 1..=3 {
-        let (status, said) = searched_once(options, files);
-        if !said.contains("was not synchronised at the end") {
-            return (status, said);
-        }
-        eprintln!("AGAIN find-min-cycle: attempt {attempt}: {said}");
-    }
-    searched_once(options, files)
-}
-
-fn searched_once(options: &[&str], files: &[(&str, &Path)]) -> (Option<i32>, String) {
     let mut search = rtnet();
     search.arg("find-min-cycle").args(options).args(["--longest", "1.1ms"]);
     files.iter().for_each(|(option, file)| {
@@ -54,7 +42,7 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
             "{said}"
         );
         assert!(said.contains("rtnet: 910us is proven"), "{said}");
-        let mut answer: Value = documents::read(fs::read(&kept).unwrap());
+        let mut answer: Value = schema::read(fs::read(&kept).unwrap());
         assert_eq!(answer["cycle_ns"], 910_000);
         let runs = answer["runs"].as_array().unwrap();
         let of =
@@ -105,7 +93,7 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
             said.contains("NOT FOUND: no cycle that was tried misses at most 0 % of its slots"),
             "{said}"
         );
-        let answer: Value = documents::read(fs::read(&kept).unwrap());
+        let answer: Value = schema::read(fs::read(&kept).unwrap());
         assert_eq!((&answer["cycle_ns"], &answer["runs"][0]["holds"]), (&Value::Null, &false.into()));
     });
 }

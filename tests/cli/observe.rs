@@ -16,7 +16,7 @@ use tools::report::histogram::SignedHistogram;
 
 use crate::cell::status;
 use crate::host::{is_sound, network, skip, unique};
-use crate::{documents, rtnet};
+use crate::{rtnet, schema};
 
 /// A lab that goes when the test is done with it.
 struct Lab {
@@ -105,7 +105,7 @@ fn observers_tell_of_a_lab_what_it_does_and_send_nothing() {
             run(&["jitter", "--lab", &lab.name, "--duration", "1s", "--json", report.to_str().unwrap()]);
         assert_eq!(jitter.status.code(), Some(0), "{}", text(&jitter.stderr));
         assert!(text(&jitter.stdout).contains("slave2"), "{}", text(&jitter.stdout));
-        let figures: Value = documents::read(fs::read(&report).unwrap());
+        let figures: Value = schema::read(fs::read(&report).unwrap());
         check_figures(&figures);
 
         assert_eq!(lab.sent_by_bridge(), sent, "nothing but stations' frames on the medium");
@@ -222,7 +222,7 @@ fn an_observer_that_knows_no_clock_finds_the_slot_errors_of_the_lab_that_does() 
             .arg(&pcap);
         let output = lab.arg("--json").arg(&report).output().unwrap();
         assert!(matches!(output.status.code(), Some(0 | 3 | 4)), "{}", text(&output.stdout));
-        let truth: Value = documents::read(fs::read(&report).unwrap());
+        let truth: Value = schema::read(fs::read(&report).unwrap());
 
         let mut observed = vec![SignedHistogram::new(); 3];
         let mut watch = Watch::default();

@@ -15,7 +15,7 @@ use serde_json::Value;
 use crate::ages::assert_tells_its_age;
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::{figure, network};
-use crate::{documents, rtnet};
+use crate::{rtnet, schema};
 
 const LAB: &str = include_str!("packages.toml");
 pub const ROUTES: &str = include_str!("packages_routes.toml");
@@ -202,7 +202,7 @@ fn what_people_see_of_mailboxes_is_what_components_do() {
         assert_eq!(text(&watched.stdout), idle.repeat(3));
         assert_eq!(send(&["0.Camera.0"]).status.code(), Some(0));
         let heard = receives.wait_with_output().unwrap();
-        let lines: Vec<Value> = text(&heard.stdout).lines().map(documents::read).collect();
+        let lines: Vec<Value> = text(&heard.stdout).lines().map(schema::read).collect();
         assert_eq!(lines.len(), 12);
         let hello = &lines[10];
         assert_eq!(

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::host::{network, unique};
 use crate::station::{Medium, PATIENCE, Station};
-use crate::{documents, rtnet};
+use crate::{rtnet, schema};
 
 const RING: &str = "02:00:00:00:00:0a,02:00:00:00:00:0b";
 
@@ -103,7 +103,7 @@ fn lab(more: &str, is_well: impl Fn(&Value) -> bool) -> (Value, String, String) 
         let words = String::from_utf8(output.stdout).unwrap();
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
         let json = std::fs::read(file("ring.json")).unwrap_or_else(|_| panic!("{words}{errors}"));
-        let json = documents::read(json);
+        let json = schema::read(json);
         if matches!(output.status.code(), Some(0 | 3 | 4)) && is_well(&json) {
             return (json, words, std::fs::read_to_string(file("ring.html")).unwrap());
         }

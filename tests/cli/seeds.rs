@@ -9,7 +9,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
 use crate::host::skip;
-use crate::rtnet;
+use crate::{rtnet, schema};
 
 /// Its sync error is over the limit with some seeds: wake-ups are late by chance.
 const SOME_FAIL: &str = r#"cycle = "1ms"
@@ -87,7 +87,7 @@ fn any_number_of_jobs_gives_the_same_report() {
     let again = run("3");
     assert_eq!((&again.0, &again.1, &again.2), (&table, &json, &junit));
 
-    let report: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let report = schema::read(&json);
     assert!(json.starts_with("{\n  \"kind\": \"sim-seeds\",\n  \"version\": 1,\n"), "{json}");
     let of = |name: &str| report["files"].as_array().unwrap().iter().find(|of| of["file"] == name).unwrap();
     let failed = of("some_fail.toml")["failed"].as_u64().unwrap();

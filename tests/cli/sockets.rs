@@ -51,7 +51,7 @@ fn ask(verb: &str, station: &str, arguments: &[&str]) -> Output {
 fn json(verb: &str, station: &str, arguments: &[&str]) -> Value {
     let output = ask(verb, station, &[arguments, &["--json"]].concat());
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    crate::documents::read(&output.stdout)
+    crate::schema::read(&output.stdout)
 }
 
 fn said(verb: &str, station: &str, arguments: &[&str]) -> String {

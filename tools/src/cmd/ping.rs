@@ -40,14 +40,19 @@ const GOLDEN: f64 = 0.618_033_988_749_894_9;
 #[derive(Debug, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Round {
+    /// The address that was asked.
     to: Ipv4Addr,
     /// Questions that the station took.
     sent: u64,
+    /// Answers.
     received: u64,
     /// Questions that could not be asked, and why.
     failed: u64,
+    /// Why they could not be asked, and how often.
     failures: BTreeMap<String, u64>,
+    /// Questions that the station took, without an answer.
     lost: u64,
+    /// Their share of those that the station took.
     loss: f64,
     /// Of all, questions that had not left by the end, or for which those had taken the room.
     never_left: u64,
@@ -73,9 +78,13 @@ document!(Round, "ping", ping_has_its_schema);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Answer {
+    /// The number of its question.
     sequence: u16,
+    /// Length of the echo's data.
     bytes: usize,
+    /// From asking until the answer came.
     round_trip_ns: Option<u64>,
+    /// How much of it the question waited for its slot.
     #[serde(skip_serializing_if = "Option::is_none")]
     waited_ns: Option<u64>,
 }
@@ -83,9 +92,13 @@ struct Answer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Spread {
+    /// The shortest, nanoseconds.
     min: u64,
+    /// Median.
     p50: u64,
+    /// 99th percentile.
     p99: u64,
+    /// The longest.
     max: u64,
     /// Of so many answers.
     n: u64,
@@ -97,7 +110,9 @@ struct Spread {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Scheduled {
+    /// The shortest round trip that the slots of both allow.
     best_ns: u64,
+    /// The longest.
     worst_ns: u64,
     /// A frame is chosen by so much before its slot at the most: chosen later, both are quicker.
     lead_ns: u64,

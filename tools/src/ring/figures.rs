@@ -327,7 +327,7 @@ fn queueing(seats: &[Seat], known: &[Known]) -> Vec<QueueingFigures> {
         priority,
         frames_seen: waited.len(),
         refused: refused(&priority),
-        delay_ns: waited.summary(),
+        delay_ns: waited.summary().with_gaps(refused(&priority)),
         ..QueueingFigures::default()
     };
     by_priority.into_iter().map(figures).collect()

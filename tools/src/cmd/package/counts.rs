@@ -52,7 +52,9 @@ struct All {
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 struct AllShown {
+    /// Packages that came.
     received: u64,
+    /// Those of them that were answered.
     answered: u64,
 }
 

@@ -16,7 +16,9 @@ use crate::report::text::grouped;
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct RouteShown {
+    /// The mailbox, or all of a kind.
     pub to: String,
+    /// The address of the station that has it.
     pub station: Ipv4Addr,
 }
 
@@ -26,25 +28,38 @@ document!(RouteShown, "package-route", package_route_has_its_schema);
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Came {
+    /// The mailbox that sent it.
     pub from: String,
     /// A document's kind is another thing.
     #[serde(rename = "type")]
     pub kind: i8,
+    /// How urgent it is: larger is more.
     pub priority: u8,
+    /// As the sender numbered it.
     pub id: u8,
+    /// Length of its body.
     pub bytes: usize,
+    /// The body, as UTF-8.
     pub body: String,
     /// In global time; unknown where nobody says so.
     pub sent_ns: Option<u64>,
+    /// The last of it left the station of the sender.
     pub left_ns: Option<u64>,
+    /// The last of it came to this station.
     pub came_ns: Option<u64>,
+    /// It was in the mailbox.
     pub delivered_ns: Option<u64>,
+    /// It was received.
     pub received_ns: Option<u64>,
     /// How old it was when it was received, and where that time went.
     pub age_ns: Option<i64>,
+    /// From `sent_ns` to `left_ns`.
     pub slot_wait_ns: Option<i64>,
+    /// From `left_ns` to `came_ns`.
     pub wire_ns: Option<i64>,
+    /// From `came_ns` to `delivered_ns`.
     pub router_ns: Option<i64>,
+    /// From `delivered_ns` to `received_ns`.
     pub mailbox_ns: i64,
 }
 
@@ -109,12 +124,19 @@ fn us(nanos: i64) -> String {
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Trips {
+    /// The mailbox that was asked.
     pub to: String,
+    /// Questions.
     pub asked: u64,
+    /// Answers.
     pub came: u64,
+    /// From asking until the answer came: the shortest of all answers.
     pub min_ns: Option<u64>,
+    /// The same, median.
     pub p50_ns: Option<u64>,
+    /// The same, 99th percentile.
     pub p99_ns: Option<u64>,
+    /// The same, the longest.
     pub max_ns: Option<u64>,
 }
 
@@ -143,23 +165,39 @@ impl Trips {
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Shown {
+    /// Its name.
     pub name: String,
+    /// The process that has it.
     pub process: u32,
+    /// Packages that each sender may have waiting.
     pub slots: usize,
+    /// Bytes of the longest body that a slot holds.
     pub largest_body: usize,
+    /// Senders that it has room for.
     pub senders_at_most: usize,
+    /// Whether a package of a full sender takes the place of its oldest; else it is refused.
     pub replaces: bool,
+    /// Packages that wait now.
     pub waiting: u64,
+    /// The most that ever waited.
     pub most: u64,
+    /// Packages that were received.
     pub received: u64,
+    /// Packages that were removed unread.
     pub cleaned: u64,
+    /// Packages refused since they named another sender.
     pub forged: u64,
+    /// Packages refused since they could not be read, and senders that wrote what cannot be read.
     pub nonsense: u64,
     /// How many packages were timed from send to receive: those that were received.
     pub latency_n: u64,
+    /// From send to receive: median.
     pub latency_p50_ns: Option<u64>,
+    /// The same, 99th percentile.
     pub latency_p99_ns: Option<u64>,
+    /// The same, the longest.
     pub latency_max_ns: Option<u64>,
+    /// Each sender.
     pub senders: Vec<SenderShown>,
 }
 
@@ -168,11 +206,17 @@ document!(Shown, "mailbox", mailbox_has_its_schema);
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct SenderShown {
+    /// Its name.
     pub from: String,
+    /// Packages that it sent.
     pub sent: u64,
+    /// Those of them that wait now.
     pub waiting: u64,
+    /// Packages refused since all its slots were full.
     pub full: u64,
+    /// Packages refused since no slot holds them.
     pub too_large: u64,
+    /// Packages that newer ones replaced, unread.
     pub replaced: u64,
 }
 
@@ -276,6 +320,15 @@ mod tests {
         let head =
             Head { kind: 21, priority: 9, id: 3, from: "0.Pilot.0".parse().unwrap(), ..Head::default() };
         Came::of(&head, b"go", &Journey::of(&stamps, 4_000, Some([at(1_900_000), at(1_904_000)])))
+    }
+
+    #[test]
+    fn questions_say_how_many_round_trips_are_without_a_time() {
+        let [min_ns, p50_ns, p99_ns, max_ns] = [7_000; 4].map(Some);
+        let trips = Trips { to: "Camera(0/0)".into(), asked: 3, came: 1, min_ns, p50_ns, p99_ns, max_ns };
+        let words = "Camera(0/0): 3 asked, 1 answered\n\
+                     round trip: min 7.0, p50 7.0, p99 7.0, max 7.0 us; n 1, 2 more without\n";
+        assert_eq!(trips.describe(), words);
     }
 
     #[test]

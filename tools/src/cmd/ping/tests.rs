@@ -59,6 +59,18 @@ fn what_fails_counts_by_its_reason_and_the_rest_as_lost_or_received() {
 }
 
 #[test]
+fn a_summary_says_how_many_round_trips_are_without_a_time() {
+    let args = args("-S a --json 10.0.0.1");
+    let mut round = Run::new(&args.which, &args).round(None, None);
+    round.round_trip_ns = Spread::of(vec![7_000], 3);
+    let text = summary(&args.which.place, &round);
+    assert!(
+        text.ends_with("round trip: min 7.00, p50 7.00, p99 7.00, max 7.00 us; n 1, 2 more without\n"),
+        "{text}"
+    );
+}
+
+#[test]
 fn round_trips_are_compared_with_the_schedule_beyond_the_jitter_of_what_is_no_waiting() {
     let args = args("-S a --json 10.0.0.1");
     let mut run = Run::new(&args.which, &args);

@@ -19,6 +19,9 @@ pub fn is_kept<T: Kind + JsonSchema>() {
     if std::env::var_os(WRITE).is_some() {
         std::fs::write(&path, &text).unwrap();
     }
+    let mut without = Vec::new();
+    undescribed(&schema::<T>(), &mut without);
+    assert!(without.is_empty(), "{kind}: a doc comment says what each key means; none has {without:?}");
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == text,
@@ -38,6 +41,19 @@ fn schema<T: Kind + JsonSchema>() -> Value {
     let required = schema["required"].as_array_mut().expect("a document has keys");
     required.splice(0..0, ["kind".into(), "version".into()]);
     schema
+}
+
+/// The keys of which nothing says what they mean.
+fn undescribed(schema: &Value, without: &mut Vec<String>) {
+    let Value::Object(object) = schema else {
+        return schema.as_array().into_iter().flatten().for_each(|one| undescribed(one, without));
+    };
+    let properties = object.get("properties").and_then(Value::as_object);
+    for (key, of) in properties.into_iter().flatten() {
+        let is_said = ["description", "const", "$ref"].iter().any(|said| of.get(said).is_some());
+        without.extend((!is_said).then(|| key.clone()));
+    }
+    object.values().for_each(|of| undescribed(of, without));
 }
 
 /// Keys may be added.

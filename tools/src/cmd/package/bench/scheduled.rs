@@ -44,9 +44,13 @@ pub(super) struct Scheduled {
 #[derive(Debug, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Waits {
+    /// The station that sends.
     pub station: String,
+    /// Its slot.
     pub slot: u8,
+    /// The longest wait for that slot.
     pub worst_wait_ns: i64,
+    /// From the slot to the other station.
     pub way_ns: i64,
 }
 

@@ -14,12 +14,19 @@ use crate::report::text::{about, grouped, micros, micros_or_dash};
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Trips {
+    /// The mailbox that was asked.
     pub to: String,
+    /// Length of a body.
     pub bytes: usize,
+    /// Questions.
     pub asked: u64,
+    /// Answers.
     pub came: u64,
+    /// Questions without an answer.
     pub lost: u64,
+    /// From the first question to the last answer.
     pub took_ns: u64,
+    /// From asking until the answer came.
     pub round_trip_ns: Summary,
     /// The longest, longest first: what else happened then may be known.
     pub longest: Vec<Long>,
@@ -34,7 +41,9 @@ document!(Trips, "package-round-trips", package_round_trips_has_its_schema);
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Long {
+    /// How long it took.
     pub took_ns: u64,
+    /// When it was asked for, by CLOCK_MONOTONIC.
     pub asked_at_ns: u64,
 }
 
@@ -42,9 +51,13 @@ pub(super) struct Long {
 #[derive(Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub(super) struct Stream {
+    /// The mailbox.
     pub to: String,
+    /// Length of a body.
     pub bytes: usize,
+    /// Packages sent.
     pub sent: u64,
+    /// How long they were sent for.
     pub sent_for_ns: u64,
     /// Tries that found the mailbox full.
     pub full: u64,
@@ -54,11 +67,13 @@ pub(super) struct Stream {
     pub all_left: bool,
     /// None: who has the mailbox does not count, or was not asked.
     pub came: Option<u64>,
+    /// Packages that did not come.
     pub lost: Option<u64>,
     /// From the first that came to the last.
     pub took_ns: Option<u64>,
     /// How many turns of the own slots passed from the first to the last, if a package takes one.
     pub turns: Option<u64>,
+    /// To another station: what the slots of both say.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scheduled: Option<Scheduled>,
 }

@@ -156,12 +156,19 @@ fn read(clock: libc::clockid_t) -> u64 {
 mod tests {
     use super::*;
 
+    /// A stamp is of the time between two looks at the clock of timers, however long a busy host makes that, give or take the
+    /// width of the sample.
+    fn assert_converts(wall: &WallClock) {
+        let (before, stamp, after) = (monotonic(), realtime(), monotonic());
+        let known = before - wall.width..=after + wall.width;
+        assert!(known.contains(&wall.truth(stamp)), "{} is not in {known:?}", wall.truth(stamp));
+    }
+
     #[test]
     fn a_kernel_stamp_is_converted_to_the_clock_of_timers() {
         let mut wall = WallClock::default();
         assert!(wall.sample());
-        let (stamp, now) = (realtime(), monotonic());
-        assert!(wall.truth(stamp).abs_diff(now) < 1_000_000, "within a millisecond even on a busy host");
+        assert_converts(&wall);
     }
 
     #[test]
@@ -172,8 +179,7 @@ mod tests {
         wall.step(3_600_000_000_000);
         assert!(!wall.sample(), "what was stamped in between is not to be used");
         assert_eq!(wall.steps(), 1);
-        let (stamp, now) = (realtime(), monotonic());
-        assert!(wall.truth(stamp).abs_diff(now) < 1_000_000);
+        assert_converts(&wall);
     }
 
     #[test]

@@ -280,6 +280,14 @@ mod tests {
     }
 
     #[test]
+    #[should_panic(expected = "the counts are of other flows")]
+    fn flows_without_a_count_are_refused_at_once() {
+        let plan = Bench::new(&[]).traffic.plan;
+        let flows = FlowPlan { flows: vec![FLOW], from: Vec::new() };
+        drop(Traffic::new(plan, Arc::default()).with_flows(flows));
+    }
+
+    #[test]
     fn a_receiver_takes_what_its_sender_queues_in_the_order_of_each_priority() {
         let mut bench = Bench::new(&[FLOW]);
         (2..=4).for_each(|cycle| drop(bench.poll(cycle)));

@@ -107,16 +107,28 @@ fn every_slave_finds_out_how_far_its_clock_drifts() {
     }
 }
 
+/// What a drift is off by at the most, in parts per 10^9, once a station says that it will not become clearer.
+const CLEAR: i64 = 2_000;
+
 #[test]
 fn on_a_busy_host_too() {
     let busy = Host { send: Latency::Uniform(Span::ZERO, Span::from_micros(8)), ..Host::VIRTUAL_MACHINE };
-    let mut lab = Plan::of(&Plan::lab_options(STATIONS)).with_drift(alternating).on(busy).build();
-    lab.run_until_locked();
-    lab.run_cycles(4_000);
-    for id in 1..STATIONS {
-        let found = lab.status(id).drift_ppb.expect("known by now");
-        let error = found - gains(alternating, id);
-
-        assert!(error.abs() <= 500, "station {id}: {found}, not {}", gains(alternating, id));
-    }
+    seeds::each(20, move |seed| {
+        let options = Uniform { seed, ..Plan::lab_options(STATIONS) };
+        let mut lab = Plan::of(&options).with_drift(alternating).on(busy.clone()).build();
+        lab.run_until_locked();
+        // An outage of the master begins another line, whose drift is not known at first.
+        let mut clear = [0; STATIONS];
+        for _ in 0..10_000 {
+            lab.run_cycles(1);
+            for (id, clear) in clear.iter_mut().enumerate().skip(1) {
+                let status = lab.status(id);
+                let Some(found) = status.drift_ppb.filter(|_| status.settled) else { continue };
+                let error = found - gains(alternating, id);
+                assert!(error.abs() <= CLEAR, "station {id}: {found}, not {}", gains(alternating, id));
+                *clear += 1;
+            }
+        }
+        assert!(clear[1..].iter().all(|&cycles| cycles > 0), "in so many cycles it is clear: {clear:?}");
+    });
 }

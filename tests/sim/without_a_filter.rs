@@ -90,10 +90,10 @@ fn a_scenarios_delay_is_that_of_its_stations_rounds_in_virtual_time() {
 }
 
 /// By how much slots are off where every frame is held up by anything up to so long: the mean, and from least to most.
-fn held_up_evenly(servo: ServoName, longest: Span) -> (Span, Span) {
+fn held_up_evenly(servo: ServoName, longest: Span, seed: u64) -> (Span, Span) {
     let even = Host { stall_ppm: 1_000_000, longest_stall: longest, ..Host::IDEAL };
     let mut plan = Plan::lab(4).on(even);
-    plan.scenario.servo = servo;
+    (plan.scenario.servo, plan.scenario.seed) = (servo, seed);
     let mut lab = plan.build();
     lab.run_until_locked();
     lab.run_cycles(2_000);
@@ -108,9 +108,15 @@ fn held_up_evenly(servo: ServoName, longest: Span) -> (Span, Span) {
 
 #[test]
 fn where_every_frame_is_held_up_evenly_a_filter_is_steadier_but_no_nearer_than_none() {
+    // What 100 rounds say of the delay differs by 4 % of `longest` from network to network: this is the mean of 20.
+    let first = seeds::one("held_up_evenly");
     for longest in [10, 20, 40].map(Span::from_micros) {
-        let [(linear, moves), (none, jumps)] =
-            [ServoName::Linear, ServoName::None].map(|servo| held_up_evenly(servo, longest));
+        let mean = |servo| {
+            let all = (first..first + 20).map(|seed| held_up_evenly(servo, longest, seed));
+            let (off, moved) = all.fold((Span::ZERO, Span::ZERO), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+            (off / 20, moved / 20)
+        };
+        let [(linear, moves), (none, jumps)] = [ServoName::Linear, ServoName::None].map(mean);
         assert!(moves * 10 < jumps, "{longest}: {moves} with a filter, {jumps} without");
         assert!((longest / 5..longest / 3).contains(&linear), "{longest}: {linear} early with a filter");
         assert!(none < longest / 3, "{longest}: {none} without");

@@ -137,6 +137,15 @@ impl Plan {
         self
     }
 
+    /// How far the grid may be from that of a master that has been away for so many cycles: as far as a station's clock drifts
+    /// from that one's.
+    pub fn moved_without_master(&self, cycles: u32) -> Span {
+        let drifts = self.scenario.stations.iter().map(|station| station.clock_drift_ppb);
+        let master = drifts.clone().next().unwrap_or(0);
+        let fastest = drifts.map(|drift| (drift - master).abs()).max().unwrap_or(0);
+        Span::from_nanos(self.cycle().nanos() * i64::from(cycles) / 1_000_000 * fastest / 1_000 + 1)
+    }
+
     /// The same with so many calibration rounds for each slave.
     pub fn with_rounds(mut self, rounds: u32) -> Plan {
         self.scenario.stations.iter_mut().for_each(|station| station.rounds = rounds);

@@ -10,8 +10,7 @@ use tools::scenario::{ServoName, Uniform};
 
 const SLAVES: [StationId; 3] = [1, 2, 3];
 const HOLDOVER: u32 = 500;
-/// How far off a slave on a busy host may be after that if nothing is known of its drift: 200 ppm, and what the last syncs were
-/// held up by.
+/// How far off a slave on a busy host may be after that if nothing is known of its drift: 200 ppm, and the delay of the last syncs.
 const UNKNOWN: Span = Span::from_micros(160);
 
 /// A network whose slaves bridge so many cycles, on such hosts, locked for so many cycles.

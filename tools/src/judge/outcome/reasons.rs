@@ -7,7 +7,7 @@ use crate::judge::verdict::{Evidence, Reason, Slots, Weight};
 use crate::report::figures::Figures;
 use crate::scenario::{Expectation, Measure, Scenario};
 
-/// What decides on a run. Where its scenario bounds a figure, that decides instead.
+/// The evidence on a run. Where its scenario bounds a figure, that decides instead.
 pub(super) fn evidence(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Evidence {
     let measured = Span::from_nanos((figures.cycles * figures.cycle_ns) as i64);
     let stations = figures.per_station.iter().zip(&parts.stations).enumerate();

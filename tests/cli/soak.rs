@@ -39,6 +39,7 @@ test result: FAILED. 1 passed; 1 failed;
   process didn't exit successfully: `target/debug/deps/cli-0123456789abcdef` (signal: 9, SIGKILL: kill)
 END
 broken) echo "error: could not compile"; exit 101 ;;
+seed) [ "$RTNET_SEED" = 8 ] || exit 1 ;;
 busy) # Besides this one, the script has one child for each core.
     [ "$(wc -w </proc/$PPID/task/$PPID/children)" = "$(($(nproc) + 1))" ] || exit 1 ;;
 esac
@@ -97,6 +98,16 @@ fn soak_computes_on_each_core_of_a_busy_host() {
 }
 
 #[test]
+fn soak_runs_networks_with_each_seed() {
+    let (output, calls) = soak(&["passes", "seed"], &["--networks", "7..8"]);
+    let run = "test --workspace --test sim -- --skip scenarios::";
+    assert_eq!(calls, format!("{run}\n{run}\n"));
+    let text = printed(&output);
+    assert!(text.starts_with("run 7: passed\nrun 8: passed\n2 of 2 runs of `cargo test "), "{text}");
+    assert_eq!(output.status.code(), Some(0), "{text}");
+}
+
+#[test]
 fn soak_refuses_nonsense() {
     for arguments in [
         &["--tests"][..],
@@ -105,10 +116,14 @@ fn soak_refuses_nonsense() {
         &["7"],
         &["--seeds", "1..2", "3"],
         &["--seeds", "1..2", "--busy"],
+        &["--networks", "8..7"],
     ] {
         let (output, calls) = soak(&[], arguments);
         assert_eq!((output.status.code(), calls.as_str()), (Some(2), ""), "{arguments:?}");
         let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(said, "usage: scripts/soak [--seeds A..B] | scripts/soak --tests N [--busy]\n");
+        assert_eq!(
+            said,
+            "usage: scripts/soak [--seeds A..B] | scripts/soak --tests N [--busy] | scripts/soak --networks A..B\n"
+        );
     }
 }

@@ -81,13 +81,11 @@ fn on_a_busy_host_with_lost_frames_it_gets_there_too() {
     let mut lab = running(&plan);
     for id in 1..4 {
         // A station that has just lost two syncs in a row refuses it.
-        let is_taken = |_: &u32| {
-            lab.command(id, calibrate(100)).is_ok() || {
-                lab.run_cycles(1);
-                false
-            }
-        };
-        assert!((0..100).find(is_taken).is_some(), "station {id}");
+        let is_taken = (0..100).any(|_| {
+            lab.run_cycles(1);
+            lab.command(id, calibrate(100)).is_ok()
+        });
+        assert!(is_taken, "station {id}");
     }
     lab.run_cycles(1_000);
     // A station that misses a sync of its just now is locked by the next ones.

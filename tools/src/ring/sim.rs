@@ -255,7 +255,7 @@ impl<'a> Run<'a> {
         self.watch.borrow_mut().judge.begins_anew(id);
         let first = self.watch.borrow().judge.beyond(id);
         // What the process before has counted goes on from 0 in this one.
-        self.before[id] = std::mem::take(&mut self.before[id]) - self.counted(id);
+        self.before[id] = std::mem::take(&mut self.before[id]) - &self.counted(id);
         self.counts[id] = world::traffic_counts(&self.scenario.network, id);
         let station = station(self.scenario, id, self.counts[id].clone(), first)?;
         self.network.restart(id, station);
@@ -279,7 +279,7 @@ impl<'a> Run<'a> {
 
     fn known(&self, id: usize) -> Known {
         let (plan, counts) = (&self.scenario.network, &self.counts[id]);
-        let counted = self.counted(id) - self.before[id].clone();
+        let counted = self.counted(id) - &self.before[id];
         let refusals = self.network.member(id).station.refusals();
         let refusals = refusals.nonzero().map(|(why, n)| (why.name(), n));
         let no_room = Some((PORT_POOL_EMPTY, self.network.dropped(id))).filter(|&(_, n)| n > 0);

@@ -46,11 +46,11 @@ pub struct Counted {
     queue_refused: BTreeMap<u8, i64>,
 }
 
-impl Sub for Counted {
+impl Sub<&Counted> for Counted {
     type Output = Counted;
-    fn sub(mut self, other: Counted) -> Counted {
-        for (priority, n) in other.queue_refused {
-            *self.queue_refused.entry(priority).or_default() -= n;
+    fn sub(mut self, other: &Counted) -> Counted {
+        for (priority, n) in &other.queue_refused {
+            *self.queue_refused.entry(*priority).or_default() -= n;
         }
         Counted {
             payload_errors: self.payload_errors - other.payload_errors,

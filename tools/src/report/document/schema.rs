@@ -15,12 +15,13 @@ const WRITE: &str = "RTNET_WRITE_SCHEMAS";
 pub fn is_kept<T: Kind + JsonSchema>() {
     let (kind, version) = (T::KIND, T::VERSION);
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/schema/{kind}.v{version}.json"));
-    let text = serde_json::to_string_pretty(&schema::<T>()).unwrap() + "\n";
+    let schema = schema::<T>();
+    let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
     if std::env::var_os(WRITE).is_some() {
         std::fs::write(&path, &text).unwrap();
     }
     let mut without = Vec::new();
-    undescribed(&schema::<T>(), &mut without);
+    undescribed(&schema, &mut without);
     assert!(without.is_empty(), "{kind}: a doc comment says what each key means; none has {without:?}");
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(

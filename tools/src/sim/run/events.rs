@@ -89,7 +89,7 @@ impl Run<'_> {
         drop(watch);
         (self.present[id], self.anew[id]) = (true, true);
         // What the process before has counted goes on from 0 in this one.
-        self.before[id] = std::mem::take(&mut self.before[id]) - self.world.counted(id);
+        self.before[id] = std::mem::take(&mut self.before[id]) - &self.world.counted(id);
         self.world.counts[id] = traffic_counts(self.scenario, id);
         let station = self.world.station(self.scenario, id, grid, first)?;
         self.world.network.restart(id, station);

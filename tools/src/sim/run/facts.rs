@@ -32,7 +32,7 @@ impl Run<'_> {
 
     pub(super) fn facts(&self, id: usize) -> Facts {
         let (status, counts) = (self.status(id), &self.world.counts[id]);
-        let counted = self.world.counted(id) - self.before[id].clone();
+        let counted = self.world.counted(id) - &self.before[id];
         let refusals = self.world.network.member(id).station.refusals();
         let refusals = refusals.nonzero().map(|(why, n)| (why.name(), n));
         // As a live station counts it, frame by frame.

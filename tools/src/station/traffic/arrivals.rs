@@ -60,11 +60,11 @@ impl Newest {
 #[derive(Debug, Default)]
 pub struct Arrivals {
     /// Frames received that are what was sent.
-    pub received: AtomicU64,
+    received: AtomicU64,
     /// Frames missing between two that were received.
-    pub missing: AtomicU64,
+    missing: AtomicU64,
     /// The sequence number of the first frame received.
-    pub first: AtomicU64,
+    first: AtomicU64,
     /// The numbers that count, if not all do: from the first of these on, and only before the second, if that is not 0.
     within: [AtomicU64; 2],
     /// Frames received with others.

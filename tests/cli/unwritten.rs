@@ -79,6 +79,23 @@ fn lab_shows_its_report_when_a_file_has_no_room() {
 }
 
 #[test]
+fn doctor_shows_its_figures_when_a_file_has_no_room() {
+    let output = rtnet().args(["doctor", "--duration", "1s", "--json", "/dev/full"]).output().unwrap();
+    is_told(&output, "/dev/full", "HOLD");
+}
+
+#[test]
+fn jitter_shows_its_figures_when_a_file_has_no_room() {
+    network("jitter_shows_its_figures_when_a_file_has_no_room", || {
+        let cell = Cell { name: unique("full") };
+        let up = ["lab", "up", "--stations", "2", "--cycle", "5ms", "--name", &cell.name];
+        assert_eq!(rtnet().args(up).output().unwrap().status.code(), Some(0));
+        let jitter = ["jitter", "--lab", &cell.name, "--duration", "1s", "--json", "/dev/full"];
+        is_told(&rtnet().args(jitter).output().unwrap(), "/dev/full", "frames");
+    });
+}
+
+#[test]
 fn lab_down_tells_what_its_lab_could_not_write() {
     network("lab_down_tells_what_its_lab_could_not_write", || {
         for (option, file) in [("--json", "/dev/full"), ("--pcap", "/dev/full")] {

@@ -8,7 +8,11 @@ use tools::sim::seeds::{start, usual_jobs};
 
 pub use drawn::{HIGHEST, asked, drawn};
 
-/// The closure of a test must hold for so many seeds that are drawn from the commit's date, run on all CPUs: it asserts.
+/// Each seed with which a test failed once.
+const KEPT: &str = include_str!("seeds/kept.txt");
+
+/// The closure of a test must hold for so many seeds that are drawn from the commit's date, and for those of `seeds/kept.txt`,
+/// run on all CPUs: it asserts.
 #[track_caller]
 pub fn each<F: Fn(u64) + Send + Sync + 'static>(count: usize, test: F) {
     // `sim::holdover::in_holdover_...::{{closure}}`
@@ -19,7 +23,11 @@ pub fn each<F: Fn(u64) + Send + Sync + 'static>(count: usize, test: F) {
         Ok(())
     };
     let command = |seed| format!("RTNET_SEED={seed} cargo test --workspace --test {binary} {name}");
-    hold(&drawn(path, count), run, command);
+    let mut seeds = drawn(path, count);
+    if asked().is_none() {
+        seeds.extend(kept(name));
+    }
+    hold(&seeds, run, command);
 }
 
 /// One seed, drawn from the commit's date.
@@ -33,6 +41,21 @@ pub fn in_a_row(name: &str, count: u64) -> Vec<u64> {
         let first = one(name);
         (first..first + count).collect()
     })
+}
+
+/// The seeds with which this test failed once, as `seeds/kept.txt` keeps them.
+pub fn kept(test: &str) -> Vec<u64> {
+    kept_in(KEPT, test).unwrap_or_else(|why| panic!("tests/src/seeds/kept.txt: {why}"))
+}
+
+fn kept_in(text: &str, test: &str) -> Result<Vec<u64>, String> {
+    let mut seeds = Vec::new();
+    for line in text.lines().filter(|line| !line.starts_with('#')) {
+        let (of, seed) = line.split_once(' ').ok_or_else(|| format!("'{line}': write TEST SEED"))?;
+        let seed: u64 = seed.parse().map_err(|_| format!("'{line}': '{seed}' is no seed"))?;
+        seeds.extend((of == test).then_some(seed));
+    }
+    Ok(seeds)
 }
 
 /// Runs on all CPUs with each of these seeds; if some fail or panic, panics with the reasons and the command that repeats each.
@@ -68,6 +91,16 @@ fn failures(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_test_has_the_seeds_that_are_kept_of_it() {
+        let text = "# TEST SEED\nlate::a 3\nearly::a 5\nlate::a 7\n";
+        assert_eq!(kept_in(text, "late::a"), Ok(vec![3, 7]));
+        assert_eq!(kept_in(text, "late"), Ok(vec![]));
+        assert_eq!(kept_in("late::a x", "early::a"), Err("'late::a x': 'x' is no seed".into()));
+        assert_eq!(kept_in("late::a", "late::a"), Err("'late::a': write TEST SEED".into()));
+        assert!(kept("").is_empty(), "and the file can be read");
+    }
 
     #[test]
     fn a_seed_that_fails_or_panics_is_named_with_its_reason() {

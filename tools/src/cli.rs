@@ -62,7 +62,7 @@ pub enum Verb {
     /// what this process may do. Ends with a network to try, as its last line: `HOLDS: ...`, or
     /// `DOES NOT HOLD: ...` with the best there is. An ordinary user gets what needs no privilege.
     ///
-    /// Exit status: 0 it was measured, whatever the verdict; 2 bad usage.
+    /// Exit status: 0 it was measured, whatever the verdict; 1 a file could not be written; 2 bad usage.
     Doctor(DoctorArgs),
     /// Find the shortest cycle that this host holds, by trying, prove it, and keep it for comparison
     ///
@@ -162,8 +162,8 @@ pub enum Verb {
     /// root, where a station's own frames are not heard on its own interface. Where cycles begin is learned from
     /// 64 syncs first, for 5 s at most.
     ///
-    /// Exit status: 0; 1 no sync was heard, or the network went away; 2 bad usage, no such interface or lab, or
-    /// no privileges.
+    /// Exit status: 0; 1 no sync was heard, the network went away, or a file could not be written; 2 bad usage, no such
+    /// interface or lab, or no privileges.
     Jitter(JitterArgs),
     /// Listen to a network, and show each frame, or write it for Wireshark
     ///

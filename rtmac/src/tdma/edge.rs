@@ -1,7 +1,5 @@
 //! A line below points, each of which is on it or late.
 
-use std::collections::VecDeque;
-
 use rtnet::time::{Instant, Span};
 
 use super::line::Drift;
@@ -18,6 +16,11 @@ pub struct Point {
     pub cycle: u32,
     pub start: Instant,
 }
+
+/// Points in the order of their cycles.
+pub trait Points<'a>: DoubleEndedIterator<Item = &'a Point> + ExactSizeIterator + Clone {}
+
+impl<'a, T: DoubleEndedIterator<Item = &'a Point> + ExactSizeIterator + Clone> Points<'a> for T {}
 
 /// A line of cycles' starts.
 #[derive(Clone, Copy)]
@@ -37,24 +40,24 @@ impl Edge {
 
     /// The line of a rate that is known, through the lowest point. The older one is, the less sure it is how low it lies
     /// now: by that it counts as later, and twice, for a calibration of a busy host may be wrong by more than it says.
-    pub fn of_rate(points: &VecDeque<Point>, rate: Rate, period: Span) -> Option<Self> {
-        let last = *points.back()?;
+    pub fn of_rate<'a>(points: impl Points<'a>, rate: Rate, period: Span) -> Option<Self> {
+        let last = *points.clone().next_back()?;
         let flat = Self::through(last, Drift::of_rate(rate.gains, period), period);
         let now = |&point: &&Point| {
             let ago = period * i64::from(cycles(*point, last));
             flat.late(point) + Span::from_nanos((2.0 * rate.unsure * ago.nanos() as f64) as i64)
         };
-        let through = *points.iter().min_by_key(now)?;
+        let through = *points.min_by_key(now)?;
         Some(Self { through, unsure: rate.unsure, ..flat })
     }
 
     /// The edge of the points' lower convex hull below their middle. From the earlier half to the later one so that
     /// nothing lies below: from whichever points it is drawn, the lowest of either half, seen along the edge, are better
     /// ends, until they are the ends. No more than `N` points.
-    pub fn below_the_middle<const N: usize>(points: &VecDeque<Point>, period: Span) -> Option<Self> {
-        let first = *points.front()?;
+    pub fn below_the_middle<'a, const N: usize>(points: impl Points<'a>, period: Span) -> Option<Self> {
+        let first = *points.clone().next()?;
         let mut places = [(0, 0); N];
-        for (place, &point) in places.iter_mut().zip(points) {
+        for (place, &point) in places.iter_mut().zip(points.clone()) {
             let x = i64::from(cycles(first, point));
             *place = (x, (point.start - first.start - period * x).nanos());
         }
@@ -71,25 +74,34 @@ impl Edge {
             let ends = (lowest(from, 0..half)?, lowest(to, half..places.len())?);
             if ends == (from, to) {
                 let drift = Drift::new(Span::from_nanos(dy), dx, period)?;
-                let edge = Self::through(points[to], drift, period);
-                return Some(Self { unsure: edge.unsure(points, half, period * dx), ..edge });
+                let ends = [*points.clone().nth(from)?, *points.clone().nth(to)?];
+                let edge = Self::through(ends[1], drift, period);
+                return Some(Self { unsure: edge.unsure(points, half, ends)?, ..edge });
             }
             (from, to) = ends;
         }
         None
     }
 
-    /// By how much its drift may be wrong if it is so long. If one half was a busy host's: by all of its lateness.
-    fn unsure(&self, points: &VecDeque<Point>, half: usize, long: Span) -> f64 {
+    /// By how much its drift may be wrong if it is drawn through these two. Of two points on the line one is later than the
+    /// clocks say by no more than 2 us more than the other, or, if one half was a busy host's, than all of its lateness. By
+    /// that, and by how much they lie apart, the line rises or falls too much from one to the other. The outermost ones may
+    /// show it better: rounding decides through which of many points on a line it is drawn.
+    fn unsure<'a>(&self, points: impl Points<'a>, half: usize, through: [Point; 2]) -> Option<f64> {
         let is_on_it = |point: &&Point| self.late(point) <= ON_IT;
-        let halves =
-            [points.range(..half).filter(is_on_it).count(), points.range(half..).filter(is_on_it).count()];
-        let off = if halves.iter().all(|&count| count >= ON_IT_AT_LEAST) {
+        let on_it = points.clone().take(half).filter(is_on_it).count();
+        let on_it_later = points.clone().skip(half).filter(is_on_it).count();
+        let off = if on_it.min(on_it_later) >= ON_IT_AT_LEAST {
             ON_IT
         } else {
-            points.iter().map(|point| self.late(point)).fold(ON_IT, Span::max)
+            points.clone().map(|point| self.late(point)).fold(ON_IT, Span::max)
         };
-        off.nanos() as f64 / long.nanos().max(1) as f64
+        let outermost = [*points.clone().find(is_on_it)?, *points.clone().rfind(is_on_it)?];
+        let wrong = |[from, to]: [Point; 2]| {
+            let apart = (self.late(&to) - self.late(&from)).abs();
+            (off + apart).nanos() as f64 / (self.period * i64::from(cycles(from, to))).nanos().max(1) as f64
+        };
+        Some(wrong(through).min(wrong(outermost)))
     }
 
     /// A cycle's start.

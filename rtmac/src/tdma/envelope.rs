@@ -267,13 +267,13 @@ impl Envelope {
     /// The line: of the rate that is known, or the edge alone.
     fn draw(&mut self, period: Span) {
         let edge = (self.early.len() >= WINDOWS_AT_LEAST)
-            .then(|| Edge::below_the_middle::<WINDOWS>(&self.early, period))
+            .then(|| Edge::below_the_middle::<WINDOWS>(self.early.iter(), period))
             .flatten();
         let last = self.early.back().map(|point| point.start);
         self.edge = match last.and_then(|last| Some((last, self.known_at(last)?))) {
             Some((last, known)) => {
                 let rate = self.learn(last, known, edge);
-                Edge::of_rate(&self.early, rate, period)
+                Edge::of_rate(self.early.iter(), rate, period)
             }
             None => edge,
         };
@@ -389,10 +389,12 @@ impl Envelope {
         self.edge.map(|edge| edge.drift)
     }
 
-    /// Of this window's, by the drift that is known so far.
+    /// Of this window's, by the drift of the line. Without one, by what this window shows of it: fast clocks gain as much
+    /// within a window as a host delays frames, and the first would seem the early ones.
     fn early_one(&self, period: Span) -> Point {
         let window = self.window();
-        let flat = Edge::through(window[0], self.drift().unwrap_or(Drift::NONE), period);
+        let of_window = || Edge::below_the_middle::<WINDOW>(window.iter(), period).map(|edge| edge.drift);
+        let flat = Edge::through(window[0], self.drift().or_else(of_window).unwrap_or(Drift::NONE), period);
         let mut late = [(Span::ZERO, window[0]); WINDOW];
         for (late, &point) in late.iter_mut().zip(window) {
             *late = (flat.late(&point), point);

@@ -1,3 +1,5 @@
+use rtnet::sim::Random;
+
 use super::*;
 
 const PERIOD: Span = Span::from_millis(1);
@@ -32,6 +34,40 @@ fn eight_windows_show_the_drift() {
         hear(&mut envelope, 512..1_000, ppb, |_| 0);
         assert!(error(&envelope, 1_000, ppb).abs() <= 2, "{ppb}");
         assert!(error(&envelope, 2_000, ppb).abs() <= 3, "{ppb}");
+    }
+}
+
+/// Half of a round trip, the lower quartile of many, if either way takes up to 8 us longer.
+const DELAY_ON_A_BUSY_HOST: Span = Span::from_nanos(2_828);
+
+#[test]
+fn a_young_line_is_as_good_if_the_clocks_are_fast() {
+    for seed in 1..=250 {
+        let mut random = Random::new(seed);
+        let late: Vec<i64> = (0..640).map(|_| random.below(8_000) as i64).collect();
+        let off_at = |ppb| {
+            let mut envelope = Envelope::new();
+            hear(&mut envelope, 0..640, ppb, |cycle| late[cycle as usize]);
+            [640, 1_140].map(|cycle| {
+                let (off, bound) =
+                    (error(&envelope, cycle, ppb), envelope.off_in(cycle, Span::ZERO).unwrap());
+                let bound = bound + DELAY_ON_A_BUSY_HOST;
+                assert!(
+                    off.abs() <= bound.nanos(),
+                    "{ppb}, seed {seed}: {off} ns in cycle {cycle}, not {bound}"
+                );
+                off
+            })
+        };
+        let alike = off_at(0);
+        for ppb in [-100_000, 50_000, 100_000] {
+            let fast = off_at(ppb);
+            let differ = fast[0].abs_diff(alike[0]).max(fast[1].abs_diff(alike[1]));
+            assert!(differ < 100, "{ppb}, seed {seed}: {fast:?} ns, and {alike:?} for clocks that run alike");
+        }
+        for ppb in [-190_000, 190_000] {
+            off_at(ppb);
+        }
     }
 }
 

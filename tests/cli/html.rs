@@ -167,7 +167,9 @@ fn a_page_is_readable_in_a_browser_at_any_width_and_shows_the_slots_of_the_file(
         browser.picture(&page, (width, height), &kept(&format!("sim-{width}.png")), &[]);
         let told = assert_is_readable(&browser, &page, width);
         let figures = told["figures"].as_array().unwrap();
-        assert_eq!(figures.len(), 12 + 1, "the worst cycles, and an ordinary one");
+        // The camera is stalled ten times; outages of the other station are in the worst cycles, too, twelve at the most.
+        let (worst, ordinary) = (10..=12, 1);
+        assert!(worst.contains(&(figures.len() - ordinary)), "{} cycles", figures.len());
         for figure in figures {
             shows_the_slots_of_the_file(figure);
         }
@@ -235,18 +237,20 @@ fn a_page_asks_nothing_of_any_network() {
 #[test]
 fn a_live_lab_has_such_a_page_too() {
     host::network("a_live_lab_has_such_a_page_too", || {
-        let page = kept("lab.html");
-        let output = rtnet()
-            .args(["lab", "run", "--stations", "4", "--cycle", "2ms", "--duration", "2s", "--html"])
-            .arg(&page)
-            .output()
-            .unwrap();
-        let (screen, html) = (String::from_utf8(output.stdout).unwrap(), fs::read_to_string(&page).unwrap());
-        let verdict = screen.lines().last().unwrap();
-        let (word, rest) = verdict.split_once(": ").unwrap();
-        assert!(html.contains(&format!("<strong>{word}</strong>")), "{verdict}");
-        for reason in rest.split("; ") {
-            assert!(html.contains(&reason.replace('\'', "&#39;")), "{reason} of {verdict}");
+        let (page, report) = (kept("lab.html"), kept("lab.json"));
+        let mut lab = rtnet();
+        lab.args(["lab", "run", "--stations", "4", "--cycle", "2ms", "--duration", "2s"]);
+        lab.arg("--html").arg(&page).arg("--json").arg(&report);
+        let screen = String::from_utf8(lab.output().unwrap().stdout).unwrap();
+        let html = fs::read_to_string(&page).unwrap();
+        let report: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
+        let (word, rest) = screen.lines().last().unwrap().split_once(": ").unwrap();
+        assert!(html.contains(&format!("<strong>{word}</strong>")), "{screen}");
+        // The screen's line has no room for long reasons; where all went well it has none.
+        let reasons = report["verdict"]["reasons"].as_array().unwrap();
+        let reasons: Vec<&str> = reasons.iter().map(|reason| reason.as_str().unwrap()).collect();
+        for reason in if reasons.is_empty() { vec![rest] } else { reasons } {
+            assert!(html.contains(&reason.replace('\'', "&#39;")), "{reason} of {screen}");
         }
         for shown in
             ["live, network namespaces", "Linux ", "one bridge of the kernel", "<section id=\"sync\">"]

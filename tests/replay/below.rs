@@ -6,6 +6,8 @@ const WINDOW: usize = 20;
 const BEFORE_EARLY: usize = WINDOW / 8;
 /// Fewer windows show no line.
 const WINDOWS_AT_LEAST: usize = 8;
+/// Clocks run apart by no more: 200 ppm of cycles of 100 ms, in nanoseconds a cycle.
+const FASTEST: f64 = 20_000.0;
 
 /// A Synchronisation: its cycle, and by how much it is later than a line without drift, in nanoseconds.
 type Point = (i64, i64);
@@ -27,8 +29,9 @@ impl Below {
         }
         // In whole nanoseconds; of two that are equally early it is the one that the same selection gives.
         let begin = self.window[0].0;
+        let along = self.edge.or_else(|| edge_below_the_middle(&self.window).filter(clocks_may));
         let gained =
-            |cycle| self.edge.map_or(0, |(from, to)| (to.1 - from.1) * (cycle - begin) / (to.0 - from.0));
+            |cycle| along.map_or(0, |(from, to)| (to.1 - from.1) * (cycle - begin) / (to.0 - from.0));
         let mut late: Vec<(i64, Point)> =
             self.window.iter().map(|&point| (point.1 - self.window[0].1 - gained(point.0), point)).collect();
         self.early.push(late.select_nth_unstable_by_key(BEFORE_EARLY, |&(late, _)| late).1.1);
@@ -47,6 +50,11 @@ impl Below {
     pub fn at(&self, cycle: i64) -> Option<f64> {
         self.edge.map(|edge| on(edge, cycle))
     }
+}
+
+/// Whether clocks run apart so fast.
+fn clocks_may(edge: &(Point, Point)) -> bool {
+    slope(*edge).abs() <= FASTEST
 }
 
 fn slope((from, to): (Point, Point)) -> f64 {

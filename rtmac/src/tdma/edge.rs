@@ -83,10 +83,10 @@ impl Edge {
         None
     }
 
-    /// By how much its drift may be wrong if it is drawn through these two. Of two points on the line one is later than the
-    /// clocks say by no more than 2 us more than the other, or, if one half was a busy host's, than all of its lateness. By
-    /// that, and by how much they lie apart, the line rises or falls too much from one to the other. The outermost ones may
-    /// show it better: rounding decides through which of many points on a line it is drawn.
+    /// By how much its drift may be wrong, drawn through these two points. Of any two points on it, one was delayed by 2 us
+    /// more than the other at most; where few of one half are on it, by as much as the latest of all. That, and how far both
+    /// lie from the line, over the time between them, bounds the error. The outermost points on it may give a smaller bound
+    /// than those it is drawn through: rounding decides which those are where many are on it.
     fn unsure<'a>(&self, points: impl Points<'a>, half: usize, through: [Point; 2]) -> Option<f64> {
         let is_on_it = |point: &&Point| self.late(point) <= ON_IT;
         let on_it = points.clone().take(half).filter(is_on_it).count();

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use rtnet::wire::ethernet::EtherType;
 use serde_json::Value;
 
-use crate::cell::{Cell, json, text, wait_until};
+use crate::cell::{Cell, text, wait_until};
 use crate::host::skip;
 use crate::rtnet;
 

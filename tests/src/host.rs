@@ -38,6 +38,8 @@ const NAP: Duration = Duration::from_millis(5);
 /// long: several cycles, and whatever a test waits for before it looks at something.
 const WAITED: Duration = Duration::from_millis(20);
 const ATTEMPTS: usize = 4;
+/// Of what a failed attempt has said, a log shows so many words.
+const WORDS_AT_MOST: usize = 120;
 /// Long enough for whatever is sure to come.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -160,7 +162,7 @@ fn attempts(attempt: impl Fn() -> (std::thread::Result<()>, Still), again: impl 
         match attempt() {
             (Ok(()), _) => return,
             (Err(panic), still) if still.is_disturbed() && number < ATTEMPTS => {
-                let why = first_line(panic.as_ref());
+                let why = one_line(panic.as_ref());
                 again(&format!("{still}: {why}"));
             }
             (Err(panic), _) => resume_unwind(panic),
@@ -168,10 +170,10 @@ fn attempts(attempt: impl Fn() -> (std::thread::Result<()>, Still), again: impl 
     }
 }
 
-/// What a test that failed has said first.
-fn first_line(panic: &(dyn Any + Send)) -> &str {
+/// What a test that failed has said, in one line, so that a log shows the cause.
+fn one_line(panic: &(dyn Any + Send)) -> String {
     let said = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
-    said.and_then(|said| said.lines().next()).unwrap_or_default()
+    said.unwrap_or_default().split_whitespace().take(WORDS_AT_MOST).collect::<Vec<_>>().join(" ")
 }
 
 /// Runs something while the cores are taken away, each by itself, for up to `longest` at a time, as by a hypervisor.

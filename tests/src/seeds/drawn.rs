@@ -16,7 +16,8 @@ pub fn drawn(name: &str, count: usize) -> Vec<u64> {
     }
     let date = date();
     let seeds = of_date(date, name, count);
-    println!("SEEDS {name}: {seeds:?}, drawn from {date}");
+    // Standard output is a benchmark's, where one uses this.
+    eprintln!("SEEDS {name}: {seeds:?}, drawn from {date}");
     seeds
 }
 
@@ -39,7 +40,7 @@ fn date() -> &'static str {
         let date = git.output().ok().filter(|output| output.status.success());
         let date = date.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
         date.filter(|date| !date.is_empty()).unwrap_or_else(|| {
-            println!("SEEDS: git tells no commit's date here: drawn from {WITHOUT_GIT}");
+            eprintln!("SEEDS: git tells no commit's date here: drawn from {WITHOUT_GIT}");
             WITHOUT_GIT.to_owned()
         })
     })

@@ -84,7 +84,7 @@ fn vnic_of(station: &str, arguments: &[&str]) -> Output {
         if !text(&output.stderr).contains("has not answered within 2s: ask how it is, and again") {
             return output;
         }
-        eprintln!("AGAIN rtnet vnic {arguments:?} of {station}: not answered within 2s");
+        eprintln!("AGAIN vnic: {arguments:?} of {station} was not answered within 2s");
     }
     ask()
 }

@@ -167,7 +167,7 @@ fn a_page_is_readable_in_a_browser_at_any_width_and_shows_the_slots_of_the_file(
         browser.picture(&page, (width, height), &kept(&format!("sim-{width}.png")), &[]);
         let told = assert_is_readable(&browser, &page, width);
         let figures = told["figures"].as_array().unwrap();
-        // The camera is stalled ten times; outages of the other station are in the worst cycles, too, twelve at the most.
+        // The camera is stalled ten times. Outages of the other station add to these; the page shows twelve cycles at most.
         let (worst, ordinary) = (10..=12, 1);
         assert!(worst.contains(&(figures.len() - ordinary)), "{} cycles", figures.len());
         for figure in figures {
@@ -246,7 +246,7 @@ fn a_live_lab_has_such_a_page_too() {
         let report: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
         let (word, rest) = screen.lines().last().unwrap().split_once(": ").unwrap();
         assert!(html.contains(&format!("<strong>{word}</strong>")), "{screen}");
-        // The screen's line has no room for long reasons; where all went well it has none.
+        // The screen shortens long reasons. A run that is OK has none.
         let reasons = report["verdict"]["reasons"].as_array().unwrap();
         let reasons: Vec<&str> = reasons.iter().map(|reason| reason.as_str().unwrap()).collect();
         for reason in if reasons.is_empty() { vec![rest] } else { reasons } {

@@ -18,8 +18,8 @@ const LOOSE: [&str; 6] = ["--stations", "2", "--guard", "400us", "--miss", "100%
 /// Lengths of a trial and of a proof.
 const SHORT: [&str; 4] = ["--trial", "300ms", "--proof", "500ms"];
 
-/// Exit status, and all that is printed. A host that stands still at the end of a run fails it, however many may be missed: then it is
-/// asked again, aloud.
+/// Exit status, and all that is printed. A host that stands still at the end of a run makes the search fail, whatever
+/// `--miss` is. The search is repeated then, and a line says so.
 fn searched(options: &[&str], files: &[(&str, &Path)]) -> (Option<i32>, String) {
     for attempt in 1..=3 {
         let (status, said) = searched_once(options, files);

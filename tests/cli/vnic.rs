@@ -33,7 +33,7 @@ const EVERY: EtherType = EtherType(3);
 /// Longer than anything takes but a large transfer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// So often 2 s are as long as a busy kernel may take to end a station.
+/// Attempts of 2 s each: together as long as a busy kernel may take to end a station.
 const ASKED_AT_MOST: u32 = 15;
 
 /// A lab of `file` in this mode.
@@ -75,8 +75,8 @@ fn vnic(cell: &Cell, station: &str, arguments: &[&str]) -> Output {
     vnic_of(&cell.place(station), arguments)
 }
 
-/// A kernel that is busy with the devices of other tests may take longer than a control thread waits: then the same is
-/// asked again, as the refusal says, and aloud.
+/// A kernel that is busy with the devices of other tests may take longer than a control thread waits. The request is
+/// repeated then, as the refusal advises, and a line says so.
 fn vnic_of(station: &str, arguments: &[&str]) -> Output {
     let ask = || rtnet().args(["vnic", "-S", station]).args(arguments).output().unwrap();
     for _ in 1..ASKED_AT_MOST {

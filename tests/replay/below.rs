@@ -6,7 +6,7 @@ const WINDOW: usize = 20;
 const BEFORE_EARLY: usize = WINDOW / 8;
 /// Fewer windows show no line.
 const WINDOWS_AT_LEAST: usize = 8;
-/// Clocks run apart by no more: 200 ppm of cycles of 100 ms, in nanoseconds a cycle.
+/// Largest drift of two clocks: 200 ppm of a cycle of 100 ms, in nanoseconds a cycle.
 const FASTEST: f64 = 20_000.0;
 
 /// A Synchronisation: its cycle, and by how much it is later than a line without drift, in nanoseconds.
@@ -52,7 +52,7 @@ impl Below {
     }
 }
 
-/// Whether clocks run apart so fast.
+/// Whether two clocks can have this drift.
 fn clocks_may(edge: &(Point, Point)) -> bool {
     slope(*edge).abs() <= FASTEST
 }

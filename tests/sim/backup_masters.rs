@@ -72,7 +72,7 @@ fn the_backup_that_looks_first_takes_over_in_the_very_cycle_and_the_next_after_i
 
 #[test]
 fn a_primary_that_returns_calibrates_and_goes_on_without_a_gap_or_a_doubled_number() {
-    // It listens, and goes on with the grid as the backup's clock has moved it until then.
+    // The primary continues the grid of the backup, whose clock has drifted meanwhile.
     let mut plan = plan();
     plan.tolerance = OFF + plan.moved_without_master(100 + 310);
     let mut lab = running(&plan);
@@ -127,7 +127,7 @@ fn a_backup_that_misses_a_synchronisation_repeats_it_and_disturbs_nobody() {
     assert!(judge.overlaps.is_empty(), "{:?}", judge.overlaps);
     assert!(judge.out_of_slot.is_empty(), "{:?}", judge.out_of_slot);
     assert!(sent(&lab, FIRST) > 50 && sent(&lab, FIRST) < 200, "one in a hundred: {}", sent(&lab, FIRST));
-    // Two in a row are lost in one cycle of 10 000, and cost a slot: more than nine times in one of ten million runs.
+    // Two syncs in a row are lost once in 10 000 cycles, which costs a slot. More than nine times: one run in ten million.
     for id in SLAVES {
         assert_eq!(lab.state(id), SyncState::Locked);
         assert!(

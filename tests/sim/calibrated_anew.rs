@@ -88,7 +88,7 @@ fn on_a_busy_host_with_lost_frames_it_gets_there_too() {
         assert!(is_taken, "station {id}");
     }
     lab.run_cycles(1_000);
-    // A station that misses a sync of its just now is locked by the next ones.
+    // A station that has just missed a sync is locked by the next ones.
     lab.network.medium_mut().lose_control_ppm = 0;
     (0..4).for_each(|id| lab.network.member_mut(id).host = Host::IDEAL.into());
     lab.run_cycles(5);

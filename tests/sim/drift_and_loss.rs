@@ -107,7 +107,7 @@ fn every_slave_finds_out_how_far_its_clock_drifts() {
     }
 }
 
-/// A drift is off by no more, in parts per 10^9, once a station says that it will not become clearer.
+/// Largest error of the drift of a settled station, in parts per 10^9.
 const CLEAR: i64 = 2_000;
 
 #[test]

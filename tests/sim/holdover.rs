@@ -9,11 +9,11 @@ use tests::seeds;
 use tools::scenario::{ServoName, Uniform};
 
 const SLAVES: [StationId; 3] = [1, 2, 3];
-/// So many cycles all are without their master...
+/// Cycles without a master.
 const ALONE: u32 = 500;
-/// ... and bridge these: an outage of 4 ms may have cost a slave as many syncs just before, and one is under way.
+/// Cycles that a slave bridges. An outage of 4 ms just before may cost it four syncs more, and one is under way.
 const HOLDOVER: u32 = ALONE + 5;
-/// How far off a slave on a busy host may be after that if nothing is known of its drift: 200 ppm, and the delay of the last syncs.
+/// Largest error bound after that if the drift is not known: 200 ppm, and the delay of the last syncs.
 const UNKNOWN: Span = Span::from_micros(160);
 
 /// A network whose slaves bridge so many cycles, on such hosts, locked for so many cycles.
@@ -77,7 +77,7 @@ fn in_holdover_a_slave_is_never_further_off_than_it_says() {
         });
         let mut bounds: Vec<Span> = in_each.map(|(_, bound)| bound).collect();
         bounds.sort_unstable();
-        // An outage of a busy host may have begun another line just before: then nothing is known of its drift.
+        // An outage of a busy host may begin a new line just before, whose drift is not known.
         let (middle, last) = (bounds[bounds.len() / 2], bounds[bounds.len() - 1]);
         let is_sharp = middle <= most && last <= if host == Host::IDEAL { most } else { UNKNOWN };
         assert!(is_sharp, "{rounds} rounds, seeds from {first}: {bounds:?} say nothing");

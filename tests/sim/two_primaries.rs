@@ -112,7 +112,7 @@ fn of_two_primaries_that_begin_cut_off_from_each_other_the_lower_address_stays_a
         let seen = log.take();
         let frames = |id| seen.iter().filter(|seen| seen.from == id && seen.sync.is_none()).count();
         let sent = [0, 1, 2, 3, 4, 5].map(frames);
-        // The clocks drift from true time: a slot may lie on either end of it.
+        // The clocks drift from true time, so a slot may cross either end of the interval.
         assert!(sent.iter().all(|n| (99..=101).contains(n)), "each in its slot of every cycle: {sent:?}");
         assert!(seen.iter().all(|seen| !seen.met && seen.sync.is_none_or(|_| seen.from == LOWER)));
     }

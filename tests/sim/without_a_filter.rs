@@ -108,7 +108,7 @@ fn held_up_evenly(servo: ServoName, longest: Span, seed: u64) -> (Span, Span) {
 
 #[test]
 fn where_every_frame_is_held_up_evenly_a_filter_is_steadier_but_no_nearer_than_none() {
-    // The delay that 100 rounds give differs by 4 % of `longest` from network to network: this is the mean of 20.
+    // The delay measured in 100 rounds varies between networks by 4 % of `longest`. The mean of 20 networks is compared.
     let first = seeds::one("held_up_evenly");
     for longest in [10, 20, 40].map(Span::from_micros) {
         let mean = |servo| {

@@ -67,7 +67,7 @@ fn check_exchanged(config: &AccessConfig, expected: RangeInclusive<u64>) {
         network.add(member(config, from, Box::new(traffic)), BEGIN + id as u64 * 300_000);
     }
     network.run_until(BEGIN + SECOND);
-    // Both have done with what they have begun, or a host stands still.
+    // Frames under way arrive, within 100 ms also where a host stands still.
     let has_all = |network: &Network<Access>, id: usize| {
         let (arrived, sent) = (counts[id].arrived(None), sent(network, 1 - id));
         assert!(arrived.received <= sent, "{} of {sent}", arrived.received);

@@ -38,7 +38,7 @@ const NAP: Duration = Duration::from_millis(5);
 /// long: several cycles, and whatever a test waits for before it looks at something.
 const WAITED: Duration = Duration::from_millis(20);
 const ATTEMPTS: usize = 4;
-/// Of what a failed attempt has said, a log shows so many words.
+/// Words of a failed attempt's message in a log.
 const WORDS_AT_MOST: usize = 120;
 /// Long enough for whatever is sure to come.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -170,7 +170,7 @@ fn attempts(attempt: impl Fn() -> (std::thread::Result<()>, Still), again: impl 
     }
 }
 
-/// What a test that failed has said, in one line, so that a log shows the cause.
+/// The message of a failed test in one line, for logs.
 fn one_line(panic: &(dyn Any + Send)) -> String {
     let said = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
     said.unwrap_or_default().split_whitespace().take(WORDS_AT_MOST).collect::<Vec<_>>().join(" ")

@@ -137,8 +137,8 @@ impl Plan {
         self
     }
 
-    /// How far the grid may be from that of a master that has been away for so many cycles: as far as a station's clock drifts
-    /// from that one's.
+    /// Largest offset between the grid and that of a master that was away for `cycles`: the largest drift of a station's
+    /// clock from the master's in this time.
     pub fn moved_without_master(&self, cycles: u32) -> Span {
         let drifts = self.scenario.stations.iter().map(|station| station.clock_drift_ppb);
         let master = drifts.clone().next().unwrap_or(0);

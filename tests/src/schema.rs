@@ -14,7 +14,7 @@ fn schema_of(document: &Value) -> Result<PathBuf, String> {
     Ok(Path::new(env!("CARGO_MANIFEST_DIR")).join(schema))
 }
 
-/// Why a document, or one of an array, is not as its schema says.
+/// The first violation of its schema by a document, or by one of an array.
 pub fn wrong_with(document: &Value) -> Result<(), String> {
     if let Value::Array(documents) = document {
         return documents.iter().try_for_each(wrong_with);

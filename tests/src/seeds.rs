@@ -11,8 +11,8 @@ pub use drawn::{HIGHEST, asked, drawn};
 /// Each seed with which a test failed once.
 const KEPT: &str = include_str!("seeds/kept.txt");
 
-/// The closure of a test must hold for so many seeds that are drawn from the commit's date, and for those of `seeds/kept.txt`,
-/// run on all CPUs: it asserts.
+/// Runs a test's closure, which asserts, on all CPUs: with `count` seeds drawn from the commit's date, and with its seeds of
+/// `seeds/kept.txt`.
 #[track_caller]
 pub fn each<F: Fn(u64) + Send + Sync + 'static>(count: usize, test: F) {
     // `sim::holdover::in_holdover_...::{{closure}}`

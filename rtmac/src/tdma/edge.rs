@@ -1,5 +1,7 @@
 //! A line below points, each of which is on it or late.
 
+use std::collections::VecDeque;
+
 use rtnet::time::{Instant, Span};
 
 use super::line::Drift;
@@ -40,14 +42,14 @@ impl Edge {
 
     /// The line of a rate that is known, through the lowest point. The older one is, the less sure it is how low it lies
     /// now: by that it counts as later, and twice, for a calibration of a busy host may be wrong by more than it says.
-    pub fn of_rate<'a>(points: impl Points<'a>, rate: Rate, period: Span) -> Option<Self> {
-        let last = *points.clone().next_back()?;
+    pub fn of_rate(points: &VecDeque<Point>, rate: Rate, period: Span) -> Option<Self> {
+        let last = *points.back()?;
         let flat = Self::through(last, Drift::of_rate(rate.gains, period), period);
         let now = |&point: &&Point| {
             let ago = period * i64::from(cycles(*point, last));
             flat.late(point) + Span::from_nanos((2.0 * rate.unsure * ago.nanos() as f64) as i64)
         };
-        let through = *points.min_by_key(now)?;
+        let through = *points.iter().min_by_key(now)?;
         Some(Self { through, unsure: rate.unsure, ..flat })
     }
 
@@ -83,10 +85,10 @@ impl Edge {
         None
     }
 
-    /// By how much its drift may be wrong, drawn through these two points. Of any two points on it, one was delayed by 2 us
-    /// more than the other at most; where few of one half are on it, by as much as the latest of all. That, and how far both
-    /// lie from the line, over the time between them, bounds the error. The outermost points on it may give a smaller bound
-    /// than those it is drawn through: rounding decides which those are where many are on it.
+    /// Bound of the error of its drift, in parts of one; `through` are its two ends. The delays of two points on the edge
+    /// differ by 2 us at most, or by the largest delay if one half has few points on the edge. The bound is this difference,
+    /// plus the distance of the two points from the edge, divided by the time between them. The outermost points on the edge
+    /// may give a smaller bound than its ends: if many points are on it, rounding decides which are the ends.
     fn unsure<'a>(&self, points: impl Points<'a>, half: usize, through: [Point; 2]) -> Option<f64> {
         let is_on_it = |point: &&Point| self.late(point) <= ON_IT;
         let on_it = points.clone().take(half).filter(is_on_it).count();

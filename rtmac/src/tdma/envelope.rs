@@ -273,7 +273,7 @@ impl Envelope {
         self.edge = match last.and_then(|last| Some((last, self.known_at(last)?))) {
             Some((last, known)) => {
                 let rate = self.learn(last, known, edge);
-                Edge::of_rate(self.early.iter(), rate, period)
+                Edge::of_rate(&self.early, rate, period)
             }
             None => edge,
         };
@@ -389,8 +389,8 @@ impl Envelope {
         self.edge.map(|edge| edge.drift)
     }
 
-    /// Of this window's, by the drift of the line. Without one, by what this window shows of it: fast clocks gain as much
-    /// within a window as a host delays frames, and the first would seem the early ones.
+    /// The early sync of this window, measured along the line's drift. Before there is a line, the drift comes from the
+    /// window itself: fast clocks gain as much in a window as a host delays frames, so without it the first syncs seem early.
     fn early_one(&self, period: Span) -> Point {
         let window = self.window();
         let of_window = || Edge::below_the_middle::<WINDOW>(window.iter(), period).map(|edge| edge.drift);

@@ -16,7 +16,7 @@ pub fn drawn(name: &str, count: usize) -> Vec<u64> {
     }
     let date = date();
     let seeds = of_date(date, name, count);
-    // Standard output is a benchmark's, where one uses this.
+    // Benchmarks answer on standard output.
     eprintln!("SEEDS {name}: {seeds:?}, drawn from {date}");
     seeds
 }

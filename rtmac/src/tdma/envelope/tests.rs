@@ -37,7 +37,7 @@ fn eight_windows_show_the_drift() {
     }
 }
 
-/// Half of a round trip, the lower quartile of many, if either way takes up to 8 us longer.
+/// Lower quartile of half a round trip, if either way takes up to 8 us longer.
 const DELAY_ON_A_BUSY_HOST: Span = Span::from_nanos(2_828);
 
 #[test]

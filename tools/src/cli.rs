@@ -68,10 +68,11 @@ pub enum Verb {
     ///
     /// Each trial is a lab of its own (as `rtnet lab run --stations N --cycle ...`) with a cycle of the E24 series: 1ms, 910us,
     /// 820us, 750us ... A trial is judged by what is usual in it: the middle one of its 20 parts. The shortest cycle that holds
-    /// is then run for longer, and all that is missed counts; if that is too much, longer ones are proven.
+    /// is then run for longer, and all that is missed counts; if that is too much, longer ones are proven. A run whose verdict is
+    /// INCONCLUSIVE is repeated, five times in all.
     ///
     /// Exit status: 0 found, and as good as in --compare's file; 1 none was found, or it is a regression, or a file could not be
-    /// written; 2 bad usage, or no privileges; 130 it was interrupted.
+    /// written; 2 bad usage, or no privileges; 3 INCONCLUSIVE: the host was too disturbed; 130 it was interrupted.
     FindMinCycle(MinCycleArgs),
     /// Say what a network does before it runs: when who sends, how long frames wait at the worst; or propose one
     ///

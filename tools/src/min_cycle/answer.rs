@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, ensure};
 use serde::{Deserialize, Serialize};
 
 use crate::judge::account::PARTS;
@@ -57,8 +57,8 @@ pub struct Run {
     pub cycle_ns: i64,
     /// What it was for.
     pub purpose: Purpose,
-    /// Whether the cycle was held.
-    pub holds: bool,
+    /// Whether the cycle was held; none: the verdict was INCONCLUSIVE, and the run is repeated.
+    pub holds: Option<bool>,
     /// Of each slot.
     pub guard_ns: i64,
     /// How long it was measured.
@@ -119,10 +119,16 @@ impl Run {
         };
         let verdict = &figures.verdict;
         let is_sound = matches!(verdict.word, Word::Ok | Word::Degraded);
+        let holds = match verdict.word {
+            // A cycle that is too short has late threads, too, as a disturbed host has: its misses decide.
+            _ if decides * 1e6 > f64::from(miss_ppm) => Some(false),
+            Word::Inconclusive => None,
+            _ => Some(is_sound),
+        };
         Self {
             cycle_ns,
             purpose,
-            holds: is_sound && decides * 1e6 <= f64::from(miss_ppm),
+            holds,
             guard_ns,
             duration_ns,
             slots,
@@ -145,7 +151,7 @@ impl Run {
         Self {
             cycle_ns,
             purpose,
-            holds: false,
+            holds: Some(false),
             guard_ns,
             duration_ns,
             slots: 0,
@@ -175,14 +181,25 @@ impl Answer {
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("{name} cannot be read"))?;
-        read(&text).map_err(|error: NotRead| {
+        let kept: Self = read(&text).map_err(|error: NotRead| {
             let what = match &error {
                 NotRead::Json(why) if why.is_data() => "is not whole",
                 NotRead::Json(_) => "is not JSON",
                 NotRead::Another { .. } => "is not an answer of this version",
             };
             anyhow!("{name} {what}: {error}: keep an answer with `rtnet find-min-cycle --json`")
-        })
+        })?;
+        ensure!(
+            kept.inconclusive().is_none(),
+            "{name} is of a search that was INCONCLUSIVE, and has nothing to compare with: search again with `rtnet \
+             find-min-cycle --json`"
+        );
+        Ok(kept)
+    }
+
+    /// The run that decided nothing however often it was repeated, if the search ended there.
+    pub fn inconclusive(&self) -> Option<&Run> {
+        self.runs.last().filter(|run| run.holds.is_none())
     }
 
     /// Beside one that was kept.
@@ -202,21 +219,23 @@ impl Answer {
 
     /// The run that proved the answer.
     pub fn proof(&self) -> Option<&Run> {
-        let proves =
-            |run: &&Run| run.purpose == Purpose::Proof && run.holds && self.cycle_ns == Some(run.cycle_ns);
+        let proves = |run: &&Run| {
+            run.purpose == Purpose::Proof && run.holds == Some(true) && self.cycle_ns == Some(run.cycle_ns)
+        };
         self.runs.iter().rfind(proves)
     }
 
     /// The longest cycle below the answer that was not held.
     pub fn next_shorter(&self) -> Option<&Run> {
-        let shorter = self.runs.iter().filter(|run| Some(run.cycle_ns) < self.cycle_ns && !run.holds);
+        let shorter =
+            self.runs.iter().filter(|run| Some(run.cycle_ns) < self.cycle_ns && run.holds == Some(false));
         shorter.max_by_key(|run| run.cycle_ns)
     }
 
     /// The trial of the shortest cycle that held, if what is proven is longer by more than searches differ, or nothing is:
     /// then not what a cycle has room for decided, but outages of the host, which come and go.
     pub fn decided_by_outages(&self) -> Option<&Run> {
-        let held = self.runs.iter().filter(|run| run.purpose == Purpose::Trial && run.holds);
+        let held = self.runs.iter().filter(|run| run.purpose == Purpose::Trial && run.holds == Some(true));
         let shortest = held.min_by_key(|run| run.cycle_ns)?;
         let proven = self.cycle_ns.map_or(f64::INFINITY, |ns| ns as f64);
         (proven > shortest.cycle_ns as f64 * AGREE_WITHIN).then_some(shortest)

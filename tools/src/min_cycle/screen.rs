@@ -1,6 +1,7 @@
 //! An answer in words.
 
 use super::answer::{AGREE_WITHIN, Answer, Asked, Compared, Purpose, Run};
+use super::search::TRIES;
 use crate::report::screen::host_lines;
 use crate::report::text::{Column, duration, grouped, paragraph, table};
 
@@ -24,10 +25,11 @@ pub fn render(answer: &Answer, width: usize) -> String {
 pub fn run_line(run: &Run) -> String {
     let cycle = duration(run.cycle_ns.unsigned_abs());
     let what = match (run.purpose, run.holds) {
-        (Purpose::Trial, true) => "holds",
-        (Purpose::Trial, false) => "does not hold",
-        (Purpose::Proof, true) => "is proven",
-        (Purpose::Proof, false) => "is not proven",
+        (_, None) => "is not decided",
+        (Purpose::Trial, Some(true)) => "holds",
+        (Purpose::Trial, Some(false)) => "does not hold",
+        (Purpose::Proof, Some(true)) => "is proven",
+        (Purpose::Proof, Some(false)) => "is not proven",
     };
     match run.slots {
         0 => format!("{cycle} {what}: {}", run.note.as_deref().unwrap_or("no slot was measured")),
@@ -84,12 +86,22 @@ fn runs(runs: &[Run], width: usize) -> Vec<String> {
         column(["", "usual"], &|run| measured(run, percent(run.usual_share))),
         column(["unex-", "plained"], &|run| measured(run, grouped(run.unexplained))),
         column(["cpu", "%"], &|run| measured(run, format!("{:.0}", run.rt_cpu_percent))),
-        column(["", "holds"], &|run| if run.holds { "yes" } else { "no" }.to_owned()),
+        column(["", "holds"], &|run| {
+            run.holds.map_or("?", |held| if held { "yes" } else { "no" }).to_owned()
+        }),
     ];
     table(&columns, width)
 }
 
 fn conclusion(answer: &Answer) -> String {
+    if let Some(run) = answer.inconclusive() {
+        return format!(
+            "INCONCLUSIVE: {TRIES} runs of {} decided nothing, the last since {}. Search again when this host is quiet; `rtnet \
+             doctor` shows what delays its threads",
+            duration(run.cycle_ns.unsigned_abs()),
+            run.note.as_deref().unwrap_or_default()
+        );
+    }
     let limit = percent(f64::from(answer.asked.miss_ppm) / 1e6);
     let outages = outages(answer);
     let Some(proof) = answer.proof() else {

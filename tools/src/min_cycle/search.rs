@@ -6,8 +6,13 @@
 //!   └───── not ────► longer  ... until one holds ───────────┘                 └─ not: 1, 1, 2, 4, 8 rungs longer,
 //!                                                                                until one holds; then between the two
 //! ```
+//!
+//! A run that decides nothing is repeated, [`TRIES`] times in all. Then the search ends without an answer.
 
 use super::answer::{Purpose, Run};
+
+/// How often a run that decides nothing is made. A host that is disturbed in half of all runs leaves one of 32 undecided.
+pub const TRIES: usize = 5;
 
 /// Rungs of the ladder at a time, until the answer lies between two: 1.5 times as long, or as short.
 const GALLOP: usize = 4;
@@ -27,7 +32,7 @@ pub fn search<E>(
             Next::Trial(rung) => (rung, Purpose::Trial),
             Next::Proof(rung) => (rung, Purpose::Proof),
             Next::Found(rung) => return Ok((Some(rung), runs)),
-            Next::NotFound => return Ok((None, runs)),
+            Next::NotFound | Next::Inconclusive => return Ok((None, runs)),
         };
         let run = run(rung, purpose)?;
         search.tell(run.holds);
@@ -46,6 +51,8 @@ pub enum Next {
     Found(usize),
     /// None is.
     NotFound,
+    /// The same run has decided nothing [`TRIES`] times.
+    Inconclusive,
 }
 
 /// A search on a ladder of so many rungs, the shortest cycle at 0.
@@ -57,6 +64,8 @@ pub struct Search {
     /// The shortest that held a trial.
     holds: Option<usize>,
     next: Next,
+    /// How often the next run has decided nothing.
+    undecided: usize,
     /// The longest whose proof failed, and how many have.
     unproven: Option<usize>,
     failed_proofs: usize,
@@ -68,7 +77,16 @@ impl Search {
     /// Begins at a rung.
     pub fn new(rungs: usize, start: usize) -> Self {
         let next = if rungs == 0 { Next::NotFound } else { Next::Trial(start.min(rungs - 1)) };
-        Self { rungs, fails: None, holds: None, next, unproven: None, failed_proofs: 0, proven: None }
+        Self {
+            rungs,
+            fails: None,
+            holds: None,
+            next,
+            undecided: 0,
+            unproven: None,
+            failed_proofs: 0,
+            proven: None,
+        }
     }
 
     /// What to do.
@@ -76,8 +94,16 @@ impl Search {
         self.next
     }
 
-    /// What came of it.
-    pub fn tell(&mut self, held: bool) {
+    /// What came of it; none: nothing.
+    pub fn tell(&mut self, held: Option<bool>) {
+        let Some(held) = held else {
+            self.undecided += 1;
+            if self.undecided == TRIES {
+                self.next = Next::Inconclusive;
+            }
+            return;
+        };
+        self.undecided = 0;
         self.next = match self.next {
             Next::Trial(rung) => {
                 if held {
@@ -144,11 +170,11 @@ mod tests {
             match search.next() {
                 Next::Trial(rung) => {
                     trials += 1;
-                    search.tell(holds(rung));
+                    search.tell(Some(holds(rung)));
                 }
                 Next::Proof(rung) => {
                     proofs += 1;
-                    search.tell(proves(rung));
+                    search.tell(Some(proves(rung)));
                 }
                 ended => return (ended, trials, proofs),
             }
@@ -188,5 +214,17 @@ mod tests {
         assert_eq!(searched(50, 25, |_| false, |_| true).0, Next::NotFound);
         assert_eq!(searched(1, 0, |_| false, |_| true), (Next::NotFound, 1, 0));
         assert_eq!(searched(0, 0, |_| true, |_| true), (Next::NotFound, 0, 0));
+    }
+
+    #[test]
+    fn run_that_decides_nothing_is_repeated_then_ends_the_search() {
+        let mut search = Search::new(10, 0);
+        for held in [None, None, None, None, Some(true), None, None, None, None] {
+            assert!(matches!(search.next(), Next::Trial(0) | Next::Proof(0)), "{:?}", search.next());
+            search.tell(held);
+        }
+        assert_eq!(search.next(), Next::Proof(0), "tries are counted for each run");
+        search.tell(None);
+        assert_eq!(search.next(), Next::Inconclusive);
     }
 }

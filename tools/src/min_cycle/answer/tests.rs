@@ -39,22 +39,39 @@ fn one_bad_moment_fails_a_proof_and_no_trial_and_a_busy_core_fails_both() {
     let mut outage = [1; 20];
     outage[7] = 200;
     let held = [Purpose::Trial, Purpose::Proof].map(|purpose| run(purpose, outage).holds);
-    assert_eq!(held, [true, false]);
+    assert_eq!(held, [Some(true), Some(false)]);
     let of_it = run(Purpose::Proof, outage);
     assert_eq!((of_it.missed, of_it.missed_share, of_it.usual_share), (219, 0.005_475, 0.0005));
 
     let held = |parts| [Purpose::Trial, Purpose::Proof].map(|purpose| run(purpose, parts).holds);
-    assert_eq!((held([2; 20]), held([3; 20])), ([true; 2], [false; 2]));
+    assert_eq!((held([2; 20]), held([3; 20])), ([Some(true); 2], [Some(false); 2]));
 }
 
 #[test]
 fn a_run_with_a_bad_verdict_and_one_that_did_not_come_up_hold_nothing_and_say_why() {
     let bad = figures([1; 20], &["1 unexplained miss", "2 payload errors"]);
     let run = Run::of(Purpose::Trial, MILLISECOND, 5_000_000_000, (&bad, [1; 20]), 1_000);
-    assert!(!run.holds);
+    assert_eq!(run.holds, Some(false));
     assert_eq!(run.note.as_deref(), Some("1 unexplained miss; 2 payload errors"));
     let run = Run::without(Purpose::Trial, MILLISECOND, 5_000_000_000, "not locked".into());
-    assert_eq!((run.holds, run.note.as_deref()), (false, Some("not locked")));
+    assert_eq!((run.holds, run.note.as_deref()), (Some(false), Some("not locked")));
+}
+
+/// Misses decide whatever the host did; what else is wrong of an inconclusive run may be the host's doing.
+#[test]
+fn inconclusive_run_decides_nothing_but_by_its_misses() {
+    let run = |purpose, missed| {
+        let mut figures = figures([missed; 20], &[]);
+        figures.verdict = Verdict::new(Word::Inconclusive, vec!["this host was disturbed".into()]);
+        Run::of(purpose, MILLISECOND, 5_000_000_000, (&figures, [missed; 20]), 1_000)
+    };
+    for purpose in [Purpose::Trial, Purpose::Proof] {
+        assert_eq!([2, 3].map(|missed| run(purpose, missed).holds), [None, Some(false)]);
+    }
+    let ended = |runs| Answer { runs, ..answer(None) }.inconclusive().map(|run| run.cycle_ns);
+    let [undecided, failed] = [2, 3].map(|missed| run(Purpose::Trial, missed));
+    assert_eq!(ended(vec![failed.clone(), undecided.clone()]), Some(1_000_000));
+    assert_eq!(ended(vec![undecided, failed]), None);
 }
 
 #[test]
@@ -100,6 +117,10 @@ fn what_is_kept_is_read_again_and_nothing_else_is() {
     ));
     std::fs::write(&path, serde_json::to_string(&Document::of(&kept)).unwrap()).unwrap();
     assert_eq!(Answer::load(&path).unwrap(), kept);
+    kept.runs[0].holds = None;
+    std::fs::write(&path, serde_json::to_string(&Document::of(&kept)).unwrap()).unwrap();
+    let refused = format!("{:#}", Answer::load(&path).unwrap_err());
+    assert!(refused.contains("kept.json is of a search that was INCONCLUSIVE"), "{refused}");
 
     let error = |text: &str| {
         std::fs::write(&path, text).unwrap();

@@ -1,4 +1,5 @@
 use super::*;
+use crate::min_cycle::screen;
 use crate::report::document::Document;
 use crate::report::verdict::{Verdict, Word};
 
@@ -68,10 +69,20 @@ fn inconclusive_run_decides_nothing_but_by_its_misses() {
     for purpose in [Purpose::Trial, Purpose::Proof] {
         assert_eq!([2, 3].map(|missed| run(purpose, missed).holds), [None, Some(false)]);
     }
-    let ended = |runs| Answer { runs, ..answer(None) }.inconclusive().map(|run| run.cycle_ns);
+    let last_line = |runs| {
+        let text = screen::render(&Answer { runs, ..answer(None) }, 1_000);
+        text.lines().last().unwrap_or_default().to_owned()
+    };
     let [undecided, failed] = [2, 3].map(|missed| run(Purpose::Trial, missed));
-    assert_eq!(ended(vec![failed.clone(), undecided.clone()]), Some(1_000_000));
-    assert_eq!(ended(vec![undecided, failed]), None);
+    let ended = last_line(vec![failed.clone(), undecided.clone()]);
+    assert!(
+        ended.starts_with(
+            "INCONCLUSIVE: 5 runs of 1ms decided nothing, the last since this host was disturbed. "
+        ),
+        "{ended}"
+    );
+    let ended = last_line(vec![undecided, failed]);
+    assert!(ended.starts_with("NOT FOUND: "), "{ended}");
 }
 
 #[test]

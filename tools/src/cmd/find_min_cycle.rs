@@ -29,8 +29,8 @@ const DEFAULT_PROOF: Span = Span::from_millis(30_000);
 const START: Span = Span::from_millis(1);
 const SEED: u64 = 1;
 
-/// Searches, proves, and reports. The exit status is 1 if nothing was found, or less than what was kept; 3 if the host was so
-/// disturbed that nothing follows.
+/// Searches, proves, and reports. The exit status is 1 if nothing was found, or a longer cycle than was kept; 3 if the search is
+/// INCONCLUSIVE.
 pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     let kept = args.compare.as_deref().map(|path| Ok((path, Answer::load(path)?)));
     let kept = kept.transpose().map_err(Failure::Usage)?;

@@ -120,7 +120,7 @@ impl Run {
         let verdict = &figures.verdict;
         let is_sound = matches!(verdict.word, Word::Ok | Word::Degraded);
         let holds = match verdict.word {
-            // A cycle that is too short has late threads, too, as a disturbed host has: its misses decide.
+            // Threads are late on a disturbed host and in a cycle that is too short. So too many misses always decide.
             _ if decides * 1e6 > f64::from(miss_ppm) => Some(false),
             Word::Inconclusive => None,
             _ => Some(is_sound),
@@ -197,7 +197,7 @@ impl Answer {
         Ok(kept)
     }
 
-    /// The run that decided nothing however often it was repeated, if the search ended there.
+    /// The run whose attempts all decided nothing, which ended the search; `None` if the search has an answer.
     pub fn inconclusive(&self) -> Option<&Run> {
         self.runs.last().filter(|run| run.holds.is_none())
     }

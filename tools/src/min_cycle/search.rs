@@ -7,11 +7,11 @@
 //!                                                                                until one holds; then between the two
 //! ```
 //!
-//! A run that decides nothing is repeated, [`TRIES`] times in all. Then the search ends without an answer.
+//! A run that decides nothing is repeated. After [`TRIES`] such attempts the search ends without an answer.
 
 use super::answer::{Purpose, Run};
 
-/// How often a run that decides nothing is made. A host that is disturbed in half of all runs leaves one of 32 undecided.
+/// Attempts at a run until it decides. If half of all attempts decide nothing, one run in 32 stays undecided.
 pub const TRIES: usize = 5;
 
 /// Rungs of the ladder at a time, until the answer lies between two: 1.5 times as long, or as short.
@@ -51,7 +51,7 @@ pub enum Next {
     Found(usize),
     /// None is.
     NotFound,
-    /// The same run has decided nothing [`TRIES`] times.
+    /// No attempt at a run decided; there were [`TRIES`].
     Inconclusive,
 }
 
@@ -64,7 +64,7 @@ pub struct Search {
     /// The shortest that held a trial.
     holds: Option<usize>,
     next: Next,
-    /// How often the next run has decided nothing.
+    /// Attempts at the next run that decided nothing.
     undecided: usize,
     /// The longest whose proof failed, and how many have.
     unproven: Option<usize>,
@@ -94,7 +94,7 @@ impl Search {
         self.next
     }
 
-    /// What came of it; none: nothing.
+    /// Takes whether the run held. `None`: it decided nothing, and is repeated.
     pub fn tell(&mut self, held: Option<bool>) {
         let Some(held) = held else {
             self.undecided += 1;

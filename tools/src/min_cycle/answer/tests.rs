@@ -58,7 +58,7 @@ fn a_run_with_a_bad_verdict_and_one_that_did_not_come_up_hold_nothing_and_say_wh
     assert_eq!((run.holds, run.note.as_deref()), (Some(false), Some("not locked")));
 }
 
-/// Misses decide whatever the host did; what else is wrong of an inconclusive run may be the host's doing.
+/// Too many misses decide on any host. The host may have caused whatever else is wrong in an inconclusive run.
 #[test]
 fn inconclusive_run_decides_nothing_but_by_its_misses() {
     let run = |purpose, missed| {

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
+use tools::report::html::markup::escape;
 
 use crate::host;
 use crate::rtnet;
@@ -243,14 +244,14 @@ fn a_live_lab_has_such_a_page_too() {
         lab.arg("--html").arg(&page).arg("--json").arg(&report);
         let screen = String::from_utf8(lab.output().unwrap().stdout).unwrap();
         let html = fs::read_to_string(&page).unwrap();
-        let report: Value = serde_json::from_slice(&fs::read(&report).unwrap()).unwrap();
+        let report = crate::schema::read(fs::read(&report).unwrap());
         let (word, rest) = screen.lines().last().unwrap().split_once(": ").unwrap();
         assert!(html.contains(&format!("<strong>{word}</strong>")), "{screen}");
         // The screen shortens long reasons. A run that is OK has none.
         let reasons = report["verdict"]["reasons"].as_array().unwrap();
         let reasons: Vec<&str> = reasons.iter().map(|reason| reason.as_str().unwrap()).collect();
         for reason in if reasons.is_empty() { vec![rest] } else { reasons } {
-            assert!(html.contains(&reason.replace('\'', "&#39;")), "{reason} of {screen}");
+            assert!(html.contains(&escape(reason)), "{reason} of {screen}");
         }
         for shown in
             ["live, network namespaces", "Linux ", "one bridge of the kernel", "<section id=\"sync\">"]

@@ -4,21 +4,28 @@ use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
+use tools::report::html::markup::escape;
 
 use crate::rtnet;
 
-/// A simulation of a file, with options: its exit status, its last line, and the verdict of its JSON.
+/// A simulation of a file, with options: its exit status, its last line, and the verdict of its JSON. The page has the same.
 fn simulated(text: &str, options: &[&str]) -> (Option<i32>, String, Value) {
     let place = tempfile::tempdir().unwrap();
-    let (file, json) = (place.path().join("net.toml"), place.path().join("net.json"));
+    let [file, json, page] = ["net.toml", "net.json", "net.html"].map(|name| place.path().join(name));
     std::fs::write(&file, text).unwrap();
-    let output =
-        rtnet().args(["sim", "run"]).arg(&file).arg("--json").arg(&json).args(options).output().unwrap();
-    let Output { status, stdout, stderr } = output;
+    let mut command = rtnet();
+    command.args(["sim", "run"]).arg(&file).arg("--json").arg(&json).arg("--html").arg(&page).args(options);
+    let Output { status, stdout, stderr } = command.output().unwrap();
     let report = std::fs::read(json).unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&stderr)));
-    let report: Value = serde_json::from_slice(&report).unwrap();
+    let verdict = crate::schema::read(&report)["verdict"].clone();
     let last = String::from_utf8(stdout).unwrap().lines().last().unwrap().to_owned();
-    (status.code(), last, report["verdict"].clone())
+    let page = std::fs::read_to_string(page).unwrap();
+    let word = verdict["word"].as_str().unwrap().replace('_', " ").to_uppercase();
+    assert!(last.starts_with(&word) && page.contains(&format!("<strong>{word}</strong>")), "{word}: {last}");
+    for reason in verdict["reasons"].as_array().unwrap() {
+        assert!(page.contains(&escape(reason.as_str().unwrap())), "{reason}: {page}");
+    }
+    (status.code(), last, verdict)
 }
 
 const ARM: &str = "cycle = \"1ms\"\nduration = \"6s\"\n[[station]]\nname = \"master\"\nrole = \"master\"\n\
@@ -41,8 +48,21 @@ fn verdict_is_not_ok_when_a_station_was_hardly_seen() {
     let (status, last, verdict) = simulated(&killed("10ms"), &[]);
     assert_eq!((status, &verdict["word"]), (Some(1), &"not_ok".into()), "{last}");
     assert!(last.starts_with("NOT OK: station 'arm' was seen "), "{last}");
-    let some = format!("{}[expect]\nslots_missed = \">= 1\"\n", killed("10ms"));
-    assert_eq!(simulated(&some, &[]).0, Some(1), "that it misses some allows no number of them");
+    for (expected, why) in [
+        ("slots_missed = \">= 1\"", "that it misses some allows no number of them"),
+        ("frames_seen = \">= 6000\"", "the frames may be the master's"),
+    ] {
+        let some = format!("{}[expect]\n{expected}\n", killed("10ms"));
+        assert_eq!(simulated(&some, &[]).0, Some(1), "{why}");
+    }
+    assert_eq!(
+        simulated(&killed("10ms"), &["--max-miss", "100%"]).0,
+        Some(1),
+        "it is no part of the network"
+    );
+    let few =
+        ARM.to_owned() + "expect = { frames_seen = \">= 5\" }\n[[event]]\nat = \"10ms\"\nkill = \"arm\"\n";
+    assert_eq!(simulated(&few, &[]).0, Some(0), "the file says how few are enough");
 }
 
 #[test]

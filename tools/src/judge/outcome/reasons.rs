@@ -11,8 +11,14 @@ use crate::scenario::{Expectation, Measure, Scenario};
 pub(super) fn evidence(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Evidence {
     let measured = Span::from_nanos((figures.cycles * figures.cycle_ns) as i64);
     let stations = figures.per_station.iter().zip(&parts.stations).enumerate();
+    // Few frames missed by all are few of each. Many seen of all are not: they may be another station's.
     let is_decided = |id| {
-        !is_left_open(scenario, Measure::SlotsMissed, id) || !is_left_open(scenario, Measure::FramesSeen, id)
+        let is_bounded = |of: &Expectation| match of.measure {
+            Measure::SlotsMissed => of.station.is_none() || of.station == id,
+            Measure::FramesSeen => of.station == id,
+            _ => false,
+        };
+        bounds(scenario).any(is_bounded)
     };
     let slots = stations.map(|(id, (of, facts))| Slots {
         station: of.name.clone(),
@@ -30,11 +36,13 @@ pub(super) fn evidence(scenario: &Scenario, parts: &Parts, figures: &Figures) ->
 
 /// Whether the scenario has no bound for a figure, of this station or of all. That there are some bounds nothing.
 fn is_left_open(scenario: &Scenario, measure: Measure, station: Option<usize>) -> bool {
-    let decides = |of: &Expectation| {
-        let is_of = of.priority.is_none() && (of.station.is_none() || of.station == station);
-        of.measure == measure && is_of && of.is_a_bound()
-    };
-    !scenario.conditions.expectations.iter().any(decides)
+    let decides = |of: &Expectation| of.measure == measure && (of.station.is_none() || of.station == station);
+    !bounds(scenario).any(decides)
+}
+
+/// The expectations that bound a figure of all traffic.
+fn bounds(scenario: &Scenario) -> impl Iterator<Item = &Expectation> {
+    scenario.conditions.expectations.iter().filter(|of| of.priority.is_none() && of.is_a_bound())
 }
 
 /// What speaks against a run, but for what stations have missed and what was expected.

@@ -98,6 +98,17 @@ fn each_that_dies_while_another_babbles_or_is_stopped_is_explained() {
 }
 
 #[test]
+fn a_station_that_hardly_had_the_token_makes_a_ring_not_ok() {
+    let unplugged = |time| run(&format!("[[event]]\nat = \"100ms\"\nunplug = \"eye\"\nfor = \"{time}\"\n"));
+    assert_well(&unplugged("800ms"));
+    let line = unplugged("1200ms").verdict.line("well");
+    assert!(
+        line.starts_with("NOT OK: station 'eye' had the token ") && line.contains(" times of "),
+        "{line}"
+    );
+}
+
+#[test]
 fn hosts_that_are_late_lose_their_turns_and_leave_nothing_unexplained() {
     let host = "[host]\nwake = \"exponential 60us\"\noutages = { ppm = 3000, longest = \"4ms\" }\n";
     let figures = run(host);

@@ -7,6 +7,7 @@ use super::figures::{Known, RingFigures};
 use super::judge::Judged;
 use crate::judge::outcome::counted;
 use crate::judge::verdict::{Evidence, Reason, Weight, judge};
+use crate::report::text::grouped;
 use crate::report::verdict::Verdict;
 use crate::scenario::{MAX_MISS_PPM, RingScenario};
 
@@ -44,8 +45,8 @@ pub fn of(
         Weight::HostMay,
         format!("of what was on the medium, {frames} did not reach their receiver"),
     );
-    for station in never_seen(figures, known) {
-        add(true, Weight::HostMay, format!("station '{station}' was never seen"));
+    for what in hardly_seen(figures, known) {
+        add(true, Weight::HostMay, what);
     }
     // Who was later than a host may be has cost more than the bounds say.
     if judged.seats.iter().all(|seat| seat.late == 0) {
@@ -71,11 +72,19 @@ pub fn of(
     judge(&evidence, MAX_MISS_PPM, &figures.host)
 }
 
-/// Stations that were there all the while, and of which no frame was seen.
-fn never_seen<'a>(figures: &'a RingFigures, known: &'a [Known]) -> impl Iterator<Item = &'a str> {
-    let all = figures.per_station.iter().zip(known);
-    let silent = all.filter(|(station, known)| known.throughout && station.frames_seen == 0);
-    silent.map(|(station, _)| station.name.as_str()).filter(|_| figures.frames_seen > 0)
+/// Stations that were there all the while and were not seen, or had the token less than half as often as another.
+fn hardly_seen<'a>(figures: &'a RingFigures, known: &'a [Known]) -> impl Iterator<Item = String> + 'a {
+    let most = figures.per_station.iter().map(|station| station.visits).max().unwrap_or(0);
+    let there = figures.per_station.iter().zip(known).filter(|(_, known)| known.throughout);
+    there.filter(|_| figures.frames_seen > 0).filter_map(move |(station, _)| {
+        let (name, visits) = (&station.name, station.visits);
+        if station.frames_seen == 0 {
+            return Some(format!("station '{name}' was never seen"));
+        }
+        let times =
+            || format!("station '{name}' had the token {} times of {}", grouped(visits), grouped(most));
+        (visits * 2 < most).then(times)
+    })
 }
 
 /// One that was there, and was not in the ring.

@@ -414,7 +414,7 @@ impl Analysis {
         let counts = self.counts(cycle);
         match tag.map(|tag| (tag, tag.priority())) {
             None => {}
-            Some((tag, None)) => self.stations[station].passed.note(tag.sequence(), counts),
+            Some((tag, None)) => self.stations[station].passed.note(tag.sequence(), at, counts),
             Some((tag, Some(_))) => self.note_queued(at, tag, author),
         }
         let Some(id) = slot.filter(|_| counts) else { return };

@@ -3,12 +3,12 @@
 
 use std::ops::Range;
 
-use crate::station::traffic::{Arrived, Came, Newest};
+use rtnet::clock::True;
+
+use crate::station::traffic::{Arrived, Came, Newest, SKIPPED};
 
 /// Gaps that are kept; what is missing in later ones counts as lost.
 const GAPS_MAX: usize = 1_000_000;
-/// More than a sender sends within what a capture ring holds back.
-pub const BEYOND: u64 = 10_000;
 
 /// What a receiver heard of its sender: of the usual frames, or of those that it queues at one priority.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -94,9 +94,9 @@ pub struct Passed {
 
 impl Passed {
     /// A frame passed, in a cycle that counts or not.
-    pub fn note(&mut self, number: u64, counts: bool) {
+    pub fn note(&mut self, number: u64, at: True, counts: bool) {
         // What a receiver does not believe is not believed here.
-        match self.newest.note(number) {
+        match self.newest.note(number, Some(at)) {
             None => return,
             Some(Came::Behind(step)) => {
                 if step > 1 && self.gaps.len() < GAPS_MAX {
@@ -143,7 +143,7 @@ impl Passed {
 
     /// A number that the sender has not come to yet, however much of it has not been seen yet.
     pub fn beyond(&self) -> u64 {
-        self.range.map_or(0, |(_, last)| last + BEYOND)
+        self.range.map_or(0, |(_, last)| last + SKIPPED)
     }
 
     /// The number behind the last one that was on the medium.
@@ -168,11 +168,13 @@ fn common((first, n): (u64, u64), from: u64, to: u64) -> u64 {
 mod tests {
     use super::*;
 
+    const NOW: True = 7;
+
     /// Numbers 0 to 99, of which 30, 31 and 60 were never sent; 20 to 79 count.
     fn passed() -> Passed {
         let mut passed = Passed::default();
         let numbers = (0..100).filter(|number| ![30, 31, 60].contains(number));
-        numbers.for_each(|number| passed.note(number, (20..80).contains(&number)));
+        numbers.for_each(|number| passed.note(number, NOW, (20..80).contains(&number)));
         passed
     }
 
@@ -219,7 +221,7 @@ mod tests {
     fn what_was_overtaken_is_not_lost_if_it_came() {
         let mut passed = Passed::default();
         for number in [0, 1, 5, 6, 3, 2, 7, 4, 9, 4] {
-            passed.note(number, number != 9);
+            passed.note(number, NOW, number != 9);
         }
         let lost = |received, range| passed.lost(&Heard { received, range, anew: false });
         assert_eq!((lost(9, Some((0, 9))), lost(8, Some((0, 9))), lost(5, Some((3, 7)))), (0, 1, 3));
@@ -245,10 +247,10 @@ mod tests {
     #[test]
     fn a_forged_number_from_far_away_changes_nothing() {
         let mut passed = passed();
-        passed.note(1 << 40, true);
-        passed.note(u64::MAX, true);
-        passed.note(40, true);
-        passed.note(100, true);
+        passed.note(1 << 40, NOW, true);
+        passed.note(u64::MAX, NOW, true);
+        passed.note(40, NOW, true);
+        passed.note(100, NOW, true);
         assert_eq!(passed.lost(&Heard { received: 97, range: Some((0, 99)), anew: false }), 1);
     }
 }

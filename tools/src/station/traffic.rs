@@ -21,7 +21,7 @@ use rtnet::wire::ethernet::{self, Address, EtherType, Header};
 use zerocopy::IntoBytes;
 use zerocopy::byteorder::network_endian::{U16, U32, U64};
 
-pub use arrivals::{Arrivals, Arrived, Came, Newest};
+pub use arrivals::{Arrivals, Arrived, Came, Newest, SKIPPED};
 pub use flows::{BUFFERS_OF_FLOWS, Flow, FlowPlan};
 use flows::{Flows, Queued};
 pub use frame::Tag;
@@ -137,7 +137,7 @@ impl Traffic {
         Self { flows, ..self }
     }
 
-    fn check(&mut self, frame: &[u8]) -> Option<()> {
+    fn check(&mut self, at: Option<u64>, frame: &[u8]) -> Option<()> {
         let (tag, _) = Tag::read(frame)?;
         let TrafficPlan { from, source, from_payload, .. } = self.plan;
         let (header, payload) = Header::parse(frame)?;
@@ -146,10 +146,10 @@ impl Traffic {
         let sequence = tag.sequence();
         if let Some(priority) = tag.priority() {
             let counts = self.counts.arrivals(Some(priority))?;
-            return counts.note(self.flows.heard(priority, payload.len())?, sequence);
+            return counts.note(self.flows.heard(priority, payload.len())?, sequence, at);
         }
         (payload.len() == from_payload).then_some(())?;
-        self.counts.usual.note(&mut self.heard, sequence)
+        self.counts.usual.note(&mut self.heard, sequence, at)
     }
 }
 
@@ -191,8 +191,8 @@ impl Service for Traffic {
         ether_type == EtherType::EXPERIMENTAL
     }
 
-    fn on_frame(&mut self, _rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
-        self.check(&frame).ok_or(Refusal::BadPayload)
+    fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
+        self.check(rx.map(Instant::nanos), &frame).ok_or(Refusal::BadPayload)
     }
 
     fn poll(&mut self, slot: &Opportunity, out: &mut Outlet<'_>) {

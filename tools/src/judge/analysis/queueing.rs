@@ -57,7 +57,7 @@ impl Analysis {
         let (waited, counts) = (self.error(at, tag.scheduled()), self.counts(author.cycle));
         let queueing = &mut self.stations[author.station].queueing;
         let Some(seen) = tag.priority().and_then(|priority| queueing.get_mut(&priority)) else { return };
-        seen.passed.note(tag.sequence(), counts);
+        seen.passed.note(tag.sequence(), at, counts);
         if counts {
             seen.delay.record(waited.nanos());
             seen.worst.note(waited.nanos(), author.cycle);
@@ -77,10 +77,10 @@ mod tests {
     use rtnet::wire::ethernet::Address;
 
     use super::*;
-    use crate::judge::delivery::BEYOND;
     use crate::judge::findings::FindingKind;
     use crate::judge::givers::TrueMaster;
     use crate::scenario::{Scenario, Source};
+    use crate::station::traffic::SKIPPED;
     use crate::station::traffic::{FlowPlan, Traffic, TrafficCounts, TrafficPlan};
 
     const NETWORK: &str = r#"
@@ -183,7 +183,7 @@ every = "2ms"
         };
         // Those of cycles 10, 12 and 14 are queued at their starts.
         assert_eq!((queueing.delay.len(), queueing.delay.min(), queueing.delay.max()), (3, 500_000, 500_000));
-        assert_eq!((queueing.worst.cycle(), queueing.passed.beyond()), (Some(10), BEYOND + 2));
+        assert_eq!((queueing.worst.cycle(), queueing.passed.beyond()), (Some(10), SKIPPED + 2));
     }
 
     #[test]

@@ -76,7 +76,7 @@ impl Seat {
     /// A frame of data begins on the medium, with so many octets behind its Ethernet header.
     pub(super) fn frame(&mut self, at: True, air: Span, (tag, octets): (&Tag, usize), counts: bool) {
         if let Some(passed) = self.passed.get_mut(&tag.priority()) {
-            passed.note(tag.sequence(), counts);
+            passed.note(tag.sequence(), at, counts);
         }
         let before = self.last;
         if tag.priority().is_none() {

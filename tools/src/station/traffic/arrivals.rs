@@ -5,9 +5,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::{Deserialize, Serialize};
 
-/// A larger gap in the sequence is not one, but a forged frame: days of frames at 1 ms.
-const MISSING_AT_MOST: u64 = 1 << 30;
-/// Nor is a number that nobody can have come to.
+/// Numbers that a restarted sender skips: more than it sends within what a capture ring holds back.
+pub const SKIPPED: u64 = 10_000;
+/// The least time from one frame to the next: the shortest frame at 1 Gbit/s, with preamble and gap.
+const LEAST_NS: u64 = 672;
+/// No sender comes to a larger number.
 const SEQUENCE_AT_MOST: u64 = 1 << 60;
 
 /// The newest numbers that came. What is queued comes in order, unless its slots are joined or parted meanwhile: what waits
@@ -15,6 +17,8 @@ const SEQUENCE_AT_MOST: u64 = 1 << 60;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Newest {
     last: Option<u64>,
+    /// When that came, in ns.
+    at: u64,
     /// Bit n: the number n before the last has come; four times what a queue holds.
     came: u128,
 }
@@ -34,19 +38,21 @@ impl Newest {
         self.last
     }
 
-    /// A number comes; none if it cannot be genuine: twice, or numbered as nobody numbers who was silent for less than
-    /// days.
-    pub fn note(&mut self, number: u64) -> Option<Came> {
+    /// A number comes, at a time of its receiver's clock in ns, if that is known. `None`: it cannot be genuine. It came
+    /// already, or it is further ahead than frames and a restart take it in the time since the last.
+    pub fn note(&mut self, number: u64, at: Option<u64>) -> Option<Came> {
         (number <= SEQUENCE_AT_MOST).then_some(())?;
+        let at = at.unwrap_or(self.at);
         let Some(last) = self.last else {
             // What was before the first one is not missing.
-            *self = Self { last: Some(number), came: u128::MAX };
+            *self = Self { last: Some(number), at, came: u128::MAX };
             return Some(Came::Behind(1));
         };
         if let Some(step) = number.checked_sub(last) {
-            (1..=MISSING_AT_MOST).contains(&step).then_some(())?;
+            let most = SKIPPED + 1 + at.saturating_sub(self.at) / LEAST_NS;
+            (1..=most).contains(&step).then_some(())?;
             let came = self.came.checked_shl(step.min(u32::MAX.into()) as u32).unwrap_or(0);
-            *self = Self { last: Some(number), came: came | 1 };
+            *self = Self { last: Some(number), at, came: came | 1 };
             return Some(Came::Behind(step));
         }
         let bit = 1_u128.checked_shl((last - number).min(u32::MAX.into()) as u32)?;
@@ -85,9 +91,9 @@ pub struct Arrived {
 
 impl Arrivals {
     /// A frame that is what was sent, behind those that came; none if it cannot be genuine.
-    pub(super) fn note(&self, before: &mut Newest, number: u64) -> Option<()> {
+    pub(super) fn note(&self, before: &mut Newest, number: u64, at: Option<u64>) -> Option<()> {
         let is_first = before.last().is_none();
-        let came = before.note(number)?;
+        let came = before.note(number, at)?;
         if is_first {
             self.first.store(number, Ordering::Relaxed);
         }
@@ -133,11 +139,17 @@ impl Arrivals {
 mod tests {
     use super::*;
 
-    fn arrived(numbers: &[u64]) -> (Arrived, Vec<u64>) {
+    /// Of numbers that come so many nanoseconds apart.
+    fn apart(ns: u64, numbers: &[u64]) -> (Arrived, Vec<u64>) {
         let (arrivals, mut newest) = (Arrivals::default(), Newest::default());
-        let refused = numbers.iter().filter(|&&number| arrivals.note(&mut newest, number).is_none());
-        let refused = refused.copied().collect();
+        let timed = numbers.iter().zip((1..).map(|n| Some(n * ns)));
+        let refused = timed.filter(|&(&number, at)| arrivals.note(&mut newest, number, at).is_none());
+        let refused = refused.map(|(&number, _)| number).collect();
         (arrivals.now(), refused)
+    }
+
+    fn arrived(numbers: &[u64]) -> (Arrived, Vec<u64>) {
+        apart(0, numbers)
     }
 
     #[test]
@@ -156,16 +168,28 @@ mod tests {
 
     #[test]
     fn numbers_that_nobody_has_come_to_are_refused() {
-        let far = 5 + MISSING_AT_MOST;
-        let expected = Arrived { received: 3, missing: MISSING_AT_MOST - 1, first: 5 };
+        let far = 5 + SKIPPED + 1;
+        let expected = Arrived { received: 3, missing: SKIPPED, first: 5 };
         assert_eq!(arrived(&[u64::MAX, 5, far + 1, far, far + 1]), (expected, vec![u64::MAX, far + 1]));
+    }
+
+    #[test]
+    fn a_number_is_no_further_ahead_than_time_has_passed() {
+        // Within 1 ms there is room for 1488 frames.
+        let far = 5 + SKIPPED + 1 + 1_488;
+        let expected = Arrived { received: 2, missing: far - 6, first: 5 };
+        assert_eq!(apart(1_000_000, &[5, far]), (expected, vec![]));
+        assert_eq!(apart(1_000_000, &[5, far + 1]).1, [far + 1]);
+        // One that was lost for so long that it is refused at first is believed once time has passed.
+        let after_a_minute = 5 + 60_000;
+        assert_eq!(apart(20_000_000, &[5, after_a_minute, after_a_minute + 1]).1, [after_a_minute]);
     }
 
     #[test]
     fn what_comes_late_with_a_number_that_does_not_count_does_not() {
         let (arrivals, mut newest) = (Arrivals::default(), Newest::default());
         let mut come = |numbers: &[u64]| {
-            numbers.iter().for_each(|&number| _ = arrivals.note(&mut newest, number));
+            numbers.iter().for_each(|&number| _ = arrivals.note(&mut newest, number, None));
             arrivals.counted()
         };
         assert_eq!(come(&[5, 6]), (0..u64::MAX, 0));

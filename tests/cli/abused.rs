@@ -356,11 +356,17 @@ fn a_lab_goes_down_whose_stations_are_stopped() {
         std::thread::sleep(Duration::from_millis(300));
         let output = rtnet().args(["lab", "status", &cell.name]).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "so far, too: {}", text(&output.stdout));
-        assert!(text(&output.stdout).contains("station 'slave1' is stopped"), "{}", text(&output.stdout));
+        let words = text(&output.stdout);
+        assert!(words.lines().any(|line| line.starts_with("NOT OK: ")), "{words}");
+        let verdict = cell.status()["verdict"].clone();
+        assert_eq!((&verdict["word"], &verdict["ok"]), (&"not_ok".into(), &false.into()), "{verdict}");
+        for said in [&words, &verdict["reasons"].to_string()] {
+            assert!(said.contains("station 'slave1' is stopped"), "{said}");
+        }
         // It ends at all only because nobody waits for them: a lab that stays is told of instead of its account.
         let output = rtnet().args(["lab", "down", &cell.name, "--json"]).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "they are stopped: {}", text(&output.stderr));
-        let account: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let account = crate::schema::read(&output.stdout);
         assert_eq!(account[0]["unexplained"], 0, "{account:#}");
         assert_eq!(account[0]["stations"][1]["state"], "stopped", "{account:#}");
         let reasons = account[0]["verdict"]["reasons"].to_string();
@@ -384,7 +390,7 @@ fn a_master_that_is_away_for_long_is_missed_by_cause_to_the_end() {
         std::thread::sleep(Duration::from_millis(3_500));
         let output = rtnet().args(["lab", "down", &cell.name, "--json"]).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "it was lost");
-        let account: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let account = crate::schema::read(&output.stdout);
         let account = &account[0];
         assert_eq!(account["unexplained"], 0, "{account:#}");
         // 3.5 s of 4 ms: its syncs, and its frames.

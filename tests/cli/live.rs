@@ -282,6 +282,7 @@ fn an_ordinary_user_keeps_a_lab_up() {
         let place = runtime.join("rtnet").join("coming-up");
         let coming_up = hold(&place, 65_534);
         let status_of_it = nobody(&["lab", "status", "coming-up"]);
+        let status_of_all = nobody(&["lab", "status"]);
         let all_but_it = nobody(&["lab", "down", "--all"]);
         drop(coming_up);
         let rest = nobody(&["lab", "down", "--all"]);
@@ -289,12 +290,17 @@ fn an_ordinary_user_keeps_a_lab_up() {
         assert!(text(&slot.stdout).contains("offset"), "{}", text(&slot.stderr));
         assert!(text(&status.stdout).contains("SCHED_FIFO: EPERM"), "what it lacks is told");
         assert_eq!(of_root.status.code(), Some(2));
-        for refused in [refusal(&status_of_it), refusal(&all_but_it)] {
+        for refused in [&status_of_it, &status_of_all, &all_but_it].map(refusal) {
             assert!(refused.contains("lab 'coming-up' is coming up: ask again"), "{refused}");
         }
+        assert!(
+            text(&status_of_all.stdout).contains("lab 'lab': 2 stations"),
+            "{}",
+            text(&status_of_all.stdout)
+        );
         assert!(text(&all_but_it.stdout).contains("lab 'lab': 2 stations"), "{}", text(&all_but_it.stdout));
         assert!(text(&rest.stderr).contains("was dead already"), "{}", text(&rest.stderr));
-        assert_eq!(rest.status.code(), Some(0), "{}{}", text(&rest.stdout), text(&rest.stderr));
+        assert_eq!(rest.status.code(), Some(3), "{}{}", text(&rest.stdout), text(&rest.stderr));
         assert_eq!(std::fs::read_dir(runtime.join("rtnet")).unwrap().count(), 0, "nothing is left");
     });
 }

@@ -24,23 +24,24 @@ pub enum LabVerb {
     ///
     /// Exit status: 0 OK; 1 NOT OK: something unexplained, payload errors, lost frames, a lost station, or a file that
     /// could not be written; 2 bad usage, bad configuration, or no privileges; 3 INCONCLUSIVE: the host was too disturbed,
-    /// or part of the run was not observed; 4 DEGRADED: more was missed than --max-miss, all for known causes;
-    /// 130 INTERRUPTED.
+    /// or part of the run was not observed; 4 DEGRADED: more was missed than --max-miss, or frames met or left their
+    /// slots, all for known causes; 130 INTERRUPTED.
     Run(LabMeasureArgs),
     /// Stand a network up and keep it: it runs until `rtnet lab down`
     ///
-    /// Takes the same arguments as `lab run`; with --duration it goes down by itself. Exit status: 0 all its
-    /// stations are locked; 2 it could not be stood up, and nothing is left of it; 130 it was interrupted before it was
-    /// up. With --foreground, once it was up, that of `lab down`; 130 INTERRUPTED before its --duration was over.
+    /// Takes the same arguments as `lab run`. With --duration it goes down by itself; what it cannot write then, it says
+    /// only with --foreground. Exit status: 0 all its stations are locked; 2 it could not be stood up, and nothing is left
+    /// of it; 130 it was interrupted before it was up. With --foreground, once it was up, that of `lab down`; 130
+    /// INTERRUPTED before its --duration was over.
     Up(LabUpArgs),
     /// Take a network down, and tell how it went
     ///
     /// Exit status, of several labs the worst: 0 OK; 1 NOT OK, or a file of the lab could not be written; 2 there is no
-    /// such lab; 3 INCONCLUSIVE; 4 DEGRADED; see `lab run`.
+    /// such lab; 3 INCONCLUSIVE, or it had died, and its figures are lost; 4 DEGRADED; see `lab run`.
     Down(LabDownArgs),
     /// How a network is going, or all of them
     ///
-    /// Exit status: as of `lab down`, so far.
+    /// Exit status: as of `lab down`, so far; 2 one of them does not answer.
     Status(LabStatusArgs),
     /// Put a new process in the place of a station's, be it running, stopped or dead
     ///

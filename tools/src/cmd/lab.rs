@@ -18,6 +18,7 @@ use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatu
 use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, Place};
 use crate::lab;
 use crate::lab::processes::END_WITHIN;
+use crate::report::verdict::Word;
 
 /// How long a lab that has answered may take to be gone: its stations end one beside the other.
 const GONE_WITHIN: Duration = END_WITHIN.saturating_mul(2);
@@ -30,11 +31,13 @@ const CALIBRATED_WITHIN: u32 = 400;
 pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
     let directory = Directory::of_user();
     let labs = if args.all { directory.labs_dead_or_alive() } else { vec![args.name.clone()] };
-    let (mut ended, mut errors) = (Vec::new(), Vec::new());
+    let (mut ended, mut errors, mut word) = (Vec::new(), Vec::new(), Word::Ok);
     // One that does not go keeps none of the others.
     for lab in labs {
         match down_one(&directory, &lab) {
-            Ok(one) => ended.extend(one),
+            Ok(Some(one)) => ended.push(one),
+            // Its figures went with it.
+            Ok(None) => word = Word::Inconclusive,
             Err(error) => errors.push(error),
         }
     }
@@ -43,10 +46,13 @@ pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
     let shown = if is_shown { super::print_all(args.json, &ended, words) } else { Ok(()) };
     let mut delivery = Delivery::after(shown);
     delivery.unwritten(ended.iter().flat_map(unwritten));
-    let status = delivery.end_with(worst(&ended));
+    unless_any(errors, delivery.end_with(worst(&ended).max(word).exit_status()))
+}
+
+/// The status, or the last of the errors; the others, and that of the status, are printed.
+fn unless_any(mut errors: Vec<anyhow::Error>, status: Result<u8, Failure>) -> Result<u8, Failure> {
     let Some(last) = errors.pop() else { return status };
-    let unwritten = status.err().map(Failure::into_error);
-    errors.into_iter().chain(unwritten).for_each(|error| {
+    errors.into_iter().chain(status.err().map(Failure::into_error)).for_each(|error| {
         let _ = writeln!(std::io::stderr(), "rtnet: {error:#}");
     });
     Err(Failure::Usage(last))
@@ -69,17 +75,19 @@ fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
         Ok(_) => bail!("lab '{lab}' answers what it was not asked"),
         // Who holds no lock any more is dead: its directory is ours to take, and goes with that.
         Err(_) if directory.has(lab) && directory.take_lab(lab).is_ok() => {
-            let _ =
-                writeln!(std::io::stderr(), "rtnet: lab '{lab}' was dead already: what it left is removed");
+            let _ = writeln!(
+                std::io::stderr(),
+                "rtnet: lab '{lab}' was dead already: what it left is removed, and its figures are lost"
+            );
             Ok(None)
         }
         Err(error) => Err(error),
     }
 }
 
-/// The exit status of the worst.
-fn worst(labs: &[LabStatus]) -> u8 {
-    labs.iter().map(|lab| lab.verdict.word).max().unwrap_or_default().exit_status()
+/// The worst verdict's.
+fn worst(labs: &[LabStatus]) -> Word {
+    labs.iter().map(|lab| lab.verdict.word).max().unwrap_or_default()
 }
 
 /// Shows one lab, or all.
@@ -90,13 +98,13 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
         super::print(args.json, &status, account).map_err(Failure::Run)?;
         return Ok(status.verdict.exit_status());
     }
-    let mut all = Vec::new();
+    let (mut all, mut errors) = (Vec::new(), Vec::new());
     for lab in directory.labs() {
         match control::lab_status(&directory, &lab) {
             Ok(status) => all.push(status),
-            Err(error) => {
-                let _ = writeln!(std::io::stderr(), "rtnet: {error:#}");
-            }
+            // One that has gone since is none that runs.
+            Err(error) if directory.has(&lab) => errors.push(error),
+            Err(_) => {}
         }
     }
     let words = |all: &[LabStatus]| match all {
@@ -104,7 +112,7 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
         some => some.iter().map(account).collect::<Vec<_>>().join("\n"),
     };
     super::print_all(args.json, &all, words).map_err(Failure::Run)?;
-    Ok(worst(&all))
+    unless_any(errors, Ok(worst(&all).exit_status()))
 }
 
 /// Puts a new process in the place of a station's, and waits until it is locked again.

@@ -89,10 +89,7 @@ impl<'a> Picture<'a> {
         let most = (0..drawn).map(|phase| plan.table.phase(phase).count()).max().unwrap_or(0);
         let width = WIDTH.max(LEFT + RIGHT + Labels::room_for(most));
         let mut picture = Self { plan, width, rows: Vec::new(), row: 0.0 };
-        let label = |slot: &SlotRow| Label {
-            at: picture.x(slot.begins_ns),
-            text: format!("{} {}", slot.station, slot.name()),
-        };
+        let label = |slot: &SlotRow| Label::of(picture.x(slot.begins_ns), &slot.station, &slot.name());
         let labels = |phase| plan.table.phase(phase).map(label).collect();
         let rows: Vec<_> =
             (0..drawn).map(|phase| Labels::place(labels(phase), LEFT, width - RIGHT)).collect();

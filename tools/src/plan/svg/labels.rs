@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::escaped;
+use crate::report::text::cut;
 
 /// Of a letter of 10 px, at the most on average: few names have more than one M or W.
 const LETTER: f64 = 6.0;
@@ -13,13 +14,20 @@ const SLANT: f64 = 55.0;
 const APART: f64 = 14.0;
 /// From a slot to its slanting label.
 const LEAD: f64 = 12.0;
-/// Of longer names only the begin is shown; pointing at the slot shows all of it.
-const LETTERS_AT_MOST: usize = 20;
+/// Of longer names of stations only the begin is shown; pointing at the slot shows all of it.
+const LETTERS_AT_MOST: usize = 18;
 
 /// What stands below a slot that begins at `at`.
 pub(super) struct Label {
     pub at: f64,
     pub text: String,
+}
+
+impl Label {
+    /// Of a slot of this name. Slots of one station differ by their names, so only the station's is cut.
+    pub fn of(at: f64, station: &str, slot: &str) -> Self {
+        Self { at, text: format!("{} {slot}", cut(station, LETTERS_AT_MOST)) }
+    }
 }
 
 /// The labels of a row.
@@ -37,11 +45,6 @@ pub(super) fn width(text: &str) -> f64 {
 impl Labels {
     /// Side by side, if they have room between `left` and `right`, else slanting.
     pub fn place(mut labels: Vec<Label>, left: f64, right: f64) -> Self {
-        for label in &mut labels {
-            if label.text.chars().count() > LETTERS_AT_MOST {
-                label.text = label.text.chars().take(LETTERS_AT_MOST - 1).chain(['…']).collect();
-            }
-        }
         labels.sort_by(|a, b| a.at.total_cmp(&b.at));
         let ends = labels.iter().skip(1).map(|next| next.at - SPACE).chain([right + SPACE]);
         let is_slanting = labels.iter().zip(ends).any(|(label, end)| label.at + width(&label.text) > end);

@@ -31,6 +31,13 @@ fn every_slot_of_a_plan_has_a_label() {
         let label = format!(">axis&lt;0&gt; {label}</text>");
         assert_eq!(in_turn.matches(&label).count(), times, "{label}");
     }
+    let text = "cycle = \"5ms\"\n[[station]]\nname = \"the_arm_at_the_left_of_the_line\"\nrole = \"master\"\nslots = [\n\
+                { id = 0, offset = \"300us\" }, { id = 2, offset = \"900us\" } ]\n\
+                [[station]]\nname = \"leg\"\nrole = \"slave\"\nslots = [{ id = 0, offset = \"2ms\" }]\n";
+    let svg = draw(&Plan::of(&Source::new("net.toml", text).parse().unwrap(), None));
+    for slot in ["0", "2"] {
+        assert!(svg.contains(&format!(">the_arm_at_the_... {slot}</text>")), "{slot}: {svg}");
+    }
 }
 
 #[test]

@@ -104,6 +104,7 @@ fn others(figures: &JitterFigures, width: usize) -> Vec<String> {
         Column::left(["", ""], rows.iter().map(|row| row.what.clone())),
         right(["", "frames"], |row| grouped(row.frames)),
         right(["", "missed"], |row| row.missed.map_or_else(|| "-".to_owned(), grouped)),
+        right(["", "n"], |row| grouped(row.place_ns.n)),
         right(["place", "min"], |row| micros_or_dash(row.place_ns.min)),
         right(["in", "p50"], |row| micros_or_dash(row.place_ns.p50)),
         right(["us", "max"], |row| micros_or_dash(row.place_ns.max)),

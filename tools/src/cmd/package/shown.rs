@@ -290,12 +290,13 @@ pub(super) fn stat(row: &Shown) -> String {
     );
     if let (Some(p50), Some(p99), Some(max)) = (row.latency_p50_ns, row.latency_p99_ns, row.latency_max_ns) {
         let [p50, p99, max] = [p50, p99, max].map(|nanos| nanos as f64 / 1000.0);
+        let replaced = row.senders.iter().map(|sender| sender.replaced).sum::<u64>();
         let _ = writeln!(
             text,
             "  from send to receive: p50 {p50:.1}, p99 {p99:.1}, max {max:.1} us, each a quarter too long at the most; n {}, {} more \
-             cleaned or waiting",
+             cleaned, replaced or waiting",
             grouped(row.latency_n),
-            grouped(row.cleaned + row.waiting)
+            grouped(row.cleaned + row.waiting + replaced)
         );
     }
     for sender in &row.senders {
@@ -329,6 +330,39 @@ mod tests {
         let words = "Camera(0/0): 3 asked, 1 answered\n\
                      round trip: min 7.0, p50 7.0, p99 7.0, max 7.0 us; n 1, 2 more without\n";
         assert_eq!(trips.describe(), words);
+    }
+
+    #[test]
+    fn packages_of_a_mailbox_that_are_without_a_time_are_counted() {
+        let sender = |replaced| SenderShown {
+            from: "Pilot(0/0)".into(),
+            sent: 10,
+            waiting: 1,
+            full: 0,
+            too_large: 0,
+            replaced,
+        };
+        let row = Shown {
+            name: "Camera(0/0)".into(),
+            process: 7,
+            slots: 4,
+            largest_body: 64,
+            senders_at_most: 2,
+            replaces: true,
+            waiting: 2,
+            most: 4,
+            received: 11,
+            cleaned: 2,
+            forged: 0,
+            nonsense: 0,
+            latency_n: 11,
+            latency_p50_ns: Some(1_000),
+            latency_p99_ns: Some(2_000),
+            latency_max_ns: Some(3_000),
+            senders: vec![sender(2), sender(3)],
+        };
+        let text = stat(&row);
+        assert!(text.contains("; n 11, 9 more cleaned, replaced or waiting\n"), "of 20 sent: {text}");
     }
 
     #[test]

@@ -13,10 +13,9 @@ use super::{Failure, all_writable, screen_width};
 use crate::cli::MinCycleArgs;
 use crate::control::Directory;
 use crate::lab::{Core, Lab, RunOptions, userns};
-use crate::min_cycle::answer::{Answer, Asked, Compared, Purpose, Run};
+use crate::min_cycle::answer::{Answer, Asked, Purpose, Run};
 use crate::min_cycle::{ladder, screen, search};
 use crate::report::host::HostFacts;
-use crate::report::verdict::Word;
 use crate::scenario::{MAX_LAB_STATIONS, Scenario, ScenarioError, Uniform};
 
 const DEFAULT_STATIONS: usize = 8;
@@ -29,8 +28,7 @@ const DEFAULT_PROOF: Span = Span::from_millis(30_000);
 const START: Span = Span::from_millis(1);
 const SEED: u64 = 1;
 
-/// Searches, proves, and reports. The exit status is 1 if nothing was found, or a longer cycle than was kept; 3 if the search is
-/// INCONCLUSIVE.
+/// Searches, proves, and reports. The exit status: see [`Answer::exit_status`].
 pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     let kept = args.compare.as_deref().map(|path| Ok((path, Answer::load(path)?)));
     let kept = kept.transpose().map_err(Failure::Usage)?;
@@ -52,16 +50,12 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     };
     let answer = search(asked, &networks, &options)?;
     let mut text = screen::render(&answer, screen_width());
-    let mut status = u8::from(answer.cycle_ns.is_none());
-    if answer.inconclusive().is_some() {
-        status = Word::Inconclusive.exit_status();
-    } else if let Some((path, kept)) = &kept {
+    if let Some((path, kept)) = kept.as_ref().filter(|_| answer.inconclusive().is_none()) {
         text += &(screen::comparison(&answer, kept, &path.display().to_string()) + "\n");
-        status |= u8::from(answer.compared_with(kept) == Compared::Regression);
     }
     let mut delivery = Delivery::begin(&text, &[args.json.as_ref()]);
     delivery.json(args.json.as_ref(), &answer);
-    delivery.end_with(status)
+    delivery.end_with(answer.exit_status(kept.as_ref().map(|(_, kept)| kept)))
 }
 
 /// What is searched for: what the options say, else what was kept, else what is usual. Answers to other questions are not

@@ -217,6 +217,15 @@ impl Answer {
         }
     }
 
+    /// 0: found. 1: no cycle is held, or only a longer one than was kept. 3: the search is INCONCLUSIVE.
+    pub fn exit_status(&self, kept: Option<&Self>) -> u8 {
+        if self.inconclusive().is_some() {
+            return Word::Inconclusive.exit_status();
+        }
+        let is_longer = kept.is_some_and(|kept| self.compared_with(kept) == Compared::Regression);
+        u8::from(self.cycle_ns.is_none() || is_longer)
+    }
+
     /// The run that proved the answer.
     pub fn proof(&self) -> Option<&Run> {
         let proves = |run: &&Run| {

@@ -69,20 +69,24 @@ fn inconclusive_run_decides_nothing_but_by_its_misses() {
     for purpose in [Purpose::Trial, Purpose::Proof] {
         assert_eq!([2, 3].map(|missed| run(purpose, missed).holds), [None, Some(false)]);
     }
-    let last_line = |runs| {
-        let text = screen::render(&Answer { runs, ..answer(None) }, 1_000);
-        text.lines().last().unwrap_or_default().to_owned()
+    let ended = |runs| {
+        let answer = Answer { runs, ..answer(None) };
+        let last_line = screen::render(&answer, 1_000).lines().last().unwrap_or_default().to_owned();
+        (answer.exit_status(None), answer.exit_status(Some(&self::answer(Some(1)))), last_line)
     };
     let [undecided, failed] = [2, 3].map(|missed| run(Purpose::Trial, missed));
-    let ended = last_line(vec![failed.clone(), undecided.clone()]);
-    assert!(
-        ended.starts_with(
-            "INCONCLUSIVE: 5 runs of 1ms decided nothing, the last since this host was disturbed. "
-        ),
-        "{ended}"
-    );
-    let ended = last_line(vec![undecided, failed]);
-    assert!(ended.starts_with("NOT FOUND: "), "{ended}");
+    let (alone, compared, line) = ended(vec![failed.clone(), undecided.clone()]);
+    let begin = "INCONCLUSIVE: 5 runs of 1ms decided nothing, the last since this host was disturbed. ";
+    assert!((alone, compared) == (3, 3) && line.starts_with(begin), "{alone} {compared} {line}");
+    let (alone, compared, line) = ended(vec![undecided, failed]);
+    assert!((alone, compared) == (1, 1) && line.starts_with("NOT FOUND: "), "{alone} {compared} {line}");
+}
+
+#[test]
+fn exit_status_tells_found_from_not_found_and_from_longer() {
+    let kept = answer(Some(1_000_000));
+    let statuses = [1_250_000, 1_250_001].map(|ns| answer(Some(ns)).exit_status(Some(&kept)));
+    assert_eq!((answer(Some(9)).exit_status(None), statuses), (0, [0, 1]));
 }
 
 #[test]

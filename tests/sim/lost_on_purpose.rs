@@ -1,5 +1,6 @@
 //! What a scenario loses on purpose excuses just that.
 
+use tests::seeds;
 use tools::report::figures::Figures;
 use tools::scenario::Source;
 use tools::sim::{self, Options, SimFigures};
@@ -9,7 +10,7 @@ fn run(text: &str) -> Figures {
 }
 
 fn run_to_the_end(text: &str) -> SimFigures {
-    let scenario = Source::new("lossy.toml", text).parse().unwrap();
+    let scenario = Source::new("lossy.toml", text).parse().unwrap().with_seed(seeds::one("lossy.toml"));
     sim::run(&scenario, &Options::default()).unwrap().figures
 }
 

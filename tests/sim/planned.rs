@@ -1,7 +1,8 @@
 //! The worst waits that a plan tells of programs' frames are reached, and never exceeded.
 
+use tests::seeds;
 use tools::plan::{Plan, WaitRow};
-use tools::scenario::Source;
+use tools::scenario::{Scenario, Source};
 use tools::sim::{self, Options};
 
 /// An arm with these slots and this traffic, whose clock is right as the master's is.
@@ -16,9 +17,13 @@ fn traffic(priority: u8, every: &str, burst: u32) -> String {
     format!("[[station.traffic]]\npriority = {priority}\nevery = \"{every}\"\nburst = {burst}\nslot = 0\n")
 }
 
+fn parse(text: &str) -> Scenario {
+    Source::new("net.toml", text).parse().unwrap().with_seed(seeds::one("planned"))
+}
+
 fn worst_is_reached(slots: &str, traffic: &str) {
     let text = arm(slots, traffic);
-    let scenario = Source::new("net.toml", &text).parse().unwrap();
+    let scenario = parse(&text);
     let plan = Plan::of(&scenario, None);
     assert!(plan.works(), "{:?}", plan.refused);
     let figures = sim::run(&scenario, &Options::default()).unwrap().figures.figures;
@@ -52,7 +57,7 @@ fn what_wants_more_turns_than_there_are_is_refused_and_loses_frames() {
         "{ id = 0, offset = \"400us\", phase = \"1/2\" }",
         &[traffic(3, "10ms", 4), traffic(7, "9ms", 1)].concat(),
     );
-    let scenario = Source::new("net.toml", &text).parse().unwrap();
+    let scenario = parse(&text);
     let plan = Plan::of(&scenario, None);
     assert_eq!(
         plan.refused,
@@ -69,7 +74,7 @@ fn what_wants_more_turns_than_there_are_is_refused_and_loses_frames() {
 #[test]
 fn a_burst_of_more_frames_than_buffers_is_refused_and_loses_frames() {
     let text = arm("{ id = 0, offset = \"400us\" }", &traffic(3, "100ms", 65));
-    let scenario = Source::new("net.toml", &text).parse().unwrap();
+    let scenario = parse(&text);
     let plan = Plan::of(&scenario, None);
     assert!(
         plan.refused[0]
@@ -84,7 +89,7 @@ fn a_burst_of_more_frames_than_buffers_is_refused_and_loses_frames() {
 #[test]
 fn of_joint_slots_that_meet_too_seldom_nothing_is_said() {
     let slots = "{ id = 0, offset = \"400us\", phase = \"1/1023\" }, { id = 2, offset = \"700us\", phase = \"2/1024\", joint = 0 }";
-    let scenario = Source::new("net.toml", &arm(slots, &traffic(3, "100s", 1))).parse().unwrap();
+    let scenario = parse(&arm(slots, &traffic(3, "100s", 1)));
     let plan = Plan::of(&scenario, None);
     let of = |row: &&WaitRow| row.flow.is_some();
     let row = plan.waits.iter().find(of).unwrap();

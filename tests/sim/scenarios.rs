@@ -334,8 +334,9 @@ fn an_expectation_that_does_not_hold_names_its_cycle_and_the_frames_around_it() 
     assert!(of_slave2.is_some(), "{lines:#?}");
 }
 
+/// A network in a file, with a drawn seed.
 pub fn parse(text: &str) -> scenario::Scenario {
-    scenario::Source::new("net.toml", text).parse().unwrap()
+    scenario::Source::new("net.toml", text).parse().unwrap().with_seed(seeds::one("net.toml"))
 }
 
 #[track_caller]

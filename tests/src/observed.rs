@@ -18,6 +18,7 @@ use tools::station::traffic::TrafficCounts;
 
 use crate::mixed::Mixed;
 use crate::networks::{Plan, epoch};
+use crate::seeds;
 use crate::traffic::of_a_lab;
 
 /// True time when it begins: no clock is so far behind that it shows less than 0.
@@ -38,7 +39,12 @@ pub struct Observed {
 impl Observed {
     /// The network of a file, on such hosts, with the lab's own traffic.
     pub fn lab(text: &str, host: Host) -> Self {
-        Self::with(text, host, |plan, id, counts| {
+        Self::seeded(text, host, seeds::one("Observed::lab"))
+    }
+
+    /// The same with this seed.
+    pub fn seeded(text: &str, host: Host, seed: u64) -> Self {
+        Self::with(text, (host, seed), |plan, id, counts| {
             let (to, from) = (plan.scenario.receiver(id), plan.scenario.sender(id));
             let traffic = of_a_lab((id as u16, plan.address(id)), plan.address(to), from as u16, counts);
             Box::new(traffic.with_flows(plan.scenario.flow_plan(id)))
@@ -48,10 +54,10 @@ impl Observed {
     /// The same with another traffic for each station.
     pub fn with(
         text: &str,
-        host: Host,
+        (host, seed): (Host, u64),
         traffic: impl Fn(&Plan, StationId, Arc<TrafficCounts>) -> Box<dyn Service>,
     ) -> Self {
-        let scenario = Source::new("lab.toml", text).parse().expect("a network");
+        let scenario = Source::new("lab.toml", text).parse().expect("a network").with_seed(seed);
         let plan = Plan::of_scenario(scenario).on(host.clone());
         let master = TrueMaster { clock: plan.clock(0), epoch: epoch() };
         let analysis = Rc::new(RefCell::new(Analysis::new(&plan.scenario, master)));

@@ -41,7 +41,7 @@ fn ping(cell: &Cell, to: &str) -> Child {
 
 fn came_back(child: Child) -> u64 {
     let output = child.wait_with_output().unwrap();
-    let round: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let round = crate::schema::read(&output.stdout);
     round["received"].as_u64().unwrap()
 }
 

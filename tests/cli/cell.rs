@@ -135,7 +135,7 @@ pub fn text(bytes: &[u8]) -> String {
 pub fn status(lab: &str) -> Value {
     let output = rtnet().args(["lab", "status", lab, "--json"]).output().unwrap();
     assert_ne!(output.status.code(), Some(2), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    crate::schema::read(&output.stdout)
 }
 
 pub fn json(command: &mut Command) -> Value {

@@ -66,7 +66,7 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
         let (status, said) = searched(&[], &files);
         assert_eq!(status, Some(1), "{said}");
         assert!(said.contains("REGRESSION: 910us now, 700us in "), "{said}");
-        let answer: Value = serde_json::from_slice(&fs::read(&again).unwrap()).unwrap();
+        let answer = schema::read(fs::read(&again).unwrap());
         let runs = decided(&answer);
         let lengths = runs.iter().map(|run| run["duration_ns"].as_i64().unwrap());
         assert_eq!(

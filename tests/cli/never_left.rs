@@ -34,8 +34,7 @@ fn said(arguments: &[&str]) -> String {
 }
 
 fn round(name: &str, questions: &str) -> Value {
-    serde_json::from_str(&said(&["ping", "-S", name, "-c", questions, "-i", "20ms", "--json", THERE]))
-        .unwrap()
+    crate::schema::read(said(&["ping", "-S", name, "-c", questions, "-i", "20ms", "--json", THERE]))
 }
 
 #[test]
@@ -86,8 +85,7 @@ fn a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave
         command.args(["ping", "-S", &name, "-c", "50", "-i", "100ms", "--json", THERE]);
         let ping = command.stdout(Stdio::piped()).spawn().unwrap();
         let sent = || -> u64 {
-            let status: Value =
-                serde_json::from_str(&said(&["tdma", "-S", &name, "status", "--json"])).unwrap();
+            let status: Value = crate::schema::read(said(&["tdma", "-S", &name, "status", "--json"]));
             status["slots"][0]["sent"].as_u64().unwrap()
         };
         let deadline = Instant::now() + PATIENCE;
@@ -98,7 +96,7 @@ fn a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave
         said(&["tdma", "-S", &name, "detach"]);
         // However long that took: what has left until then has, and nothing does any more.
         let left = sent();
-        let round: Value = serde_json::from_slice(&ping.wait_with_output().unwrap().stdout).unwrap();
+        let round = crate::schema::read(&ping.wait_with_output().unwrap().stdout);
         assert_eq!(sent(), left);
         assert!(left + ROOM < 50, "more are asked than find room, {left} left before");
         assert_eq!(round["never_left"], 50 - left, "as many as find room, and those behind them: {round:#}");

@@ -44,7 +44,7 @@ fn attach(control: &Path) -> (Socket, Memory) {
 
 fn stat(name: &str) -> Value {
     let output = rtnet().args(["stat", "-S", name, "--json"]).output().unwrap();
-    serde_json::from_slice(&output.stdout).unwrap()
+    crate::schema::read(&output.stdout)
 }
 
 /// Sends to itself until it has received, asleep.

@@ -55,7 +55,7 @@ impl Lab {
     fn down(mut self) -> Value {
         self.is_up = false;
         let output = run(&["lab", "down", &self.name, "--json"]);
-        let account: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let account = crate::schema::read(&output.stdout);
         assert!(is_sound(&self.name, output.status.code(), &account[0]["verdict"]), "{account:#}");
         account[0].clone()
     }

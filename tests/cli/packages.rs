@@ -363,7 +363,7 @@ fn what_a_way_to_another_station_takes_is_measured_beside_what_its_slots_say() {
             nix::sys::signal::kill(process, nix::sys::signal::Signal::SIGTERM).unwrap();
             let output = child.wait_with_output().unwrap();
             assert_eq!(output.status.code(), Some(0));
-            let all: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let all = crate::schema::read(&output.stdout);
             (number(&all["received"]), number(&all["answered"]))
         };
         let asked = came + 1 + 6 + 1;
@@ -387,7 +387,7 @@ fn given_up(cell: &Cell) -> u64 {
     let process = nix::unistd::Pid::from_raw(bench.id() as i32);
     nix::sys::signal::kill(process, nix::sys::signal::Signal::SIGINT).unwrap();
     let output = bench.wait_with_output().unwrap();
-    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let told = crate::schema::read(&output.stdout);
     assert_eq!(output.status.code(), Some(1), "{told:#}");
     assert_eq!(
         (&told["all_left"], &told["came"], &told["lost"]),

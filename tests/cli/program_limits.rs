@@ -161,7 +161,7 @@ fn a_station_that_may_open_few_files_refuses_programs_that_are_too_many_and_goes
         // The soft limit was raised to the hard one, half of which is for other things.
         assert_eq!((refused.raw_os_error(), sockets.len()), (Some(Errno::EMFILE as i32), 12), "{refused}");
         let pools = rtnet().args(["pool", "-S", &name, "--json"]).output().unwrap();
-        let pools: serde_json::Value = serde_json::from_slice(&pools.stdout).unwrap();
+        let pools = crate::schema::read(&pools.stdout);
         assert_eq!(pools.as_array().unwrap().len(), 3 + sockets.len(), "nothing is left of who was refused");
         sockets.clear();
         let deadline = Instant::now() + PATIENCE;
@@ -255,7 +255,7 @@ fn what_a_program_sends_without_a_slot_is_refused_at_once_where_no_master_is_hea
             took.push(begun.elapsed());
         }
         let output = rtnet().args(["stat", "-S", &name, "--json"]).output().unwrap();
-        let shown: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let shown = crate::schema::read(&output.stdout);
         let own = shown["sockets"].as_object().unwrap().values().next().unwrap();
         assert!(own["refused_no_slot"].as_u64() >= Some(20), "{shown:#}");
         assert_eq!(own["refused_no_slot"], own["refused"], "{shown:#}");
@@ -280,7 +280,7 @@ fn tables_and_pools_are_as_large_as_was_said_at_the_start() {
         let json = |verb: &[&str]| -> serde_json::Value {
             let output =
                 rtnet().args([verb[0], "-S", &name]).args(&verb[1..]).arg("--json").output().unwrap();
-            serde_json::from_slice(&output.stdout).unwrap()
+            crate::schema::read(&output.stdout)
         };
         let shown = json(&["pool"]);
         let capacities: Vec<_> =

@@ -81,7 +81,7 @@ fn number<T>(result: std::io::Result<T>) -> Errno {
 /// Everything that a station counts.
 fn stat(name: &str) -> Value {
     let output = rtnet().args(["stat", "-S", name, "--json"]).output().unwrap();
-    serde_json::from_slice(&output.stdout).unwrap()
+    crate::schema::read(&output.stdout)
 }
 
 /// How often a station's real-time thread has gone to sleep by itself.

@@ -71,7 +71,7 @@ fn vnic(name: &str, verb: &[&str]) -> Output {
 fn status(name: &str) -> Value {
     let output = vnic(name, &["status", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    crate::schema::read(&output.stdout)
 }
 
 fn asked(namespace: &Namespace) -> [String; 2] {

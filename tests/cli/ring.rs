@@ -18,7 +18,7 @@ fn start<'a>(namespace: &tools::lab::namespace::Namespace, name: &'a str) -> (St
 
 fn status(name: &str) -> Option<Value> {
     let output = rtnet().args(["token", "-S", name, "status", "--json"]).output().unwrap();
-    serde_json::from_slice(&output.stdout).ok()
+    (!output.stdout.is_empty()).then(|| crate::schema::read(&output.stdout))
 }
 
 /// Waits until it shows a ring of which this is true.

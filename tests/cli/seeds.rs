@@ -148,9 +148,14 @@ fn an_interrupted_command_shows_what_has_ended() {
     let mut printed = String::new();
     child.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{printed}");
-    assert!(printed.contains("\nINTERRUPTED: 3 of 6 runs of 2 files in "), "{printed}");
+    // However slow the host is: those of the short file at the most.
+    let ended = printed
+        .split_once("\nINTERRUPTED: ")
+        .and_then(|(_, rest)| rest.split_once(" of 6 runs of 2 files in "));
+    let ended: usize = ended.unwrap_or_else(|| panic!("{printed}")).0.parse().unwrap();
+    assert!(ended <= 3, "{printed}");
     assert!(read(dir.path(), "s.json").contains("\"interrupted\": true,"));
-    assert_eq!(read(dir.path(), "s.xml").matches("<skipped message=\"interrupted\"/>").count(), 3);
+    assert_eq!(read(dir.path(), "s.xml").matches("<skipped message=\"interrupted\"/>").count(), 6 - ended);
 }
 
 #[test]

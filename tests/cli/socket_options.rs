@@ -67,7 +67,7 @@ impl Two {
 
     fn stat(&self, n: usize) -> Value {
         let output = rtnet().args(["stat", "-S", &self.names[n], "--json"]).output().unwrap();
-        serde_json::from_slice(&output.stdout).unwrap()
+        crate::schema::read(&output.stdout)
     }
 
     /// Waits until a count of a station is this.

@@ -271,7 +271,7 @@ fn of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is
             }
             two.stations[0].child.kill().unwrap();
             let output = ping.wait_with_output().unwrap();
-            let round: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let round = crate::schema::read(&output.stdout);
             let [sent, received, failed] =
                 ["sent", "received", "failed"].map(|of| round[of].as_u64().unwrap());
             assert_eq!((output.status.code(), sent + failed), (Some(1), 30), "{round:#}");

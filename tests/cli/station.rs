@@ -161,7 +161,7 @@ fn pass_on(output: impl Read + Send + 'static, to: Sender<String>) {
 pub fn status(name: &str) -> Value {
     let output = rtnet().args(["tdma", "-S", name, "status", "--json"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    crate::schema::read(&output.stdout)
 }
 
 /// The first status of a station of which this holds.

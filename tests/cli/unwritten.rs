@@ -3,8 +3,6 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::Value;
-
 use crate::cell::{Cell, text};
 use crate::host::{network, skip, unique};
 use crate::rtnet;
@@ -115,7 +113,7 @@ fn json_to_standard_output_leaves_the_screen_to_standard_error() {
     for (network, on_screen) in [(NET, "OK: every frame in its slot"), (RING, "stations in a ring")] {
         let output = simulated(network, &["--json", "-"]);
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let report = crate::schema::read(&output.stdout);
         assert_eq!(report["verdict"]["word"], "ok");
         assert!(text(&output.stderr).contains(on_screen), "{}", text(&output.stderr));
         let page = text(&simulated(network, &["--html", "-"]).stdout);
@@ -156,7 +154,7 @@ fn lab_writes_a_capture_and_json_to_standard_output() {
         );
         assert!(text(&output.stderr).contains("2 stations, cycle 5ms"), "{}", text(&output.stderr));
         let output = lab(&["--json", "-"]);
-        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let report = crate::schema::read(&output.stdout);
         assert_eq!(report["stations"], 2);
     });
 }

@@ -95,7 +95,7 @@ fn status(cell: &Cell, station: &str) -> Value {
 }
 
 fn status_of(station: &str) -> Value {
-    serde_json::from_str(&done(vnic_of(station, &["status", "--json"]))).unwrap()
+    crate::schema::read(done(vnic_of(station, &["status", "--json"])))
 }
 
 /// Does what is asked, or the test fails.

@@ -98,7 +98,7 @@ impl Run {
             return None;
         }
         let report = fs::read(self.dir.path().join("report.json")).unwrap();
-        Some((output.status.code(), text, serde_json::from_slice(&report).unwrap()))
+        Some((output.status.code(), text, crate::schema::read(&report)))
     }
 }
 

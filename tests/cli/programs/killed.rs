@@ -174,12 +174,12 @@ type Pools = Vec<(String, u64, u64)>;
 /// All pools of a station.
 fn pools(name: &str) -> Pools {
     let output = rtnet().args(["pool", "-S", name, "--json"]).output().unwrap();
-    let shown: Vec<Value> = serde_json::from_slice(&output.stdout).unwrap();
+    let shown = crate::schema::read(&output.stdout);
     let count = |pool: &Value, of: &str| pool[of].as_u64().unwrap();
     let of = |pool: &Value| {
         (pool["pool"].as_str().unwrap().to_owned(), count(pool, "capacity"), count(pool, "free"))
     };
-    shown.iter().map(of).collect()
+    shown.as_array().unwrap().iter().map(of).collect()
 }
 
 /// The same once all buffers are home.

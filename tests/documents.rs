@@ -33,6 +33,49 @@ fn readme_has_at_most_160_lines() {
 }
 
 #[test]
+fn readme_has_a_drawing_a_legend_and_a_licence() {
+    let readme = read(&root().join("README.md"));
+    let (what_it_is, rest) = readme.split_once("\n## Try it\n").expect("how to try it");
+    assert!(what_it_is.contains("slot of A") && what_it_is.contains("sync: "), "a drawing of a cycle");
+    let (tried, rest) = rest.split_once("\n## Install\n").expect("how to install it");
+    for command in ["```\ncargo run --release -- lab run\n```", "```\ncargo test --workspace\n```"] {
+        assert!(tried.contains(command), "{command}");
+    }
+    let (report, legend) = tried.split_once("| column or line | meaning |").expect("a legend");
+    assert!(report.lines().any(|line| line.starts_with("OK: ")), "a report with its verdict");
+    for word in ["miss", "slot error", "sync p99", "overlaps, out of slot", "unexplained", "last line"] {
+        assert!(legend.contains(&format!("\n| {word} |")), "the legend has no '{word}'");
+    }
+    for part in [
+        "\n## Nothing else does this\n",
+        "\n## It is not\n",
+        "\n## Chapters\n",
+        "\nLicensed under MIT or Apache-2.0",
+    ] {
+        assert!(rest.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn files_that_documents_name_exist() {
+    let mut checked = 0;
+    for page in [".", "docs", "docs/book"].into_iter().flat_map(pages) {
+        for name in read(&page).split('`').skip(1).step_by(2) {
+            let is_file =
+                ["tests/", "tools/", "rtnet/", "rtmac/", "vnic/", "package-router/", "scripts/", "docs/"]
+                    .iter()
+                    .any(|folder| name.starts_with(folder));
+            // What stands for others is written in capitals, or with a star.
+            if is_file && !name.contains([' ', '*', '{']) && !name.contains("KIND") {
+                assert!(root().join(name).exists(), "{} names {name}, which does not exist", page.display());
+                checked += 1;
+            }
+        }
+    }
+    assert!(checked >= 50, "only {checked} files are named");
+}
+
+#[test]
 fn links_of_all_documents_lead_to_files() {
     let all: Vec<_> = [".", "docs", "docs/book"].into_iter().flat_map(pages).collect();
     let mut checked = 0;

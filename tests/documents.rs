@@ -65,7 +65,7 @@ fn files_that_documents_name_exist() {
                 ["tests/", "tools/", "rtnet/", "rtmac/", "vnic/", "package-router/", "scripts/", "docs/"]
                     .iter()
                     .any(|folder| name.starts_with(folder));
-            // What stands for others is written in capitals, or with a star.
+            // A name in capitals, or with a star, stands for several files.
             if is_file && !name.contains([' ', '*', '{']) && !name.contains("KIND") {
                 assert!(root().join(name).exists(), "{} names {name}, which does not exist", page.display());
                 checked += 1;

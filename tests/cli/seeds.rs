@@ -148,7 +148,7 @@ fn an_interrupted_command_shows_what_has_ended() {
     let mut printed = String::new();
     child.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{printed}");
-    // However slow the host is: those of the short file at the most.
+    // On a slow host fewer than the three runs of the short file may have ended.
     let ended = printed
         .split_once("\nINTERRUPTED: ")
         .and_then(|(_, rest)| rest.split_once(" of 6 runs of 2 files in "));

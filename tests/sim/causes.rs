@@ -85,7 +85,7 @@ fn causes_are_found_also_where_a_run_is_judged_while_it_lasts() {
     assert_eq!(figures.unexplained, 0, "{:#?}", figures.misses);
     let of = |cause: &str| figures.causes[cause];
     assert!(of("station_down") > 9_000 && of("clock_set") > 3 * 1_300, "{:?}", figures.causes);
-    // Three times 100 ms, in which there are 99 to 101 turns.
+    // Three times 100 ms, each with 99 to 101 turns.
     assert!((297..=303).contains(&of("station_stopped")), "{:?}", figures.causes);
 }
 

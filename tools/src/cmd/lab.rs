@@ -49,7 +49,7 @@ pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
     unless_any(errors, delivery.end_with(worst(&ended).max(word).exit_status()))
 }
 
-/// The status, or the last of the errors; the others, and that of the status, are printed.
+/// The status if there is no error, else the last error; all others are printed.
 fn unless_any(mut errors: Vec<anyhow::Error>, status: Result<u8, Failure>) -> Result<u8, Failure> {
     let Some(last) = errors.pop() else { return status };
     errors.into_iter().chain(status.err().map(Failure::into_error)).for_each(|error| {
@@ -102,7 +102,7 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
     for lab in directory.labs() {
         match control::lab_status(&directory, &lab) {
             Ok(status) => all.push(status),
-            // One that has gone since is none that runs.
+            // It has ended since it was listed.
             Err(error) if directory.has(&lab) => errors.push(error),
             Err(_) => {}
         }

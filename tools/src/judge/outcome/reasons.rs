@@ -11,7 +11,7 @@ use crate::scenario::{Expectation, Measure, Scenario};
 pub(super) fn evidence(scenario: &Scenario, parts: &Parts, figures: &Figures) -> Evidence {
     let measured = Span::from_nanos((figures.cycles * figures.cycle_ns) as i64);
     let stations = figures.per_station.iter().zip(&parts.stations).enumerate();
-    // Few frames missed by all are few of each. Many seen of all are not: they may be another station's.
+    // A bound on what all stations miss bounds each one. Frames seen of all may be those of another station.
     let is_decided = |id| {
         let is_bounded = |of: &Expectation| match of.measure {
             Measure::SlotsMissed => of.station.is_none() || of.station == id,

@@ -39,7 +39,7 @@ impl Newest {
     }
 
     /// A number comes, at a time of its receiver's clock in ns, if that is known. `None`: it cannot be genuine. It came
-    /// already, or it is further ahead than frames and a restart take it in the time since the last.
+    /// already, or it is further ahead than a sender can come, even with a restart, in the time since the last number.
     pub fn note(&mut self, number: u64, at: Option<u64>) -> Option<Came> {
         (number <= SEQUENCE_AT_MOST).then_some(())?;
         let at = at.unwrap_or(self.at);
@@ -180,7 +180,7 @@ mod tests {
         let expected = Arrived { received: 2, missing: far - 6, first: 5 };
         assert_eq!(apart(1_000_000, &[5, far]), (expected, vec![]));
         assert_eq!(apart(1_000_000, &[5, far + 1]).1, [far + 1]);
-        // One that was lost for so long that it is refused at first is believed once time has passed.
+        // A number that is refused at first is believed once enough time has passed.
         let after_a_minute = 5 + 60_000;
         assert_eq!(apart(20_000_000, &[5, after_a_minute, after_a_minute + 1]).1, [after_a_minute]);
     }

@@ -36,6 +36,13 @@ role = "slave"
 at = "500ms"
 cut = ["backup", "slave3"]
 for = "1s"
+# Slots are those of the primary. Two clocks of 50 ppm run apart by 0.2 us a cycle: after 192 of the 500 cycles by more than the
+# 38.4 us that slots leave for clocks. In the others, and in 20 until all are locked again, backup sends two frames and slave3 one.
+[expect]
+out_of_slot = "<= 984"
+# At most 3 cycles have two masters. In each, three frames of the second one's part meet at most two others.
+overlaps = "<= 18"
+rival_cycles = "<= 3"
 "#;
     let away = r#"
 [[event]]
@@ -149,6 +156,7 @@ fn only_frames_of_the_measurement_count_as_lost() {
         assert_eq!(slave.frames_lost, slave.lost_on_purpose, "{is_late}: {:?}", figures.verdict);
         // What a wire loses it loses at once, also in the few cycles behind the last.
         let behind = simulation.lost - slave.frames_lost;
-        assert!((450..550).contains(&slave.frames_lost) && behind <= 4, "{is_late}: {}", slave.frames_lost);
+        // Half of 1000, with a deviation of 16; 9 of those.
+        assert!((356..=644).contains(&slave.frames_lost) && behind <= 4, "{is_late}: {}", slave.frames_lost);
     }
 }

@@ -22,7 +22,7 @@ use crate::report::text::{grouped, percent};
 use crate::report::verdict::{Verdict, Word};
 use crate::scenario::MAX_MISS_PPM;
 
-/// A station that misses more of its slots than it uses is no part of the network, however many it may miss.
+/// A station that misses more of its slots than it uses is no part of the network.
 const MOST_PPM: u64 = 500_000;
 /// So many stations are named.
 const NAMED: usize = 3;
@@ -131,8 +131,7 @@ fn unmeasured(slots: &[Slots]) -> Option<Reason> {
 
 /// Stations that missed more than they may, in one reason each for those that were hardly there and the others.
 fn too_many_missed(slots: &[Slots], max_miss_ppm: u32) -> impl Iterator<Item = Reason> {
-    let most = u64::from(max_miss_ppm).min(MOST_PPM);
-    let open = slots.iter().filter(|of| !of.is_decided && of.missed_ppm() > most);
+    let open = slots.iter().filter(|of| !of.is_decided && of.missed_ppm() > max_miss_ppm.into());
     let (mostly, more): (Vec<&Slots>, Vec<&Slots>) = open.partition(|of| of.missed_ppm() > MOST_PPM);
     let seen = |of: &&Slots| {
         format!("station '{}' was seen {} times of {}", of.station, grouped(of.seen), grouped(of.expected))

@@ -91,8 +91,6 @@ fn verdict_is_never_ok_when_a_station_was_hardly_seen() {
     let line = "NOT OK: station 'arm' was seen 10 times of 6 000";
     check(&seen(10, 6_000), &quiet(), Word::NotOk, line);
     check(&seen(0, 6_000), &quiet(), Word::NotOk, "NOT OK: station 'arm' was seen 0 times of 6 000");
-    let verdict = |seen_of| judge(&seen(seen_of, 6_000), 1_000_000, &quiet()).word;
-    assert_eq!([2_999, 3_000].map(verdict), [Word::NotOk, Word::Ok], "even if 100 % may be missed");
 }
 
 #[test]
@@ -142,6 +140,7 @@ fn an_expectation_of_the_file_decides_on_misses() {
     let mut evidence = seen(10, 6_000);
     evidence.slots.as_mut().unwrap()[1].is_decided = true;
     check(&evidence, &quiet(), Word::Ok, "OK: all seen");
+    assert_eq!(judge(&seen(0, 6_000), 1_000_000, &quiet()).word, Word::Ok, "100 % may be missed");
 }
 
 #[test]

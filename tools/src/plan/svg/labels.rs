@@ -14,7 +14,7 @@ const SLANT: f64 = 55.0;
 const APART: f64 = 14.0;
 /// From a slot to its slanting label.
 const LEAD: f64 = 12.0;
-/// Of longer names of stations only the begin is shown; pointing at the slot shows all of it.
+/// A longer name of a station is cut. Pointing at the slot shows all of it.
 const LETTERS_AT_MOST: usize = 18;
 
 /// What stands below a slot that begins at `at`.
@@ -24,7 +24,7 @@ pub(super) struct Label {
 }
 
 impl Label {
-    /// Of a slot of this name. Slots of one station differ by their names, so only the station's is cut.
+    /// The label of a slot. Only the station's name is cut: slots of one station differ by the rest.
     pub fn of(at: f64, station: &str, slot: &str) -> Self {
         Self { at, text: format!("{} {slot}", cut(station, LETTERS_AT_MOST)) }
     }

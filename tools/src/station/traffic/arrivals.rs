@@ -17,7 +17,7 @@ const SEQUENCE_AT_MOST: u64 = 1 << 60;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Newest {
     last: Option<u64>,
-    /// When that came, in ns.
+    /// When the last one came, in ns.
     at: u64,
     /// Bit n: the number n before the last has come; four times what a queue holds.
     came: u128,
@@ -139,7 +139,7 @@ impl Arrivals {
 mod tests {
     use super::*;
 
-    /// Of numbers that come so many nanoseconds apart.
+    /// The counts, and the numbers refused, if the numbers come `ns` nanoseconds apart.
     fn apart(ns: u64, numbers: &[u64]) -> (Arrived, Vec<u64>) {
         let (arrivals, mut newest) = (Arrivals::default(), Newest::default());
         let timed = numbers.iter().zip((1..).map(|n| Some(n * ns)));

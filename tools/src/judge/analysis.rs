@@ -419,7 +419,7 @@ impl Analysis {
         }
         let Some(id) = slot.filter(|_| counts) else { return };
         self.timetable.sent(station, id, cycle);
-        let Some(&slot) = self.timetable.at(station, id, cycle) else {
+        let Some(&slot) = self.timetable.at(station, id, cycle).filter(|slot| slot.has_turn(cycle)) else {
             self.stations[station].strays(cycle);
             return self.find(Finding::of(author, FindingKind::OutOfSlot, Span::ZERO));
         };

@@ -130,10 +130,7 @@ impl Timetable {
         let held = self.stations[station].iter().filter(move |entry| entry.holds(cycle));
         let away =
             self.away[station].iter().filter(|(_, may_return)| *may_return).flat_map(|(plans, _)| plans);
-        let has_turn = move |plan: &&SlotPlan| {
-            turns(cycle, cycle.wrapping_add(1), plan.phase, plan.period).next().is_some()
-        };
-        held.map(|entry| &entry.plan).chain(away).filter(has_turn)
+        held.map(|entry| &entry.plan).chain(away).filter(move |plan| plan.has_turn(cycle))
     }
 
     /// The ids of a station's slots, each once, also of those that are gone.

@@ -11,6 +11,8 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
+use rtnet::clock::True;
+use rtnet::live::clock::monotonic;
 use rtnet::time::Span;
 
 use super::members::{Member, lost_at_most};
@@ -32,8 +34,10 @@ use crate::station::misses::{Miss, WORST};
 use crate::station::stack::OwnIp;
 use changes::Pending;
 
-/// How often what was found is judged: records are told twenty times a second.
+/// How often what was found is judged.
 const JUDGE_EVERY: Duration = Duration::from_secs(1);
+/// A record explains what was found up to so many cycles before it.
+const EXPLAINED_WITHIN: i64 = 2;
 /// How often to look which stations are stopped.
 const LOOK_AT_PROCESSES_EVERY: Duration = Duration::from_millis(100);
 /// How often to look what others take of the core, at the most.
@@ -177,9 +181,21 @@ impl Keeper {
 
     fn judge(&mut self) {
         self.lab.count_absences(&mut self.tally);
+        self.tally.judge(self.lab.told(), &self.lab.records);
+        self.find();
         let cycle = Duration::from_nanos(self.scenario.cycle.nanos() as u64);
         let keep = (RECORDS_KEPT.as_nanos() / cycle.as_nanos().max(1)).clamp(1, u128::from(u32::MAX / 2));
-        self.tally.judge(&mut self.lab.analysis, &mut self.lab.records, keep as u32);
+        if let Some(current) = self.lab.analysis.current() {
+            self.lab.records.forget_before(current.wrapping_sub(keep as u32));
+        }
+    }
+
+    /// Has what was found until now wait for the records of its cycles.
+    fn find(&mut self) {
+        let analysis = &mut self.lab.analysis;
+        let explained = self.scenario.cycle * EXPLAINED_WITHIN;
+        let until = monotonic().saturating_add_signed(explained.nanos());
+        self.tally.find(until, analysis.take_findings(), std::mem::take(&mut analysis.findings_dropped));
     }
 
     /// Ends the stations and draws the account up.
@@ -194,7 +210,9 @@ impl Keeper {
         // What a member is at its end is "ended"; what it was before is of interest.
         let states: Vec<String> = (0..self.lab.members.len()).map(|station| self.state(station)).collect();
         self.lab.end();
-        self.tally.close(&mut self.lab.analysis, &mut self.lab.records);
+        self.find();
+        // Nothing more will be told.
+        self.tally.judge(True::MAX, &self.lab.records);
         let mut status = self.status();
         for (member, state) in
             status.stations.iter_mut().zip(states).filter(|(member, _)| member.failed.is_none())

@@ -98,6 +98,15 @@ impl Lab {
         }
     }
 
+    /// Until when all stations that are there have told what they noticed.
+    pub(super) fn told(&self) -> True {
+        let away = [Absence::Down, Absence::Stopped];
+        let is_there = |station: usize| !away.iter().any(|&why| self.records.absences.is_open(station, why));
+        let there = self.members.iter().enumerate().filter(|(station, of)| !of.silent && is_there(*station));
+        let told = there.filter_map(|(_, member)| member.standing.as_ref().map(|standing| standing.at));
+        told.min().unwrap_or(True::MAX)
+    }
+
     /// Whether its master is there.
     pub(super) fn has_master(&self) -> bool {
         !self.records.absences.open().any(|(station, ..)| station == 0)

@@ -3,18 +3,22 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use crate::judge::analysis::Analysis;
+use rtnet::clock::True;
+
 use crate::judge::explain::Records;
 use crate::judge::findings::{Finding, FindingKind};
 
 /// Findings without a record that are kept to be shown; the rest is only counted.
 const SHOWN_AT_MOST: usize = 10;
+/// Findings that wait for the records of their cycles. If a station tells nothing for so long that there are more, the oldest
+/// are judged without.
+const WAITING_AT_MOST: usize = 1_000_000;
 
 /// What was found so far.
 #[derive(Default)]
 pub struct Tally {
-    /// Found since the last judgement: the records of their cycles may still be on their way.
-    waiting: Vec<Finding>,
+    /// Found up to a moment, in order: the records of their cycles may still be on their way.
+    waiting: VecDeque<(True, Vec<Finding>)>,
     /// Two frames on the air at once.
     pub overlaps: u64,
     /// Frames outside their slot.
@@ -30,23 +34,24 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Judges what was found before the last judgement, and takes in what was found since. Records more than
-    /// `keep` cycles old are forgotten: what is found so late is unexplained.
-    pub fn judge(&mut self, analysis: &mut Analysis, records: &mut Records, keep: u32) {
-        for finding in std::mem::take(&mut self.waiting) {
-            self.count(finding, records);
-        }
-        self.unexplained += std::mem::take(&mut analysis.findings_dropped);
-        self.waiting = analysis.take_findings();
-        if let Some(current) = analysis.current() {
-            records.forget_before(current.wrapping_sub(keep));
+    /// These were found up to the moment `at`, besides some that there was no room for.
+    pub fn find(&mut self, at: True, found: Vec<Finding>, dropped: u64) {
+        self.unexplained += dropped;
+        if !found.is_empty() {
+            self.waiting.push_back((at, found));
         }
     }
 
-    /// Judges all there is: nothing more will come.
-    pub fn close(&mut self, analysis: &mut Analysis, records: &mut Records) {
-        self.judge(analysis, records, u32::MAX / 2);
-        self.judge(analysis, records, u32::MAX / 2);
+    /// Judges what was found up to a moment until which all stations have told what they noticed.
+    pub fn judge(&mut self, told: True, records: &Records) {
+        let mut waiting: usize = self.waiting.iter().map(|(_, found)| found.len()).sum();
+        while let Some((at, found)) = self.waiting.front()
+            && (*at <= told || waiting > WAITING_AT_MOST)
+        {
+            waiting -= found.len();
+            let (_, found) = self.waiting.pop_front().unwrap_or_default();
+            found.into_iter().for_each(|finding| self.count(finding, records));
+        }
     }
 
     /// So much was missed for this cause.
@@ -72,5 +77,52 @@ impl Tally {
             }
             self.shown.push_back(finding);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rtnet::discipline::{Cause, EventKind};
+    use rtnet::time::Span;
+
+    use super::*;
+    use crate::judge::findings::Author;
+
+    fn missed(cycle: u32) -> (Author, Finding) {
+        let author = Author { station: 1, cycle, slot: Some(0) };
+        (author, Finding::of(author, FindingKind::SlotMissed, Span::ZERO))
+    }
+
+    #[test]
+    fn a_miss_is_judged_when_its_station_has_told_however_late() {
+        let (mut tally, mut records) = (Tally::default(), Records::default());
+        let (author, finding) = missed(7);
+        tally.find(1_000, vec![finding], 0);
+        for told in [0, 400, 999] {
+            tally.judge(told, &records);
+            assert_eq!((tally.unexplained, tally.waiting.len()), (0, 1), "told up to {told}");
+        }
+        records.note(author, EventKind::Overrun, Span::ZERO, Some(Cause::TimerLate));
+        tally.judge(1_000, &records);
+        assert_eq!((tally.unexplained, tally.waiting.len()), (0, 0));
+        assert_eq!(tally.causes["timer_late"], 1);
+    }
+
+    #[test]
+    fn a_miss_that_no_station_tells_of_is_unexplained() {
+        let (mut tally, records) = (Tally::default(), Records::default());
+        tally.find(1_000, vec![missed(7).1], 3);
+        tally.find(2_000, vec![missed(8).1], 0);
+        tally.judge(1_000, &records);
+        assert_eq!((tally.unexplained, tally.waiting.len()), (4, 1));
+    }
+
+    #[test]
+    fn for_a_station_that_tells_nothing_only_so_many_wait() {
+        let (mut tally, records) = (Tally::default(), Records::default());
+        tally.find(1_000, vec![missed(7).1; 2], 0);
+        tally.find(2_000, vec![missed(8).1; WAITING_AT_MOST], 0);
+        tally.judge(0, &records);
+        assert_eq!((tally.unexplained, tally.waiting.len()), (2, 1));
     }
 }

@@ -188,6 +188,11 @@ impl SlotPlan {
         let &SlotPlan { id, offset, phase, period, size, joint } = self;
         SlotConfig { id, offset, phase, period, size, joint, latest }
     }
+
+    /// Whether it is used in this cycle.
+    pub fn has_turn(&self, cycle: u32) -> bool {
+        cycle % self.period == self.phase
+    }
 }
 
 impl From<SlotConfig> for SlotPlan {

@@ -131,6 +131,22 @@ fn found(analysis: &Analysis) -> Vec<(u32, FindingKind, Option<usize>)> {
 }
 
 #[test]
+fn a_frame_in_a_cycle_that_is_not_its_slots_turn_is_out_of_slot() {
+    let by_turns = |scenario: &mut Scenario| {
+        let slot = &mut scenario.stations[1].slots[0];
+        (slot.phase, slot.period) = (0, 2);
+    };
+    let analysis = Bench::of(by_turns).run(|bench| {
+        bench.sync(12, 0);
+        bench.data(0, 12, 0);
+        bench.data(1, 12, 0);
+    });
+    let odd = |cycle| (cycle, FindingKind::OutOfSlot, Some(1));
+    assert_eq!(found(&analysis), [odd(11), odd(13)]);
+    assert_eq!((analysis.stations[1].frames, analysis.stations[1].stray), (3, 2));
+}
+
+#[test]
 fn when_all_is_well_nothing_is_found() {
     let analysis = Bench::new().run(|bench| {
         bench.sync(12, 0);

@@ -37,12 +37,12 @@ pub struct Observed {
 }
 
 impl Observed {
-    /// The network of a file, on such hosts, with the lab's own traffic.
+    /// The network of a file, on such hosts, with the lab's own traffic; its seed is the date's.
     pub fn lab(text: &str, host: Host) -> Self {
         Self::seeded(text, host, seeds::one("Observed::lab"))
     }
 
-    /// The same with this seed.
+    /// The network of a file, drawn by this seed.
     pub fn seeded(text: &str, host: Host, seed: u64) -> Self {
         Self::with(text, (host, seed), |plan, id, counts| {
             let (to, from) = (plan.scenario.receiver(id), plan.scenario.sender(id));

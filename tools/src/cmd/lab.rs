@@ -36,7 +36,7 @@ pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
     for lab in labs {
         match down_one(&directory, &lab) {
             Ok(Some(one)) => ended.push(one),
-            // Its figures went with it.
+            // A lab that died left no figures.
             Ok(None) => word = Word::Inconclusive,
             Err(error) => errors.push(error),
         }

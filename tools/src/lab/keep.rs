@@ -181,7 +181,7 @@ impl Keeper {
 
     fn judge(&mut self) {
         self.lab.count_absences(&mut self.tally);
-        self.tally.judge(self.lab.told(), &self.lab.records);
+        self.tally.judge(self.lab.reported(), &self.lab.records);
         self.find();
         let cycle = Duration::from_nanos(self.scenario.cycle.nanos() as u64);
         let keep = (RECORDS_KEPT.as_nanos() / cycle.as_nanos().max(1)).clamp(1, u128::from(u32::MAX / 2));
@@ -190,7 +190,7 @@ impl Keeper {
         }
     }
 
-    /// Has what was found until now wait for the records of its cycles.
+    /// Hands what was found so far to the tally.
     fn find(&mut self) {
         let analysis = &mut self.lab.analysis;
         let explained = self.scenario.cycle * EXPLAINED_WITHIN;
@@ -211,7 +211,7 @@ impl Keeper {
         let states: Vec<String> = (0..self.lab.members.len()).map(|station| self.state(station)).collect();
         self.lab.end();
         self.find();
-        // Nothing more will be told.
+        // No station reports any more.
         self.tally.judge(True::MAX, &self.lab.records);
         let mut status = self.status();
         for (member, state) in

@@ -98,13 +98,13 @@ impl Lab {
         }
     }
 
-    /// Until when all stations that are there have told what they noticed.
-    pub(super) fn told(&self) -> True {
+    /// The moment up to which all running stations have reported what they noticed.
+    pub(super) fn reported(&self) -> True {
         let away = [Absence::Down, Absence::Stopped];
         let is_there = |station: usize| !away.iter().any(|&why| self.records.absences.is_open(station, why));
         let there = self.members.iter().enumerate().filter(|(station, of)| !of.silent && is_there(*station));
-        let told = there.filter_map(|(_, member)| member.standing.as_ref().map(|standing| standing.at));
-        told.min().unwrap_or(True::MAX)
+        let reported = there.filter_map(|(_, member)| member.standing.as_ref().map(|standing| standing.at));
+        reported.min().unwrap_or(True::MAX)
     }
 
     /// Whether its master is there.

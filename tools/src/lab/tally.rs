@@ -10,14 +10,14 @@ use crate::judge::findings::{Finding, FindingKind};
 
 /// Findings without a record that are kept to be shown; the rest is only counted.
 const SHOWN_AT_MOST: usize = 10;
-/// Findings that wait for the records of their cycles. If a station tells nothing for so long that there are more, the oldest
-/// are judged without.
+/// Findings that wait for the records of their cycles. Where a station reports nothing for so long that there are more, the
+/// oldest are judged without its records.
 const WAITING_AT_MOST: usize = 1_000_000;
 
 /// What was found so far.
 #[derive(Default)]
 pub struct Tally {
-    /// Found up to a moment, in order: the records of their cycles may still be on their way.
+    /// Findings, and up to when stations must have reported before they are judged; oldest first.
     waiting: VecDeque<(True, Vec<Finding>)>,
     /// Two frames on the air at once.
     pub overlaps: u64,
@@ -34,7 +34,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// These were found up to the moment `at`, besides some that there was no room for.
+    /// Takes findings to be judged once all stations have reported up to `at`. `dropped` more had no room.
     pub fn find(&mut self, at: True, found: Vec<Finding>, dropped: u64) {
         self.unexplained += dropped;
         if !found.is_empty() {
@@ -42,11 +42,11 @@ impl Tally {
         }
     }
 
-    /// Judges what was found up to a moment until which all stations have told what they noticed.
-    pub fn judge(&mut self, told: True, records: &Records) {
+    /// Judges the findings that wait for what stations report up to `reported`.
+    pub fn judge(&mut self, reported: True, records: &Records) {
         let mut waiting: usize = self.waiting.iter().map(|(_, found)| found.len()).sum();
         while let Some((at, found)) = self.waiting.front()
-            && (*at <= told || waiting > WAITING_AT_MOST)
+            && (*at <= reported || waiting > WAITING_AT_MOST)
         {
             waiting -= found.len();
             let (_, found) = self.waiting.pop_front().unwrap_or_default();
@@ -94,13 +94,13 @@ mod tests {
     }
 
     #[test]
-    fn a_miss_is_judged_when_its_station_has_told_however_late() {
+    fn a_miss_is_judged_once_its_station_has_reported() {
         let (mut tally, mut records) = (Tally::default(), Records::default());
         let (author, finding) = missed(7);
         tally.find(1_000, vec![finding], 0);
-        for told in [0, 400, 999] {
-            tally.judge(told, &records);
-            assert_eq!((tally.unexplained, tally.waiting.len()), (0, 1), "told up to {told}");
+        for reported in [0, 400, 999] {
+            tally.judge(reported, &records);
+            assert_eq!((tally.unexplained, tally.waiting.len()), (0, 1), "reported up to {reported}");
         }
         records.note(author, EventKind::Overrun, Span::ZERO, Some(Cause::TimerLate));
         tally.judge(1_000, &records);
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_miss_that_no_station_tells_of_is_unexplained() {
+    fn a_miss_that_no_station_reports_is_unexplained() {
         let (mut tally, records) = (Tally::default(), Records::default());
         tally.find(1_000, vec![missed(7).1], 3);
         tally.find(2_000, vec![missed(8).1], 0);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn for_a_station_that_tells_nothing_only_so_many_wait() {
+    fn for_a_silent_station_only_so_many_findings_wait() {
         let (mut tally, records) = (Tally::default(), Records::default());
         tally.find(1_000, vec![missed(7).1; 2], 0);
         tally.find(2_000, vec![missed(8).1; WAITING_AT_MOST], 0);

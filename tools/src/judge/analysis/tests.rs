@@ -131,7 +131,7 @@ fn found(analysis: &Analysis) -> Vec<(u32, FindingKind, Option<usize>)> {
 }
 
 #[test]
-fn a_frame_in_a_cycle_that_is_not_its_slots_turn_is_out_of_slot() {
+fn a_frame_in_a_cycle_without_its_slots_turn_is_out_of_slot() {
     let by_turns = |scenario: &mut Scenario| {
         let slot = &mut scenario.stations[1].slots[0];
         (slot.phase, slot.period) = (0, 2);

@@ -71,8 +71,7 @@ pub struct Member {
     pub unplugged: Unplugged,
     /// In which cycle its process was last seen not to be stopped.
     pub seen_running: Option<u32>,
-    /// When it has last told to be synchronised.
-    synchronised_at: Option<True>,
+    unsynchronised: Unsynchronised,
     counting: bool,
     told_to_end: bool,
     /// It was ended because its scenario says so.
@@ -111,7 +110,7 @@ impl Member {
             clock: None,
             unplugged: Unplugged::default(),
             seen_running: None,
-            synchronised_at: None,
+            unsynchronised: Unsynchronised::default(),
             counting: false,
             told_to_end: false,
             is_meant_to_end: false,
@@ -126,6 +125,7 @@ impl Member {
         self.process = Some(process);
         self.restarts += 1;
         self.unplugged.begin_anew();
+        self.unsynchronised = Unsynchronised::default();
         (self.standing, self.standing_at_begin) = (None, None);
         (self.failed, self.ended, self.silent, self.told_to_end) = (None, false, false, false);
         self.is_meant_to_end = false;
@@ -259,9 +259,7 @@ impl Member {
             return self.lost_at_end;
         }
         let Some(standing) = &self.standing else { return true };
-        let at_most = at_most.nanos() as u64;
-        let since = self.synchronised_at.map(|at| monotonic().saturating_sub(at));
-        !standing.master && !is_synchronised(standing) && since.is_none_or(|since| since > at_most)
+        !standing.master && self.unsynchronised.is_longer_than(at_most)
     }
 
     /// Share of one core that the real-time thread used while it was measured.
@@ -332,9 +330,7 @@ impl Member {
             Some(Report::Started { guarded, refused }) => (self.guarded, self.refused) = (guarded, refused),
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => {
-                if is_synchronised(&standing) {
-                    self.synchronised_at = Some(standing.at);
-                }
+                self.unsynchronised.note(&standing.state, standing.at);
                 self.standing = Some(*standing);
             }
             Some(Report::Events(events)) => {
@@ -373,7 +369,44 @@ impl Member {
     }
 }
 
-/// Locked, or bridging one cycle.
-fn is_synchronised(standing: &Standing) -> bool {
-    matches!(standing.state.as_str(), "locked" | "holdover")
+/// How long a station has not been synchronised, by its own reports: it reports each change of state, with its time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Unsynchronised {
+    since: Option<True>,
+    reported: True,
+}
+
+impl Unsynchronised {
+    /// The station reports its state at a time.
+    fn note(&mut self, state: &str, at: True) {
+        // Locked, or bridging one cycle.
+        let is_synchronised = matches!(state, "locked" | "holdover");
+        self.since = self.since.or(Some(at)).filter(|_| !is_synchronised);
+        self.reported = at;
+    }
+
+    fn is_longer_than(&self, span: Span) -> bool {
+        self.since.is_some_and(|since| self.reported.saturating_sub(since) > span.nanos() as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_station_is_lost_by_the_time_it_reports_to_be_lost() {
+        let mut station = Unsynchronised::default();
+        let mut after = |state, millis: u64| {
+            station.note(state, millis * 1_000_000);
+            station.is_longer_than(Span::from_millis(75))
+        };
+        assert!(!after("locked", 1_000));
+        // The report before is 100 ms old, and the station has lost the master only now.
+        assert!(!after("lost", 1_100));
+        assert!(!after("lost", 1_175));
+        assert!(after("lost", 1_176));
+        assert!(!after("holdover", 1_200) && !after("waiting", 1_300));
+        assert!(after("calibrating", 1_376));
+    }
 }

@@ -272,6 +272,14 @@ mod tests {
     }
 
     #[test]
+    fn a_cut_behind_a_checksum_that_fits_leaves_no_times() {
+        let times = times(3_750_021_308_302_610_411, Some(16_154_042_484_862_848_886));
+        let surplus = Surplus::new(8, &times);
+        assert_eq!(surplus.as_bytes()[..2], list(&[]), "the checksum of an empty list");
+        assert_eq!(parse(8, true, &surplus.as_bytes()[..2]), Ok(None));
+    }
+
+    #[test]
     fn lists_that_cannot_be_are_none() {
         let lists: [&[u8]; 7] = [&[9], &[9, 0], &[9, 1], &[9, 3], &[9, 255, 0], &[9, 255, 0, 3], &[192, 2]];
         for options in lists {
@@ -300,10 +308,14 @@ mod tests {
             let mut bytes = Surplus::new(udp_len, &times).as_bytes().to_vec();
             prop_assert_eq!(bytes.len(), len_behind(udp_len));
             prop_assert_eq!(parse(udp_len, true, &bytes), Ok(Some(times)));
-            for end in 0..bytes.len() {
+            let without_options = udp_len % 2 + size_of::<U16>();
+            for end in (0..bytes.len()).filter(|&end| end != without_options) {
                 let part = parse(udp_len, true, &bytes[..end]);
                 prop_assert_eq!(part, Err(NoOptions));
             }
+            // One checksum in 65 536 is that of an empty list, too.
+            let part = parse(udp_len, true, &bytes[..without_options]);
+            prop_assert!(matches!(part, Err(NoOptions) | Ok(None)), "{:?}", part);
             let at = at.index(bytes.len());
             bytes[at] ^= 1u8 << bit;
             prop_assert_eq!(parse(udp_len, true, &bytes), Err(NoOptions));

@@ -1,4 +1,4 @@
-//! `scripts/soak --tests`, with a cargo that fails as it is told to.
+//! `scripts/soak`, with a cargo that fails as it is told to.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -40,6 +40,7 @@ test result: FAILED. 1 passed; 1 failed;
 END
 broken) echo "error: could not compile"; exit 101 ;;
 seed) [ "$RTNET_SEED" = 8 ] || exit 1 ;;
+cases) [ "$PROPTEST_CASES" = 2560 ] || exit 1 ;;
 busy) # Besides this one, the script has one child for each core.
     [ "$(wc -w </proc/$PPID/task/$PPID/children)" = "$(($(nproc) + 1))" ] || exit 1 ;;
 esac
@@ -108,6 +109,13 @@ fn soak_runs_networks_with_each_seed() {
 }
 
 #[test]
+fn soak_gives_properties_more_cases() {
+    let (output, calls) = soak(&["cases"], &["--properties", "10"]);
+    assert_eq!(calls, "test --workspace --no-fail-fast --lib --test vectors --test hostile\n");
+    assert_eq!(output.status.code(), Some(0), "{}", printed(&output));
+}
+
+#[test]
 fn soak_refuses_nonsense() {
     for arguments in [
         &["--tests"][..],
@@ -117,13 +125,15 @@ fn soak_refuses_nonsense() {
         &["--seeds", "1..2", "3"],
         &["--seeds", "1..2", "--busy"],
         &["--networks", "8..7"],
+        &["--properties", "0"],
     ] {
         let (output, calls) = soak(&[], arguments);
         assert_eq!((output.status.code(), calls.as_str()), (Some(2), ""), "{arguments:?}");
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(
             said,
-            "usage: scripts/soak [--seeds A..B] | scripts/soak --tests N [--busy] | scripts/soak --networks A..B\n"
+            "usage: scripts/soak [--seeds A..B] | scripts/soak --tests N [--busy] | scripts/soak --networks A..B \
+             | scripts/soak --properties N\n"
         );
     }
 }

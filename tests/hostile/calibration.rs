@@ -11,8 +11,8 @@ use rtnet::wire::ethernet::Address;
 use tests::bench::Bench;
 
 use super::{
-    CYCLE, HOSTILE, MASTER, ROUNDS, SLAVE, Victim, genuine_sync, is_test_traffic, message, moment, start,
-    throw,
+    CYCLE, HOSTILE, MASTER, ROUNDS, SLAVE, Victim, cases, genuine_sync, is_test_traffic, message, moment,
+    start, throw,
 };
 
 /// Where the slave's slot begins.
@@ -102,7 +102,7 @@ fn lie() -> impl Strategy<Value = (u64, u64)> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(cases(2))]
 
     /// Every request is answered, and every answer is a lie: what is believed is at most a cycle, and the slave
     /// still sends at most once a cycle, in the order of the cycles, and nothing but requests before it is locked.

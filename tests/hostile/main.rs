@@ -177,6 +177,12 @@ fn is_test_traffic(frame: &[u8]) -> bool {
     Header::parse(frame).is_some_and(|(header, _)| header.ether_type() == EtherType::EXPERIMENTAL)
 }
 
+/// So many times proptest's own number of cases.
+fn cases(times: u32) -> ProptestConfig {
+    let own = ProptestConfig::default();
+    ProptestConfig { cases: own.cases * times, failure_persistence: None, ..own }
+}
+
 fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
     let mut bench = victim.set_up();
     let before = bench.station.refusals().total();
@@ -339,7 +345,7 @@ fn a_frame_whose_stamp_was_lost_is_counted_and_tells_nothing() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(cases(2))]
 
     #[test]
     fn any_single_frame(frame in hostile_frame(), victim in prop::sample::select(&VICTIMS[..])) {

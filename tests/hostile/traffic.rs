@@ -11,7 +11,7 @@ use rtnet::wire::ethernet::{Address, EtherType};
 use tests::{traffic, vectors};
 use tools::station::traffic::{Arrived, Traffic, TrafficCounts};
 
-use super::{MASTER, SLAVE, hostile_frame};
+use super::{MASTER, SLAVE, cases, hostile_frame};
 
 /// A receiver in whom no byte has any business but those of the sender's frames.
 struct Receiver {
@@ -91,7 +91,7 @@ fn it_is_addressed_to_the_receiver_alone() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2_000, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(cases(8))]
 
     #[test]
     fn any_frame(bytes in hostile_frame()) {

@@ -190,7 +190,7 @@ fn event() -> impl Strategy<Value = Event> {
 
 proptest! {
     // Each of them lets ids come round.
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases / 4))]
 
     /// Whatever comes in whatever order: nobody has another's reply, no two open calls have one id, and all that came is either
     /// somebody's reply or counted.

@@ -124,7 +124,7 @@ fn slot_of_first() -> SlotConfig {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2_000, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases * 8))]
 
     #[test]
     fn never_are_two_schedules_in_use_and_all_agree_in_the_end(

@@ -94,9 +94,9 @@ proptest! {
     ) {
         let slots: Vec<_> = slots.iter().map(|&(offset, phase, period)| (offset, phase % period, period)).collect();
         let turns = turns(&slots);
-        let demands: Vec<_> = drawn.iter().map(|&(every, burst)| demand(every, burst)).collect();
+        let demands = |times| drawn.iter().map(move |&(every, burst)| demand(every * times, burst)).collect::<Vec<_>>();
         // Where next to all turns are wanted it takes longer until nothing waits than is played here.
-        prop_assume!(load(&turns, &demands) < 0.9);
+        let demands = demands(1 + (load(&turns, &demands(1)) / 0.9) as i64);
         let said = (worst_queueing(&turns, LEAD, &demands).unwrap(), most_waiting(&turns, &demands).unwrap());
 
         let at_once = vec![Span::ZERO; demands.len()];

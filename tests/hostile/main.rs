@@ -177,7 +177,7 @@ fn is_test_traffic(frame: &[u8]) -> bool {
     Header::parse(frame).is_some_and(|(header, _)| header.ether_type() == EtherType::EXPERIMENTAL)
 }
 
-/// So many times proptest's own number of cases.
+/// Runs `times` as many cases as proptest does by itself.
 fn cases(times: u32) -> ProptestConfig {
     let own = ProptestConfig::default();
     ProptestConfig { cases: own.cases * times, failure_persistence: None, ..own }

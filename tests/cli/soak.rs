@@ -1,4 +1,4 @@
-//! `scripts/soak`, with a cargo that fails as it is told to.
+//! `scripts/soak` with a script in place of cargo. Each test prescribes the result of every call.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;

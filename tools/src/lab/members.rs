@@ -259,7 +259,7 @@ impl Member {
             return self.lost_at_end;
         }
         let Some(standing) = &self.standing else { return true };
-        !standing.master && self.unsynchronised.is_longer_than(at_most)
+        !standing.master && self.unsynchronised.is_longer_than(at_most, standing.at)
     }
 
     /// Share of one core that the real-time thread used while it was measured.
@@ -369,11 +369,10 @@ impl Member {
     }
 }
 
-/// How long a station has not been synchronised, by its own reports: it reports each change of state, with its time.
+/// Since when a station has not been synchronised: it reports each change of state, with its time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Unsynchronised {
     since: Option<True>,
-    reported: True,
 }
 
 impl Unsynchronised {
@@ -382,11 +381,11 @@ impl Unsynchronised {
         // Locked, or bridging one cycle.
         let is_synchronised = matches!(state, "locked" | "holdover");
         self.since = self.since.or(Some(at)).filter(|_| !is_synchronised);
-        self.reported = at;
     }
 
-    fn is_longer_than(&self, span: Span) -> bool {
-        self.since.is_some_and(|since| self.reported.saturating_sub(since) > span.nanos() as u64)
+    /// Whether it was so for longer than `span`, at the time of its last report.
+    fn is_longer_than(&self, span: Span, reported: True) -> bool {
+        self.since.is_some_and(|since| reported.saturating_sub(since) > span.nanos() as u64)
     }
 }
 
@@ -399,7 +398,7 @@ mod tests {
         let mut station = Unsynchronised::default();
         let mut after = |state, millis: u64| {
             station.note(state, millis * 1_000_000);
-            station.is_longer_than(Span::from_millis(75))
+            station.is_longer_than(Span::from_millis(75), millis * 1_000_000)
         };
         assert!(!after("locked", 1_000));
         // The report before is 100 ms old, and the station has lost the master only now.

@@ -95,7 +95,7 @@ proptest! {
         let slots: Vec<_> = slots.iter().map(|&(offset, phase, period)| (offset, phase % period, period)).collect();
         let turns = turns(&slots);
         let demands = |times| drawn.iter().map(move |&(every, burst)| demand(every * times, burst)).collect::<Vec<_>>();
-        // Where next to all turns are wanted it takes longer until nothing waits than is played here.
+        // Demands are stretched to leave a tenth of the turns free: close to full load, a queue empties later than this test plays.
         let demands = demands(1 + (load(&turns, &demands(1)) / 0.9) as i64);
         let said = (worst_queueing(&turns, LEAD, &demands).unwrap(), most_waiting(&turns, &demands).unwrap());
 

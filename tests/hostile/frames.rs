@@ -7,7 +7,7 @@ use rtnet::time::{GlobalTime, Span};
 use rtnet::wire::ethernet::Address;
 use tests::vectors;
 
-use super::{HOSTILE, MASTER, SLAVE, start};
+use super::{FORGER, HOSTILE, MASTER, SLAVE, start};
 use crate::calibration;
 
 /// Bytes of any kind.
@@ -45,7 +45,7 @@ pub fn hostile_frame() -> impl Strategy<Value = Vec<u8>> {
             _ => (Message::Reply { request_xmit: wild, reception: xmit.nanos(), xmit: sched.nanos() }, SLAVE),
         };
         let mut frame = Pool::new(1).take().expect("a new pool is full");
-        message.write(to, Address([2, 0, 0, 0, 0, 0x66]), &mut frame);
+        message.write(to, FORGER, &mut frame);
         frame.to_vec()
     });
     prop_oneof![noise, rtmac, changed, forged]

@@ -31,6 +31,8 @@ use tests::vectors;
 
 const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
 const SLAVE: Address = Address([2, 0, 0, 0, 0, 3]);
+/// No station of the network.
+const FORGER: Address = Address([2, 0, 0, 0, 0, 0x66]);
 const CYCLE: Span = Span::from_millis(1);
 /// The hostile frame arrives in this cycle.
 const HOSTILE: u32 = 100;
@@ -214,13 +216,14 @@ fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
             assert!(others.iter().all(|sent| undisturbed.contains(sent)), "{}", what());
         }
         // A forged Synchronisation that cannot be told from the master's may move its slots a little, and where the
-        // master is not heard it is one: its cycle may be the next, and the cycle after it is bridged.
+        // master is not heard it is one: for its own cycle, for the one before it if that has a slot to come, and for
+        // the one after it, which is bridged.
         Victim::Calibrating | Victim::Locked => {
             assert!(others.len() <= undisturbed.len(), "{}", what());
             assert!(others.iter().all(|(_, sent)| victim.may_send(sent)), "{}", what());
         }
         Victim::Holdover | Victim::Lost => {
-            assert!(others.len() <= undisturbed.len() + 2, "{}", what());
+            assert!(others.len() <= undisturbed.len() + 3, "{}", what());
             assert!(others.iter().all(|(_, sent)| victim.may_send(sent)), "{}", what());
         }
     }
@@ -293,6 +296,43 @@ fn every_example_frame_with_any_one_byte_changed() {
             }
         }
     }
+}
+
+/// A Synchronisation that says at [`moment`] that a cycle begins so much later than the master's would.
+fn forged_sync(from: Address, cycle: u32, later: Span, global: Span) -> Vec<u8> {
+    let mut frame = Pool::new(1).take().expect("a new pool is full");
+    let sched = GlobalTime::from_nanos(start(cycle).nanos()) + global;
+    let xmit = GlobalTime::from_nanos(moment().nanos()) + global - later;
+    Message::Sync { cycle, xmit, sched }.write(Address::BROADCAST, from, &mut frame);
+    frame.to_vec()
+}
+
+/// Chance seldom finds those that fit a slave's line.
+#[test]
+fn forged_syncs_of_every_cycle_moment_and_global_time() {
+    for victim in VICTIMS {
+        let undisturbed = victim.undisturbed();
+        for from in [MASTER, FORGER] {
+            for cycle in HOSTILE - 3..=LAST {
+                for later in (-1_050..=1_050).step_by(30).map(Span::from_micros) {
+                    for global in [-700, 0, 20, 700].map(Span::from_micros) {
+                        throw(victim, &undisturbed, &forged_sync(from, cycle, later, global));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_forged_sync_opens_three_cycles_at_most_to_a_lost_slave() {
+    let mut bench = Victim::Lost.set_up();
+    bench.frame(moment(), &forged_sync(FORGER, HOSTILE + 1, Span::ZERO, Span::ZERO));
+    Victim::Lost.carry_on(&mut bench);
+    let sent_in: Vec<i64> =
+        bench.sent.iter().map(|(at, _)| (*at - start(0)).nanos() / CYCLE.nanos()).collect();
+    assert_eq!(sent_in, [HOSTILE, HOSTILE + 1, HOSTILE + 2].map(i64::from));
+    assert!(bench.sent.iter().all(|(_, sent)| Victim::Lost.may_send(sent)));
 }
 
 #[test]

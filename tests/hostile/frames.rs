@@ -7,7 +7,7 @@ use rtnet::time::{GlobalTime, Span};
 use rtnet::wire::ethernet::Address;
 use tests::vectors;
 
-use super::{FORGER, HOSTILE, MASTER, SLAVE, start};
+use super::{FORGER, HOSTILE, MASTER, SLAVE, forged_sync, start};
 use crate::calibration;
 
 /// Bytes of any kind.
@@ -48,5 +48,11 @@ pub fn hostile_frame() -> impl Strategy<Value = Vec<u8>> {
         message.write(to, FORGER, &mut frame);
         frame.to_vec()
     });
-    prop_oneof![noise, rtmac, changed, forged]
+    // Of those above hardly one fits the line of a slave.
+    let fitting = (any::<bool>(), 97u32..105, -300_000i64..300_000, -2_000_000i64..2_000_000);
+    let fitting = fitting.prop_map(|(is_masters, cycle, later, global)| {
+        let from = if is_masters { MASTER } else { FORGER };
+        forged_sync(from, cycle, Span::from_nanos(later), Span::from_nanos(global))
+    });
+    prop_oneof![noise, rtmac, changed, forged, fitting]
 }

@@ -7,10 +7,12 @@ use rtnet::sim::Host;
 use rtnet::time::Span;
 use tests::judge::Author;
 use tests::networks::{Lab, Plan};
+use tests::seeds;
+use tools::scenario::Uniform;
 
 /// A network of eight that was judged for so many cycles, and a few more; and for how many.
-fn run(host: Host, at_least: u64) -> (Lab, u64) {
-    let mut lab = Plan::lab(8).on(host).build();
+fn run(seed: u64, host: Host, at_least: u64) -> (Lab, u64) {
+    let mut lab = Plan::of(&Uniform { seed, ..Plan::lab_options(8) }).on(host).build();
     lab.run_until_locked();
     run_until_all_is_told(&mut lab);
     lab.judge_from_here();
@@ -48,42 +50,48 @@ fn stalled(lab: &Lab) -> BTreeSet<Author> {
 
 #[test]
 fn what_the_host_spoils_is_skipped_or_known_and_nothing_is_unexplained() {
-    // A frame that is held up rarely meets another: so many are that some do.
-    let (lab, _) = run(Host { stall_ppm: 500, ..Host::VIRTUAL_MACHINE }, 100_000);
-    let (judge, stalled) = (lab.judge(), stalled(&lab));
-    assert!(judge.slot_error.max > Span::ZERO, "the host model is on");
-    assert!(!stalled.is_empty() && !judge.overlaps.is_empty(), "and has spoilt something");
+    seeds::each(5, |seed| {
+        // A frame that is held up rarely meets another: so many are that some do.
+        let (lab, _) = run(seed, Host { stall_ppm: 500, ..Host::VIRTUAL_MACHINE }, 100_000);
+        let (judge, stalled) = (lab.judge(), stalled(&lab));
+        assert!(judge.slot_error.max > Span::ZERO, "the host model is on");
+        assert!(!stalled.is_empty() && !judge.overlaps.is_empty(), "and has spoilt something");
 
-    let known = |author: &Author| stalled.contains(author);
-    let unexplained: Vec<_> = judge.overlaps.iter().filter(|(a, b)| !known(a) && !known(b)).collect();
-    assert!(unexplained.is_empty(), "{} unexplained, such as {:?}", unexplained.len(), unexplained[0]);
-    let unexplained: Vec<_> = judge.out_of_slot.iter().filter(|author| !known(author)).collect();
-    assert!(unexplained.is_empty(), "{} unexplained, such as {:?}", unexplained.len(), unexplained[0]);
+        let known = |author: &Author| stalled.contains(author);
+        let unexplained: Vec<_> = judge.overlaps.iter().filter(|(a, b)| !known(a) && !known(b)).collect();
+        assert!(unexplained.is_empty(), "{} unexplained, such as {:?}", unexplained.len(), unexplained[0]);
+        let unexplained: Vec<_> = judge.out_of_slot.iter().filter(|author| !known(author)).collect();
+        assert!(unexplained.is_empty(), "{} unexplained, such as {:?}", unexplained.len(), unexplained[0]);
+    });
 }
 
 #[test]
 fn syncs_stay_on_the_grid_and_are_never_made_up_for() {
-    // Ten times as many outages: about 90 are skipped, so that no seed is without one.
-    let (lab, cycles) = run(Host { outage_ppm: 750, ..Host::VIRTUAL_MACHINE }, 30_000);
-    let judge = lab.judge();
-    // Numbers rise and belong to their scheduled times.
-    assert!(judge.faults.is_empty(), "{:?}", judge.faults);
-    let skipped = lab.cycles_with(0, EventKind::SyncSkipped).len() as u64;
-    assert!(skipped > 0);
-    assert!((judge.syncs + skipped).abs_diff(cycles) <= 1, "{} sent, {skipped} skipped", judge.syncs);
+    seeds::each(5, |seed| {
+        // Ten times as many outages: about 90 are skipped, so that no seed is without one.
+        let (lab, cycles) = run(seed, Host { outage_ppm: 750, ..Host::VIRTUAL_MACHINE }, 30_000);
+        let judge = lab.judge();
+        // Numbers rise and belong to their scheduled times.
+        assert!(judge.faults.is_empty(), "{:?}", judge.faults);
+        let skipped = lab.cycles_with(0, EventKind::SyncSkipped).len() as u64;
+        assert!(skipped > 0);
+        assert!((judge.syncs + skipped).abs_diff(cycles) <= 1, "{} sent, {skipped} skipped", judge.syncs);
+    });
 }
 
 #[test]
 fn every_slot_without_a_frame_is_an_overrun_or_was_silent_for_want_of_a_sync() {
-    let (lab, cycles) = run(Host::VIRTUAL_MACHINE, 30_000);
-    let judge = lab.judge();
-    for id in 0..8 {
-        let of = |kind| lab.cycles_with(id, kind).len() as u64;
-        let unused = of(EventKind::Overrun) + of(EventKind::SlotSilent);
-        let sent = judge.data[id];
-        assert!(
-            (sent + unused).abs_diff(cycles) <= 1,
-            "station {id}: {sent} sent, {unused} told of: {cycles}"
-        );
-    }
+    seeds::each(5, |seed| {
+        let (lab, cycles) = run(seed, Host::VIRTUAL_MACHINE, 30_000);
+        let judge = lab.judge();
+        for id in 0..8 {
+            let of = |kind| lab.cycles_with(id, kind).len() as u64;
+            let unused = of(EventKind::Overrun) + of(EventKind::SlotSilent);
+            let sent = judge.data[id];
+            assert!(
+                (sent + unused).abs_diff(cycles) <= 1,
+                "station {id}: {sent} sent, {unused} told of: {cycles}"
+            );
+        }
+    });
 }

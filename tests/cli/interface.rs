@@ -58,19 +58,20 @@ fn a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines
         assert!(late.iter().all(|miss| miss["what"] != "send_failed"), "an errno is no lateness: {late:?}");
         set(&medium.a, "rt0", true);
         wait_until("its slave follows again", "down-slave", is("up", "locked"));
-        // Its thread that looks at the interface may see it up only after its slave has its syncs.
+        // The master's interface thread polls: it may see the interface up after the slave has received a sync.
         let up = wait_until("it sends again", "down-master", |master| {
             let sent = |of: &Value| of["counters"]["syncs_sent"].as_u64();
             sent(master) > sent(&down) && master["link"] == "up"
         });
         assert_eq!((&up["pid"], &up["counters"]["carrier_lost"]), (&down["pid"], &1.into()));
-        // One thread looks at the interface, another one tells of frames: either may be first.
-        let said = |lines: &[String], what: &str| lines.iter().any(|line| line.contains(what));
+        // Two threads write these lines, in either order.
+        let has_line = |lines: &[String], what: &str| lines.iter().any(|line| line.contains(what));
         let mut lines = Vec::new();
-        while !["send_failed: the last of", "has its carrier again"].iter().all(|what| said(&lines, what)) {
+        while !["send_failed: the last of", "has its carrier again"].iter().all(|what| has_line(&lines, what))
+        {
             lines.push(master.wait_for(""));
         }
-        assert!(said(&lines, "'rt0' is down: bring it up with `ip link set rt0 up`"), "{lines:?}");
+        assert!(has_line(&lines, "'rt0' is down: bring it up with `ip link set rt0 up`"), "{lines:?}");
         let failures: Vec<_> = lines.iter().filter(|line| line.contains("send_failed")).collect();
         assert_eq!(failures.len(), 2, "the first, and how many more: {lines:?}");
         assert!(failures[0].contains("send_failed: Network is down"), "{lines:?}");

@@ -48,7 +48,7 @@ pub fn hostile_frame() -> impl Strategy<Value = Vec<u8>> {
         message.write(to, FORGER, &mut frame);
         frame.to_vec()
     });
-    // Of those above hardly one fits the line of a slave.
+    // The fields above are drawn independently, and hardly ever fit a slave's line. These do.
     let fitting = (any::<bool>(), 97u32..105, -300_000i64..300_000, -2_000_000i64..2_000_000);
     let fitting = fitting.prop_map(|(is_masters, cycle, later, global)| {
         let from = if is_masters { MASTER } else { FORGER };

@@ -31,7 +31,7 @@ use tests::vectors;
 
 const MASTER: Address = Address([2, 0, 0, 0, 0, 1]);
 const SLAVE: Address = Address([2, 0, 0, 0, 0, 3]);
-/// No station of the network.
+/// The sender of forged frames, which is no station of the network.
 const FORGER: Address = Address([2, 0, 0, 0, 0, 0x66]);
 const CYCLE: Span = Span::from_millis(1);
 /// The hostile frame arrives in this cycle.
@@ -215,9 +215,9 @@ fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
         _ if refused == 1 => {
             assert!(others.iter().all(|sent| undisturbed.contains(sent)), "{}", what());
         }
-        // A forged Synchronisation that cannot be told from the master's may move its slots a little, and where the
-        // master is not heard it is one: for its own cycle, for the one before it if that has a slot to come, and for
-        // the one after it, which is bridged.
+        // A forged Synchronisation that cannot be told from the master's may move its slots a little, and a slave
+        // that hears no master follows it. That slave may send in three cycles: the Synchronisation's own, the one
+        // before if its slot is still to come, and the one after, which is bridged.
         Victim::Calibrating | Victim::Locked => {
             assert!(others.len() <= undisturbed.len(), "{}", what());
             assert!(others.iter().all(|(_, sent)| victim.may_send(sent)), "{}", what());
@@ -298,7 +298,8 @@ fn every_example_frame_with_any_one_byte_changed() {
     }
 }
 
-/// A Synchronisation that says at [`moment`] that a cycle begins so much later than the master's would.
+/// A Synchronisation received at [`moment`]: by it the cycle begins `later` than on the master's line, and the global time
+/// is ahead by `global`.
 fn forged_sync(from: Address, cycle: u32, later: Span, global: Span) -> Vec<u8> {
     let mut frame = Pool::new(1).take().expect("a new pool is full");
     let sched = GlobalTime::from_nanos(start(cycle).nanos()) + global;
@@ -307,7 +308,7 @@ fn forged_sync(from: Address, cycle: u32, later: Span, global: Span) -> Vec<u8> 
     frame.to_vec()
 }
 
-/// Chance seldom finds those that fit a slave's line.
+/// Random frames seldom fit a slave's line: all cycles are tried, in steps of 30 us.
 #[test]
 fn forged_syncs_of_every_cycle_moment_and_global_time() {
     for victim in VICTIMS {

@@ -10,22 +10,22 @@ use tests::networks::{Lab, Plan};
 use tests::seeds;
 use tools::scenario::Uniform;
 
-/// A network of eight that was judged for so many cycles, and a few more; and for how many.
+/// A network of eight stations, judged for at least `at_least` cycles, and the number of cycles it was judged for.
 fn run(seed: u64, host: Host, at_least: u64) -> (Lab, u64) {
     let mut lab = Plan::of(&Uniform { seed, ..Plan::lab_options(8) }).on(host).build();
     lab.run_until_locked();
-    run_until_all_is_told(&mut lab);
+    run_until_all_is_reported(&mut lab);
     lab.judge_from_here();
     let since = lab.network.now();
     lab.run_cycles(at_least);
-    run_until_all_is_told(&mut lab);
+    run_until_all_is_reported(&mut lab);
     let cycles = cycles(&lab, since);
     (lab, cycles)
 }
 
-/// A station that its host stops reports only later what it has missed. It has done so when each station has sent in two
-/// cycles, one after the other.
-fn run_until_all_is_told(lab: &mut Lab) {
+/// A station reports what it missed only after its host lets it run again. Every report has come when all stations have
+/// sent in two successive cycles.
+fn run_until_all_is_reported(lab: &mut Lab) {
     let mut calm = 0;
     while calm < 2 {
         let before = lab.judge().data.clone();
@@ -36,7 +36,7 @@ fn run_until_all_is_told(lab: &mut Lab) {
     }
 }
 
-/// For how many cycles the master's clock says that the network was judged; the first and the last may be so in part.
+/// The number of cycles since a true time, by the master's clock. The first and the last may be incomplete.
 fn cycles(lab: &Lab, since: u64) -> u64 {
     let passed = lab.clocks[0].local(lab.network.now()) - lab.clocks[0].local(since);
     (passed.nanos() / lab.plan.cycle().nanos()) as u64
@@ -51,7 +51,7 @@ fn stalled(lab: &Lab) -> BTreeSet<Author> {
 #[test]
 fn what_the_host_spoils_is_skipped_or_known_and_nothing_is_unexplained() {
     seeds::each(5, |seed| {
-        // A frame that is held up rarely meets another: so many are that some do.
+        // A stalled frame rarely overlaps another one. At this rate of stalls some do.
         let (lab, _) = run(seed, Host { stall_ppm: 500, ..Host::VIRTUAL_MACHINE }, 100_000);
         let (judge, stalled) = (lab.judge(), stalled(&lab));
         assert!(judge.slot_error.max > Span::ZERO, "the host model is on");
@@ -68,7 +68,7 @@ fn what_the_host_spoils_is_skipped_or_known_and_nothing_is_unexplained() {
 #[test]
 fn syncs_stay_on_the_grid_and_are_never_made_up_for() {
     seeds::each(5, |seed| {
-        // Ten times as many outages: about 90 are skipped, so that no seed is without one.
+        // At ten times the outages about 90 syncs are skipped (six seeds: 82 to 102), so that every run has some.
         let (lab, cycles) = run(seed, Host { outage_ppm: 750, ..Host::VIRTUAL_MACHINE }, 30_000);
         let judge = lab.judge();
         // Numbers rise and belong to their scheduled times.
@@ -90,7 +90,7 @@ fn every_slot_without_a_frame_is_an_overrun_or_was_silent_for_want_of_a_sync() {
             let sent = judge.data[id];
             assert!(
                 (sent + unused).abs_diff(cycles) <= 1,
-                "station {id}: {sent} sent, {unused} told of: {cycles}"
+                "station {id}: {sent} sent, {unused} reported, {cycles} cycles"
             );
         }
     });

@@ -30,6 +30,7 @@ mod request_backlog;
 mod round_trips;
 mod scenarios;
 mod second_master_refuses;
+mod slow_host;
 mod times;
 mod token;
 mod tunnel;

@@ -11,7 +11,7 @@ mod describe;
 mod excuse;
 
 use rtmac::tdma::schedule::step_limit;
-use rtmac::tdma::{BACKUP_LOOKS_BEFORE, MOVED_LATE};
+use rtmac::tdma::{BACKUP_LOOKS_BEFORE, slow_at_most};
 use rtnet::sim::{Host, Link, StationId, Wander};
 use rtnet::time::Span;
 
@@ -95,7 +95,7 @@ impl Case {
     /// 1. Somebody gives the time. At the worst a backup has heard one Synchronisation and no more: it waits for a line as
     ///    long as it listens, and then listens.
     /// 2. Of several one is left: a backup steps down in the next cycle; one more each.
-    /// 3. The others follow: as many Synchronisations as are a later line.
+    /// 3. The others follow: as many Synchronisations as make a line that is later by less than a quarter of the cycle.
     /// 4. They calibrate, two periods of the first slot a round, and one that waits for a lost reply before. Who is
     ///    calibrating when requests have come to their limit, or with each master when another begins, starts over: by a
     ///    backup, and by the primary that calibrates with it and returns. Who measures anew is locked meanwhile.
@@ -120,7 +120,7 @@ impl Case {
             + 1
             + 2 * listens
             + 1
-            + u64::from(MOVED_LATE)
+            + u64::from(slow_at_most(self.plan.cycle()))
             + 4
             + 3 * calibrates.max().unwrap_or(0)
             + slews
@@ -209,7 +209,6 @@ impl<'a> Course<'a> {
                 self.wire(*id, &Link { duplicate_ppm: *duplicate_ppm, ..Link::default() });
             }
             Trouble::Changes(id, corrupt_ppm) => {
-                self.parted.changed = true;
                 self.wire(*id, &Link { corrupt_ppm: *corrupt_ppm, ..Link::default() });
             }
             Trouble::Primary(id, part) => {
@@ -307,15 +306,17 @@ impl<'a> Course<'a> {
     /// A cycle.
     fn pass(&mut self) -> Result<(), String> {
         self.look();
+        let corrupted = self.lab.network.traffic().corrupted;
         self.run_cycle();
+        self.parted.changed |= self.lab.network.traffic().corrupted > corrupted;
         self.look();
         self.cycle += 1;
         self.judge()?;
         if self.has_settled() {
             let changes = |trouble: &Trouble| matches!(trouble, Trouble::Changes(..));
             let faults = &mut self.case.faults.iter();
-            let changed = faults.any(|fault| changes(&fault.trouble) && fault.is_on(self.cycle));
-            self.parted = Parted { changed, ..Parted::default() };
+            let go_on = faults.any(|fault| changes(&fault.trouble) && fault.is_on(self.cycle));
+            self.parted = Parted { changed: self.parted.changed && go_on, ..Parted::default() };
         }
         Ok(())
     }

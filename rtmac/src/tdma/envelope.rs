@@ -405,7 +405,7 @@ impl Envelope {
 }
 
 /// How many Synchronisations a window has at cycles of this length: one at the least.
-fn syncs_of_window(period: Span) -> usize {
+pub fn syncs_of_window(period: Span) -> usize {
     let fit = WINDOW_AT_MOST.nanos() / period.nanos().max(1);
     (fit as usize).clamp(1, WINDOW)
 }

@@ -28,9 +28,10 @@
 //! agrees with the step) or one frame was held up on its way (it agrees with the line). Until then one that is a little
 //! late is as good as missing, and bridged; nothing is sent after one that is early or very late. A frame is never early,
 //! but it may be late by anything, and some in a row by as much: one that says what the line says, later, shows no more of
-//! the clocks than that it has not taken longer. So a later line takes eight in a row, an earlier one two. What agrees
-//! lies on the line below all ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at
-//! most, and what is late by more than drift only by an eighth of it: frames are held up on their way, never early.
+//! the clocks than that it has not taken longer. So a later line takes eight in a row, or a window of the envelope if they
+//! are late by no more than a slow host may be; an earlier one takes two. What agrees lies on the line below all
+//! ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at most, and what is late by more
+//! than drift only by an eighth of it: frames are held up on their way, never early.
 
 mod overwrite;
 mod rounds;
@@ -46,7 +47,7 @@ use super::envelope::{Envelope, OLDEST};
 use super::events::Events;
 use super::follow::{Servo, SlaveConfig};
 use super::line::{self, Drift, LINE_GOOD_FOR, TimeLine};
-use super::mark::{self, MOVED, MOVED_LATE, Mark, Step};
+use super::mark::{self, Mark, Step};
 
 /// A cycle's Synchronisation is missing when this part of the cycle has gone by without it: no sync window is longer.
 const GRACE_PARTS: i64 = 8;
@@ -209,8 +210,7 @@ impl Slave {
                     self.disagreement.note(self.deviation);
                     Followed::Agrees
                 } else {
-                    let is_late = mark.is_late(line, self.config.step_limit);
-                    let takes = if is_late { MOVED_LATE } else { MOVED };
+                    let takes = mark.takes(line, self.config.step_limit, from == self.line_of);
                     let agreed =
                         step.and_then(|step| step.with(mark, takes, self.config.step_limit, line.period));
                     match agreed {

@@ -6,6 +6,7 @@ mod servo;
 mod settled;
 mod transitions;
 
+use super::super::mark::{MOVED_LATE, slow_at_most};
 use super::super::round::Room;
 use super::*;
 use crate::tdma::OnMasterChange;

@@ -11,20 +11,67 @@ fn a_way_that_has_become_longer_is_believed_in_time() {
     assert_eq!(bench.slave.line().unwrap().start.nanos() - 59 * PERIOD, 10_000);
 }
 
+/// Late by less than a quarter of the cycle, or by more; and as many in a row as the slave then takes.
+const ROWS: [(i64, u32); 6] = [
+    // 20 us, and what clocks drift apart in 63 cycles, may be on the line.
+    (33_000, 64),
+    (91_000, 64),
+    (251_000, MOVED_LATE),
+    (700_000, MOVED_LATE),
+    (2_500_000, MOVED_LATE),
+    (5_500_000, MOVED_LATE),
+];
+
 #[test]
-fn late_syncs_in_a_row_move_nothing_before_the_eighth() {
-    // Beside the line by a little, by more than a quarter of the cycle, and by more than cycles.
-    for late in [25_000, 91_000, 251_000, 700_000, 2_500_000, 5_500_000] {
+fn late_syncs_in_a_row_move_nothing_before_the_last() {
+    assert_eq!(slow_at_most(Span::from_nanos(PERIOD as i64)), 64);
+    for (late, takes) in ROWS {
         let mut bench = Bench::in_state(SyncState::Locked);
-        for cycle in 3..2 + MOVED_LATE {
+        let last = 2 + takes;
+        for cycle in 3..last {
             let followed = bench.hear(cycle, late + i64::from(cycle % 3) * 300);
             assert_eq!(followed, Ok(Followed::Pending), "cycle {cycle}, {late} ns late");
             assert_eq!(bench.slave.line().unwrap().start.nanos(), 2 * PERIOD);
             assert!(!bench.slave.may_send(cycle) || cycle == 3, "only one is bridged");
         }
-        let eighth = 2 + MOVED_LATE;
-        assert_eq!(bench.hear(eighth, late), Ok(Followed::NewLine), "its clock was set");
-        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(eighth) * PERIOD + late as u64);
+        assert_eq!(bench.hear(last, late), Ok(Followed::NewLine), "its clock was set");
+        assert_eq!(bench.slave.line().unwrap().start.nanos(), u64::from(last) * PERIOD + late as u64);
+    }
+}
+
+#[test]
+fn eight_late_syncs_of_another_master_are_its_line() {
+    let mut bench = Bench::in_state(SyncState::Locked);
+    let another = Address([2, 0, 0, 0, 0, 7]);
+    let last = 2 + MOVED_LATE;
+    for cycle in 3..=last {
+        let at = u64::from(cycle) * PERIOD;
+        let sched = GlobalTime::from_nanos(at + AHEAD);
+        let rx = Instant::from_nanos(at + 91_000);
+        let followed = bench.slave.on_sync(rx, another, cycle, sched, sched, &mut bench.events);
+        let expected = if cycle == last { Followed::NewLine } else { Followed::Pending };
+        assert_eq!(followed, Ok(expected), "cycle {cycle}");
+    }
+}
+
+#[test]
+fn a_slave_with_a_line_keeps_it_while_a_host_is_slow() {
+    for late in [33_000, 45_000, 150_000, 249_000] {
+        let mut bench = Bench::in_state(SyncState::Locked);
+        let slow = 9 * 64..9 * 64 + 60;
+        for cycle in 3..slow.start {
+            assert_eq!(bench.hear(cycle, i64::from(cycle % 3) * 300), Ok(Followed::Agrees));
+        }
+        assert!(bench.slave.envelope().start_of(slow.start).is_some());
+        for cycle in slow.clone() {
+            bench.wait_until(u64::from(cycle) * PERIOD);
+            assert_eq!(bench.hear(cycle, late), Ok(Followed::Pending), "cycle {cycle}, {late} ns late");
+        }
+        assert_eq!(bench.slave.state(), SyncState::Lost, "none of these says where the line is");
+        assert_eq!(bench.hear(slow.end, 0), Ok(Followed::Agrees), "on time again");
+        assert!(bench.slave.may_send(slow.end));
+        let error = bench.slave.line().unwrap().start - Instant::from_nanos(u64::from(slow.end) * PERIOD);
+        assert!(error.abs() < Span::from_micros(1), "{late} ns late: {error}");
     }
 }
 

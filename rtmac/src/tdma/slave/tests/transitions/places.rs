@@ -106,10 +106,11 @@ impl Place {
             }
             Place::LostLate => {
                 bench.wait_until(middle_of(4));
-                for cycle in 5..4 + MOVED_LATE {
+                let row = slow_at_most(Span::from_nanos(PERIOD as i64));
+                for cycle in 5..4 + row {
                     bench.hear(cycle, HELD_UP).unwrap();
                 }
-                (3 + MOVED_LATE, 4 + MOVED_LATE)
+                (3 + row, 4 + row)
             }
             Place::GivenUp | Place::GivenUpFirst => {
                 bench.wait_until(middle_of(4));

@@ -36,7 +36,7 @@ pub(super) struct Parted {
     pub grids: bool,
     /// Clocks of these stations were set.
     pub set: Vec<StationId>,
-    /// Synchronisations were changed on their way.
+    /// Frames were changed on their way.
     pub changed: bool,
 }
 

@@ -21,7 +21,7 @@ fn a_slow_host_moves_no_slave_out_of_its_slot() {
         lab.judge_from_here();
         let usual = lab.network.medium_mut().propagation;
         for _ in 0..20 {
-            // Less than a quarter of the cycle, in fewer rows than a window has.
+            // Less than a quarter of the cycle, for fewer cycles than a window has.
             let late = Span::from_nanos(random.between(10_000, 240_000));
             lab.network.medium_mut().propagation = late;
             lab.run_cycles(random.between(9, 62) as u64);

@@ -170,9 +170,8 @@ pub fn held_up_at_most(period: Span) -> Span {
     (period / HELD_UP_PARTS).min(HELD_UP_AT_MOST)
 }
 
-/// Number of consecutive Synchronisations that a slow host may delay: a window of the
-/// [`Envelope`](super::envelope::Envelope), which counts on one in time among them. Measured on a disturbed host: 52 in a
-/// row late by 26 to 42 us.
+/// Number of consecutive Synchronisations that a slow host may delay: a window of the envelope, which counts on one in time
+/// among them. Measured on a disturbed host: 52 in a row late by 26 to 42 us.
 pub fn slow_at_most(period: Span) -> u32 {
     MOVED_LATE.max(syncs_of_window(period) as u32)
 }

@@ -215,8 +215,8 @@ fn throw(victim: Victim, undisturbed: &Sent, frame: &[u8]) {
         _ if refused == 1 => {
             assert!(others.iter().all(|sent| undisturbed.contains(sent)), "{}", what());
         }
-        // A forged Synchronisation that cannot be told from the master's may move its slots a little, and a slave
-        // that hears no master follows it. That slave may send in three cycles: the Synchronisation's own, the one
+        // A forged Synchronisation that looks like the master's may move a slave's slots a little. A slave that
+        // hears no master follows it. That slave may send in three cycles: the Synchronisation's own, the one
         // before if its slot is still to come, and the one after, which is bridged.
         Victim::Calibrating | Victim::Locked => {
             assert!(others.len() <= undisturbed.len(), "{}", what());

@@ -7,7 +7,7 @@ use tests::networks::Plan;
 use tests::seeds;
 use tools::scenario::Uniform;
 
-/// A slave may be off its slot by less.
+/// Upper bound of a slave's error.
 const NEAR: Span = Span::from_micros(1);
 
 #[test]

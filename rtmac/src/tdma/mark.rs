@@ -10,9 +10,8 @@ const STEP_AT_LEAST: Span = Span::from_micros(20);
 const STEP_PARTS: i64 = 100;
 /// Number of consecutive early Synchronisations that make a new line.
 pub const MOVED: u32 = 2;
-/// Number of consecutive late Synchronisations that make a new line if no slow host explains them ([`Mark::takes`]): the
-/// network may have delayed each. If it delays one in ten, it delays eight in a row once in 10^8 cycles. The slave sends
-/// nothing meanwhile, except in bridged cycles.
+/// Number of consecutive late Synchronisations that make a new line, unless a slow host explains them ([`Mark::takes`]). A
+/// network that delays one in ten delays eight in a row once in 10^8 cycles. Until then the slave sends in bridged cycles only.
 pub const MOVED_LATE: u32 = 8;
 /// Two early Synchronisations make a new line only if they agree within this, or within this part of the cycle: delays in a
 /// row seldom have one length. For [`MOVED_LATE`] of them the step limit applies.
@@ -117,8 +116,8 @@ impl Mark {
         is_near && says_the_same && self.deviation_from(line) > limit
     }
 
-    /// How many in a row, with this one, make a new line if it disagrees with `line`. A slow host delays all that come from
-    /// the sender of the line (`same_clock`), by less than the network may.
+    /// Number of consecutive Synchronisations, this one included, that make a new line. A slow host explains a late one if
+    /// its sender is that of `line` (`same_clock`) and it is late by less than [`held_up_at_most`].
     pub fn takes(&self, line: &TimeLine, limit: Option<Span>, same_clock: bool) -> u32 {
         match self.is_late(line, limit) {
             false => MOVED,
@@ -170,8 +169,8 @@ pub fn held_up_at_most(period: Span) -> Span {
     (period / HELD_UP_PARTS).min(HELD_UP_AT_MOST)
 }
 
-/// Number of consecutive Synchronisations that a slow host may delay: a window of the envelope, which counts on one in time
-/// among them. Measured on a disturbed host: 52 in a row late by 26 to 42 us.
+/// Number of consecutive late Synchronisations that make a new line if a slow host explains them: a window of the envelope,
+/// which needs one in time per window. The longest row on a disturbed host was 52, late by 26 to 42 us.
 pub fn slow_at_most(period: Span) -> u32 {
     MOVED_LATE.max(syncs_of_window(period) as u32)
 }

@@ -24,14 +24,16 @@
 //! (`forget`), and goes on with the line on which that one gave the time (`resume`: Locked, or Calibrating before the last
 //! round).
 //!
-//! A Synchronisation that disagrees with the line is a *time step*: the next one tells whether the master moved (it
-//! agrees with the step) or one frame was held up on its way (it agrees with the line). Until then one that is a little
-//! late is as good as missing, and bridged; nothing is sent after one that is early or very late. A frame is never early,
-//! but it may be late by anything, and some in a row by as much: one that says what the line says, later, shows no more of
-//! the clocks than that it has not taken longer. So a later line takes eight in a row, or a window of the envelope if they
-//! are late by no more than a slow host may be; an earlier one takes two. What agrees lies on the line below all
-//! ([`Envelope`]) once that is known. Until then it moves the line by a 300th of the cycle at most, and what is late by more
-//! than drift only by an eighth of it: frames are held up on their way, never early.
+//! A Synchronisation that disagrees with the line is a *time step*. The next one decides: the master has moved if it agrees
+//! with the step; one frame was delayed if it agrees with the line. Until then a cycle is bridged, as if its Synchronisation
+//! were missing, if that was a little late, and silent if it was early or very late.
+//!
+//! A frame is never early, but networks and slow hosts delay many in a row. So a late Synchronisation shows little of the
+//! clocks. An earlier line needs two Synchronisations in a row, a later one eight, and a later one that a slow host explains
+//! needs a window of the envelope.
+//!
+//! A Synchronisation that agrees belongs to the line below all of them ([`Envelope`]), once that line is known. Until then
+//! it moves the line by a 300th of the cycle at most. Lateness beyond the clocks' drift moves it by an eighth only.
 
 mod overwrite;
 mod rounds;

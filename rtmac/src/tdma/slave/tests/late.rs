@@ -11,9 +11,9 @@ fn a_way_that_has_become_longer_is_believed_in_time() {
     assert_eq!(bench.slave.line().unwrap().start.nanos() - 59 * PERIOD, 10_000);
 }
 
-/// Late by less than a quarter of the cycle, or by more; and as many in a row as the slave then takes.
+/// Lateness in nanoseconds, below and above a quarter of the cycle, and the number in a row that makes a new line.
 const ROWS: [(i64, u32); 6] = [
-    // 20 us, and what clocks drift apart in 63 cycles, may be on the line.
+    // In 63 cycles the step limit of 20 us grows by the clocks' largest drift to 32.6 us.
     (33_000, 64),
     (91_000, 64),
     (251_000, MOVED_LATE),

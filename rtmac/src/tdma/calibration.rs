@@ -4,7 +4,7 @@
 //!            request sent                   reply matches
 //!  idle ──────────────────► outstanding ──────────────────► idle (one sample more), or done (the last)
 //!   │ ▲                          │                                                     │
-//!   └─┤ late, held up,           │ no reply by the next turn: repeated                 │ a command; another master, if
+//!   └─┤ late, delayed,           │ no reply by the next turn: repeated                 │ a command; another master, if
 //!     │ dropped, failed          │ one whose stamps cannot be: refused                 │ that is configured
 //!     ├──────────────────────────┘ another line, another master: not waited for        │
 //!     └────────────────────────────────────────────────────────────────────────────────┘
@@ -19,7 +19,7 @@
 //! is to be measured, nothing stays of what is under way.
 //!
 //! RTnet takes the mean of all rounds, as a station does that follows as RTnet's do (`servo = "none"`), and never repeats a
-//! lost one. Here the lower quartile counts, unless the median or the mean is asked for: one stamp that the host held up by a
+//! lost one. Here the lower quartile counts, unless the median or the mean is asked for: one stamp that the host delayed by a
 //! millisecond moves a mean of 100 by 10 us for good, and hold-ups only ever make a round longer. And where Synchronisations take longer than that, it is their delay that counts.
 
 use rtnet::counters::Refusal;
@@ -328,7 +328,7 @@ mod tests {
         of.reply(at, 5_000, 5_100, Instant::from_nanos(at + 100 + 2 * delay), &LINE, Span::ZERO)
     }
 
-    /// The delay of five rounds, of which one was held up.
+    /// The delay of five rounds, of which one was delayed.
     fn measured(servo: Servo, delay_of: DelayOf) -> Option<i64> {
         let mut calibration = Calibration::new(5, servo, delay_of);
         for (i, delay) in [700, 710, 400_000, 690].into_iter().enumerate() {

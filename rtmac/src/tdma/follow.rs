@@ -10,7 +10,7 @@ use super::slot::SlotConfig;
 
 /// Cycles without a Synchronisation that are bridged, unless configured otherwise.
 pub const HOLDOVER_CYCLES: i32 = 1;
-/// Most that can be: a line that is bridged for longer would be given up before the loss is told of.
+/// Most that can be: a line that is bridged for longer would be given up before the loss is reported.
 pub const MAX_HOLDOVER: u32 = LINE_GOOD_FOR as u32 - 1;
 
 /// A Synchronisation is hardly there sooner after its cycle's start: at 100 Mbit/s the wire alone takes 7 us.

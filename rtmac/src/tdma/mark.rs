@@ -1,4 +1,4 @@
-//! One Synchronisation beside the line that is followed: whether it agrees, was held up, or is of another.
+//! One Synchronisation compared with the line that is followed: whether it agrees, was delayed, or is of another line.
 
 use rtnet::time::{GlobalTime, Instant, Offset, Span};
 
@@ -17,15 +17,15 @@ pub const MOVED_LATE: u32 = 8;
 /// row seldom have one length. For [`MOVED_LATE`] of them the step limit applies.
 const CONFIRMED_WITHIN: Span = Span::from_micros(2);
 const CONFIRMED_PARTS: i64 = 2_000;
-/// A Synchronisation that is late by less than this part of the cycle, and by less than [`HELD_UP_AT_MOST`], is bridged like a
+/// A Synchronisation that is late by less than this part of the cycle, and by less than [`BRIDGED_BELOW`], is bridged like a
 /// missing one. A later one silences its cycle.
-const HELD_UP_PARTS: i64 = 4;
-const HELD_UP_AT_MOST: Span = Span::from_millis(4);
+const BRIDGED_PARTS: i64 = 4;
+const BRIDGED_BELOW: Span = Span::from_millis(4);
 /// So many cycles after a Synchronisation those that it has overtaken may come.
 const OVERTAKEN_WITHIN: i64 = 2;
 /// Largest part of a cycle by which one Synchronisation moves the line, while it does.
 const SLEW_PARTS: i64 = 300;
-/// Of lateness that drift does not account for, this part moves the line: frames are held up on their way, but
+/// Of lateness that drift does not account for, this part moves the line: frames are delayed on their way, but
 /// never early.
 const LATE_PARTS: i64 = 8;
 
@@ -117,11 +117,11 @@ impl Mark {
     }
 
     /// Number of consecutive Synchronisations, this one included, that make a new line. A slow host explains a late one if
-    /// its sender is that of `line` (`same_clock`) and it is late by less than [`held_up_at_most`].
+    /// its sender is that of `line` (`same_clock`) and it is late by less than [`bridged_below`].
     pub fn takes(&self, line: &TimeLine, limit: Option<Span>, same_clock: bool) -> u32 {
         match self.is_late(line, limit) {
             false => MOVED,
-            true if same_clock && self.may_be_held_up(line) => slow_at_most(line.period),
+            true if same_clock && self.is_bridged(line) => slow_at_most(line.period),
             true => MOVED_LATE,
         }
     }
@@ -134,7 +134,7 @@ impl Mark {
             && rx - line.start < line.period * OVERTAKEN_WITHIN
     }
 
-    /// The cycle of the line that is silent, if any is, as it was received at `rx` and is beside the line: its own, if it is a
+    /// The cycle of the line that is silent, if any is, as it was received at `rx` and disagrees with the line: its own, if it is a
     /// little early, but its number may be what is wrong with it.
     pub fn silences(&self, line: &TimeLine, rx: Instant) -> u32 {
         let here = line.cycle_at(rx);
@@ -143,11 +143,11 @@ impl Mark {
         if is_early { self.cycle } else { here }
     }
 
-    /// Whether its cycle is bridged, as if it were missing; see [`HELD_UP_PARTS`].
-    pub fn may_be_held_up(&self, line: &TimeLine) -> bool {
+    /// Whether its cycle is bridged, as if it were missing; see [`BRIDGED_PARTS`].
+    pub fn is_bridged(&self, line: &TimeLine) -> bool {
         let late = self.deviation_from(line);
         let on_the_line = (1..=LINE_GOOD_FOR).contains(&line.ahead(self.cycle));
-        on_the_line && Span::ZERO < late && late < held_up_at_most(line.period)
+        on_the_line && Span::ZERO < late && late < bridged_below(line.period)
     }
 
     /// The line through this Synchronisation and a later one, if they can be of one line.
@@ -165,8 +165,8 @@ impl Mark {
 }
 
 /// A Synchronisation that is late by this or more silences its cycle.
-pub fn held_up_at_most(period: Span) -> Span {
-    (period / HELD_UP_PARTS).min(HELD_UP_AT_MOST)
+pub fn bridged_below(period: Span) -> Span {
+    (period / BRIDGED_PARTS).min(BRIDGED_BELOW)
 }
 
 /// Number of consecutive late Synchronisations that make a new line if a slow host explains them: a window of the envelope,

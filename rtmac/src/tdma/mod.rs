@@ -68,7 +68,7 @@ use events::Events;
 pub use follow::{HOLDOVER_CYCLES, MAX_HOLDOVER, OnMasterChange, Servo, SlaveConfig};
 use job::{Job, Pending};
 pub use line::TimeLine;
-pub use mark::{held_up_at_most, slow_at_most};
+pub use mark::{bridged_below, slow_at_most};
 use master::Master;
 pub use master::{BACKUP_LOOKS_BEFORE, BehindSync, MasterConfig, Mastery};
 pub use replies::{DEFAULT_MAX_REQUESTS, MAX_REPLY_AHEAD, MAX_REQUESTS};

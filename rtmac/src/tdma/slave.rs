@@ -309,7 +309,7 @@ impl Slave {
     /// not while a time step is unconfirmed that no hold-up explains, not in a cycle whose number came twice.
     pub fn may_send(&self, cycle: u32) -> bool {
         let Track::On { line, step } = &self.track else { return false };
-        let moved = step.is_some_and(|step| !step.mark.may_be_held_up(line));
+        let moved = step.is_some_and(|step| !step.mark.is_bridged(line));
         let bridged = self.config.holdover as i32;
         // The next one's Synchronisation may have come before a slot at the cycle's end.
         let known = -bridged.min(1)..=bridged;

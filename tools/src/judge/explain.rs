@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use rtmac::tdma::{HOLDOVER_CYCLES, held_up_at_most, schedule};
+use rtmac::tdma::{HOLDOVER_CYCLES, bridged_below, schedule};
 use rtnet::discipline::{Cause, Channel, EventKind};
 use rtnet::time::Span;
 use rtnet::wire::ethernet::Address;
@@ -335,11 +335,11 @@ impl Records {
         of.is_some_and(|of| self.absences.of(of, cycle).is_some())
     }
 
-    /// Whether the author told of a time step in this cycle that is not bridged, as one is that was held up.
+    /// Whether the author reported a time step in this cycle that is not bridged, as that of a delayed sync is.
     fn stepped(&self, author: Author) -> bool {
         let step = self.by_cycle.get(&key(of_cycle(author), EventKind::TimeStep));
-        let held_up = Span::ZERO..held_up_at_most(self.cycle);
-        step.is_some_and(|(deviation, _)| !held_up.contains(deviation))
+        let bridged = Span::ZERO..bridged_below(self.cycle);
+        step.is_some_and(|(deviation, _)| !bridged.contains(deviation))
     }
 
     /// Why something is missing, by what its author told or could not: whatever is told of while a wire is cut is for

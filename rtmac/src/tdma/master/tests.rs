@@ -2,7 +2,7 @@ mod transitions;
 
 use super::*;
 use crate::tdma::DEFAULT_MAX_REQUESTS;
-use crate::tdma::mark::held_up_at_most;
+use crate::tdma::mark::bridged_below;
 
 const OWN: Address = Address([2, 0, 0, 0, 0, 5]);
 const LOWER: Address = Address([2, 0, 0, 0, 0, 1]);
@@ -201,7 +201,7 @@ fn a_backup_that_was_itself_late_tries_again_in_the_next_cycle() {
 fn any_synchronisation_of_a_cycle_keeps_a_backup_from_sending_in_it() {
     // One that does not agree with the line: another grid, or held up.
     let mut bench = Bench::stand_by();
-    let late = held_up_at_most(Span::from_millis(1)) - PROMPT;
+    let late = bridged_below(Span::from_millis(1)) - PROMPT;
     let _ = bench.master.on_foreign_sync(at(3_000) + late, (HIGHER, OWN), late, &mut bench.events);
     assert_eq!(bench.master.next_sync().unwrap().0, 4);
     let early = at(3_950);

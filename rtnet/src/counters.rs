@@ -113,6 +113,8 @@ refusals! {
     NoSocket = "no_socket",
     /// A fragment of a datagram whose begin has not come, or was given up.
     FragmentOrphan = "fragment_orphan",
+    /// A fragment whose bytes have come already: the medium has doubled it.
+    FragmentRepeated = "fragment_repeated",
     /// A fragment that is not the next of its datagram, which is given up with it.
     FragmentOrder = "fragment_order",
     /// The begin of a datagram for a socket that waits for the rest of as many as it may.

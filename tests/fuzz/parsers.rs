@@ -8,11 +8,12 @@ use pnet_packet::ipv4::{self as their_ipv4, Ipv4Packet};
 use pnet_packet::udp::UdpPacket;
 use rtmac::wire::change::Extension;
 use rtmac::wire::{self, Message, Rtmac};
-use rtnet::buf::Pool;
+use rtnet::buf::{Pool, ROOM};
 use rtnet::counters::Refusal;
 use rtnet::time::GlobalTime;
-use rtnet::wire::checksum::Checksum;
+use rtnet::wire::checksum::{Checksum, checksum};
 use rtnet::wire::ethernet::{Address, EtherType, Header};
+use rtnet::wire::offload::{HEADER_LEN, Offload};
 use rtnet::wire::udp_options::{self, Surplus};
 use rtnet::wire::{arp, icmpv4, ipv4, udp};
 use tests::peer;
@@ -50,6 +51,54 @@ fn ethernet(bytes: &[u8]) -> u64 {
     assert_eq!(header.source.to_string().parse(), Ok(header.source));
     let known = [EtherType::IPV4, EtherType::ARP, EtherType::RTMAC];
     known.iter().position(|&known| known == header.ether_type()).map_or(9, |place| 1 + place as u64)
+}
+
+/// What a kernel says of a frame, and the frame: whatever both say, what is cut has all bytes once and is sound.
+#[test]
+fn uncut_frames_take_any_bytes() {
+    let change = |random: &mut _, bytes: &mut Vec<u8>, other: &[u8]| {
+        let mut frame = bytes.split_off(HEADER_LEN.min(bytes.len()));
+        mutate::bytes(random, bytes, &other[..HEADER_LEN.min(other.len())]);
+        bytes.resize(HEADER_LEN, 0);
+        frames::change(random, &mut frame, other.get(HEADER_LEN..).unwrap_or_default());
+        bytes.append(&mut frame);
+    };
+    // UDP to be cut into 24 bytes each, TCP into 100, and a checksum to be completed.
+    let heads = [
+        [1, 5, 42, 0, 24, 0, 34, 0, 6, 0],
+        [1, 1, 54, 0, 100, 0, 34, 0, 16, 0],
+        [1, 0, 0, 0, 0, 0, 34, 0, 6, 0],
+    ];
+    let seeds = frames::all().into_iter().flat_map(|frame| heads.map(|head| [&head[..], &frame].concat()));
+    fuzz(&Target {
+        name: "offload",
+        seeds: seeds.collect(),
+        has_corpus: false,
+        mutate: change,
+        run: |bytes| vec![offload(bytes)],
+    });
+}
+
+fn offload(bytes: &[u8]) -> u64 {
+    let Some((head, frame)) = bytes.split_first_chunk::<HEADER_LEN>() else { return 0 };
+    let offload: Offload = zerocopy::transmute!(*head);
+    let mut frame = frame.to_vec();
+    if !offload.is_uncut() {
+        offload.complete(&mut frame);
+        return 1;
+    }
+    let Ok(cut) = offload.cut(&frame) else { return 2 };
+    let (mut room, mut contents) = ([0; ROOM], 0);
+    for number in 0..cut.count() {
+        let len = cut.write(&frame, number, &mut room);
+        let packet = Ipv4Packet::new(&room[14..len]).expect("it is long enough");
+        assert_eq!(usize::from(packet.get_total_length()), len - 14);
+        let head = usize::from(packet.get_header_length()) * 4;
+        assert_eq!(checksum(&packet.packet()[..head]), 0, "the header's sum is right");
+        contents += len;
+    }
+    assert!(contents > 0);
+    outcome([3, cut.count() as u64])
 }
 
 #[test]

@@ -127,6 +127,9 @@ impl Model {
             return Err(SocketError::NoRoute(*to.ip()));
         }
         let (needed, free) = (buffers(data), self.free(id));
+        if needed > capacity {
+            return Err(SocketError::NeverFits { needed, capacity, most: 1_480 * capacity - 8 });
+        }
         if needed > free {
             return Err(SocketError::NoBuffers { needed, free, capacity });
         }

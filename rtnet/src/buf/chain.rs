@@ -126,6 +126,21 @@ impl Chain {
         copied
     }
 
+    /// Whether the chain has these bytes from offset `from` on.
+    pub fn is_at(&self, from: usize, bytes: &[u8]) -> bool {
+        let (mut before, mut left) = (from, bytes);
+        for part in self.parts() {
+            let here = part.get(before..).unwrap_or_default();
+            before = before.saturating_sub(part.len());
+            let n = here.len().min(left.len());
+            if here[..n] != left[..n] {
+                return false;
+            }
+            left = &left[n..];
+        }
+        left.is_empty()
+    }
+
     /// The one behind the last.
     #[inline]
     fn first(&self) -> Option<NonNull<Storage>> {

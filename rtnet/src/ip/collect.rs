@@ -3,11 +3,12 @@
 //! ```text
 //!            ┌────────────────────── the socket is closed, or nothing came for `timeout`: given up
 //!  first ──► collecting ── offset = bytes so far ──► collecting ── last ──► complete
-//!            └────────────────────── any other offset: given up, and the fragment refused
+//!            ├────────────────────── bytes that are there already: refused, and nothing changes
+//!            └────────────────────── anything else: given up, and the fragment refused
 //! ```
 //!
 //! Fragments are taken in exactly ascending order, as RTnet sends them: so each is kept where it came, and nothing is
-//! ever searched, sorted or overlapped. Unlike RTnet's, collectors do not wait for ever, and belong to a socket: a
+//! ever sorted or overlapped. A medium may double any of them. Unlike RTnet's, collectors do not wait for ever, and belong to a socket: a
 //! storm of beginnings takes them, and their buffers, from the socket that it is sent to and from nobody else, and from
 //! the sender that it comes from before all.
 
@@ -86,6 +87,13 @@ impl Key {
     }
 }
 
+impl Collector {
+    /// Whether these very bytes have come at `offset`. Others there are of another datagram with the same number.
+    fn has(&self, offset: usize, fragment: &[u8]) -> bool {
+        offset < self.len && self.chain.is_at(offset, fragment)
+    }
+}
+
 impl Collectors {
     /// None yet; at most [`PER_SOCKET`] for each of so many sockets.
     pub fn new(sockets: usize, timeout: Span) -> Self {
@@ -102,7 +110,10 @@ impl Collectors {
         pool: &Pool,
         now: Instant,
     ) -> Result<(), Refusal> {
-        // A sender that numbers its datagrams anew, or a fragment that came twice: what follows follows this one.
+        if self.active.iter().any(|active| active.key == key && active.has(0, &first)) {
+            return Err(Refusal::FragmentRepeated);
+        }
+        // A sender that has begun to count again, since it was restarted: what follows is of this datagram.
         self.counters.given_up += self.give_up(|other| other.key == key);
         self.make_room(key, socket, now)?;
         let kept = hand_over(first, pool).map_err(|_| self.no_buffer())?;
@@ -125,6 +136,9 @@ impl Collectors {
         let Some(place) = self.active.iter().position(|active| active.key == key) else {
             return Err(Refused::unwanted(fragment, Refusal::FragmentOrphan));
         };
+        if self.active[place].has(offset, &fragment) {
+            return Err(Refusal::FragmentRepeated.into());
+        }
         if self.active[place].len != offset {
             self.active.swap_remove(place);
             self.counters.out_of_order += 1;

@@ -11,6 +11,7 @@ use crate::wire::ethernet::{
     Address, EtherType, HEADER_LEN as LINK_HEADER, Header as LinkHeader, MIN_FRAME, MTU,
 };
 use crate::wire::ipv4::{Fields, HEADER_LEN, Header, Protocol};
+use crate::wire::udp;
 use crate::wire::udp_options;
 use zerocopy::IntoBytes;
 
@@ -95,6 +96,11 @@ impl Output {
         let Content { protocol, parts, ends_in_times } = *datagram;
         let whole = parts.iter().map(|part| part.len()).sum();
         let (each, count) = route.shares(whole, options, exit)?;
+        let capacity = pool.capacity();
+        if count > capacity {
+            let most = (each * capacity).saturating_sub(udp::HEADER_LEN);
+            return Err(SocketError::NeverFits { needed: count, capacity, most });
+        }
         let mut empty = Chain::new();
         for _ in 0..count {
             let Some(buf) = pool.take() else {

@@ -1,21 +1,23 @@
 //! AF_PACKET sockets: what socket2 does not have, one unsafe system call each.
 
-use std::io;
+use std::io::{self, IoSliceMut};
 use std::os::fd::{AsRawFd, BorrowedFd};
 
 use socket2::{Domain, SockAddr, Socket, Type};
 
+use zerocopy::IntoBytes;
+
 use super::clock::timespec;
 use crate::buf::{Buf, ROOM};
 use crate::clock::True;
+use crate::wire::offload::{self, Offload};
 
-/// Room for the control messages of a time stamp and of what else the kernel tells of a frame, aligned as it wants them.
-type ControlRoom = [u64; 12];
+/// Room for the control message of a time stamp, aligned as the kernel wants it.
+type ControlRoom = [u64; 8];
 // As linux/if_packet.h numbers them, which libc does not.
-const PACKET_AUXDATA: libc::c_int = 8;
+const PACKET_VNET_HDR: libc::c_int = 15;
 /// Since Linux 4.20.
 const PACKET_IGNORE_OUTGOING: libc::c_int = 23;
-const TP_STATUS_CSUMNOTREADY: u32 = 1 << 3;
 
 /// A raw packet socket that receives nothing until it is bound to a protocol.
 pub fn open() -> io::Result<Socket> {
@@ -44,9 +46,9 @@ pub fn stamp_received(socket: &Socket) -> io::Result<()> {
     switch_on(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS)
 }
 
-/// Lets the kernel tell of each frame whether its sender has left the checksum to a card that it came by none of.
-pub fn tell_of_checksums(socket: &Socket) -> io::Result<()> {
-    switch_on(socket, libc::SOL_PACKET, PACKET_AUXDATA)
+/// Has the kernel write in front of each frame what its sender has left to a card: to be received by [`receive_offloaded`].
+pub fn show_offloads(socket: &Socket) -> io::Result<()> {
+    switch_on(socket, libc::SOL_PACKET, PACKET_VNET_HDR)
 }
 
 /// Keeps frames that leave from the socket, before any filter is asked; an older kernel says no.
@@ -90,58 +92,80 @@ pub fn send(socket: &Socket, frame: &[u8]) -> Result<(), i32> {
 pub struct Received {
     /// The kernel's stamp, CLOCK_REALTIME in nanoseconds, if it gave one.
     pub stamp: Option<u64>,
-    /// The frame was longer than a buffer.
+    /// Bytes of the frame as far as they fitted the room for them.
+    pub len: usize,
+    /// The frame was longer than that.
     pub truncated: bool,
-    /// Its checksum is not there: who sent it left that to a card, and it came by none.
-    pub without_checksum: bool,
+}
+
+/// Why there is no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Nothing {
+    /// None waits.
+    Empty,
+    /// The kernel had one, and no words for what was left to do of it (before Linux 6.2: UDP that is to be cut).
+    Unreadable,
 }
 
 /// Receives a frame into `buf` without blocking; `None` when none waits. What the kernel has to say to the socket
 /// instead, such as once ENETDOWN, is gone with the call too, so that nobody who waits is woken by it again.
 #[inline]
 pub fn receive(socket: &Socket, buf: &mut Buf) -> Option<Received> {
-    let mut room: ControlRoom = [0; 12];
-    let mut part = libc::iovec { iov_base: buf.room_mut().as_mut_ptr().cast(), iov_len: ROOM };
-    // SAFETY: all-zero is a valid msghdr.
-    let mut message: libc::msghdr = unsafe { core::mem::zeroed() };
-    message.msg_iov = &mut part;
-    message.msg_iovlen = 1;
-    message.msg_control = room.as_mut_ptr().cast();
-    message.msg_controllen = size_of::<ControlRoom>() as _;
-    // SAFETY: the message's parts point to `buf`'s room and to `room`, with their true lengths; both
-    // outlive the call, and nothing else refers to them meanwhile.
-    let len = unsafe { libc::recvmsg(socket.as_raw_fd(), &mut message, libc::MSG_DONTWAIT) };
-    let len = usize::try_from(len).ok()?;
-    buf.set_len(len.min(ROOM));
-    let truncated = message.msg_flags & libc::MSG_TRUNC != 0;
-    let (stamp, without_checksum) = told_of(&message);
-    Some(Received { stamp, truncated, without_checksum })
+    let received = receive_parts(socket, &mut [IoSliceMut::new(buf.room_mut())]).ok()?;
+    buf.set_len(received.len.min(ROOM));
+    Some(received)
 }
 
-/// What the control messages say that the kernel wrote: the time stamp, and whether the checksum is missing.
-fn told_of(message: &libc::msghdr) -> (Option<u64>, bool) {
-    let (mut stamp, mut without_checksum) = (None, false);
+/// The same by a socket that shows offloads, which come first: what `buf` has no room for is in `rest`.
+#[inline]
+pub fn receive_offloaded(
+    socket: &Socket,
+    offload: &mut Offload,
+    buf: &mut Buf,
+    rest: &mut [u8],
+) -> Result<Received, Nothing> {
+    let parts = [offload.as_mut_bytes(), buf.room_mut(), rest];
+    let received = receive_parts(socket, &mut parts.map(IoSliceMut::new))?;
+    let len = received.len.saturating_sub(offload::HEADER_LEN);
+    buf.set_len(len.min(ROOM));
+    Ok(Received { len, ..received })
+}
+
+/// Receives into parts one behind the other.
+#[inline]
+fn receive_parts(socket: &Socket, parts: &mut [IoSliceMut<'_>]) -> Result<Received, Nothing> {
+    let mut room: ControlRoom = [0; 8];
+    // SAFETY: all-zero is a valid msghdr.
+    let mut message: libc::msghdr = unsafe { core::mem::zeroed() };
+    // An `IoSliceMut` is laid out as an iovec.
+    message.msg_iov = parts.as_mut_ptr().cast();
+    message.msg_iovlen = parts.len() as _;
+    message.msg_control = room.as_mut_ptr().cast();
+    message.msg_controllen = size_of::<ControlRoom>() as _;
+    // SAFETY: the message's parts are exclusive slices with their true lengths, and `room` is this function's; all outlive
+    // the call, and nothing else refers to them meanwhile.
+    let len = unsafe { libc::recvmsg(socket.as_raw_fd(), &mut message, libc::MSG_DONTWAIT) };
+    let Ok(len) = usize::try_from(len) else {
+        return Err(if errno() == libc::EINVAL { Nothing::Unreadable } else { Nothing::Empty });
+    };
+    Ok(Received { stamp: stamp_of(&message), len, truncated: message.msg_flags & libc::MSG_TRUNC != 0 })
+}
+
+/// The time stamp among the control messages that the kernel wrote.
+fn stamp_of(message: &libc::msghdr) -> Option<u64> {
     // SAFETY: `message` was filled by recvmsg, so its control messages are well formed, and the room
     // they lie in is alive: the caller's. CMSG_NXTHDR stays within it.
     unsafe {
         let mut header = libc::CMSG_FIRSTHDR(message);
         while !header.is_null() {
-            match ((*header).cmsg_level, (*header).cmsg_type) {
-                (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) => {
-                    let at: libc::timespec = core::ptr::read_unaligned(libc::CMSG_DATA(header).cast());
-                    stamp = Some(at.tv_sec as u64 * 1_000_000_000 + at.tv_nsec as u64);
-                }
-                (libc::SOL_PACKET, PACKET_AUXDATA) => {
-                    // Its first field is the frame's status.
-                    let status: u32 = core::ptr::read_unaligned(libc::CMSG_DATA(header).cast());
-                    without_checksum = status & TP_STATUS_CSUMNOTREADY != 0;
-                }
-                _ => {}
+            if ((*header).cmsg_level, (*header).cmsg_type) == (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) {
+                let at: libc::timespec = core::ptr::read_unaligned(libc::CMSG_DATA(header).cast());
+                return Some(at.tv_sec as u64 * 1_000_000_000 + at.tv_nsec as u64);
             }
             header = libc::CMSG_NXTHDR(message, header);
         }
     }
-    (stamp, without_checksum)
+    None
 }
 
 /// How many frames the kernel dropped since the last call because the socket's queue or ring was full.

@@ -21,7 +21,7 @@ use super::clock::{WallClock, monotonic, sleep_until, spin_until};
 use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
 use super::{filter, packet};
-use receive::{DRAIN_AT_MOST, drain, on_clock, receiver};
+use receive::{DRAIN_AT_MOST, Inlet, drain, on_clock, receiver};
 
 pub use receive::Data;
 
@@ -39,8 +39,8 @@ const COST_AGES: u64 = 2;
 /// An interface that a station sends and receives on.
 pub struct Port {
     sender: Socket,
-    control: Socket,
-    data: Vec<Socket>,
+    control: Inlet,
+    data: Vec<Inlet>,
     pool: Arc<Pool>,
     clock: EmulatedClock,
     wall: WallClock,
@@ -92,6 +92,10 @@ pub struct PortCounters {
     pub received: u64,
     /// Frames longer than a buffer.
     pub oversize: u64,
+    /// Frames that came as one and were cut into those that were meant.
+    pub uncut: u64,
+    /// The same of a kind that nobody here cuts: they are dropped.
+    pub not_cut: u64,
     /// Turns in which the receive pool was empty.
     pub pool_empty: u64,
     /// Frames that the kernel dropped because a socket's queue was full.
@@ -197,7 +201,9 @@ impl Port {
         filter::accept_only_discipline(&self.control)?;
         // What has come already is let go, as if it had come before: what is tunnelled of it has nobody here to take it.
         let mut uncounted = PortCounters::default();
-        while drain(&self.control, &self.pool, &mut uncounted, DRAIN_AT_MOST, |_, _| ()) == DRAIN_AT_MOST {}
+        while drain(&mut self.control, &self.pool, &mut uncounted, DRAIN_AT_MOST, |_, _| ()) == DRAIN_AT_MOST
+        {
+        }
         Ok(())
     }
 
@@ -251,7 +257,7 @@ impl Port {
     pub fn counters(&mut self) -> PortCounters {
         let sockets = core::iter::once(&self.control).chain(&self.data);
         // A packet socket always has statistics.
-        let dropped = sockets.filter_map(|socket| packet::take_dropped(socket).ok());
+        let dropped = sockets.filter_map(|inlet| packet::take_dropped(&**inlet).ok());
         self.counters.socket_full += dropped.sum::<u64>();
         let others = self.guard.as_ref().map_or(0, |guard| guard.counters().others);
         let (others_passed, others_kept_off) = if self.is_alone { (0, others) } else { (others, 0) };

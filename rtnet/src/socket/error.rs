@@ -66,6 +66,19 @@ pub enum SocketError {
         /// How many the socket has.
         capacity: usize,
     },
+    /// The socket has fewer buffers than the call needs, whatever is free.
+    #[error(
+        "{needed} buffers are needed, and the socket has {capacity}: send {most} bytes at the most, extend its pool, or \
+             start the station with more for each socket (`--socket-buffers`)"
+    )]
+    NeverFits {
+        /// How many the call needs.
+        needed: usize,
+        /// How many the socket has.
+        capacity: usize,
+        /// Bytes of the longest datagram that fits, on this way and in this slot.
+        most: usize,
+    },
     /// Nothing has come yet.
     #[error("nothing has come yet")]
     WouldBlock,
@@ -106,6 +119,7 @@ impl SocketError {
     /// | [`TooLong`](Self::TooLong) | `EMSGSIZE` | |
     /// | [`NoFrame`](Self::NoFrame) | `EINVAL` | |
     /// | [`NoBuffers`](Self::NoBuffers) | `ENOBUFS` | sends a part |
+    /// | [`NeverFits`](Self::NeverFits) | `EMSGSIZE` | sends a part |
     /// | [`WouldBlock`](Self::WouldBlock) | `EAGAIN` | |
     /// | [`TimedOut`](Self::TimedOut) | `ETIMEDOUT` | |
     /// | [`WrongFlags`](Self::WrongFlags) | `EINVAL` | |
@@ -129,7 +143,7 @@ impl SocketError {
             | SocketError::WrongPriority(_) => libc::EINVAL,
             SocketError::NotConnected => libc::ENOTCONN,
             SocketError::NoRoute(_) => libc::EHOSTUNREACH,
-            SocketError::TooLong(_) => libc::EMSGSIZE,
+            SocketError::TooLong(_) | SocketError::NeverFits { .. } => libc::EMSGSIZE,
             SocketError::NoBuffers { .. } => libc::ENOBUFS,
             SocketError::TimedOut => libc::ETIMEDOUT,
             SocketError::Discipline(error) => error.errno(),

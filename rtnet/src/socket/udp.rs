@@ -166,9 +166,9 @@ impl Stack {
                     counters.refused += 1;
                     match error {
                         SocketError::NoRoute(_) => &mut counters.no_route,
-                        SocketError::TooLong(_) | SocketError::Discipline(SendError::TooLong { .. }) => {
-                            &mut counters.too_long
-                        }
+                        SocketError::TooLong(_)
+                        | SocketError::NeverFits { .. }
+                        | SocketError::Discipline(SendError::TooLong { .. }) => &mut counters.too_long,
                         SocketError::Discipline(SendError::NoSlot(_) | SendError::UnknownChannel { .. }) => {
                             &mut counters.no_slot
                         }

@@ -5,5 +5,6 @@ pub mod checksum;
 pub mod ethernet;
 pub mod icmpv4;
 pub mod ipv4;
+pub mod offload;
 pub mod udp;
 pub mod udp_options;

@@ -19,7 +19,6 @@ use zerocopy::byteorder::network_endian::U16;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::checksum::Checksum;
-use super::ethernet::{self, EtherType};
 use super::ipv4::{self, Protocol};
 use crate::counters::Refusal;
 
@@ -68,24 +67,6 @@ pub fn to_field(sum: Checksum) -> u16 {
     match sum.finish() {
         0 => 0xffff,
         sum => sum,
-    }
-}
-
-/// Marks the datagram in a frame as one without a checksum: its sender's kernel left that to a card, and there was none.
-/// In fragments there always is one.
-pub fn forgo_checksum(frame: &mut [u8]) {
-    const CHECKSUM_AT: usize = 6;
-    let Some((link, packet)) = ethernet::Header::parse(frame) else { return };
-    if link.ether_type() != EtherType::IPV4 {
-        return;
-    }
-    let Ok((header, _)) = ipv4::parse(packet) else { return };
-    if header.protocol() != Protocol::UDP || header.is_fragment() {
-        return;
-    }
-    let at = ethernet::HEADER_LEN + header.header_len() + CHECKSUM_AT;
-    if let Some(field) = frame.get_mut(at..at + 2) {
-        field.fill(0);
     }
 }
 

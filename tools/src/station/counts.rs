@@ -33,6 +33,8 @@ pub fn of_port(port: &PortCounters) -> BTreeMap<String, u64> {
     let all = [
         ("received", port.received),
         ("oversize", port.oversize),
+        ("uncut", port.uncut),
+        ("not_cut", port.not_cut),
         ("pool_empty", port.pool_empty),
         ("socket_full", port.socket_full),
         ("clock_steps", port.clock_steps),

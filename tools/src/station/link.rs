@@ -189,6 +189,7 @@ impl Standing {
         let address = |of: fn(&TdmaStatus) -> Option<Address>| tdma.and_then(of).map(|of| of.to_string());
         let port = [
             ("port_oversize", snapshot.port.oversize),
+            ("port_not_cut", snapshot.port.not_cut),
             (PORT_POOL_EMPTY, snapshot.port.pool_empty),
             ("port_socket_full", snapshot.port.socket_full),
             ("others_passed", snapshot.port.others_passed),

@@ -125,6 +125,23 @@ fn copying_begins_within_a_part_and_ends_where_the_room_does() {
 }
 
 #[test]
+fn a_chain_knows_which_bytes_are_where() {
+    let pool = Pool::new(3);
+    let mut chain = Chain::new();
+    for part in [&b"abc"[..], b"", b"defg"] {
+        chain.push(filled(&pool, part));
+    }
+    for from in 0..=7 {
+        for to in from..=7 {
+            assert!(chain.is_at(from, &b"abcdefg"[from..to]), "{from} to {to}");
+        }
+    }
+    assert!(
+        !chain.is_at(2, b"cX") && !chain.is_at(0, b"abd") && !chain.is_at(6, b"gh") && !chain.is_at(9, b"a")
+    );
+}
+
+#[test]
 fn a_chain_is_as_small_as_a_buffer_and_goes_to_any_thread() {
     fn goes_anywhere<T: Send + Sync>() -> usize {
         size_of::<T>()

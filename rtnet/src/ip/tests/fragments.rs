@@ -1,7 +1,7 @@
 //! Datagrams in fragments: sent in ascending order, taken in no other.
 
 use super::*;
-use crate::ip::collect::{PER_SOCKET, PER_SOURCE};
+use crate::ip::collect::{CollectorCounters, PER_SOCKET, PER_SOURCE};
 use crate::wire::ethernet::{EtherType, HEADER_LEN as LINK_HEADER, Header as LinkHeader};
 use crate::wire::ipv4::{self, Fields, Header, Protocol};
 use zerocopy::IntoBytes;
@@ -91,19 +91,39 @@ fn a_datagram_for_which_buffers_are_missing_does_not_leave_in_part() {
     let (mut a, _) = pair();
     let socket = a.socket(0, 4);
     let refused = a.send(socket, &bytes(7_000), IP_B, 1).unwrap_err();
-    assert_eq!(refused, SocketError::NoBuffers { needed: 5, free: 4, capacity: 4 });
-    assert_eq!(a.sent().len(), 0);
+    assert_eq!(refused, SocketError::NeverFits { needed: 5, capacity: 4, most: 5_912 });
+    assert_eq!((refused.errno(), a.sent().len()), (libc::EMSGSIZE, 0));
+    a.send(socket, &bytes(100), IP_B, 1).unwrap();
+    let refused = a.send(socket, &bytes(5_000), IP_B, 1).unwrap_err();
+    assert_eq!(refused, SocketError::NoBuffers { needed: 4, free: 3, capacity: 4 });
+    assert_eq!((refused.errno(), a.sent().len()), (libc::ENOBUFS, 1));
     a.send(socket, &bytes(5_000), IP_B, 1).unwrap();
     assert_eq!(a.sent().len(), 4);
 }
 
 #[test]
+fn the_longest_datagram_that_a_refusal_names_is_sent() {
+    for (buffers, limit) in [(1, 1500), (4, 1500), (16, 1500), (7, 128), (3, 999)] {
+        let (mut a, _) = pair();
+        a.queue.limit = limit;
+        let socket = a.socket(0, buffers);
+        let most = match a.send(socket, &bytes(30_000), IP_B, 1).unwrap_err() {
+            SocketError::NeverFits { most, .. } => most,
+            other => panic!("{other}"),
+        };
+        assert!(matches!(a.send(socket, &bytes(most + 8), IP_B, 1), Err(SocketError::NeverFits { .. })));
+        a.send(socket, &bytes(most), IP_B, 1).unwrap();
+        assert_eq!(a.sent().len(), buffers, "{most} bytes in slots of {limit}");
+    }
+}
+
+#[test]
 fn fragments_in_any_other_order_end_the_datagram() {
     let sent = frames(5_000, 1500);
-    for order in [&[0, 2, 1, 3][..], &[0, 1, 1, 2, 3], &[1, 0, 2, 3], &[0, 1, 3], &[1], &[3]] {
+    for order in [&[0, 2, 1, 3][..], &[1, 0, 2, 3], &[0, 1, 3], &[0, 1, 1, 3], &[1], &[3]] {
         let (mut b, socket) = receiver(16);
         let refused: Vec<_> = order.iter().filter_map(|&n| b.hears(&sent[n]).err()).collect();
-        let known = [Refusal::FragmentOrder, Refusal::FragmentOrphan];
+        let known = [Refusal::FragmentOrder, Refusal::FragmentOrphan, Refusal::FragmentRepeated];
         assert!(!refused.is_empty() && refused.iter().all(|reason| known.contains(reason)), "{refused:?}");
         assert!(b.receive(socket).is_none(), "{order:?}");
         sent.iter().for_each(|frame| b.hears(frame).unwrap());
@@ -112,14 +132,40 @@ fn fragments_in_any_other_order_end_the_datagram() {
 }
 
 #[test]
-fn a_first_fragment_that_comes_twice_begins_anew() {
+fn a_fragment_that_comes_twice_changes_nothing() {
     let sent = frames(5_000, 1500);
+    for order in [&[0, 0, 1, 2, 3][..], &[0, 1, 1, 2, 3], &[0, 1, 0, 2, 1, 2, 3], &[0, 1, 2, 2, 0, 3]] {
+        let (mut b, socket) = receiver(4);
+        let refused: Vec<_> = order.iter().filter_map(|&n| b.hears(&sent[n]).err()).collect();
+        assert_eq!(refused, vec![Refusal::FragmentRepeated; order.len() - 4], "{order:?}");
+        assert_eq!(b.receive(socket).unwrap().1, bytes(5_000), "{order:?}");
+        assert_eq!(b.stack.counters().collectors, CollectorCounters::default());
+    }
+    // The last one: its datagram is complete.
+    let (mut b, socket) = receiver(4);
+    sent.iter().for_each(|frame| b.hears(frame).unwrap());
+    assert_eq!(b.hears(&sent[3]), Err(Refusal::FragmentOrphan));
+    assert_eq!(b.receive(socket).unwrap().1, bytes(5_000));
+}
+
+#[test]
+fn another_datagram_of_the_same_number_begins_again() {
+    let sent = frames(5_000, 1500);
+    let mut others = sent.clone();
+    for other in &mut others {
+        *other.last_mut().unwrap() ^= 0xff;
+    }
     let (mut b, socket) = receiver(16);
-    for n in [0, 1, 0, 1, 2, 3] {
-        b.hears(&sent[n]).unwrap();
+    for frame in [&others[0], &others[1], &sent[0], &sent[1], &sent[2], &sent[3]] {
+        b.hears(frame).unwrap();
     }
     assert_eq!(b.receive(socket).unwrap().1, bytes(5_000));
     assert_eq!(b.stack.counters().collectors.given_up, 1);
+    // Other bytes where some have come are not of this datagram: it is given up, and never mixed.
+    b.hears(&sent[0]).unwrap();
+    b.hears(&sent[1]).unwrap();
+    assert_eq!(b.hears(&others[1]), Err(Refusal::FragmentOrder));
+    assert_eq!(b.hears(&sent[2]), Err(Refusal::FragmentOrphan));
 }
 
 #[test]

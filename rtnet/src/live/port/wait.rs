@@ -4,6 +4,7 @@ use std::os::fd::AsFd;
 
 use nix::poll::PollTimeout;
 
+use super::receive::Inlet;
 use super::{Port, UNDISTURBED};
 use crate::clock::True;
 use crate::live::clock::{monotonic, sleep_until, spin_until};
@@ -20,6 +21,10 @@ impl Port {
 
     /// Waits for a frame or a bell until the station's clock shows `at`, at most until the true moment `no_later`.
     pub fn wait_for_frame_until(&mut self, at: Option<Instant>, no_later: True) {
+        if self.has_parts() {
+            self.empty = 0;
+            return;
+        }
         let until = at.map_or(no_later, |at| self.clock.truth(at).min(no_later));
         let now = monotonic();
         let at_most = match self.alarm.rings_by(until, now) {
@@ -38,6 +43,10 @@ impl Port {
         let undisturbed = self.clock.truth(at).min(no_later).saturating_sub(UNDISTURBED);
         if rested < undisturbed {
             self.rest_until(rested);
+            if self.has_parts() && monotonic() < undisturbed {
+                self.woke = monotonic();
+                return true;
+            }
             let at_most = undisturbed.saturating_sub(monotonic());
             if at_most > 0
                 && packet::wait_any(self.data.iter().map(|socket| socket.as_fd()), Some(at_most)) != 0
@@ -49,6 +58,11 @@ impl Port {
         }
         self.sleep_until(at, no_later);
         false
+    }
+
+    /// Whether a part of a frame that came uncut waits to be handed over.
+    fn has_parts(&self) -> bool {
+        self.data.iter().any(Inlet::has_parts)
     }
 
     /// Sleeps until a true moment, which may have passed, whatever comes.

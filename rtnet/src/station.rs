@@ -2,10 +2,14 @@
 
 use crate::buf::Buf;
 use crate::counters::{Refusal, Refusals};
-use crate::discipline::{Claimed, Discipline, Opportunity, Returned, Sent, Service, SyncState, Transmission};
+use crate::discipline::{
+    Channel, Claimed, Discipline, Opportunity, Returned, SendError, Sent, Service, SyncState, TimeView,
+    Transmission,
+};
 use crate::ip::{Exit, Refused, Stack};
+use crate::queue::Priority;
 use crate::time::Instant;
-use crate::wire::ethernet::Header;
+use crate::wire::ethernet::{HEADER_LEN, Header, MTU};
 
 /// One participant of the network. The same object runs in virtual time and live.
 ///
@@ -18,17 +22,39 @@ pub struct Station<D: Discipline> {
     /// Whether there was an opportunity since it last had nothing to send.
     was_asked: bool,
     stale: u64,
-    discipline: D,
+    out: Out<D>,
     refusals: Refusals,
     /// The turn in which more frames leave than the one that was chosen for it, where there are no slots.
     turn: Option<Opportunity>,
+}
+
+/// Where frames leave: the discipline's queue, and a medium that may take less than the discipline does.
+struct Out<D> {
+    discipline: D,
+    mtu: usize,
+}
+
+impl<D: Discipline> Exit for Out<D> {
+    fn send(&mut self, frame: Buf, priority: Priority, channel: Channel) -> Result<(), (SendError, Buf)> {
+        let got = frame.len().saturating_sub(HEADER_LEN);
+        if got > self.mtu {
+            return Err((SendError::TooLong { channel, got, limit: self.mtu }, frame));
+        }
+        self.discipline.enqueue(frame, priority, channel)
+    }
+    fn limit(&self, channel: Channel) -> Result<usize, SendError> {
+        Ok(self.discipline.payload_limit(channel)?.min(self.mtu))
+    }
+    fn time(&self) -> TimeView {
+        self.discipline.time()
+    }
 }
 
 impl<D: Discipline> Station<D> {
     /// A station that shares the medium by `discipline`.
     pub fn new(discipline: D, services: Vec<Box<dyn Service>>) -> Self {
         Self {
-            discipline,
+            out: Out { discipline, mtu: MTU },
             services,
             stack: None,
             refusals: Refusals::default(),
@@ -44,6 +70,12 @@ impl<D: Discipline> Station<D> {
         Self { stack: Some(Box::new(stack)), ..self }
     }
 
+    /// From now on frames carry this many bytes behind their Ethernet header at the most, whatever the discipline takes: the
+    /// medium's MTU.
+    pub fn set_mtu(&mut self, mtu: usize) {
+        self.out.mtu = mtu.min(MTU);
+    }
+
     /// A frame has arrived, stamped `rx` on this station's clock.
     pub fn on_frame(&mut self, rx: Option<Instant>, frame: Buf) {
         if let Err(reason) = self.dispatch(rx, frame) {
@@ -53,23 +85,23 @@ impl<D: Discipline> Station<D> {
 
     /// Time has passed.
     pub fn on_timeout(&mut self, now: Instant) {
-        self.discipline.on_timeout(now);
+        self.out.discipline.on_timeout(now);
         self.announce_sync_state();
     }
 
     /// The next frame to send. Every [`Transmission`] is answered by [`Station::on_sent`].
     pub fn next_transmission(&mut self, now: Instant) -> Option<Transmission> {
-        while let Some(slot) = self.discipline.opportunity(now) {
+        while let Some(slot) = self.out.discipline.opportunity(now) {
             self.ask(&slot);
-            let chosen = self.discipline.next_transmission(now);
+            let chosen = self.out.discipline.next_transmission(now);
             self.announce_sync_state();
             if let Some(mut chosen) = chosen {
                 self.leaves(&slot, &mut chosen.frame);
-                self.turn = self.discipline.has_queued().then_some(slot);
+                self.turn = self.out.discipline.has_queued().then_some(slot);
                 return Some(chosen);
             }
         }
-        let mut chosen = self.discipline.next_transmission(now);
+        let mut chosen = self.out.discipline.next_transmission(now);
         if let (Some(chosen), Some(turn)) = (&mut chosen, self.turn) {
             self.leaves(&turn, &mut chosen.frame);
         }
@@ -83,8 +115,8 @@ impl<D: Discipline> Station<D> {
     /// What became of the transmission.
     pub fn on_sent(&mut self, outcome: Sent) {
         let is_refused = matches!(outcome, Sent::Failed(..));
-        let Some(returned) = self.discipline.on_sent(outcome) else { return };
-        if is_refused && !self.discipline.tries_again() {
+        let Some(returned) = self.out.discipline.on_sent(outcome) else { return };
+        if is_refused && !self.out.discipline.tries_again() {
             let Returned { frame, priority, .. } = returned;
             self.services.iter_mut().for_each(|service| service.given_up(&frame, priority));
         } else if self
@@ -92,7 +124,7 @@ impl<D: Discipline> Station<D> {
             .iter_mut()
             .all(|service| service.still_wanted(&returned.frame, returned.priority))
         {
-            self.discipline.put_back(returned);
+            self.out.discipline.put_back(returned);
         } else {
             self.stale += 1;
         }
@@ -114,16 +146,16 @@ impl<D: Discipline> Station<D> {
 
     /// When to wake next; `None` means on the next frame.
     pub fn next_deadline(&self) -> Option<Instant> {
-        self.discipline.next_deadline()
+        self.out.discipline.next_deadline()
     }
 
     /// The way this station shares the medium.
     pub fn discipline(&self) -> &D {
-        &self.discipline
+        &self.out.discipline
     }
     /// The way this station shares the medium, to command it and to take its events.
     pub fn discipline_mut(&mut self) -> &mut D {
-        &mut self.discipline
+        &mut self.out.discipline
     }
     /// Its sockets, if it has any.
     pub fn stack(&self) -> Option<&Stack> {
@@ -131,7 +163,7 @@ impl<D: Discipline> Station<D> {
     }
     /// Its sockets, and where their frames leave.
     pub fn stack_mut(&mut self) -> Option<(&mut Stack, &mut dyn Exit)> {
-        Some((self.stack.as_deref_mut()?, &mut self.discipline))
+        Some((self.stack.as_deref_mut()?, &mut self.out))
     }
     /// Frames that were refused, by reason.
     pub fn refusals(&self) -> &Refusals {
@@ -143,20 +175,20 @@ impl<D: Discipline> Station<D> {
     }
 
     fn dispatch(&mut self, rx: Option<Instant>, frame: Buf) -> Result<(), Refusal> {
-        let Self { discipline, services, stack, .. } = self;
+        let Self { out, services, stack, .. } = self;
         let (header, _) = Header::parse(&frame).ok_or(Refusal::Runt)?;
         let ether_type = header.ether_type();
-        let is_disciplines = discipline.claims(header);
+        let is_disciplines = out.discipline.claims(header);
         let service = services.iter_mut().find(|service| service.claims(ether_type));
         if let Some(stack) = stack {
             if !is_disciplines && service.is_none() {
-                let heard = stack.on_frame(rx, frame, discipline);
+                let heard = stack.on_frame(rx, frame, out);
                 return heard.or_else(|refused| offer(refused, services));
             }
             stack.overhear(rx, &frame);
         }
         if is_disciplines {
-            return match discipline.on_frame(rx, frame) {
+            return match out.discipline.on_frame(rx, frame) {
                 Claimed::Kept => Ok(()),
                 Claimed::Tunnel(frame) => service.ok_or(Refusal::NoTunnel)?.on_frame(rx, frame),
                 Claimed::Refused(reason) => Err(reason),
@@ -168,19 +200,19 @@ impl<D: Discipline> Station<D> {
     /// Lets services queue what they have for a slot, and fill it if there is nothing.
     fn ask(&mut self, slot: &Opportunity) {
         self.was_asked = true;
-        let Self { discipline, services, stack, .. } = self;
+        let Self { out, services, stack, .. } = self;
+        let slot = &Opportunity { non_rt: slot.non_rt.map(|limit| limit.min(out.mtu)), ..*slot };
         for service in services.iter_mut() {
-            service.poll(slot, &mut |frame, priority, channel| discipline.enqueue(frame, priority, channel));
+            service.poll(slot, &mut |frame, priority, channel| out.send(frame, priority, channel));
         }
         if let Some(stack) = stack {
-            stack.poll(slot.begin, discipline);
+            stack.poll(slot.begin, out);
         }
         let routes = stack.as_deref().map(Stack::routes);
         for service in services {
-            if !discipline.is_waiting(slot.channel) {
-                service.fill(slot, routes, &mut |frame, priority, channel| {
-                    discipline.enqueue(frame, priority, channel)
-                });
+            if !out.discipline.is_waiting(slot.channel) {
+                service
+                    .fill(slot, routes, &mut |frame, priority, channel| out.send(frame, priority, channel));
             }
         }
     }
@@ -188,8 +220,8 @@ impl<D: Discipline> Station<D> {
     /// Once each time that it is awake, also where no slot comes: what programs want that needs one is refused, and what is
     /// waited for is given up in time.
     fn looks_without_slot(&mut self, now: Instant) {
-        let Self { discipline, stack, .. } = self;
-        stack.iter_mut().for_each(|stack| stack.poll(now, discipline));
+        let Self { out, stack, .. } = self;
+        stack.iter_mut().for_each(|stack| stack.poll(now, out));
     }
 
     /// Tells whose frame it is that it was chosen for a slot.
@@ -204,7 +236,7 @@ impl<D: Discipline> Station<D> {
     }
 
     fn announce_sync_state(&mut self) {
-        let view = self.discipline.time();
+        let view = self.out.discipline.time();
         if view.state != self.announced {
             self.announced = view.state;
             for service in &mut self.services {

@@ -16,6 +16,7 @@ mod forged;
 mod html;
 mod interface;
 mod lab;
+mod link_attributes;
 mod live;
 mod manual;
 mod min_cycle;

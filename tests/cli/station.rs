@@ -99,6 +99,14 @@ impl Station {
         slave
     }
 
+    /// A slave in a namespace where no master is.
+    pub fn slave_of_nobody(namespace: &Namespace, name: &str) -> Self {
+        let slave =
+            Self::start(namespace, &["--interface", "rt0", "--slave", "--slot", "0=1ms", "--name", name]);
+        slave.wait_for("Ctrl-C ends it");
+        slave
+    }
+
     /// Waits for its end: its exit status.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         let deadline = Instant::now() + PATIENCE;

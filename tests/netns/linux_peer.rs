@@ -3,6 +3,8 @@
 use std::net::{SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
 
+use nix::sys::socket::setsockopt;
+use nix::sys::socket::sockopt::UdpGsoSegment;
 use rtmac::token::{Ring, RingConfig, Token};
 use rtnet::at_once::DEFAULT_ASK_EVERY;
 use rtnet::clock::EmulatedClock;
@@ -100,5 +102,66 @@ fn a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_ech
     alone("a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_echoes", || {
         let clock = EmulatedClock::default();
         converse(|address| master_of(CYCLE, address, &clock, Span::from_millis(2), 1_500), 65_507);
+    });
+}
+
+/// What the kernel cuts for a program, and a card for the kernel; here nobody has cut it. Each datagram comes back as it was
+/// meant.
+fn uncut<D: Discipline + 'static>(discipline: impl FnOnce(rtnet::wire::ethernet::Address) -> D) {
+    let pair = Pair::start(discipline);
+    let (udp, _) = sockets(&pair);
+    for (len, size, times) in [(5_000, 1_000, 5), (1_300, 1_000, 2), (48, 1, 48), (20_000, 1_472, 14)] {
+        setsockopt(&udp, UdpGsoSegment, &size).unwrap();
+        let (data, deadline) = (bytes(len), Instant::now() + PATIENCE);
+        let meant: Vec<_> = data.chunks(size as usize).map(<[u8]>::to_vec).collect();
+        assert_eq!(meant.len(), times);
+        let mut room = vec![0; 65_536];
+        loop {
+            udp.send_to(&data, (STATION_IP, PORT)).unwrap();
+            let mut answers = Vec::new();
+            while answers.len() < times
+                && let Ok(len) = udp.recv(&mut room)
+            {
+                answers.push(room[..len].to_vec());
+            }
+            if answers == meant {
+                break;
+            }
+            assert!(
+                Instant::now() < deadline,
+                "{len} bytes in {size} each: {:?}",
+                answers.iter().map(Vec::len)
+            );
+            // A busy host loses some: what is still on its way is of this try.
+            while udp.recv(&mut room).is_ok() {}
+        }
+    }
+}
+
+#[test]
+fn uncut_datagrams_come_as_they_were_meant_without_slots() {
+    alone("uncut_datagrams_come_as_they_were_meant_without_slots", || {
+        uncut(|_| Direct::new(DEFAULT_ASK_EVERY))
+    });
+}
+
+#[test]
+fn uncut_datagrams_come_as_they_were_meant_with_slots() {
+    alone("uncut_datagrams_come_as_they_were_meant_with_slots", || {
+        let clock = EmulatedClock::default();
+        uncut(|address| master_of(CYCLE, address, &clock, Span::from_millis(2), 1_500));
+    });
+}
+
+#[test]
+fn jumbo_frames_of_a_linux_host_are_taken() {
+    alone("jumbo_frames_of_a_linux_host_are_taken", || {
+        let pair = Pair::start(|_| Direct::new(DEFAULT_ASK_EVERY));
+        pair.set_mtu(9_000);
+        let (udp, _) = sockets(&pair);
+        for len in [100, 1_472, 1_473, 8_972, 30_000] {
+            let data = bytes(len);
+            exchange(&udp, SocketAddrV4::new(STATION_IP, PORT), &data, |answer| answer == data);
+        }
     });
 }

@@ -19,6 +19,7 @@ use rtnet::socket::{Access, Flags, Program, Sender, Socket, SocketId};
 use rtnet::station::Station;
 use rtnet::wire::ethernet::Address;
 use tools::lab::namespace::{Namespace, Segment};
+use vnic::netlink::Links;
 
 use crate::live::as_a_station;
 
@@ -80,7 +81,7 @@ pub struct Pair<D: Discipline> {
     pub snapshots: Arc<ArrayQueue<Snapshot<D::Status>>>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    _medium: (Namespace, Segment),
+    medium: (Namespace, Segment),
 }
 
 impl<D: Discipline + 'static> Pair<D> {
@@ -107,7 +108,26 @@ impl<D: Discipline + 'static> Pair<D> {
         let mut driver = Driver::new(station, port, config);
         let snapshots = driver.snapshots();
         let thread = Some(as_a_station(move || driver.run()));
-        Self { host, heard, snapshots, stop, thread, _medium: (here, segment) }
+        Self { host, heard, snapshots, stop, thread, medium: (here, segment) }
+    }
+
+    /// Lets all interfaces of the medium take frames with so many bytes behind their headers.
+    pub fn set_mtu(&self, mtu: usize) {
+        let (here, segment) = &self.medium;
+        let places = [
+            (here, "rt0"),
+            (&self.host, "rt0"),
+            (segment.namespace(), "port0"),
+            (segment.namespace(), "port1"),
+        ];
+        for (namespace, name) in places {
+            let set = move || {
+                let mut links = Links::open()?;
+                let index = links.find(name)?.map_or(0, |link| link.index);
+                links.set_mtu(index, mtu)
+            };
+            namespace.run(set).unwrap().unwrap();
+        }
     }
 }
 

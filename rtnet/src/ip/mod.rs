@@ -24,7 +24,7 @@ use core::ops::RangeInclusive;
 
 use crate::buf::{Buf, Pool, PoolStatistics};
 use crate::counters::{Refusal, Refusals};
-use crate::discipline::{Channel, Discipline, SendError, TimeView};
+use crate::discipline::{Channel, SendError, TimeView};
 use crate::queue::Priority;
 use crate::socket::{Access, Program, SocketId, Table};
 use crate::time::{Instant, Span};
@@ -116,18 +116,6 @@ pub trait Exit {
     fn limit(&self, channel: Channel) -> Result<usize, SendError>;
     /// What is known of the master's time.
     fn time(&self) -> TimeView;
-}
-
-impl<D: Discipline> Exit for D {
-    fn send(&mut self, frame: Buf, priority: Priority, channel: Channel) -> Result<(), (SendError, Buf)> {
-        self.enqueue(frame, priority, channel)
-    }
-    fn limit(&self, channel: Channel) -> Result<usize, SendError> {
-        self.payload_limit(channel)
-    }
-    fn time(&self) -> TimeView {
-        Discipline::time(self)
-    }
 }
 
 /// What a stack has counted besides what the station refused.

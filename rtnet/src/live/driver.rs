@@ -1,7 +1,7 @@
 //! The loop of a live station.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use crossbeam::queue::ArrayQueue;
 use nix::sys::eventfd::EventFd;
@@ -12,6 +12,7 @@ use crate::counters::Refusals;
 use crate::discipline::{Cause, Discipline, Event, Sent, SyncState};
 use crate::station::Station;
 use crate::time::{GlobalTime, Instant, Span};
+use crate::wire::ethernet::MTU;
 
 use super::clock::{monotonic, thread_cpu_time};
 use super::clock_order::ClockOrder;
@@ -89,6 +90,8 @@ pub struct Driver<D: Discipline> {
     visits: Arc<Visits>,
     time: TimePublisher,
     clock_order: Arc<ClockOrder>,
+    /// The interface's MTU, by the last look of whoever looks.
+    mtu: Arc<AtomicUsize>,
     records_lost: u64,
     next_snapshot: True,
     /// The state in the last snapshot.
@@ -116,6 +119,7 @@ impl<D: Discipline> Driver<D> {
             visits: Arc::new(Errands::new(bell)),
             time,
             clock_order: Arc::default(),
+            mtu: Arc::new(AtomicUsize::new(MTU)),
             records_lost: 0,
             next_snapshot: 0,
             shown: SyncState::Waiting,
@@ -172,6 +176,11 @@ impl<D: Discipline> Driver<D> {
         self.clock_order.clone()
     }
 
+    /// Where another thread writes the interface's MTU, whenever that changes: no frame is longer from the next turn on.
+    pub fn mtu(&self) -> Arc<AtomicUsize> {
+        self.mtu.clone()
+    }
+
     /// Runs until told to stop, then leaves a last snapshot.
     pub fn run(&mut self) {
         while !self.config.stop.load(Ordering::Relaxed) {
@@ -198,6 +207,7 @@ impl<D: Discipline> Driver<D> {
             port.set_clock(clock);
             self.time.set_clock(clock);
         }
+        station.set_mtu(self.mtu.load(Ordering::Relaxed));
         if wakes_on_frames {
             // No slot waits: what has come is answered in this turn, before anything else is looked at.
             port.hear(|rx, frame| {

@@ -3,7 +3,7 @@
 use std::io;
 use std::os::fd::AsRawFd;
 
-use nix::ifaddrs::{InterfaceAddress, getifaddrs};
+use nix::ifaddrs::getifaddrs;
 use nix::net::if_::{InterfaceFlags, if_nametoindex};
 use nix::sys::socket::{SockaddrStorage, getsockname};
 use socket2::Socket;
@@ -20,18 +20,6 @@ pub struct Interface {
     pub index: u32,
     /// Its Ethernet address.
     pub address: Address,
-}
-
-/// An interface as it is right now.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Link {
-    /// Its name, which may change while it is in use.
-    pub name: String,
-    /// It was set up.
-    pub up: bool,
-    /// It is up, and so is the other end: frames can pass. By IFF_LOWER_UP; IFF_RUNNING follows it only when the
-    /// kernel's link watch gets to it, up to a second later.
-    pub carrier: bool,
 }
 
 /// Why there is no such interface.
@@ -97,30 +85,16 @@ impl Watch {
         Ok(Self { index: interface.index as usize, socket })
     }
 
-    /// How the interface is; `None` if it was removed, or has moved to another namespace.
-    ///
-    /// # Errors
-    /// The kernel did not answer, or without this interface: lists that change while they are read may lack what is
-    /// there. The next look tells.
-    pub fn look(&self) -> io::Result<Option<Link>> {
-        let is_its = |address: &SockaddrStorage| {
-            address.as_link_addr().is_some_and(|link| link.ifindex() == self.index)
-        };
-        if !is_its(&getsockname(self.socket.as_raw_fd())?) {
-            return Ok(None);
-        }
-        let is_it = |entry: &InterfaceAddress| entry.address.as_ref().is_some_and(is_its);
-        let entry = getifaddrs()?.find(is_it).ok_or(io::ErrorKind::NotFound)?;
-        let InterfaceAddress { interface_name: name, flags, .. } = entry;
-        let up = flags.contains(InterfaceFlags::IFF_UP);
-        Ok(Some(Link { name, up, carrier: up && flags.contains(InterfaceFlags::IFF_LOWER_UP) }))
+    /// Whether the interface is still there: it was neither removed nor moved to another namespace.
+    pub fn is_there(&self) -> io::Result<bool> {
+        let address: SockaddrStorage = getsockname(self.socket.as_raw_fd())?;
+        Ok(address.as_link_addr().is_some_and(|link| link.ifindex() == self.index))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::ring::tests::{in_a_namespace, loopback_up};
 
     #[test]
     fn an_absent_interface_is_named_with_those_there_are() {
@@ -132,18 +106,5 @@ mod tests {
     fn loopback_is_not_ethernet() {
         let error = Interface::find("lo").unwrap_err();
         assert!(matches!(error, InterfaceError::NotEthernet(_) | InterfaceError::Down(_)), "{error}");
-    }
-    #[test]
-    fn an_interface_is_seen_to_go_down_and_up() {
-        in_a_namespace(|| {
-            let index = if_nametoindex("lo").unwrap();
-            let lo = Interface { name: "lo".into(), index, address: Address::default() };
-            let watch = Watch::open(&lo).unwrap();
-            for up in [true, false, true] {
-                loopback_up(up);
-                let seen = watch.look().unwrap();
-                assert_eq!(seen, Some(Link { name: "lo".into(), up, carrier: up }));
-            }
-        });
     }
 }

@@ -13,7 +13,8 @@
 //! ```
 //!
 //! Over a veth, and from a card that puts datagrams together (GRO), such frames come as they are. Here each is cut into what
-//! was meant. UDP needs no checksum then, a field of 0 says so; all other missing sums are computed.
+//! was meant. UDP needs no checksum then, a field of 0 says so; all other missing sums are computed. A jumbo frame, which is
+//! whole and longer than a buffer, is cut into the fragments that a router would have made of its packet.
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -49,6 +50,11 @@ const PROTOCOL_TCP: Protocol = Protocol(6);
 
 const IP_TOTAL_AT: usize = 2;
 const IP_ID_AT: usize = 4;
+const IP_FLAGS_AT: usize = 6;
+const IP_DONT_FRAGMENT: u16 = 0x4000;
+const IP_MORE_FRAGMENTS: u16 = 0x2000;
+/// Offsets of fragments are in units of this.
+const IP_UNIT: usize = 8;
 const IP_PROTOCOL_AT: usize = 9;
 const IP_SUM_AT: usize = 10;
 const IP_ADDRESSES_AT: usize = 12;
@@ -77,11 +83,19 @@ pub struct Cut {
     size: usize,
     /// Bytes of the whole frame.
     end: usize,
-    is_tcp: bool,
+    into: Into,
 }
 
-/// An uncut frame that nobody here can cut: of another protocol than UDP and TCP over IPv4, cut to more than a frame holds,
-/// or with fields that contradict each other.
+/// What a frame is cut into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Into {
+    Datagrams,
+    Segments,
+    Fragments,
+}
+
+/// A frame that nobody here can cut: of another protocol than UDP and TCP over IPv4, cut to more than a buffer holds, or with
+/// fields that contradict each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CannotCut;
 
@@ -96,30 +110,23 @@ impl Offload {
     /// # Errors
     /// It cannot be.
     pub fn cut(&self, frame: &[u8]) -> Result<Cut, CannotCut> {
-        let (link, packet) = ethernet::Header::parse(frame).ok_or(CannotCut)?;
-        let is_tcp = match self.gso_type & !ECN {
-            UDP => false,
-            TCP => true,
+        let (transport, protocol) = transport(frame)?;
+        let (into, expected) = match self.gso_type & !ECN {
+            UDP => (Into::Datagrams, Protocol::UDP),
+            TCP => (Into::Segments, PROTOCOL_TCP),
             _ => return Err(CannotCut),
         };
-        let (first, protocol) = (packet.first(), packet.get(IP_PROTOCOL_AT));
-        let expected = if is_tcp { PROTOCOL_TCP } else { Protocol::UDP };
-        if link.ether_type() != EtherType::IPV4 || protocol != Some(&expected.0) {
-            return Err(CannotCut);
-        }
-        let ip_len = first.map_or(0, |first| usize::from(first & 0xf) * 4);
-        let transport = ethernet::HEADER_LEN + ip_len;
-        let head = match is_tcp {
-            true => frame.get(transport + TCP_OFFSET_AT).map_or(0, |byte| usize::from(byte >> 4) * 4),
-            false => UDP_HEADER_LEN,
+        let (head, least) = match into {
+            Into::Segments => {
+                let offset = frame.get(transport + TCP_OFFSET_AT).map_or(0, |byte| byte >> 4);
+                (usize::from(offset) * 4, TCP_LEAST)
+            }
+            Into::Datagrams | Into::Fragments => (UDP_HEADER_LEN, UDP_HEADER_LEN),
         };
-        let least = if is_tcp { TCP_LEAST } else { UDP_HEADER_LEN };
-        let (payload, size) = (transport + head, usize::from(self.gso_size));
-        let is_one = ip_len >= ipv4::HEADER_LEN && head >= least && size > 0;
-        let fits = payload < frame.len() && frame.len() <= LONGEST && payload + size <= ROOM;
-        (is_one && fits)
-            .then_some(Cut { transport, payload, size, end: frame.len(), is_tcp })
-            .ok_or(CannotCut)
+        let is_one = protocol == expected && head >= least;
+        let cut =
+            Cut { transport, payload: transport + head, size: self.gso_size.into(), end: frame.len(), into };
+        Some(cut).filter(|cut| is_one && cut.fits()).ok_or(CannotCut)
     }
 
     /// Completes the checksum of a whole frame, if its sender has left that to a card. A datagram of IPv4's UDP gets none.
@@ -143,7 +150,34 @@ impl Offload {
     }
 }
 
+/// Where the transport header of a frame begins, and of which protocol.
+fn transport(frame: &[u8]) -> Result<(usize, Protocol), CannotCut> {
+    let (link, packet) = ethernet::Header::parse(frame).ok_or(CannotCut)?;
+    let (first, protocol) = (packet.first().ok_or(CannotCut)?, packet.get(IP_PROTOCOL_AT).ok_or(CannotCut)?);
+    let ip_len = usize::from(first & 0xf) * 4;
+    let is_ipv4 = link.ether_type() == EtherType::IPV4 && ip_len >= ipv4::HEADER_LEN;
+    is_ipv4.then_some((ethernet::HEADER_LEN + ip_len, Protocol(*protocol))).ok_or(CannotCut)
+}
+
 impl Cut {
+    /// How a frame that is whole, and longer than a buffer, is cut into fragments.
+    ///
+    /// # Errors
+    /// It holds no IPv4 packet.
+    pub fn into_fragments(frame: &[u8]) -> Result<Self, CannotCut> {
+        let (payload, _) = transport(frame)?;
+        let size = ROOM.saturating_sub(payload) / IP_UNIT * IP_UNIT;
+        let total = ethernet::HEADER_LEN + usize::from(get(frame, ethernet::HEADER_LEN + IP_TOTAL_AT));
+        let cut =
+            Cut { transport: payload, payload, size, end: frame.len().min(total), into: Into::Fragments };
+        Some(cut).filter(Cut::fits).ok_or(CannotCut)
+    }
+
+    fn fits(&self) -> bool {
+        let Self { payload, size, end, .. } = *self;
+        size > 0 && payload < end && end <= LONGEST && payload + size <= ROOM
+    }
+
     /// How many frames there are in it; at least one.
     pub fn count(&self) -> usize {
         (self.end - self.payload).div_ceil(self.size)
@@ -151,28 +185,43 @@ impl Cut {
 
     /// Writes the frame of this number, of those that were meant, and tells its length. `uncut` is what was cut.
     pub fn write(&self, uncut: &[u8], number: usize, into: &mut [u8; ROOM]) -> usize {
-        let Self { transport, payload, size, end, is_tcp } = *self;
+        let Self { transport, payload, size, end, into: kind } = *self;
         let begin = payload + number * size;
         let content = &uncut[begin..end.min(begin + size)];
         let len = payload + content.len();
         into[..payload].copy_from_slice(&uncut[..payload]);
         into[payload..len].copy_from_slice(content);
         let (head, rest) = into[ethernet::HEADER_LEN..len].split_at_mut(transport - ethernet::HEADER_LEN);
-        write_ip(head, number as u16, rest.len());
-        if is_tcp {
-            write_tcp(head, rest, (number * size) as u32, number == 0, begin + size >= end);
-        } else {
-            put(rest, UDP_LEN_AT, rest.len() as u16);
-            put(rest, UDP_SUM_AT, 0);
+        let (behind, is_last) = (number * size, begin + size >= end);
+        match kind {
+            Into::Fragments => write_fragment(head, behind, is_last),
+            Into::Datagrams | Into::Segments => {
+                put(head, IP_ID_AT, get(head, IP_ID_AT).wrapping_add(number as u16));
+            }
+        }
+        write_ip(head, rest.len());
+        match kind {
+            Into::Segments => write_tcp(head, rest, behind as u32, number == 0, is_last),
+            Into::Datagrams => {
+                put(rest, UDP_LEN_AT, rest.len() as u16);
+                put(rest, UDP_SUM_AT, 0);
+            }
+            Into::Fragments => {}
         }
         len
     }
 }
 
-/// The IP header of the frame of this number, in front of so many bytes.
-fn write_ip(head: &mut [u8], number: u16, behind: usize) {
+/// Where in its datagram a fragment is that begins so many bytes behind its packet's payload; that may be a fragment itself.
+fn write_fragment(head: &mut [u8], behind: usize, is_last: bool) {
+    let more = if is_last { 0 } else { IP_MORE_FRAGMENTS };
+    let flags = get(head, IP_FLAGS_AT) & !IP_DONT_FRAGMENT | more;
+    put(head, IP_FLAGS_AT, flags.wrapping_add((behind / IP_UNIT) as u16));
+}
+
+/// Length and checksum of the IP header in front of so many bytes.
+fn write_ip(head: &mut [u8], behind: usize) {
     put(head, IP_TOTAL_AT, (head.len() + behind) as u16);
-    put(head, IP_ID_AT, get(head, IP_ID_AT).wrapping_add(number));
     put(head, IP_SUM_AT, 0);
     put(head, IP_SUM_AT, checksum(head));
 }

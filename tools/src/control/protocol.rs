@@ -229,7 +229,7 @@ pub struct StationStatus {
     pub interface: String,
     /// That interface's address.
     pub address: String,
-    /// `up`, `no carrier` or `down`: whether frames can pass there.
+    /// `up`, `no carrier`, `down`, `bridge port` or `other address`: whether frames can pass there.
     pub link: String,
     /// How it shares the medium: `tdma`, `nomac`, `direct` or `token`.
     pub discipline: String,

@@ -97,7 +97,7 @@ pub struct InterfaceShown {
     pub prefix: u8,
     /// The address of all of them.
     pub broadcast: Option<Ipv4Addr>,
-    /// `up`, `no carrier` or `down`.
+    /// `up`, `no carrier`, `down`, `bridge port` or `other address`.
     pub link: String,
     /// Largest payload of a frame.
     pub mtu: usize,

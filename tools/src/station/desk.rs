@@ -272,11 +272,12 @@ impl Desk {
         match request {
             StackRequest::Interface => {
                 let (name, interface) = (self.name.clone(), self.wire.name().into());
-                let (link, counters) = (self.link().name().into(), port);
+                let (link, mtu, counters) = (self.link().name().into(), self.wire.mtu(), port);
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
                 let own = self.sockets.interface(&channels(newest))?;
                 let (discipline, silent) = (newest.status.name().into(), silent(&newest.status));
-                let shown = InterfaceShown { name, interface, link, counters, discipline, silent, ..own };
+                let shown =
+                    InterfaceShown { name, interface, link, mtu, counters, discipline, silent, ..own };
                 Ok(StackReply::Interface(Box::new(shown)))
             }
             StackRequest::Counters => {

@@ -146,7 +146,7 @@ pub struct Standing {
     pub state: String,
     /// Whether its time will not become clearer.
     pub settled: bool,
-    /// `up`, `no carrier` or `down`: whether frames can pass at its interface.
+    /// `up`, `no carrier`, `down`, `bridge port` or `other address`: whether frames can pass at its interface.
     pub link: String,
     /// Whether it is a master.
     pub master: bool,

@@ -1,6 +1,7 @@
 //! One live station in the foreground: its options, its real-time thread, its control thread.
 
 pub mod access;
+mod claim;
 mod counts;
 mod desk;
 pub mod echoes;
@@ -44,6 +45,7 @@ use rtnet::wire::ethernet::{Address, EtherType};
 
 use crate::control::{Directory, Held, Place, Server};
 use access::{Access, AccessConfig};
+use claim::Claim;
 use desk::Desk;
 pub use desk::epoch;
 use echoes::Asker;
@@ -154,6 +156,8 @@ pub struct Ready {
     packages: Option<PackagesOptions>,
     /// Wakes the control thread.
     changed: Arc<EventFd>,
+    /// Gone when the station is.
+    _claim: Claim,
 }
 
 /// Where a station can be looked at and changed.
@@ -174,6 +178,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
     limits::raise_files();
     let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
+    let claim = Claim::of(&interface, options.name.as_deref().unwrap_or(&interface.name))?;
     let flows = options.lab.as_ref().map(|lab| &lab.flows);
     let counts = Arc::new(flows.map(TrafficCounts::of).unwrap_or_default());
     let mut port = port(&options, &interface)?;
@@ -212,8 +217,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let is_master = options.access.is_master();
     let priority = if is_master { MASTER_PRIORITY } else { SLAVE_PRIORITY };
     let realtime = RealTime { priority: options.fifo.then_some(priority), cpu: options.cpu };
-    let unseen = || format!("the interface '{}' cannot be looked at", interface.name);
-    let wire = Wire::open(&interface).with_context(unseen)?;
+    let wire = Wire::open(&interface, driver.mtu())?;
     let desk = Desk::new(&options, &driver, interface.address, wire, counts.clone())
         .with_programs(programs)
         .with_vnic(
@@ -237,6 +241,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         reach,
         packages: options.packages,
         changed,
+        _claim: claim,
     })
 }
 

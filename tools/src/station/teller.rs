@@ -112,7 +112,7 @@ impl Teller {
                     }
                 }
                 // A lab has given its interfaces their names, and its stations do not go by them.
-                (Teller::Lab, Change::Renamed { .. }) => {}
+                (Teller::Lab, Change::Renamed { .. } | Change::Mtu { .. }) => {}
             }
         }
         if let (Teller::Lab, Some((before, why))) = (self, &gone) {

@@ -6,22 +6,27 @@
 //!          cut            set down
 //!  up ◄─────────► no carrier ◄─────────► down         gone
 //!  ▲      back             set up          ▲          the station ends: its sockets
-//!  └───────────────────────────────────────┘          never come back
+//!  ├───────────────────────────────────────┘          never come back
+//!  ├─────────► bridge port
+//!  └─────────► other address, until it is set back
 //! ```
 //!
 //! In all states but the last the station goes on, and needs no restart: its sockets are bound to the interface's
 //! number, whatever its name, and work again as soon as it does.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 use std::{fmt, io};
 
+use anyhow::{Context, Result, bail};
 use nix::sys::eventfd::EventFd;
 use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
-use rtnet::live::interface::{Interface, Link, Watch};
+use rtnet::live::interface::{Interface, Watch};
+use rtnet::wire::ethernet::{Address, MTU};
+use vnic::netlink::Links;
 
 /// Whether frames can pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,24 +37,82 @@ pub enum LinkState {
     NoCarrier,
     /// It was set down.
     Down,
+    /// It is a port of a bridge, which takes all frames that come.
+    BridgePort,
+    /// It has another address than the station, which hears only what is for all.
+    OtherAddress,
 }
 
 impl LinkState {
-    fn of(link: &Link) -> Self {
-        match link {
-            Link { up: false, .. } => LinkState::Down,
-            Link { carrier: false, .. } => LinkState::NoCarrier,
-            _ => LinkState::Up,
-        }
-    }
-
     /// The state's name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             LinkState::Up => "up",
             LinkState::NoCarrier => "no carrier",
             LinkState::Down => "down",
+            LinkState::BridgePort => "bridge port",
+            LinkState::OtherAddress => "other address",
         }
+    }
+}
+
+/// An interface as it was at one look.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Link {
+    name: String,
+    is_up: bool,
+    has_carrier: bool,
+    mtu: usize,
+    address: Option<Address>,
+    /// The bridge that it is a port of.
+    bridge: Option<String>,
+}
+
+impl Link {
+    /// The state of an interface that a station with this address runs on.
+    fn state(&self, own: Address) -> LinkState {
+        match self {
+            Link { is_up: false, .. } => LinkState::Down,
+            Link { bridge: Some(_), .. } => LinkState::BridgePort,
+            Link { address: Some(address), .. } if *address != own => LinkState::OtherAddress,
+            Link { has_carrier: false, .. } => LinkState::NoCarrier,
+            _ => LinkState::Up,
+        }
+    }
+}
+
+/// An open eye on an interface: whether it is the one that the station's sockets are bound to, and what it is like.
+struct Eye {
+    watch: Watch,
+    links: Links,
+    index: u32,
+}
+
+impl Eye {
+    fn open(interface: &Interface) -> Result<Self> {
+        Ok(Self { watch: Watch::open(interface)?, links: Links::open()?, index: interface.index })
+    }
+
+    /// `None`: the interface is gone. An error: the kernel did not answer, and the next look shows what this one would have.
+    fn look(&mut self) -> Result<Option<Link>> {
+        if !self.watch.is_there()? {
+            return Ok(None);
+        }
+        let Some(found) = self.links.get(self.index)? else { bail!("it is not listed") };
+        let bridge = match found.bridge {
+            Some(index) => {
+                Some(self.links.get(index)?.map_or_else(|| format!("#{index}"), |bridge| bridge.name))
+            }
+            None => None,
+        };
+        Ok(Some(Link {
+            name: found.name,
+            is_up: found.is_up,
+            has_carrier: found.has_carrier,
+            mtu: found.mtu,
+            address: found.address.map(Address),
+            bridge,
+        }))
     }
 }
 
@@ -63,9 +126,13 @@ pub enum Change {
         interface: String,
         from: LinkState,
         to: LinkState,
+        /// What else the line names: the bridge, or both addresses, its own first.
+        why: Vec<String>,
         /// When it was still as before, CLOCK_MONOTONIC.
         before: True,
     },
+    /// Its frames may be longer or shorter than before.
+    Mtu { interface: String, to: usize },
     /// It does not exist any more, here at least.
     Gone {
         interface: String,
@@ -81,10 +148,11 @@ const STACK: usize = 128 * 1024;
 
 /// An interface that is looked at from time to time.
 pub struct Wire {
-    /// Until somebody looks.
-    watch: Option<Watch>,
+    /// Until a thread looks.
+    eye: Option<Eye>,
+    mtu: Arc<AtomicUsize>,
     looks: Receiver<(True, Option<Link>)>,
-    /// Where who looks leaves it.
+    /// Where the looks are left.
     to: SyncSender<(True, Option<Link>)>,
     /// Whether the last look showed something else than the one before it.
     news: Arc<AtomicBool>,
@@ -93,6 +161,8 @@ pub struct Wire {
 
 /// What there is to be seen of it.
 struct Seen {
+    /// The station's address.
+    own: Address,
     before: Look,
     carrier_lost: u64,
     renamed: u64,
@@ -105,28 +175,48 @@ struct Look {
 }
 
 impl Wire {
-    /// It counts as up until the first look, so that who starts without a carrier is told of it, too.
-    pub fn open(interface: &Interface) -> io::Result<Self> {
-        let link = Link { name: interface.name.clone(), up: true, carrier: true };
+    /// It counts as up and with the usual MTU until the first look, so that other things are reported at the start, too.
+    /// `mtu` has its MTU from now on, as each look shows it.
+    ///
+    /// # Errors
+    /// The kernel does not say what the interface is; or it is a port of a bridge, and nothing would ever come.
+    pub fn open(interface: &Interface, mtu: Arc<AtomicUsize>) -> Result<Self> {
+        let unseen = || format!("the interface '{}' cannot be looked at", interface.name);
+        let mut eye = Eye::open(interface).with_context(unseen)?;
+        if let Some(found) = eye.look().with_context(unseen)? {
+            mtu.store(found.mtu, Ordering::Relaxed);
+            if let Some(bridge) = found.bridge {
+                bail!("{}", of_a_bridge(&interface.name, &bridge));
+            }
+        }
+        let link = Link {
+            name: interface.name.clone(),
+            is_up: true,
+            has_carrier: true,
+            mtu: MTU,
+            address: Some(interface.address),
+            bridge: None,
+        };
         let before = Look { at: monotonic(), link };
         let (to, looks) = sync_channel(LOOKS);
-        let seen = Seen { before, carrier_lost: 0, renamed: 0 };
-        Ok(Self { watch: Some(Watch::open(interface)?), looks, to, news: Arc::default(), seen })
+        let seen = Seen { own: interface.address, before, carrier_lost: 0, renamed: 0 };
+        Ok(Self { eye: Some(eye), mtu, looks, to, news: Arc::default(), seen })
     }
 
     /// Has a thread look so often, as long as the process runs; `waker` is written to when it sees something else.
     pub fn look_every(&mut self, every: Duration, waker: Arc<EventFd>) -> io::Result<()> {
-        let Some(watch) = self.watch.take() else { return Ok(()) };
-        let (to, news) = (self.to.clone(), self.news.clone());
+        let Some(mut eye) = self.eye.take() else { return Ok(()) };
+        let (to, news, mtu) = (self.to.clone(), self.news.clone(), self.mtu.clone());
         let thread = std::thread::Builder::new().name("wire".into()).stack_size(STACK);
         thread.spawn(move || {
             let mut before = None;
             loop {
                 // What changes after this is seen at the next look, so that `before` never lies behind a change.
                 let at = monotonic();
-                // Where the kernel does not tell now, the next look does.
-                if let Ok(link) = watch.look() {
+                // Where the kernel does not answer now, the next look shows it.
+                if let Ok(link) = eye.look() {
                     let (is_news, is_gone) = (before.as_ref() != Some(&link), link.is_none());
+                    link.iter().for_each(|link| mtu.store(link.mtu, Ordering::Relaxed));
                     before = Some(link.clone());
                     let sent = if is_gone { to.send((at, link)).is_ok() } else { offer(&to, (at, link)) };
                     if is_news {
@@ -160,9 +250,14 @@ impl Wire {
         &self.seen.before.link.name
     }
 
+    /// Its MTU then.
+    pub fn mtu(&self) -> usize {
+        self.seen.before.link.mtu
+    }
+
     /// Whether frames could pass then.
     pub fn state(&self) -> LinkState {
-        LinkState::of(&self.seen.before.link)
+        self.seen.before.link.state(self.seen.own)
     }
 
     /// What was counted so far, by name. A carrier is lost when the interface is set down, too.
@@ -177,14 +272,14 @@ fn offer(to: &SyncSender<(True, Option<Link>)>, look: (True, Option<Link>)) -> b
 }
 
 impl Seen {
-    /// Takes a look; what it tells.
+    /// Takes a look, and returns what it shows.
     fn take(&mut self, at: True, link: Option<Link>) -> Vec<Change> {
-        let changes = changes(&self.before, link.as_ref());
+        let changes = changes(self.own, &self.before, link.as_ref());
         for change in &changes {
             match change {
                 Change::Renamed { .. } => self.renamed += 1,
                 Change::State { from: LinkState::Up, .. } => self.carrier_lost += 1,
-                Change::State { .. } | Change::Gone { .. } => {}
+                Change::State { .. } | Change::Mtu { .. } | Change::Gone { .. } => {}
             }
         }
         if let Some(link) = link {
@@ -195,24 +290,49 @@ impl Seen {
 }
 
 /// What differs between two looks. Between them more may have happened, of which there is no sign any more.
-fn changes(before: &Look, now: Option<&Link>) -> Vec<Change> {
+fn changes(own: Address, before: &Look, now: Option<&Link>) -> Vec<Change> {
     let was = &before.link;
     let Some(is) = now else { return vec![Change::Gone { interface: was.name.clone(), before: before.at }] };
     let mut changes = Vec::new();
     if was.name != is.name {
         changes.push(Change::Renamed { from: was.name.clone(), to: is.name.clone() });
     }
-    let (from, to) = (LinkState::of(was), LinkState::of(is));
+    let (from, to) = (was.state(own), is.state(own));
     if from != to {
-        changes.push(Change::State { interface: is.name.clone(), from, to, before: before.at });
+        let why = match to {
+            LinkState::BridgePort => is.bridge.iter().cloned().collect(),
+            LinkState::OtherAddress => {
+                [Some(own), is.address].iter().flatten().map(Address::to_string).collect()
+            }
+            LinkState::Up | LinkState::NoCarrier | LinkState::Down => Vec::new(),
+        };
+        changes.push(Change::State { interface: is.name.clone(), from, to, why, before: before.at });
+    }
+    if was.mtu != is.mtu {
+        changes.push(Change::Mtu { interface: is.name.clone(), to: is.mtu });
     }
     changes
+}
+
+fn of_a_bridge(interface: &str, bridge: &str) -> String {
+    format!(
+        "the interface '{interface}' is a port of the bridge '{bridge}', which takes all frames that come: use \
+         '{bridge}', or take it out with `ip link set {interface} nomaster`"
+    )
 }
 
 impl fmt::Display for Change {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Change::Renamed { from, to } => write!(f, "the interface '{from}' is called '{to}' now"),
+            Change::State {
+                interface,
+                from: LinkState::BridgePort | LinkState::OtherAddress,
+                to: LinkState::Up,
+                ..
+            } => {
+                write!(f, "the interface '{interface}' is the station's again: frames pass")
+            }
             Change::State { interface, to: LinkState::Up, .. } => {
                 write!(f, "the interface '{interface}' has its carrier again")
             }
@@ -226,6 +346,29 @@ impl fmt::Display for Change {
                 "the interface '{interface}' is down: bring it up with `ip link set {interface} up`; the station \
                  goes on trying"
             ),
+            Change::State { interface, to: LinkState::BridgePort, why, .. } => {
+                write!(f, "{}; the station goes on trying", of_a_bridge(interface, &why.join(" ")))
+            }
+            Change::State { interface, to: LinkState::OtherAddress, why, .. } => {
+                let own = why.first().map_or("", String::as_str);
+                let other = why.last().map_or("", String::as_str);
+                write!(
+                    f,
+                    "the interface '{interface}' has the address {other} now, and the station has {own}: nothing that is for \
+                     this station alone comes in; set it back with `ip link set {interface} address {own}`, or start the \
+                     station again"
+                )
+            }
+            Change::Mtu { interface, to } if *to < MTU => write!(
+                f,
+                "the interface '{interface}' has an MTU of {to}: no frame is longer; datagrams go in fragments, and what \
+                 cannot is refused (EMSGSIZE)"
+            ),
+            Change::Mtu { interface, to } => write!(
+                f,
+                "the interface '{interface}' has an MTU of {to}: this station sends up to {MTU} bytes in a \
+                 frame, and takes longer IPv4 packets"
+            ),
             Change::Gone { interface, .. } => write!(
                 f,
                 "the interface '{interface}' is gone: it was removed, or moved to another network namespace; \
@@ -236,59 +379,4 @@ impl fmt::Display for Change {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const BEFORE: True = 1_000;
-
-    fn link(name: &str, state: LinkState) -> Link {
-        Link { name: name.into(), up: state != LinkState::Down, carrier: state == LinkState::Up }
-    }
-
-    fn seen(state: LinkState) -> Seen {
-        Seen { before: Look { at: BEFORE, link: link("rt0", state) }, carrier_lost: 0, renamed: 0 }
-    }
-
-    #[test]
-    fn every_state_follows_every_other_and_only_leaving_up_counts_as_a_loss() {
-        use LinkState::{Down, NoCarrier, Up};
-        for from in [Up, NoCarrier, Down] {
-            for to in [Up, NoCarrier, Down] {
-                let mut seen = seen(from);
-                let changes = seen.take(2_000, Some(link("rt0", to)));
-                let change = Change::State { interface: "rt0".into(), from, to, before: BEFORE };
-                assert_eq!(changes, if from == to { vec![] } else { vec![change] });
-                let lost = u64::from(from == Up && to != Up);
-                assert_eq!((seen.carrier_lost, seen.renamed), (lost, 0), "{from:?} to {to:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_change_is_dated_by_the_last_look_at_which_there_was_none() {
-        let mut seen = seen(LinkState::Up);
-        assert_eq!(seen.take(2_000, Some(link("rt0", LinkState::Up))), []);
-        let changes = seen.take(3_000, Some(link("rt0", LinkState::NoCarrier)));
-        assert!(matches!(changes[..], [Change::State { before: 2_000, .. }]), "{changes:?}");
-    }
-
-    #[test]
-    fn an_interface_that_was_renamed_is_called_by_its_new_name() {
-        let mut seen = seen(LinkState::Up);
-        // As older kernels want it: nothing is renamed while it is up.
-        let changes = seen.take(2_000, Some(link("rt9", LinkState::Down)));
-        let lines: Vec<String> = changes.iter().map(Change::to_string).collect();
-        assert_eq!(lines[0], "the interface 'rt0' is called 'rt9' now");
-        assert!(lines[1].starts_with("the interface 'rt9' is down: bring it up with `ip link set rt9 up`"));
-        assert_eq!((seen.before.link.name, seen.renamed), ("rt9".into(), 1));
-    }
-
-    #[test]
-    fn an_interface_that_is_gone_is_named_with_the_remedy() {
-        let changes = seen(LinkState::NoCarrier).take(2_000, None);
-        assert!(matches!(changes[..], [Change::Gone { before: 1_000, .. }]), "{changes:?}");
-        let line = changes[0].to_string();
-        assert!(line.contains("'rt0' is gone") && line.contains("start the station again"), "{line}");
-        assert!(!line.contains('\n'), "{line}");
-    }
-}
+mod tests;

@@ -2,7 +2,7 @@
 
 use netlink_packet_core::NLM_F_ACK;
 use netlink_packet_route::RouteNetlinkMessage;
-use netlink_packet_route::link::{LinkAttribute, LinkFlags, LinkMessage, Stats64};
+use netlink_packet_route::link::{InfoPortKind, LinkAttribute, LinkFlags, LinkInfo, LinkMessage, Stats64};
 use nix::errno::Errno;
 
 use super::{Exchange, Refused};
@@ -23,6 +23,11 @@ pub struct Link {
     pub mtu: usize,
     /// It was set up; whether frames pass depends on its other end, too.
     pub is_up: bool,
+    /// It is up, and so is its other end: frames can pass. By IFF_LOWER_UP; IFF_RUNNING follows it only when the kernel's link
+    /// watch gets to it, up to a second later.
+    pub has_carrier: bool,
+    /// The number of the bridge (of the kernel, or Open vSwitch) that it is a port of, which takes all frames that come.
+    pub bridge: Option<u32>,
     /// Its hardware address, if it has one of six bytes.
     pub address: Option<[u8; 6]>,
     /// What went through it since it was made.
@@ -148,18 +153,32 @@ impl Link {
         let mut link = Self {
             index: message.header.index,
             is_up: message.header.flags.contains(LinkFlags::Up),
+            has_carrier: message.header.flags.contains(LinkFlags::Up | LinkFlags::LowerUp),
             ..Self::default()
         };
+        let (mut upper, mut is_port) = (None, false);
         for attribute in message.attributes {
             match attribute {
                 LinkAttribute::IfName(name) => link.name = name,
                 LinkAttribute::Mtu(mtu) => link.mtu = mtu as usize,
                 LinkAttribute::Address(address) => link.address = address.try_into().ok(),
                 LinkAttribute::Stats64(counts) => link.statistics = (&counts).into(),
+                LinkAttribute::Controller(index) => upper = Some(index),
+                LinkAttribute::LinkInfo(infos) => is_port = infos.iter().any(is_of_a_bridge),
                 _ => {}
             }
         }
+        link.bridge = upper.filter(|_| is_port);
         Some(link)
+    }
+}
+
+/// Whether it says that the device is a port of a bridge.
+fn is_of_a_bridge(info: &LinkInfo) -> bool {
+    match info {
+        LinkInfo::PortKind(InfoPortKind::Bridge) => true,
+        LinkInfo::PortKind(InfoPortKind::Other(kind)) => kind == "openvswitch",
+        _ => false,
     }
 }
 

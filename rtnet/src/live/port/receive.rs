@@ -184,11 +184,14 @@ impl Inlet {
                 Nothing::Unreadable => not_cut(counters),
             })?;
             counters.received += 1;
-            if !offload.is_uncut() {
+            if !offload.is_uncut() && received.len <= ROOM {
                 offload.complete(&mut buf);
                 return whole(received, buf, counters);
             }
-            uncut.keep(&received, &offload, &buf).map_err(|CannotCut| not_cut(counters))?;
+            uncut.keep(&received, &offload, &buf).map_err(|CannotCut| match offload.is_uncut() {
+                true => not_cut(counters),
+                false => oversize(counters),
+            })?;
             counters.uncut += 1;
         }
         uncut.write_next(&mut buf);
@@ -200,10 +203,14 @@ impl Inlet {
 #[inline]
 fn whole(received: Received, buf: Buf, counters: &mut PortCounters) -> Result<(Option<u64>, Buf), Lack> {
     if received.truncated || received.len > ROOM {
-        counters.oversize += 1;
-        return Err(Lack::Dropped);
+        return Err(oversize(counters));
     }
     Ok((received.stamp, buf))
+}
+
+fn oversize(counters: &mut PortCounters) -> Lack {
+    counters.oversize += 1;
+    Lack::Dropped
 }
 
 fn not_cut(counters: &mut PortCounters) -> Lack {
@@ -220,7 +227,12 @@ impl Uncut {
     fn keep(&mut self, received: &Received, offload: &Offload, begin: &[u8]) -> Result<(), CannotCut> {
         let whole = self.bytes.get_mut(..received.len).filter(|_| !received.truncated).ok_or(CannotCut)?;
         whole[..begin.len()].copy_from_slice(begin);
-        self.cut = Some(offload.cut(whole)?);
+        self.cut = Some(if offload.is_uncut() {
+            offload.cut(whole)?
+        } else {
+            offload.complete(whole);
+            Cut::into_fragments(whole)?
+        });
         (self.stamp, self.next) = (received.stamp, 0);
         Ok(())
     }

@@ -146,6 +146,28 @@ fn what_nobody_here_can_cut_is_refused() {
     assert!(cut(&offload(UDP, 1_472), &datagram).is_ok());
 }
 
+#[test]
+fn a_jumbo_frame_becomes_the_fragments_of_its_packet() {
+    let mut jumbo = udp(&bytes(4_000));
+    for (flags, base) in [([0x40, 0], 0), ([0x20, 3], 24), ([0, 3], 24)] {
+        jumbo[20..22].copy_from_slice(&flags);
+        let cut = Cut::into_fragments(&jumbo).unwrap();
+        let (mut room, mut joined) = ([0; ROOM], Vec::new());
+        for number in 0..cut.count() {
+            let len = cut.write(&jumbo, number, &mut room);
+            let packet = packet(&room[..len]);
+            assert_eq!(packet.get_identification(), 0xffff);
+            assert_eq!(usize::from(packet.get_fragment_offset()) * 8, base + joined.len());
+            let more = number + 1 < cut.count() || flags[0] == 0x20;
+            assert_eq!(packet.get_flags(), u8::from(more));
+            joined.extend_from_slice(packet.payload());
+        }
+        assert_eq!(joined, jumbo[34..]);
+    }
+    jumbo[12] = 0x86;
+    assert_eq!(Cut::into_fragments(&jumbo), Err(CannotCut));
+}
+
 proptest! {
     #[test]
     fn frames_of_any_size_have_all_bytes_once(len in 1_usize..20_000, size in 1_u16..1_472, is_tcp: bool) {
@@ -178,5 +200,9 @@ proptest! {
             prop_assert!(frames.iter().all(|frame| (28..=ROOM).contains(&frame.len())));
         }
         offload.complete(&mut frame);
+        if let Ok(cut) = Cut::into_fragments(&frame) {
+            let mut room = [0; ROOM];
+            prop_assert!((0..cut.count()).all(|number| cut.write(&frame, number, &mut room) <= ROOM));
+        }
     }
 }

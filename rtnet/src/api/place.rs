@@ -2,6 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{Error, ErrorKind, Result};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
@@ -10,6 +11,8 @@ use socket2::{Domain, SockAddr, Socket, Type};
 
 /// For root.
 const SYSTEM: &str = "/run/rtnet";
+/// Of a directory's mode.
+const WRITABLE_BY_OTHERS: u32 = 0o022;
 /// Behind a station's name.
 pub const SOCKET: &str = ".sock";
 /// A lab's own file in its directory, held as long as it runs; behind a station's name its own.
@@ -28,10 +31,48 @@ pub fn directory() -> PathBuf {
     }
 }
 
+/// The same, if nobody else can have put sockets there. See [`check_private`].
+///
+/// # Errors
+/// It is not this user's alone.
+pub fn private_directory() -> Result<PathBuf> {
+    let path = directory();
+    check_private(&path)?;
+    Ok(path)
+}
+
+/// Whether a directory is this user's alone, so that nobody else can have put sockets there; one that does not exist has none.
+///
+/// # Errors
+/// It is another user's, others can write to it, or it is no directory: why, and what to do.
+pub fn check_private(path: &Path) -> Result<()> {
+    let found = match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        found => found.map_err(|error| Error::new(error.kind(), format!("{}: {error}", path.display())))?,
+    };
+    let (own, mode) = (nix::unistd::geteuid().as_raw(), found.mode());
+    let why = if found.is_symlink() {
+        "is a symbolic link, which is not followed: remove it".to_owned()
+    } else if !found.is_dir() {
+        "is no directory: remove it".to_owned()
+    } else if found.uid() != own {
+        format!("belongs to user {}, not to user {own}: remove it", found.uid())
+    } else if mode & WRITABLE_BY_OTHERS != 0 {
+        format!(
+            "can be written by others, mode {:04o}: `chmod 700` it once only your own sockets are in it",
+            mode & 0o7777
+        )
+    } else {
+        return Ok(());
+    };
+    let why = format!("{} {why}, or set XDG_RUNTIME_DIR to a directory of your own", path.display());
+    Err(Error::new(ErrorKind::PermissionDenied, why))
+}
+
 /// The control socket of the station that is called `[LAB/]STATION`: without its lab one of its own, or else one of the only
 /// lab.
 pub fn socket_of(name: &str) -> Result<PathBuf> {
-    find(&directory(), name)
+    find(&private_directory()?, name)
 }
 
 /// Whether somebody holds this lock. For a moment it is ours, shared with others who look.
@@ -93,6 +134,8 @@ fn labs(home: &Path) -> Vec<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     #[test]
@@ -105,6 +148,32 @@ mod tests {
             let error = find(home, bad).unwrap_err();
             assert!(error.to_string().contains(&format!("'{bad}'")), "{error}");
         }
+    }
+
+    #[test]
+    fn directory_of_others_is_refused_with_the_reason() {
+        let home = tempfile::tempdir().unwrap();
+        let (own, link) = (home.path().join("own"), home.path().join("link"));
+        check_private(&own).unwrap();
+        std::os::unix::fs::symlink(&own, &link).unwrap();
+        let refused = |path: &Path| {
+            let error = check_private(path).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::PermissionDenied);
+            error.to_string()
+        };
+        assert!(refused(&link).contains("symbolic link"), "it leads nowhere");
+        fs::create_dir(&own).unwrap();
+        assert!(refused(&link).contains("symbolic link"), "it leads to a directory of this user");
+        for (mode, is_private) in
+            [(0o700, true), (0o755, true), (0o770, false), (0o702, false), (0o1777, false)]
+        {
+            fs::set_permissions(&own, fs::Permissions::from_mode(mode)).unwrap();
+            assert_eq!(check_private(&own).is_ok(), is_private, "{mode:o}");
+        }
+        assert!(refused(&own).contains("mode 1777"));
+        let file = home.path().join("file");
+        File::create(&file).unwrap();
+        assert!(refused(&file).contains("is no directory"));
     }
 
     #[test]

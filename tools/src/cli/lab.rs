@@ -51,6 +51,12 @@ pub enum LabVerb {
     /// Exit status: 0 the station is locked again; 1 it is not, within 30 s; 2 there is no such station or lab.
     Restart(LabRestartArgs),
     /// Run a command in the network namespace of a station
+    ///
+    /// Its /sys shows the interfaces there, in a mount namespace of its own. It ends with the lab, with all that it has
+    /// started there: SIGTERM, and SIGKILL a second later.
+    ///
+    /// Exit status: the command's; 127 it is not found; 126 it cannot be executed; 2 bad usage, or there is no such
+    /// station or lab.
     Exec(LabExecArgs),
 }
 

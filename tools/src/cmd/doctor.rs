@@ -22,7 +22,7 @@ pub fn doctor(args: &DoctorArgs) -> Result<u8, Failure> {
     if let Some(path) = &args.json {
         writable(path).map_err(Failure::Usage)?;
     }
-    for lab in Directory::of_user().labs() {
+    for lab in Directory::of_user().map_err(Failure::Usage)?.labs() {
         let _ = writeln!(
             std::io::stderr(),
             "rtnet: the lab '{lab}' is up: it and the doctor disturb each other (rtnet lab down {lab})"

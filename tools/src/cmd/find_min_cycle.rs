@@ -36,7 +36,7 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     let networks = networks(args, &asked).map_err(Failure::Usage)?;
     all_writable(&[args.json.as_ref()], None).map_err(Failure::Usage)?;
     // In a user namespace one is root, and would look elsewhere.
-    let directory = Directory::of_user();
+    let directory = Directory::of_user().map_err(Failure::Usage)?;
     userns::gain_namespaces().map_err(Failure::Usage)?;
     let options = RunOptions {
         warm_core: asked.warm_core,
@@ -44,6 +44,7 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
         pcap: None,
         json: None,
         home: None,
+        detached: false,
         directory: Some(directory),
         progress: false,
         pictures: false,

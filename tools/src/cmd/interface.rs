@@ -23,7 +23,9 @@ pub fn interface(args: &ShowArgs) -> Result<u8, Failure> {
 
 /// Asks a station about its sockets, addresses and routes.
 pub fn asked(which: &Which, request: StackRequest) -> Result<StackReply, Failure> {
-    ask_stack(&Directory::of_user(), &which.place, request).map_err(Failure::Usage)
+    Directory::of_user()
+        .and_then(|directory| ask_stack(&directory, &which.place, request))
+        .map_err(Failure::Usage)
 }
 
 /// The same of its place in the Internet Protocol.

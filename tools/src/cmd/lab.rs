@@ -1,6 +1,7 @@
 //! `rtnet lab down`, `lab status`, `lab exec`.
 
-use std::io::{ErrorKind, Write};
+use std::ffi::OsStr;
+use std::io::{self, ErrorKind, Write};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Command;
@@ -15,8 +16,9 @@ use super::delivery::Delivery;
 use rtnet::live::realtime::avoid;
 
 use crate::cli::{DEFAULT_LAB, LabDownArgs, LabExecArgs, LabRestartArgs, LabStatusArgs};
-use crate::control::{self, Directory, LabReply, LabRequest, LabStatus, Place};
+use crate::control::{self, Directory, Held, LabReply, LabRequest, LabStatus, Place};
 use crate::lab;
+use crate::lab::guests::Guests;
 use crate::lab::processes::END_WITHIN;
 use crate::report::verdict::Word;
 
@@ -27,9 +29,13 @@ const LOCKED_WITHIN: Duration = END_WITHIN.saturating_mul(2);
 /// And so many cycles: twice what 100 calibration rounds take.
 const CALIBRATED_WITHIN: u32 = 400;
 
+/// The exit status for a command that is not there, and for one that is and cannot be executed: those of env(1).
+const NOT_FOUND: u8 = 127;
+const NOT_EXECUTABLE: u8 = 126;
+
 /// Takes labs down.
 pub fn down(args: &LabDownArgs) -> Result<u8, Failure> {
-    let directory = Directory::of_user();
+    let directory = Directory::of_user().map_err(Failure::Usage)?;
     let labs = if args.all { directory.labs_dead_or_alive() } else { vec![args.name.clone()] };
     let (mut ended, mut errors, mut word) = (Vec::new(), Vec::new(), Word::Ok);
     // One that does not go keeps none of the others.
@@ -74,14 +80,23 @@ fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
         Ok(LabReply::Refused(why)) => Err(anyhow!("lab '{lab}': {why}")),
         Ok(_) => bail!("lab '{lab}' answers what it was not asked"),
         // Who holds no lock any more is dead: its directory is ours to take, and goes with that.
-        Err(_) if directory.has(lab) && directory.take_lab(lab).is_ok() => {
-            let _ = writeln!(
-                std::io::stderr(),
-                "rtnet: lab '{lab}' was dead already: what it left is removed, and its figures are lost"
-            );
-            Ok(None)
-        }
+        Err(error) if directory.has(lab) => match directory.take_lab(lab) {
+            Ok(held) => {
+                end_dead(lab, &held);
+                Ok(None)
+            }
+            Err(_) => Err(error),
+        },
         Err(error) => Err(error),
+    }
+}
+
+/// Ends what a dead lab has left in its namespaces.
+fn end_dead(lab: &str, held: &Held) {
+    let was = "it was dead already: what it left is removed, and its figures are lost".to_owned();
+    let ended = held.left.iter().flat_map(|note| Guests::of_dead(note).end());
+    for line in std::iter::once(was).chain(ended) {
+        let _ = writeln!(std::io::stderr(), "rtnet: lab '{lab}': {line}");
     }
 }
 
@@ -92,7 +107,7 @@ fn worst(labs: &[LabStatus]) -> Word {
 
 /// Shows one lab, or all.
 pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
-    let directory = Directory::of_user();
+    let directory = Directory::of_user().map_err(Failure::Usage)?;
     if let Some(lab) = &args.name {
         let status = control::lab_status(&directory, lab).map_err(Failure::Usage)?;
         super::print(args.json, &status, account).map_err(Failure::Run)?;
@@ -118,7 +133,7 @@ pub fn status(args: &LabStatusArgs) -> Result<u8, Failure> {
 /// Puts a new process in the place of a station's, and waits until it is locked again.
 pub fn restart(args: &LabRestartArgs) -> Result<u8, Failure> {
     let station = &args.place.station;
-    let directory = Directory::of_user();
+    let directory = Directory::of_user().map_err(Failure::Usage)?;
     let lab = lab_of(&directory, &args.place);
     let request = LabRequest::Restart { station: station.clone() };
     super::tdma::by_lab(&lab, request).map_err(Failure::Usage)?;
@@ -162,18 +177,30 @@ fn locked_within(cycle_ns: u64) -> Duration {
 pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
     let (program, arguments) = args.command.split_first().context("no command").map_err(Failure::Usage)?;
     enter(&args.place, args.any_core).map_err(Failure::Usage)?;
-    let error = Command::new(program).args(arguments).exec();
-    let what = program.to_string_lossy().into_owned();
-    let remedy = match error.kind() {
-        ErrorKind::NotFound => ": it is not installed, or not in PATH",
-        _ => "",
+    Err(not_run(program, &Command::new(program).args(arguments).exec()))
+}
+
+/// Why a command could not be executed, with the status that env(1) has for it.
+fn not_run(program: &OsStr, error: &io::Error) -> Failure {
+    let path = Path::new(program);
+    let (status, remedy) = match error.kind() {
+        ErrorKind::NotFound if path.components().count() > 1 && path.exists() => {
+            (NOT_FOUND, "the interpreter that it names is not there: install that")
+        }
+        ErrorKind::NotFound => (NOT_FOUND, "it is not installed, or not in PATH"),
+        ErrorKind::PermissionDenied if path.is_dir() => (NOT_EXECUTABLE, "it is a directory: name a program"),
+        ErrorKind::PermissionDenied => {
+            (NOT_EXECUTABLE, "this user may not execute it: see `ls -l` and `chmod +x`")
+        }
+        _ => (NOT_EXECUTABLE, "it is no program for this machine"),
     };
-    Err(Failure::Usage(anyhow!("{what} cannot be run: {error}{remedy}")))
+    let what = path.display();
+    Failure::Command(status, anyhow!("{what} cannot be run: {error}: {remedy}"))
 }
 
 /// Moves this process into a station's namespaces, and off the core of the lab's real-time threads.
 fn enter(place: &Place, on_any_core: bool) -> Result<()> {
-    let directory = Directory::of_user();
+    let directory = Directory::of_user()?;
     let lab = lab_of(&directory, place);
     if !on_any_core {
         // What its calls have the kernel do would hold up whoever is real-time there.
@@ -182,6 +209,15 @@ fn enter(place: &Place, on_any_core: bool) -> Result<()> {
     }
     let place = Place { lab: Some(lab), station: place.station.clone() };
     let pid = control::station_status(&directory, &place)?.pid;
+    let noted = place.lab.as_ref().and_then(|lab| directory.noted(lab));
+    let mark = noted.iter().flat_map(|note| note.lines()).next().unwrap_or_default().to_owned();
     lab::enter::enter(pid, Path::new(&format!("/proc/{pid}/ns/net")))
-        .with_context(|| format!("station '{place}'"))
+        .with_context(|| format!("station '{place}'"))?;
+    if let Err(error) = lab::enter::own_sys(&mark) {
+        let _ = writeln!(
+            std::io::stderr(),
+            "rtnet: /sys shows the host's interfaces, not the station's ({error:#}): `ip link` shows those"
+        );
+    }
+    Ok(())
 }

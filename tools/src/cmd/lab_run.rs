@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{anyhow, ensure};
+use anyhow::{Context, anyhow, ensure};
 use rtnet::time::Span;
 
 use super::delivery::Delivery;
@@ -10,6 +10,7 @@ use super::{Failure, all_writable, screen_width, tell_of_ring, title};
 use crate::cli::{LabMeasureArgs, LabRunArgs};
 use crate::control::Directory;
 use crate::lab::{Core, Lab, RunOptions, userns};
+use crate::report::draft::is_standard_output;
 use crate::report::html::Sheet;
 use crate::report::screen;
 use crate::ring;
@@ -81,7 +82,11 @@ fn ring_run(args: &LabRunArgs, html: Option<&PathBuf>, ring: RingScenario) -> Re
 
 /// The network and how to run it; what cannot be is refused before anything is made.
 pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Scenario, RunOptions)> {
-    let scenario = scenario(args)?;
+    let mut scenario = scenario(args)?;
+    if let Some(packages) = &mut scenario.packages {
+        // A station reads it, whose working directory is another.
+        packages.priorities = absolute(packages.priorities.as_ref())?;
+    }
     let n = scenario.stations.len();
     ensure!(
         n <= MAX_LAB_STATIONS,
@@ -91,18 +96,29 @@ pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Sc
     Ok((scenario, options))
 }
 
+/// The path of a file, from wherever it is looked at; `-` stays standard output.
+pub(super) fn absolute(path: Option<&PathBuf>) -> anyhow::Result<Option<PathBuf>> {
+    let Some(path) = path else { return Ok(None) };
+    if is_standard_output(path) {
+        return Ok(Some(path.clone()));
+    }
+    let whole = std::path::absolute(path);
+    whole.map(Some).with_context(|| format!("{}: its directory is not known", path.display()))
+}
+
 /// How to run it, on a host that lets us.
 fn ready(args: &LabRunArgs, html: Option<&PathBuf>, scenario: &Scenario) -> anyhow::Result<RunOptions> {
     // In a user namespace one is root, and would look elsewhere.
-    let directory = Directory::of_user();
+    let directory = Directory::of_user()?;
     userns::gain_namespaces()?;
     all_writable(&[args.json.as_ref(), args.pcap.as_ref(), html], args.file.as_deref())?;
     Ok(RunOptions {
         warm_core: args.warm_core,
         core: Core::choose(args.cpu)?,
-        pcap: args.pcap.clone(),
+        pcap: absolute(args.pcap.as_ref())?,
         json: None,
         home: None,
+        detached: false,
         directory: Some(directory),
         // Stations may take a while to be locked, too.
         progress: scenario.duration + scenario.cycle * JOINING_CYCLES > SHORT,

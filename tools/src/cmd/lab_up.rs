@@ -1,22 +1,19 @@
 //! `rtnet lab up`: stands a network up, and leaves a process behind that keeps it.
 
 use std::io::{BufRead, BufReader, Write};
-use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::Stdio;
 
 use anyhow::{Context, Result, anyhow, bail};
-use nix::fcntl::{OFlag, open};
-use nix::sys::stat::Mode;
-use nix::unistd::{dup2_stderr, dup2_stdout};
 use rtnet::time::Span;
 
 use super::Failure;
 use super::account::{account, unwritten};
 use super::delivery::Delivery;
-use super::lab_run::prepared;
+use super::lab_run::{absolute, prepared};
 use crate::cli::LabUpArgs;
 use crate::control::{Directory, Home, LabStatus};
+use crate::daemon;
 use crate::lab;
 use crate::report::draft::is_standard_output;
 
@@ -36,11 +33,19 @@ pub fn lab_up(args: &LabUpArgs) -> Result<u8, Failure> {
 
 /// Keeps the lab, in this process.
 fn keep(args: &LabUpArgs) -> Result<u8, Failure> {
+    if args.detached {
+        daemon::begin().map_err(Failure::Usage)?;
+    }
     // In a user namespace one is root, and would look elsewhere.
-    let directory = Directory::of_user();
+    let directory = Directory::of_user().map_err(Failure::Usage)?;
     let (scenario, mut options) = prepared(&args.run, None).map_err(Failure::Usage)?;
     options.home = Some(Home { directory, lab: args.name.clone() });
-    options.json = args.run.json.clone().filter(|path| !is_standard_output(path));
+    options.json =
+        absolute(args.run.json.as_ref().filter(|path| !is_standard_output(path))).map_err(Failure::Usage)?;
+    options.detached = args.detached;
+    if args.detached {
+        daemon::leave_directory().map_err(Failure::Usage)?;
+    }
     let mut is_up = false;
     let at_most = args.run.duration;
     let kept = lab::keep(scenario, &options, at_most, |status| {
@@ -76,9 +81,7 @@ fn tell(args: &LabUpArgs, status: &LabStatus) -> Result<()> {
     // In the foreground, whoever does not listen misses nothing that `lab status` would not tell.
     if args.detached {
         told.context("whoever asked for the lab has gone before it was up, so it is taken down")?;
-        let null = open("/dev/null", OFlag::O_WRONLY, Mode::empty())?;
-        dup2_stdout(&null)?;
-        dup2_stderr(&null)?;
+        daemon::leave_output()?;
     }
     Ok(())
 }
@@ -89,9 +92,8 @@ fn leave_behind() -> Result<u8> {
     // Before what the user has given, which may say that no options come any more.
     command.args(["lab", "up", "--foreground", "--detached"]).args(std::env::args_os().skip(3));
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    // Ctrl-C here is not meant for it once it is up, and until then it ends with our pipes.
-    let mut keeper =
-        command.process_group(0).spawn().context("the process that keeps the lab cannot start")?;
+    // It ends with our pipes until it is up, and is on its own then.
+    let mut keeper = command.spawn().context("the process that keeps the lab cannot start")?;
     let (Some(output), Some(errors)) = (keeper.stdout.take(), keeper.stderr.take()) else {
         bail!("the process that keeps the lab has no output");
     };

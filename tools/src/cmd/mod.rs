@@ -54,6 +54,8 @@ pub enum Failure {
     Run(anyhow::Error),
     /// Somebody ended it before there was anything to report: status 130.
     Interrupted(anyhow::Error),
+    /// A command to be run in a lab could not be: the status that env(1) has for it.
+    Command(u8, anyhow::Error),
 }
 
 impl Failure {
@@ -63,18 +65,21 @@ impl Failure {
             Failure::Usage(_) => 2,
             Failure::Run(_) => 1,
             Failure::Interrupted(_) => Word::Interrupted.exit_status(),
+            Failure::Command(status, _) => *status,
         }
     }
     /// What to tell the user.
     pub fn error(&self) -> &anyhow::Error {
         match self {
-            Failure::Usage(error) | Failure::Run(error) | Failure::Interrupted(error) => error,
+            Failure::Usage(error) | Failure::Run(error) => error,
+            Failure::Interrupted(error) | Failure::Command(_, error) => error,
         }
     }
 
     fn into_error(self) -> anyhow::Error {
         match self {
-            Failure::Usage(error) | Failure::Run(error) | Failure::Interrupted(error) => error,
+            Failure::Usage(error) | Failure::Run(error) => error,
+            Failure::Interrupted(error) | Failure::Command(_, error) => error,
         }
     }
 

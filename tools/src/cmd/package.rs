@@ -142,7 +142,7 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
 
 fn attach(which: &WhichOf) -> Result<Component, Failure> {
     let place = found_of(which)?.place;
-    let control = Directory::of_user().station(&place);
+    let control = Directory::of_user().map_err(Failure::Usage)?.station(&place);
     Component::attach(&socket_of(&control)).map_err(|error| match &error {
         Error::Io(why)
             if matches!(why.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::ConnectionRefused) =>

@@ -255,7 +255,8 @@ impl<'a> Run<'a> {
 
     /// One that is stopped, or has too much to do, is there.
     fn look_for_station(&mut self) {
-        self.has_gone |= !is_served(&Directory::of_user().station(&self.which.place));
+        let is_there = |directory: Directory| is_served(&directory.station(&self.which.place));
+        self.has_gone |= !Directory::of_user().is_ok_and(is_there);
     }
 
     fn fails(&mut self, sequence: u16, why: &str) -> Result<(), Failure> {

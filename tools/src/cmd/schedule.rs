@@ -89,7 +89,7 @@ fn by_address(scenario: &Scenario, file: &Path, addresses: &[(String, Address)])
 }
 
 fn asked(which: &Which, request: ScheduleRequest) -> Result<()> {
-    match control::ask(&Directory::of_user(), &which.place, Request::Schedule(request))? {
+    match control::ask(&Directory::of_user()?, &which.place, Request::Schedule(request))? {
         Reply::Applied(_) => Ok(()),
         Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
         _ => bail!("station '{}' answers what it was not asked", which.place),
@@ -98,7 +98,7 @@ fn asked(which: &Which, request: ScheduleRequest) -> Result<()> {
 
 fn shown(which: &Which) -> Result<ScheduleShown> {
     let show = Request::Schedule(ScheduleRequest::Show);
-    match control::ask(&Directory::of_user(), &which.place, show)? {
+    match control::ask(&Directory::of_user()?, &which.place, show)? {
         Reply::Schedule(shown) => Ok(*shown),
         Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
         _ => bail!("station '{}' answers what it was not asked", which.place),

@@ -23,6 +23,7 @@ use super::Failure;
 use super::route::read_routes;
 use crate::cli::{DisciplineName, Late, Scheduling, StationArgs, VnicMode};
 use crate::control::SlotChange;
+use crate::daemon;
 use crate::scenario::read_text;
 use crate::scenario::{
     DelayName, RingTimes, SlotGuard, default_sync_window, parse_phase, room_for_parts, room_for_replies,
@@ -71,6 +72,10 @@ pub fn parse_slot(text: &str) -> Result<SlotChange, String> {
 
 /// Runs a station until it is told to stop.
 pub fn station(args: &StationArgs) -> Result<u8, Failure> {
+    if args.lab.is_some() {
+        daemon::belong_to_lab().map_err(Failure::Usage)?;
+    }
+    daemon::private_umask();
     let options = options(args).map_err(Failure::Usage)?;
     let in_lab = options.lab.is_some();
     let station = station::set_up(options)

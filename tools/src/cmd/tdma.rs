@@ -58,14 +58,15 @@ pub fn tdma(args: &TdmaArgs) -> Result<u8, Failure> {
 
 /// With the lab in which it is, if it is one of the only lab.
 pub fn found(which: &Which) -> Result<Which, Failure> {
-    let place = Directory::of_user().find(&which.place).map_err(Failure::Usage)?;
+    let place =
+        Directory::of_user().and_then(|directory| directory.find(&which.place)).map_err(Failure::Usage)?;
     Ok(Which { place, json: which.json })
 }
 
 /// The same where `-S` stands on either side, and so may not.
 pub fn found_of(which: &WhichOf) -> Result<Which, Failure> {
     let Some(place) = which.place.clone() else {
-        let there = Directory::of_user().stations();
+        let there = Directory::of_user().map_err(Failure::Usage)?.stations();
         let there =
             if there.is_empty() { "none runs here".into() } else { format!("there is {}", there.join(", ")) };
         return Err(Failure::Usage(anyhow!("which station is meant? Say it: -S [LAB/]STATION; {there}")));
@@ -104,12 +105,12 @@ fn until_it_speaks(which: &Which, cycle: Duration) -> Result<u32, Failure> {
 
 /// Asks a station where it stands.
 pub fn status(which: &Which) -> Result<StationStatus> {
-    control::station_status(&Directory::of_user(), &which.place)
+    control::station_status(&Directory::of_user()?, &which.place)
 }
 
 /// Asks for a change; the cycle from which it holds.
 pub fn applied(which: &Which, request: Request) -> Result<u32> {
-    match control::ask(&Directory::of_user(), &which.place, request)? {
+    match control::ask(&Directory::of_user()?, &which.place, request)? {
         Reply::Applied(from) => Ok(from),
         Reply::Refused(why) => Err(anyhow!("station '{}': {why}", which.place)),
         _ => bail!("station '{}' answers what it was not asked", which.place),
@@ -118,7 +119,7 @@ pub fn applied(which: &Which, request: Request) -> Result<u32> {
 
 /// A lab knows all its stations, so it is asked instead of the one.
 pub fn by_lab(lab: &str, request: LabRequest) -> Result<u32> {
-    match control::ask_lab(&Directory::of_user(), lab, request)? {
+    match control::ask_lab(&Directory::of_user()?, lab, request)? {
         LabReply::Applied(from) => Ok(from),
         LabReply::Refused(why) => Err(anyhow!("lab '{lab}': {why}")),
         _ => bail!("lab '{lab}' answers what it was not asked"),
@@ -240,7 +241,7 @@ fn with_names(which: &Which, mut status: StationStatus) -> StationStatus {
 
 /// A lab that is busy is not waited for: addresses will do.
 pub fn stations(lab: &str) -> Option<Vec<MemberStatus>> {
-    let path = Directory::of_user().lab(lab);
+    let path = Directory::of_user().ok()?.lab(lab);
     let mut question = Question::put(&path, LabRequest::Status, NAMED_WITHIN).ok()?;
     match question.answer(NAMED_WITHIN).ok()?? {
         LabReply::Status(status) => Some(status.stations),

@@ -30,7 +30,8 @@ pub fn vnic(args: &VnicVerbArgs) -> Result<u8, Failure> {
         }
     };
     let place = &which.place;
-    match ask(&Directory::of_user(), place, Request::Vnic(request)).map_err(Failure::Usage)? {
+    let directory = Directory::of_user().map_err(Failure::Usage)?;
+    match ask(&directory, place, Request::Vnic(request)).map_err(Failure::Usage)? {
         Reply::Vnic(shown) => {
             super::print(which.json, &*shown, describe).map_err(Failure::Run)?;
             Ok(0)

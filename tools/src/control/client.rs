@@ -23,7 +23,6 @@ const REPLY_AT_MOST: usize = 192 * 1024;
 
 /// Asks a station.
 pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Reply> {
-    directory.check()?;
     let path = directory.station(place);
     exchange(&path, request, PATIENCE)
         .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
@@ -31,14 +30,12 @@ pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Rep
 
 /// Puts a question to a station, whose answer may be waited for later; it is to be let in soon.
 pub fn put(directory: &Directory, place: &Place, request: Request, within: Duration) -> Result<Question> {
-    directory.check()?;
     Question::put(&directory.station(place), request, within)
         .map_err(|error| explain(error, "station", &place.to_string(), directory.stations()))
 }
 
 /// Asks a lab.
 pub fn ask_lab(directory: &Directory, lab: &str, request: LabRequest) -> Result<LabReply> {
-    directory.check()?;
     let path = directory.lab(lab);
     let within = if request == LabRequest::Down { DOWN_WITHIN } else { PATIENCE };
     exchange(&path, request, within).map_err(|error| {

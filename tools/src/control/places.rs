@@ -4,6 +4,7 @@
 //! /run/rtnet/            or $XDG_RUNTIME_DIR/rtnet, or /tmp/rtnet-UID: who may not write to /run
 //!   NAME.lock  NAME.sock          a station of its own
 //!   LAB/.lock  LAB/.sock          a lab; no station's name begins with a dot
+//!   LAB/.namespaces               by what its namespaces are known, see `lab::guests`
 //!   LAB/STATION.sock              a station of it
 //!   .load-PID                     what a lab takes of a core, see `loads.rs`
 //!   .aside-NAMESPACE-INTERFACE    what a proxy has changed of Linux's there, see `vnic::tun`
@@ -14,19 +15,23 @@
 
 use std::fs::{self, DirBuilder, File};
 use std::io::{Read, Seek, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
 pub(super) use rtnet::api::place::is_held;
 use rtnet::api::place::{self, LOCK, SOCKET, is_served};
 
+/// Rights of a directory that is its owner's only.
+const OWNERS: u32 = 0o700;
 /// A socket's path must fit `sun_path`, 108 bytes; two of these and the directory do.
 const NAME_AT_MOST: usize = 32;
+/// In a lab's directory: by what its namespaces are known.
+const NOTE: &str = ".namespaces";
 /// How long a lock is waited for that somebody may only have looked at.
 const LOCKED_WITHIN: Duration = Duration::from_millis(50);
 
@@ -86,6 +91,17 @@ pub struct Held {
     path: PathBuf,
     /// A lab's, with all that is in it.
     directory: Option<PathBuf>,
+    /// What a dead lab of this name has noted.
+    pub left: Option<String>,
+}
+
+impl Held {
+    /// Notes something of a lab, that is read as [`Held::left`] if the lab dies.
+    pub fn note(&self, text: &str) -> Result<()> {
+        let Some(directory) = &self.directory else { return Ok(()) };
+        let path = directory.join(NOTE);
+        fs::write(&path, text).with_context(|| format!("{} cannot be written", path.display()))
+    }
 }
 
 impl Drop for Held {
@@ -126,9 +142,10 @@ impl Home {
 pub struct Directory(PathBuf);
 
 impl Directory {
-    /// The directory of this user; it need not exist. To be asked before entering a user namespace.
-    pub fn of_user() -> Self {
-        Self(place::directory())
+    /// The directory of this user, in which nobody else can have put sockets; it need not exist. To be asked before entering a
+    /// user namespace.
+    pub fn of_user() -> Result<Self> {
+        Ok(Self(place::private_directory()?))
     }
 
     /// This directory, and no other.
@@ -139,11 +156,6 @@ impl Directory {
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.0
-    }
-
-    /// Whether nobody else can have put sockets there; a directory that does not exist has none.
-    pub fn check(&self) -> Result<()> {
-        if self.0.exists() { check_private(&self.0) } else { Ok(()) }
     }
 
     /// The socket of a station.
@@ -165,7 +177,7 @@ impl Directory {
         check_name(name)?;
         self.make()?;
         let path = self.0.join(format!("{name}{LOCK}"));
-        Ok(Held { lock: lock(&path, name)?, path, directory: None })
+        Ok(Held { lock: lock(&path, name)?, path, directory: None, left: None })
     }
 
     /// Takes a lab's name; its directory is new and empty, and goes with what is returned.
@@ -176,17 +188,23 @@ impl Directory {
         make_private(&own)?;
         let path = own.join(LOCK);
         let lock = lock(&path, name)?;
+        let noted = fs::read_to_string(own.join(NOTE)).ok();
         for left in fs::read_dir(&own)?.flatten().filter(|entry| entry.file_name() != LOCK) {
             fs::remove_file(left.path()).with_context(|| {
                 format!("{} is left from a dead lab and cannot go", left.path().display())
             })?;
         }
-        Ok(Held { lock, path, directory: Some(own) })
+        Ok(Held { lock, path, directory: Some(own), left: noted })
     }
 
     /// Whether anything of this lab is here, be it alive or not.
     pub fn has(&self, lab: &str) -> bool {
         self.0.join(lab).exists()
+    }
+
+    /// What a lab has noted of itself, be it alive or not.
+    pub fn noted(&self, lab: &str) -> Option<String> {
+        fs::read_to_string(self.0.join(lab).join(NOTE)).ok()
     }
 
     /// The labs that run, or are coming up: those whose name is held.
@@ -266,18 +284,14 @@ fn file_name(path: &Path) -> String {
 
 /// A directory that only its owner can enter. One that somebody else has made is not used.
 fn make_private(path: &Path) -> Result<()> {
-    let made = DirBuilder::new().recursive(true).mode(0o700).create(path);
+    let made = DirBuilder::new().recursive(true).mode(OWNERS).create(path);
     made.with_context(|| format!("{} cannot be made", path.display()))?;
-    check_private(path)
-}
-
-fn check_private(path: &Path) -> Result<()> {
-    let found = fs::symlink_metadata(path)?;
-    ensure!(
-        found.is_dir() && found.uid() == nix::unistd::geteuid().as_raw() && found.mode() & 0o022 == 0,
-        "{} belongs to somebody else, or others can write to it: remove it, or set XDG_RUNTIME_DIR",
-        path.display()
-    );
+    place::check_private(path)?;
+    // A umask may have kept it even from its owner.
+    if fs::metadata(path)?.mode() & OWNERS != OWNERS {
+        let private = fs::Permissions::from_mode(OWNERS);
+        fs::set_permissions(path, private).with_context(|| format!("{} is closed", path.display()))?;
+    }
     Ok(())
 }
 

@@ -15,6 +15,7 @@ use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
 use rtnet::time::Span;
 
+use super::guests::Guests;
 use super::members::{Member, lost_at_most};
 use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
@@ -29,7 +30,7 @@ use crate::report::draft::write_json;
 use crate::report::host::{HostFacts, HostWatch};
 use crate::report::verdict::Verdict;
 use crate::scenario::Scenario;
-use crate::station::link::Standing;
+use crate::station::link::{Order, Standing};
 use crate::station::misses::{Miss, WORST};
 use crate::station::stack::OwnIp;
 use changes::Pending;
@@ -59,8 +60,15 @@ pub fn keep(
 ) -> Result<LabStatus> {
     let home = options.home.clone().context("a lab that stays needs a name")?;
     scenario.stations.iter().try_for_each(|station| check_name(&station.name))?;
-    let _held = home.directory.take_lab(&home.lab)?;
+    let held = home.directory.take_lab(&home.lab)?;
+    if let Some(note) = &held.left {
+        Guests::of_dead(note)
+            .end()
+            .iter()
+            .for_each(|line| tell(&format!("lab '{}' of before: {line}", home.lab)));
+    }
     let mut lab = Lab::set_up(&scenario, options)?;
+    held.note(&lab.guests.note())?;
     if !scenario.conditions.events.is_empty() {
         lab.notes.push("a lab that stays plays no [[event]]: `rtnet lab run` does".into());
     }
@@ -95,6 +103,9 @@ pub fn keep(
         tell(&note);
     }
     ready(&keeper.status())?;
+    if options.detached {
+        keeper.lab.members.iter_mut().for_each(|member| member.order(Order::LeaveErrors));
+    }
     let until = at_most.map(|span| since + Duration::from_nanos(span.nanos().max(0) as u64));
     let (mut judged, mut looked) = (Instant::now(), Instant::now());
     while keeper.over.is_none() {

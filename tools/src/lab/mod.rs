@@ -16,6 +16,7 @@
 pub mod enter;
 mod facts;
 pub(crate) mod faults;
+pub(crate) mod guests;
 mod keep;
 pub(crate) mod launch;
 pub(crate) mod load;

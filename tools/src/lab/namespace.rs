@@ -23,6 +23,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use nix::errno::Errno;
 use nix::sched::{CloneFlags, setns, unshare};
+use nix::sys::stat::fstat;
 use pnet_datalink::MacAddr;
 
 use super::netlink::Netlink;
@@ -99,6 +100,14 @@ impl Namespace {
     /// Where other processes of this user find it.
     pub fn path(&self) -> PathBuf {
         format!("/proc/{}/fd/{}", std::process::id(), self.fd.as_raw_fd()).into()
+    }
+
+    /// By what number the kernel knows it, as long as it exists.
+    ///
+    /// # Errors
+    /// The kernel does not tell.
+    pub fn number(&self) -> Result<u64> {
+        Ok(fstat(&self.fd).context("cannot look at a network namespace")?.st_ino)
     }
 
     /// The namespace as a file, for setns(2) and netlink requests. Closed on exec.

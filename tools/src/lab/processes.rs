@@ -1,13 +1,15 @@
 //! The stations' processes.
 
-use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::Sender;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::sched::{CloneFlags, setns};
 
 use super::namespace::Namespace;
 use crate::station::link::{Order, Report};
@@ -34,6 +36,8 @@ pub type Told = (usize, Option<Report>);
 
 impl Process {
     /// Starts a station in a namespace; what it tells goes to `told`, a last `None` at its end.
+    ///
+    /// Its parent is the thread that listens to it: the kernel takes a thread for the parent whose end kills a station.
     pub fn start(
         namespace: &Namespace,
         station: usize,
@@ -41,23 +45,24 @@ impl Process {
         told: Sender<Told>,
     ) -> Result<Self> {
         let mut command = this_program();
-        command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = namespace.run(move || command.spawn())?.context("a station cannot be started")?;
-        let output = child.stdout.take().context("a station without output")?;
+        command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).current_dir("/");
+        let namespace = namespace.fd().try_clone_to_owned().context("no descriptor for a namespace")?;
+        let (born, birth) = channel();
+        std::thread::Builder::new().name("listener".into()).spawn(move || {
+            match bear(&namespace, command) {
+                Ok((child, output)) => {
+                    drop(namespace);
+                    // Who started it waits for it.
+                    let _ = born.send(Ok(child));
+                    listen(output, station, &told);
+                }
+                Err(error) => drop(born.send(Err(error))),
+            }
+        })?;
+        let child = birth.recv().context("the thread that starts a station has ended")??;
         // A station that is stopped reads no orders, and its lab goes on.
         let input = child.stdin.as_ref().context("a station without input")?;
         fcntl(input, FcntlArg::F_SETFL(OFlag::O_NONBLOCK))?;
-        std::thread::Builder::new().name("listener".into()).spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                let report = serde_json::from_str(&line)
-                    .unwrap_or_else(|error| Report::Failed(format!("it told nonsense: {error}: {line}")));
-                if told.send((station, Some(report))).is_err() {
-                    return;
-                }
-            }
-            // The lab may have ended, and listens no more.
-            let _ = told.send((station, None));
-        })?;
         Ok(Self { child, cpu_at_begin: None })
     }
 
@@ -149,6 +154,28 @@ impl Process {
         let per_second = nix::unistd::sysconf(nix::unistd::SysconfVar::CLK_TCK).ok()??;
         Some(ticks / per_second as f64)
     }
+}
+
+/// Enters a namespace and starts a process there.
+fn bear(namespace: &OwnedFd, mut command: Command) -> Result<(Child, ChildStdout)> {
+    setns(namespace, CloneFlags::CLONE_NEWNET).context("a station's namespace cannot be entered")?;
+    let mut child = command.spawn().context("a station cannot be started")?;
+    let output = child.stdout.take().context("a station without output")?;
+    Ok((child, output))
+}
+
+/// Passes on what a station tells, until it ends.
+fn listen(output: ChildStdout, station: usize, told: &Sender<Told>) {
+    let mut output = BufReader::new(output);
+    for line in output.by_ref().lines().map_while(Result::ok) {
+        let report = serde_json::from_str(&line)
+            .unwrap_or_else(|error| Report::Failed(format!("it told nonsense: {error}: {line}")));
+        // The lab may have ended, and listens no more. Its stations end in their own time.
+        let _ = told.send((station, Some(report)));
+    }
+    // Whatever else it writes: it lives as long as this thread.
+    let _ = std::io::copy(&mut output, &mut std::io::sink());
+    let _ = told.send((station, None));
 }
 
 impl Drop for Process {

@@ -15,6 +15,7 @@ use rtnet::live::ring::{CaptureRing, RingConfig};
 use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::faults::{Play, only_simulated};
+use super::guests::Guests;
 use super::launch::{Launch, Resume, arguments};
 use super::load::{Core, load, too_much};
 use super::members::{Member, lost_at_most};
@@ -80,6 +81,8 @@ pub struct RunOptions {
     pub json: Option<PathBuf>,
     /// Where its stations are to be asked, if they are to be.
     pub home: Option<Home>,
+    /// Its caller goes once it is up, and nobody reads its standard error then.
+    pub detached: bool,
     /// Where labs say what they take of a core.
     pub directory: Option<Directory>,
     /// Show how it goes on standard error.
@@ -91,6 +94,7 @@ pub struct RunOptions {
 /// A network that has been stood up; dropping it takes it down.
 pub struct Lab {
     // Fields are dropped in this order: processes first, then what they live in.
+    pub(super) guests: Guests,
     pub(super) members: Vec<Member>,
     pub(super) teller: Sender<Told>,
     told: Receiver<Told>,
@@ -193,6 +197,7 @@ impl Lab {
             member.process = Some(Process::start(&member.namespace, station, &arguments, teller.clone())?);
         }
         Ok(Self {
+            guests: Guests::of(members.iter().map(|member| &member.namespace))?,
             members,
             teller,
             told,
@@ -319,6 +324,7 @@ impl Lab {
         while Instant::now() < linger {
             self.look();
         }
+        self.notes.extend(self.guests.end());
         for member in &mut self.members {
             member.note_memory();
             member.tell_to_end();

@@ -60,7 +60,7 @@ impl Ear {
             Spot::Interface(name) => (Interface::find(name)?.name, None),
             Spot::Lab(name) => {
                 // To be asked before a user namespace is entered, in which one is root.
-                let status = lab_status(&Directory::of_user(), name)?;
+                let status = lab_status(&Directory::of_user()?, name)?;
                 enter(status.pid, &status.bridge_namespace).with_context(|| format!("lab '{name}'"))?;
                 (status.bridge.clone(), Some(status))
             }

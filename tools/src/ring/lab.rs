@@ -23,6 +23,7 @@ use super::judge::Judge;
 use super::verdict::Observed;
 use crate::control::Load;
 use crate::lab::faults::only_simulated;
+use crate::lab::guests::Guests;
 use crate::lab::launch::clock;
 use crate::lab::load::too_much;
 use crate::lab::namespace::{Namespace, Segment};
@@ -53,6 +54,7 @@ const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 /// A ring that has been stood up; dropping it takes it down.
 struct Lab<'a> {
     // Fields are dropped in this order: processes first, then what they live in.
+    guests: Guests,
     members: Vec<Member>,
     scenario: &'a RingScenario,
     teller: Sender<Told>,
@@ -126,6 +128,7 @@ impl<'a> Lab<'a> {
         };
         let (teller, told) = channel();
         let mut lab = Self {
+            guests: Guests::of(members.iter().map(|member| &member.namespace))?,
             members,
             scenario,
             teller,
@@ -229,6 +232,7 @@ impl<'a> Lab<'a> {
         while Instant::now() < linger {
             self.look();
         }
+        self.notes.extend(self.guests.end());
         self.members.iter_mut().for_each(Member::tell_to_end);
         let deadline = Instant::now() + START_WITHIN;
         while !self.members.iter().all(|member| member.silent) && Instant::now() < deadline {

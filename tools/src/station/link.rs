@@ -80,6 +80,8 @@ impl LabOptions {
 pub enum Order {
     /// Its next frame is held up for so many nanoseconds behind its last look at the clock.
     Stall(u64),
+    /// The lab's caller has gone: nobody reads its standard error any more.
+    LeaveErrors,
     /// It has another clock.
     Clock {
         /// CLOCK_MONOTONIC at which only its offset applies.

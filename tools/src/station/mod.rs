@@ -44,6 +44,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 
 use crate::control::{Directory, Held, Place, Server};
+use crate::daemon;
 use access::{Access, AccessConfig};
 use claim::Claim;
 use desk::Desk;
@@ -424,7 +425,7 @@ fn reach_by_interface(interface: &str) -> Reach {
 }
 
 fn reach_by(name: &str) -> Result<Reach> {
-    let directory = Directory::of_user();
+    let directory = Directory::of_user()?;
     let held = directory.take_station(name)?;
     let server = Server::bind(&directory.station(&Place { lab: None, station: name.into() }))?;
     Ok(Reach { server: Some(server), _name: Some(held), refused: None })
@@ -455,6 +456,8 @@ fn obey_lab(stop: &Arc<AtomicBool>, clocks: Arc<ClockOrder>) -> Result<()> {
             // A lab is this very program: it says nothing else.
             match serde_json::from_str(&line) {
                 Ok(Order::Stall(nanos)) => halt::stall_next(nanos),
+                // Without /dev/null it leads where nobody reads.
+                Ok(Order::LeaveErrors) => drop(daemon::leave_errors()),
                 Ok(Order::Clock { anchor, offset_ns, drift_ppb }) => {
                     let offset = Span::from_nanos(offset_ns);
                     set_clock(&clocks, &stop, &EmulatedClock { anchor, offset, drift_ppb });

@@ -83,8 +83,8 @@ pub struct Told {
 
 /// Where this user's stations note what they change of Linux's: beside their sockets, if there are to be any.
 pub fn notes() -> Option<PathBuf> {
-    let directory = Directory::of_user();
-    (directory.path().exists() && directory.check().is_ok()).then(|| directory.path().to_owned())
+    let directory = Directory::of_user().ok()?;
+    directory.path().exists().then(|| directory.path().to_owned())
 }
 
 /// Makes the device, and what the station has of the tunnel. Where that cannot be, a line says why, and the station goes

@@ -139,7 +139,10 @@ fn a_directory_that_others_can_write_to_is_not_used() {
     fs::create_dir(&open).unwrap();
     fs::set_permissions(&open, fs::Permissions::from_mode(0o777)).unwrap();
     let directory = Directory::at(&open);
-    for error in [directory.take_station("arm").unwrap_err(), directory.check().unwrap_err()] {
-        assert!(error.to_string().contains("others can write"), "{error}");
+    for error in [
+        directory.take_station("arm").unwrap_err(),
+        place::check_private(directory.path()).unwrap_err().into(),
+    ] {
+        assert!(error.to_string().contains("can be written by others"), "{error}");
     }
 }

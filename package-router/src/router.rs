@@ -18,7 +18,7 @@ use crate::mailbox::Segment;
 use crate::name::MailboxName;
 use crate::priority::{Priorities, level_of};
 use crate::registry::MOST_MAILBOXES;
-use crate::wire::{HEAD_LEN, Head, NOT_AVAILABLE, Part};
+use crate::wire::{ERROR, HEAD_LEN, Head, NOT_AVAILABLE, Part};
 
 use way::{JOIN_TIMEOUT, Outcome};
 pub use way::{Wake, Way};
@@ -61,7 +61,7 @@ pub struct RouterCounters {
     pub delivered: u64,
     /// Such as no mailbox here is for.
     pub no_route: u64,
-    /// Of them, commands that were answered: not available.
+    /// Commands without a mailbox, or too large for it, that were answered: not available, or an error.
     pub answered: u64,
     /// Such that found the mailbox full.
     pub full: u64,
@@ -135,8 +135,13 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
                 Ok(place) => self.bring(place, &head, socket, sockets, &received),
                 Err(_) => Outcome::NoRoute,
             };
-            if taken == Outcome::NoRoute && head.is_command() && head.is_whole() {
-                self.answer(&head, socket, sockets, &received);
+            let answer = match taken {
+                Outcome::NoRoute => Some(NOT_AVAILABLE),
+                Outcome::TooLarge => Some(ERROR),
+                _ => None,
+            };
+            if let Some(kind) = answer.filter(|_| head.is_command() && head.begins()) {
+                self.answer(kind, &head, socket, sockets, &received);
             }
         }
         if !taken.is_consumed() {
@@ -167,15 +172,22 @@ impl<Own: Segment, Theirs: Segment> Router<Own, Theirs> {
         outcome
     }
 
-    /// Nobody here has that name: who asks is told so in the slot in which its owner would answer.
-    fn answer(&mut self, head: &Head, socket: SocketId, sockets: &mut Access<'_>, received: &Received) {
+    /// Answers a command that no mailbox here takes, in the slot in which its owner would answer.
+    fn answer(
+        &mut self,
+        kind: i8,
+        head: &Head,
+        socket: SocketId,
+        sockets: &mut Access<'_>,
+        received: &Received,
+    ) {
         let Sender::Udp(to) = received.from else { return };
         let to = SocketAddrV4::new(*to.ip(), LAN_PORT);
         // The slots of those who are elsewhere may be none of this station's: then it is the first.
         for channel in [self.host.priorities.channel(head.to.class()), 0] {
             let _ =
                 sockets.set_options(socket, Options { priority: level_of(head.priority), channel, tos: 0 });
-            let sent = sockets.send_to(socket, &head.answer(NOT_AVAILABLE).to_bytes(), to);
+            let sent = sockets.send_to(socket, &head.answer(kind).to_bytes(), to);
             if !sent.is_err_and(has_no_such_slot) {
                 self.counters.answered += u64::from(sent.is_ok());
                 return;

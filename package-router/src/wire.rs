@@ -199,6 +199,11 @@ impl Head {
         self.kind > 0
     }
 
+    /// Whether it is at the begin of its package: the further parts have other heads.
+    pub const fn begins(&self) -> bool {
+        matches!(self.part, Part::Whole | Part::First)
+    }
+
     /// Whether it is the whole package's.
     pub const fn is_whole(&self) -> bool {
         matches!(self.part, Part::Whole)

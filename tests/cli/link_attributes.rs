@@ -108,7 +108,8 @@ fn a_port_of_a_bridge_is_refused_and_named_while_it_runs() {
         station.wait_for("the interface 'rt0' is the station's again");
         netlink.set_master(port, bridge).unwrap();
         station.end();
-        for role in [&["--slave"][..], &["--master", "--cycle", "5ms", "--slot", "0=1ms"]] {
+        for role in [&["--slave", "--slot", "0=1ms"][..], &["--master", "--cycle", "5ms", "--slot", "0=1ms"]]
+        {
             let arguments = [&["--interface", "rt0", "--name", &name][..], role].concat();
             let mut refused = Station::start(&medium.b, &arguments);
             refused.wait_for("rtnet: the interface 'rt0' is a port of the bridge 'br0'");

@@ -9,7 +9,7 @@ use package_router::mailbox::{
 };
 use package_router::priority::{Priorities, level_of};
 use package_router::router::{Host, LAN_PORT, Router, RouterCounters, Way};
-use package_router::wire::{HEAD_LEN, Head, MOST_DATAGRAM, NOT_AVAILABLE, split};
+use package_router::wire::{ERROR, HEAD_LEN, Head, MOST_DATAGRAM, NOT_AVAILABLE, OK, split};
 use rtnet::ip::StackConfig;
 use rtnet::ip::route::Interface;
 use rtnet::socket::{Flags, SocketId};
@@ -275,6 +275,26 @@ fn who_asks_a_mailbox_that_is_not_here_is_told_so_and_what_is_no_question_is_onl
     assert_eq!(all(&mut seen), [(OTHERS, 1, vec![5])]);
     let counters = pair.counters();
     assert_eq!((counters.no_route, counters.answered, counters.delivered), (2, 1, 1));
+}
+
+#[test]
+fn a_command_too_large_for_its_mailbox_is_answered_with_an_error() {
+    let mut pair = Pair::new();
+    let mut seen = pair.mailbox(US, Shape::new(2, 100));
+    let expected =
+        |id| Head { kind: ERROR, to: OTHERS, from: US, id, priority: 9, len: 16, ..Head::default() };
+    pair.package(&to(US, 43), &body(101));
+    assert_eq!(pair.answers(), [expected(43)]);
+    // In parts: one answer, for all of them.
+    datagrams(&to(US, 44), &body(400), 116).iter().for_each(|part| pair.datagram(part));
+    assert_eq!(pair.answers(), [expected(44)]);
+    // A reply is none that is answered.
+    pair.package(&Head { kind: OK, ..to(US, 45) }, &body(101));
+    assert_eq!(pair.answers(), []);
+    pair.package(&to(US, 46), &body(100));
+    assert_eq!(all(&mut seen), [(OTHERS, 46, body(100))]);
+    let counters = pair.counters();
+    assert_eq!((counters.too_large, counters.answered, counters.delivered), (3, 2, 1));
 }
 
 /// The slots here are 0 and 1.

@@ -58,8 +58,19 @@ pub enum SendError {
     #[error("{0}, which it is from, is there no more")]
     Unbound(MailboxName),
     /// The station does not take it: a number of `errno`, as its sockets have them.
-    #[error("the station does not take it: {}", std::io::Error::from_raw_os_error(*.0))]
+    #[error("the station does not take it: {}{}", std::io::Error::from_raw_os_error(*.0), remedy(*.0))]
     Station(i32),
+}
+
+/// What helps against a number of `errno`, where it is not the number's own text.
+fn remedy(errno: i32) -> &'static str {
+    match errno {
+        libc::EMSGSIZE => {
+            ": send less, or start the station with more buffers for each socket (`--socket-buffers`), of which each fragment \
+             of a package takes one"
+        }
+        _ => "",
+    }
 }
 
 impl Sender {

@@ -61,14 +61,17 @@ impl std::fmt::Display for Place {
     }
 }
 
-/// Whether something can be called that.
+/// Whether a station or a lab can be called that: the same in files, in labs and on command lines. A name becomes a file's,
+/// and stands behind options.
 pub fn check_name(name: &str) -> Result<()> {
     let known = |b: u8| b.is_ascii_alphanumeric() || b"-_.".contains(&b);
     let is_file = [LOCK, SOCKET].iter().any(|end| name.ends_with(end)) || name.starts_with('.');
-    if name.is_empty() || name.len() > NAME_AT_MOST || is_file || !name.bytes().all(known) {
+    let is_option = name.starts_with('-');
+    if name.is_empty() || name.len() > NAME_AT_MOST || is_file || is_option || !name.bytes().all(known) {
         bail!(
-            "'{name}' is no name: use letters, digits, '-', '_' and '.', not '.' at its begin nor '{LOCK}' or \
-             '{SOCKET}' at its end, at most {NAME_AT_MOST}"
+            "'{}' is no name: use letters A to Z, digits, '-', '_' and '.', not '-' or '.' at its begin nor '{LOCK}' or \
+             '{SOCKET}' at its end, at most {NAME_AT_MOST} in all",
+            name.escape_debug()
         );
     }
     Ok(())

@@ -2,6 +2,7 @@
 //! file; one form for labs and simulations.
 
 mod acts;
+mod calibration;
 mod change;
 mod clashes;
 mod conditions;
@@ -32,6 +33,7 @@ use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
+pub use calibration::NeverCalibrated;
 pub use change::{room_for_parts, room_for_replies};
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};

@@ -9,8 +9,8 @@ use vnic::peers::Prefix;
 
 use super::places::{self, TooSmall};
 use super::{
-    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, SYNC_WINDOW, SYNC_WINDOW_PARTS, Scenario, ServoName,
-    SlotGuard, SlotPlan, StationPlan, VnicPlan,
+    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, NeverCalibrated, SYNC_WINDOW, SYNC_WINDOW_PARTS,
+    Scenario, ServoName, SlotGuard, SlotPlan, StationPlan, VnicPlan,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
@@ -74,6 +74,9 @@ pub enum ScenarioError {
     /// No station would take it.
     #[error(transparent)]
     Refused(#[from] Refused),
+    /// No slave would come up.
+    #[error(transparent)]
+    NeverCalibrated(#[from] NeverCalibrated),
 }
 
 impl Uniform {
@@ -136,6 +139,7 @@ impl Uniform {
             stations,
             conditions,
         };
+        scenario.check_calibration()?;
         Ok(scenario.with_random_clocks())
     }
 }

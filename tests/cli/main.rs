@@ -6,6 +6,7 @@
 mod abused;
 mod addresses;
 mod ages;
+mod agree;
 mod backups;
 mod calibrate;
 mod cell;
@@ -16,6 +17,7 @@ mod forged;
 mod html;
 mod interface;
 mod lab;
+mod limits;
 mod live;
 mod manual;
 mod min_cycle;

@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
+use crate::remedy::explained;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
@@ -68,10 +69,10 @@ pub fn check_name(name: &str) -> Result<()> {
     let is_file = [LOCK, SOCKET].iter().any(|end| name.ends_with(end)) || name.starts_with('.');
     let is_option = name.starts_with('-');
     if name.is_empty() || name.len() > NAME_AT_MOST || is_file || is_option || !name.bytes().all(known) {
+        let shown: String = name.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
         bail!(
-            "'{}' is no name: use letters A to Z, digits, '-', '_' and '.', not '-' or '.' at its begin nor '{LOCK}' or \
+            "'{shown}' is no name: use letters A to Z, digits, '-', '_' and '.', not '-' or '.' at its begin nor '{LOCK}' or \
              '{SOCKET}' at its end, at most {NAME_AT_MOST} in all",
-            name.escape_debug()
         );
     }
     Ok(())
@@ -179,8 +180,10 @@ impl Directory {
         make_private(&own)?;
         let path = own.join(LOCK);
         let lock = lock(&path, name)?;
-        for left in fs::read_dir(&own)?.flatten().filter(|entry| entry.file_name() != LOCK) {
-            fs::remove_file(left.path()).with_context(|| {
+        let all = fs::read_dir(&own).map_err(explained);
+        let all = all.with_context(|| format!("{} cannot be read", own.display()))?;
+        for left in all.flatten().filter(|entry| entry.file_name() != LOCK) {
+            fs::remove_file(left.path()).map_err(explained).with_context(|| {
                 format!("{} is left from a dead lab and cannot go", left.path().display())
             })?;
         }
@@ -270,12 +273,13 @@ fn file_name(path: &Path) -> String {
 /// A directory that only its owner can enter. One that somebody else has made is not used.
 fn make_private(path: &Path) -> Result<()> {
     let made = DirBuilder::new().recursive(true).mode(0o700).create(path);
-    made.with_context(|| format!("{} cannot be made", path.display()))?;
+    made.map_err(explained).with_context(|| format!("{} cannot be made", path.display()))?;
     check_private(path)
 }
 
 fn check_private(path: &Path) -> Result<()> {
-    let found = fs::symlink_metadata(path)?;
+    let found = fs::symlink_metadata(path).map_err(explained);
+    let found = found.with_context(|| format!("{} cannot be looked at", path.display()))?;
     ensure!(
         found.is_dir() && found.uid() == nix::unistd::geteuid().as_raw() && found.mode() & 0o022 == 0,
         "{} belongs to somebody else, or others can write to it: remove it, or set XDG_RUNTIME_DIR",
@@ -303,7 +307,7 @@ fn is_at(file: &File, path: &Path) -> bool {
 
 fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
     let file = File::options().read(true).write(true).create(true).truncate(false).open(path);
-    let mut file = file.with_context(|| format!("{} cannot be opened", path.display()))?;
+    let mut file = file.map_err(explained).with_context(|| format!("{} cannot be opened", path.display()))?;
     let mut holder = String::new();
     // Only for the message below.
     let _ = file.read_to_string(&mut holder);
@@ -311,10 +315,18 @@ fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
         let holder = holder.trim();
         anyhow!("the name '{name}' is taken by process {holder}: choose another --name, or stop that one")
     })?;
-    lock.set_len(0)?;
-    lock.rewind()?;
-    writeln!(lock, "{}", std::process::id())?;
+    rewrite(&mut lock, path, &std::process::id().to_string())?;
     Ok(lock)
+}
+
+/// This line is all that a file of this path holds from now on.
+pub(super) fn rewrite(file: &mut File, path: &Path, line: &str) -> Result<()> {
+    let mut write = || {
+        file.set_len(0)?;
+        file.rewind()?;
+        writeln!(file, "{line}")
+    };
+    write().map_err(explained).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// Who looks whether a lock is held holds it for a moment.

@@ -20,7 +20,9 @@ use super::processes::Process;
 use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
 use super::verdict;
-use crate::control::{Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, read};
+use crate::control::{
+    Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_length, read,
+};
 use crate::judge::delivery::Delivery;
 use crate::judge::findings::{Author, Finding};
 use crate::report::draft::write_json;
@@ -56,6 +58,7 @@ pub fn keep(
     ready: impl FnOnce(&LabStatus) -> Result<()>,
 ) -> Result<LabStatus> {
     let home = options.home.clone().context("a lab that stays needs a name")?;
+    scenario.stations.iter().try_for_each(|station| check_length(&home.station(&station.name)))?;
     let _held = home.directory.take_lab(&home.lab)?;
     let mut lab = Lab::set_up(&scenario, options)?;
     if !scenario.conditions.events.is_empty() {

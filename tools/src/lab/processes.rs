@@ -10,6 +10,7 @@ use anyhow::{Context, Result};
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 
 use super::namespace::Namespace;
+use crate::remedy::explained;
 use crate::station::link::{Order, Report};
 
 /// How long a station may take to end when it is told to. The kernel closes its packet sockets one by one, each after an RCU
@@ -42,7 +43,8 @@ impl Process {
     ) -> Result<Self> {
         let mut command = this_program();
         command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = namespace.run(move || command.spawn())?.context("a station cannot be started")?;
+        let child = namespace.run(move || command.spawn())?.map_err(explained);
+        let mut child = child.context("a station cannot be started")?;
         let output = child.stdout.take().context("a station without output")?;
         // A station that is stopped reads no orders, and its lab goes on.
         let input = child.stdin.as_ref().context("a station without input")?;

@@ -10,7 +10,7 @@ use vnic::peers::Prefix;
 use super::places::{self, TooSmall};
 use super::{
     Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, NeverCalibrated, SYNC_WINDOW, SYNC_WINDOW_PARTS,
-    Scenario, ServoName, SlotGuard, SlotPlan, StationPlan, VnicPlan,
+    Scenario, ServoName, SlotGuard, SlotPlan, StationPlan, VnicPlan, shortest_sync_window,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
@@ -172,8 +172,9 @@ pub(super) fn divide(
     let n = stations as i64;
     let [sync, frame] =
         [ethernet::MIN_FRAME, size + ethernet::HEADER_LEN].map(|length| rate.air_time(length));
-    let most = sync.max(cycle / SYNC_WINDOW_PARTS);
-    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).clamp(sync, most);
+    let shortest = shortest_sync_window(rate);
+    let most = shortest.max(cycle / SYNC_WINDOW_PARTS);
+    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).clamp(shortest, most);
     let share = sync + (cycle - sync - frame * n) / (n + 1);
     let with =
         |window| schedule::divide(cycle, window, rate, stations, size, guard).map(|length| (window, length));

@@ -97,7 +97,7 @@ fn a_port_of_a_bridge_is_refused_and_named_while_it_runs() {
     network("a_port_of_a_bridge_is_refused_and_named_while_it_runs", || {
         let medium = Medium::new();
         let name = unique("bridged");
-        let mut station = Station::slave_of_nobody(&medium.b, &name);
+        let station = Station::slave_of_nobody(&medium.b, &name);
         let mut netlink = medium.b.netlink().unwrap();
         netlink.add_bridge("br0").unwrap();
         let [port, bridge] = ["rt0", "br0"].map(|name| netlink.link_index(name).unwrap());

@@ -6,6 +6,7 @@
 mod abused;
 mod addresses;
 mod ages;
+mod agree;
 mod backups;
 mod calibrate;
 mod cell;
@@ -17,6 +18,7 @@ mod forged;
 mod html;
 mod interface;
 mod lab;
+mod limits;
 mod link_attributes;
 mod live;
 mod manual;

@@ -24,6 +24,7 @@ mod one_seed_identical_bytes;
 mod peer_backup;
 mod peer_interop;
 mod planned;
+mod proposals;
 mod proxy;
 mod receive_pool;
 mod request_backlog;

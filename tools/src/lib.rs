@@ -13,6 +13,7 @@ pub mod lab;
 pub mod min_cycle;
 pub mod observe;
 pub mod plan;
+pub mod remedy;
 pub mod report;
 pub mod ring;
 pub mod scenario;

@@ -5,18 +5,21 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use tools::cli::{Cli, LabVerb, SimVerb, Verb};
-use tools::cmd;
+use tools::{cmd, remedy};
 
 fn main() -> ExitCode {
     // A lab starts this program as /proc/self/exe, by which `ps` and `top` would call it. It runs under any name.
     let _ = std::fs::write("/proc/self/comm", "rtnet");
-    let done = match &Cli::parse().verb {
+    let cli = Cli::parse();
+    // Stations, sockets and clients take descriptors, and the usual limit is far below what the host allows.
+    let files = remedy::raise_files();
+    let done = match &cli.verb {
         Verb::Lab(LabVerb::Run(args)) => cmd::lab_run::lab_run(args),
         Verb::Lab(LabVerb::Up(args)) => cmd::lab_up::lab_up(args),
         Verb::Lab(LabVerb::Down(args)) => cmd::lab::down(args),
         Verb::Lab(LabVerb::Status(args)) => cmd::lab::status(args),
         Verb::Lab(LabVerb::Restart(args)) => cmd::lab::restart(args),
-        Verb::Lab(LabVerb::Exec(args)) => cmd::lab::exec(args),
+        Verb::Lab(LabVerb::Exec(args)) => cmd::lab::exec(args, files),
         Verb::Sim(SimVerb::Run(args)) => cmd::sim::sim_run(args),
         Verb::Sim(SimVerb::Example) => cmd::sim::example(),
         Verb::Doctor(args) => cmd::doctor::doctor(args),

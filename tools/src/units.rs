@@ -23,6 +23,14 @@ pub enum UnitError {
     /// No share of a whole.
     #[error("'{0}' is no share: write for example 1% or 50ppm, at most 100%")]
     Share(String),
+    /// Digits are set apart, or the decimals are.
+    #[error(
+        "'{0}' is not read as one number: write digits with a point before the decimals, and no ',' or '_', as in {1}"
+    )]
+    Digits(String, &'static str),
+    /// The unit is known, in other letters.
+    #[error("'{0}' has its unit in capitals: write {1}")]
+    Capitals(String, &'static str),
     /// More than can be counted, or less than nothing where that makes no sense.
     #[error("'{0}' is out of range: {1}")]
     Range(String, &'static str),
@@ -63,18 +71,27 @@ fn parse_span_of(
     is_in_range: impl Fn(Span) -> bool,
 ) -> Result<Span, UnitError> {
     let (number, unit) = split(text, SPAN_EXAMPLE)?;
-    let scale = match unit {
-        "ns" => 1.0,
-        "us" | "µs" => 1e3,
-        "ms" => 1e6,
-        "s" => 1e9,
-        "min" => 60e9,
-        _ => return Err(UnitError::Unit(text.into(), SPAN_UNITS)),
+    let scale = match (span_unit(unit), span_unit(&unit.to_lowercase())) {
+        (Some(scale), _) => scale,
+        (None, Some(_)) => return Err(UnitError::Capitals(text.into(), SPAN_UNITS)),
+        (None, None) => return Err(UnitError::Unit(text.into(), SPAN_UNITS)),
     };
     let nanos = (number * scale).round();
     let span = Span::from_nanos(nanos as i64);
     let refuse = || UnitError::Range(text.into(), range);
     (nanos.abs() <= 1e18 && is_in_range(span)).then_some(span).ok_or_else(refuse)
+}
+
+/// Nanoseconds of a unit. Unicode has two letters for micro, the sign U+00B5 and the Greek U+03BC, which look the same.
+fn span_unit(unit: &str) -> Option<f64> {
+    match unit {
+        "ns" => Some(1.0),
+        "us" | "\u{b5}s" | "\u{3bc}s" => Some(1e3),
+        "ms" => Some(1e6),
+        "s" => Some(1e9),
+        "min" => Some(60e9),
+        _ => None,
+    }
 }
 
 /// A guard band, `20us`: not what keeps slots, which others call so, too.
@@ -121,6 +138,9 @@ fn split<'a>(text: &'a str, example: &'static str) -> Result<(f64, &'a str), Uni
     let text = text.trim();
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '-')).unwrap_or(text.len());
     let number = text[..end].parse().map_err(|_| UnitError::NoNumber(text.into(), example))?;
+    if text[end..].starts_with([',', '_']) {
+        return Err(UnitError::Digits(text.into(), example));
+    }
     Ok((number, text[end..].trim_start()))
 }
 
@@ -173,6 +193,10 @@ mod tests {
             ("1.5ms", 1_500_000),
             ("10s", 10_000_000_000),
             ("-3 ns", -3),
+            ("100 us", 100_000),
+            ("100\u{b5}s", 100_000),
+            ("100\u{3bc}s", 100_000),
+            ("1.5 \u{3bc}s", 1_500),
         ] {
             assert_eq!(parse_span(text), Ok(Span::from_nanos(nanos)), "{text}");
         }
@@ -198,6 +222,22 @@ mod tests {
             error("1e99s"),
             "'1e99s' has no unit that is known here: write ns, us, ms, s or min, as in 250us"
         );
+    }
+
+    #[test]
+    fn units_in_capitals_and_commas_are_refused_with_the_remedy() {
+        let error = |text| parse_span(text).unwrap_err().to_string();
+        for text in ["100US", "1Ms", "2S", "100\u{b5}S", "100\u{39c}s"] {
+            assert_eq!(
+                error(text),
+                format!("'{text}' has its unit in capitals: write ns, us, ms, s or min, as in 250us")
+            );
+        }
+        for text in ["1,5ms", "1_000us", "1.000,5us"] {
+            let expected = "is not read as one number: write digits with a point before the decimals, and no";
+            assert!(error(text).contains(expected), "{}", error(text));
+        }
+        assert!(parse_rate("1,5G").unwrap_err().to_string().ends_with("as in 100M"));
     }
 
     #[test]

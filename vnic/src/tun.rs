@@ -30,6 +30,7 @@ use std::time::Duration;
 
 use nix::sys::eventfd::EventFd;
 use rtnet::live::interface::Interface;
+use rtnet::live::rights;
 use rtnet::wire::ethernet::Address;
 
 use crate::netlink::{Refused, ShapingStatistics};
@@ -73,7 +74,7 @@ pub enum StartError {
     #[error("no VNIC: {0}")]
     Link(#[from] Refused),
     /// Nothing can be heard.
-    #[error("no VNIC: packet sockets on '{0}' (run as root, or give CAP_NET_RAW): {1}")]
+    #[error("no VNIC: packet sockets on '{0}' ({remedy}): {1}", remedy = rights::remedy(&["CAP_NET_RAW"]))]
     Socket(String, #[source] io::Error),
     /// Linux would hear the station's packets without it, and answer beside its slots.
     #[error(

@@ -11,6 +11,8 @@ use std::ptr::{self, NonNull};
 use assembler::Instruction;
 use zerocopy::FromBytes;
 
+use super::rights;
+
 const MAP_CREATE: libc::c_long = 0;
 const PROG_LOAD: libc::c_long = 5;
 const LINK_CREATE: libc::c_long = 28;
@@ -132,11 +134,11 @@ pub fn attach(program: &OwnedFd, interface: u32, hook: Hook) -> io::Result<Owned
 }
 
 /// What to do about an answer that means the same whatever a program is for.
-pub fn remedy(error: &io::Error) -> Option<&'static str> {
+pub fn remedy(error: &io::Error) -> Option<String> {
     match error.raw_os_error()? {
-        libc::EPERM | libc::EACCES => Some("run as root, or give CAP_BPF and CAP_NET_ADMIN"),
-        libc::ENOMEM | libc::EAGAIN => Some("free memory, or raise RLIMIT_MEMLOCK (`ulimit -l`)"),
-        libc::ENOSYS => Some("the kernel must be built with CONFIG_BPF_SYSCALL"),
+        libc::EPERM | libc::EACCES => Some(rights::remedy(&["CAP_BPF", "CAP_NET_ADMIN"])),
+        libc::ENOMEM | libc::EAGAIN => Some("free memory, or raise RLIMIT_MEMLOCK (`ulimit -l`)".into()),
+        libc::ENOSYS => Some("the kernel must be built with CONFIG_BPF_SYSCALL".into()),
         _ => None,
     }
 }

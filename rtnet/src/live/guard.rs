@@ -26,6 +26,7 @@ use std::os::fd::{AsRawFd, OwnedFd};
 use zerocopy::FromBytes;
 
 use super::bpf::{self, assembler};
+use super::rights;
 use crate::clock::True;
 
 pub use program::MARK;
@@ -94,7 +95,7 @@ impl GuardRefused {
     }
 
     /// What to do about it: the same answer means another thing at another step.
-    pub fn remedy(&self) -> &'static str {
+    pub fn remedy(&self) -> String {
         let own = || match (self.step, self.error.raw_os_error()) {
             (Step::Hook, Some(libc::ENODEV)) => "the interface is gone: look with `ip link`",
             (Step::Hook, _) => "the interface needs tcx, Linux 6.6, or clsact",
@@ -102,9 +103,9 @@ impl GuardRefused {
             _ => "the kernel must be Linux 5.5 or later",
         };
         match self.step {
-            Step::Clock => "run it in the host's time namespace",
-            Step::Mark => "run as root, or give CAP_NET_ADMIN",
-            _ => bpf::remedy(&self.error).unwrap_or_else(own),
+            Step::Clock => "run it in the host's time namespace".into(),
+            Step::Mark => rights::remedy(&["CAP_NET_ADMIN"]),
+            _ => bpf::remedy(&self.error).unwrap_or_else(|| own().into()),
         }
     }
 }

@@ -57,14 +57,14 @@ const ATTACHED: &str = "tcx";
 
 impl ImpairmentRefused {
     /// What to do about it.
-    pub fn remedy(&self) -> &'static str {
+    pub fn remedy(&self) -> String {
         let is_gone = self.step == ATTACHED && self.error.raw_os_error() == Some(libc::ENODEV);
         let own = || match is_gone {
             true => "the bridge's port is gone: somebody took it away; run the lab again",
             // That came last of what the programs need.
             false => "it needs tcx: the kernel must be Linux 6.6 or later",
         };
-        bpf::remedy(&self.error).unwrap_or_else(own)
+        bpf::remedy(&self.error).unwrap_or_else(|| own().into())
     }
 }
 

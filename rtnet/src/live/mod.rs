@@ -28,6 +28,7 @@ pub mod interface;
 mod packet;
 mod port;
 pub mod realtime;
+pub mod rights;
 pub mod ring;
 pub mod sealed;
 mod time_board;

@@ -20,7 +20,7 @@ use super::bells::{Bells, PLACES, THE_ALARM};
 use super::clock::{WallClock, monotonic, sleep_until, spin_until};
 use super::guard::{self, Guard, GuardMode, GuardRefused, MARK};
 use super::interface::Interface;
-use super::{filter, packet};
+use super::{filter, packet, rights};
 use receive::{DRAIN_AT_MOST, Inlet, drain, on_clock, receiver};
 
 pub use receive::Data;
@@ -73,7 +73,7 @@ pub struct Port {
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The kernel gives no packet sockets.
-    #[error("packet sockets on '{0}' (run as root, or give CAP_NET_RAW)")]
+    #[error("packet sockets on '{0}' ({remedy})", remedy = rights::remedy(&["CAP_NET_RAW"]))]
     Sockets(String, #[source] io::Error),
     /// More EtherTypes than a port has sockets for.
     #[error(

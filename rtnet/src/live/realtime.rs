@@ -8,6 +8,8 @@ use nix::sched::{CpuSet, sched_getaffinity, sched_setaffinity};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::unistd::Pid;
 
+use super::rights;
+
 /// Priority of a master's real-time thread: its Synchronisation goes before every slot.
 pub const MASTER_PRIORITY: i32 = 90;
 /// Priority of a slave's real-time thread.
@@ -39,9 +41,10 @@ impl RealTime {
             && let Err(error) = set_scheduler(libc::SCHED_FIFO, priority)
         {
             // In a user namespace no capability helps.
+            let remedy = rights::remedy(&["CAP_SYS_NICE"]);
             refused.push(format!(
-                "SCHED_FIFO: {error}: ordinary scheduling, slots are missed under load (run as root, or \
-                 raise RLIMIT_RTPRIO, `ulimit -r`)"
+                "SCHED_FIFO: {error}: ordinary scheduling, slots are missed under load ({remedy}; or raise RLIMIT_RTPRIO, \
+                 `ulimit -r`)"
             ));
         }
         if let Err(error) = mlockall(MlockAllFlags::MCL_CURRENT) {

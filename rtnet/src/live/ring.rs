@@ -28,7 +28,7 @@ use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 use socket2::{Domain, Socket, Type};
 
-use super::packet;
+use super::{packet, rights};
 
 /// Nominal only: in version 3 frames take what they need, but the request has to add up.
 const FRAME_BYTES: u32 = 2048;
@@ -108,7 +108,7 @@ impl CaptureRing {
 
         // Protocol 0: until it is bound, the socket would hear every interface.
         let socket = Socket::new(Domain::PACKET, Type::RAW, None)
-            .map_err(failed("cannot open a packet socket (needs CAP_NET_RAW)"))?;
+            .map_err(|error| named(interface, &no_socket(), error))?;
         let version = libc::tpacket_versions::TPACKET_V3 as c_int;
         packet::set(&socket, libc::SOL_PACKET, libc::PACKET_VERSION, &version)
             .map_err(failed("no TPACKET_V3"))?;
@@ -291,6 +291,11 @@ fn bind(socket: &Socket, interface: c_int) -> io::Result<()> {
     // SAFETY: the kernel reads `length` bytes of `address`, which has them.
     let result = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
     Ok(Errno::result(result).map(drop)?)
+}
+
+/// Without the right to one, or without descriptors or memory for it.
+fn no_socket() -> String {
+    format!("cannot open a packet socket ({})", rights::remedy(&["CAP_NET_RAW"]))
 }
 
 fn named(interface: &str, what: &str, error: io::Error) -> io::Error {

@@ -36,12 +36,14 @@ fn without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on(
             (
                 "mount -t tmpfs none /dev/net && mknod -m 000 /dev/net/tun c 10 200 && \
                  exec setpriv --bounding-set -dac_override \"$0\" \"$@\"",
-                "/dev/net/tun: Permission denied (os error 13) (run as root, or give the user the device file)",
+                "/dev/net/tun: Permission denied (os error 13) (give this user the device file, `chmod`, or in a container \
+                 `--device /dev/net/tun`)",
             ),
             (
                 "exec setpriv --bounding-set -net_admin \"$0\" \"$@\"",
-                "a device may not be made here: Operation not permitted (os error 1) (run as root, or give \
-                 CAP_NET_ADMIN)",
+                "a device may not be made here: Operation not permitted (os error 1) (this process is root \
+                 without CAP_NET_ADMIN: give it that, in a container by `--cap-add NET_ADMIN`, in a service by \
+                 CapabilityBoundingSet=)",
             ),
         ] {
             let station = started_by(script, &medium, &name);

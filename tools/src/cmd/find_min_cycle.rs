@@ -12,7 +12,7 @@ use super::delivery::Delivery;
 use super::{Failure, all_writable, screen_width};
 use crate::cli::MinCycleArgs;
 use crate::control::Directory;
-use crate::lab::{Core, Lab, RunOptions, userns};
+use crate::lab::{self, Core, Lab, RunOptions, userns};
 use crate::min_cycle::answer::{Answer, Asked, Purpose, Run};
 use crate::min_cycle::{ladder, screen, search};
 use crate::report::host::HostFacts;
@@ -34,6 +34,7 @@ pub fn find_min_cycle(args: &MinCycleArgs) -> Result<u8, Failure> {
     let kept = kept.transpose().map_err(Failure::Usage)?;
     let asked = asked(args, kept.as_ref().map(|(_, kept)| &kept.asked)).map_err(Failure::Usage)?;
     let networks = networks(args, &asked).map_err(Failure::Usage)?;
+    lab::check_files(asked.stations).map_err(Failure::Usage)?;
     all_writable(&[args.json.as_ref()], None).map_err(Failure::Usage)?;
     // In a user namespace one is root, and would look elsewhere.
     let directory = Directory::of_user().map_err(Failure::Usage)?;
@@ -114,7 +115,9 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
     for cycle in ladder::up_to(args.longest) {
         match network(cycle) {
             Ok(scenario) => networks.push(scenario),
-            Err(refused @ ScenarioError::Conflict(_)) => last = Some(refused),
+            Err(refused @ (ScenarioError::Conflict(_) | ScenarioError::NeverCalibrated(_))) => {
+                last = Some(refused)
+            }
             Err(refused) => return Err(refused.into()),
         }
     }
@@ -128,7 +131,11 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
             ladder::SHORTEST
         ),
     };
-    networks.first().with_context(why)?;
+    let longest = networks.last().with_context(why)?;
+    let trial = |short| anyhow!("{short} (--trial), or let --longest be shorter");
+    longest.check_duration().map_err(trial)?;
+    let proof = Scenario { duration: Span::from_nanos(asked.proof_ns), ..longest.clone() };
+    proof.check_duration().map_err(|short| anyhow!("{short} (--proof), or let --longest be shorter"))?;
     Ok(networks)
 }
 

@@ -20,6 +20,7 @@ use crate::control::{self, Directory, Held, LabReply, LabRequest, LabStatus, Pla
 use crate::lab;
 use crate::lab::guests::Guests;
 use crate::lab::processes::END_WITHIN;
+use crate::remedy;
 use crate::report::verdict::Word;
 
 /// How long a lab that has answered may take to be gone: its stations end one beside the other.
@@ -173,10 +174,13 @@ fn locked_within(cycle_ns: u64) -> Duration {
     LOCKED_WITHIN.max(Duration::from_nanos(cycle_ns) * CALIBRATED_WITHIN)
 }
 
-/// Runs a command beside a station; returns only if it cannot.
-pub fn exec(args: &LabExecArgs) -> Result<u8, Failure> {
+/// Runs a command beside a station; returns only if it cannot. `files` is the soft limit of descriptors that it is to have.
+pub fn exec(args: &LabExecArgs, files: Option<u64>) -> Result<u8, Failure> {
     let (program, arguments) = args.command.split_first().context("no command").map_err(Failure::Usage)?;
     enter(&args.place, args.any_core).map_err(Failure::Usage)?;
+    // It gets the limit of descriptors that this process was started with.
+    let restored = files.map_or(Ok(()), remedy::restore_files);
+    restored.context("the limit of descriptors cannot be set").map_err(Failure::Usage)?;
     Err(not_run(program, &Command::new(program).args(arguments).exec()))
 }
 

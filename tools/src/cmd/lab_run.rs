@@ -9,7 +9,7 @@ use super::delivery::Delivery;
 use super::{Failure, all_writable, screen_width, tell_of_ring, title};
 use crate::cli::{LabMeasureArgs, LabRunArgs};
 use crate::control::Directory;
-use crate::lab::{Core, Lab, RunOptions, userns};
+use crate::lab::{self, Core, Lab, RunOptions, userns};
 use crate::report::draft::is_standard_output;
 use crate::report::html::Sheet;
 use crate::report::screen;
@@ -19,7 +19,6 @@ use crate::scenario::{
 };
 use crate::sim;
 
-const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_SEED: u64 = 1;
 /// Runs up to this long show no progress.
 const SHORT: Span = Span::from_millis(2_000);
@@ -83,15 +82,11 @@ fn ring_run(args: &LabRunArgs, html: Option<&PathBuf>, ring: RingScenario) -> Re
 /// The network and how to run it; what cannot be is refused before anything is made.
 pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Scenario, RunOptions)> {
     let mut scenario = scenario(args)?;
+    scenario.check_duration()?;
     if let Some(packages) = &mut scenario.packages {
         // A station reads it, whose working directory is another.
         packages.priorities = absolute(packages.priorities.as_ref())?;
     }
-    let n = scenario.stations.len();
-    ensure!(
-        n <= MAX_LAB_STATIONS,
-        "{n} stations: a lab holds at most {MAX_LAB_STATIONS}; `rtnet sim run` holds more"
-    );
     let options = ready(args, html, &scenario)?;
     Ok((scenario, options))
 }
@@ -108,6 +103,12 @@ pub(super) fn absolute(path: Option<&PathBuf>) -> anyhow::Result<Option<PathBuf>
 
 /// How to run it, on a host that lets us.
 fn ready(args: &LabRunArgs, html: Option<&PathBuf>, scenario: &Scenario) -> anyhow::Result<RunOptions> {
+    let n = scenario.stations.len();
+    ensure!(
+        n <= MAX_LAB_STATIONS,
+        "{n} stations: a lab holds at most {MAX_LAB_STATIONS}; `rtnet sim run` holds more"
+    );
+    lab::check_files(n)?;
     // In a user namespace one is root, and would look elsewhere.
     let directory = Directory::of_user()?;
     userns::gain_namespaces()?;
@@ -132,7 +133,7 @@ fn scenario(args: &LabRunArgs) -> anyhow::Result<Scenario> {
         None => Uniform {
             stations: args.stations,
             cycle: args.cycle,
-            duration: DEFAULT_DURATION,
+            duration: scenario::default_duration(args.cycle),
             payload: args.payload,
             rate: args.rate,
             guard: args.guard,

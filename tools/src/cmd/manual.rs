@@ -9,6 +9,7 @@ use clap_complete::Shell;
 
 use super::Failure;
 use crate::cli::Cli;
+use crate::remedy::explained;
 
 /// Prints the completions for a shell.
 pub fn completions(shell: Shell) -> Result<u8, Failure> {
@@ -22,9 +23,12 @@ pub fn completions(shell: Shell) -> Result<u8, Failure> {
 /// Writes a manual page for the command and for each of its verbs.
 pub fn man(directory: &Path) -> Result<u8, Failure> {
     let made = fs::create_dir_all(directory);
-    made.with_context(|| format!("{} cannot be made", directory.display())).map_err(Failure::Usage)?;
+    made.map_err(explained)
+        .with_context(|| format!("{} cannot be made", directory.display()))
+        .map_err(Failure::Usage)?;
     let written = clap_mangen::generate_to(Cli::command(), directory);
     written
+        .map_err(explained)
         .with_context(|| format!("{} cannot be written to", directory.display()))
         .map_err(Failure::Usage)?;
     Ok(0)

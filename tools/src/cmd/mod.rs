@@ -36,6 +36,7 @@ use serde::Serialize;
 
 use self::delivery::Delivery;
 use crate::lab::Interrupted;
+use crate::remedy::explained;
 use crate::report::document::{Document, Documents, Kind};
 use crate::report::draft::{can_be_written, is_standard_output};
 use crate::report::screen::WIDTH_MIN;
@@ -148,7 +149,7 @@ fn writable(path: &Path) -> anyhow::Result<()> {
     if is_standard_output(path) {
         return Ok(());
     }
-    can_be_written(path).with_context(|| format!("{} cannot be written", path.display()))
+    can_be_written(path).map_err(explained).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// The same of several, each another, and none of them what is read.

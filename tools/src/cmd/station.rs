@@ -78,6 +78,20 @@ pub fn station(args: &StationArgs) -> Result<u8, Failure> {
     daemon::private_umask();
     let options = options(args).map_err(Failure::Usage)?;
     let in_lab = options.lab.is_some();
+    // A lab that ended while it was set up, by an error of its own, has told of that.
+    match run(options, in_lab) {
+        Err(failure) if in_lab && is_left_alone(failure.error()) => Ok(failure.status()),
+        done => done,
+    }
+}
+
+/// Whether there is nobody any more who reads what it tells.
+fn is_left_alone(error: &anyhow::Error) -> bool {
+    let kinds = error.chain().filter_map(|cause| cause.downcast_ref::<std::io::Error>());
+    kinds.map(std::io::Error::kind).any(|kind| kind == std::io::ErrorKind::BrokenPipe)
+}
+
+fn run(options: Options, in_lab: bool) -> Result<u8, Failure> {
     let station = station::set_up(options)
         .inspect_err(|error| {
             if in_lab {

@@ -2,14 +2,14 @@
 //! in a file of its own, `.load-PID`, and means it as long as it holds the lock on that.
 
 use std::fs::{self, File};
-use std::io::{Seek, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use nix::fcntl::{Flock, FlockArg};
 
-use super::places::{Directory, is_held, names};
+use super::places::{Directory, is_held, names, rewrite};
+use crate::remedy::explained;
 
 const PREFIX: &str = ".load-";
 
@@ -29,7 +29,8 @@ impl Load {
         let path = directory.path().join(format!("{PREFIX}{}", std::process::id()));
         let file = loop {
             let file = File::options().read(true).write(true).create(true).truncate(false).open(&path);
-            let file = file.with_context(|| format!("{} cannot be opened", path.display()))?;
+            let file =
+                file.map_err(explained).with_context(|| format!("{} cannot be opened", path.display()))?;
             let file = Flock::lock(file, FlockArg::LockExclusive)
                 .map_err(|(_, errno)| anyhow!("{} cannot be locked: {errno}", path.display()))?;
             // Somebody may have taken it for a dead lab's before it was locked.
@@ -45,9 +46,7 @@ impl Load {
 
     /// It takes another share of it from now on.
     pub fn change(&mut self, share: f64) -> Result<()> {
-        self.file.set_len(0)?;
-        self.file.rewind()?;
-        Ok(writeln!(self.file, "{} {share}", self.cpu)?)
+        rewrite(&mut self.file, &self.path, &format!("{} {share}", self.cpu))
     }
 
     /// What all others take of the same core. Those that are dead are forgotten.

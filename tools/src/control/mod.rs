@@ -33,7 +33,7 @@ pub use protocol::{
 };
 pub use ring::RingShown;
 pub use schedule::{ActivationSaid, ChangesTold, ScheduleRequest, ScheduleSaid, ScheduleShown, SlotOf};
-pub use server::{REQUEST_AT_MOST, Server, Traffic};
+pub use server::{REQUEST_AT_MOST, Server, Traffic, check_length};
 pub use sockets::{
     ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,
     NetworkShown, PoolShown, RouteSaid, RoutesShown, StackReply, StackRequest, Way,

@@ -20,6 +20,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
+use crate::remedy::explained;
 use anyhow::{Context, Result, anyhow, bail};
 use nix::errno::Errno;
 use nix::fcntl::{Flock, FlockArg};
@@ -66,14 +67,17 @@ impl std::fmt::Display for Place {
     }
 }
 
-/// Whether something can be called that.
+/// Whether a station or a lab can be called that: the same in files, in labs and on command lines. A name becomes a file's,
+/// and stands behind options.
 pub fn check_name(name: &str) -> Result<()> {
     let known = |b: u8| b.is_ascii_alphanumeric() || b"-_.".contains(&b);
     let is_file = [LOCK, SOCKET].iter().any(|end| name.ends_with(end)) || name.starts_with('.');
-    if name.is_empty() || name.len() > NAME_AT_MOST || is_file || !name.bytes().all(known) {
+    let is_option = name.starts_with('-');
+    if name.is_empty() || name.len() > NAME_AT_MOST || is_file || is_option || !name.bytes().all(known) {
+        let shown: String = name.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
         bail!(
-            "'{name}' is no name: use letters, digits, '-', '_' and '.', not '.' at its begin nor '{LOCK}' or \
-             '{SOCKET}' at its end, at most {NAME_AT_MOST}"
+            "'{shown}' is no name: use letters A to Z, digits, '-', '_' and '.', not '-' or '.' at its begin nor '{LOCK}' or \
+             '{SOCKET}' at its end, at most {NAME_AT_MOST} in all",
         );
     }
     Ok(())
@@ -189,8 +193,10 @@ impl Directory {
         let path = own.join(LOCK);
         let lock = lock(&path, name)?;
         let noted = fs::read_to_string(own.join(NOTE)).ok();
-        for left in fs::read_dir(&own)?.flatten().filter(|entry| entry.file_name() != LOCK) {
-            fs::remove_file(left.path()).with_context(|| {
+        let all = fs::read_dir(&own).map_err(explained);
+        let all = all.with_context(|| format!("{} cannot be read", own.display()))?;
+        for left in all.flatten().filter(|entry| entry.file_name() != LOCK) {
+            fs::remove_file(left.path()).map_err(explained).with_context(|| {
                 format!("{} is left from a dead lab and cannot go", left.path().display())
             })?;
         }
@@ -285,7 +291,7 @@ fn file_name(path: &Path) -> String {
 /// A directory that only its owner can enter. One that somebody else has made is not used.
 fn make_private(path: &Path) -> Result<()> {
     let made = DirBuilder::new().recursive(true).mode(OWNERS).create(path);
-    made.with_context(|| format!("{} cannot be made", path.display()))?;
+    made.map_err(explained).with_context(|| format!("{} cannot be made", path.display()))?;
     place::check_private(path)?;
     // A umask may have kept it even from its owner.
     if fs::metadata(path)?.mode() & OWNERS != OWNERS {
@@ -314,7 +320,7 @@ fn is_at(file: &File, path: &Path) -> bool {
 
 fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
     let file = File::options().read(true).write(true).create(true).truncate(false).open(path);
-    let mut file = file.with_context(|| format!("{} cannot be opened", path.display()))?;
+    let mut file = file.map_err(explained).with_context(|| format!("{} cannot be opened", path.display()))?;
     let mut holder = String::new();
     // Only for the message below.
     let _ = file.read_to_string(&mut holder);
@@ -322,10 +328,18 @@ fn lock_once(path: &Path, name: &str) -> Result<Flock<File>> {
         let holder = holder.trim();
         anyhow!("the name '{name}' is taken by process {holder}: choose another --name, or stop that one")
     })?;
-    lock.set_len(0)?;
-    lock.rewind()?;
-    writeln!(lock, "{}", std::process::id())?;
+    rewrite(&mut lock, path, &std::process::id().to_string())?;
     Ok(lock)
+}
+
+/// This line is all that a file of this path holds from now on.
+pub(super) fn rewrite(file: &mut File, path: &Path, line: &str) -> Result<()> {
+    let mut write = || {
+        file.set_len(0)?;
+        file.rewind()?;
+        writeln!(file, "{line}")
+    };
+    write().map_err(explained).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// Who looks whether a lock is held holds it for a moment.

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::eventfd::EventFd;
 use nix::sys::resource::{Resource, getrlimit};
@@ -20,6 +20,7 @@ use rtnet::api::listener::Listener;
 
 use super::programs::{Answers, Program, Requests};
 use super::protocol::{Envelope, Reply};
+use crate::remedy::{SOCKET_PATH_AT_MOST, explained};
 
 /// Longest request: a schedule with as many slots as one can have.
 pub const REQUEST_AT_MOST: usize = 160 * 1024;
@@ -73,6 +74,18 @@ impl Traffic {
     }
 }
 
+/// Whether a socket can have this path.
+pub fn check_length(path: &Path) -> Result<()> {
+    let length = path.as_os_str().len();
+    ensure!(
+        length <= SOCKET_PATH_AT_MOST,
+        "{}: the path of a socket has {SOCKET_PATH_AT_MOST} bytes at the most, and this has {length}: set XDG_RUNTIME_DIR to a \
+         shorter one, or shorten the names",
+        path.display()
+    );
+    Ok(())
+}
+
 /// A control socket; its file goes with it.
 pub struct Server {
     listener: Listener,
@@ -101,7 +114,8 @@ enum Outcome {
 impl Server {
     /// Listens at `path`. A file that is there is taken for a dead station's: names are locked elsewhere.
     pub fn bind(path: &Path) -> Result<Self> {
-        let listener = Listener::bind(path, BACKLOG);
+        check_length(path)?;
+        let listener = Listener::bind(path, BACKLOG).map_err(explained);
         Ok(Self {
             listener: listener
                 .with_context(|| format!("the control socket {} cannot be made", path.display()))?,

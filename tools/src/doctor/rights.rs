@@ -9,6 +9,7 @@ use nix::sched::{CloneFlags, unshare};
 use nix::sys::socket::{AddressFamily, SockFlag, SockType, socket};
 use nix::unistd::geteuid;
 use rtnet::live::Guard;
+use rtnet::live::rights::remedy;
 use serde::Serialize;
 
 use super::on_core;
@@ -147,7 +148,7 @@ fn packet_sockets(namespace: Option<&Namespace>) -> Right {
     let name = "packet sockets";
     let open = || socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_CLOEXEC, None).map(drop);
     let Err(refused) = open() else { return Right { name, allowed: Some(true), note: None } };
-    let remedy = format!("{refused}: give CAP_NET_RAW, or run as root");
+    let remedy = format!("{refused}: {}", remedy(&["CAP_NET_RAW"]));
     match namespace.map(|namespace| namespace.run(open)) {
         Some(Ok(Ok(()))) => {
             let note = format!("in labs only; for a station on an interface of this host: {remedy}");

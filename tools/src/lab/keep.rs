@@ -22,7 +22,7 @@ use super::run::{LOOK_EVERY, Lab, RunOptions};
 use super::tally::Tally;
 use super::verdict;
 use crate::control::{
-    Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_name, read,
+    Envelope, Home, LabReply, LabRequest, LabStatus, MemberStatus, Server, check_length, read,
 };
 use crate::judge::delivery::Delivery;
 use crate::judge::findings::{Author, Finding};
@@ -59,7 +59,7 @@ pub fn keep(
     ready: impl FnOnce(&LabStatus) -> Result<()>,
 ) -> Result<LabStatus> {
     let home = options.home.clone().context("a lab that stays needs a name")?;
-    scenario.stations.iter().try_for_each(|station| check_name(&station.name))?;
+    scenario.stations.iter().try_for_each(|station| check_length(&home.station(&station.name)))?;
     let held = home.directory.take_lab(&home.lab)?;
     if let Some(note) = &held.left {
         Guests::of_dead(note)

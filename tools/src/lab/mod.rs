@@ -32,6 +32,21 @@ pub mod userns;
 mod verdict;
 pub(crate) mod wires;
 
+use crate::remedy;
+
+/// Descriptors of this process that a station takes: its namespace, and its process's input and output.
+const FILES_OF_STATION: usize = 3;
+/// Those of everything else: the medium, capture, control socket and its clients, and what is open for a moment only.
+const FILES_BESIDE: usize = 32;
+
+/// Whether this process may have descriptors for a lab of so many stations.
+///
+/// # Errors
+/// It may not: which limit it is, how many stations it holds, and what to do.
+pub fn check_files(stations: usize) -> anyhow::Result<()> {
+    remedy::check_files(stations, FILES_OF_STATION, FILES_BESIDE).map_err(anyhow::Error::msg)
+}
+
 pub use keep::keep;
 pub use load::Core;
 pub use processes::this_program;

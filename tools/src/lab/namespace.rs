@@ -25,8 +25,10 @@ use nix::errno::Errno;
 use nix::sched::{CloneFlags, setns, unshare};
 use nix::sys::stat::fstat;
 use pnet_datalink::MacAddr;
+use rtnet::live::rights;
 
 use super::netlink::Netlink;
+use crate::remedy::explained;
 
 /// Without these the kernel would send router solicitations and the like into the stations' time
 /// slots.
@@ -57,6 +59,7 @@ impl Namespace {
         on_helper_thread(|| {
             unshare(CloneFlags::CLONE_NEWNET).map_err(refusal)?;
             let file = File::open("/proc/thread-self/ns/net")
+                .map_err(explained)
                 .context("cannot open the new network namespace at /proc/thread-self/ns/net: mount /proc")?;
             for setting in SILENCE {
                 match fs::write(setting, "1") {
@@ -82,9 +85,9 @@ impl Namespace {
     /// The process lacks CAP_SYS_ADMIN, or no thread can be started.
     pub fn run<R: Send>(&self, f: impl FnOnce() -> R + Send) -> Result<R> {
         on_helper_thread(|| {
-            setns(&self.fd, CloneFlags::CLONE_NEWNET).context(
-                "cannot enter a network namespace: this needs root (CAP_SYS_ADMIN): run it as root",
-            )?;
+            setns(&self.fd, CloneFlags::CLONE_NEWNET).with_context(|| {
+                format!("cannot enter a network namespace: {}", rights::remedy(&["CAP_SYS_ADMIN"]))
+            })?;
             Ok(f())
         })?
     }
@@ -213,6 +216,7 @@ fn on_helper_thread<R: Send>(f: impl FnOnce() -> R + Send) -> Result<R> {
         let helper = thread::Builder::new()
             .name("netns".into())
             .spawn_scoped(scope, f)
+            .map_err(explained)
             .context("cannot start a thread to enter a network namespace")?;
         Ok(helper.join().unwrap_or_else(|panic| resume_unwind(panic)))
     })
@@ -221,10 +225,9 @@ fn on_helper_thread<R: Send>(f: impl FnOnce() -> R + Send) -> Result<R> {
 fn refusal(errno: Errno) -> anyhow::Error {
     let remedy = match errno {
         Errno::EPERM => {
-            return anyhow!(errno).context(format!(
-                "making a network namespace needs root (CAP_SYS_ADMIN): {}",
-                super::userns::remedy()
-            ));
+            let remedy =
+                super::userns::forbidden().map_or_else(|| rights::remedy(&["CAP_SYS_ADMIN"]), Into::into);
+            return anyhow!(errno).context(format!("a network namespace cannot be made: {remedy}"));
         }
         Errno::ENOSPC => "no more network namespaces allowed: raise the sysctl user.max_net_namespaces",
         Errno::EINVAL => "the kernel must have CONFIG_NET_NS",

@@ -12,6 +12,7 @@ use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::sched::{CloneFlags, setns};
 
 use super::namespace::Namespace;
+use crate::remedy::explained;
 use crate::station::link::{Order, Report};
 
 /// How long a station may take to end when it is told to. The kernel closes its packet sockets one by one, each after an RCU
@@ -159,7 +160,8 @@ impl Process {
 /// Enters a namespace and starts a process there.
 fn bear(namespace: &OwnedFd, mut command: Command) -> Result<(Child, ChildStdout)> {
     setns(namespace, CloneFlags::CLONE_NEWNET).context("a station's namespace cannot be entered")?;
-    let mut child = command.spawn().context("a station cannot be started")?;
+    let child = command.spawn().map_err(explained);
+    let mut child = child.context("a station cannot be started")?;
     let output = child.stdout.take().context("a station without output")?;
     Ok((child, output))
 }

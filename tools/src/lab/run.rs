@@ -45,8 +45,6 @@ const SETTLE_WITHIN: u32 = 3_000;
 const SETTLE_AT_MOST: Duration = Duration::from_secs(7);
 /// How long stations may take to be locked, besides what calibration takes.
 const JOIN_WITHIN: Duration = Duration::from_secs(5);
-/// However slow its slots, nobody waits longer for a network to come up.
-const JOIN_AT_MOST: Duration = Duration::from_secs(3_600);
 /// A calibration round takes two periods of the slot; so many times that is allowed.
 const CALIBRATION_ALLOWANCE: u32 = 3;
 /// After the last cycle, frames are still in the ring for up to its retirement time.
@@ -230,7 +228,7 @@ impl Lab {
         });
         let cycles = rounds.max().unwrap_or(0).saturating_mul(CALIBRATION_ALLOWANCE);
         let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
-        let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES)).min(JOIN_AT_MOST);
+        let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES));
         let deadline = Instant::now() + JOIN_WITHIN + calibration;
         while !self.members.iter().all(Member::is_locked) {
             self.look();

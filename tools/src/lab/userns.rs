@@ -19,7 +19,7 @@ pub fn gain_namespaces() -> Result<()> {
     let refused = |error: anyhow::Error| {
         error.context(format!(
             "a lab makes network namespaces, which takes root or a user namespace of one's own; {}",
-            remedy()
+            forbidden().unwrap_or("run it as root")
         ))
     };
     unshare(CloneFlags::CLONE_NEWUSER).map_err(|errno: Errno| refused(anyhow!(errno)))?;
@@ -27,11 +27,6 @@ pub fn gain_namespaces() -> Result<()> {
     write("setgroups", "deny").map_err(refused)?;
     write("uid_map", &format!("0 {user} 1")).map_err(refused)?;
     write("gid_map", &format!("0 {group} 1")).map_err(refused)
-}
-
-/// What to do where the kernel does not let an ordinary user in.
-pub fn remedy() -> &'static str {
-    forbidden().unwrap_or("run it as root")
 }
 
 /// Which setting forbids user namespaces to ordinary users here, and what to set it to.

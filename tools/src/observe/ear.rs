@@ -124,7 +124,7 @@ impl Ear {
 fn explain(error: std::io::Error) -> anyhow::Error {
     match error.kind() {
         std::io::ErrorKind::PermissionDenied => {
-            anyhow!("{error}: run it as root, or in a lab of your own (--lab)")
+            anyhow!("{error}: or listen in a lab of your own (--lab)")
         }
         _ => error.into(),
     }

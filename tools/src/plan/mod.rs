@@ -18,25 +18,28 @@ mod waits;
 use rtmac::tdma::schedule::{clock_share, drift_bound, latest};
 use rtmac::tdma::{DEFAULT_LEAD, HOLDOVER_CYCLES};
 use rtnet::time::Span;
+use rtnet::wire::ethernet;
 use serde::Serialize;
 
 use crate::report::document::document;
 use crate::report::text::duration;
 use crate::scenario::Scenario;
 
+pub use crate::scenario::STAMP_ERROR;
 pub use host::{Host, OnHost};
 pub use table::{BackupRow, SlotRow, TimeTable};
 pub use vnics::VnicRow;
 pub use waits::{RoundTrip, RoundTrips, WaitRow};
 
-/// How wrong a stamp may be, and how long a frame may take from a station's last look at the clock to the wire.
-pub const STAMP_ERROR: Span = Span::from_nanos(1_500);
 /// How late a host must be allowed to be of which nothing is known: a thread on a core of its own wakes up to 12.6 us late in
 /// 99 of 100 cycles where that core goes idle, and within 0.1 us where it does not.
 pub const LATENESS_LEAST: Span = Span::from_micros(10);
 /// No clock is taken to be further from true time, however much a guard band would absorb: twice as much, from clock to clock, is what stations take
 /// for possible.
 pub const MAX_DRIFT_PPB: i64 = 100_000;
+
+/// Usual quartz clocks drift by up to that.
+const QUARTZ_PPB: i64 = 50_000;
 
 /// A schedule, and what it does. Times are in nanoseconds, shares from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -101,10 +104,11 @@ impl Plan {
         let guard = Guard::of(scenario);
         let mut refused = waits::overloaded(&waits);
         let host = host.map(|host| host.holds(scenario));
+        refused.extend(sync_meets_slot(scenario));
         refused.extend(guard.refused());
         refused.extend(host.as_ref().and_then(OnHost::refused));
         // What a host was measured to do goes before what hosts usually do.
-        let warned = guard.warned().filter(|_| host.is_none() && refused.is_empty());
+        let warned = guard.warned(scenario.cycle).filter(|_| host.is_none() && refused.is_empty());
         Self {
             cycle_ns: scenario.cycle.nanos(),
             sync_window_ns: scenario.sync_window.nanos(),
@@ -156,18 +160,42 @@ impl Guard {
         })
     }
 
-    /// Why few hosts hold it, if so.
-    fn warned(&self) -> Option<String> {
+    /// Why few hosts hold it, if so, or few clocks.
+    fn warned(&self, cycle: Span) -> Option<String> {
         let [band, clocks, least, left] =
             [self.band_ns, self.clocks_ns, self.least_ns, self.lateness_ns].map(time);
-        (self.lateness_ns < LATENESS_LEAST.nanos()).then(|| {
-            format!(
+        if self.lateness_ns < LATENESS_LEAST.nanos() {
+            return Some(format!(
                 "a guard band of {band} less {clocks} at either end leaves hosts {left}, and one of which nothing is known is \
                  taken to be {LATENESS_LEAST} late: a guard band of {least} would do; --host decides by what `rtnet doctor \
                  --json` has measured"
+            ));
+        }
+        let [ppm, usual] = [self.drift_ppb, QUARTZ_PPB].map(|ppb| ppb as f64 / 1e3);
+        (self.drift_ppb < QUARTZ_PPB).then(|| {
+            let shorter = time(cycle.nanos() / QUARTZ_PPB * self.drift_ppb);
+            format!(
+                "a guard band of {band} has {clocks} at either end for clocks, which in a cycle of {cycle} absorb a drift of \
+                 {ppm} ppm, and usual clocks drift by up to {usual} ppm: a cycle of {shorter} would do, or a longer guard band"
             )
         })
     }
+}
+
+/// Why a sync meets the first slot's frame whatever hosts do, if so.
+fn sync_meets_slot(scenario: &Scenario) -> Option<String> {
+    let air = scenario.rate.air_time(ethernet::MIN_FRAME);
+    let slots =
+        scenario.stations.iter().flat_map(|station| station.slots.iter().map(move |slot| (station, slot)));
+    let (station, first) = slots.min_by_key(|(_, slot)| slot.offset)?;
+    let least = air + STAMP_ERROR;
+    (first.offset < least).then(|| {
+        format!(
+            "slot {} of {} begins at {}, and a sync is on the air for {air} and takes up to {STAMP_ERROR} to leave: they may \
+             meet whatever hosts do; let the slot begin at {least} or later",
+            first.id, station.name, first.offset
+        )
+    })
 }
 
 /// A time as a person reads it.
@@ -215,6 +243,39 @@ mod tests {
             warned.starts_with("a guard band of 15us less 3.75us at either end leaves hosts 7.5us, and"),
             "{warned}"
         );
+    }
+
+    #[test]
+    fn guard_band_too_short_for_long_cycles_is_warned_of() {
+        let long = |cycle: &str| {
+            let text = format!(
+                "cycle = \"{cycle}\"\nguard = \"20us\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n[[station]]\nname = \
+                 \"a\"\nrole = \"slave\"\n"
+            );
+            Plan::of(&Source::new("net.toml", &text).parse().unwrap(), None).warned
+        };
+        assert_eq!(long("15ms"), [""; 0]);
+        let warned = &long("1s")[0];
+        let expected = "a guard band of 20us has 5us at either end for clocks, which in a cycle of 1s absorb a drift of 0.799 \
+                        ppm, and usual clocks drift by up to 50 ppm: a cycle of 15.98ms would do, or a longer guard band";
+        assert_eq!(warned, expected);
+    }
+
+    #[test]
+    fn slot_that_a_sync_reaches_is_refused() {
+        // A sync is on the air for 67.2us, and takes up to 1.5us to leave.
+        let first = |offset: &str| {
+            let text = format!(
+                "cycle = \"2ms\"\nrate = \"10M\"\nsync_window = \"67200ns\"\nguard = \"20us\"\n[[station]]\nname = \"m\"\nrole \
+                 = \"master\"\nslots = [{{ id = 0, offset = \"{offset}\" }}]\n[[station]]\nname = \"a\"\nrole = \
+                 \"slave\"\nslots = [{{ id = 0, offset = \"1ms\" }}]\n"
+            );
+            Plan::of(&Source::new("net.toml", &text).parse().unwrap(), None).refused
+        };
+        assert_eq!(first("68700ns"), [""; 0]);
+        let expected = "slot 0 of m begins at 68.699us, and a sync is on the air for 67.2us and takes up to 1.5us to leave: they \
+                        may meet whatever hosts do; let the slot begin at 68.7us or later";
+        assert_eq!(first("68699ns"), [expected]);
     }
 
     #[test]

@@ -51,9 +51,12 @@ fn sum(scenario: &Scenario) -> String {
     let air = rate.air_time(payload + HEADER_LEN);
     let sum = *sync_window + (air + *guard) * n as i64;
     let schedule = scenario.schedule();
+    let shorter = Scenario { cycle: *cycle - Span::from_micros(1), ..scenario.clone() };
+    let why = shorter.check_calibration().err();
+    let why = why.map_or(String::new(), |why| format!("# In a cycle of {}, {why}.\n", shorter.cycle));
     format!(
         "# {n} stations, a slot of {payload} bytes each in every cycle; {:.1} % of the time is used.\n# sync window {sync_window} + \
-         {n} x (frame {air} + guard band {guard}) = {sum} of {cycle}\n",
+         {n} x (frame {air} + guard band {guard}) = {sum} of {cycle}\n{why}",
         schedule.utilisation() * 100.0
     )
 }
@@ -112,7 +115,9 @@ mod tests {
             let scenario = shortest(&asked).unwrap();
             prop_assert_eq!(Source::new("net.toml", &file(&scenario)).parse().unwrap(), scenario.clone());
             let shorter = Uniform { cycle: scenario.cycle - Span::from_micros(1), ..asked };
-            prop_assert!(matches!(shorter.scenario(), Err(ScenarioError::Conflict(_) | ScenarioError::Refused(_))));
+            prop_assert!(matches!(shorter.scenario(), Err(
+                ScenarioError::Conflict(_) | ScenarioError::Refused(_) | ScenarioError::NeverCalibrated(_)
+            )));
         }
     }
 }

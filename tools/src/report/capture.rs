@@ -18,6 +18,7 @@ use pcap_file::pcapng::blocks::section_header::{SectionHeaderBlock, SectionHeade
 use pcap_file::{DataLink, Endianness};
 
 use super::draft::{Draft, is_standard_output};
+use crate::remedy::explained;
 
 const APPLICATION: &str = concat!("rtnet ", env!("CARGO_PKG_VERSION"));
 
@@ -50,7 +51,8 @@ impl CaptureFile {
         match is_standard_output(path) {
             true => Self::standard_output(),
             false => {
-                let file = File::create(path).with_context(|| format!("cannot create {}", path.display()))?;
+                let file = File::create(path).map_err(explained);
+                let file = file.with_context(|| format!("cannot create {}", path.display()))?;
                 Self::begin(path, file, None)
             }
         }
@@ -64,8 +66,8 @@ impl CaptureFile {
         if is_standard_output(path) {
             return Self::standard_output();
         }
-        let (draft, file) =
-            Draft::begin(path).with_context(|| format!("cannot create {}", path.display()))?;
+        let begun = Draft::begin(path).map_err(explained);
+        let (draft, file) = begun.with_context(|| format!("cannot create {}", path.display()))?;
         Self::begin(path, file, Some(draft))
     }
 

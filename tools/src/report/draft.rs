@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use super::document::{Document, Kind};
+use crate::remedy::explained;
 use anyhow::Context;
 
 /// A file to be. Unless it is put into its place, what was there stays, and nothing of it remains.
@@ -78,7 +79,7 @@ pub fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
         file.write_all(text.as_bytes())?;
         draft.keep()
     };
-    write().with_context(|| format!("{} cannot be written", path.display()))
+    write().map_err(explained).with_context(|| format!("{} cannot be written", path.display()))
 }
 
 /// Whether it can be written; nothing of it remains, and nothing of what is there is lost.

@@ -6,7 +6,7 @@
 //! rate = "1G"
 //! sync_window = "50us"      # default: this; as long as a slot where no station says where its slots are
 //! guard = "20us"            # default: what the closest slots leave; "0us" is none at all, which no network holds
-//! duration = "10s"
+//! duration = "10s"          # or ten cycles, if they last longer
 //! max_miss = "0.5%"         # each station may miss so many of its slots, where no expectation decides: more is DEGRADED
 //! seed = 1
 //! late = "skip"             # or "send", as RTnet does
@@ -68,13 +68,12 @@ use stations::{FileRole, StationFile};
 
 use super::{
     Conditions, DEFAULT_RATE, DelayName, MAX_MISS_PPM, Network, Scenario, ServoName, SlotGuard,
-    default_sync_window,
+    default_duration, default_sync_window,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
 use crate::units::{FileRate, GuardBand, PositiveSpan, Share};
 
-const DEFAULT_DURATION: Span = Span::from_millis(10_000);
 const DEFAULT_PAYLOAD: usize = 64;
 /// Ten times what the worst of quartz clocks do.
 const MAX_DRIFT_PPM: f64 = 1_000.0;
@@ -112,7 +111,7 @@ struct NetworkFile {
     rate: Option<FileRate>,
     sync_window: Option<Spanned<PositiveSpan>>,
     guard: Option<GuardBand>,
-    duration: Option<PositiveSpan>,
+    duration: Option<Spanned<PositiveSpan>>,
     seed: Option<u64>,
     max_miss: Option<Share>,
     late: Option<Late>,
@@ -181,7 +180,10 @@ impl Source<'_> {
             sync_window: sync_window.unwrap_or(default_sync_window(cycle, rate)),
             rate,
             guard: asked.unwrap_or(Span::ZERO),
-            duration: network.duration.map_or(DEFAULT_DURATION, |duration| duration.0),
+            duration: network
+                .duration
+                .as_ref()
+                .map_or(default_duration(cycle), |duration| duration.get_ref().0),
             seed: network.seed.unwrap_or(1),
             max_miss_ppm: network.max_miss.map_or(MAX_MISS_PPM, |share| share.0),
             late: if matches!(network.late, Some(Late::Send)) { LatePolicy::Send } else { LatePolicy::Skip },
@@ -192,6 +194,8 @@ impl Source<'_> {
             stations,
             conditions: self.conditions(&mut network)?,
         };
+        let duration = network.duration.as_ref().map_or(0, |duration| duration.span().start);
+        scenario.check_duration().map_err(|short| self.impossible(duration, short))?;
         self.check_events(&scenario)?;
         self.check_syncs(&network, &scenario)?;
         if divided {

@@ -2,6 +2,7 @@
 //! file; one form for labs and simulations.
 
 mod acts;
+mod calibration;
 mod change;
 mod clashes;
 mod conditions;
@@ -32,6 +33,7 @@ use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
+pub use calibration::NeverCalibrated;
 pub use change::{room_for_parts, room_for_replies};
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};
@@ -49,6 +51,8 @@ const SYNC_WINDOW: Span = Span::from_micros(50);
 const SYNC_WINDOW_PARTS: i64 = 8;
 /// A sync may begin in the first three quarters of its window, and is on the air in the last.
 const SYNC_WINDOW_OF_AIR: i64 = 4;
+/// How long a frame may take from a station's last look at the clock to the wire, and how wrong a stamp may be.
+pub const STAMP_ERROR: Span = Span::from_nanos(1_500);
 /// Default clocks are off by up to this much.
 const CLOCK_OFFSET: Span = Span::from_millis(1_000);
 /// And drift by up to 50 ppm.
@@ -61,6 +65,9 @@ pub const MAX_STATIONS: usize = 10_000;
 pub const MAX_LAB_STATIONS: usize = 250;
 /// Of a medium that nothing else is said of.
 pub const DEFAULT_RATE: Rate = Rate::from_bits_per_second(1_000_000_000);
+/// How long is measured where nothing else is said, and at least for so many cycles.
+const DEFAULT_DURATION: Span = Span::from_millis(10_000);
+const DEFAULT_CYCLES: i64 = 10;
 /// Smallest payload of test traffic: that of the smallest frame.
 pub const MIN_PAYLOAD: usize = ethernet::MIN_FRAME - ethernet::HEADER_LEN;
 
@@ -95,6 +102,16 @@ pub struct Scenario {
     pub stations: Vec<StationPlan>,
     /// What it goes through.
     pub conditions: Conditions,
+}
+
+/// A measurement that would see nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a duration of {duration}, and a cycle lasts {cycle}: nothing would be measured; make it {cycle} or longer"
+)]
+pub struct TooShort {
+    duration: Span,
+    cycle: Span,
 }
 
 /// What all stations know of packages.
@@ -260,6 +277,12 @@ impl Scenario {
         self
     }
 
+    /// Whether a whole cycle is measured.
+    pub fn check_duration(&self) -> Result<(), TooShort> {
+        let &Self { duration, cycle, .. } = self;
+        if duration < cycle { Err(TooShort { duration, cycle }) } else { Ok(()) }
+    }
+
     /// The slots of all stations.
     pub fn schedule(&self) -> Schedule {
         let slots = self.stations.iter().flat_map(|station| {
@@ -329,9 +352,19 @@ impl Scenario {
     }
 }
 
+/// How long is measured where nothing else is said.
+pub fn default_duration(cycle: Span) -> Span {
+    DEFAULT_DURATION.max(cycle * DEFAULT_CYCLES)
+}
+
 /// Where slots are given: 50 us, or an eighth of a short cycle. On a slow medium, where a sync takes long, so much that one
-/// that begins as late as it may ends in it, if the cycle has the room; its time on the air in any.
+/// that begins as late as it may ends in it, if the cycle has the room; in any, what a sync needs that is not late.
 pub fn default_sync_window(cycle: Span, rate: Rate) -> Span {
     let air = rate.air_time(ethernet::MIN_FRAME);
-    SYNC_WINDOW.max(air * SYNC_WINDOW_OF_AIR).min(cycle / SYNC_WINDOW_PARTS).max(air)
+    SYNC_WINDOW.max(air * SYNC_WINDOW_OF_AIR).min(cycle / SYNC_WINDOW_PARTS).max(shortest_sync_window(rate))
+}
+
+/// A sync has left the air when it is over.
+fn shortest_sync_window(rate: Rate) -> Span {
+    rate.air_time(ethernet::MIN_FRAME) + STAMP_ERROR
 }

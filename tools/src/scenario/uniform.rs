@@ -9,8 +9,8 @@ use vnic::peers::Prefix;
 
 use super::places::{self, TooSmall};
 use super::{
-    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, SYNC_WINDOW, SYNC_WINDOW_PARTS, Scenario, ServoName,
-    SlotGuard, SlotPlan, StationPlan, VnicPlan,
+    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, NeverCalibrated, SYNC_WINDOW, SYNC_WINDOW_PARTS,
+    Scenario, ServoName, SlotGuard, SlotPlan, StationPlan, VnicPlan, shortest_sync_window,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
@@ -74,6 +74,9 @@ pub enum ScenarioError {
     /// No station would take it.
     #[error(transparent)]
     Refused(#[from] Refused),
+    /// No slave would come up.
+    #[error(transparent)]
+    NeverCalibrated(#[from] NeverCalibrated),
 }
 
 impl Uniform {
@@ -136,6 +139,7 @@ impl Uniform {
             stations,
             conditions,
         };
+        scenario.check_calibration()?;
         Ok(scenario.with_random_clocks())
     }
 }
@@ -168,8 +172,9 @@ pub(super) fn divide(
     let n = stations as i64;
     let [sync, frame] =
         [ethernet::MIN_FRAME, size + ethernet::HEADER_LEN].map(|length| rate.air_time(length));
-    let most = sync.max(cycle / SYNC_WINDOW_PARTS);
-    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).clamp(sync, most);
+    let shortest = shortest_sync_window(rate);
+    let most = shortest.max(cycle / SYNC_WINDOW_PARTS);
+    let least = SYNC_WINDOW.max(SYNC_PER_STATION * n).clamp(shortest, most);
     let share = sync + (cycle - sync - frame * n) / (n + 1);
     let with =
         |window| schedule::divide(cycle, window, rate, stations, size, guard).map(|length| (window, length));

@@ -30,6 +30,7 @@ use rtnet::room;
 use rtnet::socket::Socket;
 
 use super::sockets::Sockets;
+use crate::remedy::explained;
 
 /// Stack of the broker's thread.
 const STACK: usize = 256 * 1024;
@@ -76,8 +77,9 @@ pub struct Running {
 /// Starts the broker of a station with this control socket; with sockets it has a way to others.
 pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Sockets>>) -> Result<Running> {
     let path = package_router::component::socket_of(control);
-    let broker =
-        Broker::bind(&path).with_context(|| format!("the broker {} cannot be made", path.display()))?;
+    let broker = Broker::bind(&path)
+        .map_err(explained)
+        .with_context(|| format!("the broker {} cannot be made", path.display()))?;
     let mut broker = broker.with_priorities(options.priorities);
     if let Some(sockets) = sockets {
         broker = broker.with_beyond(Box::new(Lan { sockets, routes: options.routes, gone: Vec::new() }));

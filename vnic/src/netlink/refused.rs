@@ -3,6 +3,7 @@
 use std::io;
 
 use nix::errno::Errno;
+use rtnet::live::rights;
 
 /// What was asked of the kernel and did not come about: one line, `cannot WHAT: SAID: REMEDY`, and the errno as the source.
 #[derive(Debug, thiserror::Error)]
@@ -27,13 +28,12 @@ impl Refused {
         remedies: &[(Errno, &str)],
     ) -> Self {
         let remedy = match remedies.iter().find(|(code, _)| *code == errno) {
-            Some((_, remedy)) => Some(*remedy),
-            None if errno == Errno::EPERM => Some("this needs root (CAP_NET_ADMIN): run as root"),
-            None if errno == Errno::ENODEV => Some("no such interface in the namespace"),
+            Some((_, remedy)) => Some((*remedy).to_owned()),
+            None if errno == Errno::EPERM => Some(rights::remedy(&["CAP_NET_ADMIN"])),
+            None if errno == Errno::ENODEV => Some("no such interface in the namespace".to_owned()),
             None => None,
         };
-        let (what, remedy) = (what.to_owned(), remedy.map(str::to_owned));
-        Self { what, said, remedy, source: Some(errno.into()) }
+        Self { what: what.to_owned(), said, remedy, source: Some(errno.into()) }
     }
 
     /// The conversation broke off.

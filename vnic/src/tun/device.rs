@@ -9,6 +9,7 @@ use std::os::unix::fs::OpenOptionsExt;
 
 use nix::sys::uio::{readv, writev};
 use rtnet::buf::Buf;
+use rtnet::live::rights;
 use rtnet::wire::ethernet::EtherType;
 
 use crate::tunnel::Inner;
@@ -44,10 +45,12 @@ pub enum OpenError {
     #[error("no VNIC: there is no {DRIVER}: load the driver (`modprobe tun`, CONFIG_TUN)")]
     Absent,
     /// The device file is not for this user.
-    #[error("no VNIC: {DRIVER}: {0} (run as root, or give the user the device file)")]
+    #[error(
+        "no VNIC: {DRIVER}: {0} (give this user the device file, `chmod`, or in a container `--device {DRIVER}`)"
+    )]
     File(#[source] io::Error),
     /// No right to make a device in this network namespace.
-    #[error("no VNIC: a device may not be made here: {0} (run as root, or give CAP_NET_ADMIN)")]
+    #[error("no VNIC: a device may not be made here: {0} ({remedy})", remedy = rights::remedy(&["CAP_NET_ADMIN"]))]
     Right(#[source] io::Error),
     /// Somebody else has a device of this name.
     #[error("no VNIC: the name '{0}' is taken: choose another by `--vnic-name`")]

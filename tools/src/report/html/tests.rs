@@ -16,7 +16,7 @@ name = "master"
 role = "master"
 slots = [{ id = 0, offset = "100us" }]
 [[station]]
-name = "arm <b> & 'co\"'"
+name = "arm"
 role = "slave"
 host = { outages = { ppm = 3000, longest = "300us" } }
 slots = [{ id = 0, offset = "300us" }, { id = 2, offset = "700us", phase = "2/2" }]
@@ -31,7 +31,9 @@ for = "230us"
 "#;
 
 fn page(network: &str) -> (Scenario, Kept, String) {
-    let scenario = Source::new("net.toml", network).parse().unwrap();
+    let mut scenario = Source::new("net.toml", network).parse().unwrap();
+    // No file has such a name: a page is right whatever it shows.
+    scenario.stations[1].name = "arm <b> & 'co\"'".into();
     let options = Options { pictures: true, ..Options::default() };
     let Ended { figures, kept, .. } = sim::run(&scenario, &options).unwrap();
     let (title, simulation) = ("a<b>.toml", Some(&figures.simulation));

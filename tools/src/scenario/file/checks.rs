@@ -10,9 +10,8 @@ use toml::Spanned;
 
 use super::stations::StationFile;
 use super::{FileError, NetworkFile, Source};
-use crate::report::figures::Role;
 use crate::scenario::clashes::{self, Clash};
-use crate::scenario::{Conditions, Measure, Place, Scenario, SlotPlan, StationPlan, divide};
+use crate::scenario::{Conditions, Measure, NeverCalibrated, Place, Scenario, SlotPlan, StationPlan, divide};
 
 impl Source<'_> {
     /// What happens does so while somebody measures, and no end of one event is the end of another; what is expected can
@@ -138,20 +137,20 @@ impl Source<'_> {
         network: &NetworkFile,
         scenario: &Scenario,
     ) -> Result<(), FileError> {
-        // A master that returns to its backups calibrates, too.
-        let has_backups = scenario.stations.iter().any(|station| station.backup.is_some());
-        let follows = |station: &&StationPlan| station.role != Role::Master || has_backups;
-        for slave in scenario.stations.iter().filter(follows) {
+        for slave in scenario.calibrating() {
             let slots = || slave.slots.iter().map(|slot| (slot.id, slot.period));
             check_rounds(slave.rounds, slots()).map_err(|refused| {
                 let first = slots().min().map_or(0, |(id, _)| id);
                 self.impossible(place_of_slot(network, &slave.name, first), refused)
             })?;
-            if let (Some((id, period)), true) = (slots().min(), slave.rounds > 0) {
+            if let Some((id, period)) = slots().min() {
                 self.check_reach(network, scenario, &slave.name, id, period)?;
             }
         }
-        Ok(())
+        let refuse = |never: NeverCalibrated| {
+            self.impossible(place_of_slot(network, &never.station, never.slot), never)
+        };
+        scenario.check_calibration().map_err(refuse)
     }
 
     /// A reply comes before its slot does for the next time, and no delay is longer than a cycle.

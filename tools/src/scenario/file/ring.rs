@@ -25,10 +25,10 @@ use toml::de::{DeTable, DeValue};
 
 use super::conditions::{EventFile, HostFile, MediumFile, Reader, Sections, WireFile};
 use super::stations::{ClockFile, TrafficFile, payload_of};
-use super::{DEFAULT_DURATION, FileError, Source};
+use super::{FileError, Source};
 use crate::report::figures::Role;
 use crate::scenario::ring::{Network, RingScenario, RingTimes};
-use crate::scenario::{DEFAULT_RATE, Happening, StationPlan};
+use crate::scenario::{DEFAULT_DURATION, DEFAULT_RATE, Happening, StationPlan};
 use crate::units::{FileRate, NonNegativeSpan, PositiveSpan};
 
 /// Two clocks may run apart by 500 ppm.

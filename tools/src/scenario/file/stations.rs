@@ -11,6 +11,7 @@ use toml::Spanned;
 use super::conditions::{ExpectFile, HostFile, WanderFile};
 use super::vnics::VnicFile;
 use super::{DEFAULT_PAYLOAD, FileError, MAX_DRIFT_PPM, MAX_OFFSET, Source, parse_phase};
+use crate::control::check_name;
 use crate::report::figures::Role;
 use crate::scenario::{MAX_STATIONS, MIN_PAYLOAD, SlotPlan, StationPlan, VnicPlan};
 use crate::station::stack::OwnIp;
@@ -20,8 +21,6 @@ use crate::units::{AnySpan, NonNegativeSpan, PositiveSpan};
 /// A program queues frames no more often than any cycle begins, and no more seldom than anything happens.
 const SHORTEST: Span = Span::from_micros(1);
 const LONGEST: Span = Span::from_millis(3_600_000);
-/// As of all that is named.
-const NAME_AT_MOST: usize = 32;
 /// Many times what a slot's queue holds.
 const MAX_BURST: u32 = 1_000;
 
@@ -101,19 +100,6 @@ pub(super) fn payload_of(source: &Source<'_>, said: Option<&Spanned<usize>>) -> 
     is_one.then_some(payload).ok_or_else(|| source.impossible(said.span().start, what()))
 }
 
-/// Reports name it, in columns.
-fn check_name(name: &str) -> Result<(), String> {
-    if name.trim().is_empty() {
-        return Err("a station without a name: reports name it".into());
-    }
-    if name.chars().any(char::is_control) {
-        return Err(format!("the name {name:?} has characters that cannot be shown: leave them out"));
-    }
-    let length = name.chars().count();
-    let what = || format!("a name of {length} characters: at most {NAME_AT_MOST}");
-    (length <= NAME_AT_MOST).then_some(()).ok_or_else(what)
-}
-
 impl Source<'_> {
     pub(super) fn check_stations(
         &self,
@@ -147,7 +133,7 @@ impl Source<'_> {
         }
     }
 
-    /// Each can be shown, and is another's of none.
+    /// Each can be a name, wherever one is used, and no two are the same.
     pub(super) fn check_names(&self, names: &[&Spanned<String>]) -> Result<(), FileError> {
         let mut taken = BTreeSet::new();
         for name in names {

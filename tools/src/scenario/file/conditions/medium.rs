@@ -170,7 +170,8 @@ impl Reader<'_> {
     /// `exponential 13us`.
     fn latency(&self, text: &Spanned<String>) -> Result<Latency, FileError> {
         let refuse = |what: String| self.source.impossible(text.span().start, what);
-        let words: Vec<&str> = text.get_ref().split_whitespace().collect();
+        let words = words_of(text.get_ref());
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
         let times = || {
             let read = words[1..].iter().map(|word| parse_nonnegative_span(word));
             read.collect::<Result<Vec<Span>, _>>().map_err(|error| refuse(error.to_string()))
@@ -266,4 +267,16 @@ impl Reader<'_> {
         }
         Ok(Wandering { every, step_ppb: ppb(&file.step_ppm)?, within_ppb: ppb(&file.within_ppm)? })
     }
+}
+
+/// The words of a distribution; a number and its unit, `13 us`, are one.
+fn words_of(text: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match words.last_mut().filter(|before| before.parse::<f64>().is_ok()) {
+            Some(number) if word.starts_with(char::is_alphabetic) => number.push_str(word),
+            _ => words.push(word.to_owned()),
+        }
+    }
+    words
 }

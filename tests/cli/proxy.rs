@@ -239,7 +239,10 @@ fn what_a_killed_proxy_leaves_the_next_station_at_its_interface_puts_back() {
         kill(proxy("killed-2"));
         let next = proxy("killed-2");
         assert_eq!(asked(&medium.a), ["1", "1"]);
-        assert_eq!(plain(&medium.a, "beside").end(), Some(0));
+        let mut second =
+            Station::start(&medium.a, &[&direct[..], &["--interface", "rt0", "--name", "second"]].concat());
+        second.wait_for("the interface 'rt0' has a station already, killed-2");
+        assert_eq!(second.ended().and_then(|status| status.code()), Some(2));
         assert_eq!(asked(&medium.a), ["1", "1"], "a proxy that runs keeps what it has");
         assert_eq!(next.end(), Some(0));
         assert_eq!(asked(&medium.a), ["0", "0"], "as before the one that was killed");

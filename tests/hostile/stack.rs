@@ -116,7 +116,9 @@ fn a_fragment_that_is_cut_short_on_the_way_ends_its_datagram_and_no_other() {
         let then = if cut == 0 { Refusal::FragmentOrphan } else { Refusal::FragmentOrder };
         assert!(reasons.get(1).is_none_or(|&second| second == then), "{cut}: {reasons:?}");
         assert_eq!(read(&mut a, socket), None, "{cut}");
-        assert_eq!(refused(&mut a, &frames), []);
+        // The same datagram again: what came before the cut is there already, unless it was given up.
+        let there = if cut + 1 == frames.len() { cut } else { 0 };
+        assert_eq!(refused(&mut a, &frames), vec![Refusal::FragmentRepeated; there], "{cut}");
         assert_eq!(read(&mut a, socket).unwrap().len(), 5_000, "{cut}");
     }
 }
@@ -270,7 +272,7 @@ fn each_mistake_of_a_program_has_its_number_and_leaves_nothing_behind() {
     number(libc::EADDRNOTAVAIL, a.stack.bind(automatic, SocketAddrV4::new(C.1, 1)));
     number(libc::EHOSTUNREACH, a.send(udp, b"", to(C.1, 1)));
     number(libc::EMSGSIZE, a.send(udp, &[0; 65_508], to(B.1, 1)));
-    number(libc::ENOBUFS, a.send(second, &[0; 4_000], to(B.1, 1)));
+    number(libc::EMSGSIZE, a.send(second, &[0; 4_000], to(B.1, 1)));
     number(libc::ENOTCONN, a.send(udp, b"", None));
     number(libc::EINVAL, a.send(udp, b"", to(B.1, 0)));
     number(libc::EOPNOTSUPP, a.send(packet, b"", to(B.1, 1)));

@@ -146,7 +146,7 @@ fn a_time_namespace_is_noticed() {
 fn the_remedy_is_chosen_by_the_step_that_failed() {
     let remedy = |step, errno| GuardRefused::new(step, io::Error::from_raw_os_error(errno)).remedy();
     for (step, errno, expected) in [
-        (Step::Map, libc::EPERM, "run as root, or give CAP_BPF"),
+        (Step::Map, libc::EPERM, "CAP_BPF and CAP_NET_ADMIN"),
         (Step::Map, libc::ENOSYS, "CONFIG_BPF_SYSCALL"),
         (Step::Map, libc::EINVAL, "Linux 5.5"),
         (Step::Mapping, libc::EAGAIN, "RLIMIT_MEMLOCK"),

@@ -254,7 +254,7 @@ fn what_fails_is_a_wire_and_the_remedy_is_a_wires() {
         (refused.to_string(), refused.remedy())
     };
     for (step, errno, expected) in [
-        ("bpf map", libc::EPERM, "run as root, or give CAP_BPF"),
+        ("bpf map", libc::EPERM, "CAP_BPF and CAP_NET_ADMIN"),
         ("bpf program", libc::EINVAL, "Linux 6.6"),
         (ATTACHED, libc::EINVAL, "needs tcx"),
         (ATTACHED, libc::ENODEV, "the bridge's port is gone"),

@@ -86,7 +86,7 @@ fn network(cycle: i64, way: i64, backup: bool, slots: &[(i64, u32, i64)]) -> Str
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
     fn files_that_work_lock(
         cycle in 25i64..220,

@@ -49,7 +49,7 @@ impl Process {
         // A station that is stopped reads no orders, and its lab goes on.
         let input = child.stdin.as_ref().context("a station without input")?;
         fcntl(input, FcntlArg::F_SETFL(OFlag::O_NONBLOCK))?;
-        std::thread::Builder::new().name("listener".into()).spawn(move || {
+        let listener = std::thread::Builder::new().name("listener".into()).spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 let report = serde_json::from_str(&line)
                     .unwrap_or_else(|error| Report::Failed(format!("it told nonsense: {error}: {line}")));
@@ -59,7 +59,8 @@ impl Process {
             }
             // The lab may have ended, and listens no more.
             let _ = told.send((station, None));
-        })?;
+        });
+        listener.map_err(explained).context("a thread that listens to a station cannot start")?;
         Ok(Self { child, cpu_at_begin: None })
     }
 

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use anyhow::{Result, bail};
 use rtmac::tdma::TdmaStatus;
 use rtnet::clock::True;
-use rtnet::discipline::{Discipline, SyncState};
+use rtnet::discipline::Discipline;
 use rtnet::time::Span;
 
 use at_end::{AtEnd, is_synchronised};

@@ -43,6 +43,7 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 
 use crate::control::{Directory, Held, Place, Server};
+use crate::remedy::explained;
 use access::{Access, AccessConfig};
 use desk::Desk;
 pub use desk::epoch;
@@ -335,7 +336,8 @@ fn start(mut driver: Driver<Access>, realtime: RealTime) -> Result<(JoinHandle<(
         // The other end waits for exactly this message.
         let _ = told.send(refused);
         driver.run();
-    })?;
+    });
+    let thread = thread.map_err(explained).context("the real-time thread cannot start")?;
     Ok((thread, refusals.recv().context("the real-time thread did not start")?))
 }
 

@@ -49,6 +49,11 @@ fn verbs_refuse_a_cycle_in_which_no_slave_locks() {
     assert_all_refuse(&network("48us", "", "a"), sum);
     let far = "sync_window = \"5us\"\n[medium]\npropagation = \"20us\"";
     assert_all_refuse(&network("51us", far, "a"), "8:1: 'a' would never be locked");
+    let early = network("47us", "sync_window = \"4us\"\n[medium]\npropagation = \"6us\"", "a")
+        .replace("\"master\"", "\"master\"\nslots = [{ id = 0, offset = \"30us\" }]")
+        .replace("\"slave\"", "\"slave\"\nrounds = 0\nslots = [{ id = 0, offset = \"5us\" }]");
+    let silent = "13:10: 'a' would be silent in its slot 0: what it sends there is chosen 50us before it begins at 5us";
+    assert_all_refuse(&early, silent);
     assert_all_refuse(&network("999ns", "", "a"), "1:9: a cycle of 999ns: no slave follows one outside");
 }
 

@@ -115,9 +115,7 @@ fn networks(args: &MinCycleArgs, asked: &Asked) -> anyhow::Result<Vec<Scenario>>
     for cycle in ladder::up_to(args.longest) {
         match network(cycle) {
             Ok(scenario) => networks.push(scenario),
-            Err(refused @ (ScenarioError::Conflict(_) | ScenarioError::NeverCalibrated(_))) => {
-                last = Some(refused)
-            }
+            Err(refused @ (ScenarioError::Conflict(_) | ScenarioError::Unfit(_))) => last = Some(refused),
             Err(refused) => return Err(refused.into()),
         }
     }

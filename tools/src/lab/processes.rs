@@ -49,7 +49,7 @@ impl Process {
         command.arg("station").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).current_dir("/");
         let namespace = namespace.fd().try_clone_to_owned().context("no descriptor for a namespace")?;
         let (born, birth) = channel();
-        std::thread::Builder::new().name("listener".into()).spawn(move || {
+        let listener = std::thread::Builder::new().name("listener".into()).spawn(move || {
             match bear(&namespace, command) {
                 Ok((child, output)) => {
                     drop(namespace);
@@ -59,7 +59,8 @@ impl Process {
                 }
                 Err(error) => drop(born.send(Err(error))),
             }
-        })?;
+        });
+        listener.map_err(explained).context("a thread that listens to a station cannot start")?;
         let child = birth.recv().context("the thread that starts a station has ended")??;
         // A station that is stopped reads no orders, and its lab goes on.
         let input = child.stdin.as_ref().context("a station without input")?;

@@ -52,7 +52,7 @@ fn sum(scenario: &Scenario) -> String {
     let sum = *sync_window + (air + *guard) * n as i64;
     let schedule = scenario.schedule();
     let shorter = Scenario { cycle: *cycle - Span::from_micros(1), ..scenario.clone() };
-    let why = shorter.check_calibration().err();
+    let why = shorter.check_fit().err();
     let why = why.map_or(String::new(), |why| format!("# In a cycle of {}, {why}.\n", shorter.cycle));
     format!(
         "# {n} stations, a slot of {payload} bytes each in every cycle; {:.1} % of the time is used.\n# sync window {sync_window} + \
@@ -116,7 +116,7 @@ mod tests {
             prop_assert_eq!(Source::new("net.toml", &file(&scenario)).parse().unwrap(), scenario.clone());
             let shorter = Uniform { cycle: scenario.cycle - Span::from_micros(1), ..asked };
             prop_assert!(matches!(shorter.scenario(), Err(
-                ScenarioError::Conflict(_) | ScenarioError::Refused(_) | ScenarioError::NeverCalibrated(_)
+                ScenarioError::Conflict(_) | ScenarioError::Refused(_) | ScenarioError::Unfit(_)
             )));
         }
     }

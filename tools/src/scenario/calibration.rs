@@ -1,5 +1,5 @@
-//! Whether the stations of a schedule can calibrate: on hosts and wires that are never late, each round ends before the next
-//! begins.
+//! Whether the stations of a schedule can come up: on hosts and wires that are never late, each round of calibration ends before
+//! the next begins, and each sync is heard in time.
 //!
 //! ```text
 //! turn of the slot      k                        k + 1                     k + 2
@@ -19,38 +19,15 @@ use rtnet::wire::ethernet;
 use super::{Scenario, StationPlan};
 use crate::report::figures::Role;
 
-/// A station that would never be locked, with the sum of one round.
+/// A station that would never be locked, or would be silent in turns of a slot, with the sum that shows it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "'{station}' would never be locked: it calibrates in its slot {slot}, every {every}, and a round takes {DEFAULT_LEAD} by which \
-     jobs are chosen before their instants + {air} of a request on the air{way} = {sum}; a cycle of {cycle} or longer would do"
-)]
-pub struct NeverCalibrated {
+#[error("{what}")]
+pub struct Unfit {
     /// Which station.
     pub station: String,
-    /// Its first slot.
+    /// Which slot of it.
     pub slot: u8,
-    /// From one of its turns to the next.
-    every: Span,
-    /// How long a round takes.
-    sum: Span,
-    air: Span,
-    way: Way,
-    /// The shortest cycle that would do.
-    cycle: Span,
-}
-
-/// What the wire adds to a round.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Way(Span);
-
-impl std::fmt::Display for Way {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.0 {
-            Span::ZERO => Ok(()),
-            way => write!(f, " + {way} of its way forth and back that is not free behind the slot"),
-        }
-    }
+    what: String,
 }
 
 /// How long a request is on the air, and its reply.
@@ -66,22 +43,54 @@ impl Scenario {
         self.stations.iter().filter(move |station| follows(station) && station.rounds > 0)
     }
 
-    /// The first station that would never be locked, if there is one.
-    pub fn check_calibration(&self) -> Result<(), NeverCalibrated> {
-        let air = air(self.rate);
-        for station in self.calibrating() {
-            let Some(first) = station.slots.iter().min_by_key(|slot| slot.id) else { continue };
-            let period = i64::from(first.period);
-            let every = self.cycle * period;
-            let way = self.waits_for_way(station, first.offset, every);
-            let sum = DEFAULT_LEAD + air + way;
-            if every < sum {
-                let (station, slot) = (station.name.clone(), first.id);
-                let cycle = Span::from_nanos((sum.nanos() + period - 1) / period);
-                return Err(NeverCalibrated { station, slot, every, sum, air, way: Way(way), cycle });
-            }
+    /// The first station that would never be locked, or never heard in time, if there is one.
+    pub fn check_fit(&self) -> Result<(), Unfit> {
+        self.calibrating().try_for_each(|station| self.check_rounds_end(station))?;
+        let follows = |station: &&StationPlan| station.role != Role::Master;
+        self.stations.iter().filter(follows).try_for_each(|station| self.check_hears(station))
+    }
+
+    /// A round ends before the next begins.
+    fn check_rounds_end(&self, station: &StationPlan) -> Result<(), Unfit> {
+        let Some(first) = station.slots.iter().min_by_key(|slot| slot.id) else { return Ok(()) };
+        let (name, id, air, period) = (&station.name, first.id, air(self.rate), i64::from(first.period));
+        let every = self.cycle * period;
+        let way = self.waits_for_way(station, first.offset, every);
+        let sum = DEFAULT_LEAD + air + way;
+        if every >= sum {
+            return Ok(());
         }
-        Ok(())
+        let of_way = match way {
+            Span::ZERO => String::new(),
+            way => format!(" + {way} of its way forth and back that is not free behind the slot"),
+        };
+        let cycle = Span::from_nanos((sum.nanos() + period - 1) / period);
+        let what = format!(
+            "'{name}' would never be locked: it calibrates in its slot {id}, every {every}, and a round takes {DEFAULT_LEAD} by \
+             which jobs are chosen before their instants + {air} of a request on the air{of_way} = {sum}; a cycle of {cycle} or \
+             longer would do"
+        );
+        Err(Unfit { station: name.clone(), slot: id, what })
+    }
+
+    /// A station that has chosen what it sends hears nothing until then: it has the sync of a cycle before it chooses the first
+    /// turn of the next, or has sent in that cycle when that sync was there. Else two syncs are missing, and it is silent.
+    fn check_hears(&self, station: &StationPlan) -> Result<(), Unfit> {
+        let Some(first) = station.slots.iter().min_by_key(|slot| slot.offset) else { return Ok(()) };
+        let arrives = self.conditions.way() + air(self.rate);
+        let always = station.slots.iter().filter(|slot| slot.period == 1).map(|slot| slot.offset).max();
+        let chosen = first.offset + self.cycle - DEFAULT_LEAD;
+        if arrives <= chosen.max(always.unwrap_or(chosen)) {
+            return Ok(());
+        }
+        let (name, id, offset, short) = (&station.name, first.id, first.offset, arrives - chosen);
+        let what = format!(
+            "'{name}' would be silent in its slot {id}: what it sends there is chosen {DEFAULT_LEAD} before it begins at {offset}, and \
+             the sync of the cycle before comes {short} later than that, on its way for {arrives} with its time on the air; a cycle \
+             of {} or longer would do",
+            self.cycle + short
+        );
+        Err(Unfit { station: name.clone(), slot: id, what })
     }
 
     /// How much longer a round takes, for the master may have chosen what comes behind its reply while the request is on its

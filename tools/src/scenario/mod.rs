@@ -33,7 +33,7 @@ use crate::station::stack::OwnIp;
 use crate::station::traffic::{Flow, FlowPlan};
 
 pub use acts::{Act, Part, acts, over};
-pub use calibration::NeverCalibrated;
+pub use calibration::Unfit;
 pub use change::{room_for_parts, room_for_replies};
 pub use conditions::{Conditions, Event, Happening, Wandering};
 pub use expectation::{Expectation, Measure, Relation};

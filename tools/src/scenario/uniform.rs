@@ -9,8 +9,8 @@ use vnic::peers::Prefix;
 
 use super::places::{self, TooSmall};
 use super::{
-    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, NeverCalibrated, SYNC_WINDOW, SYNC_WINDOW_PARTS,
-    Scenario, ServoName, SlotGuard, SlotPlan, StationPlan, VnicPlan, shortest_sync_window,
+    Conditions, MAX_MISS_PPM, MAX_STATIONS, MIN_PAYLOAD, SYNC_WINDOW, SYNC_WINDOW_PARTS, Scenario, ServoName,
+    SlotGuard, SlotPlan, StationPlan, Unfit, VnicPlan, shortest_sync_window,
 };
 use crate::cli::VnicMode;
 use crate::report::figures::Role;
@@ -76,7 +76,7 @@ pub enum ScenarioError {
     Refused(#[from] Refused),
     /// No slave would come up.
     #[error(transparent)]
-    NeverCalibrated(#[from] NeverCalibrated),
+    Unfit(#[from] Unfit),
 }
 
 impl Uniform {
@@ -139,7 +139,7 @@ impl Uniform {
             stations,
             conditions,
         };
-        scenario.check_calibration()?;
+        scenario.check_fit()?;
         Ok(scenario.with_random_clocks())
     }
 }

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use anyhow::{Result, bail};
 use rtmac::tdma::TdmaStatus;
 use rtnet::clock::True;
-use rtnet::discipline::{Discipline, SyncState};
+use rtnet::discipline::Discipline;
 use rtnet::time::Span;
 
 use at_end::{AtEnd, is_synchronised};
@@ -160,14 +160,11 @@ impl<'a> Run<'a> {
         self.world.network.member(id).station.discipline().status()
     }
 
-    fn is_locked(&self, id: usize) -> bool {
-        self.world.network.member(id).station.discipline().time().state == SyncState::Locked
-    }
-
-    /// Locked, and calibrated, as whoever gives the time once the primary is there must be, too.
+    /// Synchronised, and calibrated, as whoever gives the time once the primary is there must be, too. Where a sync is long on
+    /// its way, a station bridges the begin of each cycle.
     fn has_joined(&self, id: usize) -> bool {
         let needs_delay = id != PRIMARY && self.present[PRIMARY];
-        self.is_locked(id) && (!needs_delay || self.status(id).delay.is_some())
+        self.is_synchronised(id) && (!needs_delay || self.status(id).delay.is_some())
     }
 
     /// Locked, or bridging a cycle.

@@ -45,6 +45,7 @@ use rtnet::wire::ethernet::{Address, EtherType};
 
 use crate::control::{Directory, Held, Place, Server};
 use crate::daemon;
+use crate::remedy::explained;
 use access::{Access, AccessConfig};
 use claim::Claim;
 use desk::Desk;
@@ -341,7 +342,8 @@ fn start(mut driver: Driver<Access>, realtime: RealTime) -> Result<(JoinHandle<(
         // The other end waits for exactly this message.
         let _ = told.send(refused);
         driver.run();
-    })?;
+    });
+    let thread = thread.map_err(explained).context("the real-time thread cannot start")?;
     Ok((thread, refusals.recv().context("the real-time thread did not start")?))
 }
 

@@ -11,7 +11,7 @@ use toml::Spanned;
 use super::stations::StationFile;
 use super::{FileError, NetworkFile, Source};
 use crate::scenario::clashes::{self, Clash};
-use crate::scenario::{Conditions, Measure, NeverCalibrated, Place, Scenario, SlotPlan, StationPlan, divide};
+use crate::scenario::{Conditions, Measure, Place, Scenario, SlotPlan, StationPlan, Unfit, divide};
 
 impl Source<'_> {
     /// What happens does so while somebody measures, and no end of one event is the end of another; what is expected can
@@ -147,10 +147,9 @@ impl Source<'_> {
                 self.check_reach(network, scenario, &slave.name, id, period)?;
             }
         }
-        let refuse = |never: NeverCalibrated| {
-            self.impossible(place_of_slot(network, &never.station, never.slot), never)
-        };
-        scenario.check_calibration().map_err(refuse)
+        let refuse =
+            |unfit: Unfit| self.impossible(place_of_slot(network, &unfit.station, unfit.slot), unfit);
+        scenario.check_fit().map_err(refuse)
     }
 
     /// A reply comes before its slot does for the next time, and no delay is longer than a cycle.

@@ -209,10 +209,11 @@ fn what_one_end_sends_the_other_receives() {
 fn a_request_that_the_kernel_does_not_know_is_unsupported() {
     let refused =
         |errno| Refused::because("do it", Some("why".into()), errno, &[(Errno::ENOENT, "a remedy")]);
+    let of_rights = format!("cannot do it: why: {}", rtnet::live::rights::remedy(&["CAP_NET_ADMIN"]));
     for (errno, is_unsupported, text) in [
         (Errno::ENOENT, true, "cannot do it: why: a remedy"),
         (Errno::EOPNOTSUPP, true, "cannot do it: why"),
-        (Errno::EPERM, false, "cannot do it: why: this needs root (CAP_NET_ADMIN): run as root"),
+        (Errno::EPERM, false, &of_rights),
     ] {
         let refused = refused(errno);
         assert_eq!((refused.is_unsupported(), refused.to_string().as_str()), (is_unsupported, text));

@@ -1,4 +1,4 @@
-//! What cannot be is refused by all verbs that take a file, in the same words, with its place.
+//! All verbs that take a file refuse a network that cannot be in the same words, with its place.
 
 use std::process::Output;
 

@@ -16,14 +16,14 @@ use crate::rtnet;
 use crate::schema;
 use crate::stays::{Pair, signal};
 
-/// A process that this test has started, and its descendants that it has told of.
+/// A process that this test has started, and its descendants that it has printed.
 struct Started {
     child: Child,
     pids: Vec<i32>,
 }
 
 impl Started {
-    /// Of a command that prints the numbers of all its processes, in one line.
+    /// The processes of a command that prints their numbers in one line.
     fn of(mut command: Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();

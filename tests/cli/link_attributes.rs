@@ -1,4 +1,4 @@
-//! What a station makes of its interface's attributes: its MTU, its address, the bridge that it is a port of, and another
+//! A station and its interface's attributes: its MTU, its address, the bridge that it is a port of, and another
 //! station that has it already.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -83,7 +83,7 @@ fn an_mtu_that_changes_while_a_station_runs_is_followed() {
             sending.send_to(&data, SocketAddrV4::new(IP[0], PORT)).unwrap();
             let received = hearing.receive(&mut room).unwrap();
             assert_eq!(room[..received.len], data, "at an MTU of {mtu}");
-            // What cannot go in fragments is refused, and its program hears of it.
+            // A frame that cannot go in fragments is refused, and its program hears of it.
             frames.send_to(&data, Address([2, 0, 0, 0, 0, 0xa]), EtherType::EXPERIMENTAL).unwrap();
             wait_until("the frame was taken", &names[1], |_| frames.is_drained());
             let error = frames.take_error().and_then(|error| error.raw_os_error()).map(Errno::from_raw);

@@ -172,7 +172,7 @@ fn hostile_clients_are_refused_and_disturb_nobody() {
         assert!(["locked", "holdover"].contains(&state), "{state}: a busy host may skip a sync");
         let control = &station["control"];
         assert_eq!((&control["too_long"], &control["not_taken"]), (&1.into(), &1.into()), "{control}");
-        // Of 1000 that say nothing 64 may be clients still, and 129 may wait to be let in, when all of them hang up.
+        // When all 1000 silent clients hang up, 64 may still be clients, and 129 may wait to be let in.
         assert!(control["evicted"].as_u64().unwrap() >= 1_000 - 64 - 129, "{control}");
         let account = cell.down();
         assert_eq!((&account["unexplained"], &account["not_judged"]), (&0.into(), &0.into()), "{account:#}");

@@ -14,7 +14,7 @@ use crate::cell::text;
 use crate::host::is_root;
 
 const NOBODY: u32 = 65_534;
-/// What a user may call without a run directory.
+/// Verbs that need no run directory.
 const WITHOUT: [&str; 5] = ["sim run", "sim example", "plan", "completions", "man"];
 /// Each of the others, with what it cannot be called without.
 const WITH: [(&str, &str); 43] = [

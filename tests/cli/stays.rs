@@ -88,7 +88,7 @@ fn link(pid: i32, file: &str) -> PathBuf {
     fs::read_link(format!("/proc/{pid}/{file}")).unwrap()
 }
 
-/// What its descriptors lead to.
+/// The files that its descriptors lead to.
 fn descriptors(pid: i32) -> Vec<PathBuf> {
     let all = fs::read_dir(format!("/proc/{pid}/fd")).unwrap().flatten();
     all.filter_map(|entry| fs::read_link(entry.path()).ok()).collect()
@@ -236,7 +236,7 @@ fn killed_search_and_ring_leave_no_stopped_station() {
             let mut command = rtnet();
             command.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
             let mut lab = command.spawn().unwrap();
-            // Whoever has a real-time thread has asked for its bond before.
+            // A process with a real-time thread has asked for its bond before.
             let has_begun = |&pid: &i32| {
                 let threads = fs::read_dir(format!("/proc/{pid}/task"));
                 threads.is_ok_and(|threads| threads.count() > 1)

@@ -53,7 +53,7 @@ fn ethernet(bytes: &[u8]) -> u64 {
     known.iter().position(|&known| known == header.ether_type()).map_or(9, |place| 1 + place as u64)
 }
 
-/// What a kernel says of a frame, and the frame: whatever both say, what is cut has all bytes once and is sound.
+/// An offload header and a frame of any bytes: the frames that are cut are sound and have all bytes once.
 #[test]
 fn uncut_frames_take_any_bytes() {
     let change = |random: &mut _, bytes: &mut Vec<u8>, other: &[u8]| {

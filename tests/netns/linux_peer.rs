@@ -105,7 +105,7 @@ fn a_linux_host_and_a_station_with_slots_exchange_datagrams_in_fragments_and_ech
     });
 }
 
-/// What the kernel cuts for a program, and a card for the kernel; here nobody has cut it. Each datagram comes back as it was
+/// Datagrams that the kernel would cut for a program, or a card for the kernel; here nobody has cut them. Each datagram comes back as it was
 /// meant.
 fn uncut<D: Discipline + 'static>(discipline: impl FnOnce(rtnet::wire::ethernet::Address) -> D) {
     let pair = Pair::start(discipline);

@@ -278,7 +278,7 @@ fn who_asks_a_mailbox_that_is_not_here_is_told_so_and_what_is_no_question_is_onl
 }
 
 #[test]
-fn a_command_too_large_for_its_mailbox_is_answered_with_an_error() {
+fn command_too_large_for_its_mailbox_is_answered() {
     let mut pair = Pair::new();
     let mut seen = pair.mailbox(US, Shape::new(2, 100));
     let expected =

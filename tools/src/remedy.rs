@@ -1,4 +1,4 @@
-//! What to do about an answer of the kernel that means the same wherever files, sockets, threads and processes are made.
+//! The remedy for an answer of the kernel that means the same wherever files, sockets, threads and processes are made.
 
 use std::io;
 

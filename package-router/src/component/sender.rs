@@ -62,7 +62,7 @@ pub enum SendError {
     Station(i32),
 }
 
-/// What helps against a number of `errno`, where it is not the number's own text.
+/// The remedy against a number of `errno`, where the number's own text has none.
 fn remedy(errno: i32) -> &'static str {
     match errno {
         libc::EMSGSIZE => {

@@ -25,8 +25,7 @@ const BRIDGED_BELOW: Span = Span::from_millis(4);
 const OVERTAKEN_WITHIN: i64 = 2;
 /// Largest part of a cycle by which one Synchronisation moves the line, while it does.
 const SLEW_PARTS: i64 = 300;
-/// Of lateness that drift does not account for, this part moves the line: frames are delayed on their way, but
-/// never early.
+/// The part of a lateness beyond drift that moves the line: frames are delayed on their way, but never early.
 const LATE_PARTS: i64 = 8;
 
 /// One Synchronisation.

@@ -11,7 +11,7 @@ use socket2::{Domain, SockAddr, Socket, Type};
 
 /// For root.
 const SYSTEM: &str = "/run/rtnet";
-/// Of a directory's mode.
+/// The bits of a directory's mode that its owner has.
 const WRITABLE_BY_OTHERS: u32 = 0o022;
 /// Behind a station's name.
 pub const SOCKET: &str = ".sock";

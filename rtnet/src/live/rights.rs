@@ -11,10 +11,10 @@ const NUMBERS: [(&str, u32); 6] = [
     ("CAP_SYS_NICE", 23),
     ("CAP_BPF", 39),
 ];
-/// Of a process outside of all user namespaces.
+/// The user map of a process outside of all user namespaces.
 const ALL_USERS: [&str; 3] = ["0", "0", "4294967295"];
 
-/// What to do where the kernel refuses something that these capabilities allow.
+/// The remedy where the kernel refuses something that these capabilities allow.
 pub fn remedy(needed: &[&str]) -> String {
     let users = fs::read_to_string("/proc/thread-self/uid_map").unwrap_or_default();
     let is_host = users.split_whitespace().eq(ALL_USERS);

@@ -59,7 +59,7 @@ const IP_PROTOCOL_AT: usize = 9;
 const IP_SUM_AT: usize = 10;
 const IP_ADDRESSES_AT: usize = 12;
 
-/// What is left to do of a frame.
+/// The work on a frame that its sender left to a card.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Offload {
@@ -86,7 +86,7 @@ pub struct Cut {
     into: Into,
 }
 
-/// What a frame is cut into.
+/// The kinds of frames that a frame is cut into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Into {
     Datagrams,

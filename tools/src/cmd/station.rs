@@ -78,7 +78,7 @@ pub fn station(args: &StationArgs) -> Result<u8, Failure> {
     daemon::private_umask();
     let options = options(args).map_err(Failure::Usage)?;
     let in_lab = options.lab.is_some();
-    // A lab that ended while it was set up, by an error of its own, has told of that.
+    // A lab that ended while it was set up, by an error of its own, has reported that.
     match run(options, in_lab) {
         Err(failure) if in_lab && is_left_alone(failure.error()) => Ok(failure.status()),
         done => done,

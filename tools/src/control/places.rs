@@ -95,7 +95,7 @@ pub struct Held {
     path: PathBuf,
     /// A lab's, with all that is in it.
     directory: Option<PathBuf>,
-    /// What a dead lab of this name has noted.
+    /// The note of a dead lab of this name.
     pub left: Option<String>,
 }
 
@@ -208,7 +208,7 @@ impl Directory {
         self.0.join(lab).exists()
     }
 
-    /// What a lab has noted of itself, be it alive or not.
+    /// The note of a lab, alive or not.
     pub fn noted(&self, lab: &str) -> Option<String> {
         fs::read_to_string(self.0.join(lab).join(NOTE)).ok()
     }

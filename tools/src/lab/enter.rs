@@ -30,7 +30,7 @@ pub fn enter(pid: u32, net: &Path) -> Result<()> {
 /// lab. It has a mount namespace of its own then; what is mounted under `/sys` stays there.
 pub fn own_sys(mark: &str) -> Result<()> {
     unshare(CloneFlags::CLONE_NEWNS).context("no mount namespace")?;
-    // What is unmounted outside is unmounted here.
+    // A file system that is unmounted outside is unmounted here.
     let propagation = MsFlags::MS_REC | MsFlags::MS_SLAVE;
     mount(None::<&str>, "/", None::<&str>, propagation, None::<&str>)
         .context("mounts cannot be kept apart")?;

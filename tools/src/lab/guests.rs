@@ -1,6 +1,6 @@
 //! Processes in a lab's namespaces that are not its own: what `lab exec` has started there, and what that has.
 //!
-//! Of a lab that runs they are known by their network namespace. A number of a namespace is used again once that is gone, so
+//! In a running lab they are known by their network namespace. A number of a namespace is used again once that is gone, so
 //! that of a lab that was killed they are known by its mark, too: the source of the `/sys` that `lab exec` mounts for them.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -39,14 +39,14 @@ pub struct Guests {
 type Found = BTreeMap<i32, String>;
 
 impl Guests {
-    /// Of a lab with these stations.
+    /// The guests of a lab with these stations.
     pub fn of<'a>(namespaces: impl Iterator<Item = &'a Namespace>) -> Result<Self> {
         let namespaces = namespaces.map(Namespace::number).collect::<Result<_>>()?;
         let mark = fs::read_to_string(UUID).with_context(|| format!("{UUID} cannot be read"))?;
         Ok(Self { namespaces, mark: mark.trim().to_owned(), is_dead: false, has_ended: false })
     }
 
-    /// Of a lab that was killed, and has left this note.
+    /// The guests of a lab that was killed, and has left this note.
     pub fn of_dead(note: &str) -> Self {
         let mut lines = note.lines();
         let mark = lines.next().unwrap_or_default().to_owned();
@@ -54,7 +54,7 @@ impl Guests {
         Self { namespaces, mark, is_dead: true, has_ended: false }
     }
 
-    /// What [`Guests::of_dead`] has to know: the mark in the first line, which `lab exec` reads, too.
+    /// The note that [`Guests::of_dead`] reads: the mark in the first line, which `lab exec` reads, too.
     pub fn note(&self) -> String {
         let numbers = self.namespaces.iter().map(|number| format!("{number}\n"));
         format!("{}\n{}", self.mark, numbers.collect::<String>())
@@ -70,8 +70,8 @@ impl Guests {
         }
         ended.retain(|pid, _| !left.contains_key(pid));
         let lines = [
-            told("ended with the lab, in whose namespaces they were: ", &ended),
-            told("still in the lab's namespaces, and not to be ended: end them by hand: ", &left),
+            summary("ended with the lab, in whose namespaces they were: ", &ended),
+            summary("still in the lab's namespaces, and not to be ended: end them by hand: ", &left),
         ];
         lines.into_iter().flatten().collect()
     }
@@ -157,7 +157,7 @@ fn command(pid: i32) -> String {
     shown.take(COMMAND_AT_MOST).collect()
 }
 
-fn told(what: &str, guests: &Found) -> Option<String> {
+fn summary(what: &str, guests: &Found) -> Option<String> {
     let named = guests.iter().take(NAMED_AT_MOST).map(|(pid, command)| format!("{pid} ({command})"));
     let named = named.collect::<Vec<_>>().join(", ");
     let more = guests.len().saturating_sub(NAMED_AT_MOST);
@@ -190,9 +190,9 @@ mod tests {
     #[test]
     fn ended_processes_are_named_up_to_a_count() {
         let guests = |count| (1..=count).map(|pid| (pid, "sleep 7".to_owned())).collect();
-        assert_eq!(told("ended: ", &guests(0)), None);
-        assert_eq!(told("ended: ", &guests(1)).unwrap(), "1 process ended: 1 (sleep 7)");
-        let many = told("ended: ", &guests(12)).unwrap();
+        assert_eq!(summary("ended: ", &guests(0)), None);
+        assert_eq!(summary("ended: ", &guests(1)).unwrap(), "1 process ended: 1 (sleep 7)");
+        let many = summary("ended: ", &guests(12)).unwrap();
         assert!(
             many.starts_with("12 processes ended: 1 (sleep 7), ") && many.ends_with(" and 2 more"),
             "{many}"

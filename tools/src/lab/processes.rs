@@ -53,7 +53,7 @@ impl Process {
             match bear(&namespace, command) {
                 Ok((child, output)) => {
                     drop(namespace);
-                    // Who started it waits for it.
+                    // The thread that started it waits for it.
                     let _ = born.send(Ok(child));
                     listen(output, station, &told);
                 }

@@ -126,7 +126,7 @@ pub enum Change {
         interface: String,
         from: LinkState,
         to: LinkState,
-        /// What else the line names: the bridge, or both addresses, its own first.
+        /// Other names in the line: the bridge, or both addresses, its own first.
         why: Vec<String>,
         /// When it was still as before, CLOCK_MONOTONIC.
         before: True,

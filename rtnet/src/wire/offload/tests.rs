@@ -96,8 +96,8 @@ fn an_uncut_segment_becomes_those_that_were_sent() {
 }
 
 #[test]
-fn a_missing_checksum_is_completed_and_udp_says_that_there_is_none() {
-    // What a kernel leaves in the field: the pseudo header's part.
+fn missing_checksum_is_completed_and_udp_has_none() {
+    // A kernel leaves the pseudo header's part in the field.
     let mut segment = tcp(1, &bytes(333));
     let part = {
         let mut sum = Checksum::new();

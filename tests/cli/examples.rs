@@ -17,15 +17,15 @@ const LAB: &str = include_str!("addresses.toml");
 const LEG: &str = "10.0.0.7";
 const EXAMPLES: [&str; 5] = ["udp_echo", "rtt", "raw_packets", "wait_on_cycle", "big_datagrams"];
 
-/// Where they are: cargo builds them beside these tests only where all is tested.
+/// Where they are: cargo builds them with these tests only where all is tested, and finds them built then.
 fn built() -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let profile = test.parent().and_then(Path::parent).expect("PROFILE/deps/TEST");
+    let as_tested = if profile.ends_with("release") { "release" } else { "test" };
     let mut build = Command::new(env!("CARGO"));
     build
-        .args(["build", "--quiet", "--workspace", "--examples", "--target-dir"])
+        .args(["build", "--quiet", "--workspace", "--examples", "--profile", as_tested, "--target-dir"])
         .arg(profile.parent().unwrap());
-    build.args(profile.ends_with("release").then_some("--release"));
     assert!(build.current_dir(env!("CARGO_MANIFEST_DIR")).status().unwrap().success());
     profile.join("examples")
 }

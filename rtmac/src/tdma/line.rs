@@ -76,10 +76,13 @@ impl Drift {
         self.gained.nanos() as f64 / (self.cycles as f64 * period.nanos().max(1) as f64)
     }
 
-    /// In so many cycles.
+    /// In so many cycles. Every job asks for this: 128 bits are divided only where the product does not fit 64.
     pub fn over(self, cycles: i32) -> Span {
-        let gained = i128::from(self.gained.nanos()) * i128::from(cycles) / i128::from(self.cycles);
-        Span::from_nanos(gained as i64)
+        let (gained, cycles, of) = (self.gained.nanos(), i64::from(cycles), self.cycles);
+        Span::from_nanos(match gained.checked_mul(cycles) {
+            Some(product) => product / of,
+            None => (i128::from(gained) * i128::from(cycles) / i128::from(of)) as i64,
+        })
     }
 
     /// In parts per 10^9 of a cycle.
@@ -133,6 +136,7 @@ pub fn next_cycle(from: u32, phase: u32, period: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     #[test]
     fn the_arithmetic_of_the_example_frames_holds() {
@@ -153,6 +157,18 @@ mod tests {
         let offset = offset(GlobalTime::from_nanos(1_000_100_003_250), Span::ZERO, rx);
         assert_eq!(offset.nanos(), 400_000_078_456);
         assert_eq!(cycle_start(GlobalTime::from_nanos(1_000_100_000_000), offset).nanos(), 600_099_921_544);
+    }
+
+    proptest! {
+        #[test]
+        fn drift_over_any_cycles_is_as_128_bits_divide_it(
+            gained in any::<i64>(), shift in 0u32..64, cycles in any::<i32>(), of in 1i64..=i64::MAX,
+        ) {
+            let gained = gained >> shift;
+            let expected = i128::from(gained) * i128::from(cycles) / i128::from(of);
+            let over = Drift { gained: Span::from_nanos(gained), cycles: of }.over(cycles);
+            prop_assert_eq!(over.nanos(), expected as i64);
+        }
     }
 
     #[test]

@@ -231,7 +231,7 @@ fn two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo()
         let up = |name: &str| {
             let name = unique(name);
             let mut command = rtnet();
-            command.args(["lab", "up", "--stations", "4", "--cycle", "600us", "--name", &name]);
+            command.args(["lab", "up", "--stations", "24", "--cycle", "1ms", "--name", &name]);
             let output = command.output().unwrap();
             (Cell { name }, output)
         };
@@ -239,14 +239,14 @@ fn two_labs_that_together_would_be_throttled_share_the_core_without_sched_fifo()
         if output.status.code() != Some(0) {
             crate::host::skip(
                 "two_labs_that_together_would_be_throttled...",
-                "this host does not hold a cycle of 600us",
+                "this host does not hold a cycle of 1ms with 24 stations",
             );
             return;
         }
         // Beside the first the second need not become locked: what counts is what it says.
         let (_second, output) = up("other-half");
         let said = text(&output.stderr);
-        // 93 %, and what labs of other tests take.
+        // 90 % at the least, and what labs of other tests take.
         assert!(said.contains("% of cpu") && said.contains("they run without it"), "{said}");
     });
 }

@@ -90,8 +90,8 @@ fn where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept() {
     network("where_no_cycle_is_held_that_is_the_answer_and_so_it_is_kept", || {
         let dir = tempfile::tempdir().unwrap();
         let kept = dir.path().join("none.json");
-        // 21 turns of 60 us each do not fit a core for 1.1 ms.
-        let none = [&["--stations", "20", "--miss", "0%"][..], &SHORT].concat();
+        // 49 turns of 18 us each, at the least, leave a core of 1.1 ms less than the kernel wants back.
+        let none = [&["--stations", "48", "--miss", "0%"][..], &SHORT].concat();
         let (status, said) = searched(&none, &[("--json", &kept)]);
         assert_eq!(status, Some(1), "{said}");
         assert!(

@@ -8,6 +8,9 @@ use rtnet::time::{GlobalTime, Instant, Span};
 use super::master::BACKUP_LOOKS_BEFORE;
 use super::slot::Turn;
 
+/// A reply is chosen so long before its instant: what a master takes from its waking until it can send.
+const REPLY_LOOKS_BEFORE: Span = Span::from_micros(10);
+
 /// A job of the grid.
 #[derive(Clone, Copy)]
 pub enum Job {
@@ -80,19 +83,23 @@ impl Job {
         }
     }
 
-    /// When it is chosen, other jobs `lead` before their instant.
+    /// When it is chosen, `lead` before its instant. A backup's Synchronisation is chosen later. So is a reply: it is
+    /// stamped when it leaves, so that spinning for it gains nothing.
     pub fn chosen_at(&self, lead: Span) -> Instant {
         match self {
             Job::Sync { at, is_backups: true, .. } => *at - lead.min(BACKUP_LOOKS_BEFORE),
+            Job::Reply { at, .. } => *at - lead.min(REPLY_LOOKS_BEFORE),
             other => other.at() - lead,
         }
     }
 
-    /// When to wake for it, if the last look at the time was at `looked`: all jobs `lead` before their instant, so that
-    /// who has to wait for that is there.
+    /// When to wake for it, if the last look at the time was at `looked`. A backup wakes `lead` before its
+    /// Synchronisation, so that it is there when it has to choose.
     pub fn wakes_at(&self, lead: Span, looked: Instant) -> Instant {
-        let early = self.at() - lead;
-        if looked < early { early } else { self.chosen_at(lead) }
+        match self {
+            Job::Sync { at, is_backups: true, .. } if looked < *at - lead => *at - lead,
+            other => other.chosen_at(lead),
+        }
     }
 
     /// The slot that it is of.

@@ -294,8 +294,9 @@ fn at_one_instant_a_sync_goes_first_and_a_reply_before_data() {
     let request = Message::Request { xmit: 0, reply_cycle: 1, reply_offset: 0 };
     assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
     queue(&mut master, &Pool::new(1), 60);
-    let order = [(); 3].map(|()| {
-        let next = master.next_transmission(at(3_960)).unwrap();
+    // The Synchronisation a lead before; the reply, and what follows it, shortly before.
+    let order = [3_960, 3_990, 3_990].map(|now| {
+        let next = master.next_transmission(at(now)).unwrap();
         assert_eq!(next.at, at(4_000));
         master.on_sent(Sent::At(next.at));
         wire::parse(&next.frame).ok().map(|parsed| match parsed {
@@ -305,6 +306,22 @@ fn at_one_instant_a_sync_goes_first_and_a_reply_before_data() {
         })
     });
     assert_eq!(order, [Some("sync"), Some("reply"), None], "what is no RTmac frame is data");
+}
+
+#[test]
+fn a_reply_is_chosen_shortly_before_its_instant() {
+    let mut config = config(RoleConfig::Master(master_config()));
+    config.slots.clear();
+    let mut master = Tdma::new(&config).unwrap();
+    master.on_timeout(at(0));
+    master.on_timeout(at(3_000));
+    let request = Message::Request { xmit: 0, reply_cycle: 1, reply_offset: 400_000 };
+    assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
+    let sync = master.next_transmission(at(3_960)).expect("a lead before its instant");
+    master.on_sent(Sent::At(sync.at));
+    assert_eq!(master.next_deadline(), Some(at(4_390)));
+    assert!(master.next_transmission(at(4_389)).is_none());
+    assert_eq!(master.next_transmission(at(4_390)).map(|reply| reply.at), Some(at(4_400)));
 }
 
 /// Its slot 0, moved or of another size.
@@ -441,7 +458,7 @@ fn a_reply_that_the_guard_drops_goes_in_a_slot_of_the_masters() {
     assert!(matches!(hear(&mut master, OTHER, request), Claimed::Kept));
     master.next_transmission(at(3_960)).map(|sync| master.on_sent(Sent::Late(at(4_041), sync.frame)));
     master.next_transmission(at(4_960)).map(|sync| master.on_sent(Sent::At(sync.at)));
-    let reply = master.next_transmission(at(5_060)).unwrap();
+    let reply = master.next_transmission(at(5_100)).unwrap();
     assert!(master.on_sent(Sent::Guarded(at(5_141), reply.frame)).is_none());
     let next = master.next_transmission(at(5_360)).expect("its own slot");
     assert!(matches!(wire::parse(&next.frame), Ok(Rtmac::Tdma(Message::Reply { .. }))));

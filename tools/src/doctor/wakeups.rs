@@ -31,27 +31,32 @@ pub fn measure(cpu: usize, span: Span) -> Wakeups {
     let (mut cold, mut warm) = (Vec::new(), Vec::new());
     let mut refused = None;
     for _ in 0..pairs {
-        cold.push(wake_often(cpu, block));
+        cold.push(wake_often(cpu, PERIOD, number_in(block)));
         match WarmCore::start(cpu) {
-            Ok(_warm) => warm.push(wake_often(cpu, block)),
+            Ok(_warm) => warm.push(wake_often(cpu, PERIOD, number_in(block))),
             Err(line) => refused = Some(line),
         }
     }
     Wakeups { cold, warm: refused.map_or(Ok(warm), Err) }
 }
 
-fn wake_often(cpu: usize, block: Span) -> SignedHistogram {
+fn number_in(block: Span) -> u64 {
+    (block.nanos() / PERIOD.nanos()) as u64
+}
+
+/// How late a real-time thread on this core woke so many times, once a `period`.
+pub fn wake_often(cpu: usize, period: Span, number: u64) -> SignedHistogram {
     let mut lateness = SignedHistogram::for_real_time();
-    on_core(cpu, || sleep_often(block, &mut lateness));
+    on_core(cpu, || sleep_often(period, number, &mut lateness));
     lateness
 }
 
 /// After a hold-up longer than the period, what was due in it is due still: each wake-up has its own
 /// lateness, as each slot would have.
-fn sleep_often(block: Span, lateness: &mut SignedHistogram) {
-    let period = PERIOD.nanos() as u64;
+fn sleep_often(period: Span, number: u64, lateness: &mut SignedHistogram) {
+    let period = period.nanos() as u64;
     let mut due = monotonic();
-    for number in 0..SETTLE + block.nanos() as u64 / period {
+    for number in 0..SETTLE + number {
         due += period;
         sleep_until(due);
         let late = monotonic().wrapping_sub(due) as i64;

@@ -2,7 +2,7 @@
 
 use rtmac::tdma::{LatePolicy, schedule};
 use rtnet::clock::{EmulatedClock, True};
-use rtnet::time::{GlobalTime, Offset};
+use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::run::INTERFACE;
 use crate::cli::VnicMode;
@@ -25,6 +25,8 @@ pub struct Launch {
     pub epoch: Offset,
     /// The core of their real-time threads.
     pub cpu: usize,
+    /// How long before their slots they wake.
+    pub lead: Span,
     /// Whether those ask for SCHED_FIFO.
     pub fifo: bool,
     /// Where they are to be asked, if they are to be.
@@ -49,7 +51,7 @@ pub fn arguments(
     launch: &Launch,
     resume: &Resume,
 ) -> anyhow::Result<Vec<String>> {
-    let Launch { anchor, cpu, fifo, .. } = *launch;
+    let Launch { anchor, cpu, lead, fifo, .. } = *launch;
     let master = TrueMaster { clock: clock(scenario, 0, anchor), epoch: launch.epoch };
     let own = resume.clock.unwrap_or_else(|| clock(scenario, station, anchor));
     let epoch = same_time(&master, &own);
@@ -59,6 +61,7 @@ pub fn arguments(
     add("--interface", INTERFACE.into());
     add("--cpu", cpu.to_string());
     add("--latest", scenario.latest().to_string());
+    add("--lead", lead.to_string());
     if !fifo {
         add("--scheduling", "other".into());
     }
@@ -169,10 +172,15 @@ mod tests {
     const NETWORK: &str = "cycle = \"1ms\"\n[[station]]\nname = \"arm\"\nrole = \"slave\"\n[[station]]\nname = \"m\"\n\
                            role = \"master\"\n[[station]]\nname = \"leg\"\nrole = \"slave\"\n";
 
+    fn launch() -> Launch {
+        let lead = Span::from_micros(50);
+        Launch { anchor: 0, epoch: Offset::default(), cpu: 0, lead, fifo: false, home: None }
+    }
+
     /// What a station is told of its stack, in pairs of an option and its value.
     fn told(text: &str, station: usize) -> Vec<String> {
         let scenario = Source::new("net.toml", text).parse().unwrap();
-        let launch = Launch { anchor: 0, epoch: Offset::default(), cpu: 0, fifo: false, home: None };
+        let launch = launch();
         let line = arguments(&scenario, station, &launch, &Resume::default()).unwrap();
         let pairs = line.windows(2).filter(|pair| ["--ip", "--route"].contains(&pair[0].as_str()));
         pairs.map(|pair| pair.join(" ")).collect()
@@ -187,7 +195,7 @@ mod tests {
                 text += &lines.replace("\"\nrole", &format!("\"\nvnic = \"{ip}\"\nrole"));
             }
             let scenario = Source::new("net.toml", &text).parse().unwrap();
-            let launch = Launch { anchor: 0, epoch: Offset::default(), cpu: 0, fifo: false, home: None };
+            let launch = launch();
             let line = arguments(&scenario, 1, &launch, &Resume::default()).unwrap();
             assert_eq!(line.iter().filter(|word| *word == "--vnic-peer").count(), expected, "{line:?}");
         }

@@ -4,31 +4,44 @@ use anyhow::{Result, ensure};
 use rtnet::live::realtime::{allowed_cpus, avoid};
 use rtnet::time::Span;
 
+use super::lead::FOLLOWS;
 use crate::control::Load;
 use crate::scenario::Scenario;
 
 /// The share of a core that real-time threads may take together: the kernel stops SCHED_FIFO for the rest of a second
 /// in which it took 95 %, and a cycle that is held up takes more than its share.
 const LOAD_AT_MOST: f64 = 0.8;
-/// What one turn of one slot takes of the core: 50 us of spinning, and waking, draining, sending. Measured:
-/// 52 to 56 % for eight stations at 1 ms.
-const TURN: Span = Span::from_micros(70);
-
 /// What one frame takes that comes to a station with sockets between its slots: it wakes it.
-const FRAME: Span = Span::from_micros(15);
+pub const FRAME: Span = Span::from_micros(15);
 
-/// The share of a core that a scenario's real-time threads take.
-pub fn load(scenario: &Scenario) -> f64 {
-    let share = |of: Span, period: u32| {
-        of.nanos() as f64 / (scenario.cycle.nanos() as f64 * f64::from(period.max(1)))
-    };
-    let all = scenario.stations.iter().enumerate();
-    let shares = all.flat_map(|(id, station)| {
-        let is_heard = scenario.stations[scenario.receiver(id)].ip.is_some();
-        let turn = if is_heard { TURN + FRAME } else { TURN };
-        station.slots.iter().map(move |slot| share(turn, slot.period))
-    });
-    shares.sum()
+/// What the stations of a lab do in a cycle, on average.
+pub struct Turns {
+    /// They wake for so many slots and Synchronisations of their own.
+    pub all: f64,
+    /// So many frames come to stations with sockets.
+    pub heard: f64,
+}
+
+impl Turns {
+    /// Those of a scenario.
+    pub fn of(scenario: &Scenario) -> Self {
+        // The Synchronisation.
+        let mut turns = Self { all: 1.0, heard: 0.0 };
+        for (id, station) in scenario.stations.iter().enumerate() {
+            let own: f64 = station.slots.iter().map(|slot| 1.0 / f64::from(slot.period.max(1))).sum();
+            let is_heard = scenario.stations[scenario.receiver(id)].ip.is_some();
+            turns.all += own;
+            turns.heard += if is_heard { own } else { 0.0 };
+        }
+        turns
+    }
+}
+
+/// The share of a core that a scenario's real-time threads take if they wake a `lead` before their slots.
+pub fn load(scenario: &Scenario, lead: Span) -> f64 {
+    let Turns { all, heard } = Turns::of(scenario);
+    let takes = all * (lead + FOLLOWS).nanos() as f64 + heard * FRAME.nanos() as f64;
+    takes / scenario.cycle.nanos() as f64
 }
 
 /// Why the real-time threads of labs, one of which takes such a share of a core, would be stopped now and then.

@@ -72,6 +72,7 @@ pub struct Member {
     /// In which cycle its process was last seen not to be stopped.
     pub seen_running: Option<u32>,
     unsynchronised: Unsynchronised,
+    has_joined: bool,
     counting: bool,
     told_to_end: bool,
     /// It was ended because its scenario says so.
@@ -111,6 +112,7 @@ impl Member {
             unplugged: Unplugged::default(),
             seen_running: None,
             unsynchronised: Unsynchronised::default(),
+            has_joined: false,
             counting: false,
             told_to_end: false,
             is_meant_to_end: false,
@@ -128,15 +130,16 @@ impl Member {
         self.unsynchronised = Unsynchronised::default();
         (self.standing, self.standing_at_begin) = (None, None);
         (self.failed, self.ended, self.silent, self.told_to_end) = (None, false, false, false);
-        self.is_meant_to_end = false;
+        (self.is_meant_to_end, self.has_joined) = (false, false);
     }
 
     pub fn pid(&self) -> u32 {
         self.process.as_ref().map_or(0, Process::pid)
     }
 
-    pub fn is_locked(&self) -> bool {
-        self.standing.as_ref().is_some_and(Standing::is_locked)
+    /// Whether it has been locked since it was started. Whatever its host makes it miss from then on is measured.
+    pub fn has_joined(&self) -> bool {
+        self.has_joined
     }
 
     pub fn is_settled(&self) -> bool {
@@ -331,6 +334,7 @@ impl Member {
             Some(Report::Failed(why)) => self.failed = Some(why),
             Some(Report::Standing(standing)) => {
                 self.unsynchronised.note(&standing.state, standing.at);
+                self.has_joined |= standing.is_locked();
                 self.standing = Some(*standing);
             }
             Some(Report::Events(events)) => {

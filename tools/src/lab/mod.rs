@@ -19,6 +19,7 @@ pub(crate) mod faults;
 pub(crate) mod guests;
 mod keep;
 pub(crate) mod launch;
+mod lead;
 pub(crate) mod load;
 mod members;
 pub mod namespace;

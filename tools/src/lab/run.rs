@@ -17,6 +17,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use super::faults::{Play, only_simulated};
 use super::guests::Guests;
 use super::launch::{Launch, Resume, arguments};
+use super::lead::{lead, wake_up};
 use super::load::{Core, load, too_much};
 use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
@@ -137,20 +138,6 @@ impl Lab {
         let mut notes = only_simulated(&scenario.conditions);
         let Core { cpu, note } = options.core.clone();
         notes.extend(note);
-        let load = load(scenario);
-        let declared =
-            options.directory.as_ref().map(|directory| Load::declare(directory, cpu, load)).transpose();
-        let declared = declared.unwrap_or_else(|error| {
-            notes.push(format!("other labs do not see what this one takes of cpu {cpu}: {error:#}"));
-            None
-        });
-        let too_much = too_much(cpu, load, declared.as_ref());
-        let fifo = too_much.is_none();
-        // Who runs without takes nothing that the kernel would count.
-        let declared = declared.filter(|_| fifo);
-        notes.extend(too_much.map(|why| {
-            format!("{why}, so they run without it (fewer stations or a longer --cycle gives it back)")
-        }));
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone())?;
@@ -188,8 +175,23 @@ impl Lab {
             }
             started => started.and_then(Result::ok),
         };
+        let lead = lead(scenario, wake_up(cpu));
+        let load = load(scenario, lead);
+        let declared =
+            options.directory.as_ref().map(|directory| Load::declare(directory, cpu, load)).transpose();
+        let declared = declared.unwrap_or_else(|error| {
+            notes.push(format!("other labs do not see what this one takes of cpu {cpu}: {error:#}"));
+            None
+        });
+        let too_much = too_much(cpu, load, declared.as_ref());
+        let fifo = too_much.is_none();
+        // Who runs without takes nothing that the kernel would count.
+        let declared = declared.filter(|_| fifo);
+        notes.extend(too_much.map(|why| {
+            format!("{why}, so they run without it (fewer stations or a longer --cycle gives it back)")
+        }));
         let (teller, told) = channel();
-        let launch = Launch { anchor, epoch, cpu, fifo, home: options.home.clone() };
+        let launch = Launch { anchor, epoch, cpu, lead, fifo, home: options.home.clone() };
         for (station, member) in members.iter_mut().enumerate() {
             let arguments = arguments(scenario, station, &launch, &Resume::default())?;
             member.process = Some(Process::start(&member.namespace, station, &arguments, teller.clone())?);
@@ -220,7 +222,7 @@ impl Lab {
         })
     }
 
-    /// Waits until every station is locked.
+    /// Waits until every station has been locked.
     pub(super) fn join(&mut self, scenario: &Scenario) -> Result<()> {
         let rounds = scenario.stations.iter().map(|station| {
             let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
@@ -230,16 +232,16 @@ impl Lab {
         let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
         let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES));
         let deadline = Instant::now() + JOIN_WITHIN + calibration;
-        while !self.members.iter().all(Member::is_locked) {
+        while !self.members.iter().all(Member::has_joined) {
             self.look();
             self.fail_early(scenario)?;
-            let locked = self.members.iter().filter(|member| member.is_locked()).count();
+            let joined = self.members.iter().filter(|member| member.has_joined()).count();
             if self.interrupted.load(Ordering::Relaxed) {
                 let all = self.members.len();
-                bail!(Interrupted(format!("{locked} of {all} stations were locked")));
+                bail!(Interrupted(format!("{joined} of {all} stations were locked")));
             }
             if Instant::now() > deadline {
-                let late = self.members.iter().position(|member| !member.is_locked()).unwrap_or(0);
+                let late = self.members.iter().position(|member| !member.has_joined()).unwrap_or(0);
                 bail!(
                     "station '{}' is not locked to the master in time ({}): a longer --cycle or --guard gives \
                      a busy host more room",
@@ -247,7 +249,7 @@ impl Lab {
                     self.members[late].state(),
                 );
             }
-            self.show_progress(|| format!("{locked} of {} stations locked", scenario.stations.len()));
+            self.show_progress(|| format!("{joined} of {} stations locked", scenario.stations.len()));
         }
         Ok(())
     }

@@ -57,7 +57,7 @@ fn a_reply_is_stamped_by_the_clock_of_the_masters_syncs_and_returns_the_requests
     let (_, sync) = stamped(&mut master, at(3_960), at(4_000) + Span::from_nanos(41));
     let [xmit, sched] = [global(4_000, 41), global(4_000, 0)].map(GlobalTime::from_nanos);
     assert_eq!(sync, Message::Sync { cycle: 1, xmit, sched });
-    let (to, reply) = stamped(&mut master, at(4_160), at(4_200) + Span::from_nanos(59));
+    let (to, reply) = stamped(&mut master, at(4_200), at(4_200) + Span::from_nanos(59));
     let (reception, xmit) = (global(3_500, 0), global(4_200, 59));
     assert_eq!((to, reply), (OTHER, Message::Reply { request_xmit, reception, xmit }));
 }

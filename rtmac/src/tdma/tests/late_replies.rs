@@ -92,7 +92,7 @@ fn a_station_that_asks_again_has_no_late_reply_any_more() {
     let third = Address([2, 0, 0, 0, 0, 33]);
     let ask = |cycle, offset| Message::Request { xmit: 7, reply_cycle: cycle, reply_offset: offset };
     assert!(matches!(hear_at(&mut master, 4_260, third, ask(1, 400_000)), Claimed::Kept));
-    assert_eq!(leaves(&mut master, 4_360), Some((at(4_400), at(4_400) + master_config().reply_latest, true)));
+    assert_eq!(leaves(&mut master, 4_400), Some((at(4_400), at(4_400) + master_config().reply_latest, true)));
     assert_eq!(
         leaves(&mut master, 4_960).map(|(at, ..)| at),
         Some(at(5_000)),
@@ -103,7 +103,7 @@ fn a_station_that_asks_again_has_no_late_reply_any_more() {
     assert_eq!(leaves(&mut master, 5_050), None);
     assert_eq!(told(&mut master), [], "nothing was missed");
     assert_eq!(leaves(&mut master, 5_960).map(|(at, ..)| at), Some(at(6_000)));
-    assert_eq!(leaves(&mut master, 6_060).map(|(at, ..)| at), Some(at(6_100)));
+    assert_eq!(leaves(&mut master, 6_100).map(|(at, ..)| at), Some(at(6_100)));
     let counters = master.status().counters;
     assert_eq!((counters.replies_sent, counters.replies_late, counters.replies_given_up), (2, 1, 1));
 }

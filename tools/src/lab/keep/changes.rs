@@ -88,7 +88,7 @@ impl Keeper {
                         file, --guard without a file)";
             bail!("{conflict}{}", if bare.conflicts().is_empty() { room } else { "" });
         }
-        let load = load(&changed);
+        let load = load(&changed, self.lab.launch.lead);
         let too_much = too_much(self.lab.cpu, load, self.lab.declared.as_ref());
         if let (Some(why), true) = (too_much, self.lab.declared.is_some() && load > self.lab.load) {
             bail!("{why}: give the slot a longer period, or take another lab down");
@@ -192,7 +192,7 @@ impl Keeper {
                 }
                 *slots = after;
                 self.changes += 1;
-                self.lab.load = load(&self.scenario);
+                self.lab.load = load(&self.scenario, self.lab.launch.lead);
                 if let Some(declared) = &mut self.lab.declared {
                     // Where it cannot be written, others see what it took before.
                     let _ = declared.change(self.lab.load);

@@ -25,7 +25,7 @@ impl Keeper {
         if let Some(conflict) = changed.schedule().conflicts().first() {
             bail!("{conflict}");
         }
-        let load = load(&changed);
+        let load = load(&changed, self.lab.launch.lead);
         let too_much = too_much(self.lab.cpu, load, self.lab.declared.as_ref());
         if let (Some(why), true) = (too_much, self.lab.declared.is_some() && load > self.lab.load) {
             bail!("{why}: give slots longer periods, or take another lab down");
@@ -85,7 +85,7 @@ impl Keeper {
         }
         self.lab.records.follow(&self.scenario);
         self.lab.members.iter_mut().for_each(|member| member.cycle = cycle);
-        self.lab.load = load(&self.scenario);
+        self.lab.load = load(&self.scenario, self.lab.launch.lead);
         if let Some(declared) = &mut self.lab.declared {
             // Where it cannot be written, others see what it took before.
             let _ = declared.change(self.lab.load);

@@ -1,0 +1,106 @@
+//! How long before their slots the stations of a lab wake.
+//!
+//! ```text
+//!   wakes                       ready                slot                     sleeps again
+//!   ├──── wake-up latency ────┬─┤ PREPARES ├── spins ──┤ sends, reads: FOLLOWS ┤
+//!   └───────────────────────── lead ─────────────────────┘
+//! ```
+//!
+//! A shorter lead leaves more of the core to others; a longer one keeps more slots to the nanosecond. So it is what
+//! nearly every wake-up on this core takes, and no more than all stations have room for.
+
+use rtmac::tdma::DEFAULT_LEAD;
+use rtnet::time::Span;
+
+use super::load::{FRAME, Turns};
+use crate::doctor::wakeups;
+use crate::scenario::Scenario;
+
+/// From its waking a station takes so long until it spins: it reads Synchronisations, asks for the frame, stamps it. Measured:
+/// with a lead of 15 us half of the frames leave 0.2 us late on a warm core, which wakes in 6 us.
+const PREPARES: Span = Span::from_micros(9);
+/// Behind its frame it takes so long until it sleeps again. Measured: eight stations at 1 ms with leads of 15, 20, 25, 35 and
+/// 50 us took 22, 26, 29, 39 and 53 % of the core.
+pub const FOLLOWS: Span = Span::from_micros(9);
+/// Of a core's wake-ups so many are no later than what the lead allows for.
+const WAKE_UPS: f64 = 0.95;
+/// What the stations of a lab may take of their core.
+const SHARE: f64 = 0.75;
+/// What they may spin for of that.
+const SPUN: f64 = 1.0 / 3.0;
+/// A station prepares its frame before its slot on any core.
+const LEAST: Span = PREPARES;
+/// Wake-ups that are measured, and from one to the next.
+const PERIOD: Span = Span::from_micros(250);
+const MEASURED: u64 = 800;
+
+/// How late a thread of a lab wakes on this core: all but one of twenty wake-ups. It takes a fifth of a second.
+pub fn wake_up(cpu: usize) -> Span {
+    Span::from_nanos(wakeups::wake_often(cpu, PERIOD, MEASURED).quantile(WAKE_UPS))
+}
+
+/// The lead of a lab's stations, of which each wakes so late.
+pub fn lead(scenario: &Scenario, wake_up: Span) -> Span {
+    let turns = Turns::of(scenario);
+    let cycle = scenario.cycle.nanos() as f64;
+    let each = |share: f64| Span::from_nanos((share * cycle / turns.all) as i64);
+    let frames = Span::from_nanos((FRAME.nanos() as f64 * turns.heard / turns.all) as i64);
+    let room = each(SHARE) - FOLLOWS - frames;
+    let spun = each(SPUN) + PREPARES;
+    let apart = closest(scenario).map_or(DEFAULT_LEAD, |apart| apart - FOLLOWS);
+    (wake_up + PREPARES).min(room).min(spun).min(apart).clamp(LEAST, DEFAULT_LEAD)
+}
+
+/// From one instant of the cycle, a slot's or the Synchronisation's, to the next at the least.
+fn closest(scenario: &Scenario) -> Option<Span> {
+    let slots = scenario.stations.iter().flat_map(|station| &station.slots);
+    let mut instants: Vec<_> = slots.map(|slot| slot.offset).chain([Span::ZERO, scenario.cycle]).collect();
+    instants.sort_unstable();
+    // Those who share a slot take turns.
+    instants.dedup();
+    instants.windows(2).map(|pair| pair[1] - pair[0]).min()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Source;
+
+    fn of(stations: usize, cycle: &str, wake_up_micros: i64) -> i64 {
+        let mut text = format!("cycle = \"{cycle}\"\n");
+        for station in 0..stations {
+            let role = if station == 0 { "master" } else { "slave" };
+            text += &format!("[[station]]\nname = \"s{station}\"\nrole = \"{role}\"\n");
+        }
+        let scenario = Source::new("net.toml", &text).parse().unwrap();
+        lead(&scenario, Span::from_micros(wake_up_micros)).nanos() / 1_000
+    }
+
+    #[test]
+    fn a_lead_is_what_wake_ups_take_where_there_is_room() {
+        assert_eq!([1, 2, 8].map(|stations| of(stations, "1ms", 11)), [20; 3]);
+        assert_eq!(of(8, "10ms", 41), 50);
+        assert_eq!(of(2, "10ms", 400), 50, "a slow core is not waited for");
+    }
+
+    #[test]
+    fn many_stations_share_a_core_by_shorter_leads() {
+        let leads = [8, 16, 24, 32].map(|stations| of(stations, "1ms", 400));
+        assert!(leads.is_sorted_by(|a, b| a > b), "{leads:?}");
+        for (stations, lead) in [8, 16, 24, 32].into_iter().zip(leads) {
+            let takes = (stations + 1) * (lead + FOLLOWS.nanos() / 1_000);
+            assert!(takes <= 750, "{stations} stations take {takes} us of a cycle of 1 ms");
+            let spin = (stations + 1) * (lead - PREPARES.nanos() / 1_000);
+            assert!(spin <= 334, "{stations} stations spin for {spin} us of a cycle of 1 ms");
+        }
+        assert_eq!(of(60, "1ms", 400), 9, "a frame is prepared all the same");
+    }
+
+    #[test]
+    fn a_lead_ends_behind_the_turn_before() {
+        let text = "cycle = \"10ms\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n[[station.slot]]\noffset = \"1ms\"\n\
+                    [[station]]\nname = \"s\"\nrole = \"slave\"\n[[station.slot]]\noffset = \"1030us\"\n";
+        let scenario = Source::new("net.toml", text).parse().unwrap();
+        assert_eq!(lead(&scenario, Span::from_micros(400)).nanos(), 21_000);
+    }
+}

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use rtnet::time::{Instant, Span};
 
-use super::line::Drift;
+use super::line::{DRIFT_PARTS, Drift};
 use super::rate::Rate;
 
 /// Points no later than this are on the line.
@@ -75,7 +75,11 @@ impl Edge {
             let lowest = |of, half| core::iter::once(of).chain(half).min_by_key(height);
             let ends = (lowest(from, 0..half)?, lowest(to, half..places.len())?);
             if ends == (from, to) {
-                let drift = Drift::new(Span::from_nanos(dy), dx, period)?;
+                // Clocks may run apart as fast as clocks do: the edge is steeper then by what the delays of its ends differ.
+                let at_most = (period * dx / DRIFT_PARTS).nanos();
+                let gained =
+                    Some(dy.clamp(-at_most, at_most)).filter(|gained| (dy - gained).abs() <= ON_IT.nanos());
+                let drift = Drift::new(Span::from_nanos(gained?), dx, period)?;
                 let ends = [*points.clone().nth(from)?, *points.clone().nth(to)?];
                 let edge = Self::through(ends[1], drift, period);
                 return Some(Self { unsure: edge.unsure(points, half, ends)?, ..edge });
@@ -137,4 +141,29 @@ impl Edge {
 /// Cycles from one to another, shortest way round 2^32.
 fn cycles(from: Point, to: Point) -> i32 {
     to.cycle.wrapping_sub(from.cycle) as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Span = Span::from_millis(1);
+
+    /// What an edge shows of clocks that run apart as fast as clocks may, if the first of its points was `held_up`.
+    fn shown(held_up: i64) -> Option<i64> {
+        let point = |i: u32| {
+            let late = if i == 0 { held_up } else { 0 };
+            let start = Instant::from_nanos(1 << 40) + PERIOD * i64::from(i * 64);
+            Point { cycle: i * 64, start: start - Span::from_nanos(i64::from(i) * 64 * 200 - late) }
+        };
+        let points: Vec<Point> = (0..2).map(point).collect();
+        Edge::below_the_middle::<2>(points.iter(), PERIOD).map(|edge| edge.drift.parts_per_billion(PERIOD))
+    }
+
+    #[test]
+    fn the_fastest_clocks_have_an_edge_whatever_delays_do() {
+        assert_eq!([0, 1, ON_IT.nanos()].map(shown), [Some(-200_000); 3]);
+        assert_eq!(shown(ON_IT.nanos() + 1), None, "no clocks run apart so fast");
+        assert_eq!(shown(-640), Some(-190_000));
+    }
 }

@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn a_lead_is_what_wake_ups_take_where_there_is_room() {
-        assert_eq!([1, 2, 8].map(|stations| of(stations, "1ms", 11)), [20; 3]);
+        assert_eq!([2, 4, 8].map(|stations| of(stations, "1ms", 11)), [20; 3]);
         assert_eq!(of(8, "10ms", 41), 50);
         assert_eq!(of(2, "10ms", 400), 50, "a slow core is not waited for");
     }
@@ -98,8 +98,8 @@ mod tests {
 
     #[test]
     fn a_lead_ends_behind_the_turn_before() {
-        let text = "cycle = \"10ms\"\n[[station]]\nname = \"m\"\nrole = \"master\"\n[[station.slot]]\noffset = \"1ms\"\n\
-                    [[station]]\nname = \"s\"\nrole = \"slave\"\n[[station.slot]]\noffset = \"1030us\"\n";
+        let text = "cycle = \"10ms\"\n[[station]]\nname = \"m\"\nrole = \"master\"\nslots = [{ id = 0, offset = \"1ms\" }]\n\
+                    [[station]]\nname = \"s\"\nrole = \"slave\"\nslots = [{ id = 0, offset = \"1030us\" }]\n";
         let scenario = Source::new("net.toml", text).parse().unwrap();
         assert_eq!(lead(&scenario, Span::from_micros(400)).nanos(), 21_000);
     }

@@ -181,8 +181,8 @@ fn echoes_in_a_lab_take_what_the_schedule_says() {
         );
         // One of 20 may be beside the jitter, by what that is.
         assert!(quicker <= n / 20 && longer <= n / 20 + missed, "{schedule:#}");
-        // Of those that are asked all over the cycle the first and the last of 100 are so far from its ends. Those for which a
-        // slot was missed took a cycle longer, and may all be of the first.
+        // Echoes are asked evenly over the cycle, so the 1 % quantile lies a hundredth of it from its end. An echo whose slot
+        // was missed takes a cycle longer: each moves the quantile by one place at most.
         let step = CYCLE / 100 + CYCLE * missed / n;
         assert!(p1 <= best + step + jitter, "the best case comes: {p1} {schedule:#}");
         assert!(p99 + lead + step + jitter >= worst, "and the worst: {p99} {schedule:#}");

@@ -17,7 +17,7 @@ const LAB: &str = include_str!("addresses.toml");
 const LEG: &str = "10.0.0.7";
 const EXAMPLES: [&str; 5] = ["udp_echo", "rtt", "raw_packets", "wait_on_cycle", "big_datagrams"];
 
-/// Where they are: cargo builds them with these tests only where all is tested, and finds them built then.
+/// The directory of the examples. `cargo test --workspace` has built them; a single test binary has not.
 fn built() -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let profile = test.parent().and_then(Path::parent).expect("PROFILE/deps/TEST");

@@ -225,7 +225,7 @@ fn abuse(cell: &Cell, socket: &str, whole: &[u8]) {
     let _silent: Vec<Socket> = (0..1_000).map(|_| cell.connect(socket)).collect();
 }
 
-/// Of labs that take 15 % of a core, at the least, so many would take more than the kernel lets them have.
+/// A lab takes 15 % of a core at least: this many exceed the 80 % that labs may take together.
 const LABS_AT_MOST: usize = 6;
 
 #[test]
@@ -240,12 +240,12 @@ fn labs_that_together_would_be_throttled_share_a_core() {
             (Cell { name }, output)
         };
         let mut labs = Vec::new();
-        // Each takes 15 to 49 % of the core, by how long before their slots its stations wake.
+        // Each takes 15 to 49 % of the core: it depends on the lead.
         while labs.len() < LABS_AT_MOST {
             let (lab, output) = up("part");
             labs.push(lab);
             let said = text(&output.stderr);
-            // It need not become locked: what counts is what it says.
+            // It need not become locked: the test reads its message.
             if said.contains("% of cpu") && said.contains("they run without it") {
                 return;
             }

@@ -75,7 +75,7 @@ impl Edge {
             let lowest = |of, half| core::iter::once(of).chain(half).min_by_key(height);
             let ends = (lowest(from, 0..half)?, lowest(to, half..places.len())?);
             if ends == (from, to) {
-                // Clocks may run apart as fast as clocks do: the edge is steeper then by what the delays of its ends differ.
+                // Two clocks may differ by the limit. The delays of the ends make the edge steeper by `ON_IT` at most.
                 let at_most = (period * dx / DRIFT_PARTS).nanos();
                 let gained =
                     Some(dy.clamp(-at_most, at_most)).filter(|gained| (dy - gained).abs() <= ON_IT.nanos());
@@ -149,10 +149,10 @@ mod tests {
 
     const PERIOD: Span = Span::from_millis(1);
 
-    /// What an edge shows of clocks that run apart as fast as clocks may, if the first of its points was `held_up`.
-    fn shown(held_up: i64) -> Option<i64> {
+    /// Drift of the edge of two clocks 200 ppm apart, in parts per 10^9. The first point is later by `delay` nanoseconds.
+    fn drift_of(delay: i64) -> Option<i64> {
         let point = |i: u32| {
-            let late = if i == 0 { held_up } else { 0 };
+            let late = if i == 0 { delay } else { 0 };
             let start = Instant::from_nanos(1 << 40) + PERIOD * i64::from(i * 64);
             Point { cycle: i * 64, start: start - Span::from_nanos(i64::from(i) * 64 * 200 - late) }
         };
@@ -162,8 +162,8 @@ mod tests {
 
     #[test]
     fn the_fastest_clocks_have_an_edge_whatever_delays_do() {
-        assert_eq!([0, 1, ON_IT.nanos()].map(shown), [Some(-200_000); 3]);
-        assert_eq!(shown(ON_IT.nanos() + 1), None, "no clocks run apart so fast");
-        assert_eq!(shown(-640), Some(-190_000));
+        assert_eq!([0, 1, ON_IT.nanos()].map(drift_of), [Some(-200_000); 3]);
+        assert_eq!(drift_of(ON_IT.nanos() + 1), None, "no clocks run apart so fast");
+        assert_eq!(drift_of(-640), Some(-190_000));
     }
 }

@@ -8,7 +8,7 @@ use rtnet::time::{GlobalTime, Instant, Span};
 use super::master::BACKUP_LOOKS_BEFORE;
 use super::slot::Turn;
 
-/// A reply is chosen so long before its instant: what a master takes from its waking until it can send.
+/// Time from a master's wake-up until it can send: a reply is chosen this long before its instant.
 const REPLY_LOOKS_BEFORE: Span = Span::from_micros(10);
 
 /// A job of the grid.

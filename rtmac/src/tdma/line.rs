@@ -76,7 +76,7 @@ impl Drift {
         self.gained.nanos() as f64 / (self.cycles as f64 * period.nanos().max(1) as f64)
     }
 
-    /// In so many cycles. Every job asks for this: 128 bits are divided only where the product does not fit 64.
+    /// Time gained in `cycles` cycles. Every job calls this: it divides 128 bits only if the product does not fit 64.
     pub fn over(self, cycles: i32) -> Span {
         let (gained, cycles, of) = (self.gained.nanos(), i64::from(cycles), self.cycles);
         Span::from_nanos(match gained.checked_mul(cycles) {

@@ -44,7 +44,7 @@ fn number_in(block: Span) -> u64 {
     (block.nanos() / PERIOD.nanos()) as u64
 }
 
-/// How late a real-time thread on this core woke so many times, once a `period`.
+/// Lateness of `number` wake-ups of a real-time thread on this core, one a `period`.
 pub fn wake_often(cpu: usize, period: Span, number: u64) -> SignedHistogram {
     let mut lateness = SignedHistogram::for_real_time();
     on_core(cpu, || sleep_often(period, number, &mut lateness));

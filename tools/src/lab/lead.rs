@@ -6,8 +6,8 @@
 //!   └───────────────────────── lead ─────────────────────┘
 //! ```
 //!
-//! A shorter lead leaves more of the core to others; a longer one keeps more slots to the nanosecond. So it is what
-//! nearly every wake-up on this core takes, and no more than all stations have room for.
+//! A shorter lead leaves more of the core to others; with a longer one more frames leave on time. The lead covers 95 % of
+//! the wake-ups on this core, and is no longer than all stations have room for.
 
 use rtmac::tdma::DEFAULT_LEAD;
 use rtnet::time::Span;
@@ -16,30 +16,30 @@ use super::load::{FRAME, Turns};
 use crate::doctor::wakeups;
 use crate::scenario::Scenario;
 
-/// From its waking a station takes so long until it spins: it reads Synchronisations, asks for the frame, stamps it. Measured:
+/// Time from a station's wake-up until it spins: it reads Synchronisations, chooses the frame, stamps it. Measured:
 /// with a lead of 15 us half of the frames leave 0.2 us late on a warm core, which wakes in 6 us.
 const PREPARES: Span = Span::from_micros(9);
-/// Behind its frame it takes so long until it sleeps again. Measured: eight stations at 1 ms with leads of 15, 20, 25, 35 and
+/// Time from its frame until it sleeps again. Measured: eight stations at 1 ms with leads of 15, 20, 25, 35 and
 /// 50 us took 22, 26, 29, 39 and 53 % of the core.
 pub const FOLLOWS: Span = Span::from_micros(9);
-/// Of a core's wake-ups so many are no later than what the lead allows for.
+/// Share of a core's wake-ups that the lead covers.
 const WAKE_UPS: f64 = 0.95;
-/// What the stations of a lab may take of their core.
+/// Share of their core that the stations of a lab may take.
 const SHARE: f64 = 0.75;
-/// What they may spin for of that.
+/// Share of their core that they may spin for.
 const SPUN: f64 = 1.0 / 3.0;
-/// A station prepares its frame before its slot on any core.
+/// The shortest lead: a station still prepares its frame before its slot.
 const LEAST: Span = PREPARES;
-/// Wake-ups that are measured, and from one to the next.
+/// Distance of the wake-ups that are measured, and their number.
 const PERIOD: Span = Span::from_micros(250);
 const MEASURED: u64 = 800;
 
-/// How late a thread of a lab wakes on this core: all but one of twenty wake-ups. It takes a fifth of a second.
+/// Lateness that 95 % of the wake-ups on this core do not exceed. The measurement takes a fifth of a second.
 pub fn wake_up(cpu: usize) -> Span {
     Span::from_nanos(wakeups::wake_often(cpu, PERIOD, MEASURED).quantile(WAKE_UPS))
 }
 
-/// The lead of a lab's stations, of which each wakes so late.
+/// The lead of a lab's stations on a core with this lateness.
 pub fn lead(scenario: &Scenario, wake_up: Span) -> Span {
     let turns = Turns::of(scenario);
     let cycle = scenario.cycle.nanos() as f64;
@@ -51,12 +51,12 @@ pub fn lead(scenario: &Scenario, wake_up: Span) -> Span {
     (wake_up + PREPARES).min(room).min(spun).min(apart).clamp(LEAST, DEFAULT_LEAD)
 }
 
-/// From one instant of the cycle, a slot's or the Synchronisation's, to the next at the least.
+/// Shortest distance between two instants of the cycle: slots and the Synchronisation.
 fn closest(scenario: &Scenario) -> Option<Span> {
     let slots = scenario.stations.iter().flat_map(|station| &station.slots);
     let mut instants: Vec<_> = slots.map(|slot| slot.offset).chain([Span::ZERO, scenario.cycle]).collect();
     instants.sort_unstable();
-    // Those who share a slot take turns.
+    // Stations that share a slot take turns.
     instants.dedup();
     instants.windows(2).map(|pair| pair[1] - pair[0]).min()
 }

@@ -14,16 +14,16 @@ const LOAD_AT_MOST: f64 = 0.8;
 /// What one frame takes that comes to a station with sockets between its slots: it wakes it.
 pub const FRAME: Span = Span::from_micros(15);
 
-/// What the stations of a lab do in a cycle, on average.
+/// Wake-ups of a lab's stations in a cycle, on average.
 pub struct Turns {
-    /// They wake for so many slots and Synchronisations of their own.
+    /// For their own slots and the Synchronisation.
     pub all: f64,
-    /// So many frames come to stations with sockets.
+    /// For frames that come to stations with sockets.
     pub heard: f64,
 }
 
 impl Turns {
-    /// Those of a scenario.
+    /// The wake-ups of a scenario.
     pub fn of(scenario: &Scenario) -> Self {
         // The Synchronisation.
         let mut turns = Self { all: 1.0, heard: 0.0 };

@@ -137,7 +137,7 @@ impl Member {
         self.process.as_ref().map_or(0, Process::pid)
     }
 
-    /// Whether it has been locked since it was started. Whatever its host makes it miss from then on is measured.
+    /// Whether it has been locked since it was started. Misses after that belong to the measurement.
     pub fn has_joined(&self) -> bool {
         self.has_joined
     }

@@ -28,7 +28,7 @@ const TRIES: usize = 4;
 fn iperf3(cell: &Cell, options: &[&str]) -> Value {
     let server = program(cell, "master", &["iperf3", "-s", "-1"]);
     let mut server = Running::server(cell, "master", 5201, quiet(server));
-    let words = [&["iperf3", "-c", MASTER, "-t", "3", "-J"], options].concat();
+    let words = [&["iperf3", "-c", MASTER, "-t", "2", "-J"], options].concat();
     let report: Value = serde_json::from_str(&said(cell, "slave1", &words)).unwrap();
     server.ended(PATIENCE);
     report["end"].clone()
@@ -99,7 +99,7 @@ fn nc_copies_every_byte() {
         if !help.is_ok_and(|help| (text(&help.stdout) + &text(&help.stderr)).contains("OpenBSD")) {
             return skip(test, "no nc of OpenBSD: apt-get install netcat-openbsd");
         }
-        let sent = bytes(1_500_000);
+        let sent = bytes(1_000_000);
         let dir = tempfile::tempdir().unwrap();
         let (original, copy) = (dir.path().join("original"), dir.path().join("copy"));
         fs::write(&original, &sent).unwrap();

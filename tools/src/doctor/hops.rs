@@ -1,5 +1,6 @@
 //! How long one thread takes to wake another, on the same core and on another one.
 
+use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 
@@ -16,11 +17,12 @@ const PERIOD: Span = Span::from_millis(1);
 /// From before the waking call on one core to the other thread running on `to`, in nanoseconds;
 /// measures for about `span`. The woken thread goes before the one that wakes it.
 pub fn measure(from: usize, to: usize, span: Span) -> SignedHistogram {
-    let (called, over) = (AtomicU64::new(0), AtomicBool::new(false));
+    let (called, over, ready) = (AtomicU64::new(0), AtomicBool::new(false), Barrier::new(2));
     let mut took = SignedHistogram::for_real_time();
     thread::scope(|scope| {
         let woken = scope.spawn(|| {
             RealTime { priority: Some(MASTER_PRIORITY), cpu: Some(to) }.apply();
+            ready.wait();
             while !over.load(Ordering::Acquire) {
                 match called.swap(0, Ordering::AcqRel) {
                     0 => thread::park(),
@@ -30,6 +32,8 @@ pub fn measure(from: usize, to: usize, span: Span) -> SignedHistogram {
         });
         let sleeper = woken.thread();
         on_core(from, || {
+            // A busy host may start a thread late.
+            ready.wait();
             let mut due = monotonic();
             for _ in 0..span.nanos() / PERIOD.nanos() {
                 due += PERIOD.nanos() as u64;

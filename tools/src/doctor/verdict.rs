@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!            lead               latest
-//!   |<----- 50 us ----->|<-- guard band, -->|  less the clocks' share at either end
-//!   wake-up due         slot's instant       too late
+//!   |<-- of such a lab ->|<-- guard band, -->|  less the clocks' share at either end
+//!   wake-up due          slot's instant      too late
 //!   |-- late wake-up (1) -------------------->   missed if it is later than lead + latest
 //!        |-- outage (2) --------------------->   missed if it begins in the lead and ends after latest
 //!   sync |<--- outage (3): two syncs ---| ...    the rest of that cycle is silent, one is bridged
@@ -26,11 +26,12 @@ use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 use serde::Serialize;
 
+use crate::lab::lead::{WAKE_UPS, lead};
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::{Scenario, Uniform};
 
-/// How long before its slot a station wakes and spins: the default of `rtnet station --lead`.
-pub const LEAD: Span = Span::from_micros(50);
+/// How long before its slot the station wakes whose turn is measured.
+pub const MEASURED_LEAD: Span = Span::from_micros(50);
 /// A network holds a cycle that misses no more: with one slot, and so about one sync, of 200 missing by
 /// chance, two in a row, which silence the slaves, come once in 40 000 cycles.
 pub const MISSES_ACCEPTED: f64 = 0.005;
@@ -76,10 +77,19 @@ pub struct Core<'a> {
     pub watched: Span,
     /// How long `send` of a broadcast took, and to how many stations, if that was measured.
     pub broadcasts: Option<(&'a SignedHistogram, usize)>,
-    /// Processor time of one slot: wake up, drain, spin, send.
+    /// Processor time of one slot with [`MEASURED_LEAD`]: wake up, drain, spin, send.
     pub turn: Span,
     /// The share of a second that real-time threads may run; 1 is without limit.
     pub real_time_share: f64,
+}
+
+impl Core<'_> {
+    /// The lead that a lab chooses for this network here.
+    fn lead(&self, network: &Scenario) -> Span {
+        let mut wakeups = SignedHistogram::new();
+        self.wakeups.iter().for_each(|block| wakeups.merge(block));
+        lead(network, Span::from_nanos(wakeups.quantile(WAKE_UPS)))
+    }
 }
 
 /// A network, and what it would do.
@@ -128,13 +138,14 @@ impl Prediction {
 /// do not fit the cycle.
 pub fn predict(core: &Core<'_>, stations: usize, cycle: Span) -> Option<Prediction> {
     let network = network(stations, cycle)?;
-    let latest = network.latest();
-    let (late_share, uncertain_share) = late(core.wakeups, LEAD + latest);
-    let outage_share = lost_by(core, |length| (length - latest).max(Span::ZERO).min(LEAD));
+    let (latest, lead) = (network.latest(), core.lead(&network));
+    let (late_share, uncertain_share) = late(core.wakeups, lead + latest);
+    let outage_share = lost_by(core, |length| (length - latest).max(Span::ZERO).min(lead));
     let slaves = (stations - 1) as f64 / stations as f64;
-    let silent_share = slaves * silent_share(core, &network);
+    let silent_share = slaves * silent_share(core, &network, lead);
     let sync_share = sync_share(core, &network) / stations as f64;
-    let load = (stations + 1) as f64 * core.turn.nanos() as f64 / cycle.nanos() as f64;
+    let turn = core.turn - MEASURED_LEAD + lead;
+    let load = (stations + 1) as f64 * turn.nanos() as f64 / cycle.nanos() as f64;
     let throttled_share = if load > core.real_time_share { 1.0 - core.real_time_share } else { 0.0 };
     let all = late_share + uncertain_share + outage_share + silent_share + sync_share + throttled_share;
     Some(Prediction {
@@ -211,10 +222,10 @@ fn network(stations: usize, cycle: Span) -> Option<Scenario> {
 /// An outage that ends r after a cycle's start has held up that cycle's sync if r > s (s is how late a
 /// sync may be), and the one before if it is longer than C + r. From its end on, C - r of that cycle is
 /// silent. All r from 0 to C are alike, hence the mean over them.
-fn silent_share(core: &Core<'_>, network: &Scenario) -> f64 {
+fn silent_share(core: &Core<'_>, network: &Scenario, lead: Span) -> f64 {
     let cycle = network.cycle;
     let sync_latest = network.sync_window * SYNC_LATEST.0 / SYNC_LATEST.1;
-    let by_chance = late(core.wakeups, LEAD + sync_latest).0.powi(2);
+    let by_chance = late(core.wakeups, lead + sync_latest).0.powi(2);
     let by_outages = lost_by(core, |length| {
         let (from, to) = (sync_latest.nanos() as f64, (length - cycle).min(cycle).nanos() as f64);
         let whole = cycle.nanos() as f64;

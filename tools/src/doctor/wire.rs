@@ -14,7 +14,7 @@ use rtnet::wire::ethernet::{Address, EtherType, Header, MIN_FRAME};
 use zerocopy::IntoBytes;
 
 use super::on_core;
-use super::verdict::LEAD;
+use super::verdict::MEASURED_LEAD;
 use crate::lab::namespace::{Namespace, Segment};
 use crate::report::histogram::SignedHistogram;
 
@@ -86,7 +86,7 @@ impl Ends {
             namespace.run(|| -> Result<Port> {
                 let interface = Interface::find(INTERFACE)?;
                 let (data, clock) = ([EtherType::EXPERIMENTAL], EmulatedClock::default());
-                Port::open(&interface, &data, clock, LEAD.nanos() as u64, GuardMode::Auto)
+                Port::open(&interface, &data, clock, MEASURED_LEAD.nanos() as u64, GuardMode::Auto)
                     .context("no packet socket")
             })?
         };
@@ -107,7 +107,7 @@ fn broadcast_often(ends: &mut Ends, turns: u64, wire: &mut Wire) {
     let mut slot = monotonic();
     for turn in 0..SETTLE + turns {
         slot += BROADCAST_PERIOD.nanos() as u64;
-        sleep_until(slot - LEAD.nanos() as u64);
+        sleep_until(slot - MEASURED_LEAD.nanos() as u64);
         let before = transmit(&mut ends.sender, &pool, Address::BROADCAST, slot);
         let after = Instant::from_nanos(monotonic());
         if let Some(before) = before.filter(|_| turn >= SETTLE) {
@@ -144,7 +144,7 @@ fn send_often(ends: &mut Ends, turns: u64, wire: &mut Wire) {
             cpu = thread_cpu_time();
         }
         slot += PERIOD.nanos() as u64;
-        sleep_until(slot - LEAD.nanos() as u64);
+        sleep_until(slot - MEASURED_LEAD.nanos() as u64);
         sender.drain_control(|_, _| {});
         let before = transmit(sender, &pool, RECEIVER, slot);
         let after = Instant::from_nanos(monotonic());

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use rtnet::discipline::EventKind;
+use rtnet::time::Span;
 
 use super::account::{Account, PARTS};
 use super::analysis::Analysis;
@@ -46,6 +47,8 @@ pub struct Parts {
     pub analysis: Analysis,
     /// What was made of it and of what was told.
     pub account: Account,
+    /// How long before their slots stations wake.
+    pub lead: Span,
     /// What a reader should know of the whole.
     pub notes: Vec<String>,
     /// Frames that the observer lost.
@@ -112,6 +115,8 @@ pub fn of(scenario: &Scenario, parts: Parts, host: HostFacts) -> Outcome {
     let mut figures = Figures {
         stations: stations.len() as u64,
         cycle_ns: scenario.cycle.nanos() as u64,
+        lead_ns: parts.lead.nanos(),
+        last_moment_ns: scenario.latest().nanos(),
         cycles: u64::from(analysis.cycles()),
         syncs_sent: analysis.syncs,
         syncs_skipped: own(EventKind::SyncSkipped) + own(EventKind::SyncDropped),

@@ -12,18 +12,15 @@
 use rtmac::tdma::DEFAULT_LEAD;
 use rtnet::time::Span;
 
-use super::load::{FRAME, Turns};
+use super::turns::{FOLLOWS, FRAME, Turns};
 use crate::doctor::wakeups;
 use crate::scenario::Scenario;
 
 /// Time from a station's wake-up until it spins: it reads Synchronisations, chooses the frame, stamps it. Measured:
 /// with a lead of 15 us half of the frames leave 0.2 us late on a warm core, which wakes in 6 us.
 const PREPARES: Span = Span::from_micros(9);
-/// Time from its frame until it sleeps again. Measured: eight stations at 1 ms with leads of 15, 20, 25, 35 and
-/// 50 us took 22, 26, 29, 39 and 53 % of the core.
-pub const FOLLOWS: Span = Span::from_micros(9);
 /// Share of a core's wake-ups that the lead covers.
-const WAKE_UPS: f64 = 0.95;
+pub const WAKE_UPS: f64 = 0.95;
 /// Share of their core that the stations of a lab may take.
 const SHARE: f64 = 0.75;
 /// Share of their core that they may spin for.

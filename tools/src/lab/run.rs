@@ -18,7 +18,7 @@ use super::faults::{Play, only_simulated};
 use super::guests::Guests;
 use super::launch::{Launch, Resume, arguments};
 use super::lead::{lead, wake_up};
-use super::load::{Core, load, too_much};
+use super::load::{Core, calibrating_at_once, load, too_much};
 use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
 use super::processes::{Process, Told};
@@ -133,7 +133,7 @@ impl Lab {
         Ok(outcome::of(scenario, self.parts(scenario), host.finish()))
     }
 
-    /// Stands a network up: its medium, its namespaces, its stations' processes.
+    /// Stands a network up: its medium, its namespaces.
     pub fn set_up(scenario: &Scenario, options: &RunOptions) -> Result<Self> {
         let mut notes = only_simulated(&scenario.conditions);
         let Core { cpu, note } = options.core.clone();
@@ -192,10 +192,6 @@ impl Lab {
         }));
         let (teller, told) = channel();
         let launch = Launch { anchor, epoch, cpu, lead, fifo, home: options.home.clone() };
-        for (station, member) in members.iter_mut().enumerate() {
-            let arguments = arguments(scenario, station, &launch, &Resume::default())?;
-            member.process = Some(Process::start(&member.namespace, station, &arguments, teller.clone())?);
-        }
         Ok(Self {
             guests: Guests::of(members.iter().map(|member| &member.namespace))?,
             members,
@@ -222,17 +218,20 @@ impl Lab {
         })
     }
 
-    /// Waits until every station has been locked.
+    /// Starts the stations, and waits until every one has been locked.
     pub(super) fn join(&mut self, scenario: &Scenario) -> Result<()> {
+        let at_once = calibrating_at_once(scenario, self.launch.lead);
         let rounds = scenario.stations.iter().map(|station| {
             let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
             station.rounds.saturating_mul(2).saturating_mul(period)
         });
         let cycles = rounds.max().unwrap_or(0).saturating_mul(CALIBRATION_ALLOWANCE);
         let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
-        let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES));
+        let turns = scenario.stations.len().div_ceil(at_once) as u32;
+        let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES)).saturating_mul(turns);
         let deadline = Instant::now() + JOIN_WITHIN + calibration;
         while !self.members.iter().all(Member::has_joined) {
+            self.start_some(scenario, at_once)?;
             self.look();
             self.fail_early(scenario)?;
             let joined = self.members.iter().filter(|member| member.has_joined()).count();
@@ -250,6 +249,19 @@ impl Lab {
                 );
             }
             self.show_progress(|| format!("{joined} of {} stations locked", scenario.stations.len()));
+        }
+        Ok(())
+    }
+
+    /// Starts stations in their order, as long as fewer than so many calibrate.
+    fn start_some(&mut self, scenario: &Scenario, at_once: usize) -> Result<()> {
+        let is_joining = |member: &&Member| member.process.is_some() && !member.has_joined();
+        let joining = self.members.iter().filter(is_joining).count();
+        let waiting = self.members.iter_mut().enumerate().filter(|(_, member)| member.process.is_none());
+        for (station, member) in waiting.take(at_once.saturating_sub(joining)) {
+            let arguments = arguments(scenario, station, &self.launch, &Resume::default())?;
+            member.process =
+                Some(Process::start(&member.namespace, station, &arguments, self.teller.clone())?);
         }
         Ok(())
     }
@@ -430,6 +442,7 @@ impl Lab {
             distrusted: self.distrusted,
             capture_failed: self.capture.failed().map(str::to_owned),
             account: Account::of(scenario, &mut self.analysis, &self.records),
+            lead: self.launch.lead,
             analysis: self.analysis,
             notes: self.notes,
         }

@@ -22,6 +22,13 @@ pub struct Figures {
     pub stations: u64,
     /// The length of a cycle.
     pub cycle_ns: u64,
+    /// How long before their slots stations wake.
+    #[serde(default)]
+    pub lead_ns: i64,
+    /// How long after its slot's instant a frame may still begin. A station that wakes later than `lead_ns` and this together
+    /// misses its slot.
+    #[serde(default)]
+    pub last_moment_ns: i64,
     /// Cycles measured.
     pub cycles: u64,
     /// Synchronisation frames seen on the medium.
@@ -360,8 +367,8 @@ mod tests {
     #[test]
     fn the_fields_are_in_the_promised_order() {
         let names = [
-            "stations cycle_ns cycles syncs_sent syncs_skipped frames_expected frames_seen slots_missed",
-            "overruns stalled_in_send guard_drops overlaps out_of_slot unexplained payload_errors slot_error_ns",
+            "stations cycle_ns lead_ns last_moment_ns cycles syncs_sent syncs_skipped frames_expected frames_seen",
+            "slots_missed overruns stalled_in_send guard_drops overlaps out_of_slot unexplained payload_errors slot_error_ns",
             "slot_error_abs_ns sync_period_jitter_ns sync_error_ns sync_error_abs_ns per_station host verdict",
             "rt_cpu_percent clock_steps capture_dropped frames_lost misses",
         ];

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 use anyhow::{Result, bail};
-use rtmac::tdma::TdmaStatus;
+use rtmac::tdma::{DEFAULT_LEAD, TdmaStatus};
 use rtnet::clock::True;
 use rtnet::discipline::Discipline;
 use rtnet::time::Span;
@@ -354,6 +354,7 @@ impl<'a> Run<'a> {
             stations: facts,
             analysis,
             account,
+            lead: DEFAULT_LEAD,
             notes: facts::only_in_labs(scenario),
             dropped: 0,
             wall_steps: 0,

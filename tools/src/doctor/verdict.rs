@@ -26,7 +26,7 @@ use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
 use serde::Serialize;
 
-use crate::lab::lead::{WAKE_UPS, lead};
+use crate::lab::lead::{WakeUps, lead};
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::{Scenario, Uniform};
 
@@ -88,7 +88,7 @@ impl Core<'_> {
     fn lead(&self, network: &Scenario) -> Span {
         let mut wakeups = SignedHistogram::new();
         self.wakeups.iter().for_each(|block| wakeups.merge(block));
-        lead(network, Span::from_nanos(wakeups.quantile(WAKE_UPS)))
+        lead(network, WakeUps::of(&wakeups))
     }
 }
 

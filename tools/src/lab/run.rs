@@ -17,7 +17,7 @@ use rtnet::time::{GlobalTime, Offset, Span};
 use super::faults::{Play, only_simulated};
 use super::guests::Guests;
 use super::launch::{Launch, Resume, arguments};
-use super::lead::{lead, wake_up};
+use super::lead::{WakeUps, lead};
 use super::load::{Core, calibrating_at_once, load, too_much};
 use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
@@ -175,7 +175,7 @@ impl Lab {
             }
             started => started.and_then(Result::ok),
         };
-        let lead = lead(scenario, wake_up(cpu));
+        let lead = lead(scenario, WakeUps::measure(cpu));
         let load = load(scenario, lead);
         let declared =
             options.directory.as_ref().map(|directory| Load::declare(directory, cpu, load)).transpose();

@@ -20,3 +20,4 @@ pub mod scenario;
 pub mod sim;
 pub mod station;
 pub mod units;
+pub mod wakeups;

@@ -8,8 +8,8 @@ use rtnet::live::clock::{monotonic, sleep_until};
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime};
 use rtnet::time::Span;
 
-use super::on_core;
 use crate::report::histogram::SignedHistogram;
+use crate::wakeups::on_core;
 
 /// From one wake-up to the next: the other core idles in between, as it mostly does.
 const PERIOD: Span = Span::from_millis(1);

@@ -17,12 +17,9 @@ pub mod wakeups;
 pub mod wire;
 mod words;
 
-use std::panic::resume_unwind;
-use std::thread;
-
 use anyhow::{Result, bail};
 use rtnet::live::clock::monotonic;
-use rtnet::live::realtime::{RealTime, SLAVE_PRIORITY, allowed_cpus, avoid};
+use rtnet::live::realtime::{allowed_cpus, avoid};
 use rtnet::time::Span;
 
 pub use self::findings::{
@@ -232,16 +229,4 @@ fn clock_cost() -> f64 {
     let start = monotonic();
     let end = (0..CLOCK_READINGS).fold(start, |_, _| monotonic());
     (end - start) as f64 / CLOCK_READINGS as f64
-}
-
-/// Runs `f` on a thread of its own, set up like a station's real-time thread, and returns with its
-/// result what the host refused of that set-up.
-fn on_core<R: Send>(cpu: usize, f: impl FnOnce() -> R + Send) -> (R, Vec<String>) {
-    thread::scope(|scope| {
-        let thread = scope.spawn(|| {
-            let refused = RealTime { priority: Some(SLAVE_PRIORITY), cpu: Some(cpu) }.apply();
-            (f(), refused)
-        });
-        thread.join().unwrap_or_else(|panic| resume_unwind(panic))
-    })
 }

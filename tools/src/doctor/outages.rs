@@ -6,8 +6,8 @@
 use rtnet::live::clock::{monotonic, sleep_until};
 use rtnet::time::Span;
 
-use super::on_core;
 use crate::report::histogram::SignedHistogram;
+use crate::wakeups::on_core;
 
 /// A thread that spins for more than 95 % of a second at SCHED_FIFO is throttled by the kernel, and
 /// would take that for an outage: it spins so long ...

@@ -12,9 +12,9 @@ use rtnet::live::Guard;
 use rtnet::live::rights::remedy;
 use serde::Serialize;
 
-use super::on_core;
 use crate::lab::namespace::{Namespace, Segment};
 use crate::lab::userns;
+use crate::wakeups::on_core;
 
 /// The hidden option of `rtnet doctor` with which it asks itself, as a process with one thread.
 pub const PROBE_OPTION: &str = "--probe-user-namespace";

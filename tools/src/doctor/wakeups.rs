@@ -1,11 +1,10 @@
 //! How late a thread wakes: absolute sleeps on one core, the core cold and warm in turns.
 
-use rtnet::live::clock::{monotonic, sleep_until};
 use rtnet::live::realtime::WarmCore;
 use rtnet::time::Span;
 
-use super::on_core;
 use crate::report::histogram::SignedHistogram;
+use crate::wakeups::wake_often;
 
 /// From one wake-up to the next.
 pub const PERIOD: Span = Span::from_millis(1);
@@ -13,8 +12,6 @@ pub const PERIOD: Span = Span::from_millis(1);
 const BLOCK: Span = Span::from_millis(500);
 /// Each block has a histogram of its own, half a megabyte: there are no more of either state than this.
 const PAIRS_MAX: i64 = 12;
-/// Wake-ups at a block's begin that do not count: the thread is new.
-const SETTLE: u64 = 5;
 
 /// Actual - programmed wake-up in nanoseconds, block by block.
 pub struct Wakeups {
@@ -42,28 +39,6 @@ pub fn measure(cpu: usize, span: Span) -> Wakeups {
 
 fn number_in(block: Span) -> u64 {
     (block.nanos() / PERIOD.nanos()) as u64
-}
-
-/// Lateness of `number` wake-ups of a real-time thread on this core, one a `period`.
-pub fn wake_often(cpu: usize, period: Span, number: u64) -> SignedHistogram {
-    let mut lateness = SignedHistogram::for_real_time();
-    on_core(cpu, || sleep_often(period, number, &mut lateness));
-    lateness
-}
-
-/// After a hold-up longer than the period, what was due in it is due still: each wake-up has its own
-/// lateness, as each slot would have.
-fn sleep_often(period: Span, number: u64, lateness: &mut SignedHistogram) {
-    let period = period.nanos() as u64;
-    let mut due = monotonic();
-    for number in 0..SETTLE + number {
-        due += period;
-        sleep_until(due);
-        let late = monotonic().wrapping_sub(due) as i64;
-        if number >= SETTLE {
-            lateness.record(late);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -13,10 +13,10 @@ use rtnet::time::{Instant, Span};
 use rtnet::wire::ethernet::{Address, EtherType, Header, MIN_FRAME};
 use zerocopy::IntoBytes;
 
-use super::on_core;
 use super::verdict::MEASURED_LEAD;
 use crate::lab::namespace::{Namespace, Segment};
 use crate::report::histogram::SignedHistogram;
+use crate::wakeups::on_core;
 
 const INTERFACE: &str = "rt0";
 const SENDER: Address = Address([0x02, 0, 0, 0, 0, 0x0a]);

@@ -13,9 +13,9 @@ use rtmac::tdma::DEFAULT_LEAD;
 use rtnet::time::Span;
 
 use super::turns::{FOLLOWS, FRAME, Turns};
-use crate::doctor::wakeups;
 use crate::report::histogram::SignedHistogram;
 use crate::scenario::Scenario;
+use crate::wakeups::wake_often;
 
 /// Time from a station's wake-up until it spins: it reads Synchronisations, chooses the frame, stamps it. Measured:
 /// with a lead of 15 us half of the frames leave 0.2 us late on a warm core, which wakes in 6 us.
@@ -44,7 +44,7 @@ pub struct WakeUps {
 impl WakeUps {
     /// Measures a core for a fifth of a second.
     pub fn measure(cpu: usize) -> Self {
-        Self::of(&wakeups::wake_often(cpu, PERIOD, MEASURED))
+        Self::of(&wake_often(cpu, PERIOD, MEASURED))
     }
 
     /// Those of a histogram.

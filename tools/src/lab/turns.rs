@@ -1,4 +1,4 @@
-//! What the wake-ups of a lab's stations take of their core.
+//! Wake-ups of a lab's stations, and the processor time of each.
 
 use rtnet::time::Span;
 
@@ -7,7 +7,7 @@ use crate::scenario::Scenario;
 /// Time from a station's frame until it sleeps again. Measured: eight stations at 1 ms with leads of 15, 20, 25, 35 and
 /// 50 us took 22, 26, 29, 39 and 53 % of the core.
 pub const FOLLOWS: Span = Span::from_micros(9);
-/// What one frame takes that comes to a station with sockets between its slots: it wakes it.
+/// Processor time that a station with sockets takes for a frame that comes between its slots and wakes it.
 pub const FRAME: Span = Span::from_micros(15);
 
 /// Wake-ups of a lab's stations in a cycle, on average.

@@ -1,4 +1,4 @@
-"""Wake-ups of a real-time thread by cyclictest, which is what a host can do without any network."""
+"""Wake-up latencies of a real-time thread, measured by cyclictest: the host without any network."""
 
 import ctypes
 import json
@@ -12,7 +12,7 @@ from figures import NotRun, fail
 
 # That of a lab's slaves.
 PRIORITY = 80
-# Latencies above this, in ns, are not told apart: the most that cyclictest can.
+# Upper end of the histogram, ns: the highest that cyclictest accepts.
 HISTOGRAM = 1_000_000
 PR_SET_PDEATHSIG = 1
 

@@ -1,4 +1,4 @@
-"""What labs of many stations on one core miss, and what the host alone would make them miss."""
+"""Missed slots of labs with many stations on one core, and late wake-ups of cyclictest on that core."""
 
 import json
 import statistics
@@ -32,7 +32,7 @@ def report_of(rtnet, cpu, stations, cycle, seconds, scratch):
 
 
 def show(stations, report, more=""):
-    """A line of a report, and what speaks against it."""
+    """Prints the figures of a report, the reasons of its verdict, and its unexplained misses."""
     error = report["slot_error_abs_ns"]
     errors = " ".join(f"{error[share] / 1000:.2f}" for share in ("p50", "p99", "p999"))
     print(f"{stations} stations: {report['slots_missed']} of {report['frames_expected']} slots missed,"

@@ -31,8 +31,8 @@ pub fn wake_often(cpu: usize, period: Span, number: u64) -> SignedHistogram {
     lateness
 }
 
-/// After a hold-up longer than the period, what was due in it is due still: each wake-up has its own
-/// lateness, as each slot would have.
+/// Sleeps to instants a period apart. After an outage longer than the period the missed wake-ups follow at once, each with its
+/// own lateness, as each slot has.
 fn sleep_often(period: Span, number: u64, lateness: &mut SignedHistogram) {
     let period = period.nanos() as u64;
     let mut due = monotonic();

@@ -47,7 +47,7 @@ impl WakeUps {
         Self::of(&wake_often(cpu, PERIOD, MEASURED))
     }
 
-    /// Those of a histogram.
+    /// The quantiles of a histogram, in nanoseconds.
     pub fn of(lateness: &SignedHistogram) -> Self {
         let [half, most] = [0.5, 0.95].map(|share| Span::from_nanos(lateness.quantile(share)));
         Self { half, most }

@@ -185,7 +185,7 @@ impl Lab {
         });
         let too_much = too_much(cpu, load, declared.as_ref());
         let fifo = too_much.is_none();
-        // Who runs without takes nothing that the kernel would count.
+        // The kernel throttles SCHED_FIFO only: a lab without it declares no load.
         let declared = declared.filter(|_| fifo);
         notes.extend(too_much.map(|why| {
             format!("{why}, so they run without it (fewer stations or a longer --cycle gives it back)")

@@ -29,10 +29,12 @@ pub struct Offset(u64);
 
 impl Instant {
     /// The moment `nanos` after the clock's epoch.
+    #[inline]
     pub const fn from_nanos(nanos: u64) -> Self {
         Self(nanos)
     }
     /// Nanoseconds since the clock's epoch.
+    #[inline]
     pub const fn nanos(self) -> u64 {
         self.0
     }
@@ -40,10 +42,12 @@ impl Instant {
 
 impl GlobalTime {
     /// The moment `nanos` after 1970.
+    #[inline]
     pub const fn from_nanos(nanos: u64) -> Self {
         Self(nanos)
     }
     /// Nanoseconds since 1970, as on the wire.
+    #[inline]
     pub const fn nanos(self) -> u64 {
         self.0
     }
@@ -54,22 +58,27 @@ impl Span {
     pub const ZERO: Span = Span(0);
 
     /// `nanos` nanoseconds; negative is earlier.
+    #[inline]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
     /// `micros` microseconds.
+    #[inline]
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros * 1_000)
     }
     /// `millis` milliseconds.
+    #[inline]
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis * 1_000_000)
     }
     /// The difference in nanoseconds.
+    #[inline]
     pub const fn nanos(self) -> i64 {
         self.0
     }
     /// The distance, without its direction.
+    #[inline]
     pub const fn abs(self) -> Span {
         Span(self.0.saturating_abs())
     }
@@ -77,18 +86,22 @@ impl Span {
 
 impl Offset {
     /// The offset that makes `local` the same moment as `global`.
+    #[inline]
     pub const fn between(local: Instant, global: GlobalTime) -> Self {
         Self(global.0.wrapping_sub(local.0))
     }
     /// Modulo 2^64, as a transmit stamp's addend.
+    #[inline]
     pub const fn nanos(self) -> u64 {
         self.0
     }
     /// The local moment at which the master's clock shows `global`.
+    #[inline]
     pub const fn local(self, global: GlobalTime) -> Instant {
         Instant(global.0.wrapping_sub(self.0))
     }
     /// What the master's clock shows at `local`.
+    #[inline]
     pub const fn global(self, local: Instant) -> GlobalTime {
         GlobalTime(local.0.wrapping_add(self.0))
     }
@@ -98,23 +111,27 @@ macro_rules! moment {
     ($time:ident) => {
         impl Add<Span> for $time {
             type Output = $time;
+            #[inline]
             fn add(self, span: Span) -> $time {
                 $time(self.0.wrapping_add_signed(span.0))
             }
         }
         impl Sub<Span> for $time {
             type Output = $time;
+            #[inline]
             fn sub(self, span: Span) -> $time {
                 $time(self.0.wrapping_sub(span.0 as u64))
             }
         }
         impl Sub for $time {
             type Output = Span;
+            #[inline]
             fn sub(self, earlier: $time) -> Span {
                 Span(self.0.wrapping_sub(earlier.0) as i64)
             }
         }
         impl AddAssign<Span> for $time {
+            #[inline]
             fn add_assign(&mut self, span: Span) {
                 *self = *self + span;
             }
@@ -131,30 +148,35 @@ moment!(GlobalTime);
 
 impl Add for Span {
     type Output = Span;
+    #[inline]
     fn add(self, other: Span) -> Span {
         Span(self.0.wrapping_add(other.0))
     }
 }
 impl Sub for Span {
     type Output = Span;
+    #[inline]
     fn sub(self, other: Span) -> Span {
         Span(self.0.wrapping_sub(other.0))
     }
 }
 impl Neg for Span {
     type Output = Span;
+    #[inline]
     fn neg(self) -> Span {
         Span(self.0.wrapping_neg())
     }
 }
 impl Mul<i64> for Span {
     type Output = Span;
+    #[inline]
     fn mul(self, times: i64) -> Span {
         Span(self.0.wrapping_mul(times))
     }
 }
 impl core::ops::Div<i64> for Span {
     type Output = Span;
+    #[inline]
     fn div(self, parts: i64) -> Span {
         Span(self.0 / parts)
     }

@@ -8,7 +8,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
 use crate::cell::{Cell, wait_until};
-use crate::host::{figure, network};
+use crate::host::{figure, shared};
 
 fn kills() -> usize {
     std::env::var("RTNET_KILLS").map_or(3, |kills| kills.parse().expect("RTNET_KILLS is a number"))
@@ -27,7 +27,7 @@ fn followed(cell: &Cell, station: &str) -> Option<String> {
 #[test]
 fn a_backup_takes_over_in_the_very_cycle_and_the_master_that_returns_goes_on() {
     let test = "a_backup_takes_over_in_the_very_cycle_and_the_master_that_returns_goes_on";
-    network(test, || {
+    shared(test, || {
         let cell = Cell::with("backups", |_| include_str!("backups.toml").into());
         wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
         wait_until("the master gives the time", || mastery(&cell, "master") == "active");

@@ -3,13 +3,13 @@
 use serde_json::Value;
 
 use crate::cell::{self, Cell};
-use crate::host::{network, unique};
+use crate::host::{shared, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station, asked, wait_until};
 
 #[test]
 fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
-    network("a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured", || {
+    shared("a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured", || {
         let medium = Medium::new();
         let names = ["master", "slave"].map(|role| unique(&format!("anew-{role}")));
         let [master, slave] = &names;
@@ -69,7 +69,7 @@ fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
 
 #[test]
 fn a_lab_knows_why_a_station_that_calibrates_anew_misses_slots() {
-    network("a_lab_knows_why_a_station_that_calibrates_anew_misses_slots", || {
+    shared("a_lab_knows_why_a_station_that_calibrates_anew_misses_slots", || {
         let cell = Cell::up("anew");
         let place = cell.place("slave1");
         cell::wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));

@@ -4,7 +4,7 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use crate::cell::{Cell, text, wait_until};
-use crate::host::{alone, network};
+use crate::host::{alone, shared};
 use crate::rtnet;
 
 /// A station that is stopped is waited for by whoever changes it; meanwhile nobody looks at the medium.
@@ -57,7 +57,7 @@ fn changes_that_nobody_answers_neither_blind_the_lab_nor_come_later() {
 /// The second is asked for before the first has its turn.
 #[test]
 fn of_two_changes_in_a_row_the_second_keeps_what_the_first_said() {
-    network("of_two_changes_in_a_row_the_second_keeps_what_the_first_said", || {
+    shared("of_two_changes_in_a_row_the_second_keeps_what_the_first_said", || {
         let cell = Cell::up("in-a-row");
         for turn in 0..10 {
             let phase = format!("3=2650us,phase={}/4,size=100", turn % 4 + 1);
@@ -78,7 +78,7 @@ fn of_two_changes_in_a_row_the_second_keeps_what_the_first_said() {
 /// The lab knows what becomes of a slot because another one changes, and judges by it.
 #[test]
 fn joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained() {
-    network("joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained", || {
+    shared("joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained", || {
         let cell = Cell::with("joint", |file| {
             let joint = r#"{ id = 2, offset = "2500us", size = 200, joint = 0 }"#;
             let file = file.replace(r#""1600us" }"#, &format!(r#""1600us", size = 200 }}, {joint}"#));
@@ -124,7 +124,7 @@ fn joint_slots_of_a_running_lab_follow_and_part_and_nothing_is_unexplained() {
 /// The remedy is one that a lab of a file has, too.
 #[test]
 fn a_slot_that_only_the_guard_band_keeps_out_is_refused_with_what_makes_room() {
-    network("a_slot_that_only_the_guard_band_keeps_out_is_refused_with_what_makes_room", || {
+    shared("a_slot_that_only_the_guard_band_keeps_out_is_refused_with_what_makes_room", || {
         let cell = Cell::up("guarded");
         let refused = cell.slot("slave2", &["set", "0=2900us"]);
         assert_eq!(refused.status.code(), Some(2));

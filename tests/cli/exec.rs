@@ -10,7 +10,7 @@ use std::process::{Child, Command, Stdio};
 use nix::sys::signal::Signal;
 
 use crate::cell::text;
-use crate::host::{network, skip, unique};
+use crate::host::{shared, skip, unique};
 use crate::lab::{eventually, is_there};
 use crate::rtnet;
 use crate::schema;
@@ -68,7 +68,7 @@ fn bystander() -> Started {
 
 #[test]
 fn lab_down_ends_what_exec_started_and_names_it() {
-    network("lab_down_ends_what_exec_started_and_names_it", || {
+    shared("lab_down_ends_what_exec_started_and_names_it", || {
         let pair = Pair::up("guests");
         let mut guests = [PLAIN, DAEMON, STUBBORN].map(|script| sh(&pair, script));
         // One is stopped, and one has come to a station by another way.
@@ -91,7 +91,7 @@ fn lab_down_ends_what_exec_started_and_names_it() {
 
 #[test]
 fn interrupted_lab_ends_what_exec_started() {
-    network("interrupted_lab_ends_what_exec_started", || {
+    shared("interrupted_lab_ends_what_exec_started", || {
         let pair = Pair::up("broken");
         let mut guest = sh(&pair, DAEMON);
         let keeper = pair.keeper();
@@ -103,7 +103,7 @@ fn interrupted_lab_ends_what_exec_started() {
 
 #[test]
 fn dead_labs_guests_end_with_what_is_left_of_it() {
-    network("dead_labs_guests_end_with_what_is_left_of_it", || {
+    shared("dead_labs_guests_end_with_what_is_left_of_it", || {
         let pair = Pair::up("died");
         let [mut first, mut bystander] = [sh(&pair, DAEMON), bystander()];
         signal(pair.keeper(), Signal::SIGKILL);
@@ -135,7 +135,7 @@ fn dead_labs_guests_end_with_what_is_left_of_it() {
 
 #[test]
 fn exec_shows_the_stations_interfaces_in_sys() {
-    network("exec_shows_the_stations_interfaces_in_sys", || {
+    shared("exec_shows_the_stations_interfaces_in_sys", || {
         let pair = Pair::up("sys");
         let list = |path: &str| text(&pair.exec(&["ls", path]).output().unwrap().stdout);
         let interfaces = list("/sys/class/net");
@@ -167,7 +167,7 @@ fn for_nobody(dir: &Path) -> impl Fn(&[&str]) -> Command {
 #[test]
 fn ordinary_users_exec_shows_interfaces_and_ends_with_its_lab() {
     let test = "ordinary_users_exec_shows_interfaces_and_ends_with_its_lab";
-    network(test, || {
+    shared(test, || {
         let dir = tempfile::tempdir().unwrap();
         let (run, name) = (for_nobody(dir.path()), unique("nobody"));
         let up = run(&["lab", "up", "--stations", "2", "--cycle", "20ms", "--name", &name]).output().unwrap();
@@ -192,7 +192,7 @@ fn ordinary_users_exec_shows_interfaces_and_ends_with_its_lab() {
 
 #[test]
 fn exec_ends_with_the_status_of_its_command() {
-    network("exec_ends_with_the_status_of_its_command", || {
+    shared("exec_ends_with_the_status_of_its_command", || {
         let pair = Pair::up("status");
         let dir = tempfile::tempdir().unwrap();
         let file = |name: &str, content: &str, mode: u32| {

@@ -12,7 +12,7 @@ use tools::lab::netlink::Netlink;
 
 use crate::bare::Bare;
 use crate::cell::{Cell, wait_until};
-use crate::host::network;
+use crate::host::shared;
 use crate::rtnet;
 
 /// A sync's bytes: version 2.1 of TDMA, message 0.
@@ -83,7 +83,7 @@ fn next_sync(bridge: &Bare) -> Vec<u8> {
 
 #[test]
 fn forged_syncs_add_no_more_to_any_figure_than_was_sent() {
-    network("forged_syncs_add_no_more_to_any_figure_than_was_sent", || {
+    shared("forged_syncs_add_no_more_to_any_figure_than_was_sent", || {
         let cell = Cell::up("forged");
         wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(100));
         forge(&cell);

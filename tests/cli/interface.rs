@@ -5,13 +5,13 @@ use serde_json::Value;
 use tools::lab::namespace::Namespace;
 use tools::station::link::{LabOptions, Report};
 
-use crate::host::network;
+use crate::host::shared;
 use crate::rtnet;
 use crate::station::{B, Medium, Station, is, set, status, wait_until};
 
 #[test]
 fn a_slave_whose_carrier_is_lost_and_back_follows_again() {
-    network("a_slave_whose_carrier_is_lost_and_back_follows_again", || {
+    shared("a_slave_whose_carrier_is_lost_and_back_follows_again", || {
         let medium = Medium::new();
         let (_master, slave) =
             (Station::master(&medium, "carrier-master"), Station::slave(&medium, "carrier-slave"));
@@ -42,7 +42,7 @@ fn a_slave_whose_carrier_is_lost_and_back_follows_again() {
 
 #[test]
 fn a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines() {
-    network("a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines", || {
+    shared("a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines", || {
         let medium = Medium::new();
         let (master, _slave) =
             (Station::master(&medium, "down-master"), Station::slave(&medium, "down-slave"));
@@ -80,7 +80,7 @@ fn a_master_whose_interface_is_down_for_a_while_goes_on_without_a_flood_of_lines
 
 #[test]
 fn a_slave_whose_interface_is_renamed_goes_on_under_the_new_name() {
-    network("a_slave_whose_interface_is_renamed_goes_on_under_the_new_name", || {
+    shared("a_slave_whose_interface_is_renamed_goes_on_under_the_new_name", || {
         let medium = Medium::new();
         let (_master, slave) =
             (Station::master(&medium, "renamed-master"), Station::slave(&medium, "renamed-slave"));
@@ -97,7 +97,7 @@ fn a_slave_whose_interface_is_renamed_goes_on_under_the_new_name() {
 
 #[test]
 fn a_station_whose_interface_is_gone_ends_with_a_clear_line_and_the_others_go_on() {
-    network("a_station_whose_interface_is_gone_ends_with_a_clear_line_and_the_others_go_on", || {
+    shared("a_station_whose_interface_is_gone_ends_with_a_clear_line_and_the_others_go_on", || {
         let elsewhere = Namespace::new().unwrap();
         let removed = |medium: &mut Medium| medium.segment.detach("port1").unwrap();
         let move_rt0 = |from: &Namespace, to: &Namespace| {
@@ -135,7 +135,7 @@ fn a_station_whose_interface_is_gone_ends_with_a_clear_line_and_the_others_go_on
 
 #[test]
 fn a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_go_on() {
-    network("a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_go_on", || {
+    shared("a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_go_on", || {
         let mut medium = Medium::new();
         let lab = LabOptions {
             station: 0,

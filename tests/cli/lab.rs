@@ -10,7 +10,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::{figure, held_up, is_sound, network, unique};
+use crate::host::{figure, held_up, is_sound, network, shared, unique};
 use crate::{rtnet, schema};
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -63,7 +63,7 @@ pub fn running(lab: &mut Child, stations: usize) -> Vec<i32> {
 
 #[test]
 fn a_lab_reports_what_it_measured_and_leaves_nothing() {
-    network("a_lab_reports_what_it_measured_and_leaves_nothing", || {
+    shared("a_lab_reports_what_it_measured_and_leaves_nothing", || {
         let before = veths();
         let dir = tempfile::tempdir().unwrap();
         let (json, pcap) = (dir.path().join("report.json"), dir.path().join("frames.pcapng"));
@@ -91,7 +91,7 @@ fn a_lab_reports_what_it_measured_and_leaves_nothing() {
 
 #[test]
 fn a_lab_whose_capture_cannot_be_written_goes_on_and_says_so() {
-    network("a_lab_whose_capture_cannot_be_written_goes_on_and_says_so", || {
+    shared("a_lab_whose_capture_cannot_be_written_goes_on_and_says_so", || {
         let json = tempfile::NamedTempFile::new().unwrap();
         let mut lab = lab("2", "1s");
         let output = lab.args(["--pcap", "/dev/full", "--json"]).arg(json.path()).output().unwrap();
@@ -152,7 +152,7 @@ fn what_a_host_takes_away_is_missed_and_explained() {
 
 #[test]
 fn a_lab_says_what_enforced_its_slots() {
-    network("a_lab_says_what_enforced_its_slots", || {
+    shared("a_lab_says_what_enforced_its_slots", || {
         let dir = tempfile::tempdir().unwrap();
         let json = dir.path().join("report.json");
         let report = |slot_guard: &str| {
@@ -178,7 +178,7 @@ fn a_lab_says_what_enforced_its_slots() {
 
 #[test]
 fn a_file_says_what_the_network_is() {
-    network("a_file_says_what_the_network_is", || {
+    shared("a_file_says_what_the_network_is", || {
         let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/two_stations.toml");
         let output = rtnet().args(["lab", "run"]).arg(&example).output().unwrap();
         let screen = String::from_utf8(output.stdout).unwrap();
@@ -190,7 +190,7 @@ fn a_file_says_what_the_network_is() {
 
 #[test]
 fn a_station_that_dies_fails_the_run_by_name() {
-    network("a_station_that_dies_fails_the_run_by_name", || {
+    shared("a_station_that_dies_fails_the_run_by_name", || {
         let mut lab = lab("3", "60s").spawn().unwrap();
         let victim = running(&mut lab, 3)[1];
         kill(Pid::from_raw(victim), Signal::SIGKILL).unwrap();
@@ -203,7 +203,7 @@ fn a_station_that_dies_fails_the_run_by_name() {
 
 #[test]
 fn frames_that_do_not_reach_their_receiver_fail_the_run() {
-    network("frames_that_do_not_reach_their_receiver_fail_the_run", || {
+    shared("frames_that_do_not_reach_their_receiver_fail_the_run", || {
         let mut lab = lab("3", "60s").spawn().unwrap();
         let sleeper = Pid::from_raw(running(&mut lab, 3)[2]);
         // More than its sockets hold.
@@ -222,7 +222,7 @@ fn frames_that_do_not_reach_their_receiver_fail_the_run() {
 
 #[test]
 fn ctrl_c_ends_the_run_with_the_report_so_far() {
-    network("ctrl_c_ends_the_run_with_the_report_so_far", || {
+    shared("ctrl_c_ends_the_run_with_the_report_so_far", || {
         let mut lab = lab("3", "60s").spawn().unwrap();
         let stations = running(&mut lab, 3);
         kill(Pid::from_raw(lab.id() as i32), Signal::SIGINT).unwrap();
@@ -238,7 +238,7 @@ fn ctrl_c_ends_the_run_with_the_report_so_far() {
 
 #[test]
 fn ctrl_c_before_a_lab_was_up_for_its_time_interrupts_it() {
-    network("ctrl_c_before_a_lab_was_up_for_its_time_interrupts_it", || {
+    shared("ctrl_c_before_a_lab_was_up_for_its_time_interrupts_it", || {
         let name = unique("early");
         let options =
             ["--foreground", "--name", &name, "--stations", "2", "--cycle", "5ms", "--duration", "60s"];
@@ -258,7 +258,7 @@ fn ctrl_c_before_a_lab_was_up_for_its_time_interrupts_it() {
 
 #[test]
 fn a_killed_lab_takes_its_stations_and_interfaces_along() {
-    network("a_killed_lab_takes_its_stations_and_interfaces_along", || {
+    shared("a_killed_lab_takes_its_stations_and_interfaces_along", || {
         let before = veths();
         let mut lab = lab("3", "60s").spawn().unwrap();
         let stations = running(&mut lab, 3);
@@ -271,7 +271,7 @@ fn a_killed_lab_takes_its_stations_and_interfaces_along() {
 
 #[test]
 fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
-    network("an_ordinary_user_has_a_lab_in_a_user_namespace", || {
+    shared("an_ordinary_user_has_a_lab_in_a_user_namespace", || {
         use std::os::unix::process::CommandExt;
         // The binary's folder may be closed to others, so that it is run from a place that is not.
         let dir = tempfile::tempdir().unwrap();
@@ -302,7 +302,7 @@ fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
 
 #[test]
 fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
-    network("a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot", || {
+    shared("a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot", || {
         let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/faults.toml");
         let directory = tempfile::tempdir().unwrap();
         let json = directory.path().join("report.json");
@@ -357,7 +357,7 @@ fn a_lab_plays_what_a_host_can_of_a_scenario_and_says_what_it_cannot() {
 
 #[test]
 fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
-    network("a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why", || {
+    shared("a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why", || {
         let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/lossy.toml");
         let directory = tempfile::tempdir().unwrap();
         let json = directory.path().join("report.json");
@@ -400,7 +400,7 @@ fn a_lab_loses_what_its_scenario_says_and_knows_of_every_frame_why() {
 
 #[test]
 fn clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs() {
-    network("clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs", || {
+    shared("clocks_of_a_lab_are_set_and_change_their_rate_while_it_runs", || {
         let scenario = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/clocks.toml");
         let directory = tempfile::tempdir().unwrap();
         let json = directory.path().join("report.json");

@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-use crate::host::{network, skip, unique};
+use crate::host::{shared, skip, unique};
 use crate::rtnet;
 
 /// Runs the command behind a line of a shell.
@@ -19,7 +19,7 @@ fn message(output: &Output) -> String {
 #[test]
 fn full_directory_of_labs_is_named() {
     let name = "full_directory_of_labs_is_named";
-    network(name, || {
+    shared(name, || {
         let mount = |how: &str| {
             let line = format!("mount -t tmpfs -o size=4k none /run && {how}");
             let inner = format!("{line}; exec \"$0\" lab up --stations 2 --name x");
@@ -41,7 +41,7 @@ fn full_directory_of_labs_is_named() {
 #[test]
 fn capability_that_root_lacks_is_named() {
     let name = "capability_that_root_lacks_is_named";
-    network(name, || {
+    shared(name, || {
         for (lacks, full) in
             [("net_admin", "CAP_NET_ADMIN"), ("net_raw", "CAP_NET_RAW"), ("sys_admin", "CAP_SYS_ADMIN")]
         {
@@ -71,7 +71,7 @@ fn too_low_a_limit_of_descriptors_is_named() {
 
 #[test]
 fn lab_raises_the_soft_limit_and_programs_get_it_back() {
-    network("lab_raises_the_soft_limit_and_programs_get_it_back", || {
+    shared("lab_raises_the_soft_limit_and_programs_get_it_back", || {
         // With what is open besides, more than a lab of six stations has.
         let (soft, lab) = ("ulimit -Sn 16", unique("soft"));
         let up = behind(soft, &["lab", "up", "--stations", "6", "--cycle", "20ms", "--name", &lab]);

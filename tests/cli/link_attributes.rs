@@ -11,7 +11,7 @@ use serde_json::Value;
 use tools::lab::namespace::Namespace;
 use vnic::netlink::{Links, Refused};
 
-use crate::host::{network, unique};
+use crate::host::{shared, unique};
 use crate::rtnet;
 use crate::station::{B, Medium, PATIENCE, Station, wait_until};
 
@@ -63,7 +63,7 @@ fn open(name: &str) -> UdpSocket {
 
 #[test]
 fn an_mtu_that_changes_while_a_station_runs_is_followed() {
-    network("an_mtu_that_changes_while_a_station_runs_is_followed", || {
+    shared("an_mtu_that_changes_while_a_station_runs_is_followed", || {
         let medium = Medium::new();
         let names = [unique("mtu-a"), unique("mtu-b")];
         let _a = direct(&medium.a, &names[0], IP[0]);
@@ -94,7 +94,7 @@ fn an_mtu_that_changes_while_a_station_runs_is_followed() {
 
 #[test]
 fn a_port_of_a_bridge_is_refused_and_named_while_it_runs() {
-    network("a_port_of_a_bridge_is_refused_and_named_while_it_runs", || {
+    shared("a_port_of_a_bridge_is_refused_and_named_while_it_runs", || {
         let medium = Medium::new();
         let name = unique("bridged");
         let station = Station::slave_of_nobody(&medium.b, &name);
@@ -120,7 +120,7 @@ fn a_port_of_a_bridge_is_refused_and_named_while_it_runs() {
 
 #[test]
 fn another_address_of_the_interface_is_named_with_the_remedy() {
-    network("another_address_of_the_interface_is_named_with_the_remedy", || {
+    shared("another_address_of_the_interface_is_named_with_the_remedy", || {
         let medium = Medium::new();
         let name = unique("readdressed");
         let station = Station::slave_of_nobody(&medium.b, &name);
@@ -134,7 +134,7 @@ fn another_address_of_the_interface_is_named_with_the_remedy() {
 
 #[test]
 fn a_second_station_at_an_interface_is_refused() {
-    network("a_second_station_at_an_interface_is_refused", || {
+    shared("a_second_station_at_an_interface_is_refused", || {
         let medium = Medium::new();
         let name = unique("first");
         let mut first = Station::slave_of_nobody(&medium.b, &name);

@@ -17,7 +17,7 @@ use socket2::{Domain, Socket, Type};
 use tools::control::REQUEST_AT_MOST;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{network, stop, unique};
+use crate::host::{network, shared, stop, unique};
 use crate::rtnet;
 
 /// What a command that is refused says: one line.
@@ -30,7 +30,7 @@ fn refusal(output: &Output) -> String {
 
 #[test]
 fn a_lab_is_stood_up_looked_at_changed_and_taken_down() {
-    network("a_lab_is_stood_up_looked_at_changed_and_taken_down", || {
+    shared("a_lab_is_stood_up_looked_at_changed_and_taken_down", || {
         let cell = Cell::up("looked");
         wait_until("slave2 is locked", || cell.station("slave2")["standing"]["state"] == "locked");
         let station = cell.station("slave2");
@@ -78,7 +78,7 @@ fn pid(station: &Value) -> u64 {
 
 #[test]
 fn a_slot_moves_a_hundred_times_and_no_frame_is_lost() {
-    network("a_slot_moves_a_hundred_times_and_no_frame_is_lost", || {
+    shared("a_slot_moves_a_hundred_times_and_no_frame_is_lost", || {
         let cell = Cell::up("moved");
         wait_until("all counts", || cell.status()["cycles"].as_u64() > Some(0));
         let begun = cell.status()["cycles"].as_u64().unwrap();
@@ -106,7 +106,7 @@ fn a_slot_moves_a_hundred_times_and_no_frame_is_lost() {
 
 #[test]
 fn a_detached_station_is_silent_and_joins_again() {
-    network("a_detached_station_is_silent_and_joins_again", || {
+    shared("a_detached_station_is_silent_and_joins_again", || {
         let cell = Cell::up("detached");
         let tdma = |arguments: &[&str]| {
             let output =
@@ -134,7 +134,7 @@ fn a_detached_station_is_silent_and_joins_again() {
 
 #[test]
 fn a_station_that_was_stopped_says_that_it_was_preempted() {
-    network("a_station_that_was_stopped_says_that_it_was_preempted", || {
+    shared("a_station_that_was_stopped_says_that_it_was_preempted", || {
         use nix::sys::signal::{Signal, kill};
         let cell = Cell::up("stopped");
         let slave = nix::unistd::Pid::from_raw(pid(&cell.station("slave2")) as i32);
@@ -259,7 +259,7 @@ fn labs_that_together_would_be_throttled_share_a_core() {
 
 #[test]
 fn an_ordinary_user_keeps_a_lab_up() {
-    network("an_ordinary_user_keeps_a_lab_up", || {
+    shared("an_ordinary_user_keeps_a_lab_up", || {
         use std::os::unix::fs::PermissionsExt;
         use std::os::unix::process::CommandExt;
         // Neither the binary's folder nor ours is open to others.
@@ -324,7 +324,7 @@ fn hold(place: &Path, uid: u32) -> Flock<File> {
 
 #[test]
 fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
-    network("a_lab_whose_program_was_replaced_starts_its_stations_anew", || {
+    shared("a_lab_whose_program_was_replaced_starts_its_stations_anew", || {
         let cell = Cell { name: unique("replaced") };
         let dir = tempfile::tempdir().unwrap();
         let binary = dir.path().join("rtnet");
@@ -348,7 +348,7 @@ fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
 
 #[test]
 fn a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind() {
-    network("a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind", || {
+    shared("a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind", || {
         use nix::sys::signal::{Signal, kill};
         let cell = Cell { name: unique("given-up") };
         let place = Path::new("/run/rtnet").join(&cell.name);
@@ -371,7 +371,7 @@ fn a_lab_that_is_interrupted_while_it_comes_up_is_not_left_behind() {
 
 #[test]
 fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
-    network("a_lab_that_was_killed_leaves_its_name_to_the_next", || {
+    shared("a_lab_that_was_killed_leaves_its_name_to_the_next", || {
         let cell = Cell::up("killed");
         let status = cell.status();
         let taken = rtnet().args(["lab", "up", "--name", &cell.name]).output().unwrap();
@@ -379,9 +379,9 @@ fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
 
         let keeper = nix::unistd::Pid::from_raw(pid(&status) as i32);
         nix::sys::signal::kill(keeper, nix::sys::signal::Signal::SIGKILL).unwrap();
-        let stations: Vec<u64> = status["stations"].as_array().unwrap().iter().map(pid).collect();
-        let gone = |pid: &u64| !Path::new(&format!("/proc/{pid}/ns/net")).exists();
-        wait_until("its stations end with it", || stations.iter().all(gone));
+        let stations = status["stations"].as_array().unwrap();
+        let gone = |of: &Value| !Path::new(&format!("/proc/{}/ns/net", pid(of))).exists();
+        wait_until("it is gone, and its stations with it", || gone(&status) && stations.iter().all(gone));
         let refused = refusal(&rtnet().args(["lab", "status", &cell.name]).output().unwrap());
         assert!(refused.contains("does not run any more"), "{refused}");
 
@@ -395,7 +395,7 @@ fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
 #[test]
 fn what_other_programs_send_in_a_station_does_not_reach_the_medium() {
     const FRAMES: u64 = 200;
-    network("what_other_programs_send_in_a_station_does_not_reach_the_medium", || {
+    shared("what_other_programs_send_in_a_station_does_not_reach_the_medium", || {
         let cell = Cell::up("others");
         let namespace = format!("/proc/{}/ns/net", pid(&cell.station("slave1")));
         let left = std::thread::spawn(move || {

@@ -15,8 +15,9 @@ use crate::{rtnet, schema};
 
 /// The guard bands leave no room for cycles below 910us, and any share may be missed: whatever the host, that is the answer.
 const LOOSE: [&str; 6] = ["--stations", "2", "--guard", "400us", "--miss", "100%"];
-/// Three cycles are left.
+/// Three cycles are left, or one.
 const LONGEST: [&str; 2] = ["--longest", "1.1ms"];
+const ONE: [&str; 2] = ["--longest", "950us"];
 /// Lengths of a trial and of a proof.
 const SHORT: [&str; 4] = ["--trial", "300ms", "--proof", "500ms"];
 
@@ -65,18 +66,14 @@ fn the_shortest_cycle_is_found_proven_and_kept_and_a_longer_one_is_a_regression(
         answer["cycle_ns"] = 700_000.into();
         fs::write(&kept, answer.to_string()).unwrap();
         let files = [("--compare", kept.as_path()), ("--json", again.as_path())];
-        let (status, said) = searched(&LONGEST, &files);
+        let (status, said) = searched(&ONE, &files);
         assert_eq!(status, Some(1), "{said}");
         assert!(said.contains("REGRESSION: 910us now, 700us in "), "{said}");
         let answer = schema::read(fs::read(&again).unwrap());
         let runs = decided(&answer);
         let lengths = runs.iter().map(|run| run["duration_ns"].as_i64().unwrap());
-        assert_eq!(
-            lengths.collect::<Vec<_>>(),
-            [300_000_000, 300_000_000, 500_000_000],
-            "as in the kept file"
-        );
-        let (status, said) = searched(&LONGEST, &[("--compare", &again)]);
+        assert_eq!(lengths.collect::<Vec<_>>(), [300_000_000, 500_000_000], "as in the kept file");
+        let (status, said) = searched(&ONE, &[("--compare", &again)]);
         assert_eq!(status, Some(0), "{said}");
         assert!(said.contains("AS GOOD: 910us now, 910us in "), "{said}");
         for other in [["--stations", "3"], ["--trial", "301ms"], ["--proof", "5s"]] {
@@ -112,14 +109,14 @@ fn a_search_runs_all_its_labs_on_one_core() {
         let (first, last) = (cpus[0].to_string(), cpus[cpus.len() - 1].to_string());
         for (asked, core) in [(Some(&first), &first), (None, &last)] {
             let mut search = rtnet();
-            search.arg("find-min-cycle").args(LOOSE).args(SHORT).args(LONGEST);
+            search.arg("find-min-cycle").args(LOOSE).args(SHORT).args(ONE);
             asked.iter().for_each(|core| {
                 search.args(["--cpu", core]);
             });
             let mut search = search.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
             let seen = stations_while_it_runs(&mut search);
-            // Two trials and a proof, of two stations each.
-            assert!(seen.len() >= 6, "--cpu {asked:?}: {seen:?}");
+            // A trial and a proof, of two stations each.
+            assert!(seen.len() >= 4, "--cpu {asked:?}: {seen:?}");
             assert!(seen.iter().all(|(_, on)| on == core), "--cpu {asked:?}: {seen:?}");
         }
     });

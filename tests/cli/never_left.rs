@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::host::{network, unique};
+use crate::host::{shared, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -39,7 +39,7 @@ fn round(name: &str, questions: &str) -> Value {
 
 #[test]
 fn a_slave_without_a_master_says_that_no_question_left_and_what_is_missing() {
-    network("a_slave_without_a_master_says_that_no_question_left_and_what_is_missing", || {
+    shared("a_slave_without_a_master_says_that_no_question_left_and_what_is_missing", || {
         let (medium, name) = (Medium::new(), unique("alone"));
         let _station = station(&medium, &name, &["--slave"], "Ctrl-C ends it");
         let words = said(&["ping", "-S", &name, "-c", "10", "-i", "20ms", THERE]);
@@ -63,7 +63,7 @@ fn a_slave_without_a_master_says_that_no_question_left_and_what_is_missing() {
 
 #[test]
 fn a_station_whose_only_slot_was_removed_says_which_is_missing() {
-    network("a_station_whose_only_slot_was_removed_says_which_is_missing", || {
+    shared("a_station_whose_only_slot_was_removed_says_which_is_missing", || {
         let (medium, name) = (Medium::new(), unique("slotless"));
         let _station = station(&medium, &name, &["--master", "--cycle", "10ms"], "master_active");
         let sent = round(&name, "3");
@@ -78,7 +78,7 @@ fn a_station_whose_only_slot_was_removed_says_which_is_missing() {
 
 #[test]
 fn a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave() {
-    network("a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave", || {
+    shared("a_station_that_is_detached_midway_says_so_of_the_questions_that_did_not_leave", || {
         let (medium, name) = (Medium::new(), unique("midway"));
         let _station = station(&medium, &name, &["--master", "--cycle", "10ms"], "master_active");
         let mut command = rtnet();

@@ -10,7 +10,7 @@ use nix::errno::Errno;
 use nix::sys::resource::{Resource, setrlimit};
 use rtnet::api::{Station as Attached, UdpSocket, memory, segment};
 
-use crate::host::{figure, network, skip, unique};
+use crate::host::{figure, shared, skip, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station, status};
 
@@ -62,7 +62,7 @@ fn secret_mappings(pid: u32) -> usize {
 #[test]
 fn sockets_of_a_station_without_rights_have_memory_in_which_nobody_makes_holes() {
     let test = "sockets_of_a_station_without_rights_have_memory_in_which_nobody_makes_holes";
-    network(test, || {
+    shared(test, || {
         if let Some(why) = memory::why_not_whole(segment::bytes()) {
             return skip(test, &format!("no secret memory: {why}"));
         }
@@ -85,7 +85,7 @@ fn sockets_of_a_station_without_rights_have_memory_in_which_nobody_makes_holes()
 #[test]
 fn a_station_that_may_lock_no_more_shares_memory_with_holes_and_says_so_once() {
     let test = "a_station_that_may_lock_no_more_shares_memory_with_holes_and_says_so_once";
-    network(test, || {
+    shared(test, || {
         let (medium, name) = (Medium::new(), named("holes"));
         let rights = &[Capability::CAP_IPC_LOCK, Capability::CAP_SYS_RESOURCE];
         let station = limited(&medium, &name, "ulimit -l 64", rights);
@@ -105,7 +105,7 @@ fn a_program_that_may_lock_no_more_is_told_so_and_what_to_do() {
         caps::drop(None, CapSet::Effective, Capability::CAP_IPC_LOCK).unwrap();
         panic!("TOLD {}", open(&name).map(drop).unwrap_err());
     }
-    network(test, || {
+    shared(test, || {
         if let Some(why) = memory::why_not_whole(segment::bytes()) {
             return skip(test, &format!("no secret memory: {why}"));
         }
@@ -124,7 +124,7 @@ fn a_program_that_may_lock_no_more_is_told_so_and_what_to_do() {
 /// What a station counts on when it refuses programs for want of descriptors.
 #[test]
 fn a_socket_of_a_program_takes_five_descriptors_of_its_station() {
-    network("a_socket_of_a_program_takes_five_descriptors_of_its_station", || {
+    shared("a_socket_of_a_program_takes_five_descriptors_of_its_station", || {
         let (medium, name) = (Medium::new(), named("five"));
         let station = station(&medium, &name);
         let path = format!("/proc/{}/fd", station.child.id());
@@ -147,7 +147,7 @@ fn a_socket_of_a_program_takes_five_descriptors_of_its_station() {
 
 #[test]
 fn a_station_that_may_open_few_files_refuses_programs_that_are_too_many_and_goes_on() {
-    network("a_station_that_may_open_few_files_refuses_programs_that_are_too_many_and_goes_on", || {
+    shared("a_station_that_may_open_few_files_refuses_programs_that_are_too_many_and_goes_on", || {
         let (medium, name) = (Medium::new(), named("files"));
         let _station = limited(&medium, &name, "ulimit -n 128; ulimit -Sn 32", &[]);
         let mut sockets = Vec::new();
@@ -196,7 +196,7 @@ fn faults_at_the_start(pid: u32) -> u64 {
 #[test]
 fn the_real_time_thread_waits_for_no_page_of_what_programs_bring() {
     let test = "the_real_time_thread_waits_for_no_page_of_what_programs_bring";
-    network(test, || {
+    shared(test, || {
         let (medium, name) = (Medium::new(), named("faults"));
         let station = station(&medium, &name);
         let pid = station.child.id();
@@ -230,7 +230,7 @@ fn the_real_time_thread_waits_for_no_page_of_what_programs_bring() {
 #[test]
 fn what_a_program_sends_without_a_slot_is_refused_at_once_where_no_master_is_heard() {
     let test = "what_a_program_sends_without_a_slot_is_refused_at_once_where_no_master_is_heard";
-    network(test, || {
+    shared(test, || {
         let (medium, name) = (Medium::new(), named("waiting"));
         let options =
             ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--name", &name, "--ip", "10.0.0.1/24"];
@@ -267,7 +267,7 @@ fn what_a_program_sends_without_a_slot_is_refused_at_once_where_no_master_is_hea
 
 #[test]
 fn tables_and_pools_are_as_large_as_was_said_at_the_start() {
-    network("tables_and_pools_are_as_large_as_was_said_at_the_start", || {
+    shared("tables_and_pools_are_as_large_as_was_said_at_the_start", || {
         let (medium, name) = (Medium::new(), named("sizes"));
         let options =
             ["--interface", "rt0", "--discipline", "direct", "--name", &name, "--ip", "10.0.0.1/24"];

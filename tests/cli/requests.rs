@@ -6,7 +6,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-use crate::host::{network, stop, unique};
+use crate::host::{shared, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station, asked, status, wait_until};
 
@@ -22,7 +22,7 @@ fn runs(station: &Station, name: &str) {
 
 #[test]
 fn master_and_slave_tell_the_same_global_time_when_they_are_asked() {
-    network("master_and_slave_tell_the_same_global_time_when_they_are_asked", || {
+    shared("master_and_slave_tell_the_same_global_time_when_they_are_asked", || {
         let medium = Medium::new();
         let names = ["time-master", "time-slave"];
         let (_master, _slave) = (Station::master(&medium, names[0]), Station::slave(&medium, names[1]));
@@ -43,7 +43,7 @@ fn master_and_slave_tell_the_same_global_time_when_they_are_asked() {
 
 #[test]
 fn no_request_to_a_station_waits_for_ever() {
-    network("no_request_to_a_station_waits_for_ever", || {
+    shared("no_request_to_a_station_waits_for_ever", || {
         let medium = Medium::new();
         let name = unique("alone");
         let options = ["--interface", "rt0", "--slave", "--slot", "0=1ms", "--lead", "70us", "--name", &name];
@@ -86,7 +86,7 @@ fn no_request_to_a_station_waits_for_ever() {
 
 #[test]
 fn a_station_without_slots_says_so_and_refuses_what_is_about_them() {
-    network("a_station_without_slots_says_so_and_refuses_what_is_about_them", || {
+    shared("a_station_without_slots_says_so_and_refuses_what_is_about_them", || {
         let medium = Medium::new();
         for discipline in ["nomac", "direct"] {
             let name = unique(discipline);

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use caps::{CapSet, Capability};
 
 use crate::cell::{Cell, STATIONS};
-use crate::host::{network, skip, unique};
+use crate::host::{shared, skip, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -52,7 +52,7 @@ fn assert_keeps(pid: u32, kept: &[&str], least: usize) -> usize {
 
 #[test]
 fn no_thread_of_a_running_station_keeps_a_capability() {
-    network("no_thread_of_a_running_station_keeps_a_capability", || {
+    shared("no_thread_of_a_running_station_keeps_a_capability", || {
         let (_, left) = capabilities(std::process::id());
         assert!(!left.is_empty(), "a process that has some is seen to");
         let medium = Medium::new();
@@ -64,7 +64,7 @@ fn no_thread_of_a_running_station_keeps_a_capability() {
 
 #[test]
 fn no_thread_of_a_labs_stations_keeps_a_capability() {
-    network("no_thread_of_a_labs_stations_keeps_a_capability", || {
+    shared("no_thread_of_a_labs_stations_keeps_a_capability", || {
         let cell = Cell::up("bare");
         for station in STATIONS {
             let pid = cell.station(station)["pid"].as_u64().unwrap();
@@ -75,7 +75,7 @@ fn no_thread_of_a_labs_stations_keeps_a_capability() {
 
 #[test]
 fn the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything() {
-    network("the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything", || {
+    shared("the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything", || {
         let medium = Medium::new();
         let name = unique("admin");
         let options =
@@ -96,7 +96,7 @@ fn the_thread_behind_a_vnic_keeps_what_devices_need_and_no_other_thread_anything
 
 #[test]
 fn a_station_that_may_lock_no_memory_says_so_in_one_line_and_runs() {
-    network("a_station_that_may_lock_no_memory_says_so_in_one_line_and_runs", || {
+    shared("a_station_that_may_lock_no_memory_says_so_in_one_line_and_runs", || {
         let medium = Medium::new();
         let name = unique("unlocked");
         let mut limited = Command::new("sh");
@@ -152,7 +152,7 @@ fn without_user_namespaces(arguments: &[&str]) -> io::Result<Output> {
 #[test]
 fn where_user_namespaces_are_forbidden_one_line_names_the_setting() {
     let name = "where_user_namespaces_are_forbidden_one_line_names_the_setting";
-    network(name, || {
+    shared(name, || {
         let limit = || fs::read_to_string("/proc/sys/user/max_user_namespaces");
         let Ok(before) = limit() else { return skip(name, "this kernel has no user namespaces") };
         if !["unshare", "setpriv"].iter().all(|tool| Command::new(tool).arg("--version").output().is_ok()) {

@@ -13,7 +13,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{figure, network, stop, unique};
+use crate::host::{figure, network, shared, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station};
 
@@ -195,7 +195,7 @@ fn the_schedule_changes_a_hundred_times_under_load_and_no_frame_is_lost() {
 
 #[test]
 fn a_station_that_does_not_answer_stops_the_change_and_is_named() {
-    network("a_station_that_does_not_answer_stops_the_change_and_is_named", || {
+    shared("a_station_that_does_not_answer_stops_the_change_and_is_named", || {
         let lab = Lab::up("silent-one", FILE);
         let file = lab.file("b.toml", &turned());
         let address = lab.cell.station("slave2")["address"].as_str().unwrap().to_owned();
@@ -220,7 +220,7 @@ fn a_station_that_does_not_answer_stops_the_change_and_is_named() {
 
 #[test]
 fn what_cannot_be_is_refused_with_the_reason_and_nothing_changes() {
-    network("what_cannot_be_is_refused_with_the_reason_and_nothing_changes", || {
+    shared("what_cannot_be_is_refused_with_the_reason_and_nothing_changes", || {
         let lab = Lab::up("refused", FILE);
         let propose = |station: &str, content: &str, when: &[&str]| {
             let file = lab.file("x.toml", content);
@@ -249,7 +249,7 @@ fn what_cannot_be_is_refused_with_the_reason_and_nothing_changes() {
 #[test]
 fn a_schedule_waits_until_it_is_activated_or_cancelled_and_a_slot_does_not_change_meanwhile() {
     let test = "a_schedule_waits_until_it_is_activated_or_cancelled_and_a_slot_does_not_change_meanwhile";
-    network(test, || {
+    shared(test, || {
         let lab = Lab::up("waits", FILE);
         let file = lab.file("b.toml", &turned());
         let propose = ["propose", file.to_str().unwrap()];
@@ -287,7 +287,7 @@ fn a_schedule_waits_until_it_is_activated_or_cancelled_and_a_slot_does_not_chang
 
 #[test]
 fn a_station_that_is_stopped_stops_the_change_and_all_go_on() {
-    network("a_station_that_is_stopped_stops_the_change_and_all_go_on", || {
+    shared("a_station_that_is_stopped_stops_the_change_and_all_go_on", || {
         let lab = Lab::up("stopped", FILE);
         let file = lab.file("b.toml", &turned());
         let slave = lab.cell.station("slave2");
@@ -310,7 +310,7 @@ fn a_station_that_is_stopped_stops_the_change_and_all_go_on() {
 
 #[test]
 fn a_schedule_is_in_use_from_the_cycle_on_that_is_said() {
-    network("a_schedule_is_in_use_from_the_cycle_on_that_is_said", || {
+    shared("a_schedule_is_in_use_from_the_cycle_on_that_is_said", || {
         let lab = Lab::up("at-cycle", FILE);
         let files = [lab.file("b.toml", &turned()), lab.file("a.toml", FILE)];
         let [first, second] = files.each_ref().map(|file| file.to_str().unwrap());
@@ -337,7 +337,7 @@ fn a_schedule_is_in_use_from_the_cycle_on_that_is_said() {
 
 #[test]
 fn stations_of_their_own_change_their_schedule_if_all_were_started_for_it() {
-    network("stations_of_their_own_change_their_schedule_if_all_were_started_for_it", || {
+    shared("stations_of_their_own_change_their_schedule_if_all_were_started_for_it", || {
         let medium = Medium::new();
         let names = ["a", "b"].map(|side| unique(&format!("schedule-{side}")));
         let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--sync-window", "150us"];
@@ -389,7 +389,7 @@ fn stations_of_their_own_change_their_schedule_if_all_were_started_for_it() {
 
 #[test]
 fn a_master_alone_takes_a_schedule_of_one_station() {
-    network("a_master_alone_takes_a_schedule_of_one_station", || {
+    shared("a_master_alone_takes_a_schedule_of_one_station", || {
         let medium = Medium::new();
         let name = unique("schedule-alone");
         let cycle = ["--interface", "rt0", "--master", "--cycle", "5ms", "--sync-window", "150us"];

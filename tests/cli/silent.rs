@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::host::{network, unique};
+use crate::host::{shared, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -50,7 +50,7 @@ fn wait_until(name: &str, what: &str, holds: impl Fn(&Value) -> bool) {
 
 #[test]
 fn a_station_shows_every_slot_that_it_has_and_no_other() {
-    network("a_station_shows_every_slot_that_it_has_and_no_other", || {
+    shared("a_station_shows_every_slot_that_it_has_and_no_other", || {
         let (medium, name) = (Medium::new(), unique("slots"));
         let _station = master(&medium, &name);
         let takes = |payload: u64| json!({ "payload": payload });
@@ -66,7 +66,7 @@ fn a_station_shows_every_slot_that_it_has_and_no_other() {
 
 #[test]
 fn an_echo_that_does_not_fit_one_frame_is_refused_with_what_does() {
-    network("an_echo_that_does_not_fit_one_frame_is_refused_with_what_does", || {
+    shared("an_echo_that_does_not_fit_one_frame_is_refused_with_what_does", || {
         let (medium, name) = (Medium::new(), unique("fits"));
         let _station = master(&medium, &name);
         let long = refused(&["ping", "-S", &name, "10.0.0.2", "--channel", "3", "--size", "173"]);
@@ -91,7 +91,7 @@ fn an_echo_that_does_not_fit_one_frame_is_refused_with_what_does() {
 
 #[test]
 fn a_detached_station_says_so_instead_of_asking_others_in_vain() {
-    network("a_detached_station_says_so_instead_of_asking_others_in_vain", || {
+    shared("a_detached_station_says_so_instead_of_asking_others_in_vain", || {
         let (medium, name) = (Medium::new(), unique("detached"));
         let _station = master(&medium, &name);
         assert!(shown(&name).get("silent").is_none());
@@ -109,7 +109,7 @@ fn a_detached_station_says_so_instead_of_asking_others_in_vain() {
 
 #[test]
 fn a_station_may_be_named_on_either_side_of_what_is_to_be_done() {
-    network("a_station_may_be_named_on_either_side_of_what_is_to_be_done", || {
+    shared("a_station_may_be_named_on_either_side_of_what_is_to_be_done", || {
         let (medium, name) = (Medium::new(), unique("sides"));
         let _station = master(&medium, &name);
         for verb in [["route", "list"], ["tdma", "status"], ["slot", "list"]] {

@@ -13,7 +13,7 @@ use rtnet::wire::udp;
 use serde_json::Value;
 use zerocopy::IntoBytes;
 
-use crate::host::{network, unique};
+use crate::host::{shared, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -117,7 +117,7 @@ fn number<T>(result: std::io::Result<T>) -> Errno {
 
 #[test]
 fn wrong_checksums_of_fragmented_datagrams_are_let_in_and_counted_unless_strict() {
-    network("wrong_checksums_of_fragmented_datagrams_are_let_in_and_counted_unless_strict", || {
+    shared("wrong_checksums_of_fragmented_datagrams_are_let_in_and_counted_unless_strict", || {
         let two = Two::start("strict", [&[], &["--strict-checksums"]]);
         let (lenient, strict) = (two.bound(0), two.bound(1));
         let send = |to: usize, identification, is_right| {
@@ -141,7 +141,7 @@ fn wrong_checksums_of_fragmented_datagrams_are_let_in_and_counted_unless_strict(
 
 #[test]
 fn a_lost_tail_is_given_up_after_the_time_that_was_said_at_the_start() {
-    network("a_lost_tail_is_given_up_after_the_time_that_was_said_at_the_start", || {
+    shared("a_lost_tail_is_given_up_after_the_time_that_was_said_at_the_start", || {
         let waits = [&["--fragment-timeout", "4s"], &["--fragment-timeout", "1000s"]];
         let two = Two::start("tails", waits.map(|options| &options[..]));
         let (short, long) = (two.bound(0), two.bound(1));
@@ -168,7 +168,7 @@ fn a_lost_tail_is_given_up_after_the_time_that_was_said_at_the_start() {
 
 #[test]
 fn automatic_ports_are_of_the_range_that_was_said_at_the_start() {
-    network("automatic_ports_are_of_the_range_that_was_said_at_the_start", || {
+    shared("automatic_ports_are_of_the_range_that_was_said_at_the_start", || {
         let two = Two::start("ports", [&["--ports", "2000-2002"], &[]]);
         let sockets: Vec<UdpSocket> = (0..3).map(|_| two.open(0).unwrap()).collect();
         let mut ports: Vec<u16> = sockets.iter().map(|socket| socket.local_addr().unwrap().port()).collect();
@@ -181,7 +181,7 @@ fn automatic_ports_are_of_the_range_that_was_said_at_the_start() {
 
 #[test]
 fn a_socket_more_than_was_said_at_the_start_is_refused() {
-    network("a_socket_more_than_was_said_at_the_start_is_refused", || {
+    shared("a_socket_more_than_was_said_at_the_start_is_refused", || {
         let two = Two::start("most", [&["--sockets", "3"], &["--sockets", "5"]]);
         for (n, most) in [(0, 3), (1, 5)] {
             let mut sockets: Vec<UdpSocket> = (0..most).map(|_| two.open(n).unwrap()).collect();

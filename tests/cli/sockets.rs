@@ -9,7 +9,7 @@ use nix::unistd::Pid;
 use rtnet::api::Station as Attached;
 use serde_json::Value;
 
-use crate::host::{network, stop, unique};
+use crate::host::{shared, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -69,7 +69,7 @@ fn refused(verb: &str, station: &str, arguments: &[&str], status: i32) -> String
 
 #[test]
 fn a_station_with_an_address_shows_it_and_what_its_slots_take() {
-    network("a_station_with_an_address_shows_it_and_what_its_slots_take", || {
+    shared("a_station_with_an_address_shows_it_and_what_its_slots_take", || {
         let two = Two::start("if");
         let shown = json("if", &two.a, &[]);
         assert_eq!((&shown["ip"], &shown["prefix"]), (&"10.0.0.1".into(), &24.into()), "{shown:#}");
@@ -87,7 +87,7 @@ fn a_station_with_an_address_shows_it_and_what_its_slots_take() {
 
 #[test]
 fn routes_are_said_asked_for_and_deleted_by_hand() {
-    network("routes_are_said_asked_for_and_deleted_by_hand", || {
+    shared("routes_are_said_asked_for_and_deleted_by_hand", || {
         let two = Two::start("route");
         let route = |arguments: &[&str]| said("route", &two.b, arguments);
         assert!(refused("route", &two.b, &["get", "10.0.0.1"], 1).contains("EHOSTUNREACH"));
@@ -127,7 +127,7 @@ fn routes_are_said_asked_for_and_deleted_by_hand() {
 
 #[test]
 fn of_a_file_with_a_bad_line_no_route_is_taken() {
-    network("of_a_file_with_a_bad_line_no_route_is_taken", || {
+    shared("of_a_file_with_a_bad_line_no_route_is_taken", || {
         let two = Two::start("load");
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("routes");
@@ -153,7 +153,7 @@ fn of_a_file_with_a_bad_line_no_route_is_taken() {
 
 #[test]
 fn a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited() {
-    network("a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited", || {
+    shared("a_ping_tells_how_long_it_took_and_how_much_of_that_it_waited", || {
         let two = Two::start("ping");
         // What cannot be asked counts, and the summary comes.
         let unknown = ask("ping", &two.b, &["-c", "2", "-i", "20ms", "10.0.0.1"]);
@@ -203,7 +203,7 @@ fn names(pools: &Value) -> Vec<&str> {
 
 #[test]
 fn a_station_with_slots_shows_the_pool_of_its_control_frames() {
-    network("a_station_with_slots_shows_the_pool_of_its_control_frames", || {
+    shared("a_station_with_slots_shows_the_pool_of_its_control_frames", || {
         let (medium, name) = (Medium::new(), unique("control"));
         let options = ["--master", "--cycle", "5ms", "--ip", "10.0.0.1/24", "--name", &name];
         let station = Station::start(&medium.a, &[&["--interface", "rt0"], &options[..]].concat());
@@ -226,7 +226,7 @@ fn a_station_with_slots_shows_the_pool_of_its_control_frames() {
 
 #[test]
 fn what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool() {
-    network("what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool", || {
+    shared("what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool", || {
         let two = Two::start("lost");
         let socket = Attached::named(&two.a).and_then(|station| station.udp()).unwrap();
         let to = SocketAddrV4::new([10, 0, 0, 2].into(), 36_000);
@@ -257,35 +257,31 @@ fn what_a_station_that_stands_still_loses_is_shown_as_lost_by_its_receive_pool()
 
 #[test]
 fn of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is_a_failure() {
-    network(
-        "of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is_a_failure",
-        || {
-            let mut two = Two::start("killed");
-            said("route", &two.b, &["add", "10.0.0.1", A]);
-            let mut command = rtnet();
-            command.args(["ping", "-S", &two.a, "--json", "-c", "30", "-i", "50ms", "10.0.0.2"]);
-            let ping = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-            let deadline = Instant::now() + PATIENCE;
-            while json("stat", &two.b, &[])["stack"]["echoes_answered"].as_u64() < Some(3) {
-                assert!(Instant::now() < deadline, "it answers");
-            }
-            two.stations[0].child.kill().unwrap();
-            let output = ping.wait_with_output().unwrap();
-            let round = crate::schema::read(&output.stdout);
-            let [sent, received, failed] =
-                ["sent", "received", "failed"].map(|of| round[of].as_u64().unwrap());
-            assert_eq!((output.status.code(), sent + failed), (Some(1), 30), "{round:#}");
-            assert!(0 < received && received <= sent && sent < 30, "{round:#}");
-            // Whoever has its name next takes along what it has left.
-            let options = ["--interface", "rt0", "--discipline", "direct", "--name", &two.a];
-            Station::start(&two.medium.a, &options).wait_for("Ctrl-C ends it");
-        },
-    );
+    shared("of_a_station_that_is_killed_only_what_it_was_asked_counts_as_sent_and_that_is_a_failure", || {
+        let mut two = Two::start("killed");
+        said("route", &two.b, &["add", "10.0.0.1", A]);
+        let mut command = rtnet();
+        command.args(["ping", "-S", &two.a, "--json", "-c", "30", "-i", "50ms", "10.0.0.2"]);
+        let ping = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let deadline = Instant::now() + PATIENCE;
+        while json("stat", &two.b, &[])["stack"]["echoes_answered"].as_u64() < Some(3) {
+            assert!(Instant::now() < deadline, "it answers");
+        }
+        two.stations[0].child.kill().unwrap();
+        let output = ping.wait_with_output().unwrap();
+        let round = crate::schema::read(&output.stdout);
+        let [sent, received, failed] = ["sent", "received", "failed"].map(|of| round[of].as_u64().unwrap());
+        assert_eq!((output.status.code(), sent + failed), (Some(1), 30), "{round:#}");
+        assert!(0 < received && received <= sent && sent < 30, "{round:#}");
+        // Whoever has its name next takes along what it has left.
+        let options = ["--interface", "rt0", "--discipline", "direct", "--name", &two.a];
+        Station::start(&two.medium.a, &options).wait_for("Ctrl-C ends it");
+    });
 }
 
 #[test]
 fn a_station_without_an_address_says_what_to_start_it_with() {
-    network("a_station_without_an_address_says_what_to_start_it_with", || {
+    shared("a_station_without_an_address_says_what_to_start_it_with", || {
         let medium = Medium::new();
         let name = unique("plain");
         let options = ["--interface", "rt0", "--discipline", "direct", "--name", &name];

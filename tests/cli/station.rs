@@ -10,7 +10,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 use tools::lab::namespace::{Namespace, Segment};
 
-use crate::host::{network, unique};
+use crate::host::{shared, unique};
 use crate::rtnet;
 
 const A: [u8; 6] = [2, 0, 0, 0, 0, 0xa];
@@ -211,7 +211,7 @@ fn an_interface_that_does_not_exist_is_named_with_those_there_are() {
 fn without_privileges_one_line_says_what_to_do() {
     use std::os::unix::fs::PermissionsExt;
     use std::os::unix::process::CommandExt;
-    network("without_privileges_one_line_says_what_to_do", || {
+    shared("without_privileges_one_line_says_what_to_do", || {
         // The binary's folder need not be open to others.
         let dir = tempfile::tempdir().unwrap();
         let binary = dir.path().join("rtnet");
@@ -230,7 +230,7 @@ fn without_privileges_one_line_says_what_to_do() {
 
 #[test]
 fn a_slave_joins_a_master_and_notices_its_end() {
-    network("a_slave_joins_a_master_and_notices_its_end", || {
+    shared("a_slave_joins_a_master_and_notices_its_end", || {
         let medium = Medium::new();
         let master = Station::master(&medium, "join-master");
         let slave = Station::start(
@@ -247,7 +247,7 @@ fn a_slave_joins_a_master_and_notices_its_end() {
 
 #[test]
 fn a_second_master_refuses_to_start_and_names_the_first() {
-    network("a_second_master_refuses_to_start_and_names_the_first", || {
+    shared("a_second_master_refuses_to_start_and_names_the_first", || {
         let medium = Medium::new();
         let master = Station::start(&medium.a, &["--interface", "rt0", "--master", "--cycle", "5ms"]);
         master.wait_for("master_active");
@@ -274,7 +274,7 @@ pub fn asked(arguments: &[&str]) -> Result<(), String> {
 
 #[test]
 fn a_running_station_refuses_slots_of_its_own_that_clash() {
-    network("a_running_station_refuses_slots_of_its_own_that_clash", || {
+    shared("a_running_station_refuses_slots_of_its_own_that_clash", || {
         let medium = Medium::new();
         let name = unique("clash");
         let options =
@@ -327,7 +327,7 @@ fn a_running_station_refuses_slots_of_its_own_that_clash() {
 
 #[test]
 fn who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone() {
-    network("who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone", || {
+    shared("who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone", || {
         let medium = Medium::new();
         let (first, second) =
             (Station::master(&medium, "first-master"), Station::slave(&medium, "second-master"));
@@ -350,7 +350,7 @@ fn who_is_to_be_master_beside_another_is_told_and_master_once_that_is_gone() {
 
 #[test]
 fn a_name_is_taken_once() {
-    network("a_name_is_taken_once", || {
+    shared("a_name_is_taken_once", || {
         let medium = Medium::new();
         let options = ["--interface", "rt0", "--slave", "--rounds", "0", "--name", "taken-once"];
         let mut first = Station::start(&medium.a, &options);
@@ -374,7 +374,7 @@ fn a_name_is_taken_once() {
 
 #[test]
 fn a_station_without_a_name_has_its_interfaces_unless_that_is_taken() {
-    network("a_station_without_a_name_has_its_interfaces_unless_that_is_taken", || {
+    shared("a_station_without_a_name_has_its_interfaces_unless_that_is_taken", || {
         let interface = format!("n{}", std::process::id());
         let medium = Medium::of(&interface);
         let options = ["--interface", &interface, "--slave", "--rounds", "0"];

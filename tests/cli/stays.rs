@@ -11,7 +11,7 @@ use nix::unistd::{Pid, getsid};
 use serde_json::Value;
 
 use crate::cell::{json, status, text};
-use crate::host::{network, stop, unique};
+use crate::host::{network, shared, stop, unique};
 use crate::lab::{eventually, is_there, running, stations_of};
 use crate::rtnet;
 
@@ -103,7 +103,7 @@ fn number(pid: i32, line: &str, radix: u32) -> u64 {
 
 #[test]
 fn lab_that_stays_holds_no_directory_of_its_caller() {
-    network("lab_that_stays_holds_no_directory_of_its_caller", || {
+    shared("lab_that_stays_holds_no_directory_of_its_caller", || {
         let dir = tempfile::tempdir().unwrap();
         let below = dir.path().join("below");
         fs::create_dir(&below).unwrap();
@@ -145,7 +145,7 @@ fn lab_that_stays_holds_no_directory_of_its_caller() {
 
 #[test]
 fn lab_that_stays_holds_nothing_else_of_its_caller() {
-    network("lab_that_stays_holds_nothing_else_of_its_caller", || {
+    shared("lab_that_stays_holds_nothing_else_of_its_caller", || {
         let dir = tempfile::tempdir().unwrap();
         let lock = dir.path().join("lock");
         // The caller waits for the end of its output, of which 7 and 8 are copies.
@@ -184,7 +184,7 @@ fn lab_that_stays_holds_nothing_else_of_its_caller() {
 
 #[test]
 fn lab_that_stays_opens_its_files_to_no_other_writer() {
-    network("lab_that_stays_opens_its_files_to_no_other_writer", || {
+    shared("lab_that_stays_opens_its_files_to_no_other_writer", || {
         let pair = Pair::up_by("umask", |name| {
             let mut command = Command::new("sh");
             command.args(["-c", "umask 0; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_rtnet")]);
@@ -199,7 +199,7 @@ fn lab_that_stays_opens_its_files_to_no_other_writer() {
 
 #[test]
 fn killed_keeper_leaves_no_stopped_station() {
-    network("killed_keeper_leaves_no_stopped_station", || {
+    shared("killed_keeper_leaves_no_stopped_station", || {
         let pair = Pair::up("orphaned");
         let (keeper, stations) = (pair.keeper(), pair.stations());
         stations.iter().for_each(|&pid| stop(Pid::from_raw(pid)));

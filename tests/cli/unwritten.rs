@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::cell::{Cell, text};
-use crate::host::{network, skip, unique};
+use crate::host::{shared, skip, unique};
 use crate::rtnet;
 
 const NET: &str = "cycle = \"1ms\"\nduration = \"100ms\"\n[[station]]\nname = \"master\"\nrole = \"master\"\n\
@@ -68,7 +68,7 @@ fn simulation_shows_its_report_on_a_full_disk() {
 
 #[test]
 fn lab_shows_its_report_when_a_file_has_no_room() {
-    network("lab_shows_its_report_when_a_file_has_no_room", || {
+    shared("lab_shows_its_report_when_a_file_has_no_room", || {
         let output = lab(&["--json", "/dev/full", "--html", "/dev/full", "--pcap", "/dev/full"]);
         is_told(&output, "/dev/full", "2 stations, cycle 5ms");
         let said = text(&output.stdout) + &text(&output.stderr);
@@ -84,7 +84,7 @@ fn doctor_shows_its_figures_when_a_file_has_no_room() {
 
 #[test]
 fn jitter_shows_its_figures_when_a_file_has_no_room() {
-    network("jitter_shows_its_figures_when_a_file_has_no_room", || {
+    shared("jitter_shows_its_figures_when_a_file_has_no_room", || {
         let cell = Cell { name: unique("full") };
         let up = ["lab", "up", "--stations", "2", "--cycle", "5ms", "--name", &cell.name];
         assert_eq!(rtnet().args(up).output().unwrap().status.code(), Some(0));
@@ -95,7 +95,7 @@ fn jitter_shows_its_figures_when_a_file_has_no_room() {
 
 #[test]
 fn lab_down_tells_what_its_lab_could_not_write() {
-    network("lab_down_tells_what_its_lab_could_not_write", || {
+    shared("lab_down_tells_what_its_lab_could_not_write", || {
         for (option, file) in [("--json", "/dev/full"), ("--pcap", "/dev/full")] {
             let cell = Cell { name: unique("full") };
             let mut up = rtnet();
@@ -145,7 +145,7 @@ fn reader_of_a_capture_may_have_had_enough() {
 
 #[test]
 fn lab_writes_a_capture_and_json_to_standard_output() {
-    network("lab_writes_a_capture_and_json_to_standard_output", || {
+    shared("lab_writes_a_capture_and_json_to_standard_output", || {
         let output = lab(&["-w", "-"]);
         assert!(
             output.stdout.starts_with(&PCAPNG) && output.stdout.len() > 5_000,
@@ -161,7 +161,7 @@ fn lab_writes_a_capture_and_json_to_standard_output() {
 
 #[test]
 fn dump_writes_a_capture_to_standard_output() {
-    network("dump_writes_a_capture_to_standard_output", || {
+    shared("dump_writes_a_capture_to_standard_output", || {
         let cell = Cell::up("piped");
         let output =
             rtnet().args(["dump", "--lab", &cell.name, "--count", "20", "-w", "-"]).output().unwrap();

@@ -8,6 +8,7 @@
 #![allow(clippy::disallowed_methods)]
 
 use std::any::Any;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -23,8 +24,11 @@ use nix::unistd::{Pid, gettid};
 use rtnet::live::realtime::{self, RealTime};
 use serde_json::Value;
 
-/// Cores without a network: one at a time on each, for several would miss slots for each other.
+/// What networks have not taken of this host's cores.
 static CORES: Cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
+/// Networks that share a core: at a cycle of 4 ms each takes some 6 % of it, half a millisecond of guard band is room for the
+/// turns of the others, and no kernel stops real-time threads that take less than 80 % of a core together.
+const SHARES: usize = 4;
 /// A network that fails while its host stood still for so long, several cycles, says nothing of the network: not even what
 /// is most urgent on a core ran meanwhile. What fails by its own doing fails again.
 const STILL: Duration = Duration::from_millis(20);
@@ -78,20 +82,25 @@ pub fn is_root(test: &str) -> bool {
 /// Runs a test of a network on a core that has no other, and again, aloud, where it failed on a host that was disturbed
 /// meanwhile. All that the test starts runs there.
 pub fn network(test: &str, body: impl Fn()) {
-    on_cores(test, |allowed| allowed.min(1), body);
+    on_cores(test, Need::Core, body);
+}
+
+/// The same on a core with other networks like it: for slots that are half a millisecond apart, in cycles of 4 ms and more.
+pub fn shared(test: &str, body: impl Fn()) {
+    on_cores(test, Need::Share, body);
 }
 
 /// The same with all cores, and while no other network runs: for a test of several cores, or with programs that load them.
 pub fn alone(test: &str, body: impl Fn()) {
-    on_cores(test, |allowed| allowed, body);
+    on_cores(test, Need::All, body);
 }
 
-fn on_cores(test: &str, count: impl Fn(usize) -> usize, body: impl Fn()) {
+fn on_cores(test: &str, need: Need, body: impl Fn()) {
     if !is_root(test) {
         return;
     }
     // A test that failed has taken its network down.
-    let _cores = CORES.take(count);
+    let _cores = CORES.take(need);
     let attempt = || {
         let watch = Standstill::watch();
         let outcome = catch_unwind(AssertUnwindSafe(&body));
@@ -108,10 +117,18 @@ pub fn unique(what: &str) -> String {
     format!("{what}-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
 }
 
+/// The part of this host's cores that a test needs.
+#[derive(Clone, Copy)]
+enum Need {
+    Share,
+    Core,
+    All,
+}
+
 /// The cores of this host.
 struct Cores {
-    /// Those that no test has; none is known of before the first is taken.
-    free: Mutex<Option<Vec<usize>>>,
+    /// Each with the shares of it that no test has; none is known of before the first is taken.
+    free: Mutex<Option<BTreeMap<usize, usize>>>,
     given_back: Condvar,
 }
 
@@ -119,23 +136,42 @@ struct Cores {
 struct Taken<'a> {
     of: &'a Cores,
     cores: Vec<usize>,
+    /// Taken of each.
+    shares: usize,
     /// Where it might run before.
     allowed: Vec<usize>,
 }
 
+impl Need {
+    /// The cores that have it free.
+    fn found(self, free: &BTreeMap<usize, usize>) -> Option<Vec<usize>> {
+        let mut whole = free.iter().filter(|&(_, &shares)| shares == SHARES).map(|(&core, _)| core);
+        // A core that is shared is filled first, so that others stay whole.
+        let shared = || free.iter().filter(|&(_, &shares)| shares > 0).min_by_key(|&(_, &shares)| shares);
+        match self {
+            Self::Share => shared().map(|(&core, _)| vec![core]),
+            Self::Core => whole.next().map(|core| vec![core]),
+            Self::All => Some(whole.collect()).filter(|cores: &Vec<_>| cores.len() == free.len()),
+        }
+    }
+}
+
 impl Cores {
-    /// Waits until as many cores are free as `count` says of those that there are.
-    fn take(&self, count: impl Fn(usize) -> usize) -> Taken<'_> {
+    /// Waits until what is needed is free.
+    fn take(&self, need: Need) -> Taken<'_> {
         let allowed = realtime::allowed_cpus();
-        let count = count(allowed.len());
-        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let has_fewer =
-            |free: &mut Option<Vec<usize>>| free.get_or_insert_with(|| allowed.clone()).len() < count;
-        let mut free = self.given_back.wait_while(free, has_fewer).unwrap_or_else(PoisonError::into_inner);
-        let free = free.get_or_insert_default();
-        let cores = free.split_off(free.len() - count);
-        keep_to(&cores);
-        Taken { of: self, cores, allowed }
+        let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            let all = || allowed.iter().map(|&core| (core, SHARES)).collect();
+            let known = free.get_or_insert_with(all);
+            if let Some(cores) = need.found(known) {
+                let shares = if matches!(need, Need::Share) { 1 } else { SHARES };
+                cores.iter().for_each(|core| *known.entry(*core).or_default() -= shares);
+                keep_to(&cores);
+                return Taken { of: self, cores, shares, allowed };
+            }
+            free = self.given_back.wait(free).unwrap_or_else(PoisonError::into_inner);
+        }
     }
 }
 
@@ -143,7 +179,8 @@ impl Drop for Taken<'_> {
     fn drop(&mut self) {
         keep_to(&self.allowed);
         let mut free = self.of.free.lock().unwrap_or_else(PoisonError::into_inner);
-        free.get_or_insert_default().append(&mut self.cores);
+        let known = free.get_or_insert_default();
+        self.cores.iter().for_each(|core| *known.entry(*core).or_default() += self.shares);
         self.of.given_back.notify_all();
     }
 }
@@ -351,7 +388,7 @@ mod tests {
     fn a_core_is_one_tests_until_it_is_given_back() {
         let cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
         let allowed = realtime::allowed_cpus();
-        let one = cores.take(|_| 1);
+        let one = cores.take(Need::Core);
         assert_eq!((one.cores.len(), realtime::allowed_cpus()), (1, one.cores.clone()));
         let is_given_back = AtomicBool::new(false);
         std::thread::scope(|scope| {
@@ -359,7 +396,7 @@ mod tests {
             let (cores, is_given_back, count) = (&cores, &is_given_back, allowed.len());
             scope.spawn(move || {
                 waits.send(this_thread()).unwrap();
-                let all = cores.take(|_| count);
+                let all = cores.take(Need::All);
                 assert!(is_given_back.load(Ordering::Relaxed));
                 assert_eq!(all.cores.len(), count);
             });
@@ -368,6 +405,17 @@ mod tests {
             drop(one);
         });
         assert_eq!(realtime::allowed_cpus(), allowed, "as before");
+    }
+
+    #[test]
+    fn shared_cores_are_filled_before_others_are_shared() {
+        let of = |shares: &[usize]| shares.iter().copied().enumerate().collect::<BTreeMap<_, _>>();
+        let found = |need: Need, shares: &[usize]| need.found(&of(shares));
+        assert_eq!(found(Need::Share, &[SHARES, 1]), Some(vec![1]));
+        assert_eq!(found(Need::Share, &[SHARES, 0]), Some(vec![0]));
+        assert_eq!(found(Need::Share, &[0, 0]), None);
+        assert_eq!((found(Need::Core, &[3, SHARES]), found(Need::Core, &[3, 0])), (Some(vec![1]), None));
+        assert_eq!((found(Need::All, &[3, SHARES]), found(Need::All, &[SHARES])), (None, Some(vec![0])));
     }
 
     #[test]

@@ -8,12 +8,12 @@ use nix::unistd::Pid;
 
 use super::{FILE, Lab, turned};
 use crate::cell::wait_until;
-use crate::host::network;
+use crate::host::shared;
 use crate::rtnet;
 
 #[test]
 fn a_master_that_is_killed_and_returns_follows_the_schedule_that_is_in_use() {
-    network("a_master_that_is_killed_and_returns_follows_the_schedule_that_is_in_use", || {
+    shared("a_master_that_is_killed_and_returns_follows_the_schedule_that_is_in_use", || {
         let lab = Lab::up("returns", FILE);
         let file = lab.file("b.toml", &turned());
         lab.goes_well(&[&["propose", file.to_str().unwrap(), "--now"]]);
@@ -35,7 +35,7 @@ fn a_master_that_is_killed_and_returns_follows_the_schedule_that_is_in_use() {
 
 #[test]
 fn a_master_that_is_killed_in_the_middle_of_a_change_leaves_one_schedule_everywhere() {
-    network("a_master_that_is_killed_in_the_middle_of_a_change_leaves_one_schedule_everywhere", || {
+    shared("a_master_that_is_killed_in_the_middle_of_a_change_leaves_one_schedule_everywhere", || {
         let lab = Lab::up("midway", FILE);
         let files = [lab.file("b.toml", &turned()), lab.file("a.toml", FILE)];
         let others = ["backup1", "backup2", "slave1", "slave2"];

@@ -15,4 +15,5 @@ pub mod route;
 pub mod router;
 pub mod rpc;
 pub mod shared;
+pub mod tcp;
 pub mod wire;

@@ -1,0 +1,67 @@
+//! What a connection says to the router itself: packages to 0 from 0.
+
+use crate::name::MailboxName;
+use crate::wire::{Endian, Head};
+
+/// Kind of the router's question whether a client is alive; the client answers 0.
+pub const LIFESIGN: i8 = 17;
+
+/// What is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// A mailbox is there, from now on.
+    Register {
+        /// Its name.
+        name: MailboxName,
+        /// Whether an answer is waited for.
+        is_answered: bool,
+    },
+    /// It is gone.
+    Delete {
+        /// Its name.
+        name: MailboxName,
+        /// Whether an answer is waited for.
+        is_answered: bool,
+    },
+    /// All mailboxes of this connection are gone.
+    Purge,
+    /// The client lives.
+    Alive,
+    /// Whether the client is to be asked for signs of life.
+    Watchdog(bool),
+    /// Nothing that the router knows: ignored, as a login is.
+    Unknown,
+    /// A known kind whose body is not what it is to be. With an answer, that is an error.
+    Malformed {
+        /// Whether an answer is waited for.
+        is_answered: bool,
+    },
+}
+
+impl Control {
+    /// What a package says to the router; `None` if it is for somebody else.
+    pub fn of(head: &Head, body: &[u8]) -> Option<Self> {
+        if (head.to, head.from) != (MailboxName::NOBODY, MailboxName::NOBODY) {
+            return None;
+        }
+        let is_answered = matches!(head.kind, 13 | 14);
+        let name = || {
+            let bytes = body.try_into().ok()?;
+            Some(MailboxName(match head.body_order {
+                Endian::Little => u32::from_le_bytes(bytes),
+                Endian::Big => u32::from_be_bytes(bytes),
+            }))
+        };
+        let malformed = Self::Malformed { is_answered };
+        let bare = |control| if body.is_empty() { control } else { malformed };
+        Some(match head.kind {
+            11 | 13 => name().map_or(malformed, |name| Self::Register { name, is_answered }),
+            12 | 14 => name().map_or(malformed, |name| Self::Delete { name, is_answered }),
+            15 => bare(Self::Purge),
+            0 => bare(Self::Alive),
+            18 => bare(Self::Watchdog(true)),
+            19 => bare(Self::Watchdog(false)),
+            _ => Self::Unknown,
+        })
+    }
+}

@@ -1,0 +1,14 @@
+//! The TCP layer (paper 3.2): one router that clients of any language join by, with nothing but the bytes of packages.
+//!
+//! ```text
+//! connection ─► frames ─► control: names, lifesigns      (to 0 from 0)
+//!                   └───► table: name ─► connection ─► outgoing ─► connection
+//! ```
+//!
+//! [`router`] has all rules and no socket: bytes go in, bytes are to be written. [`serve`] is its loop over sockets.
+
+pub mod control;
+pub mod frames;
+pub mod outgoing;
+pub mod router;
+pub mod serve;

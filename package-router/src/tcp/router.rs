@@ -1,0 +1,364 @@
+//! The router's rules, without a socket or a clock: bytes of connections go in, bytes for connections wait to be written.
+
+mod status;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::io::{self, IoSlice};
+use std::net::SocketAddr;
+
+use super::control::{Control, LIFESIGN};
+use super::frames::Frames;
+use super::outgoing::{Full, Outgoing};
+use crate::name::MailboxName;
+use crate::wire::{self, Endian, Head, HeadError, MAX_LEN};
+
+pub use status::{ClientStatus, Closed, Counters, Status};
+
+/// Milliseconds between two signs of life that are asked for.
+pub const LIFESIGN_EVERY: u64 = 5_000;
+/// Closed connections that are remembered.
+const CLOSED: usize = 64;
+
+/// A connection of the router. Its number is another's once it has been closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Connection(pub u32);
+
+/// What one router holds at the most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Connections.
+    pub connections: usize,
+    /// Mailboxes of one connection.
+    pub names: usize,
+    /// Bytes that wait for one connection, not less than the longest package.
+    pub queue: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { connections: 10_000, names: 1_024, queue: 4 << 20 }
+    }
+}
+
+/// Why a connection was closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Ending {
+    /// The client has closed it.
+    #[error("closed by the client")]
+    Left,
+    /// The client did not answer for a whole round.
+    #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]
+    Silent,
+    /// What it sent is no package.
+    #[error("{0}")]
+    NoPackage(#[from] HeadError),
+    /// The kernel's error number.
+    #[error("{}", io::Error::from_raw_os_error(*.0))]
+    Broken(i32),
+}
+
+/// As many connections as there may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0} connections are open, which is the limit")]
+pub struct TooMany(pub usize);
+
+struct Client {
+    peer: SocketAddr,
+    since: u64,
+    frames: Frames,
+    outgoing: Outgoing,
+    names: BTreeSet<MailboxName>,
+    watchdog: bool,
+    /// A sign of life was asked for, and nothing has come since.
+    is_asked: bool,
+    /// It is among those that are to be written to.
+    is_awake: bool,
+    counters: Counters,
+}
+
+/// A router of packages among connections.
+pub struct Router {
+    limits: Limits,
+    clients: Vec<Option<Client>>,
+    free: Vec<u32>,
+    table: HashMap<MailboxName, Connection>,
+    awake: Vec<Connection>,
+    endings: Vec<(Connection, Ending)>,
+    closed: VecDeque<Closed>,
+    /// Of the connections that are closed.
+    counters: Counters,
+    next_round: u64,
+}
+
+impl Router {
+    /// A router without connections. Times are milliseconds of any clock that does not go back.
+    pub fn new(limits: Limits, now: u64) -> Self {
+        Self {
+            limits: Limits { queue: limits.queue.max(MAX_LEN), ..limits },
+            clients: Vec::new(),
+            free: Vec::new(),
+            table: HashMap::new(),
+            awake: Vec::new(),
+            endings: Vec::new(),
+            closed: VecDeque::new(),
+            counters: Counters::default(),
+            next_round: now + LIFESIGN_EVERY,
+        }
+    }
+
+    /// A connection from there is open.
+    pub fn connect(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
+        let open = self.clients.len() - self.free.len();
+        if open >= self.limits.connections {
+            self.counters.connections_refused += 1;
+            return Err(TooMany(open));
+        }
+        let client = Client {
+            peer,
+            since: now,
+            frames: Frames::default(),
+            outgoing: Outgoing::new(self.limits.queue),
+            names: BTreeSet::new(),
+            watchdog: true,
+            is_asked: false,
+            is_awake: false,
+            counters: Counters::default(),
+        };
+        Ok(match self.free.pop() {
+            Some(place) => {
+                self.clients[place as usize] = Some(client);
+                Connection(place)
+            }
+            None => {
+                self.clients.push(Some(client));
+                Connection(self.clients.len() as u32 - 1)
+            }
+        })
+    }
+
+    /// Bytes have come from a connection.
+    pub fn received(&mut self, from: Connection, bytes: &[u8], now: u64) {
+        let Some(client) = self.client(from) else { return };
+        client.is_asked = false;
+        let mut frames = core::mem::take(&mut client.frames);
+        let cut = frames.cut(bytes, |head, body| self.package(from, &head, body, now));
+        if let Some(client) = self.client(from) {
+            client.frames = frames;
+        }
+        if let Err(no_package) = cut {
+            self.endings.push((from, no_package.into()));
+        }
+    }
+
+    /// Hands over what waits for a connection, as much as `send` takes; tells whether all of it was taken.
+    pub fn write(
+        &mut self,
+        to: Connection,
+        send: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
+    ) -> io::Result<bool> {
+        self.client(to).map_or(Ok(true), |client| client.outgoing.write(send))
+    }
+
+    /// The next connection that something has been left for since it was last named here.
+    pub fn next_awake(&mut self) -> Option<Connection> {
+        let next = self.awake.pop()?;
+        if let Some(client) = self.client(next) {
+            client.is_awake = false;
+        }
+        Some(next)
+    }
+
+    /// The next connection that is to be closed, and why.
+    pub fn next_ending(&mut self) -> Option<(Connection, Ending)> {
+        self.endings.pop()
+    }
+
+    /// A connection has been closed: its mailboxes are gone, and what waited for it.
+    pub fn disconnect(&mut self, gone: Connection, why: Ending, now: u64) {
+        let Some(mut client) = self.clients.get_mut(gone.0 as usize).and_then(Option::take) else { return };
+        client.names.iter().for_each(|name| {
+            self.table.remove(name);
+        });
+        client.counters.lost_at_close += client.outgoing.packages() as u64;
+        self.counters.add(&client.counters);
+        self.closed.truncate(CLOSED - 1);
+        self.closed.push_front(Closed {
+            peer: client.peer,
+            why,
+            at: now,
+            open_for: now - client.since,
+            names: client.names.into_iter().collect(),
+            counters: client.counters,
+        });
+        self.awake.retain(|awake| *awake != gone);
+        self.endings.retain(|(ending, _)| *ending != gone);
+        self.free.push(gone.0);
+    }
+
+    /// When [`Self::round`] is due.
+    pub fn next_round(&self) -> u64 {
+        self.next_round
+    }
+
+    /// Ends connections that have not shown a sign of life since the last round, and asks the others for one. All that has come
+    /// by now is to be handed over before: a router that was stopped for a while blames nobody.
+    pub fn round(&mut self, now: u64) {
+        self.next_round = now + LIFESIGN_EVERY;
+        let lifesign = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY);
+        for place in 0..self.clients.len() as u32 {
+            let Some(client) = &mut self.clients[place as usize] else { continue };
+            client.outgoing.shrink();
+            if !client.watchdog {
+                continue;
+            }
+            if client.is_asked {
+                self.endings.push((Connection(place), Ending::Silent));
+            } else {
+                client.is_asked = true;
+                self.own(Connection(place), &lifesign, now);
+            }
+        }
+    }
+
+    fn client(&mut self, of: Connection) -> Option<&mut Client> {
+        self.clients.get_mut(of.0 as usize)?.as_mut()
+    }
+
+    fn package(&mut self, from: Connection, head: &Head, body: &[u8], now: u64) {
+        match Control::of(head, body) {
+            Some(control) => self.control(from, head, control, now),
+            None => self.forward(from, head, body, now),
+        }
+    }
+
+    fn control(&mut self, from: Connection, head: &Head, control: Control, now: u64) {
+        let most = self.limits.names;
+        let Some(client) = self.clients.get_mut(from.0 as usize).and_then(Option::as_mut) else { return };
+        let answer = match control {
+            Control::Register { name, is_answered } => {
+                let owner = self.table.get(&name);
+                let is_new = name != MailboxName::NOBODY && owner.is_none() && client.names.len() < most;
+                // A name that is one's own already, and that of nobody, are let pass where no answer is waited for.
+                let is_idle = !is_answered && (name == MailboxName::NOBODY || owner == Some(&from));
+                if is_new {
+                    client.names.insert(name);
+                    self.table.insert(name, from);
+                } else if !is_idle {
+                    client.counters.names_refused += 1;
+                }
+                is_answered.then_some(is_new)
+            }
+            Control::Delete { name, is_answered } => {
+                let owner = self.table.get(&name);
+                let is_foreign = owner.is_some_and(|owner| *owner != from);
+                if is_foreign {
+                    client.counters.names_refused += 1;
+                } else if client.names.remove(&name) {
+                    self.table.remove(&name);
+                }
+                is_answered.then_some(!is_foreign)
+            }
+            Control::Purge => {
+                for name in core::mem::take(&mut client.names) {
+                    self.table.remove(&name);
+                }
+                None
+            }
+            Control::Alive => None,
+            Control::Watchdog(on) => {
+                (client.watchdog, client.is_asked) = (on, false);
+                None
+            }
+            Control::Unknown => {
+                client.counters.controls_ignored += 1;
+                None
+            }
+            Control::Malformed { is_answered } => {
+                client.counters.controls_malformed += 1;
+                is_answered.then_some(false)
+            }
+        };
+        if let Some(is_done) = answer {
+            self.own(from, &head.answer(if is_done { wire::OK } else { wire::ERROR }), now);
+        }
+    }
+
+    fn forward(&mut self, from: Connection, head: &Head, body: &[u8], now: u64) {
+        if !self.is_sender(from, head.from) {
+            return self.refuse(from, head, now, |counters| &mut counters.foreign_senders);
+        }
+        let Some(&to) = self.table.get(&head.to) else {
+            return self.refuse(from, head, now, |counters| &mut counters.nobody_there);
+        };
+        let head = Head { head_order: Endian::Little, ..*head };
+        if self.enqueue(to, &head, body, now).is_err() {
+            return self.refuse(from, &head, now, |counters| &mut counters.receiver_full);
+        }
+        if let Some(sender) = self.client(from) {
+            sender.counters.packages_in += 1;
+            sender.counters.bytes_in += u64::from(head.len);
+        }
+    }
+
+    /// Has a package wait for a connection. What makes room for it is counted at its sender.
+    fn enqueue(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) -> Result<(), Full> {
+        let Some(receiver) = self.client(to) else { return Err(Full) };
+        let mut displaced = Vec::new();
+        let pushed = receiver.outgoing.push(head, body, now, |dropped| displaced.push(dropped));
+        match pushed {
+            Ok(()) => {
+                receiver.counters.packages_out += 1;
+                receiver.counters.bytes_out += u64::from(head.len);
+                receiver.counters.displaced += displaced.len() as u64;
+                self.wake(to);
+            }
+            Err(Full) => receiver.counters.queue_full += 1,
+        }
+        for dropped in displaced {
+            // Its answer is less urgent than what displaced it, so that this ends.
+            if let Some(&sender) = self.table.get(&dropped.from) {
+                self.refuse(sender, &dropped, now, |counters| &mut counters.overtaken);
+            }
+        }
+        pushed
+    }
+
+    /// Whether a connection may send in this name: no other connection has it.
+    fn is_sender(&self, from: Connection, name: MailboxName) -> bool {
+        self.table.get(&name).is_none_or(|owner| *owner == from)
+    }
+
+    /// A package does not go on: that is counted at its sender, which is answered if it was a command.
+    fn refuse(
+        &mut self,
+        sender: Connection,
+        head: &Head,
+        now: u64,
+        reason: impl FnOnce(&mut Counters) -> &mut u64,
+    ) {
+        let Some(client) = self.client(sender) else { return };
+        *reason(&mut client.counters) += 1;
+        if head.is_command() && self.enqueue(sender, &head.answer(wire::NOT_AVAILABLE), &[], now).is_err() {
+            self.client(sender).into_iter().for_each(|client| client.counters.answers_lost += 1);
+        }
+    }
+
+    /// The router's own words to a connection.
+    fn own(&mut self, to: Connection, head: &Head, now: u64) {
+        let Some(client) = self.client(to) else { return };
+        match client.outgoing.push_own(head, now) {
+            Ok(()) => self.wake(to),
+            Err(Full) => client.counters.answers_lost += 1,
+        }
+    }
+
+    fn wake(&mut self, whom: Connection) {
+        if let Some(client) = self.client(whom)
+            && !core::mem::replace(&mut client.is_awake, true)
+        {
+            self.awake.push(whom);
+        }
+    }
+}

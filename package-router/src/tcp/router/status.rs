@@ -1,0 +1,136 @@
+//! What people see of a router.
+
+use std::net::SocketAddr;
+
+use super::{Ending, Router};
+use crate::name::MailboxName;
+
+macro_rules! counters {
+    ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
+        /// What is counted of a connection, or of all.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+        pub struct Counters {
+            $($(#[$doc])* pub $name: u64,)+
+        }
+
+        impl Counters {
+            /// Adds those of another.
+            pub fn add(&mut self, other: &Self) {
+                $(self.$name += other.$name;)+
+            }
+
+            /// Each with its name.
+            pub fn each(&self) -> impl Iterator<Item = (&'static str, u64)> {
+                [$((stringify!($name), self.$name)),+].into_iter()
+            }
+        }
+    };
+}
+
+counters! {
+    /// Packages of this connection that were passed on.
+    packages_in,
+    /// Their bytes.
+    bytes_in,
+    /// Packages for this connection that were queued.
+    packages_out,
+    /// Their bytes.
+    bytes_out,
+    /// Its packages to names that nobody has.
+    nobody_there,
+    /// Its packages whose sender is another connection's name.
+    foreign_senders,
+    /// Its packages that found their receiver's queue full.
+    receiver_full,
+    /// Its packages that made room for more urgent ones in their receiver's queue.
+    overtaken,
+    /// Packages for it that found its queue full.
+    queue_full,
+    /// Packages for it that made room for more urgent ones.
+    displaced,
+    /// Packages that waited for it when it was closed.
+    lost_at_close,
+    /// Answers of the router that it did not read in time.
+    answers_lost,
+    /// Names that it might not register or delete.
+    names_refused,
+    /// Its control packages of unknown kinds.
+    controls_ignored,
+    /// Its control packages with a wrong body.
+    controls_malformed,
+    /// Connections beyond the limit.
+    connections_refused,
+}
+
+/// A connection that is open.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClientStatus {
+    /// Where it comes from.
+    pub peer: SocketAddr,
+    /// Milliseconds since it was opened.
+    pub open_for: u64,
+    /// Its mailboxes.
+    pub names: Vec<MailboxName>,
+    /// Whether it is asked for signs of life.
+    pub watchdog: bool,
+    /// Packages that wait for it.
+    pub waiting: usize,
+    /// Their bytes.
+    pub waiting_bytes: usize,
+    /// Milliseconds that the oldest of them has waited.
+    pub oldest: Option<u64>,
+    /// What was counted of it.
+    pub counters: Counters,
+}
+
+/// A connection that was closed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Closed {
+    /// Where it came from.
+    pub peer: SocketAddr,
+    /// Why it was closed.
+    pub why: Ending,
+    /// When, in milliseconds of the router's clock.
+    pub at: u64,
+    /// For how many milliseconds it was open.
+    pub open_for: u64,
+    /// Its mailboxes at the end.
+    pub names: Vec<MailboxName>,
+    /// What was counted of it.
+    pub counters: Counters,
+}
+
+/// A router as it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Status {
+    /// The open connections.
+    pub clients: Vec<ClientStatus>,
+    /// The last that were closed, the newest first.
+    pub closed: Vec<Closed>,
+    /// Sums over all connections so far.
+    pub counters: Counters,
+}
+
+impl Router {
+    /// What people see of it.
+    pub fn status(&self, now: u64) -> Status {
+        let clients: Vec<ClientStatus> = self
+            .clients
+            .iter()
+            .flatten()
+            .map(|client| ClientStatus {
+                peer: client.peer,
+                open_for: now - client.since,
+                names: client.names.iter().copied().collect(),
+                watchdog: client.watchdog,
+                waiting: client.outgoing.packages(),
+                waiting_bytes: client.outgoing.bytes(),
+                oldest: client.outgoing.oldest().map(|since| now - since),
+                counters: client.counters,
+            })
+            .collect();
+        let mut counters = self.counters;
+        clients.iter().for_each(|client| counters.add(&client.counters));
+        Status { clients, closed: self.closed.iter().cloned().collect(), counters }
+    }
+}

@@ -1,0 +1,258 @@
+use super::*;
+use crate::wire::HEAD_LEN;
+
+mod model;
+
+const PEER: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 9);
+
+/// A router with connections, and all bytes that have left for each.
+struct Net {
+    router: Router,
+    read: Vec<Vec<u8>>,
+    now: u64,
+}
+
+fn hex(text: &str) -> Vec<u8> {
+    let digits: String = text.split_whitespace().collect();
+    (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect()
+}
+
+impl Net {
+    fn of(connections: usize) -> Self {
+        let mut router = Router::new(Limits::default(), 0);
+        (0..connections).for_each(|_| {
+            router.connect(PEER, 0).unwrap();
+        });
+        Self { router, read: vec![Vec::new(); connections], now: 0 }
+    }
+
+    fn send(&mut self, from: usize, bytes: &[u8]) {
+        self.router.received(Connection(from as u32), bytes, self.now);
+    }
+
+    fn flush(&mut self) {
+        while let Some(to) = self.router.next_awake() {
+            let read = &mut self.read[to.0 as usize];
+            let send = |slices: &[IoSlice<'_>]| {
+                slices.iter().for_each(|slice| read.extend_from_slice(slice));
+                Ok(slices.iter().map(|slice| slice.len()).sum())
+            };
+            assert!(self.router.write(to, send).unwrap());
+        }
+    }
+
+    /// What a connection reads now.
+    fn reads(&mut self, of: usize) -> Vec<u8> {
+        self.flush();
+        core::mem::take(&mut self.read[of])
+    }
+
+    fn register(&mut self, connection: usize, name: u32) -> i8 {
+        let head = Head::new(13, MailboxName::NOBODY, MailboxName::NOBODY).with_body(4).unwrap();
+        self.send(connection, &[&head.to_bytes()[..], &name.to_le_bytes()].concat());
+        Head::parse(&self.reads(connection)).unwrap().kind
+    }
+
+    fn endings(&mut self) -> Vec<(u32, Ending)> {
+        core::iter::from_fn(|| self.router.next_ending()).map(|(of, why)| (of.0, why)).collect()
+    }
+
+    fn counters(&self, of: usize) -> Counters {
+        self.router.status(self.now).clients[of].counters
+    }
+}
+
+fn package(kind: i8, to: u32, from: u32, body: &[u8]) -> Vec<u8> {
+    let head = Head { priority: 5, id: 9, ..Head::new(kind, MailboxName(to), MailboxName(from)) };
+    [&head.with_body(body.len()).unwrap().to_bytes()[..], body].concat()
+}
+
+fn control(kind: i8, body: &[u8]) -> Vec<u8> {
+    let head = Head { priority: 0, id: 0, ..Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY) };
+    [&head.with_body(body.len()).unwrap().to_bytes()[..], body].concat()
+}
+
+#[test]
+fn bytes_are_those_seen_between_real_peers() {
+    // 0: J, big-endian; 1: J2; 2: C.
+    let mut net = Net::of(3);
+    net.send(0, &hex("000d0000 00000000 00000000 00000014 00100100"));
+    assert_eq!(net.reads(0), hex("03000000 00000000 00000000 10000000"));
+    net.send(1, &hex("000d0000 00000000 00000000 00000014 00100200"));
+    net.reads(1);
+    net.send(0, &hex("00154d2a 00100200 00100100 00000015 68656c6c6f"));
+    assert_eq!(net.reads(1), hex("01154d2a 00021000 00011000 15000000 68656c6c6f"));
+    net.send(0, &hex("0003052b 00106300 00100100 00000010"));
+    assert_eq!(net.reads(0), hex("03fd052b 00011000 00631000 10000000"));
+    net.send(0, &hex("00fa052c 00106300 00100100 00000010"));
+    assert_eq!(net.reads(0), [], "a reply to nobody");
+
+    net.now = LIFESIGN_EVERY;
+    net.router.round(net.now);
+    for client in 0..3 {
+        assert_eq!(net.reads(client), hex("03110000 00000000 00000000 10000000"));
+    }
+    net.send(0, &hex("00000000 00000000 00000000 00000010"));
+    net.send(2, &hex("03130000 00000000 00000000 10000000"));
+    net.send(2, &hex("030d0000 00000000 00000000 14000000"));
+    net.send(2, &hex("00001c00"));
+    assert_eq!(net.reads(2), hex("03000000 00000000 00000000 10000000"));
+    net.send(0, &hex("00060000 001c0000 00100100 00000010"));
+    assert_eq!(net.reads(2), hex("01060000 00001c00 00011000 10000000"));
+}
+
+#[test]
+fn a_name_is_one_connections() {
+    let mut net = Net::of(2);
+    assert_eq!(net.register(0, 0x10_0100), wire::OK);
+    assert_eq!((net.register(0, 0x10_0100), net.register(1, 0x10_0100)), (wire::ERROR, wire::ERROR));
+    // Without an answer one's own name is let pass, and another's is refused and counted.
+    net.send(0, &control(11, &0x10_0100u32.to_le_bytes()));
+    net.send(1, &control(11, &0x10_0100u32.to_le_bytes()));
+    assert_eq!((net.counters(0).names_refused, net.counters(1).names_refused), (1, 2));
+    net.send(1, &control(14, &0x10_0100u32.to_le_bytes()));
+    assert_eq!(Head::parse(&net.reads(1)).unwrap().kind, wire::ERROR, "it is not its own");
+    net.send(1, &package(-6, 0x10_0100, 7, b"x"));
+    assert_eq!(net.reads(0).len(), HEAD_LEN + 1, "it is there still");
+    for (kind, name) in [(14, 0x10_0100u32), (14, 0x99)] {
+        net.send(0, &control(kind, &name.to_le_bytes()));
+        assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::OK, "{name:#x}");
+    }
+    assert_eq!(net.register(1, 0x10_0100), wire::OK);
+}
+
+#[test]
+fn names_end_with_a_purge_and_with_their_connection() {
+    let mut net = Net::of(2);
+    for name in [1, 2, 3] {
+        assert_eq!(net.register(0, name), wire::OK);
+    }
+    net.send(0, &control(12, &2u32.to_le_bytes()));
+    assert_eq!(net.register(1, 2), wire::OK);
+    net.send(0, &control(15, &[]));
+    assert_eq!((net.register(1, 1), net.register(0, 3)), (wire::OK, wire::OK));
+    net.router.disconnect(Connection(0), Ending::Left, 70);
+    assert_eq!(net.register(1, 3), wire::OK);
+    let status = net.router.status(70);
+    assert_eq!((status.clients.len(), status.closed[0].names.len(), status.closed[0].open_for), (1, 1, 70));
+}
+
+#[test]
+fn no_name_is_everybodys() {
+    let mut net = Net::of(1);
+    net.send(0, &control(11, &[0; 4]));
+    assert_eq!((net.reads(0).len(), net.counters(0).names_refused), (0, 0), "let pass silently");
+    assert_eq!(net.register(0, 0), wire::ERROR);
+    net.send(0, &package(4, 0, 7, &[]));
+    assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::NOT_AVAILABLE, "0 is nobody");
+}
+
+#[test]
+fn unknown_and_malformed_controls_are_counted() {
+    let mut net = Net::of(1);
+    for kind in [10, 9, 16, 17, 20, 127, -1, -128] {
+        net.send(0, &control(kind, b"any"));
+    }
+    assert_eq!(net.counters(0).controls_ignored, 8);
+    for (kind, body) in [(11, 3), (12, 5), (15, 1), (18, 1), (19, 4)] {
+        net.send(0, &control(kind, &vec![0; body]));
+    }
+    assert_eq!((net.counters(0).controls_malformed, net.reads(0).len()), (5, 0));
+    for kind in [13, 14] {
+        net.send(0, &control(kind, &[1; 8]));
+        assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::ERROR);
+    }
+    assert_eq!(net.endings(), [], "the connection stays");
+}
+
+#[test]
+fn a_connection_that_sends_no_package_is_closed() {
+    let mut net = Net::of(2);
+    net.register(0, 1);
+    net.send(0, &hex("03010000 01000000 01000000 0f000000"));
+    let [(0, Ending::NoPackage(_))] = net.endings()[..] else { panic!() };
+    net.router.disconnect(Connection(0), Ending::Left, 0);
+    assert_eq!(net.register(1, 1), wire::OK);
+}
+
+#[test]
+fn silence_ends_a_connection_in_the_round_after_it_was_asked() {
+    let mut net = Net::of(4);
+    net.send(2, &control(19, &[]));
+    let round = |net: &mut Net| {
+        net.now = net.router.next_round();
+        net.router.round(net.now);
+        net.flush();
+        net.endings()
+    };
+    assert_eq!(round(&mut net), []);
+    // 0 answers; 1 does not, nor does 2, whose watchdog is off; 3 sends something else.
+    net.send(0, &control(0, &[]));
+    net.send(3, &package(-6, 1, 2, b"data"));
+    assert_eq!(round(&mut net), [(1, Ending::Silent)]);
+    net.router.disconnect(Connection(1), Ending::Silent, net.now);
+    net.send(0, &control(0, &[]));
+    net.send(2, &control(18, &[]));
+    assert_eq!(round(&mut net), [(3, Ending::Silent)]);
+    assert_eq!(round(&mut net).len(), 3, "all are silent by now, and 3 is open still");
+}
+
+#[test]
+fn nobody_sends_in_anothers_name() {
+    let mut net = Net::of(3);
+    (0..3).for_each(|client| assert_eq!(net.register(client, client as u32 + 1), wire::OK));
+    net.send(2, &package(-6, 2, 1, b"forged"));
+    net.send(2, &package(4, 2, 1, b"forged"));
+    assert_eq!((net.reads(0).len(), net.reads(1).len(), net.counters(2).foreign_senders), (0, 0, 2));
+    assert_eq!(Head::parse(&net.reads(2)).unwrap().kind, wire::NOT_AVAILABLE, "the command's own connection is answered");
+    net.send(2, &package(-6, 2, 77, b"of nobody"));
+    assert_eq!(net.reads(1).len(), HEAD_LEN + 9);
+}
+
+#[test]
+fn a_receiver_that_does_not_read_costs_its_senders_answers_only() {
+    let mut net = Net::of(2);
+    net.register(1, 2);
+    let sent = 3 * Limits::default().queue / 1_016;
+    for _ in 0..sent {
+        net.send(0, &package(1, 2, 7, &[0; 1_000]));
+    }
+    let status = net.router.status(0);
+    assert!(status.clients[1].waiting_bytes <= Limits::default().queue);
+    let refused = net.counters(0).receiver_full;
+    assert_eq!((refused, net.counters(1).queue_full), (sent as u64 - status.clients[1].waiting as u64, refused));
+    assert_eq!(net.reads(0).len(), HEAD_LEN * refused as usize, "each command is answered");
+}
+
+#[test]
+fn an_urgent_package_and_a_lifesign_overtake_ten_thousand() {
+    let mut net = Net::of(2);
+    net.register(1, 2);
+    for _ in 0..10_000 {
+        net.send(0, &package(-6, 2, 7, &[0; 48]));
+    }
+    let urgent = Head { priority: 200, ..Head::new(-6, MailboxName(2), MailboxName(7)) };
+    net.send(0, &urgent.to_bytes());
+    net.router.round(0);
+    let read = net.reads(1);
+    let first = [0, HEAD_LEN].map(|at| Head::parse(&read[at..]).unwrap());
+    assert_eq!((first[0].kind, first[1].priority), (LIFESIGN, 200));
+    assert_eq!(read.len(), 10_000 * 64 + 2 * HEAD_LEN);
+}
+
+#[test]
+fn limits_hold_and_are_counted() {
+    let limits = Limits { connections: 2, names: 2, queue: 0 };
+    let mut net = Net { router: Router::new(limits, 0), read: vec![Vec::new(); 2], now: 0 };
+    let opened: Vec<_> = (0..3).map(|_| net.router.connect(PEER, 0).is_ok()).collect();
+    assert_eq!(opened, [true, true, false]);
+    assert_eq!([1, 2, 3].map(|name| net.register(0, name)), [wire::OK, wire::OK, wire::ERROR]);
+    assert_eq!(net.router.status(0).counters.connections_refused, 1);
+    net.router.disconnect(Connection(0), Ending::Left, 0);
+    assert_eq!(net.router.connect(PEER, 0), Ok(Connection(0)));
+    for _ in 0..2 * CLOSED {
+        net.router.disconnect(Connection(0), Ending::Left, 0);
+        net.router.connect(PEER, 0).unwrap();
+    }
+    assert_eq!(net.router.status(0).closed.len(), CLOSED);
+}

@@ -1,0 +1,288 @@
+//! The router's loop over sockets: one thread.
+
+#[cfg(test)]
+mod tests;
+
+use std::io::{self, Read, Write};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::time::{Duration, Instant};
+
+use mio::event::Event;
+use mio::net::{TcpListener, TcpStream};
+use mio::{Events, Interest, Poll, Token, Waker};
+use socket2::SockRef;
+
+use super::router::{Connection, Ending, Limits, Router, Status};
+
+/// Events of one wait.
+const EVENTS: usize = 1_024;
+/// Bytes of one read. A connection that has more waits until all others had their turn.
+const READ: usize = 64 << 10;
+/// Bytes that the kernel takes for a connection before it sends them: what is more urgent overtakes all that waits here, and
+/// nothing that the kernel has.
+const UNSENT: u32 = 16 << 10;
+/// After an accept that failed for want of descriptors or memory the next is tried so much later.
+const REST: Duration = Duration::from_millis(100);
+const WAKER: Token = Token(usize::MAX);
+/// Tokens of listeners count down from here, those of connections up from 0.
+const LISTENERS: usize = usize::MAX / 2;
+
+/// A router on sockets. [`Server::run`] is its thread.
+pub struct Server {
+    poll: Poll,
+    router: Router,
+    begun: Instant,
+    listeners: Vec<TcpListener>,
+    sockets: Vec<Option<Socket>>,
+    /// Connections that may have more to be read.
+    readable: Vec<Connection>,
+    /// When listeners are tried again.
+    accepts_again: Option<Instant>,
+    questions: Receiver<Sender<Status>>,
+    remote: Remote,
+}
+
+/// Asks a running server, or ends it, from any thread.
+#[derive(Clone)]
+pub struct Remote {
+    stop: Arc<AtomicBool>,
+    waker: Arc<Waker>,
+    questions: Sender<Sender<Status>>,
+}
+
+struct Socket {
+    stream: TcpStream,
+    is_readable: bool,
+    /// The peer has ended its side: reads go on until they say so.
+    is_ended: bool,
+}
+
+impl Server {
+    /// Listens at these addresses.
+    pub fn listen(addresses: &[SocketAddr], limits: Limits) -> io::Result<Self> {
+        let poll = Poll::new()?;
+        let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
+        let (asks, questions) = channel();
+        let mut listeners = Vec::new();
+        for (place, address) in addresses.iter().enumerate() {
+            let mut listener = TcpListener::bind(*address)?;
+            poll.registry().register(&mut listener, Token(LISTENERS + place), Interest::READABLE)?;
+            listeners.push(listener);
+        }
+        Ok(Self {
+            poll,
+            router: Router::new(limits, 0),
+            begun: Instant::now(),
+            listeners,
+            sockets: Vec::new(),
+            readable: Vec::new(),
+            accepts_again: None,
+            questions,
+            remote: Remote { stop: Arc::default(), waker, questions: asks },
+        })
+    }
+
+    /// Where it listens: the ports that it was given for 0.
+    pub fn addresses(&self) -> io::Result<Vec<SocketAddr>> {
+        self.listeners.iter().map(TcpListener::local_addr).collect()
+    }
+
+    /// What other threads have of it.
+    pub fn remote(&self) -> Remote {
+        self.remote.clone()
+    }
+
+    /// Runs until it is stopped.
+    pub fn run(&mut self) -> io::Result<()> {
+        let mut events = Events::with_capacity(EVENTS);
+        let mut room = vec![0; READ];
+        while !self.remote.stop.load(Ordering::Relaxed) {
+            match self.poll.poll(&mut events, self.patience()) {
+                Err(error) if error.kind() != io::ErrorKind::Interrupted => return Err(error),
+                _ => {}
+            }
+            for event in &events {
+                self.event(event);
+            }
+            self.read(&mut room);
+            // What has come is handed over before anybody is blamed for silence.
+            if self.readable.is_empty() && self.now() >= self.router.next_round() {
+                self.router.round(self.now());
+            }
+            self.accept_again();
+            self.write();
+            self.close();
+            self.answer();
+        }
+        Ok(())
+    }
+
+    fn now(&self) -> u64 {
+        self.begun.elapsed().as_millis() as u64
+    }
+
+    /// How long it waits for events.
+    fn patience(&self) -> Option<Duration> {
+        if !self.readable.is_empty() {
+            return Some(Duration::ZERO);
+        }
+        let round = Duration::from_millis(self.router.next_round().saturating_sub(self.now()));
+        let accept = self.accepts_again.map(|at| at.saturating_duration_since(Instant::now()));
+        Some(accept.map_or(round, |accept| accept.min(round)))
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event.token() {
+            WAKER => {}
+            Token(place) if place >= LISTENERS => self.accept(place - LISTENERS),
+            Token(place) => {
+                let Some(socket) = self.sockets.get_mut(place).and_then(Option::as_mut) else { return };
+                socket.is_ended |= event.is_read_closed() || event.is_error();
+                if (event.is_readable() || socket.is_ended) && !socket.is_readable {
+                    socket.is_readable = true;
+                    self.readable.push(Connection(place as u32));
+                }
+                if event.is_writable() {
+                    self.write_to(Connection(place as u32));
+                }
+            }
+        }
+    }
+
+    fn accept(&mut self, place: usize) {
+        loop {
+            match self.listeners[place].accept() {
+                Ok((stream, peer)) => self.connected(stream, peer),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                // The client has gone meanwhile.
+                Err(error) if error.raw_os_error().is_some_and(|of| [libc::ECONNABORTED, libc::EINTR].contains(&of)) => {}
+                Err(_) => {
+                    self.accepts_again = Some(Instant::now() + REST);
+                    return;
+                }
+            }
+        }
+    }
+
+    fn accept_again(&mut self) {
+        if self.accepts_again.is_some_and(|at| Instant::now() >= at) {
+            self.accepts_again = None;
+            (0..self.listeners.len()).for_each(|place| self.accept(place));
+        }
+    }
+
+    fn connected(&mut self, mut stream: TcpStream, peer: SocketAddr) {
+        // Without these it is slower, not wrong.
+        let _ = stream.set_nodelay(true);
+        let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+        // One connection too many is closed at once, and counted.
+        let Ok(connection) = self.router.connect(peer, self.now()) else { return };
+        let place = connection.0 as usize;
+        let both = Interest::READABLE | Interest::WRITABLE;
+        if let Err(error) = self.poll.registry().register(&mut stream, Token(place), both) {
+            return self.router.disconnect(connection, broken(&error), self.now());
+        }
+        if self.sockets.len() <= place {
+            self.sockets.resize_with(place + 1, || None);
+        }
+        self.sockets[place] = Some(Socket { stream, is_readable: false, is_ended: false });
+    }
+
+    /// Reads once from each connection that has something.
+    fn read(&mut self, room: &mut [u8]) {
+        let now = self.now();
+        for connection in core::mem::take(&mut self.readable) {
+            let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else { continue };
+            let ending = match socket.stream.read(room) {
+                Ok(0) => Some(Ending::Left),
+                Ok(length) => {
+                    self.router.received(connection, &room[..length], now);
+                    // A read that was not filled has found the end of what there is.
+                    if length == room.len() || socket.is_ended {
+                        self.readable.push(connection);
+                    } else {
+                        socket.is_readable = false;
+                    }
+                    None
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    socket.is_readable = false;
+                    None
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {
+                    self.readable.push(connection);
+                    None
+                }
+                Err(error) => Some(broken(&error)),
+            };
+            if let Some(why) = ending {
+                self.disconnect(connection, why);
+            }
+        }
+    }
+
+    fn write(&mut self) {
+        while let Some(connection) = self.router.next_awake() {
+            self.write_to(connection);
+        }
+    }
+
+    /// What the kernel does not take waits until there is room.
+    fn write_to(&mut self, connection: Connection) {
+        let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else { return };
+        if let Err(error) = self.router.write(connection, |slices| socket.stream.write_vectored(slices)) {
+            self.disconnect(connection, broken(&error));
+        }
+    }
+
+    fn close(&mut self) {
+        while let Some((connection, why)) = self.router.next_ending() {
+            self.disconnect(connection, why);
+        }
+    }
+
+    fn disconnect(&mut self, connection: Connection, why: Ending) {
+        // Closed before its number is another's.
+        if let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::take) {
+            drop(socket);
+            self.readable.retain(|readable| *readable != connection);
+            self.router.disconnect(connection, why, self.now());
+        }
+    }
+
+    fn answer(&mut self) {
+        loop {
+            match self.questions.try_recv() {
+                Ok(asked) => {
+                    // A question that was given up meanwhile has no answer.
+                    let _ = asked.send(self.router.status(self.now()));
+                }
+                Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
+            }
+        }
+    }
+}
+
+impl Remote {
+    /// Ends the server's loop.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // It looks at the next event, at the latest.
+        let _ = self.waker.wake();
+    }
+
+    /// The router as it is; `None` if the server has not answered in time.
+    pub fn status(&self, patience: Duration) -> Option<Status> {
+        let (answer, answered) = channel();
+        self.questions.send(answer).ok()?;
+        self.waker.wake().ok()?;
+        answered.recv_timeout(patience).ok()
+    }
+}
+
+fn broken(error: &io::Error) -> Ending {
+    Ending::Broken(error.raw_os_error().unwrap_or(libc::EIO))
+}

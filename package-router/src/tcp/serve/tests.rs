@@ -1,0 +1,137 @@
+use std::net::TcpStream as Std;
+use std::thread::JoinHandle;
+
+use super::*;
+use crate::name::MailboxName;
+use crate::wire::{self, HEAD_LEN, Head};
+
+const PATIENCE: Duration = Duration::from_secs(30);
+
+struct Running {
+    at: SocketAddr,
+    remote: Remote,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Running {
+    fn start(limits: Limits) -> Self {
+        let mut server = Server::listen(&["127.0.0.1:0".parse().unwrap()], limits).unwrap();
+        let (at, remote) = (server.addresses().unwrap()[0], server.remote());
+        let thread = std::thread::spawn(move || server.run().unwrap());
+        Self { at, remote, thread: Some(thread) }
+    }
+
+    fn connect(&self) -> Std {
+        let stream = Std::connect(self.at).unwrap();
+        stream.set_nodelay(true).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream
+    }
+
+    fn status(&self) -> Status {
+        self.remote.status(PATIENCE).unwrap()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.remote.stop();
+        self.thread.take().map(JoinHandle::join);
+    }
+}
+
+fn package(kind: i8, to: u32, from: u32, body: &[u8]) -> Vec<u8> {
+    let head = Head::new(kind, MailboxName(to), MailboxName(from)).with_body(body.len()).unwrap();
+    [&head.to_bytes()[..], body].concat()
+}
+
+fn read(from: &mut Std) -> (Head, Vec<u8>) {
+    let mut head = [0; HEAD_LEN];
+    from.read_exact(&mut head).unwrap();
+    let head = Head::parse(&head).unwrap();
+    let mut body = vec![0; head.body_len()];
+    from.read_exact(&mut body).unwrap();
+    (head, body)
+}
+
+fn register(stream: &mut Std, name: u32) {
+    stream.write_all(&package(13, 0, 0, &name.to_le_bytes())).unwrap();
+    assert_eq!(read(stream).0.kind, wire::OK);
+}
+
+fn eventually(running: &Running, holds: impl Fn(&Status) -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !holds(&running.status()) {
+        assert!(Instant::now() < deadline, "{:?}", running.status());
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn packages_of_any_length_go_from_one_connection_to_another() {
+    let running = Running::start(Limits::default());
+    let (mut a, mut b) = (running.connect(), running.connect());
+    register(&mut b, 2);
+    for length in [0, 1, 5_000, wire::MAX_LEN - HEAD_LEN] {
+        a.write_all(&package(-6, 2, 1, &vec![length as u8; length])).unwrap();
+        let (head, body) = read(&mut b);
+        assert_eq!((head.body_len(), body), (length, vec![length as u8; length]));
+    }
+    a.write_all(&package(4, 9, 1, &[])).unwrap();
+    assert_eq!(read(&mut a).0.kind, wire::NOT_AVAILABLE);
+}
+
+#[test]
+fn a_connection_that_does_not_read_disturbs_no_other() {
+    let running = Running::start(Limits { queue: 1 << 20, ..Limits::default() });
+    let (mut a, mut b, mut deaf) = (running.connect(), running.connect(), running.connect());
+    register(&mut b, 2);
+    register(&mut deaf, 3);
+    let long = package(-6, 3, 1, &[0; 100_000]);
+    for _ in 0..400 {
+        a.write_all(&long).unwrap();
+    }
+    a.write_all(&package(-6, 2, 1, b"past it")).unwrap();
+    assert_eq!(read(&mut b).1, b"past it");
+    let status = running.status();
+    assert!(status.counters.queue_full > 100, "{status:?}");
+    assert!(status.clients.iter().all(|client| client.waiting_bytes <= 1 << 20));
+}
+
+#[test]
+fn why_a_connection_was_closed_is_remembered() {
+    let running = Running::start(Limits::default());
+    let (a, mut b) = (running.connect(), running.connect());
+    eventually(&running, |status| status.clients.len() == 2);
+    b.write_all(&[0xff; HEAD_LEN]).unwrap();
+    assert_eq!(b.read(&mut [0]).unwrap(), 0, "it is closed");
+    drop(a);
+    eventually(&running, |status| status.clients.is_empty());
+    let why: Vec<_> = running.status().closed.iter().map(|closed| closed.why).collect();
+    assert!(matches!(why[..], [Ending::Left, Ending::NoPackage(_)]), "{why:?}");
+}
+
+#[test]
+fn a_name_is_free_again_once_its_connection_is_closed() {
+    let running = Running::start(Limits::default());
+    for _ in 0..50 {
+        let mut client = running.connect();
+        register(&mut client, 7);
+        drop(client);
+        eventually(&running, |status| status.clients.is_empty());
+    }
+}
+
+#[test]
+fn connections_beyond_the_limit_are_closed_and_counted() {
+    let running = Running::start(Limits { connections: 2, ..Limits::default() });
+    let (mut a, mut b) = (running.connect(), running.connect());
+    register(&mut a, 1);
+    register(&mut b, 2);
+    let mut c = running.connect();
+    assert_eq!(c.read(&mut [0]).unwrap_or(0), 0);
+    assert_eq!(running.status().counters.connections_refused, 1);
+    drop(a);
+    eventually(&running, |status| status.clients.len() == 1);
+    register(&mut running.connect(), 1);
+}

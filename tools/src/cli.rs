@@ -5,6 +5,7 @@ mod listen;
 mod min_cycle;
 mod packages;
 mod plan;
+mod router;
 mod schedule;
 mod sim;
 mod stack;
@@ -32,6 +33,7 @@ pub use packages::{
     duration,
 };
 pub use plan::PlanArgs;
+pub use router::{RouterArgs, RouterRunArgs, RouterVerb};
 pub use schedule::{ScheduleArgs, ScheduleVerb, WhenArgs};
 pub use sim::{SimRunArgs, SimVerb};
 pub use stack::{PingArgs, RouteArgs, RouteVerb, ShowArgs, StackArgs};
@@ -157,6 +159,15 @@ pub enum Verb {
     ///
     /// Exit status: 0; 1 nothing came, or a package could not be sent; 2 bad usage, or the station refuses.
     Package(PackageVerbArgs),
+    /// Run the TCP router, by which programs on other hosts and in other languages send each other packages; or look at one
+    ///
+    /// Programs connect by TCP and register the names of their mailboxes; the router passes packages on, the most urgent first.
+    /// It runs in the foreground. Of a connection that does not read, packages wait up to a limit; beyond it less urgent ones make
+    /// room for more urgent ones, all others are refused, and a command that is lost is answered NOT_AVAILABLE.
+    ///
+    /// Exit status: 0 it was told to end (Ctrl-C, SIGTERM); 1 it cannot go on; 2 bad usage, an address that is taken, a name that
+    /// is taken.
+    Router(RouterArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants
     ///
     /// Nothing is sent. Of a lab it listens on the bridge, as the user who owns the lab; on an interface as

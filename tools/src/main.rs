@@ -38,6 +38,7 @@ fn main() -> ExitCode {
         Verb::Vnic(args) => cmd::vnic::vnic(args),
         Verb::Mailbox(args) => cmd::package::mailbox(args),
         Verb::Package(args) => cmd::package::package(args),
+        Verb::Router(args) => cmd::router::router(args),
         Verb::Completions { shell } => cmd::manual::completions(*shell),
         Verb::Man { directory } => cmd::manual::man(directory),
         Verb::Jitter(args) => cmd::jitter::jitter(args),

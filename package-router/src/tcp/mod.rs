@@ -7,6 +7,7 @@
 //!
 //! [`router`] has all rules and no socket: bytes go in, bytes are to be written. [`serve`] is its loop over sockets.
 
+pub mod config;
 pub mod control;
 pub mod frames;
 pub mod outgoing;

@@ -4,9 +4,9 @@ mod status;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeSet, HashMap, VecDeque};
+use core::net::SocketAddr;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, IoSlice};
-use std::net::SocketAddr;
 
 use super::control::{Control, LIFESIGN};
 use super::frames::Frames;
@@ -83,7 +83,7 @@ pub struct Router {
     limits: Limits,
     clients: Vec<Option<Client>>,
     free: Vec<u32>,
-    table: HashMap<MailboxName, Connection>,
+    table: BTreeMap<MailboxName, Connection>,
     awake: Vec<Connection>,
     endings: Vec<(Connection, Ending)>,
     closed: VecDeque<Closed>,
@@ -99,7 +99,7 @@ impl Router {
             limits: Limits { queue: limits.queue.max(MAX_LEN), ..limits },
             clients: Vec::new(),
             free: Vec::new(),
-            table: HashMap::new(),
+            table: BTreeMap::new(),
             awake: Vec::new(),
             endings: Vec::new(),
             closed: VecDeque::new(),

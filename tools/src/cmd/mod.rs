@@ -16,6 +16,7 @@ pub mod ping;
 pub mod plan;
 pub mod pool;
 pub mod route;
+pub mod router;
 pub mod schedule;
 pub mod sim;
 mod sim_seeds;

@@ -12,6 +12,7 @@ use socket2::{Domain, SockAddr, Socket, Type};
 
 use super::places::{Directory, Place};
 use super::protocol::{Envelope, LabReply, LabRequest, LabStatus, Reply, Request, StationStatus, read};
+use super::router::{RouterReply, RouterRequest, RouterShown};
 use super::sockets::{StackReply, StackRequest};
 
 /// A control thread answers within milliseconds; one that does not is stopped or stuck.
@@ -65,6 +66,16 @@ pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) ->
         Reply::Stack(reply) => Ok(*reply),
         Reply::Refused(why) => Err(anyhow!("station '{place}': {why}")),
         _ => bail!("station '{place}' answers what it was not asked"),
+    }
+}
+
+/// How a router is.
+pub fn router_status(directory: &Directory, name: &str) -> Result<RouterShown> {
+    let place = Place { lab: None, station: name.to_owned() };
+    let reply = exchange(&directory.station(&place), RouterRequest::Status, PATIENCE);
+    match reply.map_err(|error| explain(error, "router", name, Vec::new()))? {
+        RouterReply::Status(shown) => Ok(*shown),
+        RouterReply::Refused(why) => Err(anyhow!("router '{name}': {why}")),
     }
 }
 

@@ -17,12 +17,13 @@ mod places;
 mod programs;
 mod protocol;
 mod ring;
+mod router;
 mod schedule;
 mod server;
 mod sockets;
 mod vnic;
 
-pub use client::{Question, ask, ask_lab, ask_stack, lab_status, put, station_status};
+pub use client::{Question, ask, ask_lab, ask_stack, lab_status, put, router_status, station_status};
 pub use clock::{CalibrationShown, ClockShown, Progress};
 pub use loads::Load;
 pub use places::{Directory, Held, Home, Place, check_name, parse_name};
@@ -32,6 +33,7 @@ pub use protocol::{
     SlotRequest, SlotShown, StationStatus, VERSION, read,
 };
 pub use ring::RingShown;
+pub use router::{ClientShown, ClosedShown, RouterReply, RouterRequest, RouterShown};
 pub use schedule::{ActivationSaid, ChangesTold, ScheduleRequest, ScheduleSaid, ScheduleShown, SlotOf};
 pub use server::{REQUEST_AT_MOST, Server, Traffic, check_length};
 pub use sockets::{

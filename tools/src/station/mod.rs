@@ -435,7 +435,7 @@ fn reach_by(name: &str) -> Result<Reach> {
 
 /// Once its sockets are open and its thread is set up, a station needs no capability any more. A line if the kernel
 /// does not let go of them.
-fn drop_capabilities() -> Option<String> {
+pub fn drop_capabilities() -> Option<String> {
     let sets = [CapSet::Ambient, CapSet::Effective, CapSet::Permitted, CapSet::Inheritable];
     let dropped = sets.into_iter().try_for_each(|set| caps::clear(None, set));
     dropped.err().map(|error| format!("capabilities: {error}: the station keeps all that it was given"))

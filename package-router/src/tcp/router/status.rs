@@ -1,6 +1,6 @@
 //! What people see of a router.
 
-use std::net::SocketAddr;
+use core::net::SocketAddr;
 
 use super::{Ending, Router};
 use crate::name::MailboxName;

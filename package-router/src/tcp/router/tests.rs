@@ -3,7 +3,7 @@ use crate::wire::HEAD_LEN;
 
 mod model;
 
-const PEER: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 9);
+const PEER: SocketAddr = SocketAddr::new(core::net::IpAddr::V4(core::net::Ipv4Addr::LOCALHOST), 9);
 
 /// A router with connections, and all bytes that have left for each.
 struct Net {

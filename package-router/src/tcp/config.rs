@@ -1,0 +1,150 @@
+//! A router's file.
+//!
+//! ```
+//! use package_router::tcp::config::RouterFile;
+//!
+//! let file = RouterFile::parse(
+//!     r#"
+//!         name = "router"              # default: this
+//!         insecure = false             # true: other hosts may connect without a key
+//!
+//!         [[listen]]                   # default: one, this
+//!         address = "127.0.0.1:2000"
+//!
+//!         [limits]                     # default: these
+//!         connections = 10000
+//!         names = 1024                 # mailboxes of one connection
+//!         queue = 4194304              # bytes that wait for one connection, 262144 or more
+//!     "#,
+//!     "router.toml",
+//! )?;
+//! assert_eq!((file.listen[0].port(), file.limits.names), (2000, 1024));
+//! # Ok::<(), package_router::name::FileError>(())
+//! ```
+
+use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::router::Limits;
+use crate::name::{FileError, Source};
+use crate::wire::MAX_LEN;
+
+/// Where peers of this protocol look for a router.
+pub const PORT: u16 = 2000;
+
+/// What a router is to be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RouterFile {
+    /// What it is called on its host, if that is said.
+    pub name: Option<String>,
+    /// Where it listens.
+    pub listen: Vec<SocketAddr>,
+    /// Whether it may listen where other hosts reach it.
+    pub insecure: bool,
+    /// What it holds at the most.
+    pub limits: Limits,
+}
+
+/// Without a file: on this host only, at the usual port.
+impl Default for RouterFile {
+    fn default() -> Self {
+        let here = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), PORT);
+        Self { name: None, listen: vec![here], insecure: false, limits: Limits::default() }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: Option<String>,
+    #[serde(default)]
+    insecure: bool,
+    #[serde(default)]
+    listen: Vec<Listen>,
+    #[serde(default)]
+    limits: LimitsFile,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Listen {
+    address: SocketAddr,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LimitsFile {
+    connections: Option<Spanned<usize>>,
+    names: Option<Spanned<usize>>,
+    queue: Option<Spanned<usize>>,
+}
+
+impl RouterFile {
+    /// Reads what `text` says, of a file that messages call `file`.
+    pub fn parse(text: &str, file: &str) -> Result<Self, FileError> {
+        let source = Source { file, text };
+        let File { name, insecure, listen, limits } = source.read(source.tables()?)?;
+        let default = Self::default();
+        let at_least = |said: Option<Spanned<usize>>, default: usize, least: usize| match said {
+            Some(said) if *said.get_ref() < least => {
+                let what = format!("{} is too few: make it {least} or more", said.get_ref());
+                Err(source.wrong(said.span().start, what))
+            }
+            said => Ok(said.map_or(default, Spanned::into_inner)),
+        };
+        let limits = Limits {
+            connections: at_least(limits.connections, default.limits.connections, 1)?,
+            names: at_least(limits.names, default.limits.names, 1)?,
+            queue: at_least(limits.queue, default.limits.queue, MAX_LEN)?,
+        };
+        let listen = match listen.is_empty() {
+            true => default.listen,
+            false => listen.into_iter().map(|listen| listen.address).collect(),
+        };
+        Ok(Self { name, listen, insecure, limits })
+    }
+
+    /// The first address that other hosts reach, unless they may.
+    pub fn exposed(&self) -> Option<SocketAddr> {
+        let exposed = self.listen.iter().find(|address| !address.ip().is_loopback());
+        exposed.copied().filter(|_| !self.insecure)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(text: &str) -> String {
+        RouterFile::parse(text, "r.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_empty_file_is_no_file() {
+        assert_eq!(RouterFile::parse("", "r.toml"), Ok(RouterFile::default()));
+        assert_eq!(RouterFile::default().listen, ["127.0.0.1:2000".parse().unwrap()]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_place() {
+        assert!(refused("listn = 1").starts_with("r.toml:1:1: unknown field `listn`"), "{}", refused("listn = 1"));
+        let text = "[limits]\nconnections = 5\nqueue = 1000";
+        assert_eq!(refused(text), "r.toml:3:9: 1000 is too few: make it 262144 or more");
+        assert!(refused("[[listen]]\naddress = \"here\"").starts_with("r.toml:2:11: "));
+        assert!(refused("[limits]\nnames = 0").contains("make it 1 or more"));
+    }
+
+    #[test]
+    fn other_hosts_reach_a_router_only_if_they_may() {
+        let of = |insecure: bool, address: &str| {
+            let text = format!("insecure = {insecure}\n[[listen]]\naddress = \"{address}\"");
+            RouterFile::parse(&text, "r.toml").unwrap().exposed().is_some()
+        };
+        let open = ["0.0.0.0:2000", "10.0.0.1:1", "[::]:2000"];
+        assert_eq!(open.map(|address| of(false, address)), [true; 3]);
+        assert_eq!(open.map(|address| of(true, address)), [false; 3]);
+        assert_eq!(["127.0.0.1:0", "127.9.9.9:2000", "[::1]:2000"].map(|address| of(false, address)), [false; 3]);
+    }
+}

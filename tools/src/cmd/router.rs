@@ -1,0 +1,179 @@
+//! `rtnet router`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, ensure};
+use package_router::tcp::config::RouterFile;
+use package_router::tcp::serve::{Remote, Server};
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+use super::{Failure, print};
+use crate::cli::{RouterArgs, RouterRunArgs, RouterVerb};
+use crate::control::{self, ClientShown, Directory, Envelope, Place, RouterReply, RouterRequest, RouterShown};
+use crate::remedy::explained;
+use crate::report::text::{Column, duration, grouped, table};
+use crate::scenario::read_text;
+use crate::station::drop_capabilities;
+
+const USUAL_NAME: &str = "router";
+/// How often a router that nobody asks looks whether it is to end.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// How long its loop may take for an answer.
+const PATIENCE: Duration = Duration::from_secs(2);
+const WIDTH: usize = 120;
+
+/// Runs a router until it is told to stop, or looks at one.
+pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
+    match &args.verb {
+        None => run(&args.run),
+        Some(RouterVerb::Status { name, json }) => {
+            let directory = Directory::of_user().map_err(Failure::Usage)?;
+            let shown = control::router_status(&directory, name).map_err(Failure::Usage)?;
+            print(*json, &shown, describe).map_err(Failure::Run)?;
+            Ok(0)
+        }
+    }
+}
+
+fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
+    let file = wanted(args).map_err(Failure::Usage)?;
+    let name = file.name.as_deref().unwrap_or(USUAL_NAME);
+    let stop = Arc::new(AtomicBool::new(false));
+    let (mut server, mut control, _held) = set_up(&file, name, &stop).map_err(Failure::Usage)?;
+    if let Some(line) = drop_capabilities() {
+        eprintln!("rtnet: {line}");
+    }
+    let listen: Vec<String> = addresses(&server).map_err(Failure::Run)?;
+    eprintln!("rtnet: router '{name}' listens at {}", listen.join(", "));
+    let (remote, begun) = (server.remote(), Instant::now());
+    let routes = std::thread::Builder::new().name("router".into()).spawn(move || server.run());
+    let routes = routes.context("a thread for the router").map_err(Failure::Run)?;
+    while !stop.load(Ordering::Relaxed) && !routes.is_finished() {
+        let status = || shown(name, &listen, begun, &remote);
+        control.serve(LOOK_EVERY, |packet, _| Envelope::pack(answer(packet, status)));
+    }
+    remote.stop();
+    let ended = routes.join().map_err(|_| anyhow!("the router's thread has panicked")).map_err(Failure::Run)?;
+    ended.context("the router's loop").map_err(Failure::Run)?;
+    Ok(0)
+}
+
+/// What it is to be: the options count before the file.
+fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
+    let mut file = args.file.as_deref().map(read).transpose()?.unwrap_or_default();
+    if !args.listen.is_empty() {
+        file.listen.clone_from(&args.listen);
+    }
+    file.insecure |= args.insecure;
+    if let Some(name) = &args.name {
+        file.name = Some(name.clone());
+    }
+    if let Some(name) = &file.name {
+        control::parse_name(name).map_err(|why| anyhow!(why))?;
+    }
+    if let Some(exposed) = file.exposed() {
+        ensure!(
+            false,
+            "other hosts reach {exposed}, and nothing keeps a stranger from registering names there: listen on 127.0.0.1, or say \
+             --insecure"
+        );
+    }
+    Ok(file)
+}
+
+fn read(path: &Path) -> Result<RouterFile> {
+    Ok(RouterFile::parse(&read_text(path)?, &path.display().to_string())?)
+}
+
+fn set_up(file: &RouterFile, name: &str, stop: &Arc<AtomicBool>) -> Result<(Server, control::Server, control::Held)> {
+    let directory = Directory::of_user()?;
+    let held = directory.take_station(name)?;
+    let path = directory.station(&Place { lab: None, station: name.into() });
+    let control = control::Server::bind(&path)?;
+    let places: Vec<String> = file.listen.iter().map(ToString::to_string).collect();
+    let server = Server::listen(&file.listen, file.limits).map_err(explained);
+    let server = server.with_context(|| format!("cannot listen at {}", places.join(", ")))?;
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone())?;
+    }
+    Ok((server, control, held))
+}
+
+fn addresses(server: &Server) -> Result<Vec<String>> {
+    Ok(server.addresses()?.iter().map(ToString::to_string).collect())
+}
+
+fn answer(packet: &[u8], status: impl Fn() -> Option<RouterShown>) -> RouterReply {
+    match control::read(packet) {
+        Ok(RouterRequest::Status) => match status() {
+            Some(shown) => RouterReply::Status(Box::new(shown)),
+            None => RouterReply::Refused("its loop has not answered in time".into()),
+        },
+        Err(why) => RouterReply::Refused(why),
+    }
+}
+
+fn shown(name: &str, listen: &[String], begun: Instant, remote: &Remote) -> Option<RouterShown> {
+    let status = remote.status(PATIENCE)?;
+    Some(RouterShown::of(name, listen, begun.elapsed().as_millis() as u64, &status))
+}
+
+fn describe(router: &RouterShown) -> String {
+    let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
+    let up = duration(router.up_ms * 1_000_000);
+    let mut lines = vec![format!(
+        "router '{name}', process {pid}, at {} for {up}: {connections} connections, {names} mailboxes, {waiting} packages waiting",
+        listen.join(", ")
+    )];
+    let clients = &router.clients;
+    if !clients.is_empty() {
+        lines.push(String::new());
+        let count = |of: &BTreeMap<String, u64>, name: &str| grouped(of.get(name).copied().unwrap_or(0));
+        let column = |head: [&'static str; 2], of: &dyn Fn(&ClientShown) -> String| {
+            Column::right(head, clients.iter().map(of))
+        };
+        let columns = [
+            Column::left(["", "from"], clients.iter().map(|client| client.peer.clone())),
+            column(["", "open"], &|client| duration(client.open_ms * 1_000_000)),
+            column(["packages", "in"], &|client| count(&client.counters, "packages_in")),
+            column(["packages", "out"], &|client| count(&client.counters, "packages_out")),
+            column(["", "waiting"], &|client| grouped(client.waiting as u64)),
+            column(["oldest", "ms"], &|client| client.oldest_ms.map_or("-".into(), grouped)),
+            Column::left(["", "mailboxes"], clients.iter().map(names_of)),
+        ];
+        lines.extend(table(&columns, WIDTH));
+        if *connections > clients.len() {
+            lines.push(format!("... and {} more", connections - clients.len()));
+        }
+    }
+    let dropped: Vec<String> = router
+        .counters
+        .iter()
+        .filter(|(name, count)| **count > 0 && !TRAFFIC.contains(&name.as_str()))
+        .map(|(name, count)| format!("{} {}", name.replace('_', " "), grouped(*count)))
+        .collect();
+    if !dropped.is_empty() {
+        lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
+    }
+    if !router.closed.is_empty() {
+        lines.extend([String::new(), "closed connections, the newest first:".into()]);
+        lines.extend(router.closed.iter().map(|closed| {
+            let [ago, open] = [closed.ago_ms, closed.open_ms].map(|ms| duration(ms * 1_000_000));
+            format!("{} {ago} ago, after {open}: {}", closed.peer, closed.why)
+        }));
+    }
+    lines.join("\n") + "\n"
+}
+
+/// Counters that say what went well.
+const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_out"];
+
+fn names_of(client: &ClientShown) -> String {
+    let more = client.names - client.first_names.len();
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{more}", client.first_names.join(" "))
+}

@@ -1,0 +1,162 @@
+//! What a TCP router is asked, and answers.
+
+use std::collections::BTreeMap;
+
+use package_router::tcp::router::{ClientStatus, Closed, Counters, Status};
+use serde::{Deserialize, Serialize};
+
+use crate::report::document::document;
+
+/// Connections that are shown one by one, those with the most bytes waiting; and names of each.
+pub const CLIENTS_SHOWN: usize = 100;
+const NAMES_SHOWN: usize = 16;
+
+/// What a router may be asked.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum RouterRequest {
+    /// How it is.
+    Status,
+}
+
+/// What it answers.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RouterReply {
+    /// How it is.
+    Status(Box<RouterShown>),
+    /// Not done, and why.
+    Refused(String),
+}
+
+/// A router as people see it.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct RouterShown {
+    /// What it is called.
+    pub name: String,
+    /// Its process.
+    pub pid: u32,
+    /// Where it listens.
+    pub listen: Vec<String>,
+    /// Milliseconds since its start.
+    pub up_ms: u64,
+    /// Open connections.
+    pub connections: usize,
+    /// Mailboxes of all of them.
+    pub names: usize,
+    /// Packages that wait for all of them.
+    pub waiting: usize,
+    /// What was counted since its start, by name.
+    pub counters: BTreeMap<String, u64>,
+    /// The open connections, those with the most bytes waiting first; 100 at the most.
+    pub clients: Vec<ClientShown>,
+    /// The last 64 connections that were closed, the newest first.
+    pub closed: Vec<ClosedShown>,
+}
+
+document!(RouterShown, "router-status", router_status_schema_is_kept);
+
+/// An open connection.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct ClientShown {
+    /// Where it comes from.
+    pub peer: String,
+    /// Milliseconds since it was opened.
+    pub open_ms: u64,
+    /// How many mailboxes it has.
+    pub names: usize,
+    /// The first 16 of them.
+    pub first_names: Vec<String>,
+    /// Whether it is asked for signs of life.
+    pub watchdog: bool,
+    /// Packages that wait for it.
+    pub waiting: usize,
+    /// Their bytes.
+    pub waiting_bytes: usize,
+    /// Milliseconds that the oldest of them has waited.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub oldest_ms: Option<u64>,
+    /// What was counted of it, without what is 0.
+    pub counters: BTreeMap<String, u64>,
+}
+
+/// A connection that was closed.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct ClosedShown {
+    /// Where it came from.
+    pub peer: String,
+    /// Why it was closed.
+    pub why: String,
+    /// Milliseconds ago.
+    pub ago_ms: u64,
+    /// For how many milliseconds it was open.
+    pub open_ms: u64,
+    /// How many mailboxes it had.
+    pub names: usize,
+    /// The first 16 of them.
+    pub first_names: Vec<String>,
+    /// What was counted of it, without what is 0.
+    pub counters: BTreeMap<String, u64>,
+}
+
+impl RouterShown {
+    /// Of a router's status, `up_ms` after its start.
+    pub fn of(name: &str, listen: &[String], up_ms: u64, status: &Status) -> Self {
+        let mut clients: Vec<&ClientStatus> = status.clients.iter().collect();
+        clients.sort_by_key(|client| std::cmp::Reverse(client.waiting_bytes));
+        clients.truncate(CLIENTS_SHOWN);
+        Self {
+            name: name.into(),
+            pid: std::process::id(),
+            listen: listen.to_vec(),
+            up_ms,
+            connections: status.clients.len(),
+            names: status.clients.iter().map(|client| client.names.len()).sum(),
+            waiting: status.clients.iter().map(|client| client.waiting).sum(),
+            counters: status.counters.each().map(|(name, count)| (name.to_owned(), count)).collect(),
+            clients: clients.into_iter().map(ClientShown::of).collect(),
+            closed: status.closed.iter().map(|closed| ClosedShown::of(closed, up_ms)).collect(),
+        }
+    }
+}
+
+impl ClientShown {
+    fn of(client: &ClientStatus) -> Self {
+        Self {
+            peer: client.peer.to_string(),
+            open_ms: client.open_for,
+            names: client.names.len(),
+            first_names: first(&client.names),
+            watchdog: client.watchdog,
+            waiting: client.waiting,
+            waiting_bytes: client.waiting_bytes,
+            oldest_ms: client.oldest,
+            counters: counted(&client.counters),
+        }
+    }
+}
+
+impl ClosedShown {
+    fn of(closed: &Closed, now_ms: u64) -> Self {
+        Self {
+            peer: closed.peer.to_string(),
+            why: closed.why.to_string(),
+            ago_ms: now_ms.saturating_sub(closed.at),
+            open_ms: closed.open_for,
+            names: closed.names.len(),
+            first_names: first(&closed.names),
+            counters: counted(&closed.counters),
+        }
+    }
+}
+
+fn first(names: &[package_router::name::MailboxName]) -> Vec<String> {
+    names.iter().take(NAMES_SHOWN).map(ToString::to_string).collect()
+}
+
+fn counted(counters: &Counters) -> BTreeMap<String, u64> {
+    counters.each().filter(|(_, count)| *count > 0).map(|(name, count)| (name.to_owned(), count)).collect()
+}

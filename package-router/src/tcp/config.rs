@@ -129,7 +129,11 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_place() {
-        assert!(refused("listn = 1").starts_with("r.toml:1:1: unknown field `listn`"), "{}", refused("listn = 1"));
+        assert!(
+            refused("listn = 1").starts_with("r.toml:1:1: unknown field `listn`"),
+            "{}",
+            refused("listn = 1")
+        );
         let text = "[limits]\nconnections = 5\nqueue = 1000";
         assert_eq!(refused(text), "r.toml:3:9: 1000 is too few: make it 262144 or more");
         assert!(refused("[[listen]]\naddress = \"here\"").starts_with("r.toml:2:11: "));
@@ -145,6 +149,9 @@ mod tests {
         let open = ["0.0.0.0:2000", "10.0.0.1:1", "[::]:2000"];
         assert_eq!(open.map(|address| of(false, address)), [true; 3]);
         assert_eq!(open.map(|address| of(true, address)), [false; 3]);
-        assert_eq!(["127.0.0.1:0", "127.9.9.9:2000", "[::1]:2000"].map(|address| of(false, address)), [false; 3]);
+        assert_eq!(
+            ["127.0.0.1:0", "127.9.9.9:2000", "[::1]:2000"].map(|address| of(false, address)),
+            [false; 3]
+        );
     }
 }

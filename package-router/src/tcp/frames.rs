@@ -16,7 +16,8 @@ impl Frames {
     /// says where the next package would begin. Memory is taken for what has come, not for what a head announces.
     pub fn cut(&mut self, mut bytes: &[u8], mut each: impl FnMut(Head, &[u8])) -> Result<(), HeadError> {
         if !self.begun.is_empty() {
-            let Some(head) = self.filled(&mut bytes, HEAD_LEN).then(|| Head::parse(&self.begun)).transpose()?
+            let Some(head) =
+                self.filled(&mut bytes, HEAD_LEN).then(|| Head::parse(&self.begun)).transpose()?
             else {
                 return Ok(());
             };
@@ -71,11 +72,17 @@ mod tests {
 
     #[test]
     fn packages_are_the_same_however_their_bytes_come() {
-        let packages =
-            [package(21, b"hello", Endian::Big), package(-6, &[], Endian::Little), package(3, &[7; 99], Endian::Big)];
+        let packages = [
+            package(21, b"hello", Endian::Big),
+            package(-6, &[], Endian::Little),
+            package(3, &[7; 99], Endian::Big),
+        ];
         let bytes = packages.concat();
         let whole = cut(&mut Frames::default(), &bytes);
-        assert_eq!(whole.iter().map(|(kind, body)| (*kind, body.len())).collect::<Vec<_>>(), [(21, 5), (-6, 0), (3, 99)]);
+        assert_eq!(
+            whole.iter().map(|(kind, body)| (*kind, body.len())).collect::<Vec<_>>(),
+            [(21, 5), (-6, 0), (3, 99)]
+        );
         for at_once in 1..bytes.len() {
             let mut frames = Frames::default();
             let pieces: Vec<_> = bytes.chunks(at_once).flat_map(|piece| cut(&mut frames, piece)).collect();
@@ -93,9 +100,13 @@ mod tests {
             head[12..].copy_from_slice(&len.to_le_bytes());
             for at_once in [1, HEAD_LEN] {
                 let mut frames = Frames::default();
-                let refused = head.chunks(at_once).find_map(|piece| frames.cut(piece, |_, _| panic!("{len}")).err());
+                let refused =
+                    head.chunks(at_once).find_map(|piece| frames.cut(piece, |_, _| panic!("{len}")).err());
                 // Byte by byte the refusal comes with the next one at the latest.
-                assert!(refused.is_some() || frames.cut(&[0], |_, _| ()).is_err(), "{len}, {at_once} at once");
+                assert!(
+                    refused.is_some() || frames.cut(&[0], |_, _| ()).is_err(),
+                    "{len}, {at_once} at once"
+                );
             }
         }
     }

@@ -131,7 +131,12 @@ impl Outgoing {
 
     /// When the oldest of them came.
     pub fn oldest(&self) -> Option<u64> {
-        self.levels.iter().filter(|level| level.priority < OWN).filter_map(|level| level.waiting.front()).map(|of| of.since).min()
+        self.levels
+            .iter()
+            .filter(|level| level.priority < OWN)
+            .filter_map(|level| level.waiting.front())
+            .map(|of| of.since)
+            .min()
     }
 
     /// Gives memory back that nothing waits in.
@@ -151,7 +156,8 @@ impl Outgoing {
             Some(place) if self.levels[place].priority == priority => place,
             place => {
                 let place = place.unwrap_or(self.levels.len());
-                self.levels.insert(place, Level { priority, bytes: VecDeque::new(), waiting: VecDeque::new() });
+                self.levels
+                    .insert(place, Level { priority, bytes: VecDeque::new(), waiting: VecDeque::new() });
                 place
             }
         }
@@ -182,7 +188,9 @@ impl Outgoing {
             let begun = self.begun;
             // What has partly left stays.
             let kept = |level: &Level| usize::from(begun.is_some_and(|(of, _)| of == level.priority));
-            let Some(level) = self.levels.iter_mut().rfind(|level| level.waiting.len() > kept(level)) else { break };
+            let Some(level) = self.levels.iter_mut().rfind(|level| level.waiting.len() > kept(level)) else {
+                break;
+            };
             let kept = kept(level);
             let first = if kept == 1 { begun.map_or(0, |(_, rest)| rest) } else { 0 };
             let Some(Waiting { len, .. }) = level.waiting.remove(kept) else { break };
@@ -205,14 +213,18 @@ impl Outgoing {
         let mut add = |level: &'a Level, from: usize, to: usize| {
             let (front, back) = level.bytes.as_slices();
             let split = front.len();
-            for part in [&front[from.min(split)..to.min(split)], &back[from.max(split) - split..to.max(split) - split]] {
+            for part in [
+                &front[from.min(split)..to.min(split)],
+                &back[from.max(split) - split..to.max(split) - split],
+            ] {
                 if !part.is_empty() && count < SLICES {
                     slices[count] = IoSlice::new(part);
                     (count, all) = (count + 1, all + part.len());
                 }
             }
         };
-        let rest_of = |level: &Level| self.begun.filter(|(of, _)| *of == level.priority).map_or(0, |(_, rest)| rest);
+        let rest_of =
+            |level: &Level| self.begun.filter(|(of, _)| *of == level.priority).map_or(0, |(_, rest)| rest);
         self.levels.iter().for_each(|level| add(level, 0, rest_of(level)));
         self.levels.iter().for_each(|level| add(level, rest_of(level), level.bytes.len()));
         (count, all)
@@ -268,7 +280,9 @@ mod tests {
             queue.write(|slices| Ok(taken(&mut bytes, slices, at_once))).unwrap();
         }
         let mut seen = Vec::new();
-        super::super::frames::Frames::default().cut(&bytes, |head, _| seen.push((head.priority, head.id))).unwrap();
+        super::super::frames::Frames::default()
+            .cut(&bytes, |head, _| seen.push((head.priority, head.id)))
+            .unwrap();
         assert_eq!((queue.bytes(), queue.packages(), queue.oldest()), (0, 0, None));
         seen
     }
@@ -322,7 +336,8 @@ mod tests {
         let mut queue = Outgoing::new(3 * 36);
         let mut push = |priority, id, body: usize| {
             let mut dropped = Vec::new();
-            let pushed = queue.push(&head(priority, id, body), &vec![0; body], 0, |head| dropped.push(head.id));
+            let pushed =
+                queue.push(&head(priority, id, body), &vec![0; body], 0, |head| dropped.push(head.id));
             pushed.map(|()| dropped)
         };
         assert_eq!(push(3, 0, 20), Ok(vec![]));
@@ -358,7 +373,9 @@ mod tests {
         }
         let mut seen = Vec::new();
         let frames = &mut super::super::frames::Frames::default();
-        frames.cut(&bytes, |head, body| seen.push((head.id, body.iter().all(|byte| *byte == head.id % 10)))).unwrap();
+        frames
+            .cut(&bytes, |head, body| seen.push((head.id, body.iter().all(|byte| *byte == head.id % 10))))
+            .unwrap();
         assert_eq!(seen, [(0, true), (10, true), (9, true)]);
         assert_eq!(head(1, 0, 0).head_order, Endian::Little);
     }

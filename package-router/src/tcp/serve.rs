@@ -158,7 +158,10 @@ impl Server {
                 Ok((stream, peer)) => self.connected(stream, peer),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
                 // The client has gone meanwhile.
-                Err(error) if error.raw_os_error().is_some_and(|of| [libc::ECONNABORTED, libc::EINTR].contains(&of)) => {}
+                Err(error)
+                    if error
+                        .raw_os_error()
+                        .is_some_and(|of| [libc::ECONNABORTED, libc::EINTR].contains(&of)) => {}
                 Err(_) => {
                     self.accepts_again = Some(Instant::now() + REST);
                     return;
@@ -195,7 +198,9 @@ impl Server {
     fn read(&mut self, room: &mut [u8]) {
         let now = self.now();
         for connection in core::mem::take(&mut self.readable) {
-            let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else { continue };
+            let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
+                continue;
+            };
             let ending = match socket.stream.read(room) {
                 Ok(0) => Some(Ending::Left),
                 Ok(length) => {
@@ -232,7 +237,9 @@ impl Server {
 
     /// What the kernel does not take waits until there is room.
     fn write_to(&mut self, connection: Connection) {
-        let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else { return };
+        let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
+            return;
+        };
         if let Err(error) = self.router.write(connection, |slices| socket.stream.write_vectored(slices)) {
             self.disconnect(connection, broken(&error));
         }

@@ -13,7 +13,9 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::{Failure, print};
 use crate::cli::{RouterArgs, RouterRunArgs, RouterVerb};
-use crate::control::{self, ClientShown, Directory, Envelope, Place, RouterReply, RouterRequest, RouterShown};
+use crate::control::{
+    self, ClientShown, Directory, Envelope, Place, RouterReply, RouterRequest, RouterShown,
+};
 use crate::remedy::explained;
 use crate::report::text::{Column, duration, grouped, table};
 use crate::scenario::read_text;
@@ -57,7 +59,8 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
         control.serve(LOOK_EVERY, |packet, _| Envelope::pack(answer(packet, status)));
     }
     remote.stop();
-    let ended = routes.join().map_err(|_| anyhow!("the router's thread has panicked")).map_err(Failure::Run)?;
+    let ended =
+        routes.join().map_err(|_| anyhow!("the router's thread has panicked")).map_err(Failure::Run)?;
     ended.context("the router's loop").map_err(Failure::Run)?;
     Ok(0)
 }
@@ -89,7 +92,11 @@ fn read(path: &Path) -> Result<RouterFile> {
     Ok(RouterFile::parse(&read_text(path)?, &path.display().to_string())?)
 }
 
-fn set_up(file: &RouterFile, name: &str, stop: &Arc<AtomicBool>) -> Result<(Server, control::Server, control::Held)> {
+fn set_up(
+    file: &RouterFile,
+    name: &str,
+    stop: &Arc<AtomicBool>,
+) -> Result<(Server, control::Server, control::Held)> {
     let directory = Directory::of_user()?;
     let held = directory.take_station(name)?;
     let path = directory.station(&Place { lab: None, station: name.into() });

@@ -204,7 +204,11 @@ fn nobody_sends_in_anothers_name() {
     net.send(2, &package(-6, 2, 1, b"forged"));
     net.send(2, &package(4, 2, 1, b"forged"));
     assert_eq!((net.reads(0).len(), net.reads(1).len(), net.counters(2).foreign_senders), (0, 0, 2));
-    assert_eq!(Head::parse(&net.reads(2)).unwrap().kind, wire::NOT_AVAILABLE, "the command's own connection is answered");
+    assert_eq!(
+        Head::parse(&net.reads(2)).unwrap().kind,
+        wire::NOT_AVAILABLE,
+        "the command's own connection is answered"
+    );
     net.send(2, &package(-6, 2, 77, b"of nobody"));
     assert_eq!(net.reads(1).len(), HEAD_LEN + 9);
 }
@@ -220,7 +224,10 @@ fn a_receiver_that_does_not_read_costs_its_senders_answers_only() {
     let status = net.router.status(0);
     assert!(status.clients[1].waiting_bytes <= Limits::default().queue);
     let refused = net.counters(0).receiver_full;
-    assert_eq!((refused, net.counters(1).queue_full), (sent as u64 - status.clients[1].waiting as u64, refused));
+    assert_eq!(
+        (refused, net.counters(1).queue_full),
+        (sent as u64 - status.clients[1].waiting as u64, refused)
+    );
     assert_eq!(net.reads(0).len(), HEAD_LEN * refused as usize, "each command is answered");
 }
 

@@ -26,8 +26,16 @@ fn step() -> impl Strategy<Value = Step> {
     let (client, name) = (0..CLIENTS, 0..=NAMES);
     // Some bodies fill a queue, so that packages are refused and make room for others.
     let body = prop_oneof![0..64usize, 0..64usize, Just(100_000usize), Just(MAX_LEN - HEAD_LEN)];
-    let send = (client.clone(), name.clone(), name.clone(), any::<bool>(), 0..4u8, body)
-        .prop_map(|(client, to, from, command, priority, body)| Step::Send { client, to, from, command, priority, body });
+    let send = (client.clone(), name.clone(), name.clone(), any::<bool>(), 0..4u8, body).prop_map(
+        |(client, to, from, command, priority, body)| Step::Send {
+            client,
+            to,
+            from,
+            command,
+            priority,
+            body,
+        },
+    );
     prop_oneof![
         3 => (client.clone(), name.clone()).prop_map(|(client, name)| Step::Register(client, name)),
         1 => (client.clone(), name).prop_map(|(client, name)| Step::Delete(client, name)),
@@ -191,7 +199,13 @@ fn runs(steps: Vec<Step>) {
             }
             Step::Send { client, to, from, command, priority, body } => {
                 // To 0 from 0 is control, and of no known kind.
-                let kind = if (to, from) == (0, 0) { -100 } else if command { 21 } else { -6 };
+                let kind = if (to, from) == (0, 0) {
+                    -100
+                } else if command {
+                    21
+                } else {
+                    -6
+                };
                 let head = Head { priority, ..Head::new(kind, MailboxName(to), MailboxName(from)) };
                 let head = head.with_body(body).unwrap();
                 net.send(client, &[&head.to_bytes()[..], &vec![priority; body]].concat());

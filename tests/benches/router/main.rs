@@ -1,0 +1,58 @@
+//! What a router of packages costs its clients: they are all in this process, on one thread; the router is another process. One
+//! measurement each run, its figures in a line of JSON; `scripts/bench-router` runs them.
+//!
+//! ```text
+//! router bare PORT                              forwards bytes between each two connections, and does nothing else
+//! router trips PROTOCOL PORT SECONDS CLIENTS    64 bytes there and back between two of so many clients, one after the other
+//! router rate PROTOCOL PORT SECONDS PAIRS       64 bytes from so many senders, each to a receiver of its own
+//! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after so many clients have joined
+//! router abuse PROTOCOL PORT                    a client that does not read, one that sends a byte a second, 1000 that say nothing
+//! ```
+
+// A benchmark waits, and reads clocks.
+#![allow(clippy::disallowed_methods)]
+
+mod bare;
+mod clients;
+mod protocols;
+
+use std::net::SocketAddr;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+
+fn main() -> ExitCode {
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    match asked(&words.iter().map(String::as_str).collect::<Vec<_>>()) {
+        Ok(line) => {
+            println!("{line}");
+            ExitCode::SUCCESS
+        }
+        Err(why) => {
+            println!("{}", serde_json::json!({ "error": format!("{why:#}") }));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn asked(words: &[&str]) -> Result<serde_json::Value> {
+    let at = |port: &str| {
+        Ok::<_, anyhow::Error>(SocketAddr::from(([127, 0, 0, 1], port.parse().context("a port")?)))
+    };
+    let seconds = |of: &str| Ok::<_, anyhow::Error>(Duration::from_secs_f64(of.parse().context("seconds")?));
+    match *words {
+        ["bare", port] => bare::forward(at(port)?),
+        ["trips", protocol, port, time, clients] => {
+            clients::trips(protocols::named(protocol)?, at(port)?, seconds(time)?, clients.parse()?)
+        }
+        ["rate", protocol, port, time, pairs] => {
+            clients::rate(protocols::named(protocol)?, at(port)?, seconds(time)?, pairs.parse()?)
+        }
+        ["idle", protocol, port, pid, count] => {
+            clients::idle(protocols::named(protocol)?, at(port)?, pid.parse()?, count.parse()?)
+        }
+        ["abuse", protocol, port] => clients::abuse(protocols::named(protocol)?, at(port)?),
+        _ => bail!("what is to be measured? See the head of tests/benches/router/main.rs"),
+    }
+}

@@ -1,0 +1,162 @@
+"""A client's part of the protocol without I/O: bytes come in, bytes are to be sent. Both fronts stand on it."""
+
+import heapq
+import itertools
+from typing import Dict, List, Optional, Tuple
+
+from .names import NOBODY, shown
+from .wire import DELETE, ERROR, LIFESIGN, NOT_AVAILABLE, OK, REGISTER, TIMEOUT, Decoder, Package, control
+
+
+class Unavailable(Exception):
+    """A call that was not answered as it should be."""
+
+
+class NotAvailable(Unavailable):
+    """Nobody has the mailbox, or it has no room."""
+
+
+class Failed(Unavailable):
+    """The other side answers that it cannot."""
+
+
+class TimedOut(Unavailable):
+    """No answer came in time, or the other side says that something took too long."""
+
+
+class NotConnected(Exception):
+    """There is no router now. The client connects again by itself; what was to be sent was not."""
+
+
+class NameTaken(Exception):
+    """Another connection of the router has this mailbox, or this one has it already."""
+
+
+#: Of the kinds of replies, those that are errors.
+_ERRORS = {ERROR: Failed, TIMEOUT: TimedOut, NOT_AVAILABLE: NotAvailable}
+
+
+def checked(reply: Package) -> Package:
+    """A reply that is no error; else the error."""
+    error = _ERRORS.get(reply.kind)
+    if error:
+        raise error(f"{shown(reply.sender)} answers {reply.kind}")
+    return reply
+
+
+class Inbox:
+    """What waits for one mailbox: the most urgent first, and of equals the oldest. A full one refuses, and counts."""
+
+    def __init__(self, slots: int) -> None:
+        self._slots, self._number = slots, itertools.count()
+        self._waiting: List[Tuple[int, int, Package]] = []
+        #: Packages that found it full.
+        self.refused = 0
+
+    def put(self, package: Package) -> None:
+        if len(self._waiting) < self._slots:
+            heapq.heappush(self._waiting, (-package.priority, next(self._number), package))
+        else:
+            self.refused += 1
+
+    def take(self) -> Optional[Package]:
+        return heapq.heappop(self._waiting)[2] if self._waiting else None
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+
+#: A call that waits: whose, of whom, and its id.
+Call = Tuple[int, int, int]
+
+
+class Session:
+    """The mailboxes of a connection, the calls that wait, and what the router said of names."""
+
+    def __init__(self) -> None:
+        self._decoder, self._ids = Decoder(), itertools.count(1)
+        self.inboxes: Dict[int, Inbox] = {}
+        #: Names by the id of the request that registers them.
+        self._asked: Dict[int, int] = {}
+        #: What the router said of a name: whether it is this connection's.
+        self.registered: Dict[int, bool] = {}
+        self.answers: Dict[Call, Package] = {}
+        self._calls: Dict[Call, None] = {}
+        #: Packages for mailboxes that are gone.
+        self.strays = 0
+
+    def connected(self) -> bytes:
+        """A new connection: all mailboxes are to be registered again."""
+        self._decoder, self._asked = Decoder(), {}
+        self.registered.clear()
+        return b"".join(self._register(name) for name in self.inboxes)
+
+    def add(self, name: int, slots: int) -> bytes:
+        """A mailbox: what registers it."""
+        if name == NOBODY:
+            raise ValueError("0 is nobody's name")
+        if name in self.inboxes:
+            raise NameTaken(f"{shown(name)} is a mailbox of this client already")
+        self.inboxes[name] = Inbox(slots)
+        return self._register(name)
+
+    def again(self, name: int) -> bytes:
+        """Registers a mailbox again that the router has refused: another connection of the same name may be gone by now."""
+        self.registered.pop(name, None)
+        return self._register(name)
+
+    def remove(self, name: int) -> bytes:
+        """A mailbox is gone."""
+        self.inboxes.pop(name, None)
+        self.registered.pop(name, None)
+        return control(DELETE, name.to_bytes(4, "little")).encode()
+
+    def call(self, package: Package) -> Tuple[Call, bytes]:
+        """A command whose reply is waited for: in `answers`, by what is returned."""
+        for _ in range(256):
+            number = next(self._ids) & 0xFF
+            call = (package.sender, package.to, number)
+            if call not in self._calls:
+                break
+        else:
+            raise RuntimeError(f"256 calls of {shown(package.sender)} wait for {shown(package.to)} already")
+        command = Package(package.to, package.sender, package.kind, package.body, package.priority, number, package.little)
+        data = command.encode()
+        self._calls[call] = None
+        return call, data
+
+    def end(self, call: Call) -> Optional[Package]:
+        """A call is not waited for any more: its reply, if there is one."""
+        self._calls.pop(call, None)
+        return self.answers.pop(call, None)
+
+    def feed(self, data: bytes) -> bytes:
+        """What has come is sorted into inboxes and answers; what is to be said to it."""
+        said = b""
+        for package in self._decoder.feed(data):
+            if (package.to, package.sender) == (NOBODY, NOBODY):
+                said += self._from_router(package)
+                continue
+            call = (package.to, package.sender, package.id)
+            if package.kind <= 0 and call in self._calls and call not in self.answers:
+                self.answers[call] = package
+            elif package.to in self.inboxes:
+                self.inboxes[package.to].put(package)
+            else:
+                self.strays += 1
+        return said
+
+    def _from_router(self, package: Package) -> bytes:
+        if package.kind == LIFESIGN:
+            return control(OK).encode()
+        name = self._asked.pop(package.id, None)
+        if name is not None and name in self.inboxes:
+            self.registered[name] = package.kind == OK
+        return b""
+
+    def _register(self, name: int) -> bytes:
+        number = next(self._ids) & 0xFF
+        while number in self._asked:
+            number = next(self._ids) & 0xFF
+        self._asked[number] = name
+        return Package(NOBODY, NOBODY, REGISTER, name.to_bytes(4, "little"), id=number).encode()

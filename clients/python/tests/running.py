@@ -1,0 +1,35 @@
+"""A router to test with: the one at RTNET_ROUTER (host:port), or one of the program RTNET_BIN."""
+
+import os
+import re
+import subprocess
+from typing import Optional, Tuple
+
+
+class RunningRouter:
+    """A router on a port of its own, which can be killed and started again."""
+
+    def __init__(self) -> None:
+        self.program = os.environ["RTNET_BIN"]
+        self.name, self.port = f"python-{os.getpid()}", 0
+        self._process: Optional["subprocess.Popen[str]"] = None
+        self.start()
+
+    @property
+    def place(self) -> Tuple[str, int]:
+        return "127.0.0.1", self.port
+
+    def start(self) -> None:
+        command = [self.program, "router", "--listen", f"127.0.0.1:{self.port}", "--name", self.name]
+        self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        assert self._process.stderr is not None
+        line = self._process.stderr.readline()
+        found = re.search(r"listens at 127\.0\.0\.1:(\d+)", line)
+        assert found, f"the router says: {line}"
+        self.port = int(found.group(1))
+
+    def kill(self) -> None:
+        assert self._process is not None and self._process.stderr is not None
+        self._process.kill()
+        self._process.wait()
+        self._process.stderr.close()

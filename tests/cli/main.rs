@@ -34,6 +34,7 @@ mod proxy;
 mod requests;
 mod rights;
 mod ring;
+mod router;
 mod schedule;
 mod seeds;
 mod silent;

@@ -31,7 +31,7 @@ fn capabilities(pid: u32) -> (usize, Vec<String>) {
 }
 
 #[track_caller]
-fn assert_gives_up_all(pid: u32) -> usize {
+pub fn assert_gives_up_all(pid: u32) -> usize {
     assert_keeps(pid, &[], 2)
 }
 

@@ -1,6 +1,7 @@
 //! What the package router reads: heads and parts of packages, what components ask its broker, files, names.
 
 mod broker;
+mod router;
 mod texts;
 
 use std::collections::BTreeSet;

@@ -46,7 +46,7 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
     let name = file.name.as_deref().unwrap_or(USUAL_NAME);
     let stop = Arc::new(AtomicBool::new(false));
     let (mut server, mut control, _held) = set_up(&file, name, &stop).map_err(Failure::Usage)?;
-    if let Some(line) = drop_capabilities() {
+    for line in [drop_capabilities(), keep_privileges_away()].into_iter().flatten() {
         eprintln!("rtnet: {line}");
     }
     let listen: Vec<String> = addresses(&server).map_err(Failure::Run)?;
@@ -103,11 +103,20 @@ fn set_up(
     let control = control::Server::bind(&path)?;
     let places: Vec<String> = file.listen.iter().map(ToString::to_string).collect();
     let server = Server::listen(&file.listen, file.limits).map_err(explained);
-    let server = server.with_context(|| format!("cannot listen at {}", places.join(", ")))?;
+    let server = server
+        .with_context(|| format!("cannot listen at {} (choose another --listen)", places.join(", ")))?;
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, stop.clone())?;
     }
     Ok((server, control, held))
+}
+
+/// No program that is run from here, by whatever error, gets more than this one has. A line if the kernel does not know that.
+fn keep_privileges_away() -> Option<String> {
+    let kept = nix::sys::prctl::set_no_new_privs();
+    kept.err().map(|error| {
+        format!("no_new_privs: {error}: a program with the set-user-ID bit could get more privileges")
+    })
 }
 
 fn addresses(server: &Server) -> Result<Vec<String>> {
@@ -131,7 +140,7 @@ fn shown(name: &str, listen: &[String], begun: Instant, remote: &Remote) -> Opti
 
 fn describe(router: &RouterShown) -> String {
     let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
-    let up = duration(router.up_ms * 1_000_000);
+    let up = duration(router.up_ns);
     let mut lines = vec![format!(
         "router '{name}', process {pid}, at {} for {up}: {connections} connections, {names} mailboxes, {waiting} packages waiting",
         listen.join(", ")
@@ -145,11 +154,11 @@ fn describe(router: &RouterShown) -> String {
         };
         let columns = [
             Column::left(["", "from"], clients.iter().map(|client| client.peer.clone())),
-            column(["", "open"], &|client| duration(client.open_ms * 1_000_000)),
+            column(["", "open"], &|client| duration(client.open_ns)),
             column(["packages", "in"], &|client| count(&client.counters, "packages_in")),
             column(["packages", "out"], &|client| count(&client.counters, "packages_out")),
             column(["", "waiting"], &|client| grouped(client.waiting as u64)),
-            column(["oldest", "ms"], &|client| client.oldest_ms.map_or("-".into(), grouped)),
+            column(["", "oldest"], &|client| client.oldest_ns.map_or("-".into(), duration)),
             Column::left(["", "mailboxes"], clients.iter().map(names_of)),
         ];
         lines.extend(table(&columns, WIDTH));
@@ -169,7 +178,7 @@ fn describe(router: &RouterShown) -> String {
     if !router.closed.is_empty() {
         lines.extend([String::new(), "closed connections, the newest first:".into()]);
         lines.extend(router.closed.iter().map(|closed| {
-            let [ago, open] = [closed.ago_ms, closed.open_ms].map(|ms| duration(ms * 1_000_000));
+            let [ago, open] = [closed.ago_ns, closed.open_ns].map(duration);
             format!("{} {ago} ago, after {open}: {}", closed.peer, closed.why)
         }));
     }

@@ -10,6 +10,8 @@ use crate::report::document::document;
 /// Connections that are shown one by one, those with the most bytes waiting; and names of each.
 pub const CLIENTS_SHOWN: usize = 100;
 const NAMES_SHOWN: usize = 16;
+/// Nanoseconds of a millisecond, in which the router counts.
+const MS: u64 = 1_000_000;
 
 /// What a router may be asked.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -39,8 +41,8 @@ pub struct RouterShown {
     pub pid: u32,
     /// Where it listens.
     pub listen: Vec<String>,
-    /// Milliseconds since its start.
-    pub up_ms: u64,
+    /// Nanoseconds since its start.
+    pub up_ns: u64,
     /// Open connections.
     pub connections: usize,
     /// Mailboxes of all of them.
@@ -63,8 +65,8 @@ document!(RouterShown, "router-status", router_status_schema_is_kept);
 pub struct ClientShown {
     /// Where it comes from.
     pub peer: String,
-    /// Milliseconds since it was opened.
-    pub open_ms: u64,
+    /// Nanoseconds since it was opened, to the millisecond.
+    pub open_ns: u64,
     /// How many mailboxes it has.
     pub names: usize,
     /// The first 16 of them.
@@ -75,9 +77,9 @@ pub struct ClientShown {
     pub waiting: usize,
     /// Their bytes.
     pub waiting_bytes: usize,
-    /// Milliseconds that the oldest of them has waited.
+    /// Nanoseconds that the oldest of them has waited, to the millisecond.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub oldest_ms: Option<u64>,
+    pub oldest_ns: Option<u64>,
     /// What was counted of it, without what is 0.
     pub counters: BTreeMap<String, u64>,
 }
@@ -90,10 +92,10 @@ pub struct ClosedShown {
     pub peer: String,
     /// Why it was closed.
     pub why: String,
-    /// Milliseconds ago.
-    pub ago_ms: u64,
-    /// For how many milliseconds it was open.
-    pub open_ms: u64,
+    /// Nanoseconds ago, to the millisecond.
+    pub ago_ns: u64,
+    /// For how many nanoseconds it was open, to the millisecond.
+    pub open_ns: u64,
     /// How many mailboxes it had.
     pub names: usize,
     /// The first 16 of them.
@@ -112,7 +114,7 @@ impl RouterShown {
             name: name.into(),
             pid: std::process::id(),
             listen: listen.to_vec(),
-            up_ms,
+            up_ns: up_ms * MS,
             connections: status.clients.len(),
             names: status.clients.iter().map(|client| client.names.len()).sum(),
             waiting: status.clients.iter().map(|client| client.waiting).sum(),
@@ -127,13 +129,13 @@ impl ClientShown {
     fn of(client: &ClientStatus) -> Self {
         Self {
             peer: client.peer.to_string(),
-            open_ms: client.open_for,
+            open_ns: client.open_for * MS,
             names: client.names.len(),
             first_names: first(&client.names),
             watchdog: client.watchdog,
             waiting: client.waiting,
             waiting_bytes: client.waiting_bytes,
-            oldest_ms: client.oldest,
+            oldest_ns: client.oldest.map(|oldest| oldest * MS),
             counters: counted(&client.counters),
         }
     }
@@ -144,8 +146,8 @@ impl ClosedShown {
         Self {
             peer: closed.peer.to_string(),
             why: closed.why.to_string(),
-            ago_ms: now_ms.saturating_sub(closed.at),
-            open_ms: closed.open_for,
+            ago_ns: now_ms.saturating_sub(closed.at) * MS,
+            open_ns: closed.open_for * MS,
             names: closed.names.len(),
             first_names: first(&closed.names),
             counters: counted(&closed.counters),

@@ -1,0 +1,221 @@
+//! The TCP router as its clients meet it, in Python among others.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use package_router::name::MailboxName;
+use package_router::wire::{HEAD_LEN, Head, OK};
+use serde_json::Value;
+
+use crate::cell::{json, text, wait_until};
+use crate::host::{skip, unique};
+use crate::rights::assert_gives_up_all;
+use crate::rtnet;
+
+/// A router on a port of its own; killed when dropped.
+struct Router {
+    name: String,
+    child: Child,
+    at: SocketAddr,
+}
+
+impl Router {
+    fn start(what: &str, arguments: &[&str]) -> Self {
+        let name = unique(what);
+        let mut command = rtnet();
+        command.args(["router", "--name", &name]).args(arguments).stderr(Stdio::piped());
+        if arguments.is_empty() {
+            command.args(["--listen", "127.0.0.1:0"]);
+        }
+        let mut child = command.spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+        let at =
+            line.trim().rsplit_once("listens at ").unwrap_or_else(|| panic!("{line}")).1.parse().unwrap();
+        Self { name, child, at }
+    }
+
+    fn connect(&self) -> TcpStream {
+        let stream = TcpStream::connect(self.at).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+        stream
+    }
+
+    fn status(&self) -> Value {
+        json(rtnet().args(["router", "status", &self.name, "--json"]))
+    }
+
+    fn clients(&self) -> usize {
+        self.status()["clients"].as_array().unwrap().len()
+    }
+}
+
+impl Drop for Router {
+    fn drop(&mut self) {
+        // Gone already where a test has ended it.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn package(kind: i8, to: u32, from: u32, body: &[u8]) -> Vec<u8> {
+    let head = Head::new(kind, MailboxName(to), MailboxName(from)).with_body(body.len()).unwrap();
+    [&head.to_bytes()[..], body].concat()
+}
+
+fn read(from: &mut TcpStream) -> (Head, Vec<u8>) {
+    let mut head = [0; HEAD_LEN];
+    from.read_exact(&mut head).unwrap();
+    let head = Head::parse(&head).unwrap();
+    let mut body = vec![0; head.body_len()];
+    from.read_exact(&mut body).unwrap();
+    (head, body)
+}
+
+fn register(stream: &mut TcpStream, name: u32) {
+    stream.write_all(&package(13, 0, 0, &name.to_le_bytes())).unwrap();
+    assert_eq!(read(stream).0.kind, OK);
+}
+
+fn refusal(output: &Output) -> String {
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    message
+}
+
+#[test]
+fn a_router_shows_its_clients_and_why_others_are_gone() {
+    let router = Router::start("seen", &[]);
+    let (mut pilot, mut chassis) = (router.connect(), router.connect());
+    register(&mut pilot, 0x0018_0000);
+    register(&mut chassis, 0x0011_0000);
+    pilot.write_all(&package(21, 0x0011_0000, 0x0018_0000, b"forward")).unwrap();
+    assert_eq!(read(&mut chassis).1, b"forward");
+    pilot.write_all(&package(-6, 0x0099_0000, 0x0018_0000, b"to nobody")).unwrap();
+    let mut broken = router.connect();
+    broken.write_all(&[0xff; HEAD_LEN]).unwrap();
+    assert_eq!(broken.read(&mut [0]).unwrap(), 0);
+    wait_until("it is counted", || router.status()["counters"]["nobody_there"] == 1);
+
+    let status = router.status();
+    assert_eq!(
+        (&status["connections"], &status["names"], &status["waiting"]),
+        (&2.into(), &2.into(), &0.into())
+    );
+    let why = status["closed"][0]["why"].as_str().unwrap();
+    assert!(why.starts_with("a package of 4294967295 bytes"), "{why}");
+    let shown = text(&rtnet().args(["router", "status", &router.name]).output().unwrap().stdout);
+    for words in [
+        "2 connections, 2 mailboxes, 0 packages waiting",
+        "Pilot(0/0)",
+        "Chassis(0/0)",
+        "nobody there 1",
+        why,
+    ] {
+        assert!(shown.contains(words), "{words}: {shown}");
+    }
+    drop(chassis);
+    wait_until("its client is gone", || router.clients() == 1);
+    pilot.write_all(&package(21, 0x0011_0000, 0x0018_0000, &[])).unwrap();
+    assert_eq!(read(&mut pilot).0.kind, package_router::wire::NOT_AVAILABLE);
+}
+
+#[test]
+fn a_router_ends_when_it_is_told_to_and_its_port_is_free() {
+    let mut router = Router::start("ended", &[]);
+    let mut client = router.connect();
+    register(&mut client, 1);
+    kill(Pid::from_raw(router.child.id() as i32), Signal::SIGTERM).unwrap();
+    assert_eq!(router.child.wait().unwrap().code(), Some(0));
+    assert_eq!(client.read(&mut [0]).unwrap_or(0), 0);
+    let again = Router::start("ended", &["--listen", &router.at.to_string()]);
+    register(&mut again.connect(), 1);
+}
+
+#[test]
+fn a_router_listens_for_other_hosts_only_if_that_is_said() {
+    let refused = rtnet().args(["router", "--listen", "0.0.0.0:0"]).output().unwrap();
+    let message = refusal(&refused);
+    assert!(message.contains("other hosts reach 0.0.0.0:0") && message.contains("--insecure"), "{message}");
+    let router = Router::start("open", &["--listen", "0.0.0.0:0", "--insecure"]);
+    assert!(router.at.ip().is_unspecified());
+}
+
+#[test]
+fn what_keeps_a_router_from_its_start_is_named() {
+    let router = Router::start("first", &[]);
+    let run = |arguments: &[&str]| refusal(&rtnet().arg("router").args(arguments).output().unwrap());
+    let at = router.at.to_string();
+    let taken = run(&["--listen", &at, "--name", &unique("second")]);
+    assert!(taken.contains(&at) && taken.contains("choose another --listen"), "{taken}");
+    let named = run(&["--listen", "127.0.0.1:0", "--name", &router.name]);
+    assert!(named.contains("is taken by process"), "{named}");
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("router.toml");
+    std::fs::write(&file, "[limits]\nqueue = 5\n").unwrap();
+    let wrong = run(&[file.to_str().unwrap()]);
+    assert!(wrong.contains("router.toml:2:9: 5 is too few: make it 262144 or more"), "{wrong}");
+    let nobody = refusal(&rtnet().args(["router", "status", "no-such-router"]).output().unwrap());
+    assert!(nobody.contains("there is no router 'no-such-router'"), "{nobody}");
+}
+
+#[test]
+fn a_router_is_as_its_file_says() {
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("router.toml");
+    std::fs::write(&file, "[[listen]]\naddress = \"127.0.0.1:0\"\n[limits]\nconnections = 1\n").unwrap();
+    let router = Router::start("file", &[file.to_str().unwrap()]);
+    register(&mut router.connect(), 1);
+    wait_until("it is gone", || router.status()["closed"].as_array().unwrap().len() == 1);
+    let mut first = router.connect();
+    register(&mut first, 1);
+    let mut second = router.connect();
+    assert_eq!(second.read(&mut [0]).unwrap_or(0), 0, "one connection is the limit");
+    assert_eq!(router.status()["counters"]["connections_refused"], 1);
+}
+
+#[test]
+fn a_router_that_runs_may_nothing_that_it_does_not_need() {
+    let router = Router::start("rights", &[]);
+    register(&mut router.connect(), 1);
+    assert_gives_up_all(router.child.id());
+    let status = std::fs::read_to_string(format!("/proc/{}/status", router.child.id())).unwrap();
+    assert!(status.contains("NoNewPrivs:\t1"), "{status}");
+}
+
+fn clients() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../clients/python")
+}
+
+/// Runs a program of Python's in a copy of its client, so that nothing is left in this checkout.
+fn python(test: &str, program: &str, arguments: &[&str], package: &str) {
+    if Command::new(program).arg("--version").output().is_err() {
+        return skip(test, &format!("needs {program}: Debian package {package}"));
+    }
+    let place = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp").arg("-r").arg(clients()).arg(place.path()).status().unwrap();
+    assert!(copied.success());
+    let mut command = Command::new(program);
+    command
+        .args(arguments)
+        .current_dir(place.path().join("python"))
+        .env("RTNET_BIN", env!("CARGO_BIN_EXE_rtnet"));
+    let output = command.env("PYTHONWARNINGS", "error").output().unwrap();
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
+}
+
+#[test]
+fn python_clients_join_a_router_and_come_back() {
+    let arguments = ["-m", "unittest", "discover", "-t", ".", "-s", "tests"];
+    python("python_clients_join_a_router_and_come_back", "python3", &arguments, "python3");
+}
+
+#[test]
+fn python_client_is_typed() {
+    python("python_client_is_typed", "mypy", &["--strict"], "mypy");
+}

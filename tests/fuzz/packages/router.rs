@@ -1,0 +1,109 @@
+//! The TCP router: what connections send, in pieces of any length, and what leaves; and its file.
+
+use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use package_router::tcp::config::RouterFile;
+use package_router::tcp::frames::Frames;
+use package_router::tcp::router::{Connection, Ending, Limits, Router};
+
+use super::*;
+
+const CONNECTIONS: usize = 3;
+/// Of each piece: one byte says whose it is, one how long.
+const HEAD: usize = 2;
+
+/// Names registered by two connections, packages between them, a question of the router answered.
+fn seeds() -> Vec<Vec<u8>> {
+    let piece = |connection: u8, hex: &str| {
+        let bytes = unhex(hex);
+        [&[connection, bytes.len() as u8], &bytes[..]].concat()
+    };
+    let all = [
+        piece(0, "000d000000000000000000000000001400100100"),
+        piece(1, "030d000000000000000000001400000000021000"),
+        piece(0, "00154d2a00100200001001000000001568656c6c6f"),
+        piece(2, "0003052b001063000010010000000010"),
+        piece(1, "030f0000000000000000000010000000"),
+        piece(0, "00000000000000000000000000000010"),
+    ];
+    vec![all.concat(), all[0].clone(), [&all[1][..], &all[2]].concat()]
+}
+
+#[test]
+fn router_takes_any_bytes() {
+    fuzz(&Target { name: "router", seeds: seeds(), has_corpus: false, mutate: mutate::bytes, run: routed });
+}
+
+fn routed(bytes: &[u8]) -> Vec<u64> {
+    let mut router = Router::new(Limits { queue: 0, ..Limits::default() }, 0);
+    let peer = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
+    for _ in 0..CONNECTIONS {
+        router.connect(peer, 0).expect("there is room");
+    }
+    let (mut rest, mut now, mut steps) = (bytes, 0, Vec::new());
+    while let Some((&[whose, length], behind)) = rest.split_first_chunk::<HEAD>() {
+        let (piece, behind) = behind.split_at(usize::from(length).min(behind.len()));
+        (rest, now) = (behind, now + 1);
+        let connection = Connection(u32::from(whose) % CONNECTIONS as u32);
+        router.received(connection, piece, now);
+        if whose & 0x80 != 0 {
+            router.round(now);
+        }
+        while let Some((gone, why)) = router.next_ending() {
+            assert!(matches!(why, Ending::NoPackage(_) | Ending::Silent), "{why}");
+            router.disconnect(gone, why, now);
+            assert_eq!(router.connect(peer, now), Ok(gone), "its number is free");
+        }
+        steps.push(left(&mut router, now));
+    }
+    in_turn(&steps)
+}
+
+/// What leaves is packages, little-endian; nothing waits then.
+fn left(router: &mut Router, now: u64) -> u64 {
+    let mut kinds = Vec::new();
+    while let Some(to) = router.next_awake() {
+        let mut read = Vec::new();
+        let send = |slices: &[IoSlice<'_>]| {
+            slices.iter().for_each(|slice| read.extend_from_slice(slice));
+            Ok(slices.iter().map(|slice| slice.len()).sum())
+        };
+        assert!(router.write(to, send).expect("nothing fails"));
+        let cut = Frames::default().cut(&read, |head, body| {
+            assert_eq!((head.head_order, head.body_len()), (Endian::Little, body.len()));
+            kinds.push(head.kind as u64 & 0xff);
+        });
+        assert_eq!(cut, Ok(()));
+    }
+    let status = router.status(now);
+    assert!(status.clients.iter().all(|client| client.waiting == 0 && client.oldest.is_none()));
+    kinds.truncate(4);
+    let counters = status.counters.each().map(|(_, count)| count.min(2));
+    outcome(kinds.into_iter().chain(counters))
+}
+
+#[test]
+fn router_file_takes_any_text() {
+    let file = "name = \"r\"\ninsecure = true\n[[listen]]\naddress = \"127.0.0.1:2000\"\n[limits]\nconnections = 5\nnames = 3\n\
+                queue = 300000\n";
+    fuzz(&Target {
+        name: "router_file",
+        seeds: [file, "", "[limits]\nqueue = 1\n"].map(|text| text.as_bytes().to_vec()).into(),
+        has_corpus: false,
+        mutate: mutate::text,
+        run: |bytes| {
+            let text = String::from_utf8_lossy(bytes);
+            match RouterFile::parse(&text, "a.toml") {
+                Err(error) => {
+                    let error = error.to_string();
+                    assert!(error.starts_with("a.toml:"), "{error}");
+                    vec![outcome(error.bytes().filter(u8::is_ascii_alphabetic).take(40).map(u64::from))]
+                }
+                Ok(file) => {
+                    assert!(!file.listen.is_empty() && file.limits.queue >= MAX_LEN);
+                    vec![file.listen.len() as u64, u64::from(file.insecure)]
+                }
+            }
+        },
+    });
+}

@@ -8,11 +8,13 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use mio::event::Event;
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
+use rtnet::clock::True;
+use rtnet::live::clock::monotonic;
 use socket2::SockRef;
 
 use super::router::{Connection, Ending, Limits, Router, Status};
@@ -24,8 +26,8 @@ const READ: usize = 64 << 10;
 /// Bytes that the kernel takes for a connection before it sends them: what is more urgent overtakes all that waits here, and
 /// nothing that the kernel has.
 const UNSENT: u32 = 16 << 10;
-/// After an accept that failed for want of descriptors or memory the next is tried so much later.
-const REST: Duration = Duration::from_millis(100);
+/// After an accept that failed for want of descriptors or memory the next is tried so many milliseconds later.
+const REST: u64 = 100;
 const WAKER: Token = Token(usize::MAX);
 /// Tokens of listeners count down from here, those of connections up from 0.
 const LISTENERS: usize = usize::MAX / 2;
@@ -34,13 +36,14 @@ const LISTENERS: usize = usize::MAX / 2;
 pub struct Server {
     poll: Poll,
     router: Router,
-    begun: Instant,
+    /// When it began: its times are milliseconds since then.
+    begun: True,
     listeners: Vec<TcpListener>,
     sockets: Vec<Option<Socket>>,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
     /// When listeners are tried again.
-    accepts_again: Option<Instant>,
+    accepts_again: Option<u64>,
     questions: Receiver<Sender<Status>>,
     remote: Remote,
 }
@@ -75,7 +78,7 @@ impl Server {
         Ok(Self {
             poll,
             router: Router::new(limits, 0),
-            begun: Instant::now(),
+            begun: monotonic(),
             listeners,
             sockets: Vec::new(),
             readable: Vec::new(),
@@ -121,7 +124,7 @@ impl Server {
     }
 
     fn now(&self) -> u64 {
-        self.begun.elapsed().as_millis() as u64
+        (monotonic() - self.begun) / 1_000_000
     }
 
     /// How long it waits for events.
@@ -129,9 +132,8 @@ impl Server {
         if !self.readable.is_empty() {
             return Some(Duration::ZERO);
         }
-        let round = Duration::from_millis(self.router.next_round().saturating_sub(self.now()));
-        let accept = self.accepts_again.map(|at| at.saturating_duration_since(Instant::now()));
-        Some(accept.map_or(round, |accept| accept.min(round)))
+        let next = self.accepts_again.unwrap_or(u64::MAX).min(self.router.next_round());
+        Some(Duration::from_millis(next.saturating_sub(self.now())))
     }
 
     fn event(&mut self, event: &Event) {
@@ -163,7 +165,7 @@ impl Server {
                         .raw_os_error()
                         .is_some_and(|of| [libc::ECONNABORTED, libc::EINTR].contains(&of)) => {}
                 Err(_) => {
-                    self.accepts_again = Some(Instant::now() + REST);
+                    self.accepts_again = Some(self.now() + REST);
                     return;
                 }
             }
@@ -171,7 +173,7 @@ impl Server {
     }
 
     fn accept_again(&mut self) {
-        if self.accepts_again.is_some_and(|at| Instant::now() >= at) {
+        if self.accepts_again.is_some_and(|at| self.now() >= at) {
             self.accepts_again = None;
             (0..self.listeners.len()).for_each(|place| self.accept(place));
         }

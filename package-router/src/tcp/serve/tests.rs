@@ -1,5 +1,9 @@
+// Clients wait for their router.
+#![allow(clippy::disallowed_methods)]
+
 use std::net::TcpStream as Std;
 use std::thread::JoinHandle;
+use std::time::Instant;
 
 use super::*;
 use crate::name::MailboxName;

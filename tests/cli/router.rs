@@ -1,9 +1,10 @@
 //! The TCP router as its clients meet it, in Python among others.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
@@ -22,6 +23,9 @@ struct Router {
     name: String,
     child: Child,
     at: SocketAddr,
+    /// Where its figures are, if it has any.
+    figures: Option<SocketAddr>,
+    said: Mutex<Lines<BufReader<ChildStderr>>>,
 }
 
 impl Router {
@@ -33,11 +37,26 @@ impl Router {
             command.args(["--listen", "127.0.0.1:0"]);
         }
         let mut child = command.spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stderr.take().unwrap()).read_line(&mut line).unwrap();
-        let at =
-            line.trim().rsplit_once("listens at ").unwrap_or_else(|| panic!("{line}")).1.parse().unwrap();
-        Self { name, child, at }
+        let mut figures = None;
+        let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+        for line in said.by_ref().map_while(Result::ok) {
+            if let Some((_, at)) = line.rsplit_once("listens at ") {
+                let at = at.parse().unwrap();
+                return Self { name, child, at, figures, said: Mutex::new(said) };
+            }
+            let at = line.rsplit_once("http://").and_then(|(_, at)| at.strip_suffix("/metrics"));
+            figures = Some(at.unwrap_or_else(|| panic!("{line}")).parse().unwrap());
+        }
+        panic!("it says nothing of where it listens");
+    }
+
+    /// Waits until it says something.
+    fn wait_for(&self, words: &str) {
+        let mut said = self.said.lock().unwrap();
+        assert!(
+            said.by_ref().map_while(Result::ok).any(|line| line.contains(words)),
+            "it never says '{words}'"
+        );
     }
 
     fn connect(&self) -> TcpStream {
@@ -177,6 +196,56 @@ fn a_router_is_as_its_file_says() {
     let mut second = router.connect();
     assert_eq!(second.read(&mut [0]).unwrap_or(0), 0, "one connection is the limit");
     assert_eq!(router.status()["counters"]["connections_refused"], 1);
+}
+
+#[test]
+fn a_routers_rules_are_read_again_and_a_wrong_file_changes_nothing() {
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("router.toml");
+    let write = |names: &str| {
+        std::fs::write(
+            &file,
+            format!("[[listen]]\naddress = \"127.0.0.1:0\"\n[[register]]\nnames = [{names}]\n"),
+        )
+        .unwrap();
+    };
+    write("\"0.Pilot.*\"");
+    let router = Router::start("rules", &[file.to_str().unwrap()]);
+    let mut client = router.connect();
+    let mut registers = |name: u32| {
+        client.write_all(&package(13, 0, 0, &name.to_le_bytes())).unwrap();
+        read(&mut client).0.kind == OK
+    };
+    assert!(registers(0x0018_0000) && !registers(0x0011_0000));
+    let hup = || kill(Pid::from_raw(router.child.id() as i32), Signal::SIGHUP).unwrap();
+    write("\"0.Nobody.*\"");
+    hup();
+    router.wait_for("the rules stay as they were: ");
+    assert!(registers(0x0018_0100) && !registers(0x0011_0000));
+    write("\"0.Chassis.*\"");
+    hup();
+    router.wait_for("the rules were read again");
+    // What is asked later is answered later: they hold by then.
+    router.status();
+    assert!(registers(0x0011_0000) && !registers(0x0018_0200));
+    assert_eq!(router.status()["names"], 3, "nobody was dropped");
+}
+
+#[test]
+fn a_router_has_figures_for_prometheus() {
+    let router = Router::start("figures", &["--listen", "127.0.0.1:0", "--metrics", "127.0.0.1:0"]);
+    register(&mut router.connect(), 1);
+    let mut client = TcpStream::connect(router.figures.unwrap()).unwrap();
+    client.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    client.read_to_string(&mut answer).unwrap();
+    assert!(
+        answer.starts_with("HTTP/1.1 200 OK") && answer.contains("\nrtnet_router_packages_total 0\n"),
+        "{answer}"
+    );
+    let refused =
+        rtnet().args(["router", "--listen", "127.0.0.1:0", "--metrics", "0.0.0.0:0"]).output().unwrap();
+    assert!(refusal(&refused).contains("other hosts reach 0.0.0.0:0"));
 }
 
 #[test]

@@ -10,6 +10,7 @@ pub mod daemon;
 pub mod doctor;
 pub mod judge;
 pub mod lab;
+pub mod metrics;
 pub mod min_cycle;
 pub mod observe;
 pub mod plan;

@@ -7,6 +7,7 @@
 //!     r#"
 //!         name = "router"              # default: this
 //!         insecure = false             # true: other hosts may connect without a key
+//!         metrics = "127.0.0.1:9100"   # figures for Prometheus; default: none
 //!
 //!         [[listen]]                   # default: one, this
 //!         address = "127.0.0.1:2000"
@@ -15,6 +16,14 @@
 //!         connections = 10000
 //!         names = 1024                 # mailboxes of one connection
 //!         queue = 4194304              # bytes that wait for one connection, 262144 or more
+//!
+//!         [[register]]                 # without any, all may register any name
+//!         peer = "10.0.0.0/8"          # clients from there; default: all
+//!         names = ["0.Pilot.*"]
+//!
+//!         [[send]]                     # without any, all may send to all
+//!         from = ["0.Pilot.*"]
+//!         to = ["0.Chassis.*"]         # may reply
 //!     "#,
 //!     "router.toml",
 //! )?;
@@ -28,6 +37,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::router::Limits;
+use super::rules::{RegisterRule, Rules, SendRule};
 use crate::name::{FileError, Source};
 use crate::wire::MAX_LEN;
 
@@ -43,15 +53,26 @@ pub struct RouterFile {
     pub listen: Vec<SocketAddr>,
     /// Whether it may listen where other hosts reach it.
     pub insecure: bool,
+    /// Where its figures are, if anywhere.
+    pub metrics: Option<SocketAddr>,
     /// What it holds at the most.
     pub limits: Limits,
+    /// Who may register and send what.
+    pub rules: Rules,
 }
 
 /// Without a file: on this host only, at the usual port.
 impl Default for RouterFile {
     fn default() -> Self {
         let here = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), PORT);
-        Self { name: None, listen: vec![here], insecure: false, limits: Limits::default() }
+        Self {
+            name: None,
+            listen: vec![here],
+            insecure: false,
+            metrics: None,
+            limits: Limits::default(),
+            rules: Rules::default(),
+        }
     }
 }
 
@@ -61,10 +82,15 @@ struct File {
     name: Option<String>,
     #[serde(default)]
     insecure: bool,
+    metrics: Option<SocketAddr>,
     #[serde(default)]
     listen: Vec<Listen>,
     #[serde(default)]
     limits: LimitsFile,
+    #[serde(default)]
+    register: Vec<RegisterRule>,
+    #[serde(default)]
+    send: Vec<SendRule>,
 }
 
 #[derive(Deserialize)]
@@ -85,7 +111,8 @@ impl RouterFile {
     /// Reads what `text` says, of a file that messages call `file`.
     pub fn parse(text: &str, file: &str) -> Result<Self, FileError> {
         let source = Source { file, text };
-        let File { name, insecure, listen, limits } = source.read(source.tables()?)?;
+        let File { name, insecure, metrics, listen, limits, register, send } =
+            source.read(source.tables()?)?;
         let default = Self::default();
         let at_least = |said: Option<Spanned<usize>>, default: usize, least: usize| match said {
             Some(said) if *said.get_ref() < least => {
@@ -103,12 +130,12 @@ impl RouterFile {
             true => default.listen,
             false => listen.into_iter().map(|listen| listen.address).collect(),
         };
-        Ok(Self { name, listen, insecure, limits })
+        Ok(Self { name, listen, insecure, metrics, limits, rules: Rules { register, send } })
     }
 
     /// The first address that other hosts reach, unless they may.
     pub fn exposed(&self) -> Option<SocketAddr> {
-        let exposed = self.listen.iter().find(|address| !address.ip().is_loopback());
+        let exposed = self.listen.iter().chain(&self.metrics).find(|address| !address.ip().is_loopback());
         exposed.copied().filter(|_| !self.insecure)
     }
 }
@@ -138,6 +165,9 @@ mod tests {
         assert_eq!(refused(text), "r.toml:3:9: 1000 is too few: make it 262144 or more");
         assert!(refused("[[listen]]\naddress = \"here\"").starts_with("r.toml:2:11: "));
         assert!(refused("[limits]\nnames = 0").contains("make it 1 or more"));
+        let network = refused("[[register]]\nnames = []\npeer = \"10.0.0.0/64\"");
+        assert!(network.starts_with("r.toml:3:8: '10.0.0.0/64' is no network"), "{network}");
+        assert!(refused("[[send]]\nfrom = [\"0.Nobody.1\"]\nto = []").starts_with("r.toml:2:"));
     }
 
     #[test]

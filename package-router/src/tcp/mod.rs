@@ -12,4 +12,5 @@ pub mod control;
 pub mod frames;
 pub mod outgoing;
 pub mod router;
+pub mod rules;
 pub mod serve;

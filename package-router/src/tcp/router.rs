@@ -11,6 +11,7 @@ use std::io::{self, IoSlice};
 use super::control::{Control, LIFESIGN};
 use super::frames::Frames;
 use super::outgoing::{Full, Outgoing};
+use super::rules::Rules;
 use crate::name::MailboxName;
 use crate::wire::{self, Endian, Head, HeadError, MAX_LEN};
 
@@ -81,6 +82,7 @@ struct Client {
 /// A router of packages among connections.
 pub struct Router {
     limits: Limits,
+    rules: Rules,
     clients: Vec<Option<Client>>,
     free: Vec<u32>,
     table: BTreeMap<MailboxName, Connection>,
@@ -97,6 +99,7 @@ impl Router {
     pub fn new(limits: Limits, now: u64) -> Self {
         Self {
             limits: Limits { queue: limits.queue.max(MAX_LEN), ..limits },
+            rules: Rules::default(),
             clients: Vec::new(),
             free: Vec::new(),
             table: BTreeMap::new(),
@@ -106,6 +109,11 @@ impl Router {
             counters: Counters::default(),
             next_round: now + LIFESIGN_EVERY,
         }
+    }
+
+    /// From now on these are its rules. Names that are registered stay.
+    pub fn set_rules(&mut self, rules: Rules) {
+        self.rules = rules;
     }
 
     /// A connection from there is open.
@@ -239,7 +247,9 @@ impl Router {
         let answer = match control {
             Control::Register { name, is_answered } => {
                 let owner = self.table.get(&name);
-                let is_new = name != MailboxName::NOBODY && owner.is_none() && client.names.len() < most;
+                let may = self.rules.may_register(client.peer.ip(), name);
+                let is_new =
+                    may && name != MailboxName::NOBODY && owner.is_none() && client.names.len() < most;
                 // A name that is one's own already, and that of nobody, are let pass where no answer is waited for.
                 let is_idle = !is_answered && (name == MailboxName::NOBODY || owner == Some(&from));
                 if is_new {
@@ -288,6 +298,9 @@ impl Router {
     fn forward(&mut self, from: Connection, head: &Head, body: &[u8], now: u64) {
         if !self.is_sender(from, head.from) {
             return self.refuse(from, head, now, |counters| &mut counters.foreign_senders);
+        }
+        if !self.rules.may_send(head) {
+            return self.refuse(from, head, now, |counters| &mut counters.forbidden);
         }
         let Some(&to) = self.table.get(&head.to) else {
             return self.refuse(from, head, now, |counters| &mut counters.nobody_there);

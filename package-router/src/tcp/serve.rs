@@ -18,6 +18,7 @@ use rtnet::live::clock::monotonic;
 use socket2::SockRef;
 
 use super::router::{Connection, Ending, Limits, Router, Status};
+use super::rules::Rules;
 
 /// Events of one wait.
 const EVENTS: usize = 1_024;
@@ -44,7 +45,7 @@ pub struct Server {
     readable: Vec<Connection>,
     /// When listeners are tried again.
     accepts_again: Option<u64>,
-    questions: Receiver<Sender<Status>>,
+    orders: Receiver<Order>,
     remote: Remote,
 }
 
@@ -53,7 +54,13 @@ pub struct Server {
 pub struct Remote {
     stop: Arc<AtomicBool>,
     waker: Arc<Waker>,
-    questions: Sender<Sender<Status>>,
+    orders: Sender<Order>,
+}
+
+/// What other threads ask of it.
+enum Order {
+    Status(Sender<Status>),
+    Rules(Rules),
 }
 
 struct Socket {
@@ -68,7 +75,7 @@ impl Server {
     pub fn listen(addresses: &[SocketAddr], limits: Limits) -> io::Result<Self> {
         let poll = Poll::new()?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
-        let (asks, questions) = channel();
+        let (orders, taken) = channel();
         let mut listeners = Vec::new();
         for (place, address) in addresses.iter().enumerate() {
             let mut listener = TcpListener::bind(*address)?;
@@ -83,8 +90,8 @@ impl Server {
             sockets: Vec::new(),
             readable: Vec::new(),
             accepts_again: None,
-            questions,
-            remote: Remote { stop: Arc::default(), waker, questions: asks },
+            orders: taken,
+            remote: Remote { stop: Arc::default(), waker, orders },
         })
     }
 
@@ -118,7 +125,7 @@ impl Server {
             self.accept_again();
             self.write();
             self.close();
-            self.answer();
+            self.obey();
         }
         Ok(())
     }
@@ -262,13 +269,14 @@ impl Server {
         }
     }
 
-    fn answer(&mut self) {
+    fn obey(&mut self) {
         loop {
-            match self.questions.try_recv() {
-                Ok(asked) => {
+            match self.orders.try_recv() {
+                Ok(Order::Status(asked)) => {
                     // A question that was given up meanwhile has no answer.
                     let _ = asked.send(self.router.status(self.now()));
                 }
+                Ok(Order::Rules(rules)) => self.router.set_rules(rules),
                 Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
             }
         }
@@ -283,12 +291,21 @@ impl Remote {
         let _ = self.waker.wake();
     }
 
+    /// From now on these are its rules; `None` if it has ended.
+    pub fn set_rules(&self, rules: Rules) -> Option<()> {
+        self.order(Order::Rules(rules))
+    }
+
     /// The router as it is; `None` if the server has not answered in time.
     pub fn status(&self, patience: Duration) -> Option<Status> {
         let (answer, answered) = channel();
-        self.questions.send(answer).ok()?;
-        self.waker.wake().ok()?;
+        self.order(Order::Status(answer))?;
         answered.recv_timeout(patience).ok()
+    }
+
+    fn order(&self, order: Order) -> Option<()> {
+        self.orders.send(order).ok()?;
+        self.waker.wake().ok()
     }
 }
 

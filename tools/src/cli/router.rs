@@ -30,6 +30,9 @@ pub struct RouterRunArgs {
     /// Listen on addresses that other hosts reach, too: whoever reaches them can register names, and send to all
     #[arg(long)]
     pub insecure: bool,
+    /// Serve its figures for Prometheus by HTTP, at /metrics
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub metrics: Option<SocketAddr>,
     /// Its name, for `rtnet router status` [default: router]
     #[arg(long, value_parser = parse_name)]
     pub name: Option<String>,

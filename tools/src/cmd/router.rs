@@ -1,6 +1,9 @@
 //! `rtnet router`.
 
+mod figures;
+
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,13 +12,15 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, ensure};
 use package_router::tcp::config::RouterFile;
 use package_router::tcp::serve::{Remote, Server};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
+use self::figures::{TRAFFIC, figures};
 use super::{Failure, print};
 use crate::cli::{RouterArgs, RouterRunArgs, RouterVerb};
 use crate::control::{
     self, ClientShown, Directory, Envelope, Place, RouterReply, RouterRequest, RouterShown,
 };
+use crate::metrics;
 use crate::remedy::explained;
 use crate::report::text::{Column, duration, grouped, table};
 use crate::scenario::read_text;
@@ -44,19 +49,27 @@ pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
 fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
     let file = wanted(args).map_err(Failure::Usage)?;
     let name = file.name.as_deref().unwrap_or(USUAL_NAME);
-    let stop = Arc::new(AtomicBool::new(false));
+    let [stop, again] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
     let (mut server, mut control, _held) = set_up(&file, name, &stop).map_err(Failure::Usage)?;
-    for line in [drop_capabilities(), keep_privileges_away()].into_iter().flatten() {
-        eprintln!("rtnet: {line}");
+    signal_hook::flag::register(SIGHUP, again.clone()).map_err(|error| Failure::Run(error.into()))?;
+    [drop_capabilities(), keep_privileges_away()].into_iter().flatten().for_each(|line| tell(&line));
+    let (remote, begun) = (server.remote(), Instant::now());
+    if let Some(at) = file.metrics {
+        let remote = remote.clone();
+        let text = move || Some(figures(&remote.status(PATIENCE)?, begun.elapsed().as_secs_f64()));
+        let at = metrics::serve(at, text).map_err(Failure::Usage)?;
+        tell(&format!("figures for Prometheus are at http://{at}/metrics"));
     }
     let listen: Vec<String> = addresses(&server).map_err(Failure::Run)?;
-    eprintln!("rtnet: router '{name}' listens at {}", listen.join(", "));
-    let (remote, begun) = (server.remote(), Instant::now());
+    tell(&format!("router '{name}' listens at {}", listen.join(", ")));
     let routes = std::thread::Builder::new().name("router".into()).spawn(move || server.run());
     let routes = routes.context("a thread for the router").map_err(Failure::Run)?;
     while !stop.load(Ordering::Relaxed) && !routes.is_finished() {
         let status = || shown(name, &listen, begun, &remote);
         control.serve(LOOK_EVERY, |packet, _| Envelope::pack(answer(packet, status)));
+        if again.swap(false, Ordering::Relaxed) {
+            read_again(args, &remote);
+        }
     }
     remote.stop();
     let ended =
@@ -72,6 +85,7 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
         file.listen.clone_from(&args.listen);
     }
     file.insecure |= args.insecure;
+    file.metrics = args.metrics.or(file.metrics);
     if let Some(name) = &args.name {
         file.name = Some(name.clone());
     }
@@ -92,6 +106,23 @@ fn read(path: &Path) -> Result<RouterFile> {
     Ok(RouterFile::parse(&read_text(path)?, &path.display().to_string())?)
 }
 
+/// The rules of its file, as it is now; if that cannot be, those before stay.
+fn read_again(args: &RouterRunArgs, remote: &Remote) {
+    match wanted(args) {
+        Ok(file) => {
+            // One that has ended needs none.
+            let _ = remote.set_rules(file.rules);
+            tell("the rules were read again; addresses and limits are those of the start");
+        }
+        Err(why) => tell(&format!("the rules stay as they were: {why:#}")),
+    }
+}
+
+/// A line for the person who started it, who may have closed standard error.
+fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "rtnet: {line}");
+}
+
 fn set_up(
     file: &RouterFile,
     name: &str,
@@ -105,6 +136,7 @@ fn set_up(
     let server = Server::listen(&file.listen, file.limits).map_err(explained);
     let server = server
         .with_context(|| format!("cannot listen at {} (choose another --listen)", places.join(", ")))?;
+    server.remote().set_rules(file.rules.clone()).context("its rules")?;
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, stop.clone())?;
     }
@@ -184,9 +216,6 @@ fn describe(router: &RouterShown) -> String {
     }
     lines.join("\n") + "\n"
 }
-
-/// Counters that say what went well.
-const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_out"];
 
 fn names_of(client: &ClientShown) -> String {
     let more = client.names - client.first_names.len();

@@ -40,6 +40,8 @@ counters! {
     nobody_there,
     /// Its packages whose sender is another connection's name.
     foreign_senders,
+    /// Its packages that no rule allows.
+    forbidden,
     /// Its packages that found their receiver's queue full.
     receiver_full,
     /// Its packages that made room for more urgent ones in their receiver's queue.

@@ -1,4 +1,5 @@
 use super::*;
+use crate::tcp::rules::{RegisterRule, SendRule};
 use crate::wire::HEAD_LEN;
 
 mod model;
@@ -262,4 +263,32 @@ fn limits_hold_and_are_counted() {
         net.router.connect(PEER, 0).unwrap();
     }
     assert_eq!(net.router.status(0).closed.len(), CLOSED);
+}
+
+#[test]
+fn what_no_rule_allows_is_refused_counted_and_answered() {
+    let mut net = Net::of(2);
+    let of = |text: &str| vec![text.parse().unwrap()];
+    let pilots = RegisterRule { peer: None, names: of("0.Pilot.*") };
+    let others = RegisterRule { peer: None, names: of("0.Chassis.0") };
+    let send = vec![SendRule { from: of("0.Pilot.*"), to: of("0.Chassis.*") }];
+    net.router.set_rules(Rules { register: vec![pilots, others], send });
+    assert_eq!(
+        [0x18_0000, 0x18_0100, 0x12_0000].map(|name| net.register(0, name)),
+        [wire::OK, wire::OK, wire::ERROR]
+    );
+    assert_eq!((net.register(1, 0x11_0000), net.counters(0).names_refused), (wire::OK, 1));
+    net.send(0, &package(21, 0x11_0000, 0x18_0000, b"go"));
+    net.send(1, &package(0, 0x18_0000, 0x11_0000, b"gone"));
+    assert_eq!((net.reads(1).len(), net.reads(0).len()), (HEAD_LEN + 2, HEAD_LEN + 4));
+    net.send(1, &package(21, 0x18_0000, 0x11_0000, b"and you"));
+    assert_eq!((net.reads(0).len(), net.counters(1).forbidden), (0, 1));
+    assert_eq!(Head::parse(&net.reads(1)).unwrap().kind, wire::NOT_AVAILABLE);
+    // Other rules drop nobody.
+    net.router.set_rules(Rules {
+        register: vec![RegisterRule { peer: None, names: of("0.Gyro.0") }],
+        ..Rules::default()
+    });
+    net.send(1, &package(21, 0x18_0000, 0x11_0000, b"and you"));
+    assert_eq!((net.reads(0).len(), net.register(0, 0x18_0200)), (HEAD_LEN + 7, wire::ERROR));
 }

@@ -1,0 +1,182 @@
+//! Figures for Prometheus, by HTTP: a thread that answers one request at a time.
+
+use std::fmt::{Display, Write as _};
+use std::io::{self, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::thread::Builder;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use crate::remedy::explained;
+
+/// Longest head of a request, and how long a client may take for it.
+const HEAD_AT_MOST: usize = 4 << 10;
+const PATIENCE: Duration = Duration::from_secs(2);
+/// After an accept that failed for want of descriptors the next is tried so much later.
+const REST: Duration = Duration::from_millis(100);
+/// Stack of the thread.
+const STACK: usize = 256 * 1024;
+
+/// Answers from now on at `at`, as long as the process lives, with what `figures` says; tells where.
+///
+/// # Errors
+/// The address is taken, or not this host's.
+pub fn serve(at: SocketAddr, figures: impl Fn() -> Option<String> + Send + 'static) -> Result<SocketAddr> {
+    let listener = TcpListener::bind(at).map_err(explained);
+    let listener = listener.with_context(|| format!("cannot listen at {at} (choose another --metrics)"))?;
+    let at = listener.local_addr()?;
+    let thread = Builder::new().name("metrics".into()).stack_size(STACK);
+    thread.spawn(move || {
+        for client in listener.incoming() {
+            match client {
+                // A client that has gone meanwhile needs no answer.
+                Ok(client) => drop(answer(client, &figures)),
+                Err(_) => std::thread::sleep(REST),
+            }
+        }
+    })?;
+    Ok(at)
+}
+
+fn answer(mut client: TcpStream, figures: &impl Fn() -> Option<String>) -> io::Result<()> {
+    let deadline = Instant::now() + PATIENCE;
+    client.set_write_timeout(Some(PATIENCE))?;
+    let (mut head, mut room) = (Vec::new(), [0; 512]);
+    while !head.windows(4).any(|end| end == b"\r\n\r\n") && head.len() < HEAD_AT_MOST {
+        let left = deadline.saturating_duration_since(Instant::now());
+        // A timeout of 0 would be for ever.
+        client.set_read_timeout(Some(left.max(Duration::from_millis(1))))?;
+        match client.read(&mut room) {
+            Ok(length) if length > 0 && !left.is_zero() => head.extend_from_slice(&room[..length]),
+            _ => return Ok(()),
+        }
+    }
+    let (status, text) = match (asked(&head), figures()) {
+        (Some("/metrics" | "/"), Some(text)) => ("200 OK", text),
+        (Some(_), Some(_)) => ("404 Not Found", "figures are at /metrics\n".into()),
+        (Some(_), None) => ("503 Service Unavailable", "no answer in time\n".into()),
+        (None, _) => ("400 Bad Request", "only GET is answered\n".into()),
+    };
+    let length = text.len();
+    write!(
+        client,
+        "HTTP/1.1 {status}\r\nContent-Type: text/plain; version=0.0.4; charset=utf-8\r\nContent-Length: {length}\r\nConnection: \
+         close\r\n\r\n{text}"
+    )
+}
+
+/// The path of a GET.
+fn asked(head: &[u8]) -> Option<&str> {
+    let line = head.split(|byte| *byte == b'\r').next()?;
+    let mut words = std::str::from_utf8(line).ok()?.split(' ');
+    let path = words.next().filter(|method| *method == "GET").and_then(|_| words.next())?;
+    path.split('?').next()
+}
+
+/// Lines of figures: text format 0.0.4.
+#[derive(Default)]
+pub struct Figures(String);
+
+impl Figures {
+    /// A figure that goes up and down.
+    pub fn gauge(&mut self, name: &str, help: &str, value: impl Display) {
+        self.head(name, help, "gauge");
+        // A string takes everything.
+        let _ = writeln!(self.0, "{name} {value}");
+    }
+
+    /// One that only grows.
+    pub fn counter(&mut self, name: &str, help: &str, value: impl Display) {
+        self.head(name, help, "counter");
+        let _ = writeln!(self.0, "{name} {value}");
+    }
+
+    /// Several that only grow, told apart by a label.
+    pub fn counters<'a>(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &str,
+        of: impl Iterator<Item = (&'a str, u64)>,
+    ) {
+        self.head(name, help, "counter");
+        for (value, count) in of {
+            let _ = writeln!(self.0, "{name}{{{label}=\"{value}\"}} {count}");
+        }
+    }
+
+    /// All lines.
+    pub fn into_text(self) -> String {
+        self.0
+    }
+
+    fn head(&mut self, name: &str, help: &str, kind: &str) {
+        let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(at: SocketAddr, request: &[u8]) -> String {
+        let mut client = TcpStream::connect(at).unwrap();
+        client.write_all(request).unwrap();
+        let mut answer = String::new();
+        client.read_to_string(&mut answer).unwrap();
+        answer
+    }
+
+    #[test]
+    fn figures_are_lines_with_help_and_type() {
+        let mut figures = Figures::default();
+        figures.gauge("rtnet_connections", "Open connections.", 3);
+        figures.counters(
+            "rtnet_dropped_total",
+            "Packages.",
+            "reason",
+            [("full", 7), ("late", 0)].into_iter(),
+        );
+        let lines = "# HELP rtnet_connections Open connections.\n# TYPE rtnet_connections gauge\nrtnet_connections 3\n# HELP \
+                     rtnet_dropped_total Packages.\n# TYPE rtnet_dropped_total counter\nrtnet_dropped_total{reason=\"full\"} \
+                     7\nrtnet_dropped_total{reason=\"late\"} 0\n";
+        assert_eq!(figures.into_text(), lines);
+    }
+
+    #[test]
+    fn a_get_is_answered_and_nothing_else() {
+        let at = serve("127.0.0.1:0".parse().unwrap(), || Some("x 1\n".into())).unwrap();
+        let good = said(at, b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n");
+        assert!(
+            good.starts_with("HTTP/1.1 200 OK\r\n")
+                && good.ends_with("Content-Length: 4\r\nConnection: close\r\n\r\nx 1\n"),
+            "{good}"
+        );
+        assert!(said(at, b"GET /other HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 404"));
+        for bad in [&b"POST /metrics HTTP/1.1\r\n\r\n"[..], b"\r\n\r\n", b"\xff\xfe\r\n\r\n", b"GET\r\n\r\n"]
+        {
+            assert!(said(at, bad).starts_with("HTTP/1.1 400"), "{bad:?}");
+        }
+        drop(TcpStream::connect(at).unwrap());
+        assert!(
+            said(at, b"GET / HTTP/1.0\r\n\r\n").starts_with("HTTP/1.1 200"),
+            "one that hung up disturbs nobody"
+        );
+        assert!(serve(at, || None).unwrap_err().to_string().contains("choose another --metrics"));
+    }
+
+    #[test]
+    fn a_head_that_never_ends_is_bounded() {
+        let at = serve("127.0.0.1:0".parse().unwrap(), || None).unwrap();
+        let mut client = TcpStream::connect(at).unwrap();
+        let mut answer = String::new();
+        // It may have answered, and hung up, before all of it was sent.
+        let _ = client.write_all(&[b"GET / ".to_vec(), vec![b'x'; HEAD_AT_MOST]].concat());
+        let _ = client.read_to_string(&mut answer);
+        assert!(
+            answer.is_empty() || answer.starts_with("HTTP/1.1 503") || answer.starts_with("HTTP/1.1 404"),
+            "{answer}"
+        );
+    }
+}

@@ -63,10 +63,12 @@ const WITH: [(&str, &str); 43] = [
     ("package bench", "-S arm 0.Pilot.0"),
 ];
 /// Verbs with verbs of their own that can be left out, and such that take a lab or not.
-const MORE: [(&str, &str); 5] = [
+const MORE: [(&str, &str); 7] = [
     ("package route", "-S arm"),
     ("package route add", "-S arm 0.Pilot.*=10.0.0.3"),
     ("package route delete", "-S arm 0.Pilot.*"),
+    ("router", "--listen 127.0.0.1:0"),
+    ("router status", ""),
     ("jitter", "--lab cell"),
     ("dump", "--lab cell"),
 ];

@@ -37,15 +37,21 @@ impl Router {
             command.args(["--listen", "127.0.0.1:0"]);
         }
         let mut child = command.spawn().unwrap();
-        let mut figures = None;
-        let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
-        for line in said.by_ref().map_while(Result::ok) {
+        let said = Mutex::new(BufReader::new(child.stderr.take().unwrap()).lines());
+        let mut router = Self { name, child, at: SocketAddr::from(([0, 0, 0, 0], 0)), figures: None, said };
+        router.begun();
+        router
+    }
+
+    /// Reads its first lines: where its figures are, if anywhere, and where it listens.
+    fn begun(&mut self) {
+        for line in self.said.get_mut().unwrap().by_ref().map_while(Result::ok) {
             if let Some((_, at)) = line.rsplit_once("listens at ") {
-                let at = at.parse().unwrap();
-                return Self { name, child, at, figures, said: Mutex::new(said) };
+                self.at = at.parse().unwrap();
+                return;
             }
             let at = line.rsplit_once("http://").and_then(|(_, at)| at.strip_suffix("/metrics"));
-            figures = Some(at.unwrap_or_else(|| panic!("{line}")).parse().unwrap());
+            self.figures = Some(at.unwrap_or_else(|| panic!("{line}")).parse().unwrap());
         }
         panic!("it says nothing of where it listens");
     }

@@ -231,7 +231,7 @@ fn a_routers_rules_are_read_again_and_a_wrong_file_changes_nothing() {
     write("\"0.Chassis.*\"");
     hup();
     router.wait_for("the rules were read again");
-    // What is asked later is answered later: they hold by then.
+    // Orders are carried out in turn: the new rules hold once this is answered.
     router.status();
     assert!(registers(0x0011_0000) && !registers(0x0018_0200));
     assert_eq!(router.status()["names"], 3, "nobody was dropped");

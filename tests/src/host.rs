@@ -24,7 +24,7 @@ use nix::unistd::{Pid, gettid};
 use rtnet::live::realtime::{self, RealTime};
 use serde_json::Value;
 
-/// What networks have not taken of this host's cores.
+/// The shares of this host's cores that no network has.
 static CORES: Cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
 /// Networks that share a core: at a cycle of 4 ms each takes some 6 % of it, half a millisecond of guard band is room for the
 /// turns of the others, and no kernel stops real-time threads that take less than 80 % of a core together.
@@ -117,7 +117,7 @@ pub fn unique(what: &str) -> String {
     format!("{what}-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
 }
 
-/// The part of this host's cores that a test needs.
+/// The cores that a test needs.
 #[derive(Clone, Copy)]
 enum Need {
     Share,
@@ -127,7 +127,7 @@ enum Need {
 
 /// The cores of this host.
 struct Cores {
-    /// Each with the shares of it that no test has; none is known of before the first is taken.
+    /// The free shares of each core; `None` before the first is taken.
     free: Mutex<Option<BTreeMap<usize, usize>>>,
     given_back: Condvar,
 }

@@ -55,13 +55,13 @@ class Router:
         except NotConnected:
             self._session.remove(number)
             raise
-        said = await self._wait(lambda: self._session.registered.get(number), self._timeout)
-        if not said:
+        is_ours = await self._wait(lambda: self._session.registered.get(number), self._timeout)
+        if not is_ours:
             data = self._session.remove(number)
-            if said is None:
+            if is_ours is None:
                 if self._writer is not None:
                     self._writer.write(data)
-                raise NotConnected(f"the router has not said within {self._timeout} s whether {shown(number)} is free")
+                raise NotConnected(f"the router has not answered the registration of {shown(number)} within {self._timeout} s")
             raise NameTaken(f"another connection has {shown(number)}")
         return Mailbox(self, number)
 

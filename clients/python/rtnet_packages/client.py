@@ -40,12 +40,12 @@ class Router:
         number = name(of)
         with self._changed:
             self._send(self._session.add(number, slots), before=lambda: self._forget(number))
-            said = self._wait(lambda: self._session.registered.get(number), self._timeout)
-            if not said:
+            is_ours = self._wait(lambda: self._session.registered.get(number), self._timeout)
+            if not is_ours:
                 data = self._session.remove(number)
-                if said is None:
+                if is_ours is None:
                     self._say(data)
-                    raise NotConnected(f"the router has not said within {self._timeout} s whether {shown(number)} is free")
+                    raise NotConnected(f"the router has not answered the registration of {shown(number)} within {self._timeout} s")
                 raise NameTaken(f"another connection has {shown(number)}")
         return Mailbox(self, number)
 
@@ -182,14 +182,14 @@ class Router:
 
 
 def prepare(connection: socket.socket) -> None:
-    """Of a new connection. Where nobody listens at a port of the range for clients, the kernel may connect it to itself."""
+    """Sets up a new connection. The kernel may connect a socket to itself if nobody listens at a port of the range for clients."""
     if connection.getsockname() == connection.getpeername():
         raise ConnectionRefusedError("nobody listens there")
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 def _has_come(connection: socket.socket) -> bool:
-    """Whether something has come, or comes within the time after which names are asked for again."""
+    """Whether bytes come before names are to be asked for again."""
     with selectors.DefaultSelector() as selector:
         selector.register(connection, selectors.EVENT_READ)
         return bool(selector.select(_AGAIN))

@@ -45,7 +45,7 @@ def checked(reply: Package) -> Package:
 
 
 class Inbox:
-    """What waits for one mailbox: the most urgent first, and of equals the oldest. A full one refuses, and counts."""
+    """The packages of one mailbox: the most urgent first, of equals the oldest. A full one refuses packages and counts them."""
 
     def __init__(self, slots: int) -> None:
         self._slots, self._number = slots, itertools.count()
@@ -71,14 +71,14 @@ Call = Tuple[int, int, int]
 
 
 class Session:
-    """The mailboxes of a connection, the calls that wait, and what the router said of names."""
+    """The mailboxes of a connection, the open calls, and the router's answers to registrations."""
 
     def __init__(self) -> None:
         self._decoder, self._ids = Decoder(), itertools.count(1)
         self.inboxes: Dict[int, Inbox] = {}
         #: Names by the id of the request that registers them.
         self._asked: Dict[int, int] = {}
-        #: What the router said of a name: whether it is this connection's.
+        #: The router's answer to the registration of a name: True if the name is this connection's.
         self.registered: Dict[int, bool] = {}
         self.answers: Dict[Call, Package] = {}
         self._calls: Dict[Call, None] = {}
@@ -86,13 +86,13 @@ class Session:
         self.strays = 0
 
     def connected(self) -> bytes:
-        """A new connection: all mailboxes are to be registered again."""
+        """Begins a new connection; returns the bytes that register all mailboxes again."""
         self._decoder, self._asked = Decoder(), {}
         self.registered.clear()
         return b"".join(self._register(name) for name in self.inboxes)
 
     def add(self, name: int, slots: int) -> bytes:
-        """A mailbox: what registers it."""
+        """Adds a mailbox; returns the bytes that register it."""
         if name == NOBODY:
             raise ValueError("0 is nobody's name")
         if name in self.inboxes:
@@ -106,13 +106,13 @@ class Session:
         return self._register(name)
 
     def remove(self, name: int) -> bytes:
-        """A mailbox is gone."""
+        """Removes a mailbox; returns the bytes that delete it."""
         self.inboxes.pop(name, None)
         self.registered.pop(name, None)
         return control(DELETE, name.to_bytes(4, "little")).encode()
 
     def call(self, package: Package) -> Tuple[Call, bytes]:
-        """A command whose reply is waited for: in `answers`, by what is returned."""
+        """Opens a call; returns its key in `answers`, and the bytes of the command."""
         for _ in range(256):
             number = next(self._ids) & 0xFF
             call = (package.sender, package.to, number)
@@ -126,16 +126,16 @@ class Session:
         return call, data
 
     def end(self, call: Call) -> Optional[Package]:
-        """A call is not waited for any more: its reply, if there is one."""
+        """Ends a call; returns its reply, if there is one."""
         self._calls.pop(call, None)
         return self.answers.pop(call, None)
 
     def feed(self, data: bytes) -> bytes:
-        """What has come is sorted into inboxes and answers; what is to be said to it."""
-        said = b""
+        """Sorts packages into inboxes and answers; returns the bytes to send."""
+        answer = b""
         for package in self._decoder.feed(data):
             if (package.to, package.sender) == (NOBODY, NOBODY):
-                said += self._from_router(package)
+                answer += self._from_router(package)
                 continue
             call = (package.to, package.sender, package.id)
             if package.kind <= 0 and call in self._calls and call not in self.answers:
@@ -144,7 +144,7 @@ class Session:
                 self.inboxes[package.to].put(package)
             else:
                 self.strays += 1
-        return said
+        return answer
 
     def _from_router(self, package: Package) -> bytes:
         if package.kind == LIFESIGN:

@@ -18,7 +18,7 @@ HEAD = 16
 LONGEST = 256 << 10
 
 OK, ERROR, TIMEOUT, NOT_AVAILABLE = 0, -1, -2, -3
-#: What a client says to the router, and the router to a client: to nobody, from nobody.
+#: Kinds of control packages, which go to nobody from nobody.
 DELETE, REGISTER, DELETE_ANSWERED, PURGE, LIFESIGN = 12, 13, 14, 15, 17
 
 
@@ -62,7 +62,7 @@ class Package:
 
 
 def control(kind: int, body: bytes = b"") -> Package:
-    """What is said to the router itself."""
+    """A control package: for the router itself."""
     return Package(NOBODY, NOBODY, kind, body)
 
 

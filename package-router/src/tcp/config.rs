@@ -44,20 +44,20 @@ use crate::wire::MAX_LEN;
 /// Where peers of this protocol look for a router.
 pub const PORT: u16 = 2000;
 
-/// What a router is to be.
+/// The configuration of a router.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouterFile {
-    /// What it is called on its host, if that is said.
+    /// Its name on its host, if the file gives one.
     pub name: Option<String>,
-    /// Where it listens.
+    /// Addresses to listen at.
     pub listen: Vec<SocketAddr>,
     /// Whether it may listen where other hosts reach it.
     pub insecure: bool,
-    /// Where its figures are, if anywhere.
+    /// The address of its figures for Prometheus, if there is one.
     pub metrics: Option<SocketAddr>,
-    /// What it holds at the most.
+    /// Its limits.
     pub limits: Limits,
-    /// Who may register and send what.
+    /// Its rules for registration and sending.
     pub rules: Rules,
 }
 
@@ -114,12 +114,12 @@ impl RouterFile {
         let File { name, insecure, metrics, listen, limits, register, send } =
             source.read(source.tables()?)?;
         let default = Self::default();
-        let at_least = |said: Option<Spanned<usize>>, default: usize, least: usize| match said {
-            Some(said) if *said.get_ref() < least => {
-                let what = format!("{} is too few: make it {least} or more", said.get_ref());
-                Err(source.wrong(said.span().start, what))
+        let at_least = |given: Option<Spanned<usize>>, default: usize, least: usize| match given {
+            Some(given) if *given.get_ref() < least => {
+                let what = format!("{} is too few: make it {least} or more", given.get_ref());
+                Err(source.wrong(given.span().start, what))
             }
-            said => Ok(said.map_or(default, Spanned::into_inner)),
+            given => Ok(given.map_or(default, Spanned::into_inner)),
         };
         let limits = Limits {
             connections: at_least(limits.connections, default.limits.connections, 1)?,

@@ -1,4 +1,4 @@
-//! What a connection says to the router itself: packages to 0 from 0.
+//! Control packages: those to 0 from 0 are for the router itself.
 
 use crate::name::MailboxName;
 use crate::wire::{Endian, Head};
@@ -6,7 +6,7 @@ use crate::wire::{Endian, Head};
 /// Kind of the router's question whether a client is alive; the client answers 0.
 pub const LIFESIGN: i8 = 17;
 
-/// What is asked for.
+/// The request of a control package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Control {
     /// A mailbox is there, from now on.
@@ -39,7 +39,7 @@ pub enum Control {
 }
 
 impl Control {
-    /// What a package says to the router; `None` if it is for somebody else.
+    /// The request in a package; `None` if the package is for another receiver.
     pub fn of(head: &Head, body: &[u8]) -> Option<Self> {
         if (head.to, head.from) != (MailboxName::NOBODY, MailboxName::NOBODY) {
             return None;

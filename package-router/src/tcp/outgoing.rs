@@ -1,4 +1,4 @@
-//! What waits for a connection: a bounded queue, the most urgent first.
+//! The bounded queue of a connection: the most urgent package leaves first.
 //!
 //! ```text
 //! lifesigns, answers of the router   ─┐
@@ -15,7 +15,7 @@ use std::io::{self, IoSlice};
 
 use crate::wire::{HEAD_LEN, Head};
 
-/// Above all packages: what the router says itself.
+/// The level of the router's own answers and questions, above all packages.
 const OWN: u16 = 256;
 /// Slices that one write takes: more levels wait for the next.
 const SLICES: usize = 8;
@@ -63,7 +63,7 @@ impl Outgoing {
         Self { levels: Vec::new(), most, bytes: 0, packages: 0, begun: None }
     }
 
-    /// Appends a package to those of its priority. What had to make room for it is handed to `dropped`.
+    /// Appends a package to those of its priority. The heads of packages that make room for it go to `dropped`.
     pub fn push(
         &mut self,
         head: &Head,
@@ -82,7 +82,7 @@ impl Outgoing {
         Ok(())
     }
 
-    /// Appends what the router says itself, without a body: it overtakes all packages. A peer that asks and does not read gets
+    /// Appends an answer or a question of the router, without a body: it overtakes all packages. A peer that asks and does not read gets
     /// no more answers.
     pub fn push_own(&mut self, head: &Head, now: u64) -> Result<(), Full> {
         let level = self.level(OWN);
@@ -139,7 +139,7 @@ impl Outgoing {
             .min()
     }
 
-    /// Gives memory back that nothing waits in.
+    /// Frees memory of levels without packages.
     pub fn shrink(&mut self) {
         if self.levels.len() > LEVELS_KEPT {
             self.levels.retain(|level| !level.waiting.is_empty());
@@ -171,7 +171,7 @@ impl Outgoing {
         level.waiting.push_back(Waiting { len: (HEAD_LEN + body.len()) as u32, since: now });
     }
 
-    /// Drops what is less urgent until so many bytes are free, or nothing if that is not enough.
+    /// Drops less urgent packages until `bytes` are free. Drops nothing if that is not enough.
     fn make_room(&mut self, bytes: usize, priority: u16, mut dropped: impl FnMut(Head)) -> Result<(), Full> {
         let below = |level: &&Level| level.priority < priority;
         let mut there: usize = self.levels.iter().filter(below).map(|level| level.bytes.len()).sum();
@@ -186,7 +186,7 @@ impl Outgoing {
         let mut freed = 0;
         while freed < bytes {
             let begun = self.begun;
-            // What has partly left stays.
+            // A package that has partly left stays.
             let kept = |level: &Level| usize::from(begun.is_some_and(|(of, _)| of == level.priority));
             let Some(level) = self.levels.iter_mut().rfind(|level| level.waiting.len() > kept(level)) else {
                 break;
@@ -207,7 +207,7 @@ impl Outgoing {
         Ok(())
     }
 
-    /// What is to be written next, in so many slices, and how many bytes that are.
+    /// Collects the bytes that leave next; returns the number of slices and of bytes.
     fn next<'a>(&'a self, slices: &mut [IoSlice<'a>; SLICES]) -> (usize, usize) {
         let (mut count, mut all) = (0, 0);
         let mut add = |level: &'a Level, from: usize, to: usize| {
@@ -230,7 +230,7 @@ impl Outgoing {
         (count, all)
     }
 
-    /// So many bytes of that have left.
+    /// Removes bytes that have left.
     fn left(&mut self, mut sent: usize) {
         if let Some((priority, rest)) = self.begun.take() {
             sent = self.left_of(priority, rest, sent);
@@ -244,8 +244,8 @@ impl Outgoing {
         }
     }
 
-    /// Takes the bytes of a level's first package, of which `rest` were there, out of `sent` that have left; tells how many of
-    /// these are others'.
+    /// Removes the bytes of a level's first package, of which `rest` were left, out of `sent`; returns how many of `sent` belong to
+    /// later packages.
     fn left_of(&mut self, priority: u16, rest: usize, sent: usize) -> usize {
         let place = self.level(priority);
         let level = &mut self.levels[place];
@@ -273,7 +273,7 @@ mod tests {
         Head { priority, id, ..Head::new(1, MailboxName(1), MailboxName(2)) }.with_body(body).unwrap()
     }
 
-    /// What leaves of a queue if each write takes so many bytes: priority and id of each package.
+    /// Priority and id of each package that leaves, if each write takes `at_once` bytes.
     fn leaves(queue: &mut Outgoing, at_once: usize) -> Vec<(u8, u8)> {
         let mut bytes = Vec::new();
         while !queue.is_empty() {

@@ -26,7 +26,7 @@ const CLOSED: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Connection(pub u32);
 
-/// What one router holds at the most.
+/// The limits of a router.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Connections.
@@ -52,7 +52,7 @@ pub enum Ending {
     /// The client did not answer for a whole round.
     #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]
     Silent,
-    /// What it sent is no package.
+    /// It sent bytes that are no package.
     #[error("{0}")]
     NoPackage(#[from] HeadError),
     /// The kernel's error number.
@@ -89,7 +89,7 @@ pub struct Router {
     awake: Vec<Connection>,
     endings: Vec<(Connection, Ending)>,
     closed: VecDeque<Closed>,
-    /// Of the connections that are closed.
+    /// Sums over the closed connections.
     counters: Counters,
     next_round: u64,
 }
@@ -111,7 +111,7 @@ impl Router {
         }
     }
 
-    /// From now on these are its rules. Names that are registered stay.
+    /// Replaces the rules. Registered names stay.
     pub fn set_rules(&mut self, rules: Rules) {
         self.rules = rules;
     }
@@ -210,8 +210,8 @@ impl Router {
         self.next_round
     }
 
-    /// Ends connections that have not shown a sign of life since the last round, and asks the others for one. All that has come
-    /// by now is to be handed over before: a router that was stopped for a while blames nobody.
+    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life. The caller hands over all
+    /// bytes that have come before: so a router that was stopped for a while ends no connection that is alive.
     pub fn round(&mut self, now: u64) {
         self.next_round = now + LIFESIGN_EVERY;
         let lifesign = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY);
@@ -358,7 +358,7 @@ impl Router {
         }
     }
 
-    /// The router's own words to a connection.
+    /// Sends an answer or a question of the router.
     fn own(&mut self, to: Connection, head: &Head, now: u64) {
         let Some(client) = self.client(to) else { return };
         match client.outgoing.push_own(head, now) {

@@ -1,4 +1,4 @@
-//! Who may register which names, and who may send to whom.
+//! Rules: names that a client may register, and receivers that a sender may send to.
 
 use core::fmt;
 use core::net::IpAddr;
@@ -9,12 +9,12 @@ use serde::{Deserialize, Deserializer};
 use crate::name::{MailboxName, Pattern};
 use crate::wire::Head;
 
-/// The rules of a router. Where nothing is said of one of both, all is allowed; where something is, nothing else.
+/// The rules of a router. An empty list allows everything; a list with rules allows nothing else.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Rules {
-    /// Who may register which names.
+    /// Allowed registrations.
     pub register: Vec<RegisterRule>,
-    /// Who may send to whom.
+    /// Allowed senders and receivers.
     pub send: Vec<SendRule>,
 }
 
@@ -24,11 +24,11 @@ pub struct Rules {
 pub struct RegisterRule {
     /// Addresses of clients; without it those of all.
     pub peer: Option<Network>,
-    /// What they may be called.
+    /// Allowed names.
     pub names: Vec<Pattern>,
 }
 
-/// Those may send to these, and these may reply.
+/// `from` may send to `to`, and `to` may reply.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SendRule {
@@ -74,7 +74,7 @@ impl Network {
     }
 }
 
-/// Of IPv4 in the highest 32.
+/// The bits of an IPv4 address are the highest 32.
 fn bits(address: IpAddr) -> u128 {
     match address {
         IpAddr::V4(address) => u128::from(address.to_bits()) << 96,

@@ -24,8 +24,7 @@ use super::rules::Rules;
 const EVENTS: usize = 1_024;
 /// Bytes of one read. A connection that has more waits until all others had their turn.
 const READ: usize = 64 << 10;
-/// Bytes that the kernel takes for a connection before it sends them: what is more urgent overtakes all that waits here, and
-/// nothing that the kernel has.
+/// Unsent bytes of a connection in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
 const UNSENT: u32 = 16 << 10;
 /// After an accept that failed for want of descriptors or memory the next is tried so many milliseconds later.
 const REST: u64 = 100;
@@ -57,7 +56,7 @@ pub struct Remote {
     orders: Sender<Order>,
 }
 
-/// What other threads ask of it.
+/// A request of another thread.
 enum Order {
     Status(Sender<Status>),
     Rules(Rules),
@@ -100,7 +99,7 @@ impl Server {
         self.listeners.iter().map(TcpListener::local_addr).collect()
     }
 
-    /// What other threads have of it.
+    /// The handle for other threads.
     pub fn remote(&self) -> Remote {
         self.remote.clone()
     }
@@ -118,7 +117,7 @@ impl Server {
                 self.event(event);
             }
             self.read(&mut room);
-            // What has come is handed over before anybody is blamed for silence.
+            // All bytes that have come are handed over first: they are signs of life.
             if self.readable.is_empty() && self.now() >= self.router.next_round() {
                 self.router.round(self.now());
             }
@@ -187,7 +186,7 @@ impl Server {
     }
 
     fn connected(&mut self, mut stream: TcpStream, peer: SocketAddr) {
-        // Without these it is slower, not wrong.
+        // Without these options it is slower, not wrong.
         let _ = stream.set_nodelay(true);
         let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
         // One connection too many is closed at once, and counted.
@@ -244,7 +243,7 @@ impl Server {
         }
     }
 
-    /// What the kernel does not take waits until there is room.
+    /// Bytes that the kernel does not take wait until there is room.
     fn write_to(&mut self, connection: Connection) {
         let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
             return;
@@ -291,7 +290,7 @@ impl Remote {
         let _ = self.waker.wake();
     }
 
-    /// From now on these are its rules; `None` if it has ended.
+    /// Replaces the rules; `None` if the server has ended.
     pub fn set_rules(&self, rules: Rules) -> Option<()> {
         self.order(Order::Rules(rules))
     }

@@ -11,15 +11,15 @@ use crate::control::parse_name;
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true)]
 pub struct RouterArgs {
-    /// What to do with one that runs.
+    /// A verb for a router that runs.
     #[command(subcommand)]
     pub verb: Option<RouterVerb>,
-    /// What to start one with.
+    /// Options to start one with.
     #[command(flatten)]
     pub run: RouterRunArgs,
 }
 
-/// What a router is started with.
+/// Options of a router.
 #[derive(Debug, Args)]
 pub struct RouterRunArgs {
     /// Its file; options on this line count before what it says
@@ -38,7 +38,7 @@ pub struct RouterRunArgs {
     pub name: Option<String>,
 }
 
-/// What can be seen of a router that runs.
+/// Verbs for a router that runs.
 #[derive(Debug, Subcommand)]
 pub enum RouterVerb {
     /// Its connections, their mailboxes, what waits for each, what was dropped and why, and the last 64 that were closed

@@ -78,7 +78,7 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
     Ok(0)
 }
 
-/// What it is to be: the options count before the file.
+/// The configuration: options count before the file.
 fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
     let mut file = args.file.as_deref().map(read).transpose()?.unwrap_or_default();
     if !args.listen.is_empty() {

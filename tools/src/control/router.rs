@@ -1,4 +1,4 @@
-//! What a TCP router is asked, and answers.
+//! Requests to a TCP router, and its replies.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ const NAMES_SHOWN: usize = 16;
 /// Nanoseconds of a millisecond, in which the router counts.
 const MS: u64 = 1_000_000;
 
-/// What a router may be asked.
+/// A request to a router.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum RouterRequest {
@@ -21,7 +21,7 @@ pub enum RouterRequest {
     Status,
 }
 
-/// What it answers.
+/// Its reply.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RouterReply {
@@ -35,7 +35,7 @@ pub enum RouterReply {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct RouterShown {
-    /// What it is called.
+    /// Its name.
     pub name: String,
     /// Its process.
     pub pid: u32,
@@ -49,7 +49,7 @@ pub struct RouterShown {
     pub names: usize,
     /// Packages that wait for all of them.
     pub waiting: usize,
-    /// What was counted since its start, by name.
+    /// Counters since its start, by name.
     pub counters: BTreeMap<String, u64>,
     /// The open connections, those with the most bytes waiting first; 100 at the most.
     pub clients: Vec<ClientShown>,
@@ -80,7 +80,7 @@ pub struct ClientShown {
     /// Nanoseconds that the oldest of them has waited, to the millisecond.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub oldest_ns: Option<u64>,
-    /// What was counted of it, without what is 0.
+    /// Its counters that are not 0.
     pub counters: BTreeMap<String, u64>,
 }
 
@@ -100,7 +100,7 @@ pub struct ClosedShown {
     pub names: usize,
     /// The first 16 of them.
     pub first_names: Vec<String>,
-    /// What was counted of it, without what is 0.
+    /// Its counters that are not 0.
     pub counters: BTreeMap<String, u64>,
 }
 

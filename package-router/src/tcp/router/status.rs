@@ -1,4 +1,4 @@
-//! What people see of a router.
+//! The status of a router.
 
 use core::net::SocketAddr;
 
@@ -7,7 +7,7 @@ use crate::name::MailboxName;
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
-        /// What is counted of a connection, or of all.
+        /// Counters of a connection, or sums over all.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
         pub struct Counters {
             $($(#[$doc])* pub $name: u64,)+
@@ -81,7 +81,7 @@ pub struct ClientStatus {
     pub waiting_bytes: usize,
     /// Milliseconds that the oldest of them has waited.
     pub oldest: Option<u64>,
-    /// What was counted of it.
+    /// Its counters.
     pub counters: Counters,
 }
 
@@ -98,7 +98,7 @@ pub struct Closed {
     pub open_for: u64,
     /// Its mailboxes at the end.
     pub names: Vec<MailboxName>,
-    /// What was counted of it.
+    /// Its counters.
     pub counters: Counters,
 }
 
@@ -114,7 +114,7 @@ pub struct Status {
 }
 
 impl Router {
-    /// What people see of it.
+    /// The router's status.
     pub fn status(&self, now: u64) -> Status {
         let clients: Vec<ClientStatus> = self
             .clients

@@ -42,7 +42,7 @@ impl Net {
         }
     }
 
-    /// What a connection reads now.
+    /// All bytes that a connection reads now.
     fn reads(&mut self, of: usize) -> Vec<u8> {
         self.flush();
         core::mem::take(&mut self.read[of])

@@ -1,4 +1,4 @@
-//! Random clients against a plain list: who owns a name, what waits, what is dropped, in which order it leaves.
+//! Random clients against plain lists: owners of names, waiting packages, dropped packages, and the order in which they leave.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use super::*;
 
 const CLIENTS: usize = 4;
 const NAMES: u32 = 6;
-/// Of bytes that wait for one client: as few as a router takes.
+/// The smallest queue of a client, in bytes.
 const QUEUE: usize = MAX_LEN;
 
 #[derive(Clone, Debug)]
@@ -118,7 +118,7 @@ impl Model {
         }
     }
 
-    /// What had to make room, or nothing if there is none.
+    /// The heads of packages that made room; `None` if there is no room.
     fn push(&mut self, to: usize, head: Head) -> Option<Vec<Head>> {
         let reader = &mut self.readers[to];
         let begun = if reader.rest > 0 && !reader.is_begun_own { reader.read.last() } else { None };

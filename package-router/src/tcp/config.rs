@@ -15,7 +15,9 @@
 //!         [limits]                     # default: these
 //!         connections = 10000
 //!         names = 1024                 # mailboxes of one connection
+//!         all_names = 100000           # mailboxes of all
 //!         queue = 4194304              # bytes that wait for one connection, 262144 or more
+//!         memory = 268435456           # bytes that wait for all, and of packages whose end has not come
 //!
 //!         [[register]]                 # without any, all may register any name
 //!         peer = "10.0.0.0/8"          # clients from there; default: all
@@ -104,7 +106,9 @@ struct Listen {
 struct LimitsFile {
     connections: Option<Spanned<usize>>,
     names: Option<Spanned<usize>>,
+    all_names: Option<Spanned<usize>>,
     queue: Option<Spanned<usize>>,
+    memory: Option<Spanned<usize>>,
 }
 
 impl RouterFile {
@@ -124,7 +128,9 @@ impl RouterFile {
         let limits = Limits {
             connections: at_least(limits.connections, default.limits.connections, 1)?,
             names: at_least(limits.names, default.limits.names, 1)?,
+            all_names: at_least(limits.all_names, default.limits.all_names, 1)?,
             queue: at_least(limits.queue, default.limits.queue, MAX_LEN)?,
+            memory: at_least(limits.memory, default.limits.memory, MAX_LEN)?,
         };
         let listen = match listen.is_empty() {
             true => default.listen,

@@ -33,13 +33,17 @@ pub struct Limits {
     pub connections: usize,
     /// Mailboxes of one connection.
     pub names: usize,
+    /// Mailboxes of all connections.
+    pub all_names: usize,
     /// Bytes that wait for one connection, not less than the longest package.
     pub queue: usize,
+    /// Bytes that wait for all connections, and of packages whose end has not come.
+    pub memory: usize,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { connections: 10_000, names: 1_024, queue: 4 << 20 }
+        Self { connections: 10_000, names: 1_024, all_names: 100_000, queue: 4 << 20, memory: 256 << 20 }
     }
 }
 
@@ -52,6 +56,9 @@ pub enum Ending {
     /// The client did not answer for a whole round.
     #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]
     Silent,
+    /// The router has no memory left for the package that it has begun.
+    #[error("the router holds as many bytes as it may (limits.memory)")]
+    NoMemory,
     /// It sent bytes that are no package.
     #[error("{0}")]
     NoPackage(#[from] HeadError),
@@ -92,6 +99,8 @@ pub struct Router {
     /// Sums over the closed connections.
     counters: Counters,
     next_round: u64,
+    /// Bytes that wait for all connections, and of packages that have begun.
+    held: usize,
 }
 
 impl Router {
@@ -108,6 +117,7 @@ impl Router {
             closed: VecDeque::new(),
             counters: Counters::default(),
             next_round: now + LIFESIGN_EVERY,
+            held: 0,
         }
     }
 
@@ -151,12 +161,17 @@ impl Router {
         let Some(client) = self.client(from) else { return };
         client.is_asked = false;
         let mut frames = core::mem::take(&mut client.frames);
+        self.held -= frames.begun();
         let cut = frames.cut(bytes, |head, body| self.package(from, &head, body, now));
+        self.held += frames.begun();
+        let has_memory = frames.begun() == 0 || self.held <= self.limits.memory;
         if let Some(client) = self.client(from) {
             client.frames = frames;
         }
-        if let Err(no_package) = cut {
-            self.endings.push((from, no_package.into()));
+        match cut {
+            Err(no_package) => self.endings.push((from, no_package.into())),
+            Ok(()) if !has_memory => self.endings.push((from, Ending::NoMemory)),
+            Ok(()) => {}
         }
     }
 
@@ -166,7 +181,12 @@ impl Router {
         to: Connection,
         send: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
     ) -> io::Result<bool> {
-        self.client(to).map_or(Ok(true), |client| client.outgoing.write(send))
+        let Some(client) = self.client(to) else { return Ok(true) };
+        let before = client.outgoing.bytes();
+        let written = client.outgoing.write(send);
+        let left = before - client.outgoing.bytes();
+        self.held -= left;
+        written
     }
 
     /// The next connection that something has been left for since it was last named here.
@@ -189,6 +209,7 @@ impl Router {
         client.names.iter().for_each(|name| {
             self.table.remove(name);
         });
+        self.held -= client.outgoing.bytes() + client.frames.begun();
         client.counters.lost_at_close += client.outgoing.packages() as u64;
         self.counters.add(&client.counters);
         self.closed.truncate(CLOSED - 1);
@@ -242,14 +263,18 @@ impl Router {
     }
 
     fn control(&mut self, from: Connection, head: &Head, control: Control, now: u64) {
+        let has_room = self.table.len() < self.limits.all_names;
         let most = self.limits.names;
         let Some(client) = self.clients.get_mut(from.0 as usize).and_then(Option::as_mut) else { return };
         let answer = match control {
             Control::Register { name, is_answered } => {
                 let owner = self.table.get(&name);
                 let may = self.rules.may_register(client.peer.ip(), name);
-                let is_new =
-                    may && name != MailboxName::NOBODY && owner.is_none() && client.names.len() < most;
+                let is_new = may
+                    && has_room
+                    && name != MailboxName::NOBODY
+                    && owner.is_none()
+                    && client.names.len() < most;
                 // A name that is one's own already, and that of nobody, are let pass where no answer is waited for.
                 let is_idle = !is_answered && (name == MailboxName::NOBODY || owner == Some(&from));
                 if is_new {
@@ -317,9 +342,14 @@ impl Router {
 
     /// Has a package wait for a connection. What makes room for it is counted at its sender.
     fn enqueue(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) -> Result<(), Full> {
+        let has_memory = self.held + head.len as usize <= self.limits.memory;
         let Some(receiver) = self.client(to) else { return Err(Full) };
-        let mut displaced = Vec::new();
-        let pushed = receiver.outgoing.push(head, body, now, |dropped| displaced.push(dropped));
+        let (mut displaced, before) = (Vec::new(), receiver.outgoing.bytes());
+        let pushed = match has_memory {
+            true => receiver.outgoing.push(head, body, now, |dropped| displaced.push(dropped)),
+            false => Err(Full),
+        };
+        let after = receiver.outgoing.bytes();
         match pushed {
             Ok(()) => {
                 receiver.counters.packages_out += 1;
@@ -329,6 +359,7 @@ impl Router {
             }
             Err(Full) => receiver.counters.queue_full += 1,
         }
+        self.held = self.held + after - before;
         for dropped in displaced {
             // Its answer is less urgent than what displaced it, so that this ends.
             if let Some(&sender) = self.table.get(&dropped.from) {

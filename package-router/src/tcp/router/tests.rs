@@ -250,7 +250,7 @@ fn an_urgent_package_and_a_lifesign_overtake_ten_thousand() {
 
 #[test]
 fn limits_hold_and_are_counted() {
-    let limits = Limits { connections: 2, names: 2, queue: 0 };
+    let limits = Limits { connections: 2, names: 2, queue: 0, ..Limits::default() };
     let mut net = Net { router: Router::new(limits, 0), read: vec![Vec::new(); 2], now: 0 };
     let opened: Vec<_> = (0..3).map(|_| net.router.connect(PEER, 0).is_ok()).collect();
     assert_eq!(opened, [true, true, false]);
@@ -291,4 +291,34 @@ fn what_no_rule_allows_is_refused_counted_and_answered() {
     });
     net.send(1, &package(21, 0x18_0000, 0x11_0000, b"and you"));
     assert_eq!((net.reads(0).len(), net.register(0, 0x18_0200)), (HEAD_LEN + 7, wire::ERROR));
+}
+
+#[test]
+fn all_connections_together_hold_no_more_than_they_may() {
+    let limits = Limits { memory: 1_000, all_names: 3, ..Limits::default() };
+    let mut net = Net { router: Router::new(limits, 0), read: vec![Vec::new(); 3], now: 0 };
+    (0..3).for_each(|_| assert!(net.router.connect(PEER, 0).is_ok()));
+    assert_eq!(
+        [(0, 1), (1, 2), (2, 3), (2, 4)].map(|(client, name)| net.register(client, name)),
+        [0, 0, 0, wire::ERROR]
+    );
+    // Of 116 bytes each: eight fit.
+    for to in [2, 3].repeat(5) {
+        net.send(0, &package(-6, to, 1, &[0; 100]));
+    }
+    assert_eq!((net.counters(0).receiver_full, net.router.held), (2, 8 * 116));
+    net.reads(1);
+    assert_eq!(net.router.held, 0);
+    // A package that has begun counts, and its connection ends.
+    net.send(1, &package(-6, 3, 2, &[0; 2_000])[..900]);
+    assert_eq!((net.router.held, net.endings()), (900, vec![]));
+    net.send(2, &package(-6, 2, 3, &[0; 2_000])[..101]);
+    assert_eq!(net.endings(), [(2, Ending::NoMemory)]);
+    net.router.disconnect(Connection(2), Ending::NoMemory, 0);
+    net.send(1, &[0; 1_116]);
+    assert_eq!((net.router.held, net.endings()), (0, vec![]), "its receiver is gone");
+    net.register(0, 9);
+    net.router.disconnect(Connection(0), Ending::Left, 0);
+    net.router.disconnect(Connection(1), Ending::Left, 0);
+    assert_eq!((net.router.held, net.router.table.len()), (0, 0));
 }

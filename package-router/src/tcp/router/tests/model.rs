@@ -237,6 +237,8 @@ fn runs(steps: Vec<Step>) {
         assert_eq!((cut, seen), (Ok(()), model.readers[client].read.clone()), "client {client}");
         assert_eq!(net.router.status(0).clients[client].waiting, 0);
     }
+    let begun: usize = net.router.clients.iter().flatten().map(|client| client.frames.begun()).sum();
+    assert_eq!((net.router.held, begun), (0, 0));
     let owned: usize = net.router.status(0).clients.iter().map(|client| client.names.len()).sum();
     assert_eq!((owned, net.router.table.len()), (model.owners.len(), model.owners.len()));
     assert_eq!(net.endings(), []);

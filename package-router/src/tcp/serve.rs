@@ -117,8 +117,10 @@ impl Server {
                 self.event(event);
             }
             self.read(&mut room);
-            // All bytes that have come are handed over first: they are signs of life.
-            if self.readable.is_empty() && self.now() >= self.router.next_round() {
+            // A full list of events may lack some. Else each connection that has bytes has been read from by now: they are signs of
+            // life.
+            let are_all = events.iter().count() < EVENTS;
+            if are_all && self.now() >= self.router.next_round() {
                 self.router.round(self.now());
             }
             self.accept_again();

@@ -139,3 +139,30 @@ fn connections_beyond_the_limit_are_closed_and_counted() {
     eventually(&running, |status| status.clients.len() == 1);
     register(&mut running.connect(), 1);
 }
+
+#[test]
+fn floods_keep_no_lifesign_from_the_others() {
+    const FLOODS: usize = 8;
+    let running = Running::start(Limits::default());
+    let mut quiet = running.connect();
+    register(&mut quiet, 2);
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..FLOODS {
+            let mut flood = running.connect();
+            let is_over = &is_over;
+            scope.spawn(move || {
+                // Each read of the router finds as much as it takes.
+                let batch = package(-6, 9, 1, &[0; 100]).repeat(100_000);
+                while !is_over.load(Ordering::Relaxed) {
+                    flood.write_all(&batch).unwrap();
+                }
+            });
+        }
+        let mut head = [0; HEAD_LEN];
+        let came = quiet.read_exact(&mut head);
+        is_over.store(true, Ordering::Relaxed);
+        came.unwrap();
+        assert_eq!(Head::parse(&head).unwrap().kind, crate::tcp::control::LIFESIGN);
+    });
+}

@@ -22,7 +22,16 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const SILENT: usize = 1_000;
 
 fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStream> {
-    let mut stream = TcpStream::connect(at).context("the router does not listen")?;
+    let begun = Instant::now();
+    let mut stream = loop {
+        match TcpStream::connect(at) {
+            // It was started a moment ago.
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused && begun.elapsed() < PATIENCE => {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            connected => break connected.context("the router does not listen")?,
+        }
+    };
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     protocol.join(&mut stream, me).with_context(|| format!("client {me}"))?;

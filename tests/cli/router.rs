@@ -205,7 +205,7 @@ fn a_router_is_as_its_file_says() {
 }
 
 #[test]
-fn a_routers_rules_are_read_again_and_a_wrong_file_changes_nothing() {
+fn a_router_keeps_its_rules_if_the_new_file_is_wrong() {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("router.toml");
     let write = |names: &str| {

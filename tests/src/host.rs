@@ -157,7 +157,7 @@ impl Need {
 }
 
 impl Cores {
-    /// Waits until what is needed is free.
+    /// Waits until the cores that are needed are free.
     fn take(&self, need: Need) -> Taken<'_> {
         let allowed = realtime::allowed_cpus();
         let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);

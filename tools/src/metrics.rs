@@ -92,7 +92,7 @@ impl Figures {
         let _ = writeln!(self.0, "{name} {value}");
     }
 
-    /// Several that only grow, told apart by a label.
+    /// Several that only grow, distinguished by a label.
     pub fn counters<'a>(
         &mut self,
         name: &str,

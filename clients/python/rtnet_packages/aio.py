@@ -6,8 +6,8 @@ from typing import Callable, Optional, Type, TypeVar
 
 from .client import _AGAIN, _FIRST, _LONGEST, _READ, PORT, prepare
 from .names import Name, name, shown
-from .session import NameTaken, NotConnected, Session, TimedOut, checked
-from .wire import OK, Package, ProtocolError
+from .session import NameTaken, NotConnected, Sender, Session, TimedOut, checked
+from .wire import Package, ProtocolError
 
 _T = TypeVar("_T")
 
@@ -149,23 +149,15 @@ class Router:
                 self._writer.write(self._session.again(of))
 
 
-class Mailbox:
+class Mailbox(Sender):
     """A mailbox of a router's client. It is gone when closed, or when its client is."""
 
     def __init__(self, router: Router, number: int) -> None:
         self._router, self.name = router, number
 
-    def send(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, id: int = 0) -> None:
-        """Sends a package. NotConnected: it was not sent. Whether it arrives is not known: `call` waits for an answer."""
-        self.forward(Package(name(to), self.name, kind, body, priority, id))
-
     def forward(self, package: Package) -> None:
         """Sends a package as it is, such as a reply."""
         self._router._send(package.encode())
-
-    def reply(self, command: Package, kind: int = OK, body: bytes = b"") -> None:
-        """Answers a command that was received here."""
-        self.forward(command.reply(kind, body))
 
     async def call(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, timeout: float = 2.0) -> Package:
         """Sends a command and waits for its reply. NotAvailable, Failed and TimedOut are what may come instead."""

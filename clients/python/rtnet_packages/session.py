@@ -4,7 +4,7 @@ import heapq
 import itertools
 from typing import Dict, List, Optional, Tuple
 
-from .names import NOBODY, shown
+from .names import NOBODY, Name, name, shown
 from .wire import DELETE, ERROR, LIFESIGN, NOT_AVAILABLE, OK, REGISTER, TIMEOUT, Decoder, Package, control
 
 
@@ -32,7 +32,7 @@ class NameTaken(Exception):
     """Another connection of the router has this mailbox, or this one has it already."""
 
 
-#: Of the kinds of replies, those that are errors.
+#: Errors by the kind of the reply.
 _ERRORS = {ERROR: Failed, TIMEOUT: TimedOut, NOT_AVAILABLE: NotAvailable}
 
 
@@ -66,7 +66,7 @@ class Inbox:
         return len(self._waiting)
 
 
-#: A call that waits: whose, of whom, and its id.
+#: The key of an open call: the mailbox, its peer, and the id.
 Call = Tuple[int, int, int]
 
 
@@ -160,3 +160,22 @@ class Session:
             number = next(self._ids) & 0xFF
         self._asked[number] = name
         return Package(NOBODY, NOBODY, REGISTER, name.to_bytes(4, "little"), id=number).encode()
+
+
+class Sender:
+    """The part of a mailbox that waits for nothing, the same in both fronts."""
+
+    #: The number of the mailbox's name.
+    name: int
+
+    def forward(self, package: Package) -> None:
+        """Sends a package as it is. NotConnected: it was not sent."""
+        raise NotImplementedError
+
+    def send(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, id: int = 0) -> None:
+        """Sends a package. NotConnected: it was not sent. Whether it arrives is not known: `call` waits for an answer."""
+        self.forward(Package(name(to), self.name, kind, body, priority, id))
+
+    def reply(self, command: Package, kind: int = OK, body: bytes = b"") -> None:
+        """Answers a command that was received here."""
+        self.forward(command.reply(kind, body))

@@ -13,7 +13,7 @@ pub struct Frames {
 
 impl Frames {
     /// Hands over each package that `bytes` complete: its head, and its body. A head that is none ends the connection: nothing
-    /// says where the next package would begin. Memory is taken for what has come, not for what a head announces.
+    /// says where the next package would begin. Memory grows with the bytes received, not with the length in a head.
     pub fn cut(&mut self, mut bytes: &[u8], mut each: impl FnMut(Head, &[u8])) -> Result<(), HeadError> {
         if !self.begun.is_empty() {
             let Some(head) =
@@ -43,7 +43,7 @@ impl Frames {
         self.begun.len()
     }
 
-    /// Takes what is missing to so many bytes; tells whether all of them are there.
+    /// Moves bytes until `len` are collected; returns whether all of them are there.
     fn filled(&mut self, bytes: &mut &[u8], len: usize) -> bool {
         let missing = len.saturating_sub(self.begun.len());
         let (now, rest) = bytes.split_at(missing.min(bytes.len()));

@@ -58,7 +58,7 @@ struct Waiting {
 pub struct Full;
 
 impl Outgoing {
-    /// An empty queue of so many bytes.
+    /// An empty queue for `most` bytes.
     pub fn new(most: usize) -> Self {
         Self { levels: Vec::new(), most, bytes: 0, packages: 0, begun: None }
     }
@@ -93,7 +93,7 @@ impl Outgoing {
         Ok(())
     }
 
-    /// Hands over as much as `send` takes; tells whether all of it was taken.
+    /// Hands bytes to `send` until it takes no more; returns whether the queue is empty.
     pub fn write(&mut self, mut send: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>) -> io::Result<bool> {
         while !self.is_empty() {
             let mut slices = [IoSlice::new(&[]); SLICES];
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_of_the_least_urgent_makes_room_for_what_is_more_urgent() {
+    fn the_oldest_of_the_least_urgent_makes_room() {
         let mut queue = Outgoing::new(3 * 36);
         let mut push = |priority, id, body: usize| {
             let mut dropped = Vec::new();

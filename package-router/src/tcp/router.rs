@@ -340,7 +340,7 @@ impl Router {
         }
     }
 
-    /// Has a package wait for a connection. What makes room for it is counted at its sender.
+    /// Queues a package for a connection. A displaced package is counted at its sender.
     fn enqueue(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) -> Result<(), Full> {
         let has_memory = self.held + head.len as usize <= self.limits.memory;
         let Some(receiver) = self.client(to) else { return Err(Full) };

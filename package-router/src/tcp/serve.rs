@@ -26,7 +26,7 @@ const EVENTS: usize = 1_024;
 const READ: usize = 64 << 10;
 /// Unsent bytes of a connection in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
 const UNSENT: u32 = 16 << 10;
-/// After an accept that failed for want of descriptors or memory the next is tried so many milliseconds later.
+/// Milliseconds from an accept that failed for want of descriptors or memory to the next.
 const REST: u64 = 100;
 const WAKER: Token = Token(usize::MAX);
 /// Tokens of listeners count down from here, those of connections up from 0.

@@ -1,4 +1,4 @@
-//! The floor: a loop over epoll that forwards what comes of a connection to the one that came before or after it.
+//! The floor: a loop over epoll that forwards bytes between connections, in pairs in the order of their accepts.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::SocketAddr;
@@ -12,7 +12,7 @@ const READ: usize = 64 << 10;
 
 struct End {
     stream: TcpStream,
-    /// What its peer has not taken yet: nothing is read meanwhile.
+    /// Bytes that the peer has not taken yet. The loop reads no more until they have left.
     left: Vec<u8>,
     is_readable: bool,
 }
@@ -47,7 +47,7 @@ pub fn forward(at: SocketAddr) -> Result<serde_json::Value> {
     }
 }
 
-/// Passes on what has come at one end, as far as the other takes it.
+/// Passes bytes from one end to the other until one of them would block.
 fn pass(ends: &mut [End], from: usize, room: &mut [u8]) {
     if ends.len() <= from.max(from ^ 1) {
         return;

@@ -1,4 +1,4 @@
-//! The clients: as many as are asked for, all on one thread.
+//! The clients, all on one thread.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -38,7 +38,7 @@ fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStream>
     Ok(stream)
 }
 
-/// Round trips between the first and the last of so many clients.
+/// Round trips between the first and the last of `clients` clients.
 pub fn trips(protocol: &dyn Protocol, at: SocketAddr, time: Duration, clients: u32) -> Result<Value> {
     let mut all = (0..clients).map(|me| joined(protocol, at, me)).collect::<Result<Vec<_>>>()?;
     let last = clients - 1;
@@ -106,7 +106,7 @@ impl Pair {
     }
 }
 
-/// Packages that come a second, of so many pairs.
+/// Packages received per second by `pairs` receivers.
 pub fn rate(protocol: &dyn Protocol, at: SocketAddr, time: Duration, pairs: u32) -> Result<Value> {
     let mut all = (0..pairs)
         .map(|pair| {

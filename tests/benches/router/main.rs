@@ -1,11 +1,11 @@
-//! What a router of packages costs its clients: they are all in this process, on one thread; the router is another process. One
-//! measurement each run, its figures in a line of JSON; `scripts/bench-router` runs them.
+//! Measures a package router from its clients. One thread of this process runs all clients; the router is another process. A run
+//! makes one measurement and prints it as a line of JSON; `scripts/bench-router` starts the runs.
 //!
 //! ```text
 //! router bare PORT                              forwards bytes between each two connections, and does nothing else
-//! router trips PROTOCOL PORT SECONDS CLIENTS    64 bytes there and back between two of so many clients, one after the other
-//! router rate PROTOCOL PORT SECONDS PAIRS       64 bytes from so many senders, each to a receiver of its own
-//! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after so many clients have joined
+//! router trips PROTOCOL PORT SECONDS CLIENTS    64 bytes there and back between two of CLIENTS clients, one after the other
+//! router rate PROTOCOL PORT SECONDS PAIRS       64 bytes from PAIRS senders, each to its own receiver
+//! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after CLIENTS clients have joined
 //! router abuse PROTOCOL PORT                    a client that does not read, one that sends a byte a second, 1000 that say nothing
 //! ```
 

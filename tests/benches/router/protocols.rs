@@ -1,4 +1,4 @@
-//! What each router is spoken to with: how a client joins by a number, and what a package of 64 bytes is.
+//! The protocols of the routers: the registration of a client by its number, and a package of 64 bytes.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -14,9 +14,9 @@ const BODY: usize = 48;
 pub trait Protocol {
     /// Joins as the client of this number.
     fn join(&self, stream: &mut TcpStream, me: u32) -> Result<()>;
-    /// What is sent to a client, 48 bytes of data in it.
+    /// The bytes of a package for a client, with 48 bytes of data.
     fn package(&self, to: u32, from: u32) -> Vec<u8>;
-    /// How many bytes come there.
+    /// Bytes of that package at its receiver.
     fn comes(&self, to: u32) -> usize;
     /// Bytes with which a package of any length begins.
     fn begin(&self) -> Vec<u8>;

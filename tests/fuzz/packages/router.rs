@@ -1,4 +1,4 @@
-//! The TCP router: what connections send, in pieces of any length, and what leaves; and its file.
+//! The TCP router: bytes of connections in pieces of any length, the bytes that leave, and its file.
 
 use core::net::{IpAddr, Ipv4Addr, SocketAddr};
 
@@ -9,7 +9,7 @@ use package_router::tcp::router::{Connection, Ending, Limits, Router};
 use super::*;
 
 const CONNECTIONS: usize = 3;
-/// Of each piece: one byte says whose it is, one how long.
+/// Bytes before each piece: its connection, and its length.
 const HEAD: usize = 2;
 
 /// Names registered by two connections, packages between them, a question of the router answered.
@@ -59,7 +59,7 @@ fn routed(bytes: &[u8]) -> Vec<u64> {
     in_turn(&steps)
 }
 
-/// What leaves is packages, little-endian; nothing waits then.
+/// All bytes that leave are little-endian packages, and nothing waits afterwards.
 fn left(router: &mut Router, now: u64) -> u64 {
     let mut kinds = Vec::new();
     while let Some(to) = router.next_awake() {

@@ -33,7 +33,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 const PATIENCE: Duration = Duration::from_secs(2);
 const WIDTH: usize = 120;
 
-/// Runs a router until it is told to stop, or looks at one.
+/// Runs a router until a signal ends it, or shows the status of one.
 pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
     match &args.verb {
         None => run(&args.run),

@@ -69,7 +69,7 @@ pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) ->
     }
 }
 
-/// How a router is.
+/// The status of a router.
 pub fn router_status(directory: &Directory, name: &str) -> Result<RouterShown> {
     let place = Place { lab: None, station: name.to_owned() };
     let reply = exchange(&directory.station(&place), RouterRequest::Status, PATIENCE);

@@ -302,7 +302,7 @@ fn all_connections_together_hold_no_more_than_they_may() {
         [(0, 1), (1, 2), (2, 3), (2, 4)].map(|(client, name)| net.register(client, name)),
         [0, 0, 0, wire::ERROR]
     );
-    // Of 116 bytes each: eight fit.
+    // Eight packages of 116 bytes fit.
     for to in [2, 3].repeat(5) {
         net.send(0, &package(-6, to, 1, &[0; 100]));
     }

@@ -17,8 +17,8 @@ use crate::mailbox::MOST_SENDERS;
 use crate::name::MailboxName;
 use crate::registry::{LaneState, MOST_MAILBOXES, Registered};
 
-/// Lanes of a mailbox: one for each sender, and the router's.
-pub const MOST_LANES: usize = MOST_SENDERS + 1;
+/// Lanes of a mailbox: one for each sender, the LAN router's and the TCP client's.
+pub const MOST_LANES: usize = MOST_SENDERS + 2;
 const GENERATION: usize = 0;
 const CHANGES: usize = 1;
 const LANES: usize = 8;

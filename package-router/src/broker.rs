@@ -28,7 +28,7 @@ use crate::handshake::{ASK_LEN, Answer, Ask};
 use crate::mailbox::{Layout, Segment, Shape, Word};
 use crate::name::MailboxName;
 use crate::priority::Priorities;
-use crate::registry::{ComponentId, Refused, Registry};
+use crate::registry::{ComponentId, Refused, Registered, Registry};
 use crate::route::{RouteError, Routes};
 
 /// Components at a time.
@@ -217,6 +217,7 @@ impl Broker {
             },
             Ask::Create(name, shape) => return self.create(seat, name, shape, files),
             Ask::Look(place) => return self.look(place).unwrap_or((Answer::NoMore, Vec::new())),
+            Ask::Way(to) => self.way(to),
             Ask::RouteAt(_) | Ask::AddRoute(..) | Ask::DeleteRoute(_) => self.routed(ask),
             Ask::Delete(name) => match self.registry.delete(by, name) {
                 Ok(place) => {
@@ -248,12 +249,17 @@ impl Broker {
     ) -> (Answer, Vec<OwnedFd>) {
         // A process that has come again may have its own names again.
         let is_former = |id| self.lingering.iter().any(|gone| gone.id == id && gone.pid == by.pid);
-        let place = match self.registry.create_beside(by.id, is_former, name, shape) {
+        let is_tcp = name == MailboxName::NOBODY && by.pid == std::process::id();
+        let created = match is_tcp {
+            true => self.registry.create_tcp(by.id, shape),
+            false => self.registry.create_beside(by.id, is_former, name, shape),
+        };
+        let place = match created {
             Ok(place) => place,
             Err(refused) => return (Answer::Refused(refused), Vec::new()),
         };
         let made = Memory::new(name, &shape, by.pid, files).and_then(|memory| {
-            let Some(beyond) = &mut self.beyond else { return Ok((memory, None)) };
+            let Some(beyond) = self.beyond.as_mut().filter(|_| !is_tcp) else { return Ok((memory, None)) };
             let owner = memory.owner.as_fd().try_clone_to_owned()?;
             let file = beyond.created(name, &memory.layout, owner, memory.bells.hang()?)?;
             Ok((memory, Some(file)))
@@ -263,6 +269,7 @@ impl Broker {
                 self.memories[place] = Some(memory);
                 self.show(place);
                 self.board.moved();
+                self.tell_tcp();
                 let generation = self.registry.get(place).map_or(0, |mailbox| mailbox.generation);
                 (Answer::Created { place, generation }, of_router.into_iter().collect())
             }
@@ -281,9 +288,17 @@ impl Broker {
         to: MailboxName,
     ) -> Result<(Answer, Vec<OwnedFd>), Answer> {
         let priority = self.priorities.package(from.class());
-        let Some(memory) = self.registry.find(to).and_then(|place| self.memories[place].as_ref()) else {
-            return Ok((self.away(by, from, to, priority).map_err(Answer::Refused)?, Vec::new()));
+        let (to, is_tcp) = match self.way(to) {
+            Answer::Route(_, station) => {
+                self.registry.check_own(by, from).map_err(Answer::Refused)?;
+                let channel = self.priorities.channel(from.class());
+                return Ok((Answer::Away { station, priority, channel }, Vec::new()));
+            }
+            Answer::ByTcp if from != MailboxName::NOBODY => (MailboxName::NOBODY, true),
+            _ => (to, false),
         };
+        let memory = self.registry.find(to).and_then(|place| self.memories[place].as_ref());
+        let memory = memory.ok_or(Answer::Refused(Refused::NoMailbox(to)))?;
         let drained = |at, generation| {
             memory.owner.at(memory.layout.drained(at)).get_acquire() == u64::from(generation)
         };
@@ -293,21 +308,26 @@ impl Broker {
             self.registry.unbind(by, lane);
         }
         let Some(mailbox) = self.registry.get(lane.place) else { return Err(Answer::Failed(libc::EINVAL)) };
-        Ok((Answer::Reserved { lane, shape: mailbox.shape, priority }, files?))
+        Ok((Answer::Reserved { lane, shape: mailbox.shape, priority, is_tcp }, files?))
     }
 
-    /// To a mailbox that is not here.
-    fn away(
-        &mut self,
-        by: ComponentId,
-        from: MailboxName,
-        to: MailboxName,
-        priority: u8,
-    ) -> Result<Answer, Refused> {
-        self.registry.check_own(by, from)?;
-        let station = self.beyond.as_mut().and_then(|beyond| beyond.routes().find(to));
-        let station = station.ok_or(Refused::NoMailbox(to))?;
-        Ok(Answer::Away { station, priority, channel: self.priorities.channel(from.class()) })
+    /// The way of packages for a mailbox: that mailbox here, else the station to which a route leads, else the TCP router.
+    fn way(&mut self, to: MailboxName) -> Answer {
+        let nowhere = Answer::Refused(Refused::NoMailbox(to));
+        if to == MailboxName::NOBODY {
+            return nowhere;
+        }
+        let here = self.registry.find(to).and_then(|place| {
+            let memory = self.memories[place].as_ref()?;
+            Some(seen(place, self.registry.get(place)?, memory))
+        });
+        if let Some(mailbox) = here {
+            return mailbox;
+        }
+        if let Some(route) = self.beyond.as_mut().and_then(|beyond| beyond.routes().of(to)) {
+            return Answer::Route(route.to, route.station);
+        }
+        self.registry.find(MailboxName::NOBODY).map_or(nowhere, |_| Answer::ByTcp)
     }
 
     /// A component has hung up.
@@ -330,8 +350,7 @@ impl Broker {
         let (place, mailbox) = self.registry.all().find(|(place, _)| *place >= from)?;
         let memory = self.memories[place].as_ref()?;
         let files = [memory.owner.as_fd().try_clone_to_owned().ok()?, memory.lanes.try_clone().ok()?];
-        let (name, shape, process) = (mailbox.name, mailbox.shape, memory.process);
-        Some((Answer::Mailbox { place, name, shape, process }, files.into()))
+        Some((seen(place, mailbox, memory), files.into()))
     }
 
     fn routed(&mut self, ask: Ask) -> Answer {
@@ -369,6 +388,13 @@ impl Broker {
         if let (Some(memory), Some(beyond)) = (memory, &mut self.beyond) {
             beyond.deleted(memory.name);
         }
+        self.tell_tcp();
+    }
+
+    /// The TCP client looks which mailboxes there are.
+    fn tell_tcp(&self) {
+        let memory = self.registry.find(MailboxName::NOBODY).and_then(|place| self.memories[place].as_ref());
+        memory.iter().for_each(|memory| memory.bell.ring());
     }
 }
 
@@ -378,6 +404,10 @@ impl Drop for Broker {
         let places: Vec<_> = self.registry.all().map(|(place, _)| place).collect();
         places.into_iter().for_each(|place| self.board.show(place, None));
     }
+}
+
+fn seen(place: usize, mailbox: &Registered, memory: &Memory) -> Answer {
+    Answer::Mailbox { place, name: mailbox.name, shape: mailbox.shape, process: memory.process }
 }
 
 fn failed(error: &io::Error) -> Answer {

@@ -2,9 +2,9 @@
 //! gives up its mailboxes.
 //!
 //! ```text
-//! ask     "RTP1"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
+//! ask     "RTP2"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
 //!         and, to `Create`: the owner's file, the lanes', the set that its bells hang in
-//! answer  "RTP1"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
+//! answer  "RTP2"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
 //!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Look`: the owner's, the lanes';
 //!         to `Bind` here: the owner's, the lanes', a bell
 //! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4  mailbox 8  generation 4           numbers little-endian
@@ -21,7 +21,7 @@ pub use crate::registry::LaneId as Lane;
 use crate::registry::Refused;
 
 /// Begins every packet.
-const MAGIC: [u8; 4] = *b"RTP1";
+const MAGIC: [u8; 4] = *b"RTP2";
 /// Bytes of an ask.
 pub const ASK_LEN: usize = size_of::<RawAsk>();
 /// Bytes of an answer.
@@ -57,6 +57,8 @@ pub enum Ask {
     AddRoute(Pattern, Ipv4Addr),
     /// There is no such route any more.
     DeleteRoute(Pattern),
+    /// The way that packages for a mailbox go.
+    Way(MailboxName),
 }
 
 /// What the broker answers.
@@ -83,6 +85,8 @@ pub enum Answer {
         shape: Shape,
         /// How urgent what is sent by it is, unless that is said.
         priority: u8,
+        /// Whether it is a lane of the TCP client's mailbox: what is for the other mailbox goes by the TCP router.
+        is_tcp: bool,
     },
     /// It is elsewhere: what is for it goes there by real-time UDP.
     Away {
@@ -108,6 +112,8 @@ pub enum Answer {
     Route(Pattern, Ipv4Addr),
     /// There is no other.
     NoMore,
+    /// Packages for a mailbox go to the TCP router.
+    ByTcp,
 }
 
 #[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Default)]
@@ -177,6 +183,7 @@ impl Ask {
                 (raw.what, raw.pattern, raw.station) = (9, U64::new(to.to_bits()), station.octets());
             }
             Ask::DeleteRoute(to) => (raw.what, raw.pattern) = (10, U64::new(to.to_bits())),
+            Ask::Way(to) => (raw.what, raw.name) = (11, U32::new(to.0)),
         }
         zerocopy::transmute!(raw)
     }
@@ -196,6 +203,7 @@ impl Ask {
             8 => Ask::RouteAt(raw.lane.lane().place),
             9 => Ask::AddRoute(Pattern::from_bits(raw.pattern.get())?, raw.station.into()),
             10 => Ask::DeleteRoute(Pattern::from_bits(raw.pattern.get())?),
+            11 => Ask::Way(name),
             _ => return None,
         })
     }
@@ -209,6 +217,8 @@ const AWAY: u8 = 4;
 const MAILBOX: u8 = 5;
 const ROUTE: u8 = 6;
 const NO_MORE: u8 = 7;
+const RESERVED_TCP: u8 = 8;
+const BY_TCP: u8 = 9;
 const TAKEN: u8 = 16;
 const NO_NAME: u8 = 17;
 const TOO_MANY: u8 = 18;
@@ -231,8 +241,8 @@ impl Answer {
                 (raw.what, raw.generation) = (CREATED, U64::new(generation));
                 raw.lane = RawLane::of(Lane { place, ..Lane::default() });
             }
-            Answer::Reserved { lane, shape, priority } => {
-                (raw.what, raw.priority) = (RESERVED, priority);
+            Answer::Reserved { lane, shape, priority, is_tcp } => {
+                (raw.what, raw.priority) = (if is_tcp { RESERVED_TCP } else { RESERVED }, priority);
                 (raw.lane, raw.shape) = (RawLane::of(lane), RawShape::of(&shape));
             }
             Answer::Away { station, priority, channel } => {
@@ -248,6 +258,7 @@ impl Answer {
                 (raw.what, raw.detail[0], raw.station) = (ROUTE, U64::new(to.to_bits()), station.octets());
             }
             Answer::NoMore => raw.what = NO_MORE,
+            Answer::ByTcp => raw.what = BY_TCP,
             Answer::Refused(refused) => raw.refuse(refused),
         }
         zerocopy::transmute!(raw)
@@ -261,9 +272,9 @@ impl Answer {
             DONE => Answer::Done,
             FAILED => Answer::Failed(raw.detail[0].get() as i32),
             CREATED => Answer::Created { place: raw.lane.lane().place, generation },
-            RESERVED => {
-                let (lane, priority) = (raw.lane.lane(), raw.priority);
-                Answer::Reserved { lane, shape: raw.shape.shape()?, priority }
+            RESERVED | RESERVED_TCP => {
+                let (lane, priority, is_tcp) = (raw.lane.lane(), raw.priority, raw.what == RESERVED_TCP);
+                Answer::Reserved { lane, shape: raw.shape.shape()?, priority, is_tcp }
             }
             AWAY => {
                 Answer::Away { station: raw.station.into(), priority: raw.priority, channel: raw.channel }
@@ -276,6 +287,7 @@ impl Answer {
             },
             ROUTE => Answer::Route(Pattern::from_bits(raw.detail[0].get())?, raw.station.into()),
             NO_MORE => Answer::NoMore,
+            BY_TCP => Answer::ByTcp,
             _ => Answer::Refused(raw.refused()?),
         })
     }

@@ -4,6 +4,9 @@
 //! a lane   Free ─ bind ─► Reserved ─ ready ─► Bound ─ unbind, or its component has ended ─► Left ─ all is read ─► Free
 //!                            └──────────── unbind, or its component has ended ─────────────────────────────────► Free
 //! ```
+//!
+//! The TCP client is a component, too. Its mailbox has the name of nobody: it takes packages that have no other way. Its lane into other
+//! mailboxes takes packages of anybody.
 
 use crate::mailbox::{Shape, ShapeError};
 use crate::name::MailboxName;
@@ -32,7 +35,7 @@ pub struct Registered {
     pub shape: Shape,
     /// Tells it from all that were called so before.
     pub generation: u64,
-    /// Who may send to it; the first lane is the router's.
+    /// Its lanes, in the order of [`Shape::lanes`].
     pub lanes: Vec<Lane>,
 }
 
@@ -52,7 +55,7 @@ pub enum LaneState {
     Free,
     /// Somebody who makes it ready.
     Reserved(ComponentId, MailboxName),
-    /// Who sends what comes through it; from nobody: the router, for whoever sends from elsewhere.
+    /// The component, and the mailbox that it sends from; from nobody: a router, whose packages are from elsewhere.
     Bound(ComponentId, MailboxName),
     /// Nobody any more; the owner has not read all yet of who had it.
     Left(MailboxName),
@@ -71,7 +74,7 @@ pub struct LaneId {
     pub generation: u32,
 }
 
-/// The router's lane.
+/// The LAN router's lane.
 pub const ROUTER: usize = 0;
 /// Who has it.
 pub const ROUTERS: ComponentId = ComponentId(0);
@@ -127,15 +130,27 @@ impl Registry {
         if name == MailboxName::NOBODY {
             return Err(Refused::NoName(name));
         }
-        shape.check()?;
         let is_anothers = self.users().any(|(by, from)| from == name && by != owner && !is_former(by));
-        if is_anothers || self.find(name).is_some() {
+        if is_anothers {
+            return Err(Refused::Taken(name));
+        }
+        self.add(owner, name, shape)
+    }
+
+    /// The mailbox of the TCP client: its place. There is one.
+    pub fn create_tcp(&mut self, owner: ComponentId, shape: Shape) -> Result<usize, Refused> {
+        self.add(owner, MailboxName::NOBODY, shape)
+    }
+
+    fn add(&mut self, owner: ComponentId, name: MailboxName, shape: Shape) -> Result<usize, Refused> {
+        shape.check()?;
+        if self.find(name).is_some() {
             return Err(Refused::Taken(name));
         }
         let place = self.places.iter().position(Option::is_none).ok_or(Refused::TooMany)?;
         self.generations += 1;
         let free = Lane { generation: 0, state: LaneState::Free };
-        let mut lanes = vec![free; shape.senders + 1];
+        let mut lanes = vec![free; shape.lanes()];
         lanes[ROUTER] = Lane { generation: 1, state: LaneState::Bound(ROUTERS, MailboxName::NOBODY) };
         self.places[place] = Some(Registered { name, owner, shape, generation: self.generations, lanes });
         Ok(place)
@@ -163,13 +178,19 @@ impl Registry {
         self.check_own(component, from)?;
         let place = self.find(to).ok_or(Refused::NoMailbox(to))?;
         let Some(mailbox) = &mut self.places[place] else { return Err(Refused::NoMailbox(to)) };
-        for (at, lane) in mailbox.lanes.iter_mut().enumerate() {
+        let (senders, tcp) = (mailbox.shape.senders, mailbox.shape.tcp_lane());
+        let mut lanes = match from {
+            MailboxName::NOBODY => tcp..tcp + 1,
+            _ => ROUTER + 1..tcp,
+        };
+        for at in lanes.clone() {
+            let lane = &mut mailbox.lanes[at];
             if matches!(lane.state, LaneState::Left(_)) && is_drained(at, lane.generation) {
                 lane.state = LaneState::Free;
             }
         }
-        let free = mailbox.lanes.iter().position(|lane| lane.state == LaneState::Free);
-        let lane = free.ok_or(Refused::NoLane(to, mailbox.shape.senders))?;
+        let free = lanes.find(|at| mailbox.lanes[*at].state == LaneState::Free);
+        let lane = free.ok_or(Refused::NoLane(to, senders))?;
         let generation = mailbox.lanes[lane].generation + 1;
         mailbox.lanes[lane] = Lane { generation, state: LaneState::Reserved(component, from) };
         Ok(LaneId { place, lane, mailbox: mailbox.generation, generation })

@@ -126,8 +126,14 @@ impl Routes {
     /// Which station has a mailbox, if a route says so and it is not this one.
     #[inline]
     pub fn find(&self, name: MailboxName) -> Option<Ipv4Addr> {
+        self.of(name).map(|route| route.station)
+    }
+
+    /// The route that [`Self::find`] follows.
+    #[inline]
+    pub fn of(&self, name: MailboxName) -> Option<&Route> {
         let route = self.routes.iter().find(|route| route.to.matches(name))?;
-        (route.station != self.own).then_some(route.station)
+        (route.station != self.own).then_some(route)
     }
 
     /// Adds a route, or lets the one there is to the same mailboxes lead elsewhere, and returns where it led.

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! owner's file    the owner writes, senders and the broker read            sealed: nobody else can write it
-//! lanes' file     [ lane 0 ][ lane 1 ] ...   each sender writes its own lane, in a mapping of that alone; the owner reads
-//! router's file   the station's router writes, the owner reads             sealed
+//! lanes' file     [ lane 1 ][ lane 2 ] ...   each sender writes its own lane, in a mapping of that alone; the owner reads
+//! router's file   lane 0: the LAN router writes, the owner reads           sealed
 //! board           the broker writes, everybody reads                       sealed
 //! ```
 //!
@@ -74,12 +74,12 @@ impl Segment for View {
     }
 }
 
-/// Where a lane begins in its file, in words.
+/// The word at which a lane begins in the lanes' file. Lane 0 is not there: it has a file of its own.
 pub fn lane_at(layout: &Layout, lane: usize) -> usize {
-    lane * layout.sender_words().next_multiple_of(PAGE)
+    lane.saturating_sub(1) * layout.sender_words().next_multiple_of(PAGE)
 }
 
-/// A file for so many lanes: it cannot be cut short, and its memory is there.
+/// The file for the lanes of a mailbox that has so many: it cannot be cut short, and its memory is there.
 pub fn lanes_file(layout: &Layout, lanes: usize) -> io::Result<OwnedFd> {
     let bytes = lane_at(layout, lanes) * size_of::<u64>();
     let file = memfd_create(c"rtnet-lanes", MFdFlags::MFD_CLOEXEC | MFdFlags::MFD_ALLOW_SEALING)?;
@@ -166,18 +166,18 @@ mod tests {
     #[test]
     fn a_lane_is_its_senders_alone_and_seen_by_the_owner() {
         let layout = Layout::of(&Shape::new(4, 600));
-        let file = lanes_file(&layout, 3).unwrap();
-        let memory = Arc::new(Sealed::open(file.try_clone().unwrap(), lane_at(&layout, 3)).unwrap());
-        let views = [0, 1, 2]
+        let file = lanes_file(&layout, 4).unwrap();
+        let memory = Arc::new(Sealed::open(file.try_clone().unwrap(), lane_at(&layout, 4)).unwrap());
+        let views = [1, 2, 3]
             .map(|lane| View::of(memory.clone(), lane_at(&layout, lane), layout.sender_words()).unwrap());
-        let rooms = [0, 1, 2].map(|lane| Room::open(&file, &layout, lane).unwrap());
+        let rooms = [1, 2, 3].map(|lane| Room::open(&file, &layout, lane).unwrap());
         for (n, room) in (1..).zip(&rooms) {
             (0..room.count()).for_each(|place| room.at(place).store(n, Ordering::Relaxed));
         }
         for (n, view) in (1..).zip(&views) {
             assert!((0..view.count()).all(|place| view.at(place).load(Ordering::Relaxed) == n));
         }
-        drop(Room::open(&file, &layout, 1).unwrap());
+        drop(Room::open(&file, &layout, 2).unwrap());
         assert_eq!(
             views.map(|view| view.at(0).load(Ordering::Relaxed)),
             [1, 0, 3],
@@ -189,7 +189,7 @@ mod tests {
     fn a_file_that_has_not_that_lane_or_could_be_cut_short_is_refused() {
         let layout = Layout::of(&Shape::new(4, 600));
         let file = lanes_file(&layout, 3).unwrap();
-        assert!(Room::open(&file, &layout, 3).is_err());
+        assert!([0, 3].iter().all(|lane| Room::open(&file, &layout, *lane).is_err()));
         let odd = memfd_create(c"odd", MFdFlags::MFD_CLOEXEC).unwrap();
         nix::unistd::ftruncate(&odd, 1 << 20).unwrap();
         assert!(Room::open(&odd, &layout, 0).is_err());

@@ -32,11 +32,11 @@ impl Memory {
         let [owner, lanes, bells]: [OwnedFd; FILES] =
             files.try_into().map_err(|_| odd("three files come with a mailbox"))?;
         let layout = Layout::of(shape);
-        let owner = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
+        let owner = Sealed::open(owner, layout.owner_words(shape.lanes()))?;
         if !owner.is_final() {
             return Err(odd("a mailbox's own memory is sealed: nobody takes pages out of it"));
         }
-        let bytes = (lane_at(&layout, shape.senders + 1) * size_of::<u64>()) as i64;
+        let bytes = (lane_at(&layout, shape.lanes()) * size_of::<u64>()) as i64;
         if fstat(&lanes)?.st_size < bytes {
             return Err(odd("the lanes of a mailbox are all there"));
         }

@@ -84,7 +84,7 @@ impl Component {
         files: Vec<OwnedFd>,
     ) -> Result<MailboxSeen, Error> {
         let [owner, lanes]: [OwnedFd; 2] = files.try_into().map_err(|_| short())?;
-        let (layout, all) = (Layout::of(&shape), shape.senders + 1);
+        let (layout, all) = (Layout::of(&shape), shape.lanes());
         let owner = Sealed::open(owner, layout.owner_words(all))?;
         let lanes = Arc::new(Sealed::open(lanes, lane_at(&layout, all))?);
         let count = |what| Word::get(owner.at(what));

@@ -61,8 +61,7 @@ impl Mailbox {
     pub(super) fn create(link: &Arc<Link>, name: MailboxName, shape: Shape) -> Result<Self, Error> {
         shape.check().map_err(Refused::Shape)?;
         let layout = Layout::of(&shape);
-        // The router has a lane, too.
-        let all = shape.senders + 1;
+        let all = shape.lanes();
         let own = Sealed::new(c"rtnet-mailbox", layout.owner_words(all))?;
         let lanes = lanes_file(&layout, all)?;
         let memory = Arc::new(Sealed::open(lanes.try_clone()?, lane_at(&layout, all))?);
@@ -202,8 +201,8 @@ impl Mailbox {
 
     /// Lets in who has a lane now, if that is not known yet.
     fn let_in(&mut self, lane: usize, generation: u32, from: MailboxName) {
-        // Who is from nobody is the router, whose lane is not in this file.
-        if self.attached[lane] == generation || from == MailboxName::NOBODY {
+        // The lane of the LAN router is not in this file.
+        if self.attached[lane] == generation || lane == ROUTER {
             return;
         }
         self.attached[lane] = generation;

@@ -12,7 +12,7 @@ use super::away::Away;
 use super::{Error, Link, odd, short};
 use crate::bells::Bell;
 use crate::handshake::{Answer, Ask, FILES, Lane};
-use crate::mailbox::{self, LaneSender, Layout, Segment, Shape, Stamps, Word};
+use crate::mailbox::{self, LaneSender, Layout, Origin, Segment, Shape, Stamps, Word};
 use crate::name::MailboxName;
 use crate::shared::Room;
 use crate::wire::Head;
@@ -34,6 +34,8 @@ pub struct Sender {
 enum Way {
     /// Straight into it.
     Here(Here),
+    /// Into the TCP client's mailbox.
+    Tcp(Here),
     /// To the station that has it.
     Away(Box<Away>),
 }
@@ -84,8 +86,9 @@ impl Sender {
         let moves = link.board.moves();
         let (answer, files) = link.ask(Ask::Bind { from, to }, &[])?;
         let (way, priority) = match answer {
-            Answer::Reserved { lane, shape, priority } => {
-                (Way::Here(Here::new(link, lane, &shape, files)?), priority)
+            Answer::Reserved { lane, shape, priority, is_tcp } => {
+                let lane = Here::new(link, lane, &shape, files)?;
+                (if is_tcp { Way::Tcp(lane) } else { Way::Here(lane) }, priority)
             }
             Answer::Away { station, priority, channel } => {
                 (Way::Away(Box::new(Away::new(&link.station, station, channel)?)), priority)
@@ -105,10 +108,10 @@ impl Sender {
         matches!(self.way, Way::Here(_))
     }
 
-    /// To which other station it leads, and in which slot; `None`: to a mailbox of this one.
+    /// The other station to which it leads, and the slot; `None`: it leads to a mailbox of this one, or to the TCP router.
     pub fn away(&self) -> Option<(Ipv4Addr, Channel)> {
         match &self.way {
-            Way::Here(_) => None,
+            Way::Here(_) | Way::Tcp(_) => None,
             Way::Away(away) => Some(away.to),
         }
     }
@@ -118,8 +121,13 @@ impl Sender {
     pub fn is_current(&self) -> bool {
         match &self.way {
             Way::Here(here) => here.is_there(),
-            Way::Away(_) => self.link.board.moves() == self.moves,
+            Way::Tcp(lane) => lane.is_there() && self.has_not_moved(),
+            Way::Away(_) => self.has_not_moved(),
         }
+    }
+
+    fn has_not_moved(&self) -> bool {
+        self.link.board.moves() == self.moves
     }
 
     /// Leads to where the name is now, if that may be elsewhere. It asks the broker, so it is not for who must be on time.
@@ -135,7 +143,7 @@ impl Sender {
     /// ETIMEDOUT: whether the station takes any at all says [`taken`](Self::taken).
     pub fn drained(&self) -> Result<(), SendError> {
         match &self.way {
-            Way::Here(_) => Ok(()),
+            Way::Here(_) | Way::Tcp(_) => Ok(()),
             Way::Away(away) => away.drained(),
         }
     }
@@ -143,7 +151,7 @@ impl Sender {
     /// What the station says that it has taken of what goes elsewhere: to be compared with what it said before, and nothing else.
     pub fn taken(&self) -> u64 {
         match &self.way {
-            Way::Here(_) => 0,
+            Way::Here(_) | Way::Tcp(_) => 0,
             Way::Away(away) => away.taken(),
         }
     }
@@ -173,7 +181,7 @@ impl Sender {
         let head = Head { from: self.from, to: self.to, ..*head };
         match &mut self.way {
             // A lane keeps the name from others; elsewhere nobody does.
-            Way::Here(here) => here.send(&head, body),
+            Way::Here(lane) | Way::Tcp(lane) => lane.send(&head, body, Origin::Here),
             Way::Away(_) if !self.link.board.has(self.own.0, self.own.1) => {
                 Err(SendError::Unbound(self.from))
             }
@@ -181,10 +189,19 @@ impl Sender {
         }
     }
 
+    /// Brings a package into a mailbox here that came by the TCP router. It keeps its sender's name: no lane but the TCP client's takes
+    /// that.
+    pub(crate) fn bring(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
+        match &mut self.way {
+            Way::Here(lane) => lane.send(head, body, Origin::Elsewhere(None)),
+            Way::Tcp(_) | Way::Away(_) => Err(SendError::NoMailbox(self.to)),
+        }
+    }
+
     /// Its own memory, where it counts: see [`mailbox::of_sender`]. What goes elsewhere the station counts.
     pub fn counted(&self, what: usize) -> u64 {
         match &self.way {
-            Way::Here(Here { lane: Some((lane, _)), .. }) => Word::get(lane.segment().at(what)),
+            Way::Here(Here { lane: Some((lane, _)), .. }) | Way::Tcp(Here { lane: Some((lane, _)), .. }) => Word::get(lane.segment().at(what)),
             _ => 0,
         }
     }
@@ -196,7 +213,7 @@ impl Here {
         let mut here = Self { link: link.clone(), lane: None, which };
         let [owner, lanes, bell]: [OwnedFd; FILES] = files.try_into().map_err(|_| short())?;
         let layout = Layout::of(shape);
-        let theirs = Sealed::open(owner, layout.owner_words(shape.senders + 1))?;
+        let theirs = Sealed::open(owner, layout.owner_words(shape.lanes()))?;
         let own = Room::open(&lanes, &layout, which.lane)?;
         here.lane = Some((LaneSender::new(own, theirs, layout, which.lane), Bell::of(bell)));
         link.ask(Ask::Ready(which), &[])?;
@@ -209,11 +226,11 @@ impl Here {
     }
 
     #[inline]
-    fn send(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
+    fn send(&mut self, head: &Head, body: &[u8], origin: Origin) -> Result<(), SendError> {
         let is_there = self.is_there();
         let way = self.lane.as_mut().filter(|_| is_there);
         let (lane, bell) = way.ok_or(SendError::NoMailbox(head.to))?;
-        let stamps = Stamps { sent: monotonic(), ..Stamps::default() };
+        let stamps = Stamps { sent: monotonic(), origin, ..Stamps::default() };
         if lane.send(head, body, &stamps)? {
             bell.ring();
         }

@@ -69,6 +69,16 @@ impl Shape {
         Self { when_full: WhenFull::Replace, ..self }
     }
 
+    /// Its lanes: the first is the LAN router's, then those of its senders, the last is the TCP client's.
+    pub const fn lanes(&self) -> usize {
+        self.senders + 2
+    }
+
+    /// The lane of packages that come from the TCP router.
+    pub const fn tcp_lane(&self) -> usize {
+        self.senders + 1
+    }
+
     /// Whether there can be such a mailbox.
     pub fn check(&self) -> Result<(), ShapeError> {
         let Self { slots, largest_body, senders, .. } = *self;

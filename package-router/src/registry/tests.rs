@@ -144,3 +144,23 @@ fn every_state_of_a_lane_answers_every_event() {
         }
     }
 }
+
+/// The TCP client has a name of nobody else, and a lane of its own into each mailbox.
+#[test]
+fn the_tcp_client_takes_no_lane_from_senders() {
+    const TCP: ComponentId = ComponentId(7);
+    let mut registry = two();
+    let place = registry.create_tcp(TCP, Shape::new(1, 1).senders(1)).unwrap();
+    assert_eq!(registry.find(MailboxName::NOBODY), Some(place));
+    assert_eq!(registry.create_tcp(ARM, Shape::new(1, 1)), Err(Refused::Taken(MailboxName::NOBODY)));
+    let nobody = MailboxName::NOBODY;
+    assert_eq!(registry.bind(ARM, nobody, name(1), never), Err(Refused::NotOwn(nobody)), "it is not its name");
+    (0..2).for_each(|_| _ = registry.bind(CAMERA, name(2), name(1), never).unwrap());
+    let lane = registry.bind(TCP, nobody, name(1), never).unwrap();
+    assert_eq!(lane.lane, registry.get(lane.place).unwrap().shape.tcp_lane());
+    assert_eq!(registry.bind(TCP, nobody, name(1), never), Err(Refused::NoLane(name(1), 2)), "it has one");
+    assert!(registry.ready(TCP, lane));
+    assert_eq!(registry.ended(TCP), [lane.place]);
+    let again = registry.bind(TCP, nobody, name(1), |_, _| true).unwrap();
+    assert_eq!((again.lane, again.generation), (lane.lane, 2));
+}

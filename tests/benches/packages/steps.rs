@@ -86,10 +86,10 @@ impl Mapped {
         let layout = Layout::of(&SHAPE);
         let words = layout.owner_words(SHAPE.senders);
         let own = Sealed::new(c"bench", words)?;
-        let lanes = lanes_file(&layout, SHAPE.senders)?;
-        let memory = Arc::new(Sealed::open(lanes.try_clone()?, lane_at(&layout, SHAPE.senders))?);
+        let lanes = lanes_file(&layout, SHAPE.senders + 1)?;
+        let memory = Arc::new(Sealed::open(lanes.try_clone()?, lane_at(&layout, SHAPE.senders + 1))?);
         let seen = Sealed::open(own.as_fd().try_clone_to_owned()?, words)?;
-        let sender = LaneSender::new(Room::open(&lanes, &layout, 0)?, seen, layout, 0);
+        let sender = LaneSender::new(Room::open(&lanes, &layout, 1)?, seen, layout, 0);
         let view = View::of(memory, 0, layout.sender_words()).context("a lane")?;
         Ok(Self { sender, inbox: inbox(own, view)?, now: 1 })
     }

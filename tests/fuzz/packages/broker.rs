@@ -161,7 +161,7 @@ impl Fuzzed {
             3 => {
                 let shape = Shape::new(byte(4), byte(5) * byte(5)).senders(byte(6));
                 let shape = if byte(7) % 2 == 1 { shape.replacing() } else { shape };
-                let lanes = shape.senders + 1;
+                let lanes = shape.lanes();
                 let layout = Layout::of(&shape);
                 let words = [layout.owner_words(lanes), lane_at(&layout, lanes)];
                 // Some are too short, or not sealed.
@@ -197,7 +197,7 @@ impl Fuzzed {
         let mut names = BTreeSet::new();
         for (_, mailbox) in self.broker.registry().all() {
             assert!(names.insert(mailbox.name) && mailbox.name != MailboxName::NOBODY);
-            assert_eq!((mailbox.shape.check(), mailbox.lanes.len()), (Ok(()), mailbox.shape.senders + 1));
+            assert_eq!((mailbox.shape.check(), mailbox.lanes.len()), (Ok(()), mailbox.shape.lanes()));
         }
     }
 

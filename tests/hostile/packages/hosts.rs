@@ -141,7 +141,7 @@ pub fn lane_of(answer: &Answer, files: Vec<OwnedFd>) -> (Lane, LaneSender<Room, 
     let [owner, lanes, _bell]: [OwnedFd; FILES] = files.try_into().expect("all files");
     let layout = Layout::of(&shape);
     let room = Room::open(&lanes, &layout, lane.lane).unwrap();
-    let theirs = Sealed::open(owner, layout.owner_words(shape.senders + 1)).unwrap();
+    let theirs = Sealed::open(owner, layout.owner_words(shape.lanes())).unwrap();
     (lane, LaneSender::new(room, theirs, layout, lane.lane))
 }
 
@@ -152,14 +152,13 @@ pub fn own(fd: i32) -> OwnedFd {
     unsafe { OwnedFd::from_raw_fd(fd) }
 }
 
-/// What comes with a mailbox: the router has a lane, too.
 /// What a mailbox of this shape lies in, and the set that its bells hang in.
 pub fn files(shape: &Shape) -> [OwnedFd; FILES] {
     files_called(c"mistaken", shape)
 }
 
 pub fn files_called(name: &CStr, shape: &Shape) -> [OwnedFd; FILES] {
-    let (layout, lanes) = (Layout::of(shape), shape.senders + 1);
+    let (layout, lanes) = (Layout::of(shape), shape.lanes());
     let bytes = [layout.owner_words(lanes), lane_at(&layout, lanes)].map(|words| words * size_of::<u64>());
     let [owner, lanes] = bytes.map(|bytes| bytes.next_multiple_of(4096));
     [file(name, owner, final_seals()), file(name, lanes, SealFlag::F_SEAL_SHRINK), a_set()]

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! each place   0  the mailbox's generation, 0: none   1  changes: moves with each   8  lanes
-//! behind all   moves: moves when a name may be somewhere else than before
+//! behind all   moves: moves when a name may be somewhere else than before   names: moves with each mailbox that comes or goes
 //! a lane       sender's name << 32 | the lane's generation << 2 | 0 free, 1 bound, 2 left
 //! ```
 
@@ -24,7 +24,8 @@ const CHANGES: usize = 1;
 const LANES: usize = 8;
 const BLOCK: usize = LANES + MOST_LANES.next_multiple_of(8);
 const MOVES: usize = MOST_MAILBOXES * BLOCK;
-const WORDS: usize = MOVES + 1;
+const NAMES: usize = MOVES + 1;
+const WORDS: usize = NAMES + 1;
 
 const FREE: u64 = 0;
 const BOUND: u64 = 1;
@@ -89,6 +90,11 @@ impl Shown {
     pub fn moved(&self) {
         self.0[MOVES].fetch_add(1, Ordering::Release);
     }
+
+    /// A mailbox has come or gone.
+    pub fn came_or_went(&self) {
+        self.0[NAMES].fetch_add(1, Ordering::Release);
+    }
 }
 
 impl AsFd for Shown {
@@ -113,6 +119,12 @@ impl Board {
     #[inline]
     pub fn moves(&self) -> u64 {
         self.0[MOVES].load(Ordering::Acquire)
+    }
+
+    /// The count of mailboxes that have come and gone.
+    #[inline]
+    pub fn names(&self) -> u64 {
+        self.0[NAMES].load(Ordering::Acquire)
     }
 
     /// What moves with each change of a mailbox.

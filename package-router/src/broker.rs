@@ -393,6 +393,7 @@ impl Broker {
 
     /// The TCP client looks which mailboxes there are.
     fn tell_tcp(&self) {
+        self.board.came_or_went();
         let memory = self.registry.find(MailboxName::NOBODY).and_then(|place| self.memories[place].as_ref());
         memory.iter().for_each(|memory| memory.bell.ring());
     }

@@ -33,10 +33,12 @@ use crate::board::Board;
 use crate::handshake::{ANSWER_LEN, Answer, Ask};
 use crate::mailbox::Shape;
 use crate::name::MailboxName;
+use crate::node::Node;
 use crate::registry::Refused;
 use crate::route::RouteError;
+use crate::tcp::client::{TcpOptions, TcpStatus};
 
-pub use look::{MailboxSeen, SenderSeen};
+pub use look::{MailboxSeen, SenderSeen, Way};
 pub use mailbox::{Mailbox, Package, ReceiveError};
 pub use sender::{SendError, Sender};
 pub use times::Times;
@@ -63,6 +65,8 @@ struct Link {
     station: PathBuf,
     /// Once somebody has asked: the station has a descriptor for each who does.
     times: OnceLock<Times>,
+    /// The broker, if it is this process's own. It ends with the last that refers to it.
+    node: Option<Node>,
 }
 
 /// What goes wrong between a component and its station.
@@ -82,6 +86,26 @@ pub enum Error {
 impl Component {
     /// Comes to the broker that listens there.
     pub fn attach(path: &Path) -> Result<Self, Error> {
+        Self::attach_to(path, None)
+    }
+
+    /// Comes to a TCP router, on a host without a station: packages for mailboxes that are not this process's go there.
+    ///
+    /// ```no_run
+    /// use package_router::component::Component;
+    /// use package_router::tcp::client::TcpOptions;
+    ///
+    /// let component = Component::of_router(&TcpOptions::new("robot.local:2000".parse()?))?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// It does not wait for the router. Its threads end with it and its last mailbox.
+    pub fn of_router(options: &TcpOptions) -> Result<Self, Error> {
+        let (node, path) = Node::of_process(options)?;
+        Self::attach_to(&path, Some(node))
+    }
+
+    fn attach_to(path: &Path, node: Option<Node>) -> Result<Self, Error> {
         let socket = Socket::new(Domain::UNIX, Type::SEQPACKET, None)?;
         socket.connect(&SockAddr::unix(path)?)?;
         socket.set_read_timeout(Some(ANSWER_WITHIN))?;
@@ -89,7 +113,7 @@ impl Component {
         let [board] = files.try_into().map_err(|_| odd(&answer))?;
         let station = path.with_extension(&place::SOCKET[1..]);
         let (board, times) = (Board::open(board)?, OnceLock::new());
-        Ok(Self { link: Arc::new(Link { socket: Mutex::new(socket), board, station, times }) })
+        Ok(Self { link: Arc::new(Link { socket: Mutex::new(socket), board, station, times, node }) })
     }
 
     /// Comes to the broker of a station of this user, by its name as behind `rtnet -S`.
@@ -121,9 +145,19 @@ impl Component {
         known.get().cloned().unwrap_or_default()
     }
 
+    /// The state of this process's connection to a router, if it was made by [`Self::of_router`].
+    pub fn tcp(&self) -> Option<TcpStatus> {
+        self.link.node.as_ref().and_then(Node::tcp)
+    }
+
     /// A mailbox of this name. All memory that it will ever take is taken now.
     pub fn mailbox(&self, name: MailboxName, shape: Shape) -> Result<Mailbox, Error> {
         Mailbox::create(&self.link, name, shape)
+    }
+
+    /// The mailbox of the TCP client: packages that have no other way wait there. None but the broker's own process has it.
+    pub(crate) fn tcp_mailbox(&self, shape: Shape) -> Result<Mailbox, Error> {
+        Mailbox::create(&self.link, MailboxName::NOBODY, shape)
     }
 }
 

@@ -9,6 +9,7 @@ pub mod handshake;
 pub mod journey;
 pub mod mailbox;
 pub mod name;
+pub mod node;
 pub mod priority;
 pub mod registry;
 pub mod route;

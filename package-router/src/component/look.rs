@@ -2,6 +2,7 @@
 //! owner notices.
 
 use core::net::Ipv4Addr;
+use std::collections::BTreeSet;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
@@ -58,6 +59,20 @@ pub struct SenderSeen {
     pub waiting: u64,
 }
 
+/// The way that packages for a mailbox go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// Into a mailbox of this station.
+    Here {
+        /// Its owner's process; 0: it cannot be seen from the station.
+        process: u32,
+    },
+    /// By real-time UDP to another station, by that route.
+    Station(Route),
+    /// To the TCP router: there is no such mailbox here, and no route.
+    Tcp,
+}
+
 impl Component {
     /// All mailboxes of the station, as they are now.
     pub fn mailboxes(&self) -> Result<Vec<MailboxSeen>, Error> {
@@ -72,6 +87,37 @@ impl Component {
                 }
                 (answer, _) => return Err(odd(&answer).into()),
             }
+        }
+    }
+
+    /// The names of all mailboxes, as they are now.
+    pub(crate) fn names(&self) -> Result<BTreeSet<MailboxName>, Error> {
+        let mut all = BTreeSet::new();
+        let mut from = 0;
+        loop {
+            match self.link.ask(Ask::Look(from), &[])? {
+                (Answer::NoMore, _) => return Ok(all),
+                (Answer::Mailbox { place, name, .. }, _) => {
+                    from = place + 1;
+                    all.insert(name);
+                }
+                (answer, _) => return Err(odd(&answer).into()),
+            }
+        }
+    }
+
+    /// Moves whenever [`Self::names`] has changed.
+    pub(crate) fn name_changes(&self) -> u64 {
+        self.link.board.names()
+    }
+
+    /// The way that packages for a mailbox go.
+    pub fn way(&self, to: MailboxName) -> Result<Way, Error> {
+        match self.link.ask(Ask::Way(to), &[])?.0 {
+            Answer::Mailbox { process, .. } => Ok(Way::Here { process }),
+            Answer::Route(by, station) => Ok(Way::Station(Route { to: by, station })),
+            Answer::ByTcp => Ok(Way::Tcp),
+            answer => Err(odd(&answer).into()),
         }
     }
 

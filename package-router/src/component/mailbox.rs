@@ -1,7 +1,7 @@
 //! A mailbox of this component.
 
 use core::time::Duration;
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 
 use rtnet::live::clock::{later, monotonic};
@@ -166,6 +166,24 @@ impl Mailbox {
         Word::get(self.inbox.segment().at(what))
     }
 
+    /// Prepares a wait in the caller's own set of descriptors, in which this is readable once something comes. `false`: something is here.
+    pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
+        self.follow()?;
+        Ok(self.inbox.falls_asleep())
+    }
+
+    /// Ends that wait.
+    pub fn end_wait(&mut self) -> Result<(), ReceiveError> {
+        self.inbox.wakes_up();
+        loop {
+            match self.bells.wait(Some(0)) {
+                Woken::Rung => {}
+                Woken::TooLate => return Ok(()),
+                Woken::StationGone => return Err(ReceiveError::Gone),
+            }
+        }
+    }
+
     /// Follows who comes and goes.
     #[inline]
     fn follow(&mut self) -> Result<(), ReceiveError> {
@@ -244,6 +262,13 @@ impl Mailbox {
         let woken = self.bells.wait(until);
         self.inbox.wakes_up();
         if woken == Woken::StationGone { Err(ReceiveError::Gone) } else { Ok(()) }
+    }
+}
+
+/// The set of its bells, for [`Mailbox::prepare_wait`].
+impl AsFd for Mailbox {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.bells.as_fd()
     }
 }
 

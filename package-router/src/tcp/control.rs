@@ -5,6 +5,10 @@ use crate::wire::{Endian, Head};
 
 /// Kind of the router's question whether a client is alive; the client answers 0.
 pub const LIFESIGN: i8 = 17;
+/// Kind of the request to register a mailbox, which is answered.
+pub const REGISTER: i8 = 13;
+/// Kind of the request to delete a mailbox, which is not answered.
+pub const UNREGISTER: i8 = 12;
 
 /// The request of a control package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

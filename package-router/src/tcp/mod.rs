@@ -5,8 +5,11 @@
 //!                   └───► table: name ─► connection ─► outgoing ─► connection
 //! ```
 //!
-//! [`router`] has all rules and no socket: bytes go in, bytes are to be written. [`serve`] is its loop over sockets.
+//! [`router`] has all rules and no socket: bytes go in, bytes are to be written. [`serve`] is its loop over sockets. [`client`] is the
+//! other end, for the mailboxes of a broker.
 
+pub mod address;
+pub mod client;
 pub mod config;
 pub mod control;
 pub mod frames;

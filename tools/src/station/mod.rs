@@ -53,6 +53,7 @@ pub use desk::epoch;
 use echoes::Asker;
 use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
+use package_router::node::Node;
 use packages::PackagesOptions;
 use programs::Programs;
 use sockets::Sockets;
@@ -327,7 +328,7 @@ fn start_packages(
     options: Option<PackagesOptions>,
     server: Option<&Server>,
     sockets: Option<Arc<Sockets>>,
-) -> Result<Option<packages::Running>> {
+) -> Result<Option<Node>> {
     let Some((options, server)) = options.zip(server) else { return Ok(None) };
     packages::start(options, server.path(), sockets).map(Some)
 }

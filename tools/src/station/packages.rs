@@ -1,5 +1,5 @@
-//! A station's part in packages: its broker, in a thread of its own, and the router in the real-time thread, as far as the
-//! station has an address.
+//! A station's part in packages: its broker and its TCP client, in threads of their own, and the router in the real-time thread, as far
+//! as the station has an address.
 
 use std::any::Any;
 use std::io;
@@ -7,9 +7,6 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::{Builder, JoinHandle};
-use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use nix::errno::Errno;
@@ -17,10 +14,12 @@ use package_router::bells::Bell;
 use package_router::broker::{Beyond, Broker};
 use package_router::mailbox::{LaneSender, Layout};
 use package_router::name::MailboxName;
+use package_router::node::Node;
 use package_router::priority::Priorities;
 use package_router::registry::ROUTER;
 use package_router::route::Routes;
 use package_router::router::{Host, LAN_PORT, Router, Way};
+use package_router::tcp::client::TcpOptions;
 use rtnet::buf::Pool;
 use rtnet::ip::{Exit, Stack};
 use rtnet::live::Visitor;
@@ -32,10 +31,6 @@ use rtnet::socket::Socket;
 use super::sockets::Sockets;
 use crate::remedy::explained;
 
-/// Stack of the broker's thread.
-const STACK: usize = 256 * 1024;
-/// How often it looks whether the station has ended.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// Buffers for what comes by the LAN: two of the longest datagrams, and what comes meanwhile.
 const BUFFERS: usize = 128;
 
@@ -46,6 +41,8 @@ pub struct PackagesOptions {
     pub routes: Routes,
     /// How urgent whose packages are.
     pub priorities: Priorities,
+    /// The TCP router, if packages may go there.
+    pub tcp: Option<TcpOptions>,
 }
 
 /// The router of a live station.
@@ -68,14 +65,8 @@ pub fn listen(stack: &mut Stack) -> Result<()> {
     Ok(())
 }
 
-/// The broker of a running station. Its thread ends with this.
-pub struct Running {
-    is_over: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
 /// Starts the broker of a station with this control socket; with sockets it has a way to others.
-pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Sockets>>) -> Result<Running> {
+pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Sockets>>) -> Result<Node> {
     let path = package_router::component::socket_of(control);
     let broker = Broker::bind(&path)
         .map_err(explained)
@@ -84,21 +75,7 @@ pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Socke
     if let Some(sockets) = sockets {
         broker = broker.with_beyond(Box::new(Lan { sockets, routes: options.routes, gone: Vec::new() }));
     }
-    let is_over = Arc::new(AtomicBool::new(false));
-    let over = is_over.clone();
-    let thread = Builder::new().name("packages".into()).stack_size(STACK).spawn(move || {
-        while !over.load(Ordering::Relaxed) {
-            broker.serve(LOOK_EVERY);
-        }
-    })?;
-    Ok(Running { is_over, thread: Some(thread) })
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.is_over.store(true, Ordering::Relaxed);
-        self.thread.take().into_iter().for_each(|thread| drop(thread.join()));
-    }
+    Node::start(broker, &path, options.tcp.as_ref()).context("packages")
 }
 
 /// The way to and from other stations.

@@ -1,0 +1,335 @@
+//! The TCP client: a thread between a broker and a TCP router.
+//!
+//! ```text
+//! components ─► the mailbox of nobody's name ─► session ─► the router      packages that have no other way
+//! components' mailboxes ◄─ the lane of each ◄── session ◄─ the router
+//! ```
+//!
+//! It is a component of its broker. Its mailbox is its queue: bounded, the most urgent package first; a sender that finds it full is
+//! refused at once, as by any mailbox. It connects again by itself.
+
+mod local;
+pub mod session;
+
+use std::io::{self, Read, Write};
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::os::fd::{AsFd, AsRawFd};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::Duration;
+
+use mio::net::TcpStream;
+use mio::unix::SourceFd;
+use mio::{Events, Interest, Poll, Token, Waker};
+use rtnet::live::clock::monotonic;
+use socket2::SockRef;
+
+use super::address::Address;
+use crate::component::{Component, Error};
+use crate::mailbox::{LARGEST_BODY, Layout, MOST_BYTES, MOST_SENDERS, Shape};
+
+use local::Local;
+pub use local::LocalCounters;
+use session::{Session, SessionCounters, Written};
+
+/// Stack of the thread.
+const STACK: usize = 256 << 10;
+/// Packages of each sender that may wait for the router.
+const SLOTS: usize = 8;
+/// Bytes of the largest body that goes to the router, unless said otherwise.
+pub const BODY: usize = 4_096;
+/// Bytes of one read.
+const READ: usize = 64 << 10;
+/// Unsent bytes in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
+const UNSENT: u32 = 16 << 10;
+/// Milliseconds that a connection may take to open.
+const OPEN_WITHIN: u64 = 2_000;
+/// Milliseconds from a lost connection to the first attempt to open another, and the most between two attempts.
+const BACK_OFF: core::ops::RangeInclusive<u64> = 50..=1_000;
+const WAKER: Token = Token(0);
+const MAILBOX: Token = Token(1);
+const STREAM: Token = Token(2);
+
+/// What the TCP client of a broker connects to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TcpOptions {
+    /// The router.
+    pub router: Address,
+    /// Bytes of the largest body that goes there.
+    pub largest_body: usize,
+}
+
+impl TcpOptions {
+    /// For bodies of the usual size.
+    pub fn new(router: Address) -> Self {
+        Self { router, largest_body: BODY }
+    }
+
+    /// The mailbox in which packages wait: of as many senders as there may be, and as its memory takes.
+    fn shape(&self) -> Shape {
+        let largest_body = self.largest_body.min(LARGEST_BODY);
+        let shape = Shape::new(SLOTS, largest_body).senders(1);
+        let each = Layout::of(&shape).sender_words() * size_of::<u64>();
+        shape.senders((MOST_BYTES / each).clamp(1, MOST_SENDERS))
+    }
+}
+
+/// A running client. Its thread ends with it.
+pub struct TcpClient {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// The state of a client.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TcpStatus {
+    /// Whether it has a connection.
+    pub is_connected: bool,
+    /// Connections that it has opened.
+    pub connections: u64,
+    /// The end of the last connection, or the failure of the last attempt.
+    pub last_error: Option<String>,
+    /// Mailboxes that are registered.
+    pub names: usize,
+    /// Mailboxes that are not, or not yet.
+    pub names_waiting: usize,
+    /// Counters of the connections.
+    pub session: SessionCounters,
+    /// Counters of the mailboxes here.
+    pub local: LocalCounters,
+}
+
+struct Shared {
+    stop: AtomicBool,
+    waker: Waker,
+    status: Mutex<TcpStatus>,
+}
+
+impl TcpClient {
+    /// Starts the client of the broker that listens there.
+    pub fn start(broker: &Path, options: &TcpOptions) -> Result<Self, Error> {
+        let component = Component::attach(broker)?;
+        let mailbox = component.tcp_mailbox(options.shape())?;
+        let poll = Poll::new()?;
+        let waker = Waker::new(poll.registry(), WAKER)?;
+        let bells = mailbox.as_fd().as_raw_fd();
+        poll.registry().register(&mut SourceFd(&bells), MAILBOX, Interest::READABLE)?;
+        let shared = Arc::new(Shared { stop: AtomicBool::new(false), waker, status: Mutex::default() });
+        let worker = Worker {
+            poll,
+            shared: shared.clone(),
+            router: options.router.clone(),
+            session: Session::default(),
+            local: Local::new(component, mailbox),
+            link: Link::Down(0),
+            back_off: *BACK_OFF.start(),
+            connections: 0,
+            last_error: None,
+        };
+        let thread = Builder::new().name("packages-tcp".into()).stack_size(STACK).spawn(move || worker.run())?;
+        Ok(Self { shared, thread: Some(thread) })
+    }
+
+    /// Its state.
+    pub fn status(&self) -> TcpStatus {
+        self.shared.status().clone()
+    }
+}
+
+impl Drop for TcpClient {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        // Without it the thread ends at its next event: the router asks for a sign of life.
+        let _ = self.shared.waker.wake();
+        self.thread.take().into_iter().for_each(|thread| drop(thread.join()));
+    }
+}
+
+impl Shared {
+    fn status(&self) -> MutexGuard<'_, TcpStatus> {
+        self.status.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The thread.
+struct Worker {
+    poll: Poll,
+    shared: Arc<Shared>,
+    router: Address,
+    session: Session,
+    local: Local,
+    link: Link,
+    back_off: u64,
+    connections: u64,
+    last_error: Option<String>,
+}
+
+/// The connection to the router. Times are milliseconds of this host's clock.
+enum Link {
+    /// There is none; the next attempt is due then.
+    Down(u64),
+    /// It is being opened; it fails then.
+    Opening(TcpStream, u64),
+    Up(Up),
+}
+
+struct Up {
+    stream: TcpStream,
+    /// More may be there to be read, and room to write.
+    is_readable: bool,
+    is_writable: bool,
+    /// A call has written as much as it may, and more is there.
+    has_more: bool,
+}
+
+impl Worker {
+    fn run(mut self) {
+        let mut events = Events::with_capacity(8);
+        let mut room = vec![0; READ];
+        while !self.shared.stop.load(Ordering::Relaxed) {
+            // An error says that the broker has ended, and with it this.
+            let Ok(is_empty) = self.local.prepare_wait() else { return };
+            // Interrupted, or too late: there is nothing new.
+            let _ = self.poll.poll(&mut events, Some(self.patience(is_empty)));
+            if self.local.end_wait().is_err() {
+                return;
+            }
+            for event in &events {
+                if let (STREAM, Link::Up(up)) = (event.token(), &mut self.link) {
+                    up.is_readable |= event.is_readable() || event.is_read_closed() || event.is_error();
+                    up.is_writable |= event.is_writable();
+                }
+            }
+            if let Some(names) = self.local.follow() {
+                self.session.set_names(&names);
+            }
+            self.open();
+            if let Err(error) = self.exchange(&mut room) {
+                self.down(&error);
+            }
+            if matches!(self.link, Link::Down(_)) {
+                self.local.refuse_all();
+            }
+            self.publish();
+        }
+    }
+
+    /// How long it may wait for events.
+    fn patience(&self, is_empty: bool) -> Duration {
+        let until = match &self.link {
+            Link::Up(up) if up.is_readable || up.is_writable && (up.has_more || !is_empty) => 0,
+            Link::Up(_) => self.session.next_due(),
+            Link::Down(_) if !is_empty => 0,
+            Link::Down(at) | Link::Opening(_, at) => *at,
+        };
+        Duration::from_millis(until.saturating_sub(now()))
+    }
+
+    /// Opens a connection that is due, and looks whether it is open.
+    fn open(&mut self) {
+        match core::mem::replace(&mut self.link, Link::Down(u64::MAX)) {
+            Link::Down(at) if at <= now() => match self.connect() {
+                Ok(stream) => self.link = Link::Opening(stream, now() + OPEN_WITHIN),
+                Err(error) => self.down(&error),
+            },
+            Link::Opening(stream, until) => match is_open(&stream) {
+                Ok(true) => {
+                    self.connections += 1;
+                    self.back_off = *BACK_OFF.start();
+                    self.session.connected(now());
+                    self.link =
+                        Link::Up(Up { stream, is_readable: true, is_writable: true, has_more: true });
+                }
+                Ok(false) if until <= now() => self.down(&io::ErrorKind::TimedOut.into()),
+                Ok(false) => self.link = Link::Opening(stream, until),
+                Err(error) => self.down(&error),
+            },
+            other => self.link = other,
+        }
+    }
+
+    fn connect(&self) -> io::Result<TcpStream> {
+        let addresses: Vec<SocketAddr> = (self.router.host.as_str(), self.router.port).to_socket_addrs()?.collect();
+        // Each attempt takes the next address.
+        let place = self.connections as usize % addresses.len().max(1);
+        let address = addresses.get(place).ok_or(io::ErrorKind::AddrNotAvailable)?;
+        let mut stream = TcpStream::connect(*address)?;
+        let both = Interest::READABLE | Interest::WRITABLE;
+        self.poll.registry().register(&mut stream, STREAM, both)?;
+        // Without these options it is slower, not wrong.
+        let _ = stream.set_nodelay(true);
+        let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+        Ok(stream)
+    }
+
+    /// Reads and writes as far as that goes. An error ends the connection.
+    fn exchange(&mut self, room: &mut [u8]) -> io::Result<()> {
+        let Link::Up(up) = &mut self.link else { return Ok(()) };
+        let (session, local, now) = (&mut self.session, &mut self.local, now());
+        if up.is_readable {
+            match up.stream.read(room) {
+                Ok(0) => return Err(io::Error::other("the router has closed the connection")),
+                Ok(length) => {
+                    let mut answers = Vec::new();
+                    let read = session.received(&room[..length], now, |head, body| {
+                        answers.extend(local.deliver(head, body));
+                    });
+                    read.map_err(io::Error::other)?;
+                    answers.iter().for_each(|answer| session.answer(answer));
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => up.is_readable = false,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        if session.is_silent(now) {
+            return Err(io::Error::other("the router is silent"));
+        }
+        session.retry(now);
+        if up.is_writable {
+            let written = session.write(|batch| local.next(batch), |part| up.stream.write(part))?;
+            (up.is_writable, up.has_more) = (written != Written::Blocked, written == Written::More);
+        }
+        Ok(())
+    }
+
+    fn down(&mut self, why: &io::Error) {
+        self.last_error = Some(why.to_string());
+        self.session.disconnected();
+        self.link = Link::Down(now() + self.back_off);
+        self.back_off = (2 * self.back_off).min(*BACK_OFF.end());
+    }
+
+    fn publish(&self) {
+        let (names, names_waiting) = self.session.names();
+        let is_connected = matches!(self.link, Link::Up(_));
+        *self.shared.status() = TcpStatus {
+            is_connected,
+            connections: self.connections,
+            last_error: self.last_error.clone(),
+            names: if is_connected { names } else { 0 },
+            names_waiting: if is_connected { names_waiting } else { names + names_waiting },
+            session: self.session.counters(),
+            local: self.local.counters(),
+        };
+    }
+}
+
+/// Whether a connection that was begun is open; an error if it never will be.
+fn is_open(stream: &TcpStream) -> io::Result<bool> {
+    if let Some(error) = stream.take_error()? {
+        return Err(error);
+    }
+    match stream.peer_addr() {
+        Ok(_) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::NotConnected => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Milliseconds of this host's clock.
+fn now() -> u64 {
+    monotonic() / 1_000_000
+}

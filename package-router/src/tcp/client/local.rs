@@ -1,0 +1,143 @@
+//! The TCP client's part in its broker: its own mailbox, and its lanes into others'.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::component::{Component, Mailbox, ReceiveError, SendError, Sender};
+use crate::mailbox;
+use crate::name::MailboxName;
+use crate::wire::{ERROR, Head, NOT_AVAILABLE};
+
+/// Packages that are refused at once while there is no router.
+const REFUSED_AT_ONCE: usize = 256;
+
+/// Counters of the mailboxes here.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LocalCounters {
+    /// Packages that were brought into mailboxes.
+    pub delivered: u64,
+    /// Packages from the router for a mailbox that is not here.
+    pub no_mailbox: u64,
+    /// Packages from the router that found their mailbox full.
+    pub full: u64,
+    /// Packages from the router that no slot of their mailbox holds.
+    pub too_large: u64,
+    /// Packages from the router in the name of a mailbox that is here.
+    pub forged: u64,
+    /// Packages for the router while there was no connection.
+    pub not_connected: u64,
+}
+
+/// The mailboxes of a broker, as the TCP client has them.
+pub(super) struct Local {
+    component: Component,
+    /// Packages for the router wait here.
+    mailbox: Mailbox,
+    names: BTreeSet<MailboxName>,
+    /// What of the board was seen.
+    seen: Option<u64>,
+    /// Lanes into mailboxes that packages have come for.
+    senders: BTreeMap<MailboxName, Sender>,
+    counters: LocalCounters,
+}
+
+impl Local {
+    pub fn new(component: Component, mailbox: Mailbox) -> Self {
+        let (names, senders, counters) = (BTreeSet::new(), BTreeMap::new(), LocalCounters::default());
+        Self { component, mailbox, names, seen: None, senders, counters }
+    }
+
+    /// `true`: nothing waits, and its descriptor is readable once something does.
+    pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
+        self.mailbox.prepare_wait()
+    }
+
+    /// Ends that wait.
+    pub fn end_wait(&mut self) -> Result<(), ReceiveError> {
+        self.mailbox.end_wait()
+    }
+
+    /// The names of all mailboxes, if that has changed.
+    pub fn follow(&mut self) -> Option<BTreeSet<MailboxName>> {
+        let changes = self.component.name_changes();
+        if self.seen == Some(changes) {
+            return None;
+        }
+        // A broker that does not answer is asked again.
+        let mut names = self.component.names().ok()?;
+        names.remove(&MailboxName::NOBODY);
+        self.seen = Some(changes);
+        self.senders.retain(|name, _| names.contains(name));
+        self.names.clone_from(&names);
+        Some(names)
+    }
+
+    /// Brings a package into its mailbox. Returns the answer to a command that none here takes.
+    pub fn deliver(&mut self, head: &Head, body: &[u8]) -> Option<Head> {
+        if self.names.contains(&head.from) {
+            self.counters.forged += 1;
+            return None;
+        }
+        self.bring(head, body).filter(|_| head.is_command()).map(|kind| head.answer(kind))
+    }
+
+    /// The kind of the answer, if it was not brought.
+    fn bring(&mut self, head: &Head, body: &[u8]) -> Option<i8> {
+        let sent = self.send(head, body);
+        let (counter, kind) = match sent {
+            Ok(()) => (&mut self.counters.delivered, None),
+            Err(SendError::Mailbox(mailbox::SendError::TooLarge { .. })) => {
+                (&mut self.counters.too_large, Some(ERROR))
+            }
+            Err(SendError::Mailbox(_)) => (&mut self.counters.full, Some(NOT_AVAILABLE)),
+            Err(_) => (&mut self.counters.no_mailbox, Some(NOT_AVAILABLE)),
+        };
+        *counter += 1;
+        kind
+    }
+
+    fn send(&mut self, head: &Head, body: &[u8]) -> Result<(), SendError> {
+        if let Some(sender) = self.senders.get_mut(&head.to) {
+            match sender.bring(head, body) {
+                // Its mailbox is another by now, perhaps.
+                Err(SendError::NoMailbox(_)) => drop(self.senders.remove(&head.to)),
+                sent => return sent,
+            }
+        }
+        if head.to == MailboxName::NOBODY {
+            return Err(SendError::NoMailbox(head.to));
+        }
+        let mut sender = self.mailbox.sender(head.to).map_err(|_| SendError::NoMailbox(head.to))?;
+        let sent = sender.bring(head, body);
+        self.senders.insert(head.to, sender);
+        sent
+    }
+
+    /// Appends the most urgent package for the router; `false`: there is none.
+    pub fn next(&mut self, batch: &mut Vec<u8>) -> bool {
+        // A broker that has ended is seen at the next wait.
+        let Ok(Some(package)) = self.mailbox.try_receive() else { return false };
+        batch.extend_from_slice(&package.head().to_bytes());
+        let begin = batch.len();
+        batch.resize(begin + package.body().len(), 0);
+        package.body().copy_to(0, &mut batch[begin..]);
+        true
+    }
+
+    /// Refuses packages for the router: commands are answered.
+    pub fn refuse_all(&mut self) {
+        for _ in 0..REFUSED_AT_ONCE {
+            let Ok(Some(package)) = self.mailbox.try_receive() else { return };
+            let head = *package.head();
+            drop(package);
+            self.counters.not_connected += 1;
+            if head.is_command() {
+                // An answer that its mailbox does not take is lost, and counted there.
+                let _ = self.send(&head.answer(NOT_AVAILABLE), &[]);
+            }
+        }
+    }
+
+    pub fn counters(&self) -> LocalCounters {
+        self.counters
+    }
+}

@@ -1,0 +1,277 @@
+//! A client's rules, without a socket or a clock: it registers mailboxes, answers signs of life, and hands over packages both ways.
+//!
+//! ```text
+//! mailboxes here ─► names ─ register, delete ─┐
+//! signs of life, answers ─────────────────────┼─► batch ─► the router
+//! packages of this host ──────────────────────┘   requests and answers first, then packages up to 32 KiB
+//!
+//! the router ─► frames ─► answers to registrations, signs of life
+//!                  └────► packages for mailboxes here
+//! ```
+//!
+//! No more than a batch leaves the mailbox in which packages wait: there the most urgent is the first.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::io;
+
+use crate::name::MailboxName;
+use crate::tcp::control::{LIFESIGN, REGISTER, UNREGISTER};
+use crate::tcp::frames::Frames;
+use crate::wire::{HEAD_LEN, Head, HeadError, OK};
+
+/// Milliseconds until a registration that the router has refused is tried again: a connection that is dead may still have the name.
+pub const RETRY: u64 = 1_000;
+/// Milliseconds without a byte after which the router counts as gone. It asks for a sign of life every 5 s.
+pub const SILENCE: u64 = 15_000;
+/// Bytes after which a batch takes no further package.
+const BATCH: usize = 32 << 10;
+/// Bytes of answers that may wait: a peer that asks and does not read gets no more.
+const ANSWERS: usize = 64 << 10;
+/// Batches of one call of [`Session::write`]: then it is the turn of what has come.
+const BATCHES: usize = 16;
+
+/// A client of a router, over one connection after the other.
+#[derive(Debug, Default)]
+pub struct Session {
+    is_connected: bool,
+    frames: Frames,
+    names: BTreeMap<MailboxName, Registration>,
+    /// Registrations that the router has not answered, in their order: it answers them in that order.
+    asked: VecDeque<(u8, MailboxName)>,
+    id: u8,
+    /// Requests and answers that wait for the next batch.
+    own: Vec<u8>,
+    /// The router waits for a sign of life.
+    is_asked: bool,
+    batch: Vec<u8>,
+    written: usize,
+    /// Where in the batch packages end that are not written.
+    ends: VecDeque<usize>,
+    last_heard: u64,
+    counters: SessionCounters,
+}
+
+/// Counters over all connections.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SessionCounters {
+    /// Packages that were written to the router.
+    pub sent: u64,
+    /// Bytes that were written, requests and answers included.
+    pub bytes_sent: u64,
+    /// Packages that came from the router for mailboxes.
+    pub received: u64,
+    /// Their bytes.
+    pub bytes_received: u64,
+    /// Packages lost with a connection before all their bytes were written.
+    pub lost: u64,
+    /// Answers that were not sent, since as many wait as may.
+    pub answers_lost: u64,
+    /// Registrations that the router has refused.
+    pub names_refused: u64,
+}
+
+/// The state of a name at the router.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Registration {
+    /// Asked for.
+    Asked,
+    /// This client's.
+    Registered,
+    /// Refused; asked for again then.
+    Refused(u64),
+}
+
+/// The end of a call of [`Session::write`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Written {
+    /// Nothing is left.
+    All,
+    /// The connection takes no more for now.
+    Blocked,
+    /// More is there: this was as much as one call writes.
+    More,
+}
+
+impl Session {
+    /// A connection is open: all names are registered, before any package leaves.
+    pub fn connected(&mut self, now: u64) {
+        self.disconnected();
+        self.is_connected = true;
+        self.last_heard = now;
+        for name in self.names.keys().copied().collect::<Vec<_>>() {
+            self.register(name);
+        }
+    }
+
+    /// The connection is over. Packages that were not written are lost, and counted.
+    pub fn disconnected(&mut self) {
+        self.is_connected = false;
+        self.counters.lost += self.ends.len() as u64;
+        self.frames = Frames::default();
+        self.asked.clear();
+        self.own.clear();
+        self.is_asked = false;
+        self.batch.clear();
+        self.written = 0;
+        self.ends.clear();
+    }
+
+    /// The mailboxes here are these.
+    pub fn set_names(&mut self, here: &BTreeSet<MailboxName>) {
+        let gone: Vec<_> = self.names.keys().filter(|name| !here.contains(name)).copied().collect();
+        for name in gone {
+            self.names.remove(&name);
+            if self.is_connected {
+                self.control(UNREGISTER, 0, &name.0.to_le_bytes());
+            }
+        }
+        for name in here {
+            if !self.names.contains_key(name) {
+                self.register(*name);
+            }
+        }
+    }
+
+    /// Bytes have come. Each package for a mailbox goes to `each`. An error ends the connection.
+    pub fn received(&mut self, bytes: &[u8], now: u64, mut each: impl FnMut(&Head, &[u8])) -> Result<(), HeadError> {
+        self.last_heard = now;
+        let mut frames = core::mem::take(&mut self.frames);
+        let cut = frames.cut(bytes, |head, body| match (head.to, head.from) {
+            (MailboxName::NOBODY, MailboxName::NOBODY) => self.of_router(&head, now),
+            _ => {
+                self.counters.received += 1;
+                self.counters.bytes_received += u64::from(head.len);
+                each(&head, body);
+            }
+        });
+        self.frames = frames;
+        cut
+    }
+
+    /// Answers a package that no mailbox here takes.
+    pub fn answer(&mut self, head: &Head) {
+        if self.own.len() + HEAD_LEN > ANSWERS {
+            self.counters.answers_lost += 1;
+        } else {
+            self.own.extend_from_slice(&head.to_bytes());
+        }
+    }
+
+    /// Registers names again whose time has come.
+    pub fn retry(&mut self, now: u64) {
+        let due = |at: &Registration| matches!(at, Registration::Refused(at) if *at <= now);
+        let names: Vec<_> = self.names.iter().filter(|(_, at)| due(at)).map(|(name, _)| *name).collect();
+        names.into_iter().for_each(|name| self.register(name));
+    }
+
+    /// When [`Self::retry`] is due, or the router counts as gone if nothing comes.
+    pub fn next_due(&self) -> u64 {
+        let retries = self.names.values().filter_map(|at| match at {
+            Registration::Refused(at) => Some(*at),
+            _ => None,
+        });
+        retries.fold(self.last_heard + SILENCE, u64::min)
+    }
+
+    /// Whether nothing has come for so long that the router counts as gone.
+    pub fn is_silent(&self, now: u64) -> bool {
+        now >= self.last_heard + SILENCE
+    }
+
+    /// Writes requests, answers, and packages, which `next` appends one at a time as long as there are any.
+    pub fn write(
+        &mut self,
+        mut next: impl FnMut(&mut Vec<u8>) -> bool,
+        mut send: impl FnMut(&[u8]) -> io::Result<usize>,
+    ) -> io::Result<Written> {
+        for _ in 0..BATCHES {
+            if self.written == self.batch.len() {
+                self.fill(&mut next);
+            }
+            while self.written < self.batch.len() {
+                match send(&self.batch[self.written..]) {
+                    Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                    Ok(sent) => self.wrote(sent),
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(Written::Blocked),
+                    Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                    Err(error) => return Err(error),
+                }
+            }
+            if self.batch.is_empty() {
+                return Ok(Written::All);
+            }
+        }
+        Ok(Written::More)
+    }
+
+    /// Names that are registered, and names that are not, or not yet.
+    pub fn names(&self) -> (usize, usize) {
+        let registered = self.names.values().filter(|at| **at == Registration::Registered).count();
+        (registered, self.names.len() - registered)
+    }
+
+    /// Counters over all connections.
+    pub fn counters(&self) -> SessionCounters {
+        self.counters
+    }
+
+    /// Without a connection the next one begins with it.
+    fn register(&mut self, name: MailboxName) {
+        self.names.insert(name, Registration::Asked);
+        if !self.is_connected {
+            return;
+        }
+        self.id = self.id.wrapping_add(1);
+        self.asked.push_back((self.id, name));
+        self.control(REGISTER, self.id, &name.0.to_le_bytes());
+    }
+
+    fn control(&mut self, kind: i8, id: u8, body: &[u8]) {
+        let len = (HEAD_LEN + body.len()) as u32;
+        let head = Head { id, len, ..Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY) };
+        self.own.extend_from_slice(&head.to_bytes());
+        self.own.extend_from_slice(body);
+    }
+
+    fn of_router(&mut self, head: &Head, now: u64) {
+        if head.kind == LIFESIGN {
+            self.is_asked = true;
+            return;
+        }
+        // Other packages of the router answer nothing that was asked.
+        let Some(place) = self.asked.iter().position(|(id, _)| *id == head.id) else { return };
+        let Some((_, name)) = self.asked.remove(place) else { return };
+        let Some(registration) = self.names.get_mut(&name) else { return };
+        *registration = match head.kind {
+            OK => Registration::Registered,
+            _ => {
+                self.counters.names_refused += 1;
+                Registration::Refused(now + RETRY)
+            }
+        };
+    }
+
+    fn fill(&mut self, next: &mut impl FnMut(&mut Vec<u8>) -> bool) {
+        self.batch.clear();
+        self.written = 0;
+        if core::mem::take(&mut self.is_asked) {
+            self.control(OK, 0, &[]);
+        }
+        self.batch.append(&mut self.own);
+        while self.batch.len() < BATCH && next(&mut self.batch) {
+            self.ends.push_back(self.batch.len());
+        }
+    }
+
+    fn wrote(&mut self, bytes: usize) {
+        self.written += bytes;
+        self.counters.bytes_sent += bytes as u64;
+        while self.ends.front().is_some_and(|end| *end <= self.written) {
+            self.ends.pop_front();
+            self.counters.sent += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

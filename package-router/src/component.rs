@@ -36,7 +36,7 @@ use crate::name::MailboxName;
 use crate::node::Node;
 use crate::registry::Refused;
 use crate::route::RouteError;
-use crate::tcp::client::{TcpOptions, TcpStatus};
+use crate::tcp::client::{TcpOptions, TcpWatch};
 
 pub use look::{MailboxSeen, SenderSeen, Way};
 pub use mailbox::{Mailbox, Package, ReceiveError};
@@ -145,8 +145,8 @@ impl Component {
         known.get().cloned().unwrap_or_default()
     }
 
-    /// The state of this process's connection to a router, if it was made by [`Self::of_router`].
-    pub fn tcp(&self) -> Option<TcpStatus> {
+    /// A look at this process's connection to a router, if it was made by [`Self::of_router`].
+    pub fn tcp(&self) -> Option<TcpWatch> {
         self.link.node.as_ref().and_then(Node::tcp)
     }
 

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use crate::broker::Broker;
 use crate::component::Error;
-use crate::tcp::client::{TcpClient, TcpOptions, TcpStatus};
+use crate::tcp::client::{TcpClient, TcpOptions, TcpWatch};
 
 /// Stack of the broker's thread.
 const STACK: usize = 256 * 1024;
@@ -43,9 +43,9 @@ impl Node {
         Ok((Self { _directory: Some(directory), ..node }, path))
     }
 
-    /// The state of its TCP client, if it has one.
-    pub fn tcp(&self) -> Option<TcpStatus> {
-        self.tcp.as_ref().map(TcpClient::status)
+    /// A look at its TCP client, if it has one.
+    pub fn tcp(&self) -> Option<TcpWatch> {
+        self.tcp.as_ref().map(TcpClient::watch)
     }
 }
 

@@ -6,6 +6,7 @@ use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
 use package_router::component::Component;
+use package_router::tcp::client::TcpOptions;
 
 use crate::failure::Failure;
 use crate::guard::guard;
@@ -35,6 +36,31 @@ pub unsafe extern "C" fn rtnet_component_attach(
         let attached = Component::attach(Path::new(path)).map_err(failed)?;
         // SAFETY: as the caller promises.
         unsafe { give("component", component, RtnetComponent(attached)) }
+    })
+}
+
+/// Comes to a TCP router, on a host without a station.
+///
+/// # SAFETY
+/// `router` is NULL or a string, `component` NULL or the place of a pointer.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rtnet_component_of_router(
+    router: *const c_char,
+    component: *mut *mut RtnetComponent,
+) -> i32 {
+    guard("rtnet_component_of_router", || {
+        // SAFETY: as the caller promises.
+        unsafe { write("component", component, core::ptr::null_mut()) }?;
+        if router.is_null() {
+            return Err(Failure::NoPointer("router"));
+        }
+        // SAFETY: it is not NULL, and so a string.
+        let router = unsafe { CStr::from_ptr(router) }.to_string_lossy().into_owned();
+        let address = router.parse().map_err(Failure::Router)?;
+        let failed = |error| Failure::Station(router, error);
+        let component_of = Component::of_router(&TcpOptions::new(address)).map_err(failed)?;
+        // SAFETY: as the caller promises.
+        unsafe { give("component", component, RtnetComponent(component_of)) }
     })
 }
 

@@ -9,6 +9,7 @@ use package_router::component::{Error, ReceiveError, SendError};
 use package_router::mailbox;
 use package_router::name::MailboxName;
 use package_router::registry::Refused;
+use package_router::tcp::address::NoAddress;
 
 /// What went wrong.
 #[derive(Debug)]
@@ -27,6 +28,8 @@ pub enum Failure {
     Nothing(MailboxName),
     /// Between the component and its station: about which place or mailbox.
     Station(String, Error),
+    /// Text that is no address of a TCP router.
+    Router(NoAddress),
     /// Of a send.
     Send(MailboxName, SendError),
     /// Of a receive.
@@ -70,7 +73,7 @@ pub fn words() -> *const c_char {
 impl Failure {
     fn errno(&self) -> i32 {
         match self {
-            Self::NoPointer(_) | Self::Number(..) | Self::Len("room", _) => libc::EINVAL,
+            Self::NoPointer(_) | Self::Number(..) | Self::Router(_) | Self::Len("room", _) => libc::EINVAL,
             Self::Len(..) | Self::TooSmall(..) => libc::EMSGSIZE,
             Self::Lent(_) => libc::EBUSY,
             Self::NotLent(_) => libc::ENOMSG,
@@ -114,6 +117,7 @@ impl fmt::Display for Last {
         write!(f, "{} in {}: ", ErrnoName(self.failure.errno()), self.place)?;
         match &self.failure {
             Failure::NoPointer(what) => write!(f, "`{what}` points nowhere: give it something that is there"),
+            Failure::Router(error) => write!(f, "{error}"),
             Failure::Len(what, len) => {
                 let most = mailbox::LARGEST_BODY;
                 write!(f, "`{what}` is {len}: bodies have {most} bytes at the most, so give no more")

@@ -14,7 +14,9 @@ mod pointers;
 mod receiving;
 mod senders;
 
-pub use components::{RtnetComponent, rtnet_component_attach, rtnet_component_detach};
+pub use components::{
+    RtnetComponent, rtnet_component_attach, rtnet_component_detach, rtnet_component_of_router,
+};
 pub use guard::rtnet_packages_error;
 pub use heads::RtnetHead;
 pub use journeys::{RtnetJourney, rtnet_mailbox_journey};

@@ -82,6 +82,10 @@ pub struct TcpClient {
     thread: Option<JoinHandle<()>>,
 }
 
+/// A look at a client, from any thread.
+#[derive(Clone)]
+pub struct TcpWatch(Arc<Shared>);
+
 /// The state of a client.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TcpStatus {
@@ -102,6 +106,7 @@ pub struct TcpStatus {
 }
 
 struct Shared {
+    router: Address,
     stop: AtomicBool,
     waker: Waker,
     status: Mutex<TcpStatus>,
@@ -116,11 +121,11 @@ impl TcpClient {
         let waker = Waker::new(poll.registry(), WAKER)?;
         let bells = mailbox.as_fd().as_raw_fd();
         poll.registry().register(&mut SourceFd(&bells), MAILBOX, Interest::READABLE)?;
-        let shared = Arc::new(Shared { stop: AtomicBool::new(false), waker, status: Mutex::default() });
+        let (router, stop) = (options.router.clone(), AtomicBool::new(false));
+        let shared = Arc::new(Shared { router, stop, waker, status: Mutex::default() });
         let worker = Worker {
             poll,
             shared: shared.clone(),
-            router: options.router.clone(),
             session: Session::default(),
             local: Local::new(component, mailbox),
             link: Link::Down(0),
@@ -132,9 +137,21 @@ impl TcpClient {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Its state.
+    /// A look at it, for as long as that is wanted.
+    pub fn watch(&self) -> TcpWatch {
+        TcpWatch(self.shared.clone())
+    }
+}
+
+impl TcpWatch {
+    /// The router that it connects to.
+    pub fn router(&self) -> &Address {
+        &self.0.router
+    }
+
+    /// Its state now.
     pub fn status(&self) -> TcpStatus {
-        self.shared.status().clone()
+        self.0.status().clone()
     }
 }
 
@@ -157,7 +174,6 @@ impl Shared {
 struct Worker {
     poll: Poll,
     shared: Arc<Shared>,
-    router: Address,
     session: Session,
     local: Local,
     link: Link,
@@ -251,7 +267,8 @@ impl Worker {
     }
 
     fn connect(&self) -> io::Result<TcpStream> {
-        let addresses: Vec<SocketAddr> = (self.router.host.as_str(), self.router.port).to_socket_addrs()?.collect();
+        let Address { host, port } = &self.shared.router;
+        let addresses: Vec<SocketAddr> = (host.as_str(), *port).to_socket_addrs()?.collect();
         // Each attempt takes the next address.
         let place = self.connections as usize % addresses.len().max(1);
         let address = addresses.get(place).ok_or(io::ErrorKind::AddrNotAvailable)?;

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use package_router::name::{MailboxName, Pattern};
+use package_router::tcp::address::Address;
 use rtnet::time::Span;
 
 use super::WhichOf;
@@ -32,6 +33,13 @@ pub struct PackageArgs {
     /// (`package_times`)
     #[arg(long, requires_all = ["packages", "ip"])]
     pub package_times: bool,
+    /// TCP router that takes packages for mailboxes that are neither here nor at another station, and brings packages from there: HOST
+    /// or HOST:PORT. It connects again by itself
+    #[arg(long, value_name = "HOST:PORT", requires = "packages")]
+    pub router: Option<Address>,
+    /// Largest body that goes to the TCP router, up to 262128 bytes; memory for it is reserved [default: 4096]
+    #[arg(long, value_name = "BYTES", requires = "router", value_parser = clap::value_parser!(u32).range(0..=262_128))]
+    pub router_body: Option<u32>,
 }
 
 /// Arguments of `mailbox`.
@@ -147,8 +155,13 @@ pub enum PackageVerb {
     /// Exit status: 0; 1 nothing came, or it is not known what did, or a package could not be sent; 2 bad usage, or the station
     /// refuses.
     Bench(BenchArgs),
-    /// Which mailboxes are at which other stations, and changes of it
+    /// Which mailboxes are at which other stations, and changes of it; or the way that packages for a mailbox go, and why
+    ///
+    /// Exit status: 0; 1 no way leads to that mailbox; 2 bad usage, or the station refuses.
+    #[command(args_conflicts_with_subcommands = true)]
     Route {
+        /// The way to this mailbox
+        name: Option<MailboxName>,
         /// What to do [default: show them]
         #[command(subcommand)]
         verb: Option<PackageRouteVerb>,

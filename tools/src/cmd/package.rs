@@ -4,6 +4,7 @@ mod bench;
 mod counts;
 mod shown;
 mod way;
+mod ways;
 
 use std::io::Write as _;
 use std::net::Ipv4Addr;
@@ -27,6 +28,7 @@ use crate::control::Directory;
 use crate::report::document::{Document, Documents};
 use counts::Counts;
 use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
+use ways::{WayName, WayShown};
 use way::Way;
 
 /// Slots of a mailbox that somebody looks into by hand.
@@ -119,7 +121,12 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
             super::print(json, &told, Trips::describe).map_err(Failure::Run)?;
             return Ok(u8::from(told.came == 0));
         }
-        PackageVerb::Route { verb: None } => {
+        PackageVerb::Route { name: Some(name), verb: None } => {
+            let shown = WayShown::of(*name, component.way(*name))?;
+            super::print(json, &shown, WayShown::describe).map_err(Failure::Run)?;
+            return Ok(u8::from(shown.way == WayName::None));
+        }
+        PackageVerb::Route { name: None, verb: None } => {
             let routes = component.routes().map_err(run)?;
             let routes: Vec<_> = routes
                 .iter()
@@ -130,10 +137,10 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
             })
             .map_err(Failure::Run)?;
         }
-        PackageVerb::Route { verb: Some(PackageRouteVerb::Add { route: (to, station) }) } => {
+        PackageVerb::Route { verb: Some(PackageRouteVerb::Add { route: (to, station) }), .. } => {
             component.add_route(*to, *station).map_err(usage)?;
         }
-        PackageVerb::Route { verb: Some(PackageRouteVerb::Delete { to }) } => {
+        PackageVerb::Route { verb: Some(PackageRouteVerb::Delete { to }), .. } => {
             component.delete_route(*to).map_err(usage)?
         }
     }

@@ -6,7 +6,7 @@ use super::Failure;
 use super::interface::{asked, unasked};
 use super::tdma::found;
 use crate::cli::ShowArgs;
-use crate::control::{CountersShown, StackReply, StackRequest, VnicCounted};
+use crate::control::{CountersShown, StackReply, StackRequest, TcpShown, VnicCounted};
 use crate::report::text::grouped;
 
 /// Shows everything that a station counts.
@@ -22,8 +22,19 @@ pub fn stat(args: &ShowArgs) -> Result<u8, Failure> {
 
 /// What has happened; what has not is in the JSON only.
 fn describe(shown: &CountersShown) -> String {
-    let CountersShown { name, station, port, refused, programs, stack, loopback, sockets, packages, vnic } =
-        shown;
+    let CountersShown {
+        name,
+        station,
+        port,
+        refused,
+        programs,
+        stack,
+        loopback,
+        sockets,
+        packages,
+        tcp,
+        vnic,
+    } = shown;
     let mut text = format!("{name}:\n");
     for (title, counts) in [("station", station), ("port", port), ("refused frames", refused)] {
         text += &line(title, counts);
@@ -40,6 +51,13 @@ fn describe(shown: &CountersShown) -> String {
         text += &line(socket, counts);
     }
     text += &packages.as_ref().map_or(String::new(), |counts| line("packages by the LAN", counts));
+    if let Some(TcpShown { router, connected, last_error, counters, lost }) = tcp {
+        let why = last_error.as_ref().map_or(String::new(), |why| format!(" ({why})"));
+        let state = if *connected { "connected" } else { "not connected" };
+        text += &format!("TCP router {router}: {state}{}\n", if *connected { "" } else { &why });
+        text += &line("packages by TCP", counters);
+        text += &line("packages by TCP, lost", lost);
+    }
     match vnic {
         None => {}
         Some(VnicCounted { unknown: Some(why), .. }) => text += &format!("VNIC: not known: {why}\n"),

@@ -7,6 +7,7 @@ use std::str::FromStr;
 use anyhow::{Context, anyhow, bail};
 use package_router::priority::Priorities;
 use package_router::route::Routes;
+use package_router::tcp::client::{BODY, TcpOptions};
 use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
@@ -232,7 +233,11 @@ fn packages(args: &StationArgs) -> anyhow::Result<Option<PackagesOptions>> {
         Some(file) => Priorities::parse(&read(file)?, &file.display().to_string())?,
         None => Priorities::default(),
     };
-    Ok(Some(PackagesOptions { routes, priorities }))
+    let tcp = said.router.clone().map(|router| TcpOptions {
+        largest_body: said.router_body.map_or(BODY, |bytes| bytes as usize),
+        router,
+    });
+    Ok(Some(PackagesOptions { routes, priorities, tcp }))
 }
 
 /// Its VNIC, if it is to have one.

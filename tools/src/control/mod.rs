@@ -21,6 +21,7 @@ mod router;
 mod schedule;
 mod server;
 mod sockets;
+mod tcp;
 mod vnic;
 
 pub use client::{Question, ask, ask_lab, ask_stack, lab_status, put, router_status, station_status};
@@ -40,4 +41,5 @@ pub use sockets::{
     ChannelShown, CountersShown, EchoFailed, EchoRequest, EchoShown, EchoesShown, HostShown, InterfaceShown,
     NetworkShown, PoolShown, RouteSaid, RoutesShown, StackReply, StackRequest, Way,
 };
+pub use tcp::TcpShown;
 pub use vnic::{VnicChange, VnicCounted, VnicRequest, VnicShown};

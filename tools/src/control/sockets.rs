@@ -6,7 +6,7 @@ use std::net::Ipv4Addr;
 use rtnet::buf::PoolStatistics;
 use serde::{Deserialize, Serialize};
 
-use super::VnicCounted;
+use super::{TcpShown, VnicCounted};
 use crate::report::document::document;
 
 /// What a station with sockets may be asked.
@@ -287,6 +287,9 @@ pub struct CountersShown {
     pub loopback: BTreeMap<String, u64>,
     /// Of its sockets.
     pub sockets: BTreeMap<String, BTreeMap<String, u64>>,
+    /// Of the TCP client of its packages, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tcp: Option<TcpShown>,
     /// Of packages that came by the LAN, if they may.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub packages: Option<BTreeMap<String, u64>>,

@@ -117,6 +117,7 @@ pub fn arguments(
                 .for_each(|route| add("--package-route", format!("{}={}", route.to, route.station)));
         }
         packages.priorities.iter().for_each(|file| add("--package-priorities", file.display().to_string()));
+        packages.router.iter().for_each(|router| add("--router", router.to_string()));
         if packages.times && plan.ip.is_some() {
             line.push("--package-times".into());
         }

@@ -25,6 +25,7 @@ use serde::Deserialize;
 use std::path::PathBuf;
 
 use package_router::route::Route;
+use package_router::tcp::address::Address as RouterAddress;
 use vnic::peers::Prefix;
 
 use crate::cli::VnicMode;
@@ -123,6 +124,8 @@ pub struct PackagesPlan {
     pub priorities: Option<PathBuf>,
     /// Whether packages to other stations say when they were sent and left.
     pub times: bool,
+    /// The TCP router of all stations, if there is one.
+    pub router: Option<RouterAddress>,
 }
 
 /// One station.

@@ -12,6 +12,7 @@ use std::time::Duration;
 use crossbeam::queue::ArrayQueue;
 use nix::errno::Errno;
 use nix::sys::eventfd::EventFd;
+use package_router::tcp::client::TcpWatch;
 use rtmac::tdma::{NON_RT_SLOT, RoleName, SlaveConfig, TdmaCommand};
 use rtmac::token::RingConfig;
 use rtnet::api::door::{Attached, Descriptors};
@@ -35,7 +36,7 @@ use super::wire::{Change, LinkState, Wire};
 use super::{Options, OwnSlots};
 use crate::control::{
     Answers, ClockShown, CountersShown, EchoesShown, Envelope, InterfaceShown, Reply, Request, RingShown,
-    StackReply, StackRequest, StationStatus, Traffic, read,
+    StackReply, StackRequest, StationStatus, TcpShown, Traffic, read,
 };
 use crate::report::figures::GuardName;
 
@@ -71,6 +72,8 @@ pub struct Desk {
     programs: Option<Programs>,
     /// Its VNIC, or why it has none.
     vnic: Result<Told, String>,
+    /// The TCP client of its packages, if it has one.
+    tcp: Option<TcpWatch>,
     time: Arc<TimeBoard>,
     counts: Arc<TrafficCounts>,
     newest: Option<Snapshot<AccessStatus>>,
@@ -142,6 +145,7 @@ impl Desk {
             sockets: Arc::new(Sockets::new(driver, options.stack.as_ref().map(|stack| stack.room()))),
             programs: None,
             vnic: Err(NO_VNIC.to_owned()),
+            tcp: None,
             time: driver.time(),
             counts,
             newest: None,
@@ -168,6 +172,11 @@ impl Desk {
     /// The same with a VNIC that was wanted, or with why there is none.
     pub fn with_vnic(self, wanted: Option<Result<Told, String>>) -> Self {
         Self { vnic: wanted.unwrap_or(self.vnic), ..self }
+    }
+
+    /// The same with a look at its TCP client, if it has one.
+    pub fn with_tcp(self, tcp: Option<TcpWatch>) -> Self {
+        Self { tcp, ..self }
     }
 
     /// Closes some of what programs have left.
@@ -312,13 +321,15 @@ impl Desk {
         }
     }
 
-    /// What is above the discipline counts. Who has neither sockets nor a VNIC is told what to start it with.
+    /// The counters above the discipline. Without sockets, a VNIC and a TCP client the error names what to start it with.
     fn counted(&self) -> Result<CountersShown, String> {
-        let own = match &self.vnic {
-            Ok(_) if !self.sockets.are_there() => CountersShown::default(),
-            _ => self.sockets.counters()?,
+        let has_others = self.vnic.is_ok() || self.tcp.is_some();
+        let own = match has_others && !self.sockets.are_there() {
+            true => CountersShown::default(),
+            false => self.sockets.counters()?,
         };
-        Ok(CountersShown { vnic: self.vnic.as_ref().ok().map(Told::counted), ..own })
+        let vnic = self.vnic.as_ref().ok().map(Told::counted);
+        Ok(CountersShown { vnic, tcp: self.tcp.as_ref().map(TcpShown::of), ..own })
     }
 
     fn status(&mut self, traffic: Traffic) -> Reply {

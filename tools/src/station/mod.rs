@@ -37,6 +37,7 @@ use rtnet::api::line::Lines;
 use rtnet::clock::EmulatedClock;
 use rtnet::discipline::Service;
 use rtnet::live::interface::Interface;
+use package_router::node::Node;
 use rtnet::live::realtime::{MASTER_PRIORITY, RealTime, SLAVE_PRIORITY};
 use rtnet::live::{ClockOrder, Data, Driver, DriverConfig, GuardMode, Port, TimeBoard};
 use rtnet::station::Station;
@@ -53,7 +54,6 @@ pub use desk::epoch;
 use echoes::Asker;
 use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
-use package_router::node::Node;
 use packages::PackagesOptions;
 use programs::Programs;
 use sockets::Sockets;
@@ -282,6 +282,7 @@ impl Ready {
             self.reach.server.as_ref(),
             has_sockets.then(|| self.desk.sockets()),
         )?;
+        self.desk = self.desk.with_tcp(packages.as_ref().and_then(Node::tcp));
         self.desk.watch_wire(LOOK_EVERY, self.changed)?;
         self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;

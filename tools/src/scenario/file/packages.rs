@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use package_router::priority::Priorities;
 use package_router::route::Routes;
+use package_router::tcp::address::NoAddress;
 use toml::Spanned;
 
 use super::source::read_text;
@@ -18,9 +19,12 @@ impl Source<'_> {
         network: &NetworkFile,
         stations: &[StationPlan],
     ) -> Result<Option<PackagesPlan>, FileError> {
-        let NetworkFile { packages, package_routes, package_priorities, package_times, .. } = network;
+        let NetworkFile {
+            packages, package_routes, package_priorities, package_router, package_times, ..
+        } = network;
         if !packages.unwrap_or(false) {
-            let said = package_routes.as_ref().or(package_priorities.as_ref()).map(Spanned::span);
+            let said = [package_routes, package_priorities, package_router].into_iter().flatten().next();
+            let said = said.map(Spanned::span);
             return said.or(package_times.as_ref().map(Spanned::span)).map_or(Ok(None), |said| {
                 let what = "this is about packages, and stations have none: write packages = true, too";
                 Err(self.impossible(said.start, what))
@@ -44,7 +48,11 @@ impl Source<'_> {
             read.map(|_| file).map_err(|error| self.impossible(said.span().start, error))
         });
         let times = package_times.as_ref().is_none_or(|said| *said.get_ref());
-        Ok(Some(PackagesPlan { routes, priorities: priorities.transpose()?, times }))
+        let router = package_router.as_ref().map(|said| {
+            said.get_ref().parse().map_err(|error: NoAddress| self.impossible(said.span().start, error))
+        });
+        let (priorities, router) = (priorities.transpose()?, router.transpose()?);
+        Ok(Some(PackagesPlan { routes, priorities, times, router }))
     }
 
     /// A file that is named from where this one is.
@@ -89,6 +97,8 @@ mod tests {
         let plan = read(dir, all).unwrap().unwrap();
         assert_eq!(plan.routes[0].station, Ipv4Addr::new(10, 0, 0, 2));
         assert_eq!(plan.priorities, Some(dir.join("urgent.toml")));
+        let plan = read(dir, "packages = true\npackage_router = \"10.1.0.1\"").unwrap().unwrap();
+        assert_eq!(plan.router.unwrap().to_string(), "10.1.0.1:2000");
     }
 
     #[test]
@@ -100,6 +110,8 @@ mod tests {
         for (head, told) in [
             ("package_routes = \"routes.toml\"", ":1:18: this is about packages, and stations have none"),
             ("package_times = true", ":1:17: this is about packages, and stations have none"),
+            ("package_router = \"10.1.0.1\"", ":1:18: this is about packages, and stations have none"),
+            ("packages = true\npackage_router = \"10.1.0.1:x\"", ":2:18: '10.1.0.1:x' is no address of a router"),
             ("packages = true\npackage_routes = \"none.toml\"", ":2:18: "),
             ("packages = true\npackage_routes = \"routes.toml\"", "'leg' is neither an IPv4 address"),
             ("packages = true\npackage_priorities = \"urgent.toml\"", "urgent.toml:2"),

@@ -91,7 +91,15 @@ const NOT_OF_RINGS: &[(&str, &[&str], &str)] = &[
     ("", &["servo", "delay"], NO_MASTER),
     (
         "",
-        &["network", "vnic_mode", "packages", "package_routes", "package_priorities", "package_times"],
+        &[
+            "network",
+            "vnic_mode",
+            "packages",
+            "package_routes",
+            "package_priorities",
+            "package_router",
+            "package_times",
+        ],
         NO_SOCKETS,
     ),
     ("", &["expect"], NO_EXPECTATIONS),

@@ -1,0 +1,59 @@
+//! A station's connection to a TCP router, as people and programs see it.
+
+use std::collections::BTreeMap;
+
+use package_router::tcp::client::TcpWatch;
+use serde::{Deserialize, Serialize};
+
+/// The TCP client of a station's packages.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct TcpShown {
+    /// The address of its router.
+    pub router: String,
+    /// Whether it has a connection.
+    pub connected: bool,
+    /// The end of the last connection, or the failure of the last attempt to open one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_error: Option<String>,
+    /// Packages, bytes, connections and mailboxes, by name.
+    pub counters: BTreeMap<String, u64>,
+    /// Packages and answers that were lost or refused, by reason.
+    pub lost: BTreeMap<String, u64>,
+}
+
+impl TcpShown {
+    /// As it is now.
+    pub fn of(watch: &TcpWatch) -> Self {
+        let status = watch.status();
+        let (session, local) = (status.session, status.local);
+        let counters = [
+            ("connections", status.connections),
+            ("mailboxes", status.names as u64),
+            ("mailboxes_waiting", status.names_waiting as u64),
+            ("sent", session.sent),
+            ("bytes_sent", session.bytes_sent),
+            ("received", session.received),
+            ("bytes_received", session.bytes_received),
+            ("delivered", local.delivered),
+        ];
+        let lost = [
+            ("not_connected", local.not_connected),
+            ("not_written", session.lost),
+            ("answers", session.answers_lost),
+            ("names_refused", session.names_refused),
+            ("no_mailbox", local.no_mailbox),
+            ("full", local.full),
+            ("too_large", local.too_large),
+            ("forged", local.forged),
+        ];
+        let named = |all: [(&str, u64); 8]| all.map(|(name, n)| (name.to_owned(), n)).into();
+        Self {
+            router: watch.router().to_string(),
+            connected: status.is_connected,
+            last_error: status.last_error,
+            counters: named(counters),
+            lost: named(lost),
+        }
+    }
+}

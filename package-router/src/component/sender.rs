@@ -201,7 +201,9 @@ impl Sender {
     /// Its own memory, where it counts: see [`mailbox::of_sender`]. What goes elsewhere the station counts.
     pub fn counted(&self, what: usize) -> u64 {
         match &self.way {
-            Way::Here(Here { lane: Some((lane, _)), .. }) | Way::Tcp(Here { lane: Some((lane, _)), .. }) => Word::get(lane.segment().at(what)),
+            Way::Here(Here { lane: Some((lane, _)), .. }) | Way::Tcp(Here { lane: Some((lane, _)), .. }) => {
+                Word::get(lane.segment().at(what))
+            }
             _ => 0,
         }
     }

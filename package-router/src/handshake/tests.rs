@@ -10,8 +10,13 @@ const LANE: Lane = Lane { place: 255, lane: 127, mailbox: u64::MAX, generation: 
 fn what_is_asked_and_answered_comes_over_as_it_is() {
     let bind = Ask::Bind { from: NAME, to: MailboxName(9) };
     let (pattern, station) = ("0.Pilot.*".parse().unwrap(), [10, 0, 0, 9].into());
-    let routes =
-        [Ask::Look(3), Ask::RouteAt(255), Ask::AddRoute(pattern, station), Ask::DeleteRoute(pattern), Ask::Way(NAME)];
+    let routes = [
+        Ask::Look(3),
+        Ask::RouteAt(255),
+        Ask::AddRoute(pattern, station),
+        Ask::DeleteRoute(pattern),
+        Ask::Way(NAME),
+    ];
     for ask in routes {
         assert_eq!(Ask::parse(&ask.to_bytes()), Some(ask));
     }
@@ -32,7 +37,8 @@ fn what_is_asked_and_answered_comes_over_as_it_is() {
         Refused::Shape(ShapeError::Memory(1, 2, 3)),
     ];
     let created = Answer::Created { place: 3, generation: u64::MAX };
-    let [here, beyond] = [false, true].map(|is_tcp| Answer::Reserved { lane: LANE, shape: SHAPE, priority: 255, is_tcp });
+    let [here, beyond] =
+        [false, true].map(|is_tcp| Answer::Reserved { lane: LANE, shape: SHAPE, priority: 255, is_tcp });
     let mailbox = Answer::Mailbox { place: 9, name: NAME, shape: SHAPE, process: u32::MAX };
     let away = Answer::Away { station: [10, 0, 0, 9].into(), priority: 7, channel: 5 };
     for answer in [

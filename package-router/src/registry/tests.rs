@@ -154,7 +154,11 @@ fn the_tcp_client_takes_no_lane_from_senders() {
     assert_eq!(registry.find(MailboxName::NOBODY), Some(place));
     assert_eq!(registry.create_tcp(ARM, Shape::new(1, 1)), Err(Refused::Taken(MailboxName::NOBODY)));
     let nobody = MailboxName::NOBODY;
-    assert_eq!(registry.bind(ARM, nobody, name(1), never), Err(Refused::NotOwn(nobody)), "it is not its name");
+    assert_eq!(
+        registry.bind(ARM, nobody, name(1), never),
+        Err(Refused::NotOwn(nobody)),
+        "it is not its name"
+    );
     (0..2).for_each(|_| _ = registry.bind(CAMERA, name(2), name(1), never).unwrap());
     let lane = registry.bind(TCP, nobody, name(1), never).unwrap();
     assert_eq!(lane.lane, registry.get(lane.place).unwrap().shape.tcp_lane());

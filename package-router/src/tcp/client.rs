@@ -133,7 +133,8 @@ impl TcpClient {
             connections: 0,
             last_error: None,
         };
-        let thread = Builder::new().name("packages-tcp".into()).stack_size(STACK).spawn(move || worker.run())?;
+        let thread =
+            Builder::new().name("packages-tcp".into()).stack_size(STACK).spawn(move || worker.run())?;
         Ok(Self { shared, thread: Some(thread) })
     }
 
@@ -255,8 +256,7 @@ impl Worker {
                     self.connections += 1;
                     self.back_off = *BACK_OFF.start();
                     self.session.connected(now());
-                    self.link =
-                        Link::Up(Up { stream, is_readable: true, is_writable: true, has_more: true });
+                    self.link = Link::Up(Up { stream, is_readable: true, is_writable: true, has_more: true });
                 }
                 Ok(false) if until <= now() => self.down(&io::ErrorKind::TimedOut.into()),
                 Ok(false) => self.link = Link::Opening(stream, until),

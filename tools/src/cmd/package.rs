@@ -28,8 +28,8 @@ use crate::control::Directory;
 use crate::report::document::{Document, Documents};
 use counts::Counts;
 use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
-use ways::{WayName, WayShown};
 use way::Way;
+use ways::{WayName, WayShown};
 
 /// Slots of a mailbox that somebody looks into by hand.
 const SLOTS: usize = 64;

@@ -133,7 +133,12 @@ impl Session {
     }
 
     /// Bytes have come. Each package for a mailbox goes to `each`. An error ends the connection.
-    pub fn received(&mut self, bytes: &[u8], now: u64, mut each: impl FnMut(&Head, &[u8])) -> Result<(), HeadError> {
+    pub fn received(
+        &mut self,
+        bytes: &[u8],
+        now: u64,
+        mut each: impl FnMut(&Head, &[u8]),
+    ) -> Result<(), HeadError> {
         self.last_heard = now;
         let mut frames = core::mem::take(&mut self.frames);
         let cut = frames.cut(bytes, |head, body| match (head.to, head.from) {

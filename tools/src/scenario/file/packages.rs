@@ -111,7 +111,10 @@ mod tests {
             ("package_routes = \"routes.toml\"", ":1:18: this is about packages, and stations have none"),
             ("package_times = true", ":1:17: this is about packages, and stations have none"),
             ("package_router = \"10.1.0.1\"", ":1:18: this is about packages, and stations have none"),
-            ("packages = true\npackage_router = \"10.1.0.1:x\"", ":2:18: '10.1.0.1:x' is no address of a router"),
+            (
+                "packages = true\npackage_router = \"10.1.0.1:x\"",
+                ":2:18: '10.1.0.1:x' is no address of a router",
+            ),
             ("packages = true\npackage_routes = \"none.toml\"", ":2:18: "),
             ("packages = true\npackage_routes = \"routes.toml\"", "'leg' is neither an IPv4 address"),
             ("packages = true\npackage_priorities = \"urgent.toml\"", "urgent.toml:2"),

@@ -108,10 +108,7 @@ fn signs_of_life_and_answers_overtake_packages() {
         batch.extend_from_slice(&one);
         true
     };
-    assert_eq!(
-        session.write(endless, |_| Err(io::ErrorKind::WouldBlock.into())).unwrap(),
-        Written::Blocked
-    );
+    assert_eq!(session.write(endless, |_| Err(io::ErrorKind::WouldBlock.into())).unwrap(), Written::Blocked);
     let begun = session.batch.len();
     assert!((BATCH..BATCH + one.len()).contains(&begun));
     came(&mut session, &reply(LIFESIGN, 0), 5);
@@ -163,7 +160,11 @@ fn one_that_asks_and_does_not_read_gets_no_more_answers() {
     assert!(session.own.len() <= ANSWERS);
     assert_eq!(session.counters().answers_lost, 10_000 - (ANSWERS / HEAD_LEN) as u64);
     (0..10_000).for_each(|_| _ = came(&mut session, &reply(LIFESIGN, 0), 1));
-    assert_eq!(written(&mut session).len(), ANSWERS / HEAD_LEN * HEAD_LEN + HEAD_LEN, "one sign of life is enough");
+    assert_eq!(
+        written(&mut session).len(),
+        ANSWERS / HEAD_LEN * HEAD_LEN + HEAD_LEN,
+        "one sign of life is enough"
+    );
 }
 
 proptest! {

@@ -288,14 +288,15 @@ impl Broker {
         to: MailboxName,
     ) -> Result<(Answer, Vec<OwnedFd>), Answer> {
         let priority = self.priorities.package(from.class());
+        self.registry.check_own(by, from).map_err(Answer::Refused)?;
         let (to, is_tcp) = match self.way(to) {
+            Answer::Mailbox { .. } => (to, false),
             Answer::Route(_, station) => {
-                self.registry.check_own(by, from).map_err(Answer::Refused)?;
                 let channel = self.priorities.channel(from.class());
                 return Ok((Answer::Away { station, priority, channel }, Vec::new()));
             }
             Answer::ByTcp if from != MailboxName::NOBODY => (MailboxName::NOBODY, true),
-            _ => (to, false),
+            _ => return Err(Answer::Refused(Refused::NoMailbox(to))),
         };
         let memory = self.registry.find(to).and_then(|place| self.memories[place].as_ref());
         let memory = memory.ok_or(Answer::Refused(Refused::NoMailbox(to)))?;

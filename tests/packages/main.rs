@@ -8,6 +8,7 @@ mod killed;
 mod lan;
 mod model;
 mod rpc;
+mod tcp;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,5 +1,7 @@
 //! The TCP router as its clients meet it, in Python among others.
 
+mod meet;
+
 use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};

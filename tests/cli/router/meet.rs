@@ -1,0 +1,221 @@
+//! Components of three stations and of hosts without one, in Rust, C and Python, exchange packages by name.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use nix::sched::{CloneFlags, setns};
+use package_router::component::{Component, Mailbox, SendError};
+use package_router::mailbox::Shape;
+use package_router::name::{Class, MailboxName};
+use package_router::tcp::client::TcpOptions;
+use package_router::wire::OK;
+
+use super::clients;
+use crate::cell::{Cell, json, text, wait_until};
+use crate::host::{network, skip};
+use crate::rtnet;
+
+const ASK: i8 = 21;
+const ROUTER: &str = "10.1.0.4:2000";
+/// The components: on the master, the arm and the leg, and on three hosts without a station.
+const NAMES: [MailboxName; 6] = [name(1), name(2), name(3), name(4), name(5), name(6)];
+
+const fn name(instance: u8) -> MailboxName {
+    MailboxName::new(0, Class(0x80), instance, 0)
+}
+
+/// A program of a namespace; killed when dropped.
+struct Program(Child);
+
+impl Program {
+    /// In the namespace of a station.
+    fn of(cell: &Cell, station: &str, words: &[&str]) -> Self {
+        let mut command = rtnet();
+        command.args(["lab", "exec", &cell.place(station), "--"]).args(words);
+        Self(command.stdout(Stdio::piped()).spawn().unwrap())
+    }
+
+    /// Waits until it says that all have answered it.
+    fn has_met_all(&mut self) {
+        let mut line = String::new();
+        BufReader::new(self.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        assert_eq!(line, "met\n");
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // Gone already where a test has ended it.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Asks all others until each has answered, and answers them until it is over.
+fn meets(mailbox: &mut Mailbox, has_met: &AtomicBool, is_over: &AtomicBool) {
+    let mut left: BTreeSet<_> = NAMES.into_iter().filter(|name| *name != mailbox.name()).collect();
+    let mut senders: Vec<_> = left.iter().map(|name| mailbox.sender(*name).unwrap()).collect();
+    while !is_over.load(Ordering::Relaxed) {
+        for sender in senders.iter_mut().filter(|sender| left.contains(&sender.to())) {
+            match sender.send(ASK, b"who") {
+                // One that finds no room is asked again.
+                Ok(_) | Err(SendError::Mailbox(_) | SendError::Station(_)) => {}
+                Err(error) => panic!("{error}"),
+            }
+        }
+        while let Ok(package) = mailbox.receive(Some(Duration::from_millis(50))) {
+            let (head, body) = (*package.head(), package.body().to_vec());
+            drop(package);
+            match head.kind {
+                ASK => {
+                    let back = senders.iter_mut().find(|sender| sender.to() == head.from).unwrap();
+                    // It asks again where its answer found no room.
+                    let _ = back.send_with(&head.answer(OK), &body);
+                }
+                OK => _ = left.remove(&head.from),
+                _ => {}
+            }
+            has_met.store(left.is_empty(), Ordering::Relaxed);
+        }
+    }
+}
+
+/// A component in C, if there is a compiler, and the library has been built.
+fn in_c(test: &str, dir: &Path) -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let library = std::env::current_exe().unwrap().with_file_name("librtnet_packages.a");
+    if !library.exists() {
+        skip(test, "needs librtnet_packages.a: run `cargo test --workspace`, which builds it");
+        return None;
+    }
+    let program = dir.join("meet");
+    let compiled = Command::new("cc")
+        .args(["-Wall", "-Wextra", "-Werror", "-std=c11", "-o"])
+        .arg(&program)
+        .arg("-I")
+        .arg(root.join("package-router/c/include"))
+        .arg(root.join("tests/cli/router/meet.c"))
+        .arg(library)
+        .args(["-lpthread", "-ldl", "-lm"])
+        .output();
+    match compiled {
+        Ok(output) => assert!(output.status.success(), "{}", text(&output.stderr)),
+        Err(_) => {
+            skip(test, "needs a C compiler: Debian package gcc");
+            return None;
+        }
+    }
+    Some(program)
+}
+
+#[test]
+fn components_of_stations_and_hosts_meet_by_name() {
+    let test = "components_of_stations_and_hosts_meet_by_name";
+    network(test, || {
+        let dir = tempfile::tempdir().unwrap();
+        let Some(c) = in_c(test, dir.path()) else { return };
+        if Command::new("python3").arg("--version").output().is_err() {
+            return skip(test, "needs python3: Debian package python3");
+        }
+        let (c, routes) = (c.to_str().unwrap(), dir.path().join("routes.toml"));
+        fs::write(&routes, include_str!("meet_routes.toml")).unwrap();
+        let file = include_str!("meet.toml").replace("ROUTES", routes.to_str().unwrap());
+        let cell = Cell::with("meet", |_| file);
+        let router = Program::of(
+            &cell,
+            "hosts",
+            &[env!("CARGO_BIN_EXE_rtnet"), "router", "--listen", ROUTER, "--insecure", "--name", &cell.name],
+        );
+        wait_until("all stations have their router", || {
+            let is_connected = |station| {
+                let counters = json(rtnet().args(["stat", "-S", &cell.place(station), "--json"]));
+                counters["tcp"]["connected"] == true
+            };
+            ["master", "arm", "leg"].into_iter().all(is_connected)
+        });
+
+        let numbers = NAMES.map(|name| format!("{:#010x}", name.0));
+        let names_for = |own: usize| {
+            let others = numbers.iter().enumerate().filter(move |(n, _)| *n != own).map(|(_, name)| name);
+            std::iter::once(&numbers[own]).chain(others).map(String::as_str).collect::<Vec<_>>()
+        };
+        let broker = Path::new("/run/rtnet").join(&cell.name).join("arm.packages");
+        let python = clients().join("../../tests/cli/router/meet.py");
+        let python_path = format!("PYTHONPATH={}", clients().display());
+        let programs = [
+            ("arm", vec![c, "station", broker.to_str().unwrap()], 1),
+            ("hosts", vec![c, "router", ROUTER], 3),
+            (
+                "hosts",
+                vec![
+                    "env",
+                    &python_path,
+                    "PYTHONDONTWRITEBYTECODE=1",
+                    "python3",
+                    python.to_str().unwrap(),
+                    "10.1.0.4",
+                    "2000",
+                ],
+                4,
+            ),
+        ];
+        let mut programs = programs.map(|(station, mut words, own)| {
+            words.extend(names_for(own));
+            Program::of(&cell, station, &words)
+        });
+
+        let shape = Shape::new(8, 64);
+        let stations = [("master", NAMES[0]), ("leg", NAMES[2])].map(|(station, name)| {
+            Component::named(&cell.place(station)).unwrap().mailbox(name, shape).unwrap()
+        });
+        let namespace = cell.status()["stations"][3]["pid"].as_u64().unwrap();
+        let of_host = thread::spawn(move || {
+            // The threads that it starts are in this namespace, too.
+            setns(File::open(format!("/proc/{namespace}/ns/net")).unwrap(), CloneFlags::CLONE_NEWNET)
+                .unwrap();
+            TcpStream::connect(ROUTER).unwrap();
+            let component = Component::of_router(&TcpOptions::new(ROUTER.parse().unwrap())).unwrap();
+            component.mailbox(NAMES[5], shape).unwrap()
+        });
+        let [first, second] = stations;
+        let mut in_rust = [first, second, of_host.join().unwrap()];
+
+        let is_over = AtomicBool::new(false);
+        let has_met = [const { AtomicBool::new(false) }; 3];
+        thread::scope(|scope| {
+            for (mailbox, has_met) in in_rust.iter_mut().zip(&has_met) {
+                let is_over = &is_over;
+                scope.spawn(move || meets(mailbox, has_met, is_over));
+            }
+            programs.iter_mut().for_each(Program::has_met_all);
+            wait_until("all have met", || has_met.iter().all(|met| met.load(Ordering::Relaxed)));
+            shows_ways(&cell);
+            is_over.store(true, Ordering::Relaxed);
+        });
+        drop((in_rust, programs, router));
+        cell.down();
+    });
+}
+
+/// The way of packages from a station to a mailbox of its own, of another station, of a host, and to one that nobody has.
+fn shows_ways(cell: &Cell) {
+    let way = |to: MailboxName| {
+        let to = format!("{:#010x}", to.0);
+        json(rtnet().args(["package", "-S", &cell.place("leg"), "--json", "route", &to]))
+    };
+    let leg = way(NAMES[2]);
+    assert_eq!((&leg["way"], &leg["process"]), (&"mailbox".into(), &std::process::id().into()));
+    let arm = way(NAMES[1]);
+    assert_eq!(
+        (&arm["way"], &arm["route"], &arm["station"]),
+        (&"lan".into(), &"0.0x80.2".into(), &"10.0.0.2".into())
+    );
+    assert_eq!(way(NAMES[4])["way"], "tcp");
+}

@@ -1,6 +1,7 @@
 //! The TCP router as its clients meet it, in Python among others.
 
 mod meet;
+mod restarts;
 
 use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{SocketAddr, TcpStream};

@@ -1,0 +1,174 @@
+//! A router that is killed and started again, under load.
+
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use package_router::component::{Component, Mailbox, SendError, Sender};
+use package_router::mailbox::{self, Shape};
+use package_router::name::{Class, MailboxName};
+use package_router::tcp::client::TcpOptions;
+use package_router::wire::{Head, NOT_AVAILABLE, OK};
+
+use super::Router;
+use crate::cell::wait_until;
+use crate::host::figure;
+
+const RESTARTS: usize = 100;
+const ECHO: MailboxName = MailboxName::new(0, Class(0x80), 0, 0);
+const CALLER: MailboxName = MailboxName::new(0, Class(0x80), 1, 0);
+const FLOOD: MailboxName = MailboxName::new(0, Class(0x80), 2, 0);
+const ASK: i8 = 21;
+const DATA: i8 = -6;
+/// How long a call waits for its answer.
+const ANSWER_WITHIN: Duration = Duration::from_millis(200);
+/// Packages on their way at once: as many as make a load.
+const FLOOD_EVERY: Duration = Duration::from_micros(200);
+
+/// The ends of calls, each counted where it was made.
+#[derive(Debug, Default)]
+struct Calls {
+    made: u64,
+    answered: u64,
+    not_available: u64,
+    timed_out: u64,
+    /// Refused at once: as many wait as may.
+    full: u64,
+}
+
+struct Host {
+    component: Component,
+    mailbox: Mailbox,
+}
+
+impl Host {
+    fn new(router: &Router, name: MailboxName) -> Self {
+        let options = TcpOptions::new(router.at.to_string().parse().unwrap());
+        let component = Component::of_router(&options).unwrap();
+        let mailbox = component.mailbox(name, Shape::new(64, 64)).unwrap();
+        Self { component, mailbox }
+    }
+}
+
+/// Answers commands, and counts data; panics if anything comes twice.
+fn echoes(mailbox: &mut Mailbox, data: &AtomicU64, is_over: &AtomicBool) {
+    let mut back = mailbox.sender(CALLER).unwrap();
+    let mut seen = [BTreeSet::new(), BTreeSet::new()];
+    while !is_over.load(Ordering::Relaxed) {
+        let Ok(package) = mailbox.receive(Some(Duration::from_millis(20))) else { continue };
+        let (head, body) = (*package.head(), package.body().to_vec());
+        drop(package);
+        let is_data = head.kind == DATA;
+        let number = u64::from_le_bytes(body[..].try_into().unwrap());
+        assert!(seen[usize::from(is_data)].insert(number), "{number} of kind {} came twice", head.kind);
+        if is_data {
+            data.fetch_add(1, Ordering::Relaxed);
+        } else {
+            // An answer that finds no room is a call that times out.
+            let _ = back.send_with(&head.answer(OK), &body);
+        }
+    }
+}
+
+fn call(sender: &mut Sender, mailbox: &mut Mailbox, calls: &mut Calls) {
+    calls.made += 1;
+    match sender.send(ASK, &calls.made.to_le_bytes()) {
+        Ok(_) => {}
+        Err(SendError::Mailbox(mailbox::SendError::Full(_))) => {
+            calls.full += 1;
+            return;
+        }
+        Err(error) => panic!("{error}"),
+    }
+    let begun = Instant::now();
+    while let Some(left) = ANSWER_WITHIN.checked_sub(begun.elapsed()) {
+        let Ok(package) = mailbox.receive(Some(left)) else { break };
+        let Head { kind, .. } = *package.head();
+        match kind {
+            NOT_AVAILABLE => {
+                calls.not_available += 1;
+                return;
+            }
+            OK if package.body().to_vec() == calls.made.to_le_bytes() => {
+                calls.answered += 1;
+                return;
+            }
+            // An answer to an earlier call, which has been counted.
+            _ => {}
+        }
+    }
+    calls.timed_out += 1;
+}
+
+/// Packages that were taken, and such that found no room.
+fn floods(mailbox: &Mailbox, is_over: &AtomicBool) -> (u64, u64) {
+    let mut sender = mailbox.sender(ECHO).unwrap();
+    let (mut taken, mut full) = (0u64, 0u64);
+    while !is_over.load(Ordering::Relaxed) {
+        match sender.send(DATA, &taken.to_le_bytes()) {
+            Ok(_) => taken += 1,
+            Err(SendError::Mailbox(mailbox::SendError::Full(_))) => full += 1,
+            Err(error) => panic!("{error}"),
+        }
+        thread::sleep(FLOOD_EVERY);
+    }
+    (taken, full)
+}
+
+#[test]
+fn clients_come_back_to_a_router_killed_again_and_again() {
+    let mut router = Router::start("restarts", &[]);
+    let at = router.at.to_string();
+    let [mut echo, mut caller, flood] = [ECHO, CALLER, FLOOD].map(|name| Host::new(&router, name));
+    let looks = [&echo, &caller, &flood].map(|host| host.component.tcp().unwrap());
+    let are_back = |connections: u64| {
+        looks.iter().map(|look| look.status()).all(|of| of.names == 1 && of.connections >= connections)
+    };
+    wait_until("all are registered", || are_back(1));
+
+    let (is_over, data) = (AtomicBool::new(false), AtomicU64::new(0));
+    let (calls, (taken, full), mut back_after) = thread::scope(|scope| {
+        let is_over = &is_over;
+        scope.spawn(|| echoes(&mut echo.mailbox, &data, is_over));
+        let calls = scope.spawn(|| {
+            let mut sender = caller.mailbox.sender(ECHO).unwrap();
+            let mut calls = Calls::default();
+            while !is_over.load(Ordering::Relaxed) {
+                call(&mut sender, &mut caller.mailbox, &mut calls);
+            }
+            calls
+        });
+        let flooded = scope.spawn(|| floods(&flood.mailbox, is_over));
+        let mut back_after = Vec::new();
+        for restart in 1..=RESTARTS as u64 {
+            let received = data.load(Ordering::Relaxed);
+            router.child.kill().unwrap();
+            router.child.wait().unwrap();
+            router = Router::start("restarts", &["--listen", &at]);
+            let begun = Instant::now();
+            wait_until("all are back", || are_back(restart + 1));
+            back_after.push(begun.elapsed());
+            wait_until("packages come again", || data.load(Ordering::Relaxed) > received);
+        }
+        is_over.store(true, Ordering::Relaxed);
+        (calls.join().unwrap(), flooded.join().unwrap(), back_after)
+    });
+    back_after.sort_unstable();
+    let Calls { made, answered, not_available, timed_out, full: refused } = calls;
+    assert_eq!(made, answered + not_available + timed_out + refused, "each has one end");
+    let lost = looks[2].status();
+    let (delivered, counted) = (data.into_inner(), lost.local.not_connected + lost.session.lost);
+    assert!(delivered + counted <= taken, "{delivered} delivered, {counted} counted as lost, {taken} sent");
+    figure(
+        "clients_come_back_to_a_router_killed_again_and_again",
+        &format!(
+            "{RESTARTS} restarts: all 3 clients back after {:.0} ms (p50), {:.0} ms (max); {made} calls: {answered} answered, \
+             {not_available} not available, {timed_out} timed out, {refused} refused; {taken} other packages: {delivered} \
+             delivered once, {counted} lost and counted at their sender, {} lost with the router; {full} refused",
+            back_after[RESTARTS / 2].as_secs_f64() * 1e3,
+            back_after[RESTARTS - 1].as_secs_f64() * 1e3,
+            taken - delivered - counted,
+        ),
+    );
+}

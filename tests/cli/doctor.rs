@@ -11,8 +11,12 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde_json::Value;
 
+#[path = "../src/program.rs"]
+mod program;
 #[path = "../src/schema.rs"]
 mod schema;
+
+use program::copy_program;
 
 /// This host, examined for a second: the screen and the JSON.
 static EXAMINED: LazyLock<(String, Value)> = LazyLock::new(|| {
@@ -97,7 +101,7 @@ fn an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not() 
     // Neither the binary's folder nor the test's need be open to others.
     let dir = tempfile::tempdir().unwrap();
     let (binary, json) = (dir.path().join("rtnet"), dir.path().join("doctor.json"));
-    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+    copy_program(env!("CARGO_BIN_EXE_rtnet"), &binary);
     fs::write(&json, "").unwrap();
     for path in [dir.path(), &json] {
         fs::set_permissions(path, fs::Permissions::from_mode(0o777)).unwrap();

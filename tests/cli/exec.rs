@@ -12,6 +12,7 @@ use nix::sys::signal::Signal;
 use crate::cell::text;
 use crate::host::{shared, skip, unique};
 use crate::lab::{eventually, is_there};
+use crate::program::copy_program;
 use crate::rtnet;
 use crate::schema;
 use crate::stays::{Pair, signal};
@@ -153,7 +154,7 @@ fn exec_shows_the_stations_interfaces_in_sys() {
 /// A copy of the program that everybody may execute, and a run directory of user nobody.
 fn for_nobody(dir: &Path) -> impl Fn(&[&str]) -> Command {
     let (copy, runtime) = (dir.join("rtnet-copy"), dir.join("run"));
-    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &copy).unwrap();
+    copy_program(env!("CARGO_BIN_EXE_rtnet"), &copy);
     fs::set_permissions(dir, fs::Permissions::from_mode(0o755)).unwrap();
     fs::create_dir(&runtime).unwrap();
     std::os::unix::fs::chown(&runtime, Some(65_534), Some(65_534)).unwrap();

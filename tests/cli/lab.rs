@@ -11,6 +11,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 use crate::host::{figure, held_up, is_sound, network, shared, unique};
+use crate::program::copy_program;
 use crate::{rtnet, schema};
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -276,7 +277,7 @@ fn an_ordinary_user_has_a_lab_in_a_user_namespace() {
         // The binary's folder may be closed to others, so that it is run from a place that is not.
         let dir = tempfile::tempdir().unwrap();
         let copy = dir.path().join("rtnet");
-        fs::copy(env!("CARGO_BIN_EXE_rtnet"), &copy).unwrap();
+        copy_program(env!("CARGO_BIN_EXE_rtnet"), &copy);
         let open = std::os::unix::fs::PermissionsExt::from_mode(0o755);
         fs::set_permissions(dir.path(), open).unwrap();
         let nobody = 65_534;

@@ -18,6 +18,7 @@ use tools::control::REQUEST_AT_MOST;
 
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::{network, shared, stop, unique};
+use crate::program::copy_program;
 use crate::rtnet;
 
 /// What a command that is refused says: one line.
@@ -265,7 +266,7 @@ fn an_ordinary_user_keeps_a_lab_up() {
         // Neither the binary's folder nor ours is open to others.
         let dir = tempfile::tempdir().unwrap();
         let binary = dir.path().join("rtnet");
-        std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+        copy_program(env!("CARGO_BIN_EXE_rtnet"), &binary);
         std::fs::set_permissions(dir.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
         let runtime = dir.path().join("runtime");
         let nobody = |arguments: &[&str]| {
@@ -328,7 +329,7 @@ fn a_lab_whose_program_was_replaced_starts_its_stations_anew() {
         let cell = Cell { name: unique("replaced") };
         let dir = tempfile::tempdir().unwrap();
         let binary = dir.path().join("rtnet");
-        std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+        copy_program(env!("CARGO_BIN_EXE_rtnet"), &binary);
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/cli/cell.toml");
         let mut up = Command::new(&binary);
         let up = up

@@ -59,6 +59,8 @@ mod captures;
 #[allow(dead_code)]
 #[path = "../src/host.rs"]
 mod host;
+#[path = "../src/program.rs"]
+mod program;
 #[path = "../src/schema.rs"]
 mod schema;
 #[allow(dead_code)]

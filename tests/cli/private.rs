@@ -12,6 +12,7 @@ use tools::cli::Cli;
 
 use crate::cell::text;
 use crate::host::is_root;
+use crate::program::copy_program;
 
 const NOBODY: u32 = 65_534;
 /// Verbs that need no run directory.
@@ -113,7 +114,7 @@ fn all_verbs_refuse_a_run_directory_of_others() {
     let home = tempfile::tempdir().unwrap();
     fs::set_permissions(home.path(), Permissions::from_mode(0o755)).unwrap();
     let binary = home.path().join("rtnet");
-    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+    copy_program(env!("CARGO_BIN_EXE_rtnet"), &binary);
     for (runtime, why) in others(home.path()) {
         for (verb, arguments) in with() {
             let mut command = Command::new(&binary);

@@ -10,6 +10,7 @@ use caps::{CapSet, Capability};
 
 use crate::cell::{Cell, STATIONS};
 use crate::host::{shared, skip, unique};
+use crate::program::copy_program;
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
 
@@ -125,7 +126,7 @@ fn a_station_that_may_lock_no_memory_says_so_in_one_line_and_runs() {
 fn without_user_namespaces(arguments: &[&str]) -> io::Result<Output> {
     let dir = tempfile::tempdir().unwrap();
     let binary = dir.path().join("rtnet");
-    fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+    copy_program(env!("CARGO_BIN_EXE_rtnet"), &binary);
     fs::set_permissions(dir.path(), fs::Permissions::from_mode(0o755)).unwrap();
     // Who enters has no capability there before a second `exec` as its root.
     let forbid = "echo 0 > /proc/sys/user/max_user_namespaces && cd / && exec \"$@\"";

@@ -11,6 +11,7 @@ use serde_json::Value;
 use tools::lab::namespace::{Namespace, Segment};
 
 use crate::host::{shared, unique};
+use crate::program::copy_program;
 use crate::rtnet;
 
 const A: [u8; 6] = [2, 0, 0, 0, 0, 0xa];
@@ -215,7 +216,7 @@ fn without_privileges_one_line_says_what_to_do() {
         // The binary's folder need not be open to others.
         let dir = tempfile::tempdir().unwrap();
         let binary = dir.path().join("rtnet");
-        std::fs::copy(env!("CARGO_BIN_EXE_rtnet"), &binary).unwrap();
+        copy_program(env!("CARGO_BIN_EXE_rtnet"), &binary);
         std::fs::set_permissions(dir.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
         let medium = Medium::new();
         let mut nobody = Command::new(&binary);

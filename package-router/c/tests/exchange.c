@@ -139,6 +139,9 @@ static void what_cannot_be_is_refused_with_why(rtnet_component *component, rtnet
     CHECK(nobody == NULL);
     CHECK(strstr(rtnet_packages_error(), "look whether the station runs") != NULL);
     REFUSED(rtnet_component_attach(NULL, &nobody), EINVAL, "`path` points nowhere");
+    REFUSED(rtnet_component_of_router(NULL, &nobody), EINVAL, "`router` points nowhere");
+    REFUSED(rtnet_component_of_router("a b", &nobody), EINVAL, "'a b' is no address of a router");
+    CHECK(nobody == NULL);
     REFUSED(rtnet_mailbox_create(component, OWN, &SHAPE, &mailbox), EEXIST, "0x81(0/0) is there already");
     CHECK(mailbox == NULL);
     REFUSED(rtnet_mailbox_create(component, 0, &SHAPE, &mailbox), EINVAL, "nobody's name");

@@ -2,6 +2,7 @@
 
 mod meet;
 mod restarts;
+mod tls;
 
 use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{SocketAddr, TcpStream};

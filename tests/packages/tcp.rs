@@ -27,7 +27,7 @@ impl Routing {
     }
 
     fn at(address: SocketAddr) -> Self {
-        let mut server = Server::listen(&[address], Limits::default()).unwrap();
+        let mut server = Server::listen(&[(address, None)], Limits::default()).unwrap();
         let (at, remote) = (server.addresses().unwrap()[0], server.remote());
         let thread = thread::spawn(move || server.run().unwrap());
         Self { at, remote, thread: Some(thread) }

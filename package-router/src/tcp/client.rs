@@ -27,6 +27,9 @@ use rtnet::live::clock::monotonic;
 use socket2::SockRef;
 
 use super::address::Address;
+use super::control::Proof;
+use super::keys::ClientKeys;
+use super::stream::Stream;
 use crate::component::{Component, Error};
 use crate::mailbox::{LARGEST_BODY, Layout, MOST_BYTES, MOST_SENDERS, Shape};
 
@@ -53,18 +56,20 @@ const MAILBOX: Token = Token(1);
 const STREAM: Token = Token(2);
 
 /// What the TCP client of a broker connects to.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct TcpOptions {
     /// The router.
     pub router: Address,
     /// Bytes of the largest body that goes there.
     pub largest_body: usize,
+    /// Keys, for a router that is reached by TLS.
+    pub keys: Option<ClientKeys>,
 }
 
 impl TcpOptions {
     /// For bodies of the usual size.
     pub fn new(router: Address) -> Self {
-        Self { router, largest_body: BODY }
+        Self { router, largest_body: BODY, keys: None }
     }
 
     /// The mailbox in which packages wait: of as many senders as there may be, and as its memory takes.
@@ -126,6 +131,7 @@ impl TcpClient {
         let worker = Worker {
             poll,
             shared: shared.clone(),
+            keys: options.keys.clone(),
             session: Session::default(),
             local: Local::new(component, mailbox),
             link: Link::Down(0),
@@ -175,6 +181,7 @@ impl Shared {
 struct Worker {
     poll: Poll,
     shared: Arc<Shared>,
+    keys: Option<ClientKeys>,
     session: Session,
     local: Local,
     link: Link,
@@ -188,12 +195,12 @@ enum Link {
     /// There is none; the next attempt is due then.
     Down(u64),
     /// It is being opened; it fails then.
-    Opening(TcpStream, u64),
+    Opening(Stream, u64),
     Up(Up),
 }
 
 struct Up {
-    stream: TcpStream,
+    stream: Stream,
     /// More may be there to be read, and room to write.
     is_readable: bool,
     is_writable: bool,
@@ -251,22 +258,31 @@ impl Worker {
                 Ok(stream) => self.link = Link::Opening(stream, now() + OPEN_WITHIN),
                 Err(error) => self.down(&error),
             },
-            Link::Opening(stream, until) => match is_open(&stream) {
-                Ok(true) => {
+            Link::Opening(mut stream, until) => match self.is_open(&mut stream) {
+                Ok(Some(proof)) => {
                     self.connections += 1;
                     self.back_off = *BACK_OFF.start();
-                    self.session.connected(now());
+                    self.session.connected(now(), proof.as_ref());
                     self.link = Link::Up(Up { stream, is_readable: true, is_writable: true, has_more: true });
                 }
-                Ok(false) if until <= now() => self.down(&io::ErrorKind::TimedOut.into()),
-                Ok(false) => self.link = Link::Opening(stream, until),
+                Ok(None) if until <= now() => self.down(&io::ErrorKind::TimedOut.into()),
+                Ok(None) => self.link = Link::Opening(stream, until),
                 Err(error) => self.down(&error),
             },
             other => self.link = other,
         }
     }
 
-    fn connect(&self) -> io::Result<TcpStream> {
+    /// Whether a connection that was begun is open, with the proof that it begins with, if any; an error if it never will be.
+    fn is_open(&self, stream: &mut Stream) -> io::Result<Option<Option<Proof>>> {
+        if !is_connected(&stream.tcp)? || !stream.begin()? {
+            return Ok(None);
+        }
+        let proof = self.keys.as_ref().zip(stream.tls()).map(|(keys, session)| keys.proof(session));
+        proof.transpose().map(|proof| Some(proof.flatten())).map_err(io::Error::other)
+    }
+
+    fn connect(&self) -> io::Result<Stream> {
         let Address { host, port } = &self.shared.router;
         let addresses: Vec<SocketAddr> = (host.as_str(), *port).to_socket_addrs()?.collect();
         // Each attempt takes the next address.
@@ -278,7 +294,9 @@ impl Worker {
         // Without these options it is slower, not wrong.
         let _ = stream.set_nodelay(true);
         let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
-        Ok(stream)
+        let session =
+            self.keys.as_ref().map(|keys| keys.session(host)).transpose().map_err(io::Error::other)?;
+        Ok(Stream::new(stream, session.map(Into::into)))
     }
 
     /// Reads and writes as far as that goes. An error ends the connection.
@@ -306,7 +324,10 @@ impl Worker {
         }
         session.retry(now);
         if up.is_writable {
-            let written = session.write(|batch| local.next(batch), |part| up.stream.write(part))?;
+            let written = match up.stream.flush_tls()? {
+                true => session.write(|batch| local.next(batch), |part| up.stream.write(part))?,
+                false => Written::Blocked,
+            };
             (up.is_writable, up.has_more) = (written != Written::Blocked, written == Written::More);
         }
         Ok(())
@@ -334,8 +355,8 @@ impl Worker {
     }
 }
 
-/// Whether a connection that was begun is open; an error if it never will be.
-fn is_open(stream: &TcpStream) -> io::Result<bool> {
+/// Whether a socket that connects is connected; an error if it never will be.
+fn is_connected(stream: &TcpStream) -> io::Result<bool> {
     if let Some(error) = stream.take_error()? {
         return Err(error);
     }

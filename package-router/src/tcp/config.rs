@@ -12,6 +12,10 @@
 //!         [[listen]]                   # default: one, this
 //!         address = "127.0.0.1:2000"
 //!
+//!         [[listen]]
+//!         address = "0.0.0.0:2001"
+//!         keys = "keys/router"         # by TLS: a directory that `rtnet router keys` has made
+//!
 //!         [limits]                     # default: these
 //!         connections = 10000
 //!         names = 1024                 # mailboxes of one connection
@@ -29,11 +33,13 @@
 //!     "#,
 //!     "router.toml",
 //! )?;
-//! assert_eq!((file.listen[0].port(), file.limits.names), (2000, 1024));
+//! assert_eq!((file.listen[0].address.port(), file.limits.names), (2000, 1024));
+//! assert!(file.listen[1].keys.is_some());
 //! # Ok::<(), package_router::name::FileError>(())
 //! ```
 
 use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 
 use serde::Deserialize;
 use toml::Spanned;
@@ -51,8 +57,8 @@ pub const PORT: u16 = 2000;
 pub struct RouterFile {
     /// Its name on its host, if the file gives one.
     pub name: Option<String>,
-    /// Addresses to listen at.
-    pub listen: Vec<SocketAddr>,
+    /// Where it listens.
+    pub listen: Vec<Listen>,
     /// Whether it may listen where other hosts reach it.
     pub insecure: bool,
     /// The address of its figures for Prometheus, if there is one.
@@ -69,7 +75,7 @@ impl Default for RouterFile {
         let here = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), PORT);
         Self {
             name: None,
-            listen: vec![here],
+            listen: vec![Listen { address: here, keys: None }],
             insecure: false,
             metrics: None,
             limits: Limits::default(),
@@ -95,10 +101,14 @@ struct File {
     send: Vec<SendRule>,
 }
 
-#[derive(Deserialize)]
+/// A place to listen at.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Listen {
-    address: SocketAddr,
+pub struct Listen {
+    /// The address.
+    pub address: SocketAddr,
+    /// The directory of the router's keys, if clients come by TLS.
+    pub keys: Option<PathBuf>,
 }
 
 #[derive(Default, Deserialize)]
@@ -134,15 +144,16 @@ impl RouterFile {
         };
         let listen = match listen.is_empty() {
             true => default.listen,
-            false => listen.into_iter().map(|listen| listen.address).collect(),
+            false => listen,
         };
         Ok(Self { name, listen, insecure, metrics, limits, rules: Rules { register, send } })
     }
 
-    /// The first address that other hosts reach, unless they may.
+    /// The first address that other hosts reach without a key, unless they may.
     pub fn exposed(&self) -> Option<SocketAddr> {
-        let exposed = self.listen.iter().chain(&self.metrics).find(|address| !address.ip().is_loopback());
-        exposed.copied().filter(|_| !self.insecure)
+        let plain = self.listen.iter().filter(|listen| listen.keys.is_none()).map(|listen| listen.address);
+        let exposed = plain.chain(self.metrics).find(|address| !address.ip().is_loopback());
+        exposed.filter(|_| !self.insecure)
     }
 }
 
@@ -157,7 +168,8 @@ mod tests {
     #[test]
     fn an_empty_file_is_no_file() {
         assert_eq!(RouterFile::parse("", "r.toml"), Ok(RouterFile::default()));
-        assert_eq!(RouterFile::default().listen, ["127.0.0.1:2000".parse().unwrap()]);
+        let here = Listen { address: "127.0.0.1:2000".parse().unwrap(), keys: None };
+        assert_eq!(RouterFile::default().listen, [here]);
     }
 
     #[test]
@@ -180,6 +192,8 @@ mod tests {
     fn other_hosts_reach_a_router_only_if_they_may() {
         let of = |insecure: bool, address: &str| {
             let text = format!("insecure = {insecure}\n[[listen]]\naddress = \"{address}\"");
+            let with_keys = format!("{text}\nkeys = \"k\"");
+            assert_eq!(RouterFile::parse(&with_keys, "r.toml").unwrap().exposed(), None, "by TLS");
             RouterFile::parse(&text, "r.toml").unwrap().exposed().is_some()
         };
         let open = ["0.0.0.0:2000", "10.0.0.1:1", "[::]:2000"];

@@ -9,6 +9,10 @@ pub const LIFESIGN: i8 = 17;
 pub const REGISTER: i8 = 13;
 /// Kind of the request to delete a mailbox, which is not answered.
 pub const UNREGISTER: i8 = 12;
+/// Kind of the proof that a client knows the router's secret: the first package of a connection that has to give one.
+pub const PROOF: i8 = 20;
+/// The body of a proof.
+pub type Proof = [u8; 32];
 
 /// The request of a control package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,7 +8,9 @@ use core::net::SocketAddr;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, IoSlice};
 
-use super::control::{Control, LIFESIGN};
+use subtle::ConstantTimeEq;
+
+use super::control::{Control, LIFESIGN, PROOF, Proof};
 use super::frames::Frames;
 use super::outgoing::{Full, Outgoing};
 use super::rules::Rules;
@@ -48,7 +50,7 @@ impl Default for Limits {
 }
 
 /// Why a connection was closed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Ending {
     /// The client has closed it.
     #[error("closed by the client")]
@@ -56,6 +58,12 @@ pub enum Ending {
     /// The client did not answer for a whole round.
     #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]
     Silent,
+    /// It did not prove that it knows the secret: its first package was another, or the proof was wrong.
+    #[error("it has no certificate, and did not prove that it knows the secret")]
+    Stranger,
+    /// Its TLS session did not begin, or broke.
+    #[error("TLS: {0}")]
+    Tls(String),
     /// The router has no memory left for the package that it has begun.
     #[error("the router holds as many bytes as it may (limits.memory)")]
     NoMemory,
@@ -72,8 +80,20 @@ pub enum Ending {
 #[error("{0} connections are open, which is the limit")]
 pub struct TooMany(pub usize);
 
+/// The trust in a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trust {
+    /// Its TLS session has not begun.
+    Handshake,
+    /// Its first package has to be this proof.
+    Proof(Proof),
+    /// It may do all that rules allow.
+    Full,
+}
+
 struct Client {
     peer: SocketAddr,
+    trust: Trust,
     since: u64,
     frames: Frames,
     outgoing: Outgoing,
@@ -128,6 +148,23 @@ impl Router {
 
     /// A connection from there is open.
     pub fn connect(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
+        self.add(peer, Trust::Full, now)
+    }
+
+    /// A connection from there is open, whose TLS session has not begun.
+    pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
+        self.add(peer, Trust::Handshake, now)
+    }
+
+    /// The TLS session of a connection has begun. With a proof, its first package has to be that.
+    pub fn secured(&mut self, connection: Connection, proof: Option<Proof>) {
+        if let Some(client) = self.client(connection).filter(|client| client.trust == Trust::Handshake) {
+            client.trust = proof.map_or(Trust::Full, Trust::Proof);
+            client.is_asked = false;
+        }
+    }
+
+    fn add(&mut self, peer: SocketAddr, trust: Trust, now: u64) -> Result<Connection, TooMany> {
         let open = self.clients.len() - self.free.len();
         if open >= self.limits.connections {
             self.counters.connections_refused += 1;
@@ -135,6 +172,7 @@ impl Router {
         }
         let client = Client {
             peer,
+            trust,
             since: now,
             frames: Frames::default(),
             outgoing: Outgoing::new(self.limits.queue),
@@ -159,7 +197,8 @@ impl Router {
     /// Bytes have come from a connection.
     pub fn received(&mut self, from: Connection, bytes: &[u8], now: u64) {
         let Some(client) = self.client(from) else { return };
-        client.is_asked = false;
+        // A handshake that takes long is no sign of life.
+        client.is_asked &= client.trust != Trust::Full;
         let mut frames = core::mem::take(&mut client.frames);
         self.held -= frames.begun();
         let cut = frames.cut(bytes, |head, body| self.package(from, &head, body, now));
@@ -242,10 +281,10 @@ impl Router {
             if !client.watchdog {
                 continue;
             }
-            if client.is_asked {
+            let is_trusted = client.trust == Trust::Full;
+            if core::mem::replace(&mut client.is_asked, true) {
                 self.endings.push((Connection(place), Ending::Silent));
-            } else {
-                client.is_asked = true;
+            } else if is_trusted {
                 self.own(Connection(place), &lifesign, now);
             }
         }
@@ -256,10 +295,28 @@ impl Router {
     }
 
     fn package(&mut self, from: Connection, head: &Head, body: &[u8], now: u64) {
+        if !self.is_trusted(from, head, body) {
+            return;
+        }
         match Control::of(head, body) {
             Some(control) => self.control(from, head, control, now),
             None => self.forward(from, head, body, now),
         }
+    }
+
+    /// Whether a connection is trusted; a package that is its proof makes it so, and any other ends it.
+    fn is_trusted(&mut self, from: Connection, head: &Head, body: &[u8]) -> bool {
+        let Some(client) = self.client(from) else { return false };
+        let Trust::Proof(proof) = client.trust else { return client.trust == Trust::Full };
+        let is_control = (head.to, head.from, head.kind) == (MailboxName::NOBODY, MailboxName::NOBODY, PROOF);
+        // Of the same length, it takes as long wherever they differ.
+        if is_control && bool::from(proof.ct_eq(body)) {
+            (client.trust, client.is_asked) = (Trust::Full, false);
+        } else {
+            client.trust = Trust::Handshake;
+            self.endings.push((from, Ending::Stranger));
+        }
+        false
     }
 
     fn control(&mut self, from: Connection, head: &Head, control: Control, now: u64) {

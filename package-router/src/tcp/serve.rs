@@ -17,8 +17,11 @@ use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
 use socket2::SockRef;
 
+use super::control::Proof;
+use super::keys::RouterKeys;
 use super::router::{Connection, Ending, Limits, Router, Status};
 use super::rules::Rules;
+use super::stream::Stream;
 
 /// Events of one wait.
 const EVENTS: usize = 1_024;
@@ -38,7 +41,7 @@ pub struct Server {
     router: Router,
     /// When it began: its times are milliseconds since then.
     begun: True,
-    listeners: Vec<TcpListener>,
+    listeners: Vec<(TcpListener, Option<RouterKeys>)>,
     sockets: Vec<Option<Socket>>,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
@@ -63,23 +66,25 @@ enum Order {
 }
 
 struct Socket {
-    stream: TcpStream,
+    stream: Stream,
+    /// The keys of the router, as long as its TLS session has not begun.
+    keys: Option<RouterKeys>,
     is_readable: bool,
     /// The peer has ended its side: reads go on until they say so.
     is_ended: bool,
 }
 
 impl Server {
-    /// Listens at these addresses.
-    pub fn listen(addresses: &[SocketAddr], limits: Limits) -> io::Result<Self> {
+    /// Listens at these addresses, with keys by TLS.
+    pub fn listen(addresses: &[(SocketAddr, Option<RouterKeys>)], limits: Limits) -> io::Result<Self> {
         let poll = Poll::new()?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
         let (orders, taken) = channel();
         let mut listeners = Vec::new();
-        for (place, address) in addresses.iter().enumerate() {
+        for (place, (address, keys)) in addresses.iter().enumerate() {
             let mut listener = TcpListener::bind(*address)?;
             poll.registry().register(&mut listener, Token(LISTENERS + place), Interest::READABLE)?;
-            listeners.push(listener);
+            listeners.push((listener, keys.clone()));
         }
         Ok(Self {
             poll,
@@ -96,7 +101,7 @@ impl Server {
 
     /// Where it listens: the ports that it was given for 0.
     pub fn addresses(&self) -> io::Result<Vec<SocketAddr>> {
-        self.listeners.iter().map(TcpListener::local_addr).collect()
+        self.listeners.iter().map(|(listener, _)| listener.local_addr()).collect()
     }
 
     /// The handle for other threads.
@@ -164,8 +169,8 @@ impl Server {
 
     fn accept(&mut self, place: usize) {
         loop {
-            match self.listeners[place].accept() {
-                Ok((stream, peer)) => self.connected(stream, peer),
+            match self.listeners[place].0.accept() {
+                Ok((stream, peer)) => self.connected(stream, peer, place),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
                 // The client has gone meanwhile.
                 Err(error)
@@ -187,21 +192,30 @@ impl Server {
         }
     }
 
-    fn connected(&mut self, mut stream: TcpStream, peer: SocketAddr) {
+    fn connected(&mut self, mut stream: TcpStream, peer: SocketAddr, listener: usize) {
         // Without these options it is slower, not wrong.
         let _ = stream.set_nodelay(true);
         let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+        let (keys, now) = (self.listeners[listener].1.clone(), self.now());
+        let connection = match keys {
+            None => self.router.connect(peer, now),
+            Some(_) => self.router.connect_by_tls(peer, now),
+        };
         // One connection too many is closed at once, and counted.
-        let Ok(connection) = self.router.connect(peer, self.now()) else { return };
+        let Ok(connection) = connection else { return };
         let place = connection.0 as usize;
         let both = Interest::READABLE | Interest::WRITABLE;
         if let Err(error) = self.poll.registry().register(&mut stream, Token(place), both) {
             return self.router.disconnect(connection, broken(&error), self.now());
         }
+        let stream = match keys.as_ref().map(RouterKeys::session).transpose() {
+            Ok(session) => Stream::new(stream, session.map(Into::into)),
+            Err(error) => return self.router.disconnect(connection, Ending::Tls(error.to_string()), now),
+        };
         if self.sockets.len() <= place {
             self.sockets.resize_with(place + 1, || None);
         }
-        self.sockets[place] = Some(Socket { stream, is_readable: false, is_ended: false });
+        self.sockets[place] = Some(Socket { stream, keys, is_readable: false, is_ended: false });
     }
 
     /// Reads once from each connection that has something.
@@ -211,12 +225,20 @@ impl Server {
             let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
                 continue;
             };
-            let ending = match socket.stream.read(room) {
+            let read = socket.begin().and_then(|begun| match begun {
+                Begun::NotYet => Err(io::ErrorKind::WouldBlock.into()),
+                Begun::Now(proof) => {
+                    self.router.secured(connection, proof);
+                    socket.stream.read(room)
+                }
+                Begun::Before => socket.stream.read(room),
+            });
+            let ending = match read {
                 Ok(0) => Some(Ending::Left),
                 Ok(length) => {
                     self.router.received(connection, &room[..length], now);
-                    // A read that was not filled has found the end of what there is.
-                    if length == room.len() || socket.is_ended {
+                    // A read that was not filled has found the end of what there is, but for TLS.
+                    if length == room.len() || socket.is_ended || socket.stream.reads_in_parts() {
                         self.readable.push(connection);
                     } else {
                         socket.is_readable = false;
@@ -250,7 +272,11 @@ impl Server {
         let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
             return;
         };
-        if let Err(error) = self.router.write(connection, |slices| socket.stream.write_vectored(slices)) {
+        let written = socket.stream.flush_tls().and_then(|is_flushed| match is_flushed {
+            true => self.router.write(connection, |slices| socket.stream.write_vectored(slices)),
+            false => Ok(false),
+        });
+        if let Err(error) = written {
             self.disconnect(connection, broken(&error));
         }
     }
@@ -310,6 +336,31 @@ impl Remote {
     }
 }
 
+/// Whether a TLS session has begun.
+enum Begun {
+    NotYet,
+    /// Just now; with the proof that its client has to give, if any.
+    Now(Option<Proof>),
+    Before,
+}
+
+impl Socket {
+    /// Begins its TLS session, if it has one, as far as that goes without waiting.
+    fn begin(&mut self) -> io::Result<Begun> {
+        let Some(keys) = &self.keys else { return Ok(Begun::Before) };
+        if !self.stream.begin()? {
+            return Ok(Begun::NotYet);
+        }
+        let proof = self.stream.tls().map(|session| keys.proof(session)).transpose();
+        let proof = proof.map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
+        self.keys = None;
+        Ok(Begun::Now(proof.flatten()))
+    }
+}
+
 fn broken(error: &io::Error) -> Ending {
+    if error.kind() == io::ErrorKind::InvalidData {
+        return Ending::Tls(error.to_string());
+    }
     Ending::Broken(error.raw_os_error().unwrap_or(libc::EIO))
 }

@@ -37,6 +37,9 @@ pub struct PackageArgs {
     /// or HOST:PORT. It connects again by itself
     #[arg(long, value_name = "HOST:PORT", requires = "packages")]
     pub router: Option<Address>,
+    /// The TCP router is reached by TLS: the keys of a client as `rtnet router keys` makes them
+    #[arg(long, value_name = "DIRECTORY", requires = "router")]
+    pub router_keys: Option<PathBuf>,
     /// Largest body that goes to the TCP router, up to 262128 bytes; memory for it is reserved [default: 4096]
     #[arg(long, value_name = "BYTES", requires = "router", value_parser = clap::value_parser!(u32).range(0..=262_128))]
     pub router_body: Option<u32>,

@@ -27,7 +27,10 @@ pub struct RouterRunArgs {
     /// Where to listen; can be given several times [default: 127.0.0.1:2000]
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: Vec<SocketAddr>,
-    /// Listen on addresses that other hosts reach, too: whoever reaches them can register names, and send to all
+    /// Clients come by TLS, with a certificate or a secret: the keys of a router as `rtnet router keys` makes them. For --listen
+    #[arg(long, value_name = "DIRECTORY", requires = "listen")]
+    pub keys: Option<PathBuf>,
+    /// Listen without TLS on addresses that other hosts reach: whoever reaches them can register names, and send to all
     #[arg(long)]
     pub insecure: bool,
     /// Serve its figures for Prometheus by HTTP, at /metrics
@@ -49,5 +52,17 @@ pub enum RouterVerb {
         /// As JSON
         #[arg(long)]
         json: bool,
+    },
+    /// Make keys for a router and its clients, in a new directory: an authority, a certificate for each side, and a secret
+    ///
+    /// DIRECTORY/router is for the router (--keys), DIRECTORY/client for the hosts of clients (`rtnet station --router-keys`). A client
+    /// with a certificate needs no secret, and one that knows the secret needs no certificate: leave out what a host is not to
+    /// have. Without DIRECTORY/ca.key no more certificates can be made. Certificates are valid until 4096.
+    Keys {
+        /// The directory, which must not exist
+        directory: PathBuf,
+        /// A name or address by which clients reach the router; can be given several times [default: localhost, 127.0.0.1, ::1]
+        #[arg(long, value_name = "NAME")]
+        host: Vec<String>,
     },
 }

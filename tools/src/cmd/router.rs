@@ -1,16 +1,19 @@
 //! `rtnet router`.
 
 mod figures;
+mod keys;
 
 use std::collections::BTreeMap;
 use std::io::Write;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
-use package_router::tcp::config::RouterFile;
+use package_router::tcp::config::{Listen, RouterFile};
+use package_router::tcp::keys::RouterKeys;
 use package_router::tcp::serve::{Remote, Server};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -41,6 +44,10 @@ pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
             let directory = Directory::of_user().map_err(Failure::Usage)?;
             let shown = control::router_status(&directory, name).map_err(Failure::Usage)?;
             print(*json, &shown, describe).map_err(Failure::Run)?;
+            Ok(0)
+        }
+        Some(RouterVerb::Keys { directory, host }) => {
+            keys::make(directory, host).map_err(Failure::Usage)?;
             Ok(0)
         }
     }
@@ -82,7 +89,8 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
 fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
     let mut file = args.file.as_deref().map(read).transpose()?.unwrap_or_default();
     if !args.listen.is_empty() {
-        file.listen.clone_from(&args.listen);
+        let listen = |address: &SocketAddr| Listen { address: *address, keys: args.keys.clone() };
+        file.listen = args.listen.iter().map(listen).collect();
     }
     file.insecure |= args.insecure;
     file.metrics = args.metrics.or(file.metrics);
@@ -96,14 +104,20 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
         ensure!(
             false,
             "other hosts reach {exposed}, and nothing keeps a stranger from registering names there: listen on 127.0.0.1, or say \
-             --insecure"
+             --insecure; or make keys (`rtnet router keys`), and say --keys"
         );
     }
     Ok(file)
 }
 
+/// A file; keys that it names are looked for from where it is.
 fn read(path: &Path) -> Result<RouterFile> {
-    Ok(RouterFile::parse(&read_text(path)?, &path.display().to_string())?)
+    let mut file = RouterFile::parse(&read_text(path)?, &path.display().to_string())?;
+    let beside = path.parent().unwrap_or(Path::new(""));
+    for keys in file.listen.iter_mut().filter_map(|listen| listen.keys.as_mut()) {
+        *keys = beside.join(&*keys);
+    }
+    Ok(file)
 }
 
 /// The rules of its file, as it is now; if that cannot be, those before stay.
@@ -132,8 +146,12 @@ fn set_up(
     let held = directory.take_station(name)?;
     let path = directory.station(&Place { lab: None, station: name.into() });
     let control = control::Server::bind(&path)?;
-    let places: Vec<String> = file.listen.iter().map(ToString::to_string).collect();
-    let server = Server::listen(&file.listen, file.limits).map_err(explained);
+    let places: Vec<String> = file.listen.iter().map(|listen| listen.address.to_string()).collect();
+    let with_keys = |Listen { address, keys }: &Listen| {
+        keys.as_deref().map(RouterKeys::read).transpose().map(|keys| (*address, keys))
+    };
+    let listen = file.listen.iter().map(with_keys).collect::<Result<Vec<_>, _>>()?;
+    let server = Server::listen(&listen, file.limits).map_err(explained);
     let server = server
         .with_context(|| format!("cannot listen at {} (choose another --listen)", places.join(", ")))?;
     server.remote().set_rules(file.rules.clone()).context("its rules")?;

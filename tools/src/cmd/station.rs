@@ -8,6 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use package_router::priority::Priorities;
 use package_router::route::Routes;
 use package_router::tcp::client::{BODY, TcpOptions};
+use package_router::tcp::keys::ClientKeys;
 use rtmac::tdma::change::ChangeConfig;
 use rtmac::tdma::{
     DEFAULT_ROUNDS, HOLDOVER_CYCLES, LatePolicy, MasterConfig, RoleConfig, SlaveConfig, Tdma, TdmaConfig,
@@ -233,9 +234,11 @@ fn packages(args: &StationArgs) -> anyhow::Result<Option<PackagesOptions>> {
         Some(file) => Priorities::parse(&read(file)?, &file.display().to_string())?,
         None => Priorities::default(),
     };
+    let keys = said.router_keys.as_deref().map(ClientKeys::read).transpose()?;
     let tcp = said.router.clone().map(|router| TcpOptions {
         largest_body: said.router_body.map_or(BODY, |bytes| bytes as usize),
         router,
+        keys,
     });
     Ok(Some(PackagesOptions { routes, priorities, tcp }))
 }

@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 
 use crate::name::MailboxName;
-use crate::tcp::control::{LIFESIGN, REGISTER, UNREGISTER};
+use crate::tcp::control::{LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER};
 use crate::tcp::frames::Frames;
 use crate::wire::{HEAD_LEN, Head, HeadError, OK};
 
@@ -93,11 +93,12 @@ pub enum Written {
 }
 
 impl Session {
-    /// A connection is open: all names are registered, before any package leaves.
-    pub fn connected(&mut self, now: u64) {
+    /// A connection is open: the proof goes first, if it needs one, then all names are registered, before any package leaves.
+    pub fn connected(&mut self, now: u64, proof: Option<&Proof>) {
         self.disconnected();
         self.is_connected = true;
         self.last_heard = now;
+        proof.iter().for_each(|proof| self.control(PROOF, 0, *proof));
         for name in self.names.keys().copied().collect::<Vec<_>>() {
             self.register(name);
         }

@@ -19,7 +19,7 @@ struct Running {
 
 impl Running {
     fn start(limits: Limits) -> Self {
-        let mut server = Server::listen(&["127.0.0.1:0".parse().unwrap()], limits).unwrap();
+        let mut server = Server::listen(&[("127.0.0.1:0".parse().unwrap(), None)], limits).unwrap();
         let (at, remote) = (server.addresses().unwrap()[0], server.remote());
         let thread = std::thread::spawn(move || server.run().unwrap());
         Self { at, remote, thread: Some(thread) }
@@ -111,7 +111,7 @@ fn why_a_connection_was_closed_is_remembered() {
     assert_eq!(b.read(&mut [0]).unwrap(), 0, "it is closed");
     drop(a);
     eventually(&running, |status| status.clients.is_empty());
-    let why: Vec<_> = running.status().closed.iter().map(|closed| closed.why).collect();
+    let why: Vec<_> = running.status().closed.iter().map(|closed| closed.why.clone()).collect();
     assert!(matches!(why[..], [Ending::Left, Ending::NoPackage(_)]), "{why:?}");
 }
 

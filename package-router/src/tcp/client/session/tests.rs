@@ -45,7 +45,7 @@ fn reply(kind: i8, id: u8) -> [u8; HEAD_LEN] {
 #[test]
 fn names_are_registered_as_mailboxes_come_and_go() {
     let mut session = Session::default();
-    session.connected(0);
+    session.connected(0, None);
     assert!(written(&mut session).is_empty());
     session.set_names(&names(&[PILOT, CHASSIS]));
     let asked = written(&mut session);
@@ -64,7 +64,7 @@ fn names_are_registered_as_mailboxes_come_and_go() {
 #[test]
 fn a_refused_name_is_asked_for_again_until_it_is_free() {
     let mut session = Session::default();
-    session.connected(0);
+    session.connected(0, None);
     session.set_names(&names(&[PILOT]));
     written(&mut session);
     came(&mut session, &reply(ERROR, 1), 100);
@@ -80,9 +80,9 @@ fn a_refused_name_is_asked_for_again_until_it_is_free() {
 #[test]
 fn a_new_connection_registers_all_before_it_sends() {
     let mut session = Session::default();
-    session.connected(0);
+    session.connected(0, None);
     session.set_names(&names(&[PILOT]));
-    session.connected(10);
+    session.connected(10, None);
     let mut waiting = vec![package(1, CHASSIS, PILOT, b"go")];
     let mut bytes = Vec::new();
     session
@@ -102,7 +102,7 @@ fn a_new_connection_registers_all_before_it_sends() {
 #[test]
 fn signs_of_life_and_answers_overtake_packages() {
     let mut session = Session::default();
-    session.connected(0);
+    session.connected(0, None);
     let one = package(-6, CHASSIS, PILOT, &[7; 1000]);
     let endless = |batch: &mut Vec<u8>| {
         batch.extend_from_slice(&one);
@@ -126,7 +126,7 @@ fn signs_of_life_and_answers_overtake_packages() {
 #[test]
 fn packages_that_were_not_written_are_counted_as_lost() {
     let mut session = Session::default();
-    session.connected(0);
+    session.connected(0, None);
     let mut waiting: Vec<_> = (0..5).map(|_| package(-6, CHASSIS, PILOT, &[1; 84])).collect();
     let mut room = 250;
     session
@@ -146,7 +146,7 @@ fn packages_that_were_not_written_are_counted_as_lost() {
 #[test]
 fn a_router_that_is_silent_counts_as_gone() {
     let mut session = Session::default();
-    session.connected(1_000);
+    session.connected(1_000, None);
     assert_eq!((session.next_due(), session.is_silent(999 + SILENCE)), (1_000 + SILENCE, false));
     came(&mut session, &reply(LIFESIGN, 0), 5_000);
     assert!(!session.is_silent(1_000 + SILENCE) && session.is_silent(5_000 + SILENCE));
@@ -155,7 +155,7 @@ fn a_router_that_is_silent_counts_as_gone() {
 #[test]
 fn one_that_asks_and_does_not_read_gets_no_more_answers() {
     let mut session = Session::default();
-    session.connected(0);
+    session.connected(0, None);
     (0..10_000).for_each(|_| session.answer(&Head::new(NOT_AVAILABLE, CHASSIS, PILOT)));
     assert!(session.own.len() <= ANSWERS);
     assert_eq!(session.counters().answers_lost, 10_000 - (ANSWERS / HEAD_LEN) as u64);
@@ -172,7 +172,7 @@ proptest! {
     #[test]
     fn any_bytes_of_a_router_are_read_or_end_the_connection(bytes in vec(any::<u8>(), 0..600), at_once in 1..40usize) {
         let mut session = Session::default();
-        session.connected(0);
+        session.connected(0, None);
         session.set_names(&names(&[PILOT, CHASSIS]));
         for part in bytes.chunks(at_once) {
             if session.received(part, 1, |_, _| ()).is_err() {
@@ -191,7 +191,7 @@ proptest! {
         let mut sessions = [Session::default(), Session::default()];
         let mut connections: [Connection; 2] = core::array::from_fn(|_| router.connect(peer, now).unwrap());
         let mut wanted = [BTreeSet::new(), BTreeSet::new()];
-        sessions.iter_mut().for_each(|session| session.connected(now));
+        sessions.iter_mut().for_each(|session| session.connected(now, None));
         let settle = |router: &mut Router, sessions: &mut [Session; 2], connections: &[Connection; 2], now: u64| {
             for (session, connection) in sessions.iter_mut().zip(connections) {
                 session.retry(now);
@@ -220,7 +220,7 @@ proptest! {
                 4 => {
                     router.disconnect(connections[which], crate::tcp::router::Ending::Left, now);
                     connections[which] = router.connect(peer, now).unwrap();
-                    sessions[which].connected(now);
+                    sessions[which].connected(now, None);
                 }
                 _ => now += RETRY,
             }

@@ -1,0 +1,121 @@
+//! A connection of TCP, with TLS or without, that does not wait.
+
+use std::io::{self, IoSlice, Read, Write};
+
+use mio::net::TcpStream;
+use rustls::Connection;
+
+/// Bytes of packages that TLS keeps encrypted: a more urgent package overtakes none of them.
+const ENCRYPTED: usize = 16 << 10;
+
+/// A connection, in the form in which packages go through it.
+pub struct Stream {
+    /// The socket.
+    pub tcp: TcpStream,
+    tls: Option<Box<Connection>>,
+}
+
+impl Stream {
+    /// In the clear, or by this session, which has not begun.
+    pub fn new(tcp: TcpStream, tls: Option<Connection>) -> Self {
+        let mut tls = tls.map(Box::new);
+        tls.iter_mut().for_each(|tls| tls.set_buffer_limit(Some(ENCRYPTED)));
+        Self { tcp, tls }
+    }
+
+    /// Its TLS session, if it has one.
+    pub fn tls(&self) -> Option<&Connection> {
+        self.tls.as_deref()
+    }
+
+    /// Begins its TLS session, as far as that goes without waiting; `true`: it has begun, or there is none.
+    pub fn begin(&mut self) -> io::Result<bool> {
+        while self.tls.as_ref().is_some_and(|tls| tls.is_handshaking()) {
+            if !self.flush_tls()? {
+                return Ok(false);
+            }
+            let Some(tls) = &mut self.tls else { break };
+            match tls.read_tls(&mut self.tcp) {
+                Ok(0) => return Err(io::Error::other("the other side has closed the connection")),
+                Ok(_) => self.process()?,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.flush_tls()?;
+        Ok(true)
+    }
+
+    /// Whether a read that was not filled may leave something to be read.
+    pub fn reads_in_parts(&self) -> bool {
+        self.tls.is_some()
+    }
+
+    /// Hands over what waits to be sent by TLS; `false`: the socket takes no more for now.
+    pub fn flush_tls(&mut self) -> io::Result<bool> {
+        let Some(tls) = &mut self.tls else { return Ok(true) };
+        while tls.wants_write() {
+            match tls.write_tls(&mut self.tcp) {
+                Ok(_) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(true)
+    }
+
+    fn process(&mut self) -> io::Result<()> {
+        let Some(tls) = &mut self.tls else { return Ok(()) };
+        if let Err(error) = tls.process_new_packets() {
+            // The peer is told why, if it still reads.
+            let _ = tls.write_tls(&mut self.tcp);
+            return Err(io::Error::new(io::ErrorKind::InvalidData, error));
+        }
+        Ok(())
+    }
+}
+
+impl Read for Stream {
+    /// Bytes of packages. 0: the peer has ended its side.
+    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let Some(tls) = &mut self.tls else { return self.tcp.read(room) };
+            match tls.reader().read(room) {
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                // A peer that closes without saying so is gone all the same.
+                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(0),
+                read => return read,
+            }
+            // Of 0 bytes the reader knows by the next time.
+            tls.read_tls(&mut self.tcp)?;
+            self.process()?;
+        }
+    }
+}
+
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.write_vectored(&[IoSlice::new(bytes)])
+    }
+
+    fn write_vectored(&mut self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+        if !self.flush_tls()? {
+            return Err(io::ErrorKind::WouldBlock.into());
+        }
+        match &mut self.tls {
+            None => self.tcp.write_vectored(slices),
+            Some(tls) if tls.is_handshaking() => Err(io::ErrorKind::WouldBlock.into()),
+            Some(tls) => {
+                let taken = tls.writer().write_vectored(slices)?;
+                self.flush_tls()?;
+                Ok(taken)
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.flush_tls().map(drop)
+    }
+}

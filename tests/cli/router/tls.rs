@@ -1,0 +1,171 @@
+//! A router that is reached by TLS: clients with a certificate or the secret come in, and nobody else.
+
+use std::fs;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use package_router::component::{Component, Mailbox};
+use package_router::mailbox::Shape;
+use package_router::name::{Class, MailboxName};
+use package_router::tcp::client::TcpOptions;
+use package_router::tcp::keys::{ClientKeys, SECRET_AT_LEAST};
+
+use super::{Router, package, refusal};
+use crate::cell::{text, wait_until};
+use crate::rtnet;
+
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Keys, as the verb makes them.
+struct Keys(tempfile::TempDir);
+
+impl Keys {
+    fn new() -> Self {
+        let keys = Self(tempfile::tempdir().unwrap());
+        let output = rtnet().args(["router", "keys"]).arg(keys.0.path().join("keys")).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        keys
+    }
+
+    fn of(&self, whose: &str) -> PathBuf {
+        self.0.path().join("keys").join(whose)
+    }
+
+    fn router(&self, what: &str) -> Router {
+        let keys = self.of("router");
+        Router::start(what, &["--listen", "127.0.0.1:0", "--keys", keys.to_str().unwrap()])
+    }
+
+    /// A client without a certificate.
+    fn has_only_a_secret(self) -> Self {
+        for file in ["client.pem", "client.key"] {
+            fs::remove_file(self.of("client").join(file)).unwrap();
+        }
+        self
+    }
+}
+
+fn name(instance: u8) -> MailboxName {
+    MailboxName::new(0, Class(0x80), instance, 0)
+}
+
+/// A component on a host without a station, which may be let in or not.
+fn component(router: &Router, keys: &Path, instance: u8) -> (Component, Mailbox) {
+    let options = TcpOptions {
+        keys: Some(ClientKeys::read(keys).unwrap()),
+        ..TcpOptions::new(router.at.to_string().parse().unwrap())
+    };
+    let component = Component::of_router(&options).unwrap();
+    let mailbox = component.mailbox(name(instance), Shape::new(8, 4_096)).unwrap();
+    (component, mailbox)
+}
+
+fn registered(component: &Component) {
+    wait_until("it is registered", || component.tcp().unwrap().status().names == 1);
+}
+
+#[test]
+fn a_certificate_or_the_secret_lets_a_client_in() {
+    let keys = Keys::new();
+    let router = keys.router("tls");
+    let (certified, mut first) = component(&router, &keys.of("client"), 1);
+    registered(&certified);
+    let keys = keys.has_only_a_secret();
+    let (knowing, mut second) = component(&router, &keys.of("client"), 2);
+    registered(&knowing);
+    let mut there = first.sender(second.name()).unwrap();
+    let mut back = second.sender(first.name()).unwrap();
+    for round in 0..200u8 {
+        let body = vec![round; usize::from(round) * 20];
+        there.send(21, &body).unwrap();
+        assert_eq!(second.receive(Some(PATIENCE)).unwrap().body().to_vec(), body);
+        back.send(0, &body).unwrap();
+        assert_eq!(first.receive(Some(PATIENCE)).unwrap().body().to_vec(), body);
+    }
+    assert_eq!(router.clients(), 2);
+}
+
+/// Each is kept out, and the router says why.
+#[test]
+fn strangers_are_kept_out_and_named() {
+    let keys = Keys::new();
+    let router = keys.router("strangers");
+    let why = || -> Vec<String> {
+        let closed = router.status()["closed"].clone();
+        let why = |closed: &serde_json::Value| closed["why"].as_str().unwrap().to_owned();
+        closed.as_array().unwrap().iter().map(why).collect()
+    };
+    let kept_out = |words: &str| {
+        wait_until(words, || why().iter().any(|why| why.contains(words)));
+        assert_eq!(router.status()["names"], 0, "{words}");
+    };
+
+    // Garbage, and packages in the clear.
+    let mut plain = router.connect();
+    plain.write_all(&package(13, 0, 0, &0x0080_0100u32.to_le_bytes())).unwrap();
+    let mut alert = Vec::new();
+    // It may be reset before it is read.
+    let _ = plain.read_to_end(&mut alert);
+    kept_out("TLS: received corrupt message");
+
+    // Another authority's certificate: neither believes the other.
+    let others = Keys::new();
+    let (stranger, _mailbox) = component(&router, &others.of("client"), 1);
+    wait_until("it does not believe the router", || {
+        stranger
+            .tcp()
+            .unwrap()
+            .status()
+            .last_error
+            .is_some_and(|why| why.contains("invalid peer certificate"))
+    });
+    kept_out("TLS: received fatal alert");
+
+    // It believes the router, and has a certificate of somebody else.
+    fs::copy(keys.of("client").join("ca.pem"), others.of("client").join("ca.pem")).unwrap();
+    let (_stranger, _mailbox) = component(&router, &others.of("client"), 2);
+    kept_out("TLS: invalid peer certificate");
+
+    // It has no certificate, and another secret; of another length, too.
+    let others = others.has_only_a_secret();
+    for secret in ["another secret, that is wrong", &"x".repeat(SECRET_AT_LEAST)] {
+        fs::write(others.of("client").join("secret"), secret).unwrap();
+        let (_stranger, _mailbox) = component(&router, &others.of("client"), 3);
+        let before = why().len();
+        wait_until("it tries again", || why().len() > before);
+        kept_out("did not prove that it knows the secret");
+    }
+}
+
+#[test]
+fn keys_that_cannot_be_used_are_named_with_the_remedy() {
+    let keys = Keys::new();
+    let (router, client) = (keys.of("router"), keys.of("client"));
+    let start = || {
+        let mut command = rtnet();
+        command.args(["router", "--listen", "0.0.0.0:0", "--keys"]).arg(&router);
+        refusal(&command.output().unwrap())
+    };
+    let again = rtnet().args(["router", "keys"]).arg(router.parent().unwrap()).output().unwrap();
+    assert!(refusal(&again).contains("in a directory that is not there yet"));
+
+    fs::write(client.join("secret"), "short").unwrap();
+    let error = ClientKeys::read(&client).unwrap_err().to_string();
+    assert!(error.contains("a secret of 5 bytes could be guessed: make it 16 or more"), "{error}");
+    fs::remove_file(client.join("secret")).unwrap();
+    fs::remove_file(client.join("client.pem")).unwrap();
+    let error = ClientKeys::read(&client).unwrap_err().to_string();
+    assert!(error.contains("has neither client.pem nor a secret"), "{error}");
+
+    fs::rename(router.join("router.key"), router.join("kept")).unwrap();
+    assert!(start().contains("router.key: "), "{}", start());
+    fs::copy(client.join("client.key"), router.join("router.key")).unwrap();
+    assert!(start().contains("router.pem: "), "{}", start());
+    fs::write(router.join("ca.pem"), "nothing").unwrap();
+    assert!(start().contains("ca.pem: it holds no certificate"), "{}", start());
+    fs::remove_file(router.join("ca.pem")).unwrap();
+    fs::remove_file(router.join("secret")).unwrap();
+    fs::rename(router.join("kept"), router.join("router.key")).unwrap();
+    assert!(start().contains("anybody could connect"), "{}", start());
+}

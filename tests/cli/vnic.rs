@@ -22,8 +22,8 @@ use crate::cell::{Cell, text, wait_until};
 use crate::host::skip;
 use crate::rtnet;
 
-/// Four stations with a slot 1 for the tunnel in each cycle of a millisecond.
-const TUNNEL: &str = include_str!("tunnel.toml");
+/// Four stations with a slot 1 for the tunnel in each cycle of two milliseconds.
+const TUNNEL: &str = include_str!("vnic/tunnel.toml");
 /// What goes through the devices of a lab: Ethernet frames, or packets of IP.
 const MODES: [&str; 2] = ["tap", "tun"];
 /// The largest inner payload.

@@ -47,7 +47,7 @@ fn a_device_that_is_deleted_is_told_of_and_made_anew_on_request() {
             // Linux may have asked for its neighbour once more until then.
             let lost = lost();
             assert!(up.starts_with(&format!("vnic0 ({mode}, up): 10.1.0.2/24")), "{up}");
-            assert!(up.contains("MTU 1496: ") && up.contains("Linux is held back to 1 4"), "{up}");
+            assert!(up.contains("MTU 1496: ") && up.contains("Linux is held back to 7"), "{up}");
             for to in [MASTER, "fd00::1"] {
                 assert_answers(&cell, "slave1", to);
             }
@@ -90,7 +90,7 @@ fn the_mtu_follows_the_slot_both_ways_and_what_was_asked_for() {
             assert!(linux.contains(&format!(" mtu {mtu} ")), "{linux}");
         };
         let resize = |size: &str| {
-            assert!(cell.slot("slave1", &["set", &format!("1=625us,size={size}")]).status.success());
+            assert!(cell.slot("slave1", &["set", &format!("1=1250us,size={size}")]).status.success());
         };
         is(1_496);
         resize("500");

@@ -117,7 +117,7 @@ impl Told {
 /// Waits for as many cycles as a flood lasts.
 fn for_a_while(cell: &Cell) {
     let cycles = || cell.status()["cycles"].as_u64().unwrap();
-    let until = cycles() + SECONDS * 1_000;
+    let until = cycles() + SECONDS * 500;
     wait_until("it goes on", || cycles() >= until);
 }
 

@@ -13,7 +13,7 @@ const FLOOD: &str = "\
     while :; do for ((n = 0; n < 300; n++)); do echo \"$datagram\"; done; sleep 0.2; done >&3 2>/dev/null";
 /// A socket waits while so much of its own is in the queue as it may have there.
 const SOCKETS: usize = 3;
-const RATE: u64 = 985 * 1510;
+const RATE: u64 = 985 * 1510 / 2;
 
 fn flood(cell: &Cell) -> [Running; SOCKETS] {
     [(); SOCKETS].map(|()| Running::start(program(cell, "slave1", &["bash", "-c", FLOOD, MASTER])))
@@ -78,7 +78,7 @@ fn what_the_filter_has_counted_goes_on_while_no_cycle_is_known() {
         assert!(went >= of(&waits, ["filter", "waiting"]), "what waited was not lost: {waits:#} {again:#}");
 
         // It has to have one, to calibrate.
-        for change in [["remove", "1"], ["set", "2=625us"], ["remove", "0"]] {
+        for change in [["remove", "1"], ["set", "2=1250us"], ["remove", "0"]] {
             done(cell.slot("slave1", &change));
         }
         is("held_back_as_before", "the station has no slot 1 or 0 for it".into());
@@ -116,7 +116,7 @@ fn a_filter_or_a_device_that_others_take_away_takes_no_figure_with_it() {
             "{before:#} {taken:#}"
         );
         let up = done(vnic(&cell, "slave1", &["up"]));
-        assert!(up.contains("Linux is held back to 1 487 350 bytes/s"), "{up}");
+        assert!(up.contains("Linux is held back to 743 675 bytes/s"), "{up}");
         assert_goes_on(&taken, &status(&cell, "slave1"));
 
         // What its device has counted outlasts it.

@@ -16,7 +16,7 @@ use crate::program::copy_program;
 
 const NOBODY: u32 = 65_534;
 /// Verbs that need no run directory.
-const WITHOUT: [&str; 5] = ["sim run", "sim example", "plan", "completions", "man"];
+const WITHOUT: [&str; 6] = ["sim run", "sim example", "plan", "completions", "man", "router keys"];
 /// Each of the others, with what it cannot be called without.
 const WITH: [(&str, &str); 43] = [
     ("lab run", ""),

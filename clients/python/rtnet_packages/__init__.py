@@ -1,11 +1,11 @@
 """Mailboxes and prioritised packages by a TCP router (`rtnet router`)."""
 
-from .client import PORT, Mailbox, Router
+from .client import PORT, Mailbox, Router, keys
 from .names import CLASSES, NOBODY, name, shown
 from .session import Failed, NameTaken, NotAvailable, NotConnected, TimedOut, Unavailable
 from .wire import ERROR, LONGEST, NOT_AVAILABLE, OK, TIMEOUT, Package, ProtocolError
 
 __all__ = [
     "CLASSES", "ERROR", "Failed", "LONGEST", "Mailbox", "NOBODY", "NOT_AVAILABLE", "NameTaken", "NotAvailable", "NotConnected", "OK",
-    "PORT", "Package", "ProtocolError", "Router", "TIMEOUT", "TimedOut", "Unavailable", "name", "shown",
+    "PORT", "Package", "ProtocolError", "Router", "TIMEOUT", "TimedOut", "Unavailable", "keys", "name", "shown",
 ]

@@ -1,6 +1,7 @@
 """The same for asyncio: nothing blocks the loop."""
 
 import asyncio
+import ssl
 from types import TracebackType
 from typing import Callable, Optional, Type, TypeVar
 
@@ -15,9 +16,11 @@ _T = TypeVar("_T")
 class Router:
     """A connection to a TCP router, of one event loop: `async with Router(...) as router`."""
 
-    def __init__(self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0) -> None:
-        """`timeout` in seconds is how long the router may take to answer."""
-        self._place, self._timeout = (host, port), timeout
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0, tls: Optional[ssl.SSLContext] = None
+    ) -> None:
+        """`timeout` in seconds is how long the router may take to answer. `tls`: see `keys`."""
+        self._place, self._timeout, self._tls = (host, port), timeout, tls
         self._session = Session()
         self._writer: Optional[asyncio.StreamWriter] = None
         self._reads: Optional["asyncio.Task[None]"] = None
@@ -76,7 +79,7 @@ class Router:
         return bool(await self._wait(lambda: self.is_connected or None, timeout))
 
     async def _connect(self) -> asyncio.StreamReader:
-        reader, writer = await asyncio.wait_for(asyncio.open_connection(*self._place), self._timeout)
+        reader, writer = await asyncio.wait_for(asyncio.open_connection(*self._place, ssl=self._tls), self._timeout)
         try:
             prepare(writer.get_extra_info("socket"))
         except OSError:

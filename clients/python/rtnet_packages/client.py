@@ -2,10 +2,12 @@
 
 import selectors
 import socket
+import ssl
 import threading
 import time
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Callable, Optional, Type, TypeVar
+from typing import Any, Callable, Optional, Type, TypeVar, Union
 
 from .names import Name, name, shown
 from .session import NameTaken, NotConnected, Sender, Session, TimedOut, checked
@@ -23,9 +25,11 @@ _T = TypeVar("_T")
 class Router:
     """A connection to a TCP router. One thread reads; all methods may be called from any thread."""
 
-    def __init__(self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0) -> None:
-        """Connects; OSError if nobody listens there. `timeout` in seconds is how long the router may take to answer."""
-        self._place, self._timeout = (host, port), timeout
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0, tls: Optional[ssl.SSLContext] = None
+    ) -> None:
+        """Connects; OSError if nobody listens there. `timeout` in seconds is how long the router may take to answer. `tls`: see `keys`."""
+        self._place, self._timeout, self._tls = (host, port), timeout, tls
         self._session = Session()
         self._changed = threading.Condition()
         self._socket: Optional[socket.socket] = self._connect()
@@ -79,10 +83,26 @@ class Router:
         connection = socket.create_connection(self._place, self._timeout)
         try:
             prepare(connection)
+            if self._tls is not None:
+                return self._tls.wrap_socket(connection, server_hostname=self._place[0])
         except OSError:
             connection.close()
             raise
         return connection
+
+    def _receive(self, connection: socket.socket) -> Optional[bytes]:
+        """The bytes that have come; None: less than a record of TLS."""
+        if not isinstance(connection, ssl.SSLSocket):
+            return connection.recv(_READ)
+        # One thread at a time has a session of TLS, and this one does not wait in it.
+        with self._changed:
+            connection.settimeout(0.0)
+            try:
+                return connection.recv(_READ)
+            except ssl.SSLWantReadError:
+                return None
+            finally:
+                connection.settimeout(self._timeout)
 
     def _is_ready(self) -> bool:
         session = self._session
@@ -140,10 +160,12 @@ class Router:
                 if not _has_come(connection):
                     self._ask_again()
                     continue
-                data = connection.recv(_READ)
+                data = self._receive(connection)
             except (OSError, ValueError):
                 # Another thread may have closed it.
                 data = b""
+            if data is None:
+                continue
             with self._changed:
                 if self._socket is connection:
                     try:
@@ -181,6 +203,14 @@ class Router:
                     self._say(self._session.again(of))
 
 
+def keys(directory: Union[str, Path]) -> ssl.SSLContext:
+    """The keys of a client as `rtnet router keys` makes them: its certificate, and the authority that has signed the router's."""
+    place = Path(directory)
+    context = ssl.create_default_context(cafile=str(place / "ca.pem"))
+    context.load_cert_chain(str(place / "client.pem"), str(place / "client.key"))
+    return context
+
+
 def prepare(connection: socket.socket) -> None:
     """Sets up a new connection. The kernel may connect a socket to itself if nobody listens at a port of the range for clients."""
     if connection.getsockname() == connection.getpeername():
@@ -190,6 +220,8 @@ def prepare(connection: socket.socket) -> None:
 
 def _has_come(connection: socket.socket) -> bool:
     """Whether bytes come before names are to be asked for again."""
+    if isinstance(connection, ssl.SSLSocket) and connection.pending():
+        return True
     with selectors.DefaultSelector() as selector:
         selector.register(connection, selectors.EVENT_READ)
         return bool(selector.select(_AGAIN))

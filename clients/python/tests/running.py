@@ -9,9 +9,9 @@ from typing import Optional, Tuple
 class RunningRouter:
     """A router on a port of its own, which can be killed and started again."""
 
-    def __init__(self) -> None:
+    def __init__(self, keys: Optional[str] = None) -> None:
         self.program = os.environ["RTNET_BIN"]
-        self.name, self.port = f"python-{os.getpid()}", 0
+        self.name, self.port, self.keys = f"python-{os.getpid()}", 0, keys
         self._process: Optional["subprocess.Popen[str]"] = None
         self.start()
 
@@ -21,6 +21,8 @@ class RunningRouter:
 
     def start(self) -> None:
         command = [self.program, "router", "--listen", f"127.0.0.1:{self.port}", "--name", self.name]
+        if self.keys is not None:
+            command += ["--keys", f"{self.keys}/router"]
         self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert self._process.stderr is not None
         line = self._process.stderr.readline()

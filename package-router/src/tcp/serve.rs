@@ -238,7 +238,7 @@ impl Server {
                 Ok(length) => {
                     self.router.received(connection, &room[..length], now);
                     // A read that was not filled has found the end of what there is, but for TLS.
-                    if length == room.len() || socket.is_ended || socket.stream.reads_in_parts() {
+                    if length == room.len() || socket.is_ended || socket.stream.is_in_parts() {
                         self.readable.push(connection);
                     } else {
                         socket.is_readable = false;
@@ -272,11 +272,17 @@ impl Server {
         let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
             return;
         };
-        let written = socket.stream.flush_tls().and_then(|is_flushed| match is_flushed {
-            true => self.router.write(connection, |slices| socket.stream.write_vectored(slices)),
-            false => Ok(false),
-        });
-        if let Err(error) = written {
+        let mut write = || -> io::Result<()> {
+            while socket.stream.flush_tls()? {
+                let is_all = self.router.write(connection, |slices| socket.stream.write_vectored(slices))?;
+                // TLS takes a part at a time, and more once that has left.
+                if is_all || !socket.stream.is_in_parts() {
+                    break;
+                }
+            }
+            Ok(())
+        };
+        if let Err(error) = write() {
             self.disconnect(connection, broken(&error));
         }
     }

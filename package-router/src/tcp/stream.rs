@@ -47,8 +47,8 @@ impl Stream {
         Ok(true)
     }
 
-    /// Whether a read that was not filled may leave something to be read.
-    pub fn reads_in_parts(&self) -> bool {
+    /// Whether it reads and writes less at a time than the socket would: with TLS.
+    pub fn is_in_parts(&self) -> bool {
         self.tls.is_some()
     }
 

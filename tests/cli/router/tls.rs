@@ -54,10 +54,11 @@ fn name(instance: u8) -> MailboxName {
 fn component(router: &Router, keys: &Path, instance: u8) -> (Component, Mailbox) {
     let options = TcpOptions {
         keys: Some(ClientKeys::read(keys).unwrap()),
+        largest_body: 200_000,
         ..TcpOptions::new(router.at.to_string().parse().unwrap())
     };
     let component = Component::of_router(&options).unwrap();
-    let mailbox = component.mailbox(name(instance), Shape::new(8, 4_096)).unwrap();
+    let mailbox = component.mailbox(name(instance), Shape::new(4, 200_000)).unwrap();
     (component, mailbox)
 }
 
@@ -77,7 +78,7 @@ fn a_certificate_or_the_secret_lets_a_client_in() {
     let mut there = first.sender(second.name()).unwrap();
     let mut back = second.sender(first.name()).unwrap();
     for round in 0..200u8 {
-        let body = vec![round; usize::from(round) * 20];
+        let body = vec![round; usize::from(round) * 1_000];
         there.send(21, &body).unwrap();
         assert_eq!(second.receive(Some(PATIENCE)).unwrap().body().to_vec(), body);
         back.send(0, &body).unwrap();

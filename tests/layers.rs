@@ -122,6 +122,7 @@ fn protocol_code_is_pure() {
                 "package-router/src/bells.rs",
                 "package-router/src/node.rs",
                 "package-router/src/tcp/client.rs",
+                "package-router/src/tcp/dial.rs",
                 "package-router/src/tcp/keys.rs",
                 "package-router/src/tcp/serve.rs",
                 "package-router/src/tcp/serve",

@@ -12,7 +12,6 @@ mod local;
 pub mod session;
 
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::os::fd::{AsFd, AsRawFd};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,14 +19,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
-use mio::net::TcpStream;
 use mio::unix::SourceFd;
 use mio::{Events, Interest, Poll, Token, Waker};
 use rtnet::live::clock::monotonic;
-use socket2::SockRef;
 
 use super::address::Address;
-use super::control::Proof;
+use super::dial::{Dial, Opened};
 use super::keys::ClientKeys;
 use super::stream::Stream;
 use crate::component::{Component, Error};
@@ -45,12 +42,6 @@ const SLOTS: usize = 8;
 pub const BODY: usize = 4_096;
 /// Bytes of one read.
 const READ: usize = 64 << 10;
-/// Unsent bytes in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
-const UNSENT: u32 = 16 << 10;
-/// Milliseconds that a connection may take to open.
-const OPEN_WITHIN: u64 = 2_000;
-/// Milliseconds from a lost connection to the first attempt to open another, and the most between two attempts.
-const BACK_OFF: core::ops::RangeInclusive<u64> = 50..=1_000;
 const WAKER: Token = Token(0);
 const MAILBOX: Token = Token(1);
 const STREAM: Token = Token(2);
@@ -131,11 +122,10 @@ impl TcpClient {
         let worker = Worker {
             poll,
             shared: shared.clone(),
-            keys: options.keys.clone(),
+            dial: Dial::new(options.router.clone(), options.keys.clone()),
             session: Session::default(),
             local: Local::new(component, mailbox),
-            link: Link::Down(0),
-            back_off: *BACK_OFF.start(),
+            up: None,
             connections: 0,
             last_error: None,
         };
@@ -181,24 +171,15 @@ impl Shared {
 struct Worker {
     poll: Poll,
     shared: Arc<Shared>,
-    keys: Option<ClientKeys>,
+    dial: Dial,
+    up: Option<Up>,
     session: Session,
     local: Local,
-    link: Link,
-    back_off: u64,
     connections: u64,
     last_error: Option<String>,
 }
 
-/// The connection to the router. Times are milliseconds of this host's clock.
-enum Link {
-    /// There is none; the next attempt is due then.
-    Down(u64),
-    /// It is being opened; it fails then.
-    Opening(Stream, u64),
-    Up(Up),
-}
-
+/// The connection to the router.
 struct Up {
     stream: Stream,
     /// More may be there to be read, and room to write.
@@ -221,7 +202,7 @@ impl Worker {
                 return;
             }
             for event in &events {
-                if let (STREAM, Link::Up(up)) = (event.token(), &mut self.link) {
+                if let (STREAM, Some(up)) = (event.token(), &mut self.up) {
                     up.is_readable |= event.is_readable() || event.is_read_closed() || event.is_error();
                     up.is_writable |= event.is_writable();
                 }
@@ -233,7 +214,7 @@ impl Worker {
             if let Err(error) = self.exchange(&mut room) {
                 self.down(&error);
             }
-            if matches!(self.link, Link::Down(_)) {
+            if self.dial.is_down() {
                 self.local.refuse_all();
             }
             self.publish();
@@ -242,66 +223,34 @@ impl Worker {
 
     /// How long it may wait for events.
     fn patience(&self, is_empty: bool) -> Duration {
-        let until = match &self.link {
-            Link::Up(up) if up.is_readable || up.is_writable && (up.has_more || !is_empty) => 0,
-            Link::Up(_) => self.session.next_due(),
-            Link::Down(_) if !is_empty => 0,
-            Link::Down(at) | Link::Opening(_, at) => *at,
+        let until = match &self.up {
+            Some(up) if up.is_readable || up.is_writable && (up.has_more || !is_empty) => 0,
+            Some(_) => self.session.next_due(),
+            None if self.dial.is_down() && !is_empty => 0,
+            None => self.dial.due().unwrap_or(0),
         };
         Duration::from_millis(until.saturating_sub(now()))
     }
 
-    /// Opens a connection that is due, and looks whether it is open.
+    /// Opens a connection if there is none, as far as that goes.
     fn open(&mut self) {
-        match core::mem::replace(&mut self.link, Link::Down(u64::MAX)) {
-            Link::Down(at) if at <= now() => match self.connect() {
-                Ok(stream) => self.link = Link::Opening(stream, now() + OPEN_WITHIN),
-                Err(error) => self.down(&error),
-            },
-            Link::Opening(mut stream, until) => match self.is_open(&mut stream) {
-                Ok(Some(proof)) => {
-                    self.connections += 1;
-                    self.back_off = *BACK_OFF.start();
-                    self.session.connected(now(), proof.as_ref());
-                    self.link = Link::Up(Up { stream, is_readable: true, is_writable: true, has_more: true });
-                }
-                Ok(None) if until <= now() => self.down(&io::ErrorKind::TimedOut.into()),
-                Ok(None) => self.link = Link::Opening(stream, until),
-                Err(error) => self.down(&error),
-            },
-            other => self.link = other,
+        if self.up.is_some() {
+            return;
         }
-    }
-
-    /// Whether a connection that was begun is open, with the proof that it begins with, if any; an error if it never will be.
-    fn is_open(&self, stream: &mut Stream) -> io::Result<Option<Option<Proof>>> {
-        if !is_connected(&stream.tcp)? || !stream.begin()? {
-            return Ok(None);
+        match self.dial.go_on(self.poll.registry(), STREAM, now()) {
+            Ok(None) => {}
+            Ok(Some(Opened { stream, proof })) => {
+                self.connections += 1;
+                self.session.connected(now(), proof.as_ref());
+                self.up = Some(Up { stream, is_readable: true, is_writable: true, has_more: true });
+            }
+            Err(error) => self.last_error = Some(error.to_string()),
         }
-        let proof = self.keys.as_ref().zip(stream.tls()).map(|(keys, session)| keys.proof(session));
-        proof.transpose().map(|proof| Some(proof.flatten())).map_err(io::Error::other)
-    }
-
-    fn connect(&self) -> io::Result<Stream> {
-        let Address { host, port } = &self.shared.router;
-        let addresses: Vec<SocketAddr> = (host.as_str(), *port).to_socket_addrs()?.collect();
-        // Each attempt takes the next address.
-        let place = self.connections as usize % addresses.len().max(1);
-        let address = addresses.get(place).ok_or(io::ErrorKind::AddrNotAvailable)?;
-        let mut stream = TcpStream::connect(*address)?;
-        let both = Interest::READABLE | Interest::WRITABLE;
-        self.poll.registry().register(&mut stream, STREAM, both)?;
-        // Without these options it is slower, not wrong.
-        let _ = stream.set_nodelay(true);
-        let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
-        let session =
-            self.keys.as_ref().map(|keys| keys.session(host)).transpose().map_err(io::Error::other)?;
-        Ok(Stream::new(stream, session.map(Into::into)))
     }
 
     /// Reads and writes as far as that goes. An error ends the connection.
     fn exchange(&mut self, room: &mut [u8]) -> io::Result<()> {
-        let Link::Up(up) = &mut self.link else { return Ok(()) };
+        let Some(up) = &mut self.up else { return Ok(()) };
         let (session, local, now) = (&mut self.session, &mut self.local, now());
         if up.is_readable {
             match up.stream.read(room) {
@@ -336,13 +285,13 @@ impl Worker {
     fn down(&mut self, why: &io::Error) {
         self.last_error = Some(why.to_string());
         self.session.disconnected();
-        self.link = Link::Down(now() + self.back_off);
-        self.back_off = (2 * self.back_off).min(*BACK_OFF.end());
+        self.up = None;
+        self.dial.lost(now());
     }
 
     fn publish(&self) {
         let (names, names_waiting) = self.session.names();
-        let is_connected = matches!(self.link, Link::Up(_));
+        let is_connected = self.up.is_some();
         *self.shared.status() = TcpStatus {
             is_connected,
             connections: self.connections,
@@ -352,18 +301,6 @@ impl Worker {
             session: self.session.counters(),
             local: self.local.counters(),
         };
-    }
-}
-
-/// Whether a socket that connects is connected; an error if it never will be.
-fn is_connected(stream: &TcpStream) -> io::Result<bool> {
-    if let Some(error) = stream.take_error()? {
-        return Err(error);
-    }
-    match stream.peer_addr() {
-        Ok(_) => Ok(true),
-        Err(error) if error.kind() == io::ErrorKind::NotConnected => Ok(false),
-        Err(error) => Err(error),
     }
 }
 

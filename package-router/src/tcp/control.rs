@@ -11,6 +11,8 @@ pub const REGISTER: i8 = 13;
 pub const UNREGISTER: i8 = 12;
 /// Kind of the proof that a client knows the router's secret: the first package of a connection that has to give one.
 pub const PROOF: i8 = 20;
+/// Kind of the announcement of a router that it is one, and of which system; it is answered.
+pub const ROUTER: i8 = 21;
 /// The body of a proof.
 pub type Proof = [u8; 32];
 
@@ -35,6 +37,8 @@ pub enum Control {
     Purge,
     /// The client lives.
     Alive,
+    /// The client is the router of this system.
+    Router(u32),
     /// Whether the client is to be asked for signs of life.
     Watchdog(bool),
     /// Nothing that the router knows: ignored, as a login is.
@@ -52,7 +56,7 @@ impl Control {
         if (head.to, head.from) != (MailboxName::NOBODY, MailboxName::NOBODY) {
             return None;
         }
-        let is_answered = matches!(head.kind, 13 | 14);
+        let is_answered = matches!(head.kind, 13 | 14 | ROUTER);
         let name = || {
             let bytes = body.try_into().ok()?;
             Some(MailboxName(match head.body_order {
@@ -65,6 +69,7 @@ impl Control {
         Some(match head.kind {
             11 | 13 => name().map_or(malformed, |name| Self::Register { name, is_answered }),
             12 | 14 => name().map_or(malformed, |name| Self::Delete { name, is_answered }),
+            ROUTER => name().map_or(malformed, |system| Self::Router(system.0)),
             15 => bare(Self::Purge),
             0 => bare(Self::Alive),
             18 => bare(Self::Watchdog(true)),

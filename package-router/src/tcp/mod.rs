@@ -12,6 +12,7 @@ pub mod address;
 pub mod client;
 pub mod config;
 pub mod control;
+mod dial;
 pub mod frames;
 pub mod keys;
 pub mod outgoing;

@@ -35,6 +35,8 @@ pub struct Outgoing {
     /// Bytes that wait, without the router's own.
     bytes: usize,
     packages: usize,
+    /// Bytes of the router's own that may wait besides.
+    own_most: usize,
     /// Priority of the package that has partly left, and its bytes that have not.
     begun: Option<(u16, usize)>,
 }
@@ -60,7 +62,12 @@ pub struct Full;
 impl Outgoing {
     /// An empty queue for `most` bytes.
     pub fn new(most: usize) -> Self {
-        Self { levels: Vec::new(), most, bytes: 0, packages: 0, begun: None }
+        Self { levels: Vec::new(), most, bytes: 0, packages: 0, own_most: OWN_AT_MOST, begun: None }
+    }
+
+    /// Lets more of the router's own wait, for a connection to which it has much to say.
+    pub fn let_own_wait(&mut self, most: usize) {
+        self.own_most = self.own_most.max(most);
     }
 
     /// Appends a package to those of its priority. The heads of packages that make room for it go to `dropped`.
@@ -82,14 +89,13 @@ impl Outgoing {
         Ok(())
     }
 
-    /// Appends an answer or a question of the router, without a body: it overtakes all packages. A peer that asks and does not read gets
-    /// no more answers.
-    pub fn push_own(&mut self, head: &Head, now: u64) -> Result<(), Full> {
+    /// Appends an answer or a question of the router: it overtakes all packages. A peer that asks and does not read gets no more answers.
+    pub fn push_own(&mut self, head: &Head, body: &[u8], now: u64) -> Result<(), Full> {
         let level = self.level(OWN);
-        if self.levels[level].bytes.len() + HEAD_LEN > OWN_AT_MOST {
+        if self.levels[level].bytes.len() + HEAD_LEN + body.len() > self.own_most {
             return Err(Full);
         }
-        self.append(OWN, head, &[], now);
+        self.append(OWN, head, body, now);
         Ok(())
     }
 
@@ -302,7 +308,7 @@ mod tests {
             }
             assert_eq!((queue.oldest(), queue.packages(), queue.bytes()), (Some(7), 6, 6 * 36));
             let own = Head { id: 99, ..Head::new(17, MailboxName::NOBODY, MailboxName::NOBODY) };
-            queue.push_own(&own, 8).unwrap();
+            queue.push_own(&own, &[], 8).unwrap();
             let order = [(0, 99), (255, 4), (200, 1), (200, 5), (5, 0), (5, 2), (0, 3)];
             assert_eq!(leaves(&mut queue, at_once), order, "{at_once} bytes at once");
         }
@@ -384,7 +390,7 @@ mod tests {
     fn answers_to_a_peer_that_does_not_read_are_bounded() {
         let mut queue = Outgoing::new(100);
         let own = Head::new(0, MailboxName::NOBODY, MailboxName::NOBODY);
-        let taken = (0..10_000).filter(|_| queue.push_own(&own, 0).is_ok()).count();
+        let taken = (0..10_000).filter(|_| queue.push_own(&own, &[], 0).is_ok()).count();
         assert_eq!(taken, OWN_AT_MOST / HEAD_LEN);
         assert_eq!((queue.bytes(), queue.oldest()), (0, None), "they are not packages");
     }

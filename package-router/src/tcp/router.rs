@@ -1,5 +1,6 @@
 //! The router's rules, without a socket or a clock: bytes of connections go in, bytes for connections wait to be written.
 
+mod links;
 mod status;
 #[cfg(test)]
 mod tests;
@@ -16,6 +17,7 @@ use super::outgoing::{Full, Outgoing};
 use super::rules::Rules;
 use crate::name::MailboxName;
 use crate::wire::{self, Endian, Head, HeadError, MAX_LEN};
+use links::Role;
 
 pub use status::{ClientStatus, Closed, Counters, Status};
 
@@ -61,6 +63,11 @@ pub enum Ending {
     /// It did not prove that it knows the secret: its first package was another, or the proof was wrong.
     #[error("it has no certificate, and did not prove that it knows the secret")]
     Stranger,
+    /// The router at the other end of a link is of the same system, or does not take links.
+    #[error(
+        "the router there takes no link of this system: it has the same number (`system`), or is of another make"
+    )]
+    SameSystem,
     /// Its TLS session did not begin, or broke.
     #[error("TLS: {0}")]
     Tls(String),
@@ -94,6 +101,7 @@ enum Trust {
 struct Client {
     peer: SocketAddr,
     trust: Trust,
+    role: Role,
     since: u64,
     frames: Frames,
     outgoing: Outgoing,
@@ -110,6 +118,10 @@ struct Client {
 pub struct Router {
     limits: Limits,
     rules: Rules,
+    /// The system of its own mailboxes.
+    system: u8,
+    /// The systems to which each link leads.
+    links: Vec<BTreeSet<u8>>,
     clients: Vec<Option<Client>>,
     free: Vec<u32>,
     table: BTreeMap<MailboxName, Connection>,
@@ -129,6 +141,8 @@ impl Router {
         Self {
             limits: Limits { queue: limits.queue.max(MAX_LEN), ..limits },
             rules: Rules::default(),
+            system: 0,
+            links: Vec::new(),
             clients: Vec::new(),
             free: Vec::new(),
             table: BTreeMap::new(),
@@ -173,6 +187,7 @@ impl Router {
         let client = Client {
             peer,
             trust,
+            role: Role::default(),
             since: now,
             frames: Frames::default(),
             outgoing: Outgoing::new(self.limits.queue),
@@ -245,9 +260,10 @@ impl Router {
     /// A connection has been closed: its mailboxes are gone, and what waited for it.
     pub fn disconnect(&mut self, gone: Connection, why: Ending, now: u64) {
         let Some(mut client) = self.clients.get_mut(gone.0 as usize).and_then(Option::take) else { return };
-        client.names.iter().for_each(|name| {
+        for name in &client.names {
             self.table.remove(name);
-        });
+            self.tell_links(*name, false, now);
+        }
         self.held -= client.outgoing.bytes() + client.frames.begun();
         client.counters.lost_at_close += client.outgoing.packages() as u64;
         self.counters.add(&client.counters);
@@ -281,9 +297,13 @@ impl Router {
             if !client.watchdog {
                 continue;
             }
+            let is_link = matches!(client.role, Role::Link(_));
             let is_trusted = client.trust == Trust::Full;
             if core::mem::replace(&mut client.is_asked, true) {
                 self.endings.push((Connection(place), Ending::Silent));
+            } else if is_link {
+                // The other router asks for signs of life: that is one.
+                self.ask_again(Connection(place), now);
             } else if is_trusted {
                 self.own(Connection(place), &lifesign, now);
             }
@@ -299,6 +319,7 @@ impl Router {
             return;
         }
         match Control::of(head, body) {
+            Some(_) if self.place_of_link(from).is_some() => self.of_other_router(from, head, now),
             Some(control) => self.control(from, head, control, now),
             None => self.forward(from, head, body, now),
         }
@@ -322,11 +343,13 @@ impl Router {
     fn control(&mut self, from: Connection, head: &Head, control: Control, now: u64) {
         let has_room = self.table.len() < self.limits.all_names;
         let most = self.limits.names;
+        let mut changed = Vec::new();
         let Some(client) = self.clients.get_mut(from.0 as usize).and_then(Option::as_mut) else { return };
         let answer = match control {
             Control::Register { name, is_answered } => {
                 let owner = self.table.get(&name);
-                let may = self.rules.may_register(client.peer.ip(), name);
+                let may = self.rules.may_register(client.peer.ip(), name)
+                    && client.role.may_have(name, self.system);
                 let is_new = may
                     && has_room
                     && name != MailboxName::NOBODY
@@ -337,6 +360,7 @@ impl Router {
                 if is_new {
                     client.names.insert(name);
                     self.table.insert(name, from);
+                    changed.push((name, true));
                 } else if !is_idle {
                     client.counters.names_refused += 1;
                 }
@@ -349,15 +373,18 @@ impl Router {
                     client.counters.names_refused += 1;
                 } else if client.names.remove(&name) {
                     self.table.remove(&name);
+                    changed.push((name, false));
                 }
                 is_answered.then_some(!is_foreign)
             }
             Control::Purge => {
                 for name in core::mem::take(&mut client.names) {
                     self.table.remove(&name);
+                    changed.push((name, false));
                 }
                 None
             }
+            Control::Router(system) => Some(self.announced(from, system)),
             Control::Alive => None,
             Control::Watchdog(on) => {
                 (client.watchdog, client.is_asked) = (on, false);
@@ -372,6 +399,7 @@ impl Router {
                 is_answered.then_some(false)
             }
         };
+        changed.into_iter().for_each(|(name, is_there)| self.tell_links(name, is_there, now));
         if let Some(is_done) = answer {
             self.own(from, &head.answer(if is_done { wire::OK } else { wire::ERROR }), now);
         }
@@ -384,7 +412,8 @@ impl Router {
         if !self.rules.may_send(head) {
             return self.refuse(from, head, now, |counters| &mut counters.forbidden);
         }
-        let Some(&to) = self.table.get(&head.to) else {
+        let to = self.table.get(&head.to).copied().or_else(|| self.way_out(from, head.to));
+        let Some(to) = to else {
             return self.refuse(from, head, now, |counters| &mut counters.nobody_there);
         };
         let head = Head { head_order: Endian::Little, ..*head };
@@ -426,9 +455,11 @@ impl Router {
         pushed
     }
 
-    /// Whether a connection may send in this name: no other connection has it.
+    /// Whether a connection may send in this name: no other connection has it, and it may be its own.
     fn is_sender(&self, from: Connection, name: MailboxName) -> bool {
-        self.table.get(&name).is_none_or(|owner| *owner == from)
+        let client = self.clients.get(from.0 as usize).and_then(Option::as_ref);
+        let may_be_its_own = client.is_some_and(|client| client.role.may_have(name, self.system));
+        may_be_its_own && self.table.get(&name).is_none_or(|owner| *owner == from)
     }
 
     /// A package does not go on: that is counted at its sender, which is answered if it was a command.
@@ -448,8 +479,12 @@ impl Router {
 
     /// Sends an answer or a question of the router.
     fn own(&mut self, to: Connection, head: &Head, now: u64) {
+        self.own_with(to, head, &[], now);
+    }
+
+    fn own_with(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) {
         let Some(client) = self.client(to) else { return };
-        match client.outgoing.push_own(head, now) {
+        match client.outgoing.push_own(head, body, now) {
             Ok(()) => self.wake(to),
             Err(Full) => client.counters.answers_lost += 1,
         }

@@ -15,9 +15,9 @@ use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
 use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
-use socket2::SockRef;
 
 use super::control::Proof;
+use super::dial::prepare;
 use super::keys::RouterKeys;
 use super::router::{Connection, Ending, Limits, Router, Status};
 use super::rules::Rules;
@@ -27,8 +27,6 @@ use super::stream::Stream;
 const EVENTS: usize = 1_024;
 /// Bytes of one read. A connection that has more waits until all others had their turn.
 const READ: usize = 64 << 10;
-/// Unsent bytes of a connection in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
-const UNSENT: u32 = 16 << 10;
 /// Milliseconds from an accept that failed for want of descriptors or memory to the next.
 const REST: u64 = 100;
 const WAKER: Token = Token(usize::MAX);
@@ -193,9 +191,7 @@ impl Server {
     }
 
     fn connected(&mut self, mut stream: TcpStream, peer: SocketAddr, listener: usize) {
-        // Without these options it is slower, not wrong.
-        let _ = stream.set_nodelay(true);
-        let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+        prepare(&stream);
         let (keys, now) = (self.listeners[listener].1.clone(), self.now());
         let connection = match keys {
             None => self.router.connect(peer, now),

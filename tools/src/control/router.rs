@@ -71,6 +71,8 @@ pub struct ClientShown {
     pub names: usize,
     /// The first 16 of them.
     pub first_names: Vec<String>,
+    /// Its part: `client`, `router of system N`, or `link`.
+    pub role: String,
     /// Whether it is asked for signs of life.
     pub watchdog: bool,
     /// Packages that wait for it.
@@ -132,6 +134,7 @@ impl ClientShown {
             open_ns: client.open_for * MS,
             names: client.names.len(),
             first_names: first(&client.names),
+            role: client.role.clone(),
             watchdog: client.watchdog,
             waiting: client.waiting,
             waiting_bytes: client.waiting_bytes,

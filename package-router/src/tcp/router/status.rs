@@ -73,6 +73,8 @@ pub struct ClientStatus {
     pub open_for: u64,
     /// Its mailboxes.
     pub names: Vec<MailboxName>,
+    /// Its part: a client, the router of another system, or a link to one.
+    pub role: String,
     /// Whether it is asked for signs of life.
     pub watchdog: bool,
     /// Packages that wait for it.
@@ -124,6 +126,7 @@ impl Router {
                 peer: client.peer,
                 open_for: now - client.since,
                 names: client.names.iter().copied().collect(),
+                role: client.role.name(),
                 watchdog: client.watchdog,
                 waiting: client.outgoing.packages(),
                 waiting_bytes: client.outgoing.bytes(),

@@ -1,0 +1,149 @@
+//! A connection to a router that is opened again whenever it is lost.
+
+use std::io;
+use std::net::{SocketAddr, ToSocketAddrs};
+
+use mio::net::TcpStream;
+use mio::{Interest, Registry, Token};
+use socket2::SockRef;
+
+use super::address::Address;
+use super::control::Proof;
+use super::keys::ClientKeys;
+use super::stream::Stream;
+
+/// Milliseconds that a connection may take to open.
+const OPEN_WITHIN: u64 = 2_000;
+/// Milliseconds from a lost connection to the first attempt to open another, and the most between two attempts.
+const BACK_OFF: core::ops::RangeInclusive<u64> = 50..=1_000;
+/// Unsent bytes in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
+const UNSENT: u32 = 16 << 10;
+
+/// A router, and the attempts to connect to it. Times are milliseconds of any clock that does not go back.
+pub struct Dial {
+    router: Address,
+    keys: Option<ClientKeys>,
+    state: State,
+    back_off: u64,
+    attempts: usize,
+}
+
+enum State {
+    /// There is no connection; the next attempt is due then.
+    Down(u64),
+    /// One is being opened; it fails then.
+    Opening(Stream, u64),
+    /// The one that was opened is in use.
+    Open,
+}
+
+/// A connection that is open.
+pub struct Opened {
+    /// The connection.
+    pub stream: Stream,
+    /// The proof that it begins with, if it needs one.
+    pub proof: Option<Proof>,
+}
+
+impl Dial {
+    /// To this router, with these keys by TLS. The first attempt is due at once.
+    pub fn new(router: Address, keys: Option<ClientKeys>) -> Self {
+        Self { router, keys, state: State::Down(0), back_off: *BACK_OFF.start(), attempts: 0 }
+    }
+
+    /// Goes on as far as that goes without waiting. Its events have this token. An error is the end of an attempt: another follows.
+    pub fn go_on(&mut self, registry: &Registry, token: Token, now: u64) -> io::Result<Option<Opened>> {
+        let gone_on = match core::mem::replace(&mut self.state, State::Open) {
+            State::Down(at) if at <= now => self.begin(registry, token).map(|stream| {
+                self.state = State::Opening(stream, now + OPEN_WITHIN);
+                None
+            }),
+            State::Opening(mut stream, until) => match self.is_open(&mut stream) {
+                Ok(Some(proof)) => {
+                    self.back_off = *BACK_OFF.start();
+                    return Ok(Some(Opened { stream, proof }));
+                }
+                Ok(None) if until <= now => Err(io::ErrorKind::TimedOut.into()),
+                Ok(None) => {
+                    self.state = State::Opening(stream, until);
+                    Ok(None)
+                }
+                Err(error) => Err(error),
+            },
+            state => {
+                self.state = state;
+                Ok(None)
+            }
+        };
+        if gone_on.is_err() {
+            self.lost(now);
+        }
+        gone_on
+    }
+
+    /// The connection that was opened is lost.
+    pub fn lost(&mut self, now: u64) {
+        self.state = State::Down(now + self.back_off);
+        self.back_off = (2 * self.back_off).min(*BACK_OFF.end());
+    }
+
+    /// When [`Self::go_on`] is due without an event; `None`: a connection is open.
+    pub fn due(&self) -> Option<u64> {
+        match &self.state {
+            State::Down(at) | State::Opening(_, at) => Some(*at),
+            State::Open => None,
+        }
+    }
+
+    /// Whether no connection is open, nor being opened.
+    pub fn is_down(&self) -> bool {
+        matches!(self.state, State::Down(_))
+    }
+
+    fn begin(&mut self, registry: &Registry, token: Token) -> io::Result<Stream> {
+        let Address { host, port } = &self.router;
+        let addresses: Vec<SocketAddr> = (host.as_str(), *port).to_socket_addrs()?.collect();
+        // Each attempt takes the next address.
+        let place = self.attempts % addresses.len().max(1);
+        self.attempts += 1;
+        let address = addresses.get(place).ok_or(io::ErrorKind::AddrNotAvailable)?;
+        let mut stream = TcpStream::connect(*address)?;
+        registry.register(&mut stream, token, Interest::READABLE | Interest::WRITABLE)?;
+        prepare(&stream);
+        let session =
+            self.keys.as_ref().map(|keys| keys.session(host)).transpose().map_err(io::Error::other)?;
+        Ok(Stream::new(stream, session.map(Into::into)))
+    }
+
+    /// Whether a connection that was begun is open, with the proof that it begins with, if any; an error if it never will be.
+    fn is_open(&self, stream: &mut Stream) -> io::Result<Option<Option<Proof>>> {
+        if !is_connected(&stream.tcp)? || !stream.begin()? {
+            return Ok(None);
+        }
+        let proof = self.keys.as_ref().zip(stream.tls()).map(|(keys, session)| keys.proof(session));
+        proof.transpose().map(|proof| Some(proof.flatten())).map_err(io::Error::other)
+    }
+}
+
+/// Options of a connection for packages. Without them it is slower, not wrong.
+pub fn prepare(stream: &TcpStream) {
+    let _ = stream.set_nodelay(true);
+    let _ = SockRef::from(stream).set_tcp_notsent_lowat(UNSENT);
+}
+
+/// Whether a socket that connects is connected; an error if it never will be.
+fn is_connected(stream: &TcpStream) -> io::Result<bool> {
+    if let Some(error) = stream.take_error()? {
+        return Err(error);
+    }
+    let peer = match stream.peer_addr() {
+        Ok(peer) => peer,
+        Err(error) if error.kind() == io::ErrorKind::NotConnected => return Ok(false),
+        Err(error) => return Err(error),
+    };
+    // The kernel may connect a socket to itself, if nobody listens at a port of the range for clients.
+    match stream.local_addr()? == peer {
+        true => Err(io::ErrorKind::ConnectionRefused.into()),
+        false => Ok(true),
+    }
+}

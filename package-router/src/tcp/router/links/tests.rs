@@ -1,0 +1,219 @@
+use super::*;
+use crate::tcp::router::{Limits, Status};
+use crate::wire::{ERROR, NOT_AVAILABLE};
+
+const PEER: &str = "127.0.0.1:9";
+
+/// Routers of systems 1, 2, ..., each with a link to the next one.
+struct Systems {
+    routers: Vec<Router>,
+    /// Of each link: both ends.
+    links: Vec<[Connection; 2]>,
+    now: u64,
+}
+
+impl Systems {
+    fn new(count: usize) -> Self {
+        let router = |system: u8| {
+            let mut router = Router::new(Limits::default(), 0);
+            router.set_links(system, vec![BTreeSet::new()]);
+            router
+        };
+        let mut systems =
+            Self { routers: (1..=count as u8).map(router).collect(), links: Vec::new(), now: 0 };
+        (1..count).for_each(|first| systems.link(first - 1, first));
+        systems
+    }
+
+    fn link(&mut self, from: usize, to: usize) {
+        let there = self.routers[to].connect(PEER.parse().unwrap(), self.now).unwrap();
+        let here = self.routers[from].link(0, PEER.parse().unwrap(), None, self.now).unwrap();
+        self.links.push([here, there]);
+        self.settle();
+    }
+
+    fn connect(&mut self, system: usize) -> Connection {
+        self.routers[system].connect(PEER.parse().unwrap(), self.now).unwrap()
+    }
+
+    /// Bytes that wait for a connection.
+    fn taken(&mut self, system: usize, of: Connection) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let send = |slices: &[std::io::IoSlice<'_>]| {
+            slices.iter().for_each(|slice| bytes.extend_from_slice(slice));
+            Ok(slices.iter().map(|slice| slice.len()).sum())
+        };
+        self.routers[system].write(of, send).unwrap();
+        bytes
+    }
+
+    /// Carries all bytes of links.
+    fn settle(&mut self) {
+        for _ in 0..20 {
+            for (place, [here, there]) in self.links.clone().into_iter().enumerate() {
+                let bytes = self.taken(place, here);
+                self.routers[place + 1].received(there, &bytes, self.now);
+                let bytes = self.taken(place + 1, there);
+                self.routers[place].received(here, &bytes, self.now);
+            }
+        }
+    }
+
+    fn sends(&mut self, system: usize, from: Connection, kind: i8, to: u32, of: u32, body: &[u8]) {
+        let head = Head::new(kind, MailboxName(to), MailboxName(of)).with_body(body.len()).unwrap();
+        self.routers[system].received(from, &[&head.to_bytes(), body].concat(), self.now);
+        self.settle();
+    }
+
+    fn registers(&mut self, system: usize, connection: Connection, name: u32) -> i8 {
+        self.sends(system, connection, REGISTER, 0, 0, &name.to_le_bytes());
+        self.heads(system, connection).last().unwrap().kind
+    }
+
+    /// Heads of packages that have come for a client.
+    fn heads(&mut self, system: usize, of: Connection) -> Vec<Head> {
+        let mut frames = crate::tcp::frames::Frames::default();
+        let (bytes, mut heads) = (self.taken(system, of), Vec::new());
+        frames.cut(&bytes, |head, _| heads.push(head)).unwrap();
+        heads
+    }
+
+    fn status(&self, system: usize) -> Status {
+        self.routers[system].status(self.now)
+    }
+}
+
+const PILOT_1: u32 = 0x0118_0000;
+const PILOT_2: u32 = 0x0218_0000;
+const PILOT_3: u32 = 0x0318_0000;
+
+#[test]
+fn mailboxes_of_two_systems_meet_by_one_link() {
+    let mut systems = Systems::new(2);
+    let (first, second) = (systems.connect(0), systems.connect(1));
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    assert_eq!(systems.registers(1, second, PILOT_2), OK);
+    systems.sends(0, first, 21, PILOT_2, PILOT_1, b"hello");
+    let command = systems.heads(1, second)[0];
+    assert_eq!((command.kind, command.from.0, command.len), (21, PILOT_1, 21));
+    systems.sends(1, second, OK, PILOT_1, PILOT_2, b"");
+    assert_eq!(systems.heads(0, first)[0].from.0, PILOT_2);
+    // A mailbox that has gone is gone there, too.
+    systems.sends(0, first, UNREGISTER, 0, 0, &PILOT_1.to_le_bytes());
+    systems.sends(1, second, 22, PILOT_1, PILOT_2, b"");
+    assert_eq!(systems.heads(1, second)[0].kind, NOT_AVAILABLE);
+    systems.sends(0, first, 23, 0x0299_0000, PILOT_1, b"");
+    assert_eq!(systems.heads(0, first)[0].kind, NOT_AVAILABLE, "nobody has it there");
+    let roles: Vec<_> = systems.status(1).clients.iter().map(|client| client.role.clone()).collect();
+    assert_eq!(roles, ["router of system 1", "client"]);
+    assert_eq!(systems.status(0).clients[0].role, "link");
+}
+
+#[test]
+fn a_link_that_opens_later_registers_what_is_there() {
+    let mut systems = Systems::new(1);
+    let mut other = Router::new(Limits::default(), 0);
+    other.set_links(2, Vec::new());
+    systems.routers.push(other);
+    let first = systems.connect(0);
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    systems.link(0, 1);
+    let second = systems.connect(1);
+    systems.sends(1, second, 21, PILOT_1, PILOT_2, b"");
+    assert_eq!(systems.heads(0, first)[0].kind, 21);
+}
+
+/// Every router here has a link to the next, which knows the mailbox: one link far it goes, and no further.
+#[test]
+fn packages_go_one_link_far() {
+    let mut systems = Systems::new(3);
+    let [first, second, third] = [0, 1, 2].map(|system| systems.connect(system));
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    assert_eq!(systems.registers(2, third, PILOT_3), OK);
+    systems.sends(0, first, 21, PILOT_3, PILOT_1, b"");
+    assert_eq!(systems.heads(0, first)[0].kind, NOT_AVAILABLE);
+    systems.sends(1, second, 21, PILOT_3, PILOT_2, b"");
+    assert_eq!(systems.heads(2, third)[0].from.0, PILOT_2);
+}
+
+#[test]
+fn another_router_has_no_names_but_its_systems() {
+    let mut systems = Systems::new(2);
+    let (first, second) = (systems.connect(0), systems.connect(1));
+    assert_eq!(systems.registers(1, second, PILOT_2), OK);
+    // A client of system 1 has a mailbox there under the name of another system: it is not known beyond.
+    assert_eq!(systems.registers(0, first, PILOT_3), OK);
+    systems.sends(1, second, 21, PILOT_3, PILOT_2, b"");
+    assert_eq!(systems.heads(1, second)[0].kind, NOT_AVAILABLE);
+    // It cannot send in a name of system 2 to system 2.
+    systems.sends(0, first, 21, PILOT_2, 0x0277_0000, b"");
+    assert!(systems.heads(1, second).is_empty());
+    assert_eq!(systems.status(1).counters.foreign_senders, 1);
+    // Nor does a router take packages in its own system's names from a link.
+    let [_, there] = systems.links[0];
+    systems.sends(1, second, 21, PILOT_1, PILOT_2, b"");
+    let forged = Head::new(21, MailboxName(PILOT_1), MailboxName(0x0177_0000)).to_bytes();
+    let [here, _] = systems.links[0];
+    systems.routers[0].received(here, &forged, 0);
+    assert_eq!(systems.status(0).counters.foreign_senders, 1);
+    assert!(systems.routers[1].place_of_link(there).is_none());
+}
+
+#[test]
+fn a_link_to_a_router_of_the_same_system_is_refused() {
+    let mut systems = Systems::new(2);
+    systems.routers[1].set_links(1, Vec::new());
+    systems.link(0, 1);
+    let [here, _] = systems.links[1];
+    assert_eq!(systems.routers[0].next_ending(), Some((here, Ending::SameSystem)));
+}
+
+#[test]
+fn only_a_connection_without_mailboxes_announces_a_system() {
+    let mut systems = Systems::new(1);
+    let client = systems.connect(0);
+    systems.registers(0, client, PILOT_1);
+    systems.sends(0, client, ROUTER, 0, 0, &7u32.to_le_bytes());
+    let other = systems.connect(0);
+    for (body, kind) in [(300u32, ERROR), (1, ERROR), (7, OK), (8, ERROR)] {
+        systems.sends(0, other, ROUTER, 0, 0, &body.to_le_bytes());
+        assert_eq!(systems.heads(0, other)[0].kind, kind, "system {body}");
+    }
+    assert_eq!(systems.heads(0, client)[0].kind, ERROR);
+    assert_eq!(systems.registers(0, other, PILOT_2), ERROR, "system 7 has no mailboxes of system 2");
+    assert_eq!(systems.registers(0, other, 0x0718_0000), OK);
+}
+
+#[test]
+fn a_name_that_the_other_router_refuses_is_asked_for_again() {
+    let mut systems = Systems::new(2);
+    let (first, other) = (systems.connect(0), systems.connect(1));
+    // Somebody has it there.
+    assert_eq!(systems.registers(1, other, PILOT_1), OK);
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    assert_eq!(systems.status(0).counters.names_refused, 1);
+    systems.sends(1, other, UNREGISTER, 0, 0, &PILOT_1.to_le_bytes());
+    systems.now += 5_000;
+    systems.routers.iter_mut().for_each(|router| router.round(5_000));
+    systems.settle();
+    systems.sends(1, other, 21, PILOT_1, PILOT_2, b"");
+    assert!(systems.heads(0, first).iter().any(|head| head.kind == 21));
+}
+
+/// The other router asks for signs of life, and is gone if nothing comes for a round.
+#[test]
+fn links_answer_for_their_life_and_end_in_silence() {
+    let mut systems = Systems::new(2);
+    for now in [5_000, 10_000, 15_000] {
+        systems.now = now;
+        systems.routers.iter_mut().for_each(|router| router.round(now));
+        systems.settle();
+        assert!(systems.routers.iter_mut().all(|router| router.next_ending().is_none()));
+    }
+    let [here, _] = systems.links[0];
+    systems.links.clear();
+    systems.routers[0].round(20_000);
+    assert_eq!(systems.routers[0].next_ending(), None);
+    systems.routers[0].round(25_000);
+    assert_eq!(systems.routers[0].next_ending(), Some((here, Ending::Silent)));
+}

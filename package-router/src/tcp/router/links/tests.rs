@@ -14,15 +14,16 @@ struct Systems {
 
 impl Systems {
     fn new(count: usize) -> Self {
-        let router = |system: u8| {
-            let mut router = Router::new(Limits::default(), 0);
-            router.set_links(system, vec![BTreeSet::new()]);
-            router
-        };
-        let mut systems =
-            Self { routers: (1..=count as u8).map(router).collect(), links: Vec::new(), now: 0 };
+        let mut systems = Self { routers: Vec::new(), links: Vec::new(), now: 0 };
+        (1..=count).for_each(|system| systems.add(system as u8));
         (1..count).for_each(|first| systems.link(first - 1, first));
         systems
+    }
+
+    fn add(&mut self, system: u8) {
+        let mut router = Router::new(Limits::default(), 0);
+        router.set_links(system, vec![BTreeSet::new()]);
+        self.routers.push(router);
     }
 
     fn link(&mut self, from: usize, to: usize) {
@@ -102,6 +103,7 @@ fn mailboxes_of_two_systems_meet_by_one_link() {
     systems.sends(0, first, UNREGISTER, 0, 0, &PILOT_1.to_le_bytes());
     systems.sends(1, second, 22, PILOT_1, PILOT_2, b"");
     assert_eq!(systems.heads(1, second)[0].kind, NOT_AVAILABLE);
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
     systems.sends(0, first, 23, 0x0299_0000, PILOT_1, b"");
     assert_eq!(systems.heads(0, first)[0].kind, NOT_AVAILABLE, "nobody has it there");
     let roles: Vec<_> = systems.status(1).clients.iter().map(|client| client.role.clone()).collect();
@@ -112,9 +114,7 @@ fn mailboxes_of_two_systems_meet_by_one_link() {
 #[test]
 fn a_link_that_opens_later_registers_what_is_there() {
     let mut systems = Systems::new(1);
-    let mut other = Router::new(Limits::default(), 0);
-    other.set_links(2, Vec::new());
-    systems.routers.push(other);
+    systems.add(2);
     let first = systems.connect(0);
     assert_eq!(systems.registers(0, first, PILOT_1), OK);
     systems.link(0, 1);
@@ -161,10 +161,10 @@ fn another_router_has_no_names_but_its_systems() {
 
 #[test]
 fn a_link_to_a_router_of_the_same_system_is_refused() {
-    let mut systems = Systems::new(2);
-    systems.routers[1].set_links(1, Vec::new());
+    let mut systems = Systems::new(1);
+    systems.add(1);
     systems.link(0, 1);
-    let [here, _] = systems.links[1];
+    let [here, _] = systems.links[0];
     assert_eq!(systems.routers[0].next_ending(), Some((here, Ending::SameSystem)));
 }
 

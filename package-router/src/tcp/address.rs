@@ -4,6 +4,8 @@ use core::fmt;
 use core::net::SocketAddr;
 use core::str::FromStr;
 
+use serde::{Deserialize, Deserializer};
+
 use super::config::PORT;
 
 /// A host, by name or number, and a port.
@@ -46,6 +48,12 @@ impl FromStr for Address {
             true => Ok(Self { host: host.to_owned(), port }),
             false => Err(no_address()),
         }
+    }
+}
+
+impl<'de> Deserialize<'de> for Address {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        String::deserialize(from)?.parse().map_err(serde::de::Error::custom)
     }
 }
 

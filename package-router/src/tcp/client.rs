@@ -256,6 +256,7 @@ impl Worker {
             match up.stream.read(room) {
                 Ok(0) => return Err(io::Error::other("the router has closed the connection")),
                 Ok(length) => {
+                    self.dial.works();
                     let mut answers = Vec::new();
                     let read = session.received(&room[..length], now, |head, body| {
                         answers.extend(local.deliver(head, body));

@@ -6,6 +6,7 @@
 //! let file = RouterFile::parse(
 //!     r#"
 //!         name = "router"              # default: this
+//!         system = 1                   # of its clients' mailboxes; default: 0
 //!         insecure = false             # true: other hosts may connect without a key
 //!         metrics = "127.0.0.1:9100"   # figures for Prometheus; default: none
 //!
@@ -15,6 +16,11 @@
 //!         [[listen]]
 //!         address = "0.0.0.0:2001"
 //!         keys = "keys/router"         # by TLS: a directory that `rtnet router keys` has made
+//!
+//!         [[link]]                     # to the router of another system
+//!         router = "10.2.0.1:2001"
+//!         keys = "keys/client"         # by TLS; default: in the clear
+//!         systems = [2]                # default: all that are not this one
 //!
 //!         [limits]                     # default: these
 //!         connections = 10000
@@ -39,11 +45,13 @@
 //! ```
 
 use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use serde::Deserialize;
 use toml::Spanned;
 
+use super::address::Address;
 use super::router::Limits;
 use super::rules::{RegisterRule, Rules, SendRule};
 use crate::name::{FileError, Source};
@@ -63,6 +71,10 @@ pub struct RouterFile {
     pub insecure: bool,
     /// The address of its figures for Prometheus, if there is one.
     pub metrics: Option<SocketAddr>,
+    /// The system of its clients' mailboxes.
+    pub system: u8,
+    /// Its links to routers of other systems.
+    pub links: Vec<Link>,
     /// Its limits.
     pub limits: Limits,
     /// Its rules for registration and sending.
@@ -78,6 +90,8 @@ impl Default for RouterFile {
             listen: vec![Listen { address: here, keys: None }],
             insecure: false,
             metrics: None,
+            system: 0,
+            links: Vec::new(),
             limits: Limits::default(),
             rules: Rules::default(),
         }
@@ -91,6 +105,10 @@ struct File {
     #[serde(default)]
     insecure: bool,
     metrics: Option<SocketAddr>,
+    #[serde(default)]
+    system: u8,
+    #[serde(default)]
+    link: Vec<Link>,
     #[serde(default)]
     listen: Vec<Listen>,
     #[serde(default)]
@@ -111,6 +129,19 @@ pub struct Listen {
     pub keys: Option<PathBuf>,
 }
 
+/// A link to the router of another system.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Link {
+    /// That router.
+    pub router: Address,
+    /// The directory of a client's keys, if it is reached by TLS.
+    pub keys: Option<PathBuf>,
+    /// The systems whose mailboxes are reached by it; none: all others.
+    #[serde(default)]
+    pub systems: BTreeSet<u8>,
+}
+
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LimitsFile {
@@ -125,8 +156,13 @@ impl RouterFile {
     /// Reads what `text` says, of a file that messages call `file`.
     pub fn parse(text: &str, file: &str) -> Result<Self, FileError> {
         let source = Source { file, text };
-        let File { name, insecure, metrics, listen, limits, register, send } =
+        let File { name, insecure, metrics, system, link, listen, limits, register, send } =
             source.read(source.tables()?)?;
+        if let Some(own) = link.iter().find(|link| link.systems.contains(&system)) {
+            let what =
+                format!("the link to {} leads to system {system}, which is this router's own", own.router);
+            return Err(source.wrong(0, what));
+        }
         let default = Self::default();
         let at_least = |given: Option<Spanned<usize>>, default: usize, least: usize| match given {
             Some(given) if *given.get_ref() < least => {
@@ -146,7 +182,8 @@ impl RouterFile {
             true => default.listen,
             false => listen,
         };
-        Ok(Self { name, listen, insecure, metrics, limits, rules: Rules { register, send } })
+        let rules = Rules { register, send };
+        Ok(Self { name, listen, insecure, metrics, system, links: link, limits, rules })
     }
 
     /// The first address that other hosts reach without a key, unless they may.
@@ -183,6 +220,14 @@ mod tests {
         assert_eq!(refused(text), "r.toml:3:9: 1000 is too few: make it 262144 or more");
         assert!(refused("[[listen]]\naddress = \"here\"").starts_with("r.toml:2:11: "));
         assert!(refused("[limits]\nnames = 0").contains("make it 1 or more"));
+        assert!(
+            refused("[[link]]\nrouter = \"a b\"").starts_with("r.toml:2:10: 'a b' is no address of a router")
+        );
+        let own = refused("system = 2\n[[link]]\nrouter = \"there\"\nsystems = [1, 2]");
+        assert!(
+            own.contains("the link to there:2000 leads to system 2, which is this router's own"),
+            "{own}"
+        );
         let network = refused("[[register]]\nnames = []\npeer = \"10.0.0.0/64\"");
         assert!(network.starts_with("r.toml:3:8: '10.0.0.0/64' is no network"), "{network}");
         assert!(refused("[[send]]\nfrom = [\"0.Nobody.1\"]\nto = []").starts_with("r.toml:2:"));

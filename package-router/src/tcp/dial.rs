@@ -16,6 +16,8 @@ use super::stream::Stream;
 const OPEN_WITHIN: u64 = 2_000;
 /// Milliseconds from a lost connection to the first attempt to open another, and the most between two attempts.
 const BACK_OFF: core::ops::RangeInclusive<u64> = 50..=1_000;
+/// Milliseconds until a router that has refused this one is tried again: its configuration may be another by then.
+const REFUSED: u64 = 5_000;
 /// Unsent bytes in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
 const UNSENT: u32 = 16 << 10;
 
@@ -59,10 +61,7 @@ impl Dial {
                 None
             }),
             State::Opening(mut stream, until) => match self.is_open(&mut stream) {
-                Ok(Some(proof)) => {
-                    self.back_off = *BACK_OFF.start();
-                    return Ok(Some(Opened { stream, proof }));
-                }
+                Ok(Some(proof)) => return Ok(Some(Opened { stream, proof })),
                 Ok(None) if until <= now => Err(io::ErrorKind::TimedOut.into()),
                 Ok(None) => {
                     self.state = State::Opening(stream, until);
@@ -79,6 +78,16 @@ impl Dial {
             self.lost(now);
         }
         gone_on
+    }
+
+    /// Something has come by the connection that was opened: the next one follows soon if it is lost.
+    pub fn works(&mut self) {
+        self.back_off = *BACK_OFF.start();
+    }
+
+    /// The router there refuses this one.
+    pub fn refused(&mut self, now: u64) {
+        self.state = State::Down(now + REFUSED);
     }
 
     /// The connection that was opened is lost.

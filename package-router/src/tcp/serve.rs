@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeSet;
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -16,9 +17,10 @@ use mio::{Events, Interest, Poll, Token, Waker};
 use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
 
+use super::address::Address;
 use super::control::Proof;
-use super::dial::prepare;
-use super::keys::RouterKeys;
+use super::dial::{Dial, Opened, prepare};
+use super::keys::{ClientKeys, RouterKeys};
 use super::router::{Connection, Ending, Limits, Router, Status};
 use super::rules::Rules;
 use super::stream::Stream;
@@ -30,8 +32,9 @@ const READ: usize = 64 << 10;
 /// Milliseconds from an accept that failed for want of descriptors or memory to the next.
 const REST: u64 = 100;
 const WAKER: Token = Token(usize::MAX);
-/// Tokens of listeners count down from here, those of connections up from 0.
+/// Tokens of connections count up from 0, those of listeners and of links that are being opened from here.
 const LISTENERS: usize = usize::MAX / 2;
+const LINKS: usize = usize::MAX / 4;
 
 /// A router on sockets. [`Server::run`] is its thread.
 pub struct Server {
@@ -40,6 +43,8 @@ pub struct Server {
     /// When it began: its times are milliseconds since then.
     begun: True,
     listeners: Vec<(TcpListener, Option<RouterKeys>)>,
+    /// Connections to the routers of other systems.
+    links: Vec<Dial>,
     sockets: Vec<Option<Socket>>,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
@@ -55,6 +60,17 @@ pub struct Remote {
     stop: Arc<AtomicBool>,
     waker: Arc<Waker>,
     orders: Sender<Order>,
+}
+
+/// A link to the router of another system.
+#[derive(Clone, Debug)]
+pub struct LinkTo {
+    /// That router.
+    pub router: Address,
+    /// Keys, if it is reached by TLS.
+    pub keys: Option<ClientKeys>,
+    /// The systems whose mailboxes are reached by it; none: all others.
+    pub systems: BTreeSet<u8>,
 }
 
 /// A request of another thread.
@@ -89,12 +105,20 @@ impl Server {
             router: Router::new(limits, 0),
             begun: monotonic(),
             listeners,
+            links: Vec::new(),
             sockets: Vec::new(),
             readable: Vec::new(),
             accepts_again: None,
             orders: taken,
             remote: Remote { stop: Arc::default(), waker, orders },
         })
+    }
+
+    /// The same with links from this system to the routers of others.
+    pub fn with_links(mut self, system: u8, links: Vec<LinkTo>) -> Self {
+        self.router.set_links(system, links.iter().map(|link| link.systems.clone()).collect());
+        self.links = links.into_iter().map(|link| Dial::new(link.router, link.keys)).collect();
+        self
     }
 
     /// Where it listens: the ports that it was given for 0.
@@ -127,6 +151,7 @@ impl Server {
                 self.router.round(self.now());
             }
             self.accept_again();
+            self.link();
             self.write();
             self.close();
             self.obey();
@@ -143,7 +168,8 @@ impl Server {
         if !self.readable.is_empty() {
             return Some(Duration::ZERO);
         }
-        let next = self.accepts_again.unwrap_or(u64::MAX).min(self.router.next_round());
+        let links = self.links.iter().filter_map(Dial::due);
+        let next = links.chain(self.accepts_again).fold(self.router.next_round(), u64::min);
         Some(Duration::from_millis(next.saturating_sub(self.now())))
     }
 
@@ -151,6 +177,8 @@ impl Server {
         match event.token() {
             WAKER => {}
             Token(place) if place >= LISTENERS => self.accept(place - LISTENERS),
+            // It is looked at after all events.
+            Token(place) if place >= LINKS => {}
             Token(place) => {
                 let Some(socket) = self.sockets.get_mut(place).and_then(Option::as_mut) else { return };
                 socket.is_ended |= event.is_read_closed() || event.is_error();
@@ -208,10 +236,40 @@ impl Server {
             Ok(session) => Stream::new(stream, session.map(Into::into)),
             Err(error) => return self.router.disconnect(connection, Ending::Tls(error.to_string()), now),
         };
+        self.keep(connection, Socket { stream, keys, is_readable: false, is_ended: false });
+    }
+
+    fn keep(&mut self, connection: Connection, socket: Socket) {
+        let place = connection.0 as usize;
         if self.sockets.len() <= place {
             self.sockets.resize_with(place + 1, || None);
         }
-        self.sockets[place] = Some(Socket { stream, keys, is_readable: false, is_ended: false });
+        self.sockets[place] = Some(socket);
+    }
+
+    /// Opens links that are not open, as far as that goes.
+    fn link(&mut self) {
+        let now = self.now();
+        for place in 0..self.links.len() {
+            // A failed attempt is followed by another.
+            let opened = self.links[place].go_on(self.poll.registry(), Token(LINKS + place), now);
+            if let Ok(Some(Opened { stream, proof })) = opened {
+                self.linked(place, stream, proof.as_ref(), now);
+            }
+        }
+    }
+
+    fn linked(&mut self, place: usize, mut stream: Stream, proof: Option<&Proof>, now: u64) {
+        let connection =
+            stream.tcp.peer_addr().ok().and_then(|peer| self.router.link(place, peer, proof, now).ok());
+        let Some(connection) = connection else { return self.links[place].lost(now) };
+        let (token, both) = (Token(connection.0 as usize), Interest::READABLE | Interest::WRITABLE);
+        if let Err(error) = self.poll.registry().reregister(&mut stream.tcp, token, both) {
+            self.links[place].lost(now);
+            return self.router.disconnect(connection, broken(&error), now);
+        }
+        self.keep(connection, Socket { stream, keys: None, is_readable: true, is_ended: false });
+        self.readable.push(connection);
     }
 
     /// Reads once from each connection that has something.
@@ -232,6 +290,9 @@ impl Server {
             let ending = match read {
                 Ok(0) => Some(Ending::Left),
                 Ok(length) => {
+                    if let Some(place) = self.router.place_of_link(connection) {
+                        self.links[place].works();
+                    }
                     self.router.received(connection, &room[..length], now);
                     // A read that was not filled has found the end of what there is, but for TLS.
                     if length == room.len() || socket.is_ended || socket.stream.is_in_parts() {
@@ -293,6 +354,13 @@ impl Server {
         // Closed before its number is another's.
         if let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::take) {
             drop(socket);
+            let now = self.now();
+            if let Some(place) = self.router.place_of_link(connection) {
+                match why {
+                    Ending::SameSystem => self.links[place].refused(now),
+                    _ => self.links[place].lost(now),
+                }
+            }
             self.readable.retain(|readable| *readable != connection);
             self.router.disconnect(connection, why, self.now());
         }

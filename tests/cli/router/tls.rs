@@ -18,17 +18,17 @@ use crate::rtnet;
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Keys, as the verb makes them.
-struct Keys(tempfile::TempDir);
+pub struct Keys(tempfile::TempDir);
 
 impl Keys {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let keys = Self(tempfile::tempdir().unwrap());
         let output = rtnet().args(["router", "keys"]).arg(keys.0.path().join("keys")).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         keys
     }
 
-    fn of(&self, whose: &str) -> PathBuf {
+    pub fn of(&self, whose: &str) -> PathBuf {
         self.0.path().join("keys").join(whose)
     }
 

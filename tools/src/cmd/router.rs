@@ -12,9 +12,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
-use package_router::tcp::config::{Listen, RouterFile};
-use package_router::tcp::keys::RouterKeys;
-use package_router::tcp::serve::{Remote, Server};
+use package_router::tcp::config::{Link, Listen, RouterFile};
+use package_router::tcp::keys::{ClientKeys, RouterKeys};
+use package_router::tcp::serve::{LinkTo, Remote, Server};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use self::figures::{TRAFFIC, figures};
@@ -114,7 +114,8 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
 fn read(path: &Path) -> Result<RouterFile> {
     let mut file = RouterFile::parse(&read_text(path)?, &path.display().to_string())?;
     let beside = path.parent().unwrap_or(Path::new(""));
-    for keys in file.listen.iter_mut().filter_map(|listen| listen.keys.as_mut()) {
+    let of_listeners = file.listen.iter_mut().filter_map(|listen| listen.keys.as_mut());
+    for keys in of_listeners.chain(file.links.iter_mut().filter_map(|link| link.keys.as_mut())) {
         *keys = beside.join(&*keys);
     }
     Ok(file)
@@ -154,11 +155,18 @@ fn set_up(
     let server = Server::listen(&listen, file.limits).map_err(explained);
     let server = server
         .with_context(|| format!("cannot listen at {} (choose another --listen)", places.join(", ")))?;
+    let links = file.links.iter().map(link).collect::<Result<Vec<_>>>()?;
+    let server = server.with_links(file.system, links);
     server.remote().set_rules(file.rules.clone()).context("its rules")?;
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, stop.clone())?;
     }
     Ok((server, control, held))
+}
+
+fn link(of: &Link) -> Result<LinkTo> {
+    let keys = of.keys.as_deref().map(ClientKeys::read).transpose()?;
+    Ok(LinkTo { router: of.router.clone(), keys, systems: of.systems.clone() })
 }
 
 /// No program that is run from here, by whatever error, gets more than this one has. A line if the kernel does not know that.

@@ -1,0 +1,128 @@
+//! Two systems with a router each, and a link between them.
+
+use std::fs;
+use std::time::Duration;
+
+use package_router::component::{Component, Mailbox};
+use package_router::mailbox::Shape;
+use package_router::name::{Class, MailboxName};
+use package_router::tcp::client::TcpOptions;
+use package_router::wire::{NOT_AVAILABLE, OK};
+
+use super::tls::Keys;
+use super::{Router, refusal};
+use crate::cell::wait_until;
+use crate::rtnet;
+
+const PATIENCE: Duration = Duration::from_secs(30);
+
+fn component(router: &Router, system: u8) -> (Component, Mailbox) {
+    let options = TcpOptions::new(router.at.to_string().parse().unwrap());
+    let component = Component::of_router(&options).unwrap();
+    let name = MailboxName::new(system, Class(0x80), 0, 0);
+    let mailbox = component.mailbox(name, Shape::new(8, 64)).unwrap();
+    wait_until("it is registered", || component.tcp().unwrap().status().names == 1);
+    (component, mailbox)
+}
+
+/// Asks until the other answers: until the link is open nobody is there.
+fn asks(from: &mut Mailbox, to: &mut Mailbox) {
+    let (mut there, mut back) = (from.sender(to.name()).unwrap(), to.sender(from.name()).unwrap());
+    loop {
+        there.send(21, b"who").unwrap();
+        let answered = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let command = to.receive(Some(Duration::from_millis(100))).map(|package| *package.head());
+                command.map(|command| back.send_with(&command.answer(OK), &[]))
+            });
+            from.receive(Some(PATIENCE)).map(|package| package.head().kind).unwrap()
+        });
+        match answered {
+            OK => return,
+            kind => assert_eq!(kind, NOT_AVAILABLE),
+        }
+    }
+}
+
+#[test]
+fn mailboxes_of_two_systems_meet_by_a_link() {
+    let keys = Keys::new();
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("router.toml");
+    fs::write(&file, "system = 2\n").unwrap();
+    let of_router = keys.of("router");
+    let text = |address: &str| {
+        let keys = keys.of("client");
+        format!("system = 1\n[[link]]\nrouter = \"{address}\"\nkeys = {keys:?}\nsystems = [2]\n")
+    };
+    let start = |listen: &str| {
+        let keys = of_router.to_str().unwrap();
+        Router::start("second", &[file.to_str().unwrap(), "--listen", listen, "--keys", keys])
+    };
+    let second = start("127.0.0.1:0");
+    fs::write(&file, text(&second.at.to_string())).unwrap();
+    let first = Router::start("first", &[file.to_str().unwrap(), "--listen", "127.0.0.1:0"]);
+
+    let (_arm, mut arm) = component(&first, 1);
+    // Clients of the second system have keys of their own there.
+    let options = TcpOptions {
+        keys: Some(package_router::tcp::keys::ClientKeys::read(&keys.of("client")).unwrap()),
+        ..TcpOptions::new(second.at.to_string().parse().unwrap())
+    };
+    let leg = Component::of_router(&options).unwrap();
+    let mut leg_mailbox = leg.mailbox(MailboxName::new(2, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap();
+    wait_until("it is registered", || leg.tcp().unwrap().status().names == 1);
+    asks(&mut arm, &mut leg_mailbox);
+    asks(&mut leg_mailbox, &mut arm);
+    let roles = |router: &Router| {
+        let status = router.status();
+        let role = |client: &serde_json::Value| client["role"].as_str().unwrap().to_owned();
+        let mut roles: Vec<_> = status["clients"].as_array().unwrap().iter().map(role).collect();
+        roles.sort_unstable();
+        roles
+    };
+    assert_eq!(
+        (roles(&first), roles(&second)),
+        (
+            vec!["client".to_owned(), "link".to_owned()],
+            vec!["client".to_owned(), "router of system 1".to_owned()],
+        )
+    );
+    // The other router is killed, and comes back.
+    let at = second.at.to_string();
+    drop(second);
+    fs::write(&file, "system = 2\n").unwrap();
+    let _second = start(&at);
+    wait_until("it is registered again", || leg.tcp().unwrap().status().names == 1);
+    asks(&mut arm, &mut leg_mailbox);
+    asks(&mut leg_mailbox, &mut arm);
+}
+
+#[test]
+fn a_link_that_cannot_be_is_refused_at_the_start() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("router.toml");
+    for (text, words) in [
+        ("[[link]]\nrouter = \"10.0.0.9\"\nsystems = [0]", "leads to system 0, which is this router's own"),
+        ("[[link]]\nrouter = \"10.0.0.9\"\nkeys = \"none\"", "none/ca.pem: "),
+        ("system = 256", "router.toml:1:10: "),
+    ] {
+        fs::write(&file, text).unwrap();
+        let output = rtnet().arg("router").arg(&file).args(["--listen", "127.0.0.1:0"]).output().unwrap();
+        assert!(refusal(&output).contains(words), "{}", refusal(&output));
+    }
+}
+
+/// The link is there, closed again with the reason, and tried later.
+#[test]
+fn a_link_to_ones_own_system_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("router.toml");
+    let same = Router::start("same", &[]);
+    fs::write(&file, format!("[[link]]\nrouter = \"{}\"\n", same.at)).unwrap();
+    let router = Router::start("linked", &[file.to_str().unwrap(), "--listen", "127.0.0.1:0"]);
+    wait_until("it is refused", || {
+        let why = router.status()["closed"][0]["why"].clone();
+        why.as_str().is_some_and(|why| why.contains("the router there takes no link of this system"))
+    });
+}

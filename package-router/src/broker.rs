@@ -52,6 +52,8 @@ pub struct Broker {
     components: u64,
     priorities: Priorities,
     beyond: Option<Box<dyn Beyond>>,
+    /// Whether a TCP client of this process may have the mailbox of name 0.
+    has_tcp: bool,
 }
 
 /// What is beyond a station's own mailboxes.
@@ -102,6 +104,7 @@ impl Broker {
             components: 0,
             priorities: Priorities::default(),
             beyond: None,
+            has_tcp: false,
         })
     }
 
@@ -114,6 +117,12 @@ impl Broker {
     /// The same with a way to and from elsewhere.
     pub fn with_beyond(mut self, beyond: Box<dyn Beyond>) -> Self {
         self.beyond = Some(beyond);
+        self
+    }
+
+    /// The same with a way to a TCP router, by a client in this process.
+    pub fn with_tcp(mut self) -> Self {
+        self.has_tcp = true;
         self
     }
 
@@ -249,7 +258,7 @@ impl Broker {
     ) -> (Answer, Vec<OwnedFd>) {
         // A process that has come again may have its own names again.
         let is_former = |id| self.lingering.iter().any(|gone| gone.id == id && gone.pid == by.pid);
-        let is_tcp = name == MailboxName::NOBODY && by.pid == std::process::id();
+        let is_tcp = self.has_tcp && name == MailboxName::NOBODY && by.pid == std::process::id();
         let created = match is_tcp {
             true => self.registry.create_tcp(by.id, shape),
             false => self.registry.create_beside(by.id, is_former, name, shape),
@@ -291,7 +300,7 @@ impl Broker {
         self.registry.check_own(by, from).map_err(Answer::Refused)?;
         let (to, is_tcp) = match self.way(to) {
             Answer::Mailbox { .. } => (to, false),
-            Answer::Route(_, station) => {
+            Answer::Route(_, station) if from != MailboxName::NOBODY => {
                 let channel = self.priorities.channel(from.class());
                 return Ok((Answer::Away { station, priority, channel }, Vec::new()));
             }

@@ -99,7 +99,11 @@ impl Component {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
-    /// It does not wait for the router. Its threads end with it and its last mailbox.
+    /// It does not wait for the router. Its threads end with it and its last mailbox; packages that were sent before are written, for up to a
+    /// second, if there is a connection.
+    ///
+    /// # Errors
+    /// No memory, no room for a file in the directory for temporary ones, or no thread.
     pub fn of_router(options: &TcpOptions) -> Result<Self, Error> {
         let (node, path) = Node::of_process(options)?;
         Self::attach_to(&path, Some(node))

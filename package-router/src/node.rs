@@ -30,6 +30,7 @@ pub struct Node {
 impl Node {
     /// Starts the threads of a broker that listens there.
     pub fn start(broker: Broker, path: &Path, tcp: Option<&TcpOptions>) -> Result<Self, Error> {
+        let broker = if tcp.is_some() { broker.with_tcp() } else { broker };
         let running = Running::start(broker)?;
         let tcp = tcp.map(|options| TcpClient::start(path, options)).transpose()?;
         Ok(Self { tcp, _broker: running, _directory: None })

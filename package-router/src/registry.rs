@@ -103,8 +103,17 @@ pub enum Refused {
     #[error("{0} is not this component's: it sends from mailboxes that it has, and deletes those")]
     NotOwn(MailboxName),
     /// All of its lanes are taken.
-    #[error("{0} has all the senders that it takes, {1}: its owner says how many")]
+    #[error("{}", no_lane(*.0, *.1))]
     NoLane(MailboxName, usize),
+}
+
+fn no_lane(to: MailboxName, senders: usize) -> String {
+    match to {
+        MailboxName::NOBODY => format!(
+            "the way to the TCP router has all the senders that it takes, {senders}: unbind some, or let bodies be smaller (--router-body)"
+        ),
+        to => format!("{to} has all the senders that it takes, {senders}: its owner says how many"),
+    }
 }
 
 impl Registry {

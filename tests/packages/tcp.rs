@@ -110,6 +110,37 @@ fn a_mailbox_here_is_not_asked_for_at_the_router() {
     assert_eq!(arm.try_receive().map(|package| package.is_some()), Ok(false));
 }
 
+/// Its sender knows of the router only; it does not follow.
+#[test]
+fn packages_reach_a_mailbox_that_comes_after_its_sender() {
+    let router = Routing::new();
+    let (component, mut arm) = router.component(name(0x80, 0));
+    let mut sender = arm.sender(name(0x81, 0)).unwrap();
+    let mut leg = component.mailbox(name(0x81, 0), Shape::new(4, 8)).unwrap();
+    registered(&component, 2);
+    sender.send(7, b"late").unwrap();
+    let package = leg.receive(Some(PATIENCE)).unwrap();
+    assert_eq!((package.head().from, package.body().to_vec()), (arm.name(), b"late".to_vec()));
+    drop(package);
+    // A command that it does not take is answered.
+    sender.send(7, &[0; 9]).unwrap();
+    assert_eq!(arm.receive(Some(PATIENCE)).unwrap().head().kind, ERROR);
+}
+
+/// Packages that were sent before the end of their component arrive.
+#[test]
+fn a_component_that_ends_has_sent_what_it_sent() {
+    let router = Routing::new();
+    let (_theirs, mut camera) = router.component(name(0x15, 0));
+    for round in 0..20u8 {
+        let (component, arm) = router.component(name(0x80, 0));
+        let mut sender = arm.sender(camera.name()).unwrap();
+        sender.send(-6, &[round; 1_000]).unwrap();
+        drop((sender, arm, component));
+        assert_eq!(camera.receive(Some(PATIENCE)).unwrap().body().to_vec(), [round; 1_000]);
+    }
+}
+
 #[test]
 fn a_command_that_nobody_takes_is_answered_and_counted() {
     let router = Routing::new();
@@ -233,7 +264,7 @@ fn components_of_brokers_meet_by_their_clients() {
     assert_eq!(one.receive(Some(PATIENCE)).map(drop), Err(ReceiveError::Gone));
 }
 
-/// What a router sends in the name of a mailbox that is here is not believed.
+/// A router may send in no name of a mailbox that is here.
 #[test]
 fn a_package_in_ones_own_name_is_refused() {
     use std::io::{Read, Write};

@@ -82,7 +82,8 @@ const char *rtnet_packages_error(void);
 /* Comes to a station, by the path of its broker's socket. -ENOENT, -ECONNREFUSED: there is none. */
 int32_t rtnet_component_attach(const char *path, rtnet_component **component);
 /* Comes to a TCP router instead, HOST or HOST:PORT, on a host without a station: packages for mailboxes that are not this process's go
- * there. It does not wait for the router, and connects again by itself. -EINVAL: that is no address. */
+ * there, in the clear, with bodies of up to 4096 bytes. It does not wait for the router, and connects again by itself; without a connection
+ * commands are answered RTNET_NOT_AVAILABLE. -EINVAL: that is no address. */
 int32_t rtnet_component_of_router(const char *router, rtnet_component **component);
 /* Its mailboxes and senders stay until they are given back. NULL is nothing. */
 void rtnet_component_detach(rtnet_component *component);

@@ -112,6 +112,9 @@ impl Component {
     }
 
     /// The way that packages for a mailbox go.
+    ///
+    /// # Errors
+    /// [`Refused::NoMailbox`](crate::registry::Refused::NoMailbox): no layer takes them.
     pub fn way(&self, to: MailboxName) -> Result<Way, Error> {
         match self.link.ask(Ask::Way(to), &[])?.0 {
             Answer::Mailbox { process, .. } => Ok(Way::Here { process }),

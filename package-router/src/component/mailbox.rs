@@ -9,7 +9,7 @@ use rtnet::live::sealed::Sealed;
 
 use super::{Error, Link, Sender, odd, short};
 use crate::bells::{Bells, Woken};
-use crate::board::LaneShown;
+use crate::board::{LaneShown, MOST_LANES};
 use crate::handshake::{Answer, Ask};
 use crate::mailbox::{self, Inbox, Layout, Segment, Shape, TooSmall, Word};
 use crate::name::MailboxName;
@@ -166,7 +166,8 @@ impl Mailbox {
         Word::get(self.inbox.segment().at(what))
     }
 
-    /// Prepares a wait in the caller's own set of descriptors, in which this is readable once something comes. `false`: something is here.
+    /// Prepares a wait in the caller's own set of descriptors, in which this is readable once something comes. `false`: something is here
+    /// already. [`Self::end_wait`] follows in both cases.
     pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
         self.follow()?;
         Ok(self.inbox.falls_asleep())
@@ -175,13 +176,15 @@ impl Mailbox {
     /// Ends that wait.
     pub fn end_wait(&mut self) -> Result<(), ReceiveError> {
         self.inbox.wakes_up();
-        loop {
+        // What rings after that ends the next wait at once.
+        for _ in 0..MOST_LANES {
             match self.bells.wait(Some(0)) {
                 Woken::Rung => {}
-                Woken::TooLate => return Ok(()),
+                Woken::TooLate => break,
                 Woken::StationGone => return Err(ReceiveError::Gone),
             }
         }
+        Ok(())
     }
 
     /// Follows who comes and goes.

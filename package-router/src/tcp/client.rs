@@ -38,27 +38,30 @@ use session::{Session, SessionCounters, Written};
 const STACK: usize = 256 << 10;
 /// Packages of each sender that may wait for the router.
 const SLOTS: usize = 8;
-/// Bytes of the largest body that goes to the router, unless said otherwise.
+/// Bytes of the largest body that goes to the router, by default.
 pub const BODY: usize = 4_096;
 /// Bytes of one read.
 const READ: usize = 64 << 10;
+/// Milliseconds that it goes on at its end while packages wait to be written; and how often it looks.
+const END_WITHIN: u64 = 1_000;
+const END_EVERY: Duration = Duration::from_millis(10);
 const WAKER: Token = Token(0);
 const MAILBOX: Token = Token(1);
 const STREAM: Token = Token(2);
 
-/// What the TCP client of a broker connects to.
+/// The router of a TCP client, and the way there.
 #[derive(Clone, Debug)]
 pub struct TcpOptions {
     /// The router.
     pub router: Address,
-    /// Bytes of the largest body that goes there.
+    /// Bytes of the largest body that goes there, up to 262128: memory is reserved for it.
     pub largest_body: usize,
     /// Keys, for a router that is reached by TLS.
     pub keys: Option<ClientKeys>,
 }
 
 impl TcpOptions {
-    /// For bodies of the usual size.
+    /// In the clear, for bodies of up to 4096 bytes.
     pub fn new(router: Address) -> Self {
         Self { router, largest_body: BODY, keys: None }
     }
@@ -193,20 +196,19 @@ impl Worker {
     fn run(mut self) {
         let mut events = Events::with_capacity(8);
         let mut room = vec![0; READ];
-        while !self.shared.stop.load(Ordering::Relaxed) {
-            // An error says that the broker has ended, and with it this.
-            let Ok(is_empty) = self.local.prepare_wait() else { return };
+        let mut stop_at = None;
+        // An error says that the broker has ended, and with it this.
+        while let Ok(is_empty) = self.local.prepare_wait() {
+            if self.is_over(is_empty, &mut stop_at) {
+                break;
+            }
+            let patience = self.patience(is_empty).min(stop_at.map_or(Duration::MAX, |_| END_EVERY));
             // Interrupted, or too late: there is nothing new.
-            let _ = self.poll.poll(&mut events, Some(self.patience(is_empty)));
+            let _ = self.poll.poll(&mut events, Some(patience));
             if self.local.end_wait().is_err() {
-                return;
+                break;
             }
-            for event in &events {
-                if let (STREAM, Some(up)) = (event.token(), &mut self.up) {
-                    up.is_readable |= event.is_readable() || event.is_read_closed() || event.is_error();
-                    up.is_writable |= event.is_writable();
-                }
-            }
+            self.note(&events);
             if let Some(names) = self.local.follow() {
                 self.session.set_names(&names);
             }
@@ -218,6 +220,26 @@ impl Worker {
                 self.local.refuse_all();
             }
             self.publish();
+        }
+        self.down(&io::Error::other("the TCP client has ended"));
+        self.publish();
+    }
+
+    /// Whether it is stopped, and packages that were taken before are written, as far as that goes at once.
+    fn is_over(&self, is_empty: bool, stop_at: &mut Option<u64>) -> bool {
+        if !self.shared.stop.load(Ordering::Relaxed) {
+            return false;
+        }
+        let is_done = self.up.is_none() || is_empty && self.session.is_idle();
+        is_done || now() > *stop_at.get_or_insert(now() + END_WITHIN)
+    }
+
+    fn note(&mut self, events: &Events) {
+        for event in events {
+            if let (STREAM, Some(up)) = (event.token(), &mut self.up) {
+                up.is_readable |= event.is_readable() || event.is_read_closed() || event.is_error();
+                up.is_writable |= event.is_writable();
+            }
         }
     }
 
@@ -270,7 +292,7 @@ impl Worker {
             }
         }
         if session.is_silent(now) {
-            return Err(io::Error::other("the router is silent"));
+            return Err(io::Error::other("no byte of the router for 15 s, or it reads none"));
         }
         session.retry(now);
         if up.is_writable {

@@ -37,6 +37,8 @@ pub enum Control {
     Purge,
     /// The client lives.
     Alive,
+    /// A proof, of a client that is trusted already.
+    Proof,
     /// The client is the router of this system.
     Router(u32),
     /// Whether the client is to be asked for signs of life.
@@ -69,6 +71,7 @@ impl Control {
         Some(match head.kind {
             11 | 13 => name().map_or(malformed, |name| Self::Register { name, is_answered }),
             12 | 14 => name().map_or(malformed, |name| Self::Delete { name, is_answered }),
+            PROOF => Self::Proof,
             ROUTER => name().map_or(malformed, |system| Self::Router(system.0)),
             15 => bare(Self::Purge),
             0 => bare(Self::Alive),

@@ -38,13 +38,18 @@ pub enum KeysError {
     #[error("{0}: {1}: `rtnet router keys` makes such a directory")]
     Unreadable(PathBuf, io::Error),
     /// A file holds something else.
-    #[error("{0}: {1}")]
+    #[error("{0}: {1}: `rtnet router keys` makes such a file")]
     Wrong(PathBuf, String),
-    /// There is nothing by which the other side could know this one.
-    #[error("{0} has neither {1} nor a secret: anybody could connect")]
-    Nothing(PathBuf, &'static str),
+    /// A router's keys by which anybody could connect.
+    #[error("{0} has neither ca.pem nor a secret: anybody could connect; copy one of them there")]
+    Open(PathBuf),
+    /// A client's keys with which no router takes it.
+    #[error(
+        "{0} has neither client.pem nor a secret: no router takes it; copy client.pem and client.key, or secret, there"
+    )]
+    Nothing(PathBuf),
     /// They do not belong together.
-    #[error("{0}: {1}")]
+    #[error("{0}: {1}: take all files from one directory that `rtnet router keys` has made")]
     Mismatch(PathBuf, rustls::Error),
 }
 
@@ -71,7 +76,7 @@ impl RouterKeys {
             .with_safe_default_protocol_versions()
             .map_err(|error| KeysError::Mismatch(directory.into(), error))?;
         let builder = match roots {
-            None if secret.is_none() => return Err(KeysError::Nothing(directory.into(), "ca.pem")),
+            None if secret.is_none() => return Err(KeysError::Open(directory.into())),
             None => builder.with_no_client_auth(),
             Some(roots) => {
                 let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider());
@@ -113,7 +118,7 @@ impl ClientKeys {
             .with_webpki_verifier(verifier);
         let has_certificate = directory.join("client.pem").exists();
         let config = match (has_certificate, &secret) {
-            (false, None) => return Err(KeysError::Nothing(directory.into(), "client.pem")),
+            (false, None) => return Err(KeysError::Nothing(directory.into())),
             (false, Some(_)) => builder.with_no_client_auth(),
             (true, _) => {
                 let (chain, key) = identity(directory, "client")?;
@@ -121,7 +126,7 @@ impl ClientKeys {
                 config.map_err(|error| KeysError::Mismatch(directory.join("client.pem"), error))?
             }
         };
-        let secret = secret.filter(|_| !has_certificate);
+        // A router that takes the secret only asks for no certificate.
         Ok(Self { config: Arc::new(config), secret })
     }
 
@@ -138,7 +143,7 @@ impl ClientKeys {
     }
 }
 
-/// Without what is in them.
+/// Secrets are not shown.
 impl fmt::Debug for ClientKeys {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("ClientKeys").finish_non_exhaustive()

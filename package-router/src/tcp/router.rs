@@ -16,13 +16,15 @@ use super::frames::Frames;
 use super::outgoing::{Full, Outgoing};
 use super::rules::Rules;
 use crate::name::MailboxName;
-use crate::wire::{self, Endian, Head, HeadError, MAX_LEN};
+use crate::wire::{self, Endian, HEAD_LEN, Head, HeadError, MAX_LEN};
 use links::Role;
 
 pub use status::{ClientStatus, Closed, Counters, Status};
 
 /// Milliseconds between two signs of life that are asked for.
 pub const LIFESIGN_EVERY: u64 = 5_000;
+/// Connections that are not trusted yet, at the most: strangers leave room for clients.
+const UNTRUSTED: usize = 256;
 /// Closed connections that are remembered.
 const CLOSED: usize = 64;
 
@@ -167,6 +169,12 @@ impl Router {
 
     /// A connection from there is open, whose TLS session has not begun.
     pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
+        let is_untrusted = |client: &&Client| client.trust != Trust::Full;
+        let untrusted = self.clients.iter().flatten().filter(is_untrusted).count();
+        if untrusted >= UNTRUSTED {
+            self.counters.connections_refused += 1;
+            return Err(TooMany(untrusted));
+        }
         self.add(peer, Trust::Handshake, now)
     }
 
@@ -219,10 +227,13 @@ impl Router {
         let cut = frames.cut(bytes, |head, body| self.package(from, &head, body, now));
         self.held += frames.begun();
         let has_memory = frames.begun() == 0 || self.held <= self.limits.memory;
-        if let Some(client) = self.client(from) {
+        let begun = frames.begun();
+        let is_stranger = self.client(from).is_some_and(|client| {
             client.frames = frames;
-        }
+            client.trust != Trust::Full && begun > HEAD_LEN + size_of::<Proof>()
+        });
         match cut {
+            Ok(()) if is_stranger => self.endings.push((from, Ending::Stranger)),
             Err(no_package) => self.endings.push((from, no_package.into())),
             Ok(()) if !has_memory => self.endings.push((from, Ending::NoMemory)),
             Ok(()) => {}
@@ -330,7 +341,7 @@ impl Router {
         let Some(client) = self.client(from) else { return false };
         let Trust::Proof(proof) = client.trust else { return client.trust == Trust::Full };
         let is_control = (head.to, head.from, head.kind) == (MailboxName::NOBODY, MailboxName::NOBODY, PROOF);
-        // Of the same length, it takes as long wherever they differ.
+        // The time says nothing of the place where they differ.
         if is_control && bool::from(proof.ct_eq(body)) {
             (client.trust, client.is_asked) = (Trust::Full, false);
         } else {
@@ -385,7 +396,7 @@ impl Router {
                 None
             }
             Control::Router(system) => Some(self.announced(from, system)),
-            Control::Alive => None,
+            Control::Alive | Control::Proof => None,
             Control::Watchdog(on) => {
                 (client.watchdog, client.is_asked) = (on, false);
                 None

@@ -429,8 +429,10 @@ impl Socket {
 }
 
 fn broken(error: &io::Error) -> Ending {
-    if error.kind() == io::ErrorKind::InvalidData {
-        return Ending::Tls(error.to_string());
+    match error.kind() {
+        io::ErrorKind::InvalidData => return Ending::Tls(error.to_string()),
+        io::ErrorKind::UnexpectedEof => return Ending::Left,
+        _ => {}
     }
     Ending::Broken(error.raw_os_error().unwrap_or(libc::EIO))
 }

@@ -4,6 +4,7 @@ use std::io::{self, IoSlice, Read, Write};
 
 use mio::net::TcpStream;
 use rustls::Connection;
+use socket2::SockRef;
 
 /// Bytes of packages that TLS keeps encrypted: a more urgent package overtakes none of them.
 const ENCRYPTED: usize = 16 << 10;
@@ -36,7 +37,7 @@ impl Stream {
             }
             let Some(tls) = &mut self.tls else { break };
             match tls.read_tls(&mut self.tcp) {
-                Ok(0) => return Err(io::Error::other("the other side has closed the connection")),
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
                 Ok(_) => self.process()?,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -56,7 +57,7 @@ impl Stream {
     pub fn flush_tls(&mut self) -> io::Result<bool> {
         let Some(tls) = &mut self.tls else { return Ok(true) };
         while tls.wants_write() {
-            match tls.write_tls(&mut self.tcp) {
+            match tls.write_tls(&mut Quiet(&self.tcp)) {
                 Ok(_) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -69,8 +70,8 @@ impl Stream {
     fn process(&mut self) -> io::Result<()> {
         let Some(tls) = &mut self.tls else { return Ok(()) };
         if let Err(error) = tls.process_new_packets() {
-            // The peer is told why, if it still reads.
-            let _ = tls.write_tls(&mut self.tcp);
+            // The alert says why, to a peer that still reads.
+            let _ = tls.write_tls(&mut Quiet(&self.tcp));
             return Err(io::Error::new(io::ErrorKind::InvalidData, error));
         }
         Ok(())
@@ -78,20 +79,38 @@ impl Stream {
 }
 
 impl Read for Stream {
-    /// Bytes of packages. 0: the peer has ended its side.
+    /// Bytes of packages. 0: the peer has ended its side. Interrupted: bytes have come that carry none, and more may be there.
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
-        loop {
+        for _ in 0..2 {
             let Some(tls) = &mut self.tls else { return self.tcp.read(room) };
             match tls.reader().read(room) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                // A peer that closes without saying so is gone all the same.
+                // A peer that closes without a last alert is gone all the same.
                 Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(0),
                 read => return read,
             }
-            // Of 0 bytes the reader knows by the next time.
+            // The reader knows of 0 bytes by the next time.
             tls.read_tls(&mut self.tcp)?;
             self.process()?;
         }
+        Err(io::ErrorKind::Interrupted.into())
+    }
+}
+
+/// A socket whose writes end in an error, and in no signal, if the peer has gone: a program in C may not ignore SIGPIPE.
+struct Quiet<'a>(&'a TcpStream);
+
+impl Write for Quiet<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        SockRef::from(self.0).send_with_flags(bytes, libc::MSG_NOSIGNAL)
+    }
+
+    fn write_vectored(&mut self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+        SockRef::from(self.0).send_vectored_with_flags(slices, libc::MSG_NOSIGNAL)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
@@ -105,7 +124,7 @@ impl Write for Stream {
             return Err(io::ErrorKind::WouldBlock.into());
         }
         match &mut self.tls {
-            None => self.tcp.write_vectored(slices),
+            None => Quiet(&self.tcp).write_vectored(slices),
             Some(tls) if tls.is_handshaking() => Err(io::ErrorKind::WouldBlock.into()),
             Some(tls) => {
                 let taken = tls.writer().write_vectored(slices)?;

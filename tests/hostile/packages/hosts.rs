@@ -209,8 +209,17 @@ impl Mistaken {
         Self(command.stdout(Stdio::null()).spawn().unwrap())
     }
 
-    pub fn signal(&self, signal: Signal) {
-        kill(Pid::from_raw(self.0.id() as i32), signal).unwrap();
+    /// Returns once it is stopped.
+    pub fn stop(&self) {
+        tests::host::stop(self.process());
+    }
+
+    pub fn go_on(&self) {
+        kill(self.process(), Signal::SIGCONT).unwrap();
+    }
+
+    fn process(&self) -> Pid {
+        Pid::from_raw(self.0.id() as i32)
     }
 }
 

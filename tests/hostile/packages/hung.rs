@@ -32,16 +32,15 @@ fn one_that_hangs_while_it_has_a_lane_holds_up_nobody() {
         });
         // At some instruction of sending, mostly.
         thread::sleep(Duration::from_micros(round * 37));
-        mistaken.signal(Signal::SIGSTOP);
+        mistaken.stop();
         // What it had sent is there, and no more; others go on.
-        thread::sleep(Duration::from_millis(5));
         read_in_order(&mut sink, &mut last);
         let stopped = last;
         for _ in 0..20 {
             goes_on(&station, &mut sink);
         }
         assert_eq!(read_in_order(&mut sink, &mut last) + last - stopped, 0);
-        mistaken.signal(Signal::SIGCONT);
+        mistaken.go_on();
     }
     assert_eq!(sink.counted(of_owner::NONSENSE) + sink.counted(of_owner::FORGED), 0);
 }
@@ -72,8 +71,7 @@ fn one_that_hangs_while_it_has_a_mailbox_refuses_what_does_not_fit_and_holds_up_
     // It is at work.
     send(&mut sender).unwrap();
     assert_eq!(sink.receive(Some(PATIENCE)).unwrap().head().kind, 3);
-    mistaken.signal(Signal::SIGSTOP);
-    thread::sleep(Duration::from_millis(5));
+    mistaken.stop();
     (0..4).for_each(|_| assert!(send(&mut sender).is_ok()));
     let (begun, full) = (Instant::now(), Err(SendError::Mailbox(mailbox::SendError::Full(4))));
     (0..100_000).for_each(|_| assert_eq!(send(&mut sender), full));
@@ -83,7 +81,7 @@ fn one_that_hangs_while_it_has_a_mailbox_refuses_what_does_not_fit_and_holds_up_
         // It can be bound to, and left.
         drop(heir.sender(MISTAKEN).map_err(|error| error.to_string()));
     }
-    mistaken.signal(Signal::SIGCONT);
+    mistaken.go_on();
     for expected in 2..6u64 {
         let package = sink.receive(Some(PATIENCE)).unwrap();
         assert_eq!(package.body().to_vec(), [expected.to_ne_bytes(); 3].concat());

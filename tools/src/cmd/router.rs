@@ -113,10 +113,10 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
 /// A file; keys that it names are looked for from where it is.
 fn read(path: &Path) -> Result<RouterFile> {
     let mut file = RouterFile::parse(&read_text(path)?, &path.display().to_string())?;
-    let beside = path.parent().unwrap_or(Path::new(""));
+    let directory = path.parent().unwrap_or(Path::new(""));
     let of_listeners = file.listen.iter_mut().filter_map(|listen| listen.keys.as_mut());
     for keys in of_listeners.chain(file.links.iter_mut().filter_map(|link| link.keys.as_mut())) {
-        *keys = beside.join(&*keys);
+        *keys = directory.join(&*keys);
     }
     Ok(file)
 }

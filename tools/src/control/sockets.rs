@@ -287,7 +287,7 @@ pub struct CountersShown {
     pub loopback: BTreeMap<String, u64>,
     /// Of its sockets.
     pub sockets: BTreeMap<String, BTreeMap<String, u64>>,
-    /// Of the TCP client of its packages, if it has one.
+    /// The connection of its packages to a TCP router, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tcp: Option<TcpShown>,
     /// Of packages that came by the LAN, if they may.

@@ -31,6 +31,7 @@ impl TcpShown {
             ("connections", status.connections),
             ("mailboxes", status.names as u64),
             ("mailboxes_waiting", status.names_waiting as u64),
+            ("names_refused", session.names_refused),
             ("sent", session.sent),
             ("bytes_sent", session.bytes_sent),
             ("received", session.received),
@@ -41,19 +42,18 @@ impl TcpShown {
             ("not_connected", local.not_connected),
             ("not_written", session.lost),
             ("answers", session.answers_lost),
-            ("names_refused", session.names_refused),
             ("no_mailbox", local.no_mailbox),
             ("full", local.full),
             ("too_large", local.too_large),
             ("forged", local.forged),
         ];
-        let named = |all: [(&str, u64); 8]| all.map(|(name, n)| (name.to_owned(), n)).into();
+        let named = |all: &[(&str, u64)]| all.iter().map(|(name, n)| ((*name).to_owned(), *n)).collect();
         Self {
             router: watch.router().to_string(),
             connected: status.is_connected,
             last_error: status.last_error,
-            counters: named(counters),
-            lost: named(lost),
+            counters: named(&counters),
+            lost: named(&lost),
         }
     }
 }

@@ -33,17 +33,19 @@ pub(super) struct Local {
     /// Packages for the router wait here.
     mailbox: Mailbox,
     names: BTreeSet<MailboxName>,
-    /// What of the board was seen.
+    /// The count of mailboxes that had come and gone when it was looked.
     seen: Option<u64>,
     /// Lanes into mailboxes that packages have come for.
     senders: BTreeMap<MailboxName, Sender>,
+    /// The body of the package that was taken last.
+    body: Vec<u8>,
     counters: LocalCounters,
 }
 
 impl Local {
     pub fn new(component: Component, mailbox: Mailbox) -> Self {
         let (names, senders, counters) = (BTreeSet::new(), BTreeMap::new(), LocalCounters::default());
-        Self { component, mailbox, names, seen: None, senders, counters }
+        Self { component, mailbox, names, seen: None, senders, body: Vec::new(), counters }
     }
 
     /// `true`: nothing waits, and its descriptor is readable once something does.
@@ -62,7 +64,7 @@ impl Local {
         if self.seen == Some(changes) {
             return None;
         }
-        // A broker that does not answer is asked again.
+        // A broker that does not answer ends the connection to it, which the next wait shows.
         let mut names = self.component.names().ok()?;
         names.remove(&MailboxName::NOBODY);
         self.seen = Some(changes);
@@ -114,21 +116,43 @@ impl Local {
 
     /// Appends the most urgent package for the router; `false`: there is none.
     pub fn next(&mut self, batch: &mut Vec<u8>) -> bool {
-        // A broker that has ended is seen at the next wait.
-        let Ok(Some(package)) = self.mailbox.try_receive() else { return false };
-        batch.extend_from_slice(&package.head().to_bytes());
-        let begin = batch.len();
-        batch.resize(begin + package.body().len(), 0);
-        package.body().copy_to(0, &mut batch[begin..]);
+        let Some(head) = self.take() else { return false };
+        batch.extend_from_slice(&head.to_bytes());
+        batch.extend_from_slice(&self.body);
         true
+    }
+
+    /// Takes the most urgent package for the router, and leaves its body in `body`. A package for a mailbox that has come here since its
+    /// sender was bound goes there.
+    fn take(&mut self) -> Option<Head> {
+        loop {
+            // A broker that has ended is seen at the next wait.
+            let package = self.mailbox.try_receive().ok()??;
+            let head = *package.head();
+            self.body.resize(package.body().len(), 0);
+            package.body().copy_to(0, &mut self.body);
+            drop(package);
+            if !self.names.contains(&head.to) {
+                return Some(head);
+            }
+            let body = core::mem::take(&mut self.body);
+            self.bring_back(&head, &body);
+            self.body = body;
+        }
+    }
+
+    /// Brings a package of a sender here into a mailbox here. A command that it does not take is answered.
+    fn bring_back(&mut self, head: &Head, body: &[u8]) {
+        if let Some(kind) = self.bring(head, body).filter(|_| head.is_command()) {
+            // An answer that its mailbox does not take is lost, and counted there.
+            let _ = self.send(&head.answer(kind), &[]);
+        }
     }
 
     /// Refuses packages for the router: commands are answered.
     pub fn refuse_all(&mut self) {
         for _ in 0..REFUSED_AT_ONCE {
-            let Ok(Some(package)) = self.mailbox.try_receive() else { return };
-            let head = *package.head();
-            drop(package);
+            let Some(head) = self.take() else { return };
             self.counters.not_connected += 1;
             if head.is_command() {
                 // An answer that its mailbox does not take is lost, and counted there.

@@ -27,6 +27,8 @@ pub const SILENCE: u64 = 15_000;
 const BATCH: usize = 32 << 10;
 /// Bytes of answers that may wait: a peer that asks and does not read gets no more.
 const ANSWERS: usize = 64 << 10;
+/// Bytes of requests that may wait: a router that sends and does not read counts as gone.
+const REQUESTS: usize = 1 << 20;
 /// Batches of one call of [`Session::write`]: then it is the turn of what has come.
 const BATCHES: usize = 16;
 
@@ -54,7 +56,7 @@ pub struct Session {
 /// Counters over all connections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounters {
-    /// Packages that were written to the router.
+    /// Packages that the kernel or TLS has taken. Of these up to 16 KiB may be lost with a connection, and those that the router had.
     pub sent: u64,
     /// Bytes that were written, requests and answers included.
     pub bytes_sent: u64,
@@ -122,6 +124,7 @@ impl Session {
         let gone: Vec<_> = self.names.keys().filter(|name| !here.contains(name)).copied().collect();
         for name in gone {
             self.names.remove(&name);
+            self.asked.retain(|(_, asked)| *asked != name);
             if self.is_connected {
                 self.control(UNREGISTER, 0, &name.0.to_le_bytes());
             }
@@ -179,9 +182,14 @@ impl Session {
         retries.fold(self.last_heard + SILENCE, u64::min)
     }
 
-    /// Whether nothing has come for so long that the router counts as gone.
+    /// Whether nothing has come for so long that the router counts as gone, or it reads nothing.
     pub fn is_silent(&self, now: u64) -> bool {
-        now >= self.last_heard + SILENCE
+        now >= self.last_heard + SILENCE || self.own.len() > REQUESTS
+    }
+
+    /// Whether all that it has taken is written.
+    pub fn is_idle(&self) -> bool {
+        self.own.is_empty() && self.written == self.batch.len()
     }
 
     /// Writes requests, answers, and packages, which `next` appends one at a time as long as there are any.

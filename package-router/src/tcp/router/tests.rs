@@ -3,6 +3,7 @@ use crate::tcp::rules::{RegisterRule, SendRule};
 use crate::wire::HEAD_LEN;
 
 mod model;
+mod trust;
 
 const PEER: SocketAddr = SocketAddr::new(core::net::IpAddr::V4(core::net::Ipv4Addr::LOCALHOST), 9);
 
@@ -151,7 +152,7 @@ fn no_name_is_everybodys() {
 #[test]
 fn unknown_and_malformed_controls_are_counted() {
     let mut net = Net::of(1);
-    for kind in [10, 9, 16, 17, 20, 127, -1, -128] {
+    for kind in [10, 9, 16, 17, 22, 127, -1, -128] {
         net.send(0, &control(kind, b"any"));
     }
     assert_eq!(net.counters(0).controls_ignored, 8);

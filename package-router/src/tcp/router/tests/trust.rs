@@ -1,0 +1,91 @@
+//! Connections by TLS: nothing is done for one before it is trusted.
+
+use super::*;
+
+const PROVES: Proof = [7; 32];
+const REGISTERS: u32 = 0x0018_0000;
+
+fn proof(bytes: &[u8]) -> Vec<u8> {
+    let head = Head::new(PROOF, MailboxName::NOBODY, MailboxName::NOBODY).with_body(bytes.len()).unwrap();
+    [&head.to_bytes()[..], bytes].concat()
+}
+
+fn registration() -> Vec<u8> {
+    let head = Head::new(13, MailboxName::NOBODY, MailboxName::NOBODY).with_body(4).unwrap();
+    [&head.to_bytes()[..], &REGISTERS.to_le_bytes()].concat()
+}
+
+/// A connection that has to prove that it knows the secret.
+fn untrusted() -> Net {
+    let mut net = Net::of(0);
+    let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+    net.router.secured(connection, Some(PROVES));
+    net.read.push(Vec::new());
+    net
+}
+
+#[test]
+fn the_proof_is_the_first_package_or_the_connection_ends() {
+    for other in [registration(), proof(&[8; 32]), proof(&[7; 31]), proof(&[7; 33]), proof(&[])] {
+        let mut net = untrusted();
+        net.send(0, &[other, proof(&PROVES), registration()].concat());
+        assert_eq!(net.endings(), [(0, Ending::Stranger)]);
+        assert!(net.reads(0).is_empty() && net.router.status(0).clients[0].names.is_empty());
+    }
+}
+
+#[test]
+fn a_proof_may_come_byte_by_byte_and_again() {
+    let mut net = untrusted();
+    proof(&PROVES).chunks(1).for_each(|byte| net.send(0, byte));
+    net.send(0, &[proof(&PROVES), registration()].concat());
+    assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::OK);
+    let counters = net.router.status(0).counters;
+    assert_eq!((net.endings(), counters.controls_ignored), (Vec::new(), 0));
+}
+
+#[test]
+fn a_certificate_needs_no_proof() {
+    let mut net = Net::of(0);
+    let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+    net.read.push(Vec::new());
+    net.router.secured(connection, None);
+    net.send(0, &registration());
+    assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::OK);
+}
+
+/// Neither in its handshake nor before its proof it is asked for a sign of life.
+#[test]
+fn a_connection_that_is_not_trusted_ends_within_two_rounds() {
+    for has_begun in [false, true] {
+        let mut net = Net::of(0);
+        let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+        net.read.push(Vec::new());
+        if has_begun {
+            net.router.secured(connection, Some(PROVES));
+        }
+        net.router.round(LIFESIGN_EVERY);
+        net.send(0, &proof(&PROVES)[..5]);
+        assert!(net.reads(0).is_empty() && net.endings().is_empty());
+        net.router.round(2 * LIFESIGN_EVERY);
+        assert_eq!(net.endings(), [(0, Ending::Silent)]);
+    }
+    let mut net = untrusted();
+    net.router.round(LIFESIGN_EVERY);
+    net.send(0, &proof(&PROVES));
+    net.router.round(2 * LIFESIGN_EVERY);
+    assert!(net.endings().is_empty(), "it proved itself in time");
+    assert!(!net.reads(0).is_empty(), "and is asked as all are");
+}
+
+#[test]
+fn strangers_take_neither_memory_nor_the_place_of_clients() {
+    let mut net = untrusted();
+    let mut long = proof(&[0; 1_000]);
+    long.pop();
+    net.send(0, &long);
+    assert_eq!(net.endings(), [(0, Ending::Stranger)]);
+    let refused = (1..UNTRUSTED + 10).filter(|_| net.router.connect_by_tls(PEER, 0).is_err()).count();
+    assert_eq!((refused, net.router.status(0).counters.connections_refused), (10, 10));
+    assert!(net.router.connect(PEER, 0).is_ok(), "others come in");
+}

@@ -1,5 +1,6 @@
 //! The router's loop over sockets: one thread.
 
+mod socket;
 #[cfg(test)]
 mod tests;
 
@@ -24,6 +25,7 @@ use super::keys::{ClientKeys, RouterKeys};
 use super::router::{Connection, Ending, Limits, Router, Status};
 use super::rules::Rules;
 use super::stream::Stream;
+use socket::{Begun, Socket};
 
 /// Events of one wait.
 const EVENTS: usize = 1_024;
@@ -77,15 +79,6 @@ pub struct LinkTo {
 enum Order {
     Status(Sender<Status>),
     Rules(Rules),
-}
-
-struct Socket {
-    stream: Stream,
-    /// The keys of the router, as long as its TLS session has not begun.
-    keys: Option<RouterKeys>,
-    is_readable: bool,
-    /// The peer has ended its side: reads go on until they say so.
-    is_ended: bool,
 }
 
 impl Server {
@@ -403,28 +396,6 @@ impl Remote {
     fn order(&self, order: Order) -> Option<()> {
         self.orders.send(order).ok()?;
         self.waker.wake().ok()
-    }
-}
-
-/// Whether a TLS session has begun.
-enum Begun {
-    NotYet,
-    /// Just now; with the proof that its client has to give, if any.
-    Now(Option<Proof>),
-    Before,
-}
-
-impl Socket {
-    /// Begins its TLS session, if it has one, as far as that goes without waiting.
-    fn begin(&mut self) -> io::Result<Begun> {
-        let Some(keys) = &self.keys else { return Ok(Begun::Before) };
-        if !self.stream.begin()? {
-            return Ok(Begun::NotYet);
-        }
-        let proof = self.stream.tls().map(|session| keys.proof(session)).transpose();
-        let proof = proof.map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
-        self.keys = None;
-        Ok(Begun::Now(proof.flatten()))
     }
 }
 

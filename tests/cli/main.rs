@@ -14,6 +14,7 @@ mod changes;
 mod documents;
 mod examples;
 mod exec;
+mod figures;
 mod forged;
 mod html;
 mod interface;

@@ -2,6 +2,7 @@
 
 mod links;
 mod meet;
+mod python_package;
 mod restarts;
 mod tls;
 
@@ -17,6 +18,7 @@ use nix::unistd::Pid;
 use package_router::name::MailboxName;
 use package_router::wire::{HEAD_LEN, Head, OK};
 use serde_json::Value;
+use tempfile::TempDir;
 
 use crate::cell::{json, text, wait_until};
 use crate::host::{skip, unique};
@@ -272,14 +274,20 @@ fn clients() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../clients/python")
 }
 
-/// Runs a program of Python's in a copy of its client, so that nothing is left in this checkout.
+/// A directory with a copy of the Python client, `python`, so that nothing is left in this checkout.
+fn copy_of_client() -> TempDir {
+    let place = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp").arg("-r").arg(clients()).arg(place.path()).status().unwrap();
+    assert!(copied.success());
+    place
+}
+
+/// Runs a program of Python's in a copy of its client.
 fn python(test: &str, program: &str, arguments: &[&str], package: &str) {
     if Command::new(program).arg("--version").output().is_err() {
         return skip(test, &format!("needs {program}: Debian package {package}"));
     }
-    let place = tempfile::tempdir().unwrap();
-    let copied = Command::new("cp").arg("-r").arg(clients()).arg(place.path()).status().unwrap();
-    assert!(copied.success());
+    let place = copy_of_client();
     let mut command = Command::new(program);
     command
         .args(arguments)

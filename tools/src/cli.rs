@@ -435,6 +435,10 @@ pub struct StationArgs {
     /// The core of the real-time thread [default: any]
     #[arg(long, value_name = "N")]
     pub cpu: Option<usize>,
+    /// Serve the counters of `rtnet stat`, and the state of its clock, for Prometheus by HTTP, at /metrics of this loopback
+    /// address. Other hosts read it by a reverse proxy or an SSH tunnel
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = crate::metrics::parse_loopback)]
+    pub metrics: Option<std::net::SocketAddr>,
     /// The ring that it is in.
     #[command(flatten)]
     pub ring: RingArgs,

@@ -1,13 +1,16 @@
 //! Figures for Prometheus, by HTTP: a thread that answers one request at a time.
 
+mod page;
+
 use std::fmt::{Display, Write as _};
-use std::io::{self, Read, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 
+pub use self::page::Page;
 use crate::remedy::explained;
 
 /// Longest head of a request, and how long a client may take for it.
@@ -18,25 +21,67 @@ const REST: Duration = Duration::from_millis(100);
 /// Stack of the thread.
 const STACK: usize = 256 * 1024;
 
-/// Answers from now on at `at`, as long as the process lives, with what `figures` says; tells where.
+/// An address that is taken, and that nothing answers at yet: a program binds it, and then gives up its capabilities.
+pub struct Bound(TcpListener);
+
+impl Bound {
+    /// Takes the address.
+    ///
+    /// # Errors
+    /// The address is taken, or not this host's.
+    pub fn at(address: SocketAddr) -> Result<Self> {
+        let bound = TcpListener::bind(address);
+        let is_away = bound.as_ref().is_err_and(|error| error.kind() == ErrorKind::AddrNotAvailable);
+        let why = if is_away { "no interface that is up has it (`ip address`): " } else { "" };
+        let remedy = || format!("cannot listen at {address} ({why}choose another --metrics)");
+        bound.map_err(explained).with_context(remedy).map(Self)
+    }
+
+    /// Answers from now on, as long as the process lives, with what `figures` says; tells where.
+    ///
+    /// # Errors
+    /// There is no room for a thread.
+    pub fn serve(self, figures: impl Fn() -> Option<String> + Send + 'static) -> Result<SocketAddr> {
+        let at = self.0.local_addr()?;
+        let thread = Builder::new().name("metrics".into()).stack_size(STACK);
+        let thread = thread.spawn(move || {
+            for client in self.0.incoming() {
+                match client {
+                    // A client that has gone meanwhile needs no answer.
+                    Ok(client) => drop(answer(client, &figures)),
+                    Err(_) => std::thread::sleep(REST),
+                }
+            }
+        });
+        thread.map_err(explained).context("a thread for figures")?;
+        Ok(at)
+    }
+}
+
+/// Takes an address, and answers there.
 ///
 /// # Errors
-/// The address is taken, or not this host's.
+/// See [`Bound`].
 pub fn serve(at: SocketAddr, figures: impl Fn() -> Option<String> + Send + 'static) -> Result<SocketAddr> {
-    let listener = TcpListener::bind(at).map_err(explained);
-    let listener = listener.with_context(|| format!("cannot listen at {at} (choose another --metrics)"))?;
-    let at = listener.local_addr()?;
-    let thread = Builder::new().name("metrics".into()).stack_size(STACK);
-    thread.spawn(move || {
-        for client in listener.incoming() {
-            match client {
-                // A client that has gone meanwhile needs no answer.
-                Ok(client) => drop(answer(client, &figures)),
-                Err(_) => std::thread::sleep(REST),
-            }
-        }
-    })?;
-    Ok(at)
+    Bound::at(at)?.serve(figures)
+}
+
+/// Reads an address that no other host reaches.
+///
+/// # Errors
+/// It is no address with a port, or other hosts reach it.
+pub fn parse_loopback(text: &str) -> Result<SocketAddr, String> {
+    let address: SocketAddr = text
+        .parse()
+        .map_err(|_| format!("'{text}' is no IP address with a port: write one, as 127.0.0.1:9100"))?;
+    if address.ip().is_loopback() {
+        return Ok(address);
+    }
+    let port = address.port();
+    Err(format!(
+        "other hosts reach {address}, and nothing there asks who reads: write 127.0.0.1:{port}, and let other hosts read it by a \
+         reverse proxy or an SSH tunnel (`ssh -L {port}:127.0.0.1:{port} HOST`)"
+    ))
 }
 
 fn answer(mut client: TcpStream, figures: &impl Fn() -> Option<String>) -> io::Result<()> {
@@ -92,17 +137,18 @@ impl Figures {
         let _ = writeln!(self.0, "{name} {value}");
     }
 
-    /// Several that only grow, distinguished by a label.
-    pub fn counters<'a>(
+    /// Several that only grow, distinguished by labels. Their values need no escapes: they are names of this program's.
+    pub fn counters<'a, const N: usize>(
         &mut self,
         name: &str,
         help: &str,
-        label: &str,
-        of: impl Iterator<Item = (&'a str, u64)>,
+        labels: [&str; N],
+        of: impl Iterator<Item = ([&'a str; N], u64)>,
     ) {
         self.head(name, help, "counter");
-        for (value, count) in of {
-            let _ = writeln!(self.0, "{name}{{{label}=\"{value}\"}} {count}");
+        for (values, count) in of {
+            let pairs = labels.iter().zip(values).map(|(label, value)| format!("{label}=\"{value}\""));
+            let _ = writeln!(self.0, "{name}{{{}}} {count}", pairs.collect::<Vec<_>>().join(","));
         }
     }
 
@@ -135,13 +181,35 @@ mod tests {
         figures.counters(
             "rtnet_dropped_total",
             "Packages.",
-            "reason",
-            [("full", 7), ("late", 0)].into_iter(),
+            ["reason"],
+            [(["full"], 7), (["late"], 0)].into_iter(),
         );
         let lines = "# HELP rtnet_connections Open connections.\n# TYPE rtnet_connections gauge\nrtnet_connections 3\n# HELP \
                      rtnet_dropped_total Packages.\n# TYPE rtnet_dropped_total counter\nrtnet_dropped_total{reason=\"full\"} \
                      7\nrtnet_dropped_total{reason=\"late\"} 0\n";
         assert_eq!(figures.into_text(), lines);
+    }
+
+    #[test]
+    fn figures_have_as_many_labels_as_they_need() {
+        let mut figures = Figures::default();
+        figures.counters("x_total", "X.", ["group", "reason"], [(["tcp", "full"], 7)].into_iter());
+        assert!(figures.into_text().ends_with("\nx_total{group=\"tcp\",reason=\"full\"} 7\n"));
+    }
+
+    #[test]
+    fn an_address_that_other_hosts_reach_is_refused() {
+        for good in ["127.0.0.1:9100", "127.9.9.9:0", "[::1]:9100"] {
+            assert_eq!(parse_loopback(good).unwrap().to_string(), good);
+        }
+        for open in ["0.0.0.0:9100", "10.0.0.1:9100", "[::]:9100", "[::ffff:127.0.0.1]:9100"] {
+            let why = parse_loopback(open).unwrap_err();
+            assert!(why.contains(open) && why.contains("write 127.0.0.1:9100"), "{why}");
+        }
+        for wrong in ["", "9100", "127.0.0.1", "localhost:9100", "127.0.0.1:65536"] {
+            let why = parse_loopback(wrong).unwrap_err();
+            assert_eq!(why, format!("'{wrong}' is no IP address with a port: write one, as 127.0.0.1:9100"));
+        }
     }
 
     #[test]

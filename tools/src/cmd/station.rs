@@ -157,6 +157,7 @@ fn options(args: &StationArgs) -> anyhow::Result<Options> {
         stack: stack(args)?,
         vnic: vnic(args)?,
         packages: packages(args)?,
+        metrics: args.metrics,
         lab,
     })
 }

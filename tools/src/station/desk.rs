@@ -1,6 +1,7 @@
 //! The control thread's desk: what the real-time thread left is collected here, and requests are answered.
 
 mod changes;
+mod figures;
 mod schedule;
 
 use std::collections::BTreeMap;
@@ -277,12 +278,12 @@ impl Desk {
     /// What the stack says, and what is known here of what is below it.
     fn of_sockets(&mut self, request: StackRequest) -> Result<StackReply, String> {
         self.look();
-        let port = self.newest.as_ref().map(|newest| of_port(&newest.port)).unwrap_or_default();
         match request {
             StackRequest::Interface => {
                 let (name, interface) = (self.name.clone(), self.wire.name().into());
-                let (link, mtu, counters) = (self.link().name().into(), self.wire.mtu(), port);
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
+                let (link, mtu) = (self.link().name().into(), self.wire.mtu());
+                let counters = of_port(&newest.port);
                 let own = self.sockets.interface(&channels(newest))?;
                 let (discipline, silent) = (newest.status.name().into(), silent(&newest.status));
                 let shown =
@@ -290,13 +291,9 @@ impl Desk {
                 Ok(StackReply::Interface(Box::new(shown)))
             }
             StackRequest::Counters => {
-                let (name, own) = (self.name.clone(), self.counted()?);
+                let own = self.counted()?;
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
-                let (mut station, refused) =
-                    (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
-                station.insert("stale".to_owned(), newest.stale);
-                let shown = CountersShown { name, station, port, refused, ..own };
-                Ok(StackReply::Counters(Box::new(shown)))
+                Ok(StackReply::Counters(Box::new(self.with_those_below(own, newest))))
             }
             StackRequest::Pools => {
                 let newest = self.newest.as_ref().ok_or(NO_NEWS)?;
@@ -328,8 +325,20 @@ impl Desk {
             true => CountersShown::default(),
             false => self.sockets.counters()?,
         };
+        Ok(self.with_those_beside(own))
+    }
+
+    /// The stack's counters, and those of the VNIC and the TCP client, if there are any.
+    fn with_those_beside(&self, own: CountersShown) -> CountersShown {
         let vnic = self.vnic.as_ref().ok().map(Told::counted);
-        Ok(CountersShown { vnic, tcp: self.tcp.as_ref().map(TcpShown::of), ..own })
+        CountersShown { vnic, tcp: self.tcp.as_ref().map(TcpShown::of), ..own }
+    }
+
+    /// The counters above the discipline, and those of the discipline, the port and refused frames.
+    fn with_those_below(&self, above: CountersShown, newest: &Snapshot<AccessStatus>) -> CountersShown {
+        let (mut station, refused) = (counters(&newest.status, &self.wire), by_reason(&newest.refusals));
+        station.insert("stale".to_owned(), newest.stale);
+        CountersShown { name: self.name.clone(), station, port: of_port(&newest.port), refused, ..above }
     }
 
     fn status(&mut self, traffic: Traffic) -> Reply {

@@ -21,6 +21,7 @@ pub mod vnic;
 mod wire;
 
 use std::io::BufRead;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -46,6 +47,7 @@ use rtnet::wire::ethernet::{Address, EtherType};
 
 use crate::control::{Directory, Held, Place, Server};
 use crate::daemon;
+use crate::metrics::{Bound, Page};
 use crate::remedy::explained;
 use access::{Access, AccessConfig};
 use claim::Claim;
@@ -106,6 +108,8 @@ pub struct Options {
     pub vnic: Option<VnicOptions>,
     /// Its packages, if it is to have a broker.
     pub packages: Option<PackagesOptions>,
+    /// Where it serves its figures for Prometheus, if it does.
+    pub metrics: Option<SocketAddr>,
     /// Set by a lab.
     pub lab: Option<LabOptions>,
 }
@@ -157,6 +161,7 @@ pub struct Ready {
     sockets: Option<usize>,
     reach: Reach,
     packages: Option<PackagesOptions>,
+    metrics: Option<Bound>,
     /// Wakes the control thread.
     changed: Arc<EventFd>,
     /// Gone when the station is.
@@ -182,6 +187,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
     let asked = reach_as_asked(&options)?;
     let interface = Interface::find(&options.interface)?;
     let claim = Claim::of(&interface, options.name.as_deref().unwrap_or(&interface.name))?;
+    let metrics = options.metrics.map(Bound::at).transpose()?;
     let flows = options.lab.as_ref().map(|lab| &lab.flows);
     let counts = Arc::new(flows.map(TrafficCounts::of).unwrap_or_default());
     let mut port = port(&options, &interface)?;
@@ -243,6 +249,7 @@ pub fn set_up(options: Options) -> Result<Ready> {
         sockets: options.stack.as_ref().map(|stack| stack.room().sockets),
         reach,
         packages: options.packages,
+        metrics,
         changed,
         _claim: claim,
     })
@@ -286,6 +293,7 @@ impl Ready {
         self.desk.watch_wire(LOOK_EVERY, self.changed)?;
         self.desk.note_host(&refused, self.guarded);
         self.teller.started(self.guarded, refused)?;
+        let page = self.metrics.map(|bound| serve_figures(bound, &self.teller)).transpose()?;
         let mut told = Instant::now();
         loop {
             let ended = thread.is_finished();
@@ -294,6 +302,7 @@ impl Ready {
                 None => std::thread::sleep(LOOK_EVERY),
             }
             self.desk.tidy();
+            page.iter().for_each(|page| page.write(|| self.desk.figures()));
             // However many ask, a lab is told at its own pace, but of another state at once.
             let is_other = self.desk.has_another_state() || self.desk.has_news_of_wire();
             if told.elapsed() < LOOK_EVERY && !ended && !is_other {
@@ -316,6 +325,14 @@ impl Ready {
             }
         }
     }
+}
+
+/// Serves the page that the control thread writes; from a thread without capabilities, as this one has none any more.
+fn serve_figures(bound: Bound, teller: &Teller) -> Result<Arc<Page>> {
+    let page = Arc::new(Page::default());
+    let of_reader = page.clone();
+    teller.tell_of_figures(bound.serve(move || of_reader.read())?);
+    Ok(page)
 }
 
 /// What a station ends with whose real-time thread has. Its device is gone before it is.

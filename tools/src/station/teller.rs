@@ -1,6 +1,7 @@
 //! What a station says of itself: to its lab in JSON lines, to a person in sentences.
 
 use std::io::Write;
+use std::net::SocketAddr;
 
 use anyhow::Result;
 use rtmac::tdma::{Mastery, TdmaStatus};
@@ -62,6 +63,13 @@ impl Teller {
                 }
                 Ok(())
             }
+        }
+    }
+
+    /// Tells a person where the station's figures are. No station of a lab has any.
+    pub fn tell_of_figures(&self, at: SocketAddr) {
+        if let Teller::Person(person) = self {
+            person.say(&format!("figures for Prometheus are at http://{at}/metrics"));
         }
     }
 

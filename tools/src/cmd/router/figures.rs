@@ -35,8 +35,8 @@ pub fn figures(status: &Status, up_seconds: f64) -> String {
         counters.packages_out,
     );
     figures.counter("rtnet_router_bytes_total", "Their bytes.", counters.bytes_out);
-    let others = counters.each().filter(|(name, _)| !TRAFFIC.contains(name));
-    figures.counters("rtnet_router_events_total", "What did not go on, by reason.", "reason", others);
+    let others = counters.each().filter(|(name, _)| !TRAFFIC.contains(name)).map(|(name, n)| ([name], n));
+    figures.counters("rtnet_router_events_total", "What did not go on, by reason.", ["reason"], others);
     figures.into_text()
 }
 

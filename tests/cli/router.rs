@@ -25,6 +25,9 @@ use crate::host::{skip, unique};
 use crate::rights::assert_gives_up_all;
 use crate::rtnet;
 
+/// The begin of the line of a router on a kernel without landlock.
+const NO_LANDLOCK: &str = "rtnet: landlock: ";
+
 /// A router on a port of its own; killed when dropped.
 struct Router {
     name: String,
@@ -32,6 +35,8 @@ struct Router {
     at: SocketAddr,
     /// Where its figures are, if it has any.
     figures: Option<SocketAddr>,
+    /// Whether the kernel keeps it from files and ports that it does not need.
+    is_confined: bool,
     said: Mutex<Lines<BufReader<ChildStderr>>>,
 }
 
@@ -45,7 +50,8 @@ impl Router {
         }
         let mut child = command.spawn().unwrap();
         let said = Mutex::new(BufReader::new(child.stderr.take().unwrap()).lines());
-        let mut router = Self { name, child, at: SocketAddr::from(([0, 0, 0, 0], 0)), figures: None, said };
+        let at = SocketAddr::from(([0, 0, 0, 0], 0));
+        let mut router = Self { name, child, at, figures: None, is_confined: true, said };
         router.begun();
         router
     }
@@ -56,6 +62,10 @@ impl Router {
             if let Some((_, at)) = line.rsplit_once("listens at ") {
                 self.at = at.parse().unwrap();
                 return;
+            }
+            if line.starts_with(NO_LANDLOCK) {
+                self.is_confined = false;
+                continue;
             }
             let at = line.rsplit_once("http://").and_then(|(_, at)| at.strip_suffix("/metrics"));
             self.figures = Some(at.unwrap_or_else(|| panic!("{line}")).parse().unwrap());
@@ -268,6 +278,28 @@ fn a_router_that_runs_may_nothing_that_it_does_not_need() {
     assert_gives_up_all(router.child.id());
     let status = std::fs::read_to_string(format!("/proc/{}/status", router.child.id())).unwrap();
     assert!(status.contains("NoNewPrivs:\t1"), "{status}");
+}
+
+/// A file elsewhere is out of its reach, for root, too.
+#[test]
+fn a_router_reads_no_file_but_those_of_its_directory() {
+    let test = "a_router_reads_no_file_but_those_of_its_directory";
+    let [dir, elsewhere] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let (file, other) = (dir.path().join("router.toml"), elsewhere.path().join("router.toml"));
+    [&file, &other].iter().for_each(|file| std::fs::write(file, "").unwrap());
+    let router = Router::start("confined", &[file.to_str().unwrap(), "--listen", "127.0.0.1:0"]);
+    if !router.is_confined {
+        return skip(test, "needs a kernel with landlock (Linux 6.10)");
+    }
+    let again = || kill(Pid::from_raw(router.child.id() as i32), Signal::SIGHUP).unwrap();
+    std::fs::write(dir.path().join("new"), "[limits]").unwrap();
+    std::fs::rename(dir.path().join("new"), &file).unwrap();
+    again();
+    router.wait_for("the rules were read again");
+    std::fs::remove_file(&file).unwrap();
+    std::os::unix::fs::symlink(&other, &file).unwrap();
+    again();
+    router.wait_for("the rules stay as they were: Permission denied");
 }
 
 fn clients() -> PathBuf {

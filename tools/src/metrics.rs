@@ -58,14 +58,6 @@ impl Bound {
     }
 }
 
-/// Takes an address, and answers there.
-///
-/// # Errors
-/// See [`Bound`].
-pub fn serve(at: SocketAddr, figures: impl Fn() -> Option<String> + Send + 'static) -> Result<SocketAddr> {
-    Bound::at(at)?.serve(figures)
-}
-
 /// Reads an address that no other host reaches.
 ///
 /// # Errors
@@ -166,6 +158,9 @@ impl Figures {
 mod tests {
     use super::*;
 
+    /// Any port of this host.
+    const HERE: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
+
     fn said(at: SocketAddr, request: &[u8]) -> String {
         let mut client = TcpStream::connect(at).unwrap();
         client.write_all(request).unwrap();
@@ -214,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_get_is_answered_and_nothing_else() {
-        let at = serve("127.0.0.1:0".parse().unwrap(), || Some("x 1\n".into())).unwrap();
+        let at = Bound::at(HERE).unwrap().serve(|| Some("x 1\n".into())).unwrap();
         let good = said(at, b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n");
         assert!(
             good.starts_with("HTTP/1.1 200 OK\r\n")
@@ -231,12 +226,12 @@ mod tests {
             said(at, b"GET / HTTP/1.0\r\n\r\n").starts_with("HTTP/1.1 200"),
             "one that hung up disturbs nobody"
         );
-        assert!(serve(at, || None).unwrap_err().to_string().contains("choose another --metrics"));
+        assert!(Bound::at(at).is_err_and(|error| error.to_string().contains("choose another --metrics")));
     }
 
     #[test]
     fn a_head_that_never_ends_is_bounded() {
-        let at = serve("127.0.0.1:0".parse().unwrap(), || None).unwrap();
+        let at = Bound::at(HERE).unwrap().serve(|| None).unwrap();
         let mut client = TcpStream::connect(at).unwrap();
         let mut answer = String::new();
         // It may have answered, and hung up, before all of it was sent.

@@ -26,6 +26,9 @@ class RunningRouter:
         self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert self._process.stderr is not None
         line = self._process.stderr.readline()
+        # A kernel without landlock.
+        while line.startswith("rtnet: landlock: "):
+            line = self._process.stderr.readline()
         found = re.search(r"listens at 127\.0\.0\.1:(\d+)", line)
         assert found, f"the router says: {line}"
         self.port = int(found.group(1))

@@ -1,5 +1,6 @@
 //! `rtnet router`.
 
+mod confined;
 mod figures;
 mod keys;
 
@@ -17,6 +18,7 @@ use package_router::tcp::keys::{ClientKeys, RouterKeys};
 use package_router::tcp::serve::{LinkTo, Remote, Server};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
+use self::confined::confine;
 use self::figures::{TRAFFIC, figures};
 use super::{Failure, print};
 use crate::cli::{RouterArgs, RouterRunArgs, RouterVerb};
@@ -58,13 +60,17 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
     let name = file.name.as_deref().unwrap_or(USUAL_NAME);
     let [stop, again] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
     let (mut server, mut control, _held) = set_up(&file, name, &stop).map_err(Failure::Usage)?;
+    let bound = file.metrics.map(metrics::Bound::at).transpose().map_err(Failure::Usage)?;
     signal_hook::flag::register(SIGHUP, again.clone()).map_err(|error| Failure::Run(error.into()))?;
-    [drop_capabilities(), keep_privileges_away()].into_iter().flatten().for_each(|line| tell(&line));
+    [drop_capabilities(), keep_privileges_away(), confine(&file, args.file.as_deref(), control.path())]
+        .into_iter()
+        .flatten()
+        .for_each(|line| tell(&line));
     let (remote, begun) = (server.remote(), Instant::now());
-    if let Some(at) = file.metrics {
+    if let Some(bound) = bound {
         let remote = remote.clone();
         let text = move || Some(figures(&remote.status(PATIENCE)?, begun.elapsed().as_secs_f64()));
-        let at = metrics::serve(at, text).map_err(Failure::Usage)?;
+        let at = bound.serve(text).map_err(Failure::Run)?;
         tell(&format!("figures for Prometheus are at http://{at}/metrics"));
     }
     let listen: Vec<String> = addresses(&server).map_err(Failure::Run)?;

@@ -30,7 +30,7 @@ fn page(namespace: &Namespace, at: SocketAddr) -> String {
     answer
 }
 
-/// What stands behind this name and these labels.
+/// The value behind this name and these labels.
 fn value(page: &str, name: &str) -> Option<f64> {
     let line = page.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '))?;
     Some(line.parse().unwrap())

@@ -176,7 +176,7 @@ impl Mailbox {
     /// Ends that wait.
     pub fn end_wait(&mut self) -> Result<(), ReceiveError> {
         self.inbox.wakes_up();
-        // What rings after that ends the next wait at once.
+        // A bell that rings after that ends the next wait at once.
         for _ in 0..MOST_LANES {
             match self.bells.wait(Some(0)) {
                 Woken::Rung => {}

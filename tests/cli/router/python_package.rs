@@ -18,7 +18,7 @@ fn builder() -> Option<&'static Path> {
     })
 }
 
-/// What a program prints that ends well in this directory. No setting of this user's pip counts.
+/// The output of a program that ends well in this directory. No setting of this user's pip counts.
 fn run(program: &Path, arguments: &[&str], directory: &Path) -> String {
     let mut command = Command::new(program);
     command.args(arguments).current_dir(directory);

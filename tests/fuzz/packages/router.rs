@@ -1,6 +1,7 @@
 //! The TCP router: bytes of connections in pieces of any length, the bytes that leave, and its file.
 
 use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::collections::BTreeSet;
 
 use package_router::tcp::config::RouterFile;
 use package_router::tcp::frames::Frames;
@@ -8,7 +9,11 @@ use package_router::tcp::router::{Connection, Ending, Limits, Router};
 
 use super::*;
 
-const CONNECTIONS: usize = 3;
+/// Clients, one by TLS that has to prove that it knows the secret, and a link to the router of another system.
+const CONNECTIONS: u32 = 5;
+const UNTRUSTED: u32 = 3;
+const LINK: u32 = 4;
+const PROOF: [u8; 32] = [7; 32];
 /// Bytes before each piece: its connection, and its length.
 const HEAD: usize = 2;
 
@@ -25,6 +30,11 @@ fn seeds() -> Vec<Vec<u8>> {
         piece(2, "0003052b001063000010010000000010"),
         piece(1, "030f0000000000000000000010000000"),
         piece(0, "00000000000000000000000000000010"),
+        piece(3, &format!("03140000000000000000000030000000{}", "07".repeat(32))),
+        piece(3, "0315000000000000000000001400000002000000"),
+        piece(4, "03000001000000000000000010000000"),
+        piece(4, "0311000000000000000000001000000003ff0002000000000000000010000000"),
+        piece(0, "0015000002001000001001000000001568656c6c6f"),
     ];
     vec![all.concat(), all[0].clone(), [&all[1][..], &all[2]].concat()]
 }
@@ -36,27 +46,43 @@ fn router_takes_any_bytes() {
 
 fn routed(bytes: &[u8]) -> Vec<u64> {
     let mut router = Router::new(Limits { queue: 0, ..Limits::default() }, 0);
-    let peer = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
-    for _ in 0..CONNECTIONS {
-        router.connect(peer, 0).expect("there is room");
-    }
+    router.set_links(1, vec![BTreeSet::new()]);
+    (0..CONNECTIONS).for_each(|which| assert_eq!(connected(&mut router, which, 0), Connection(which)));
     let (mut rest, mut now, mut steps) = (bytes, 0, Vec::new());
     while let Some((&[whose, length], behind)) = rest.split_first_chunk::<HEAD>() {
         let (piece, behind) = behind.split_at(usize::from(length).min(behind.len()));
         (rest, now) = (behind, now + 1);
-        let connection = Connection(u32::from(whose) % CONNECTIONS as u32);
+        let connection = Connection(u32::from(whose) % CONNECTIONS);
         router.received(connection, piece, now);
         if whose & 0x80 != 0 {
             router.round(now);
         }
         while let Some((gone, why)) = router.next_ending() {
-            assert!(matches!(why, Ending::NoPackage(_) | Ending::Silent), "{why}");
+            let is_known = match why {
+                Ending::NoPackage(_) | Ending::Silent => true,
+                Ending::Stranger => gone.0 == UNTRUSTED,
+                Ending::SameSystem => gone.0 == LINK,
+                _ => false,
+            };
+            assert!(is_known, "{gone:?}: {why}");
             router.disconnect(gone, why, now);
-            assert_eq!(router.connect(peer, now), Ok(gone), "its number is free");
+            assert_eq!(connected(&mut router, gone.0, now), gone, "its number is free");
         }
         steps.push(left(&mut router, now));
     }
     in_turn(&steps)
+}
+
+fn connected(router: &mut Router, which: u32, now: u64) -> Connection {
+    let peer = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
+    let connection = match which {
+        UNTRUSTED => router.connect_by_tls(peer, now),
+        LINK => router.link(0, peer, None, now),
+        _ => router.connect(peer, now),
+    };
+    let connection = connection.expect("there is room");
+    router.secured(connection, Some(PROOF));
+    connection
 }
 
 /// All bytes that leave are little-endian packages, and nothing waits afterwards.

@@ -7,7 +7,7 @@ const PEER: &str = "127.0.0.1:9";
 /// Routers of systems 1, 2, ..., each with a link to the next one.
 struct Systems {
     routers: Vec<Router>,
-    /// Of each link: both ends.
+    /// Both ends of each link.
     links: Vec<[Connection; 2]>,
     now: u64,
 }

@@ -273,6 +273,7 @@ impl Ready {
                 None
             }
         };
+        let real_time_core = self.realtime.cpu;
         let (thread, mut refused) = start(self.driver, self.realtime)?;
         refused.extend(self.guard_refused);
         refused.extend(self.vnic_refused);
@@ -288,6 +289,7 @@ impl Ready {
             self.packages,
             self.reach.server.as_ref(),
             has_sockets.then(|| self.desk.sockets()),
+            real_time_core,
         )?;
         self.desk = self.desk.with_tcp(packages.as_ref().and_then(Node::tcp));
         self.desk.watch_wire(LOOK_EVERY, self.changed)?;
@@ -346,9 +348,10 @@ fn start_packages(
     options: Option<PackagesOptions>,
     server: Option<&Server>,
     sockets: Option<Arc<Sockets>>,
+    not_on: Option<usize>,
 ) -> Result<Option<Node>> {
     let Some((options, server)) = options.zip(server) else { return Ok(None) };
-    packages::start(options, server.path(), sockets).map(Some)
+    packages::start(options, server.path(), sockets, not_on).map(Some)
 }
 
 /// Starts the real-time thread; with what the host refused it.

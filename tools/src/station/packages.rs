@@ -24,6 +24,7 @@ use rtnet::buf::Pool;
 use rtnet::ip::{Exit, Stack};
 use rtnet::live::Visitor;
 use rtnet::live::clock::monotonic;
+use rtnet::live::realtime::avoid;
 use rtnet::live::sealed::Sealed;
 use rtnet::room;
 use rtnet::socket::Socket;
@@ -65,8 +66,14 @@ pub fn listen(stack: &mut Stack) -> Result<()> {
     Ok(())
 }
 
-/// Starts the broker of a station with this control socket; with sockets it has a way to others.
-pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Sockets>>) -> Result<Node> {
+/// Starts the broker of a station with this control socket; with sockets it has a way to others. Its threads run on any core but that of the
+/// real-time thread: soft interrupts of what the TCP client sends run where it does.
+pub fn start(
+    options: PackagesOptions,
+    control: &Path,
+    sockets: Option<Arc<Sockets>>,
+    not_on: Option<usize>,
+) -> Result<Node> {
     let path = package_router::component::socket_of(control);
     let broker = Broker::bind(&path)
         .map_err(explained)
@@ -75,7 +82,16 @@ pub fn start(options: PackagesOptions, control: &Path, sockets: Option<Arc<Socke
     if let Some(sockets) = sockets {
         broker = broker.with_beyond(Box::new(Lan { sockets, routes: options.routes, gone: Vec::new() }));
     }
-    Node::start(broker, &path, options.tcp.as_ref()).context("packages")
+    // Threads begin on the cores of the one that starts them.
+    let start = || {
+        if let Some(core) = not_on {
+            // Otherwise they run wherever they may.
+            let _ = avoid(core);
+        }
+        Node::start(broker, &path, options.tcp.as_ref())
+    };
+    let started = std::thread::scope(|scope| scope.spawn(start).join());
+    started.map_err(|_| anyhow!("the start of packages has panicked"))?.context("packages")
 }
 
 /// The way to and from other stations.

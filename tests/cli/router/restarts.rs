@@ -23,8 +23,8 @@ const ASK: i8 = 21;
 const DATA: i8 = -6;
 /// How long a call waits for its answer.
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
-/// Packages on their way at once: as many as make a load.
-const FLOOD_EVERY: Duration = Duration::from_micros(200);
+/// From one package to the next, and from one call to the next: a load for the router, and none for the labs of other tests.
+const SENDS_EVERY: Duration = Duration::from_micros(500);
 
 /// The ends of calls, each counted where it was made.
 #[derive(Debug, Default)]
@@ -111,7 +111,7 @@ fn floods(mailbox: &Mailbox, is_over: &AtomicBool) -> (u64, u64) {
             Err(SendError::Mailbox(mailbox::SendError::Full(_))) => full += 1,
             Err(error) => panic!("{error}"),
         }
-        thread::sleep(FLOOD_EVERY);
+        thread::sleep(SENDS_EVERY);
     }
     (taken, full)
 }
@@ -136,6 +136,7 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
             let mut calls = Calls::default();
             while !is_over.load(Ordering::Relaxed) {
                 call(&mut sender, &mut caller.mailbox, &mut calls);
+                thread::sleep(SENDS_EVERY);
             }
             calls
         });

@@ -132,6 +132,8 @@ fn packages_go_one_link_far() {
     assert_eq!(systems.registers(2, third, PILOT_3), OK);
     systems.sends(0, first, 21, PILOT_3, PILOT_1, b"");
     assert_eq!(systems.heads(0, first)[0].kind, NOT_AVAILABLE);
+    let refused = [1, 2].map(|system| systems.status(system).counters);
+    assert_eq!((refused[0].nobody_there, refused[1].foreign_senders), (1, 0), "by the second router");
     systems.sends(1, second, 21, PILOT_3, PILOT_2, b"");
     assert_eq!(systems.heads(2, third)[0].from.0, PILOT_2);
 }

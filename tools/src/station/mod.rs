@@ -13,6 +13,7 @@ pub mod misses;
 mod own_slots;
 pub mod packages;
 mod programs;
+mod reach;
 pub mod sockets;
 pub mod stack;
 mod teller;
@@ -45,7 +46,7 @@ use rtnet::station::Station;
 use rtnet::time::Span;
 use rtnet::wire::ethernet::{Address, EtherType};
 
-use crate::control::{Directory, Held, Place, Server};
+use crate::control::Server;
 use crate::daemon;
 use crate::metrics::{Bound, Page};
 use crate::remedy::explained;
@@ -58,6 +59,7 @@ use link::{LabOptions, Order};
 pub use own_slots::OwnSlots;
 use packages::PackagesOptions;
 use programs::Programs;
+use reach::{Reach, reach_as_asked, reach_by_interface};
 use sockets::Sockets;
 use stack::StackOptions;
 use teller::Teller;
@@ -166,16 +168,6 @@ pub struct Ready {
     changed: Arc<EventFd>,
     /// Gone when the station is.
     _claim: Claim,
-}
-
-/// Where a station can be looked at and changed.
-#[derive(Default)]
-struct Reach {
-    // Gone before the name is free again.
-    server: Option<Server>,
-    _name: Option<Held>,
-    /// Why there is no such place.
-    refused: Option<String>,
 }
 
 /// Makes a station ready to run; fails if it cannot be what it is to be.
@@ -427,32 +419,6 @@ fn driver(
         lines.into_iter().for_each(|lines| lines.tell_times(time.clone()));
     }
     Ok(driver)
-}
-
-/// The station's name and its control socket, if any were asked for. A lab has seen to the names of its own stations.
-fn reach_as_asked(options: &Options) -> Result<Option<Reach>> {
-    match (&options.lab, &options.name) {
-        (Some(lab), _) => {
-            let server = lab.control.as_deref().map(Server::bind).transpose()?;
-            Ok(Some(Reach { server, ..Reach::default() }))
-        }
-        (None, name) => name.as_deref().map(reach_by).transpose(),
-    }
-}
-
-/// The same by a name that nobody asked for: another station may have it, on an interface of another namespace.
-fn reach_by_interface(interface: &str) -> Reach {
-    reach_by(interface).unwrap_or_else(|why| Reach {
-        refused: Some(format!("nothing can be asked of this station, nor changed: {why:#}")),
-        ..Reach::default()
-    })
-}
-
-fn reach_by(name: &str) -> Result<Reach> {
-    let directory = Directory::of_user()?;
-    let held = directory.take_station(name)?;
-    let server = Server::bind(&directory.station(&Place { lab: None, station: name.into() }))?;
-    Ok(Reach { server: Some(server), _name: Some(held), refused: None })
 }
 
 /// Once its sockets are open and its thread is set up, a station needs no capability any more. A line if the kernel

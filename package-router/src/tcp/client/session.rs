@@ -56,7 +56,7 @@ pub struct Session {
 /// Counters over all connections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounters {
-    /// Packages that the kernel or TLS has taken. Of these up to 16 KiB may be lost with a connection, and those that the router had.
+    /// Packages that the kernel or TLS has taken. A lost connection loses up to 16 KiB of them, and those in the router.
     pub sent: u64,
     /// Bytes that were written, requests and answers included.
     pub bytes_sent: u64,

@@ -162,10 +162,10 @@ pub enum Verb {
     /// Run the TCP router, by which programs on other hosts and in other languages send each other packages; or look at one
     ///
     /// Programs connect by TCP and register the names of their mailboxes; the router passes packages on, the most urgent first.
-    /// It runs in the foreground. Of a connection that does not read, packages wait up to a limit; beyond it less urgent ones make
+    /// It runs in the foreground. Packages for a connection that does not read wait up to a limit; beyond it less urgent ones make
     /// room for more urgent ones, all others are refused, and a command that is lost is answered NOT_AVAILABLE.
     ///
-    /// Exit status: 0 it was told to end (Ctrl-C, SIGTERM); 1 it cannot go on; 2 bad usage, an address that is taken, a name that
+    /// Exit status: 0 a signal ended it (Ctrl-C, SIGTERM); 1 it cannot go on; 2 bad usage, an address that is taken, a name that
     /// is taken.
     Router(RouterArgs),
     /// Listen to a network, and tell how its syncs and frames are spread about their instants

@@ -107,7 +107,7 @@ pub struct ClosedShown {
 }
 
 impl RouterShown {
-    /// Of a router's status, `up_ms` after its start.
+    /// A router's status as people see it, `up_ms` milliseconds after its start.
     pub fn of(name: &str, listen: &[String], up_ms: u64, status: &Status) -> Self {
         let mut clients: Vec<&ClientStatus> = status.clients.iter().collect();
         clients.sort_by_key(|client| std::cmp::Reverse(client.waiting_bytes));

@@ -27,6 +27,7 @@ mod min_cycle;
 mod never_left;
 mod nonsense;
 mod observe;
+mod observer;
 mod packages;
 mod private;
 mod program_limits;

@@ -77,6 +77,9 @@ pub struct Captured<'a> {
     pub bytes: &'a [u8],
     /// Bytes of the whole frame: more than `bytes` has if it was cut off.
     pub wire_len: usize,
+    /// The ring was full before this frame: frames between the one before and this one may be lost. Stays true for
+    /// later blocks until [`CaptureRing::dropped`] is read.
+    pub after_loss: bool,
 }
 
 /// Everything that one interface receives. Needs CAP_NET_RAW.
@@ -150,14 +153,15 @@ impl CaptureRing {
             // makes other ones while the reference lives.
             let status = unsafe { AtomicU32::from_ptr(start.as_ptr().add(STATUS).cast()) };
             // Acquire: what the kernel wrote before giving the block away is seen after.
-            if status.load(Ordering::Acquire) & libc::TP_STATUS_USER == 0 {
+            let status = status.load(Ordering::Acquire);
+            if status & libc::TP_STATUS_USER == 0 {
                 break;
             }
             // SAFETY: the block's `block_bytes` lie in the mapping and were initialised by the kernel,
             // which does not write there until it is given the block back below; `&mut self` keeps
             // out everyone else, and the slice is no longer used then.
             let block = unsafe { std::slice::from_raw_parts_mut(start.as_ptr(), self.block_bytes) };
-            let (read, whole) = walk(block, &mut f);
+            let (read, whole) = walk(block, status & libc::TP_STATUS_LOSING != 0, &mut f);
             frames += read;
             self.unreadable += u64::from(!whole);
             // SAFETY: as above; the slice is no longer used.
@@ -206,8 +210,9 @@ impl CaptureRing {
     }
 }
 
-/// Hands over the frames of one block. Returns how many, and whether those were all it promises.
-fn walk(block: &mut [u8], f: &mut impl FnMut(Captured<'_>)) -> (usize, bool) {
+/// Hands over the frames of one block, the first of them marked if frames before it may be lost. Returns how many, and
+/// whether those were all it promises.
+fn walk(block: &mut [u8], after_loss: bool, f: &mut impl FnMut(Captured<'_>)) -> (usize, bool) {
     let (Some(count), Some(first)) = (u32_at(block, COUNT), u32_at(block, FIRST)) else {
         return (0, false);
     };
@@ -220,7 +225,7 @@ fn walk(block: &mut [u8], f: &mut impl FnMut(Captured<'_>)) -> (usize, bool) {
             return (read, false);
         };
         let Some(frame) = captured(header) else { return (read, false) };
-        f(frame);
+        f(Captured { after_loss: after_loss && read == 0, ..frame });
         // 0 is the last one's.
         rest = if step == 0 { None } else { header.get_mut(step..) };
     }
@@ -252,7 +257,7 @@ fn captured(packet: &mut [u8]) -> Option<Captured<'_>> {
         wire_len += VLAN_TAG;
     }
     let realtime_ns = u64::from(seconds) * 1_000_000_000 + u64::from(nanos);
-    Some(Captured { realtime_ns, bytes: packet.get(start..end)?, wire_len })
+    Some(Captured { realtime_ns, bytes: packet.get(start..end)?, wire_len, after_loss: false })
 }
 
 fn u32_at(bytes: &[u8], offset: usize) -> Option<u32> {

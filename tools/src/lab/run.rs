@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail, ensure};
 use rtnet::clock::True;
 use rtnet::live::clock::{WallClock, monotonic, realtime};
 use rtnet::live::realtime::WarmCore;
@@ -99,6 +99,8 @@ pub struct Lab {
     told: Receiver<Told>,
     pub(super) launch: Launch,
     ring: CaptureRing,
+    /// Frames and blocks that the ring has lost.
+    lost: u64,
     wall: WallClock,
     distrusted_until: Option<Instant>,
     distrusted: u64,
@@ -199,6 +201,7 @@ impl Lab {
             told,
             launch,
             ring,
+            lost: 0,
             wall: WallClock::default(),
             distrusted_until: None,
             distrusted: 0,
@@ -324,10 +327,29 @@ impl Lab {
 
     /// From here on, for so many cycles, all counts: when the first of them begins.
     pub(super) fn begin(&mut self, cycles: u32) -> Result<True> {
-        let (current, start) = self.analysis.grid().context("stations are locked, but no sync was seen")?;
+        let (current, start) = self.see_sync()?;
         self.analysis.begin(current.wrapping_add(SETTLE_CYCLES), cycles);
         self.members.iter_mut().for_each(Member::begin);
         Ok(self.analysis.truth().truth(start + self.analysis.cycle() * i64::from(SETTLE_CYCLES)))
+    }
+
+    /// Waits for the first sync: a frame is in the ring for up to its retirement time, and stations that do not calibrate
+    /// are locked sooner.
+    fn see_sync(&mut self) -> Result<(u32, GlobalTime)> {
+        let deadline = Instant::now() + JOIN_WITHIN;
+        loop {
+            if let Some(grid) = self.analysis.grid() {
+                return Ok(grid);
+            }
+            if self.interrupted.load(Ordering::Relaxed) {
+                bail!(Interrupted("no sync was seen yet".into()));
+            }
+            ensure!(
+                Instant::now() < deadline,
+                "stations are locked, but no sync was seen on their bridge for {JOIN_WITHIN:?}"
+            );
+            self.look();
+        }
     }
 
     /// Ends every station, and takes what it still has to tell.
@@ -368,6 +390,9 @@ impl Lab {
         ring.drain(|frame| {
             capture.frame(frame.realtime_ns, frame.bytes, None);
             records.note_frame(frame.bytes);
+            if frame.after_loss {
+                analysis.lose_sight();
+            }
             if trusted {
                 analysis.frame(wall.truth(frame.realtime_ns), frame.bytes);
             } else {
@@ -375,6 +400,12 @@ impl Lab {
             }
         });
         capture.show();
+        let lost = ring.dropped().unwrap_or(self.lost) + ring.unreadable();
+        if lost > self.lost {
+            // The ring may be full still: what it loses from here on has no frame behind it yet.
+            self.lost = lost;
+            self.analysis.lose_sight();
+        }
         while let Ok((station, report)) = self.told.try_recv() {
             self.note_absence(station, report.as_ref());
             if let Some(Report::Times(times)) = &report {
@@ -399,8 +430,8 @@ impl Lab {
     }
 
     /// Frames of which nothing is known: lost by the observer, or stamped while the wall clock was set.
-    pub(super) fn not_judged(&mut self) -> u64 {
-        self.ring.dropped().unwrap_or(0) + self.ring.unreadable() + self.distrusted
+    pub(super) fn not_judged(&self) -> u64 {
+        self.lost + self.distrusted
     }
 
     /// A station that cannot be what it is to be ends the run before it begins.
@@ -434,7 +465,7 @@ impl Lab {
         let is_judged = !interrupted && self.analysis.cycles() > 0;
         Parts {
             stations: self.facts(scenario, is_judged),
-            dropped: self.ring.dropped().unwrap_or(0) + self.ring.unreadable(),
+            dropped: self.lost,
             // A lost station ends the run, and says so itself.
             interrupted,
             ended_early: self.members.iter().any(|member| member.ended),

@@ -34,7 +34,7 @@ fn block(frames: u32) -> Vec<u8> {
 #[test]
 fn frames_of_a_block_come_in_order_and_say_that_they_were_cut_off() {
     let mut stamps = Vec::new();
-    let result = walk(&mut block(3), &mut |frame| {
+    let result = walk(&mut block(3), false, &mut |frame| {
         assert_eq!((frame.bytes, frame.wire_len), (&FRAME[..], 1514));
         stamps.push(frame.realtime_ns);
     });
@@ -63,9 +63,9 @@ fn a_count_or_an_offset_that_does_not_fit_ends_the_block() {
     ] {
         let mut block = block(3);
         put(&mut block, offset, value);
-        assert_eq!(walk(&mut block, &mut |_| ()), (frames, false), "{value} at {offset}");
+        assert_eq!(walk(&mut block, false, &mut |_| ()), (frames, false), "{value} at {offset}");
     }
-    assert_eq!(walk(&mut [0; 8], &mut |_| ()), (0, false));
+    assert_eq!(walk(&mut [0; 8], false, &mut |_| ()), (0, false));
 }
 
 #[test]
@@ -75,14 +75,14 @@ fn a_vlan_tag_is_put_back() {
     put(packet, offset_of!(tpacket3_hdr, tp_status), libc::TP_STATUS_VLAN_VALID);
     put(packet, VLAN_TCI, 0xe064);
     let expected = [&FRAME[..12], &[0x81, 0, 0xe0, 0x64], &FRAME[12..]].concat();
-    let result = walk(&mut block, &mut |frame| {
+    let result = walk(&mut block, false, &mut |frame| {
         assert_eq!((frame.bytes, frame.wire_len), (&expected[..], 1518));
     });
     assert_eq!(result, (1, true));
     let packet = &mut block[size_of::<tpacket_block_desc>()..];
     // No room for a tag between header and frame.
     put(packet, offset_of!(tpacket3_hdr, tp_mac), size_of::<tpacket3_hdr>() as u32 + 3);
-    assert_eq!(walk(&mut block, &mut |_| ()), (0, false));
+    assert_eq!(walk(&mut block, false, &mut |_| ()), (0, false));
 }
 
 fn realtime_ns() -> u64 {

@@ -82,9 +82,27 @@ const char *rtnet_packages_error(void);
 /* Comes to a station, by the path of its broker's socket. -ENOENT, -ECONNREFUSED: there is none. */
 int32_t rtnet_component_attach(const char *path, rtnet_component **component);
 /* Comes to a TCP router instead, HOST or HOST:PORT, on a host without a station: packages for mailboxes that are not this process's go
- * there, in the clear, with bodies of up to 4096 bytes. It does not wait for the router, and connects again by itself; without a connection
- * commands are answered RTNET_NOT_AVAILABLE. -EINVAL: that is no address. */
-int32_t rtnet_component_of_router(const char *router, rtnet_component **component);
+ * there. `keys` is a directory of `rtnet router keys`, for a router that is reached by TLS; NULL: in the clear. Bodies may have up to
+ * `largest_body` bytes, for which memory is reserved; 0: 4096. It does not wait for the router, and connects again by itself; without a
+ * connection commands are answered RTNET_NOT_AVAILABLE. -EINVAL: that is no address, or these are no keys; -ENOENT: there are none. */
+int32_t rtnet_component_of_router(const char *router, const char *keys, uint32_t largest_body,
+                                  rtnet_component **component);
+
+/* The connection of such a component. Counters are of all connections so far. */
+struct rtnet_router_status {
+    uint64_t connections;   /* opened */
+    uint64_t sent;          /* packages written to the router */
+    uint64_t received;      /* packages that came from it */
+    uint64_t not_connected; /* packages dropped while there was no connection; commands were answered */
+    uint64_t not_written;   /* packages lost with a connection before they were written */
+    uint64_t unconfirmed;   /* packages of `sent` whose connection was lost before the router had confirmed them: some may have arrived */
+    uint32_t is_connected;  /* 1: there is a connection */
+    uint32_t mailboxes;     /* registered at the router */
+    char last_error[160];   /* the end of the last connection, or the failure of the last attempt; "" */
+};
+
+/* -EOPNOTSUPP: the component is of a station. */
+int32_t rtnet_component_router_status(const rtnet_component *component, struct rtnet_router_status *status);
 /* Its mailboxes and senders stay until they are given back. NULL is nothing. */
 void rtnet_component_detach(rtnet_component *component);
 

@@ -6,7 +6,9 @@ use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
 use package_router::component::Component;
+use package_router::mailbox::LARGEST_BODY;
 use package_router::tcp::client::TcpOptions;
+use package_router::tcp::keys::ClientKeys;
 
 use crate::failure::Failure;
 use crate::guard::guard;
@@ -42,10 +44,12 @@ pub unsafe extern "C" fn rtnet_component_attach(
 /// Comes to a TCP router, on a host without a station.
 ///
 /// # SAFETY
-/// `router` is NULL or a string, `component` NULL or the place of a pointer.
+/// `router` and `keys` are NULL or strings, `component` NULL or the place of a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rtnet_component_of_router(
     router: *const c_char,
+    keys: *const c_char,
+    largest_body: u32,
     component: *mut *mut RtnetComponent,
 ) -> i32 {
     guard("rtnet_component_of_router", || {
@@ -56,9 +60,19 @@ pub unsafe extern "C" fn rtnet_component_of_router(
         }
         // SAFETY: it is not NULL, and so a string.
         let router = unsafe { CStr::from_ptr(router) }.to_string_lossy().into_owned();
-        let address = router.parse().map_err(Failure::Router)?;
+        let mut options = TcpOptions::new(router.parse().map_err(Failure::Router)?);
+        if !keys.is_null() {
+            // SAFETY: it is not NULL, and so a string.
+            let directory = OsStr::from_bytes(unsafe { CStr::from_ptr(keys) }.to_bytes());
+            options.keys = Some(ClientKeys::read(Path::new(directory)).map_err(Failure::Keys)?);
+        }
+        match largest_body {
+            0 => {}
+            len if len as usize > LARGEST_BODY => return Err(Failure::Len("largest_body", len)),
+            len => options.largest_body = len as usize,
+        }
         let failed = |error| Failure::Station(router, error);
-        let component_of = Component::of_router(&TcpOptions::new(address)).map_err(failed)?;
+        let component_of = Component::of_router(&options).map_err(failed)?;
         // SAFETY: as the caller promises.
         unsafe { give("component", component, RtnetComponent(component_of)) }
     })

@@ -10,6 +10,7 @@ use package_router::mailbox;
 use package_router::name::MailboxName;
 use package_router::registry::Refused;
 use package_router::tcp::address::NoAddress;
+use package_router::tcp::keys::KeysError;
 
 /// What went wrong.
 #[derive(Debug)]
@@ -30,6 +31,10 @@ pub enum Failure {
     Station(String, Error),
     /// Text that is no address of a TCP router.
     Router(NoAddress),
+    /// Keys that cannot be used.
+    Keys(KeysError),
+    /// A component of a station, of which a router was asked for.
+    OfStation,
     /// Of a send.
     Send(MailboxName, SendError),
     /// Of a receive.
@@ -74,6 +79,9 @@ impl Failure {
     fn errno(&self) -> i32 {
         match self {
             Self::NoPointer(_) | Self::Number(..) | Self::Router(_) | Self::Len("room", _) => libc::EINVAL,
+            Self::Keys(KeysError::Unreadable(_, error)) => error.raw_os_error().unwrap_or(libc::EIO),
+            Self::Keys(_) => libc::EINVAL,
+            Self::OfStation => libc::EOPNOTSUPP,
             Self::Len(..) | Self::TooSmall(..) => libc::EMSGSIZE,
             Self::Lent(_) => libc::EBUSY,
             Self::NotLent(_) => libc::ENOMSG,
@@ -118,6 +126,10 @@ impl fmt::Display for Last {
         match &self.failure {
             Failure::NoPointer(what) => write!(f, "`{what}` points nowhere: give it something that is there"),
             Failure::Router(error) => write!(f, "{error}"),
+            Failure::Keys(error) => write!(f, "{error}"),
+            Failure::OfStation => {
+                f.write_str("this component is of a station, which has the connection: `rtnet stat` shows it")
+            }
             Failure::Len(what, len) => {
                 let most = mailbox::LARGEST_BODY;
                 write!(f, "`{what}` is {len}: bodies have {most} bytes at the most, so give no more")
@@ -186,6 +198,7 @@ impl fmt::Display for ErrnoName {
             libc::ECONNREFUSED => "ECONNREFUSED",
             libc::ECONNRESET => "ECONNRESET",
             libc::EACCES => "EACCES",
+            libc::EOPNOTSUPP => "EOPNOTSUPP",
             other => return write!(f, "errno {other}"),
         };
         f.write_str(name)

@@ -12,6 +12,7 @@ mod journeys;
 mod mailboxes;
 mod pointers;
 mod receiving;
+mod routers;
 mod senders;
 
 pub use components::{
@@ -28,6 +29,7 @@ pub use receiving::{
     rtnet_mailbox_body, rtnet_mailbox_peek, rtnet_mailbox_put_back, rtnet_mailbox_receive,
     rtnet_mailbox_release,
 };
+pub use routers::{RtnetRouterStatus, rtnet_component_router_status};
 pub use senders::{
     RtnetSender, rtnet_sender_bind, rtnet_sender_send, rtnet_sender_send_with, rtnet_sender_set_priority,
     rtnet_sender_unbind,

@@ -18,6 +18,8 @@ fn null_is_refused_everywhere_and_named() {
         [
             (rtnet_component_attach(null(), &mut null_mut()), "path", failure::said()),
             (rtnet_component_attach(c"x".as_ptr(), null_mut()), "component", failure::said()),
+            (rtnet_component_of_router(null(), null(), 0, &mut null_mut()), "router", failure::said()),
+            (rtnet_component_router_status(null(), null_mut()), "component", failure::said()),
             (rtnet_mailbox_create(null_mut(), 1, &shape, &mut handle), "component", failure::said()),
             (rtnet_mailbox_create(null_mut(), 1, &shape, null_mut()), "mailbox", failure::said()),
             (rtnet_sender_bind(null_mut(), 1, &mut null_mut()), "from", failure::said()),

@@ -135,12 +135,16 @@ static void what_cannot_be_is_refused_with_why(rtnet_component *component, rtnet
     rtnet_mailbox *mailbox = own;
     rtnet_sender *sender = to_itself;
     struct rtnet_shape shape = SHAPE;
+    struct rtnet_router_status status;
     REFUSED(rtnet_component_attach("/nowhere/broker", &nobody), ENOENT, "/nowhere/broker: ");
     CHECK(nobody == NULL);
     CHECK(strstr(rtnet_packages_error(), "look whether the station runs") != NULL);
     REFUSED(rtnet_component_attach(NULL, &nobody), EINVAL, "`path` points nowhere");
-    REFUSED(rtnet_component_of_router(NULL, &nobody), EINVAL, "`router` points nowhere");
-    REFUSED(rtnet_component_of_router("a b", &nobody), EINVAL, "'a b' is no address of a router");
+    REFUSED(rtnet_component_of_router(NULL, NULL, 0, &nobody), EINVAL, "`router` points nowhere");
+    REFUSED(rtnet_component_of_router("a b", NULL, 0, &nobody), EINVAL, "'a b' is no address of a router");
+    REFUSED(rtnet_component_of_router("localhost", "/nowhere", 0, &nobody), ENOENT, "/nowhere");
+    REFUSED(rtnet_component_of_router("localhost", NULL, RTNET_LARGEST_BODY + 1, &nobody), EMSGSIZE, "largest_body");
+    REFUSED(rtnet_component_router_status(component, &status), EOPNOTSUPP, "`rtnet stat`");
     CHECK(nobody == NULL);
     REFUSED(rtnet_mailbox_create(component, OWN, &SHAPE, &mailbox), EEXIST, "0x81(0/0) is there already");
     CHECK(mailbox == NULL);

@@ -139,8 +139,9 @@ impl Sender {
         Ok(())
     }
 
-    /// Waits until the station has taken what goes elsewhere: with this sender the rest is lost. It waits a second, and then tells
-    /// ETIMEDOUT: whether the station takes any at all says [`taken`](Self::taken).
+    /// Waits until the station has taken what goes to another station: with this sender the rest is lost. It waits a second, and then tells
+    /// ETIMEDOUT: whether the station takes any at all says [`taken`](Self::taken). Packages for a mailbox here and for a TCP router need no
+    /// wait: they are in memory that outlives their sender.
     pub fn drained(&self) -> Result<(), SendError> {
         match &self.way {
             Way::Here(_) | Way::Tcp(_) => Ok(()),

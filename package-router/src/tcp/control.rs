@@ -9,6 +9,9 @@ pub const LIFESIGN: i8 = 17;
 pub const REGISTER: i8 = 13;
 /// Kind of the request to delete a mailbox, which is not answered.
 pub const UNREGISTER: i8 = 12;
+/// Kind of the request to delete a mailbox, which is answered. Nobody has the name 0: the answer to a request with that name confirms that
+/// the router has read every package before it.
+pub const CONFIRM: i8 = 14;
 /// Kind of the proof that a client knows the router's secret: the first package of a connection that has to give one.
 pub const PROOF: i8 = 20;
 /// Kind of the announcement of a router that it is one, and of which system; it is answered.
@@ -58,7 +61,7 @@ impl Control {
         if (head.to, head.from) != (MailboxName::NOBODY, MailboxName::NOBODY) {
             return None;
         }
-        let is_answered = matches!(head.kind, 13 | 14 | ROUTER);
+        let is_answered = matches!(head.kind, REGISTER | CONFIRM | ROUTER);
         let name = || {
             let bytes = body.try_into().ok()?;
             Some(MailboxName(match head.body_order {

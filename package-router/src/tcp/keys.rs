@@ -108,7 +108,7 @@ impl ClientKeys {
     pub fn read(directory: &Path) -> Result<Self, KeysError> {
         let secret = secret(directory)?;
         let authority = directory.join("ca.pem");
-        let missing = || KeysError::Unreadable(authority.clone(), io::ErrorKind::NotFound.into());
+        let missing = || KeysError::Unreadable(authority.clone(), io::Error::from_raw_os_error(libc::ENOENT));
         let roots = Arc::new(roots(directory)?.ok_or_else(missing)?);
         let verifier = WebPkiServerVerifier::builder_with_provider(roots, provider()).build();
         let verifier = verifier.map_err(|error| KeysError::Wrong(authority, error.to_string()))?;

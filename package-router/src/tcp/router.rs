@@ -128,7 +128,7 @@ pub struct Router {
     clients: Vec<Option<Client>>,
     free: Vec<u32>,
     table: BTreeMap<MailboxName, Connection>,
-    awake: Vec<Connection>,
+    awake: VecDeque<Connection>,
     endings: Vec<(Connection, Ending)>,
     closed: VecDeque<Closed>,
     /// Sums over the closed connections.
@@ -149,7 +149,7 @@ impl Router {
             clients: Vec::new(),
             free: Vec::new(),
             table: BTreeMap::new(),
-            awake: Vec::new(),
+            awake: VecDeque::new(),
             endings: Vec::new(),
             closed: VecDeque::new(),
             counters: Counters::default(),
@@ -257,7 +257,7 @@ impl Router {
 
     /// The next connection that something has been left for since it was last named here.
     pub fn next_awake(&mut self) -> Option<Connection> {
-        let next = self.awake.pop()?;
+        let next = self.awake.pop_front()?;
         if let Some(client) = self.client(next) {
             client.is_awake = false;
         }

@@ -1,5 +1,7 @@
 /* A component of tests/cli/router/meet.rs: it asks all others until each has answered, and answers them.
- *     meet station PATH-OF-THE-BROKER|router HOST:PORT  OWN OTHER...      mailboxes as numbers */
+ *     meet station PATH-OF-THE-BROKER|router HOST:PORT  OWN OTHER...      mailboxes as numbers
+ * KEYS names the directory of its keys, for a router that is reached by TLS. */
+#include <errno.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,6 +23,18 @@ static int32_t checked(int32_t told, const char *what) {
     return told;
 }
 
+static void shows_its_connection(const rtnet_component *component, int is_of_router) {
+    struct rtnet_router_status status;
+    int32_t told = rtnet_component_router_status(component, &status);
+    if (is_of_router) {
+        checked(told, "its connection");
+    }
+    if (is_of_router ? !status.is_connected || status.mailboxes != 1 || status.received == 0 : told != -EOPNOTSUPP) {
+        fprintf(stderr, "status %d, connected %u, mailboxes %u\n", told, status.is_connected, status.mailboxes);
+        exit(1);
+    }
+}
+
 int main(int argc, char **argv) {
     rtnet_component *component;
     rtnet_mailbox *own;
@@ -31,7 +45,7 @@ int main(int argc, char **argv) {
         return 2;
     }
     if (strcmp(argv[1], "router") == 0) {
-        checked(rtnet_component_of_router(argv[2], &component), argv[2]);
+        checked(rtnet_component_of_router(argv[2], getenv("KEYS"), 0, &component), argv[2]);
     } else {
         checked(rtnet_component_attach(argv[2], &component), argv[2]);
     }
@@ -60,6 +74,7 @@ int main(int argc, char **argv) {
                 } else if (head.kind == RTNET_OK && !answered[other]) {
                     answered[other] = 1;
                     if (--left == 0) {
+                        shows_its_connection(component, strcmp(argv[1], "router") == 0);
                         puts("met");
                         fflush(stdout);
                     }

@@ -11,7 +11,7 @@ use std::thread;
 use std::time::Duration;
 
 use nix::sched::{CloneFlags, setns};
-use package_router::component::{Component, Mailbox, SendError};
+use package_router::component::{Component, Mailbox, SendError, Times};
 use package_router::mailbox::Shape;
 use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
@@ -32,7 +32,7 @@ const fn name(instance: u8) -> MailboxName {
 }
 
 /// A program of a namespace; killed when dropped.
-struct Program(Child);
+pub struct Program(pub Child);
 
 impl Program {
     /// In the namespace of a station.
@@ -43,7 +43,7 @@ impl Program {
     }
 
     /// Waits until it says that all have answered it.
-    fn has_met_all(&mut self) {
+    pub fn has_met_all(&mut self) {
         let mut line = String::new();
         BufReader::new(self.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         assert_eq!(line, "met\n");
@@ -58,8 +58,9 @@ impl Drop for Program {
     }
 }
 
-/// Asks all others until each has answered, and answers them until it is over.
-fn meets(mailbox: &mut Mailbox, has_met: &AtomicBool, is_over: &AtomicBool) {
+/// Asks all others until each has answered, and answers them until it is over. Packages of hosts that come to a station have the station's
+/// time.
+fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, is_over: &AtomicBool) {
     let mut left: BTreeSet<_> = NAMES.into_iter().filter(|name| *name != mailbox.name()).collect();
     let mut senders: Vec<_> = left.iter().map(|name| mailbox.sender(*name).unwrap()).collect();
     while !is_over.load(Ordering::Relaxed) {
@@ -72,6 +73,11 @@ fn meets(mailbox: &mut Mailbox, has_met: &AtomicBool, is_over: &AtomicBool) {
         }
         while let Ok(package) = mailbox.receive(Some(Duration::from_millis(50))) {
             let (head, body) = (*package.head(), package.body().to_vec());
+            if let Some(times) = times.as_ref().filter(|_| NAMES[3..].contains(&head.from)) {
+                let journey = times.journey(&package);
+                assert!(journey.is_from_elsewhere && journey.sent.is_none());
+                assert!(journey.delivered.is_some() && journey.delivered <= journey.received);
+            }
             drop(package);
             match head.kind {
                 ASK => {
@@ -88,7 +94,7 @@ fn meets(mailbox: &mut Mailbox, has_met: &AtomicBool, is_over: &AtomicBool) {
 }
 
 /// A component in C, if there is a compiler, and the library has been built.
-fn in_c(test: &str, dir: &Path) -> Option<PathBuf> {
+pub fn in_c(test: &str, dir: &Path) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let library = std::env::current_exe().unwrap().with_file_name("librtnet_packages.a");
     if !library.exists() {
@@ -173,7 +179,8 @@ fn components_of_stations_and_hosts_meet_by_name() {
 
         let shape = Shape::new(8, 64);
         let stations = [("master", NAMES[0]), ("leg", NAMES[2])].map(|(station, name)| {
-            Component::named(&cell.place(station)).unwrap().mailbox(name, shape).unwrap()
+            let component = Component::named(&cell.place(station)).unwrap();
+            (Some(component.times()), component.mailbox(name, shape).unwrap())
         });
         let namespace = cell.status()["stations"][3]["pid"].as_u64().unwrap();
         let of_host = thread::spawn(move || {
@@ -182,7 +189,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
                 .unwrap();
             TcpStream::connect(ROUTER).unwrap();
             let component = Component::of_router(&TcpOptions::new(ROUTER.parse().unwrap())).unwrap();
-            component.mailbox(NAMES[5], shape).unwrap()
+            (None, component.mailbox(NAMES[5], shape).unwrap())
         });
         let [first, second] = stations;
         let mut in_rust = [first, second, of_host.join().unwrap()];

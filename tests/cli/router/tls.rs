@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use package_router::component::{Component, Mailbox};
@@ -11,6 +12,7 @@ use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::tcp::keys::{ClientKeys, SECRET_AT_LEAST};
 
+use super::meet::{Program, in_c};
 use super::{Router, package, refusal};
 use crate::cell::{text, wait_until};
 use crate::rtnet;
@@ -84,6 +86,23 @@ fn a_certificate_or_the_secret_lets_a_client_in() {
         back.send(0, &body).unwrap();
         assert_eq!(first.receive(Some(PATIENCE)).unwrap().body().to_vec(), body);
     }
+    assert_eq!(router.clients(), 2);
+}
+
+/// Two programs in C, each of which asks the other by name.
+#[test]
+fn programs_in_c_come_by_tls() {
+    let (keys, dir) = (Keys::new(), tempfile::tempdir().unwrap());
+    let Some(program) = in_c("programs_in_c_come_by_tls", dir.path()) else { return };
+    let router = keys.router("tls_in_c");
+    let [first, second] = [1, 2].map(|instance| format!("{:#010x}", name(instance).0));
+    let meets = |own: &str, other: &str| {
+        let mut command = Command::new(&program);
+        command.args(["router", &router.at.to_string(), own, other]).env("KEYS", keys.of("client"));
+        Program(command.stdout(Stdio::piped()).spawn().unwrap())
+    };
+    let mut programs = [meets(&first, &second), meets(&second, &first)];
+    programs.iter_mut().for_each(Program::has_met_all);
     assert_eq!(router.clients(), 2);
 }
 

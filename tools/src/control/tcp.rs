@@ -41,6 +41,7 @@ impl TcpShown {
         let lost = [
             ("not_connected", local.not_connected),
             ("not_written", session.lost),
+            ("unconfirmed", session.unconfirmed),
             ("answers", session.answers_lost),
             ("no_mailbox", local.no_mailbox),
             ("full", local.full),

@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 
 use crate::name::MailboxName;
-use crate::tcp::control::{LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER};
+use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER};
 use crate::tcp::frames::Frames;
 use crate::wire::{HEAD_LEN, Head, HeadError, OK};
 
@@ -38,7 +38,7 @@ pub struct Session {
     is_connected: bool,
     frames: Frames,
     names: BTreeMap<MailboxName, Registration>,
-    /// Registrations that the router has not answered, in their order: it answers them in that order.
+    /// Requests that the router has not answered, in their order: it answers them in that order. Nobody's name asks for a confirmation.
     asked: VecDeque<(u8, MailboxName)>,
     id: u8,
     /// Requests and answers that wait for the next batch.
@@ -50,13 +50,17 @@ pub struct Session {
     /// Where in the batch packages end that are not written.
     ends: VecDeque<usize>,
     last_heard: u64,
+    /// Packages of all connections that the router has confirmed, or that are counted as lost or unconfirmed.
+    settled: u64,
+    /// As many will be, once the router has answered.
+    settled_by_answer: Option<u64>,
     counters: SessionCounters,
 }
 
 /// Counters over all connections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounters {
-    /// Packages that the kernel or TLS has taken. A lost connection loses up to 16 KiB of them, and those in the router.
+    /// Packages that the kernel or TLS has taken.
     pub sent: u64,
     /// Bytes that were written, requests and answers included.
     pub bytes_sent: u64,
@@ -66,6 +70,8 @@ pub struct SessionCounters {
     pub bytes_received: u64,
     /// Packages lost with a connection before all their bytes were written.
     pub lost: u64,
+    /// Packages of [`Self::sent`] whose connection was lost before the router confirmed that it had read them: some may have arrived.
+    pub unconfirmed: u64,
     /// Answers that were not sent, since as many wait as may.
     pub answers_lost: u64,
     /// Registrations that the router has refused.
@@ -106,10 +112,12 @@ impl Session {
         }
     }
 
-    /// The connection is over. Packages that were not written are lost, and counted.
+    /// The connection is over. Packages that were not written are lost; such as were written and not confirmed may be. Both are counted.
     pub fn disconnected(&mut self) {
         self.is_connected = false;
         self.counters.lost += self.ends.len() as u64;
+        self.counters.unconfirmed += self.counters.sent - self.settled;
+        (self.settled, self.settled_by_answer) = (self.counters.sent, None);
         self.frames = Frames::default();
         self.asked.clear();
         self.own.clear();
@@ -235,9 +243,13 @@ impl Session {
         if !self.is_connected {
             return;
         }
+        self.ask(REGISTER, name);
+    }
+
+    fn ask(&mut self, kind: i8, name: MailboxName) {
         self.id = self.id.wrapping_add(1);
         self.asked.push_back((self.id, name));
-        self.control(REGISTER, self.id, &name.0.to_le_bytes());
+        self.control(kind, self.id, &name.0.to_le_bytes());
     }
 
     fn control(&mut self, kind: i8, id: u8, body: &[u8]) {
@@ -255,6 +267,10 @@ impl Session {
         // Other packages of the router answer nothing that was asked.
         let Some(place) = self.asked.iter().position(|(id, _)| *id == head.id) else { return };
         let Some((_, name)) = self.asked.remove(place) else { return };
+        if name == MailboxName::NOBODY {
+            self.settled = self.settled_by_answer.take().unwrap_or(self.settled);
+            return;
+        }
         let Some(registration) = self.names.get_mut(&name) else { return };
         *registration = match head.kind {
             OK => Registration::Registered,
@@ -274,6 +290,12 @@ impl Session {
         self.batch.append(&mut self.own);
         while self.batch.len() < BATCH && next(&mut self.batch) {
             self.ends.push_back(self.batch.len());
+        }
+        let sent = self.counters.sent + self.ends.len() as u64;
+        if self.settled_by_answer.is_none() && sent > self.settled {
+            self.settled_by_answer = Some(sent);
+            self.ask(CONFIRM, MailboxName::NOBODY);
+            self.batch.append(&mut self.own);
         }
     }
 

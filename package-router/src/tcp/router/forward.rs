@@ -95,7 +95,7 @@ impl Router {
         if let Some(client) = self.client(whom)
             && !core::mem::replace(&mut client.is_awake, true)
         {
-            self.awake.push(whom);
+            self.awake.push_back(whom);
         }
     }
 }

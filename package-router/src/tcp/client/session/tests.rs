@@ -31,6 +31,18 @@ fn package(kind: i8, to: MailboxName, from: MailboxName, body: &[u8]) -> Vec<u8>
     [&head.to_bytes()[..], body].concat()
 }
 
+/// The kinds of all that it writes with so many packages.
+fn sent(session: &mut Session, packages: usize) -> Vec<i8> {
+    let (mut waiting, mut kinds) = (vec![package(-6, CHASSIS, PILOT, b"data"); packages], Vec::new());
+    let next = |batch: &mut Vec<u8>| waiting.pop().map(|package| batch.extend(package)).is_some();
+    let write = |part: &[u8]| {
+        Frames::default().cut(part, |head, _| kinds.push(head.kind)).unwrap();
+        Ok(part.len())
+    };
+    session.write(next, write).unwrap();
+    kinds
+}
+
 fn came(session: &mut Session, bytes: &[u8], now: u64) -> Vec<Head> {
     let mut all = Vec::new();
     session.received(bytes, now, |head, _| all.push(*head)).unwrap();
@@ -95,7 +107,11 @@ fn a_new_connection_registers_all_before_it_sends() {
         )
         .unwrap();
     let register = HEAD_LEN + 4;
-    assert_eq!((bytes[1], bytes[register + 1], bytes.len()), (13, 1, register + HEAD_LEN + 2));
+    let confirm = register + HEAD_LEN + 2;
+    assert_eq!(
+        (bytes[1], bytes[register + 1], bytes[confirm + 1], bytes.len()),
+        (13, 1, 14, confirm + HEAD_LEN + 4)
+    );
 }
 
 /// However many packages wait, a sign of life leaves after the batch that has begun.
@@ -110,7 +126,7 @@ fn signs_of_life_and_answers_overtake_packages() {
     };
     assert_eq!(session.write(endless, |_| Err(io::ErrorKind::WouldBlock.into())).unwrap(), Written::Blocked);
     let begun = session.batch.len();
-    assert!((BATCH..BATCH + one.len()).contains(&begun));
+    assert!((BATCH..BATCH + one.len() + HEAD_LEN + 4).contains(&begun));
     came(&mut session, &reply(LIFESIGN, 0), 5);
     session.answer(&Head::new(NOT_AVAILABLE, CHASSIS, PILOT));
     let mut bytes = Vec::new();
@@ -140,7 +156,29 @@ fn packages_that_were_not_written_are_counted_as_lost() {
         .unwrap();
     assert_eq!((session.counters().sent, session.counters().bytes_sent), (2, 250));
     session.disconnected();
-    assert_eq!(session.counters().lost, 3, "one of them had begun");
+    assert_eq!(
+        (session.counters().lost, session.counters().unconfirmed),
+        (3, 2),
+        "one of the three had begun"
+    );
+}
+
+#[test]
+fn written_packages_are_unconfirmed_until_the_router_answers() {
+    let mut session = Session::default();
+    session.connected(0, None);
+    assert_eq!(sent(&mut session, 2), [-6, -6, CONFIRM]);
+    assert_eq!(sent(&mut session, 3), [-6; 3], "one question waits already");
+    came(&mut session, &reply(OK, 1), 1);
+    assert_eq!(sent(&mut session, 0), [CONFIRM], "the other three are asked for then");
+    session.disconnected();
+    assert_eq!((session.counters().sent, session.counters().unconfirmed), (5, 3));
+    session.connected(2, None);
+    assert_eq!(sent(&mut session, 1), [-6, CONFIRM]);
+    came(&mut session, &reply(OK, 3), 3);
+    assert!(sent(&mut session, 0).is_empty(), "an idle client asks nothing");
+    session.disconnected();
+    assert_eq!((session.counters().sent, session.counters().unconfirmed), (6, 3));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod forward;
 mod links;
+mod requests;
 mod status;
 #[cfg(test)]
 mod tests;
@@ -10,14 +11,12 @@ use core::net::SocketAddr;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, IoSlice};
 
-use subtle::ConstantTimeEq;
-
-use super::control::{Control, LIFESIGN, PROOF, Proof};
+use super::control::{Control, LIFESIGN, Proof};
 use super::frames::Frames;
 use super::outgoing::Outgoing;
 use super::rules::Rules;
 use crate::name::MailboxName;
-use crate::wire::{self, HEAD_LEN, Head, HeadError, MAX_LEN};
+use crate::wire::{HEAD_LEN, Head, HeadError, MAX_LEN};
 use links::Role;
 
 pub use status::{ClientStatus, Closed, Counters, Status};
@@ -334,86 +333,6 @@ impl Router {
             Some(_) if self.place_of_link(from).is_some() => self.of_other_router(from, head, now),
             Some(control) => self.control(from, head, control, now),
             None => self.forward(from, head, body, now),
-        }
-    }
-
-    /// Whether a connection is trusted; a package that is its proof makes it so, and any other ends it.
-    fn is_trusted(&mut self, from: Connection, head: &Head, body: &[u8]) -> bool {
-        let Some(client) = self.client(from) else { return false };
-        let Trust::Proof(proof) = client.trust else { return client.trust == Trust::Full };
-        let is_control = (head.to, head.from, head.kind) == (MailboxName::NOBODY, MailboxName::NOBODY, PROOF);
-        // The time says nothing of the place where they differ.
-        if is_control && bool::from(proof.ct_eq(body)) {
-            (client.trust, client.is_asked) = (Trust::Full, false);
-        } else {
-            client.trust = Trust::Handshake;
-            self.endings.push((from, Ending::Stranger));
-        }
-        false
-    }
-
-    fn control(&mut self, from: Connection, head: &Head, control: Control, now: u64) {
-        let has_room = self.table.len() < self.limits.all_names;
-        let most = self.limits.names;
-        let mut changed = Vec::new();
-        let Some(client) = self.clients.get_mut(from.0 as usize).and_then(Option::as_mut) else { return };
-        let answer = match control {
-            Control::Register { name, is_answered } => {
-                let owner = self.table.get(&name);
-                let may = self.rules.may_register(client.peer.ip(), name)
-                    && client.role.may_have(name, self.system);
-                let is_new = may
-                    && has_room
-                    && name != MailboxName::NOBODY
-                    && owner.is_none()
-                    && client.names.len() < most;
-                // A name that is one's own already, and that of nobody, are let pass where no answer is waited for.
-                let is_idle = !is_answered && (name == MailboxName::NOBODY || owner == Some(&from));
-                if is_new {
-                    client.names.insert(name);
-                    self.table.insert(name, from);
-                    changed.push((name, true));
-                } else if !is_idle {
-                    client.counters.names_refused += 1;
-                }
-                is_answered.then_some(is_new)
-            }
-            Control::Delete { name, is_answered } => {
-                let owner = self.table.get(&name);
-                let is_foreign = owner.is_some_and(|owner| *owner != from);
-                if is_foreign {
-                    client.counters.names_refused += 1;
-                } else if client.names.remove(&name) {
-                    self.table.remove(&name);
-                    changed.push((name, false));
-                }
-                is_answered.then_some(!is_foreign)
-            }
-            Control::Purge => {
-                for name in core::mem::take(&mut client.names) {
-                    self.table.remove(&name);
-                    changed.push((name, false));
-                }
-                None
-            }
-            Control::Router(system) => Some(self.announced(from, system)),
-            Control::Alive | Control::Proof => None,
-            Control::Watchdog(on) => {
-                (client.watchdog, client.is_asked) = (on, false);
-                None
-            }
-            Control::Unknown => {
-                client.counters.controls_ignored += 1;
-                None
-            }
-            Control::Malformed { is_answered } => {
-                client.counters.controls_malformed += 1;
-                is_answered.then_some(false)
-            }
-        };
-        changed.into_iter().for_each(|(name, is_there)| self.tell_links(name, is_there, now));
-        if let Some(is_done) = answer {
-            self.own(from, &head.answer(if is_done { wire::OK } else { wire::ERROR }), now);
         }
     }
 }

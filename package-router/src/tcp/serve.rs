@@ -1,5 +1,6 @@
 //! The router's loop over sockets: one thread.
 
+mod remote;
 mod socket;
 #[cfg(test)]
 mod tests;
@@ -7,9 +8,7 @@ mod tests;
 use std::collections::BTreeSet;
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 use mio::event::Event;
@@ -23,8 +22,9 @@ use super::control::Proof;
 use super::dial::{Dial, Opened, prepare};
 use super::keys::{ClientKeys, RouterKeys};
 use super::router::{Connection, Ending, Limits, Router, Status};
-use super::rules::Rules;
 use super::stream::Stream;
+use remote::Order;
+pub use remote::Remote;
 use socket::{Begun, Socket};
 
 /// Events of one wait.
@@ -56,14 +56,6 @@ pub struct Server {
     remote: Remote,
 }
 
-/// Asks a running server, or ends it, from any thread.
-#[derive(Clone)]
-pub struct Remote {
-    stop: Arc<AtomicBool>,
-    waker: Arc<Waker>,
-    orders: Sender<Order>,
-}
-
 /// A link to the router of another system.
 #[derive(Clone, Debug)]
 pub struct LinkTo {
@@ -75,18 +67,11 @@ pub struct LinkTo {
     pub systems: BTreeSet<u8>,
 }
 
-/// A request of another thread.
-enum Order {
-    Status(Sender<Status>),
-    Rules(Rules),
-}
-
 impl Server {
     /// Listens at these addresses, with keys by TLS.
     pub fn listen(addresses: &[(SocketAddr, Option<RouterKeys>)], limits: Limits) -> io::Result<Self> {
         let poll = Poll::new()?;
-        let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
-        let (orders, taken) = channel();
+        let (remote, orders) = Remote::new(Waker::new(poll.registry(), WAKER)?);
         let mut listeners = Vec::new();
         for (place, (address, keys)) in addresses.iter().enumerate() {
             let mut listener = TcpListener::bind(*address)?;
@@ -102,8 +87,8 @@ impl Server {
             sockets: Vec::new(),
             readable: Vec::new(),
             accepts_again: None,
-            orders: taken,
-            remote: Remote { stop: Arc::default(), waker, orders },
+            orders,
+            remote,
         })
     }
 
@@ -128,7 +113,7 @@ impl Server {
     pub fn run(&mut self) -> io::Result<()> {
         let mut events = Events::with_capacity(EVENTS);
         let mut room = vec![0; READ];
-        while !self.remote.stop.load(Ordering::Relaxed) {
+        while !self.remote.is_stopped() {
             match self.poll.poll(&mut events, self.patience()) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => return Err(error),
                 _ => {}
@@ -370,32 +355,6 @@ impl Server {
                 Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
             }
         }
-    }
-}
-
-impl Remote {
-    /// Ends the server's loop.
-    pub fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
-        // It looks at the next event, at the latest.
-        let _ = self.waker.wake();
-    }
-
-    /// Replaces the rules; `None` if the server has ended.
-    pub fn set_rules(&self, rules: Rules) -> Option<()> {
-        self.order(Order::Rules(rules))
-    }
-
-    /// The router as it is; `None` if the server has not answered in time.
-    pub fn status(&self, patience: Duration) -> Option<Status> {
-        let (answer, answered) = channel();
-        self.order(Order::Status(answer))?;
-        answered.recv_timeout(patience).ok()
-    }
-
-    fn order(&self, order: Order) -> Option<()> {
-        self.orders.send(order).ok()?;
-        self.waker.wake().ok()
     }
 }
 

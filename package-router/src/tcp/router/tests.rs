@@ -1,5 +1,7 @@
 use super::*;
+use crate::tcp::control::PROOF;
 use crate::tcp::rules::{RegisterRule, SendRule};
+use crate::wire;
 use crate::wire::HEAD_LEN;
 
 mod model;

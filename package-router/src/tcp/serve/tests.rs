@@ -2,6 +2,7 @@
 #![allow(clippy::disallowed_methods)]
 
 use std::net::TcpStream as Std;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Instant;
 

@@ -1,11 +1,14 @@
 //! A connection to a router that is opened again whenever it is lost.
 
 use std::io;
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::{IpAddr, SocketAddr, ToSocketAddrs};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::thread::Builder;
+use std::time::Duration;
 
 use mio::net::TcpStream;
 use mio::{Interest, Registry, Token};
-use socket2::SockRef;
+use socket2::{SockRef, TcpKeepalive};
 
 use super::address::Address;
 use super::control::Proof;
@@ -18,6 +21,13 @@ const OPEN_WITHIN: u64 = 2_000;
 const BACK_OFF: core::ops::RangeInclusive<u64> = 50..=1_000;
 /// Milliseconds until a router that has refused this one is tried again: its configuration may be another by then.
 const REFUSED: u64 = 5_000;
+/// Milliseconds between two looks whether a name was found.
+const LOOK_AGAIN: u64 = 20;
+/// A peer that has vanished from the network without a word is noticed after 25 s, if nothing is sent to it.
+const KEEPALIVE: TcpKeepalive = TcpKeepalive::new()
+    .with_time(Duration::from_secs(10))
+    .with_interval(Duration::from_secs(5))
+    .with_retries(3);
 /// Unsent bytes in the kernel: a more urgent package overtakes those that wait here, and none that wait there.
 const UNSENT: u32 = 16 << 10;
 
@@ -33,6 +43,8 @@ pub struct Dial {
 enum State {
     /// There is no connection; the next attempt is due then.
     Down(u64),
+    /// The host's name is looked up by a thread of its own: a name server may be silent. It is looked then whether it has been found.
+    Looking(Receiver<io::Result<Vec<SocketAddr>>>, u64),
     /// One is being opened; it fails then.
     Opening(Stream, u64),
     /// The one that was opened is in use.
@@ -56,10 +68,18 @@ impl Dial {
     /// Goes on as far as that goes without waiting. Its events have this token. An error is the end of an attempt: another follows.
     pub fn go_on(&mut self, registry: &Registry, token: Token, now: u64) -> io::Result<Option<Opened>> {
         let gone_on = match core::mem::replace(&mut self.state, State::Open) {
-            State::Down(at) if at <= now => self.begin(registry, token).map(|stream| {
-                self.state = State::Opening(stream, now + OPEN_WITHIN);
-                None
-            }),
+            State::Down(at) if at <= now => match self.router.host.parse::<IpAddr>() {
+                Ok(address) => self.begin(&[(address, self.router.port).into()], registry, token, now),
+                Err(_) => self.look_up(now),
+            },
+            State::Looking(found, _) => match found.try_recv() {
+                Ok(found) => found.and_then(|addresses| self.begin(&addresses, registry, token, now)),
+                Err(TryRecvError::Empty) => {
+                    self.state = State::Looking(found, now + LOOK_AGAIN);
+                    Ok(None)
+                }
+                Err(TryRecvError::Disconnected) => Err(io::Error::other("the host's name was not looked up")),
+            },
             State::Opening(mut stream, until) => match self.is_open(&mut stream) {
                 Ok(Some(proof)) => return Ok(Some(Opened { stream, proof })),
                 Ok(None) if until <= now => Err(io::ErrorKind::TimedOut.into()),
@@ -99,19 +119,34 @@ impl Dial {
     /// When [`Self::go_on`] is due without an event; `None`: a connection is open.
     pub fn due(&self) -> Option<u64> {
         match &self.state {
-            State::Down(at) | State::Opening(_, at) => Some(*at),
+            State::Down(at) | State::Looking(_, at) | State::Opening(_, at) => Some(*at),
             State::Open => None,
         }
     }
 
     /// Whether no connection is open, nor being opened.
     pub fn is_down(&self) -> bool {
-        matches!(self.state, State::Down(_))
+        matches!(self.state, State::Down(_) | State::Looking(..))
     }
 
-    fn begin(&mut self, registry: &Registry, token: Token) -> io::Result<Stream> {
-        let Address { host, port } = &self.router;
-        let addresses: Vec<SocketAddr> = (host.as_str(), *port).to_socket_addrs()?.collect();
+    fn look_up(&mut self, now: u64) -> io::Result<Option<Opened>> {
+        let Address { host, port } = self.router.clone();
+        let (answer, found) = channel();
+        Builder::new().name("packages-names".into()).spawn(move || {
+            // Nobody waits any more if this end of the connection has ended.
+            let _ = answer.send((host.as_str(), port).to_socket_addrs().map(Iterator::collect));
+        })?;
+        self.state = State::Looking(found, now + LOOK_AGAIN);
+        Ok(None)
+    }
+
+    fn begin(
+        &mut self,
+        addresses: &[SocketAddr],
+        registry: &Registry,
+        token: Token,
+        now: u64,
+    ) -> io::Result<Option<Opened>> {
         // Each attempt takes the next address.
         let place = self.attempts % addresses.len().max(1);
         self.attempts += 1;
@@ -119,9 +154,14 @@ impl Dial {
         let mut stream = TcpStream::connect(*address)?;
         registry.register(&mut stream, token, Interest::READABLE | Interest::WRITABLE)?;
         prepare(&stream);
-        let session =
-            self.keys.as_ref().map(|keys| keys.session(host)).transpose().map_err(io::Error::other)?;
-        Ok(Stream::new(stream, session.map(Into::into)))
+        let session = self
+            .keys
+            .as_ref()
+            .map(|keys| keys.session(&self.router.host))
+            .transpose()
+            .map_err(io::Error::other)?;
+        self.state = State::Opening(Stream::new(stream, session.map(Into::into)), now + OPEN_WITHIN);
+        Ok(None)
     }
 
     /// Whether a connection that was begun is open, with the proof that it begins with, if any; an error if it never will be.
@@ -137,7 +177,9 @@ impl Dial {
 /// Options of a connection for packages. Without them it is slower, not wrong.
 pub fn prepare(stream: &TcpStream) {
     let _ = stream.set_nodelay(true);
-    let _ = SockRef::from(stream).set_tcp_notsent_lowat(UNSENT);
+    let socket = SockRef::from(stream);
+    let _ = socket.set_tcp_notsent_lowat(UNSENT);
+    let _ = socket.set_tcp_keepalive(&KEEPALIVE);
 }
 
 /// Whether a socket that connects is connected; an error if it never will be.
@@ -154,5 +196,46 @@ fn is_connected(stream: &TcpStream) -> io::Result<bool> {
     match stream.local_addr()? == peer {
         true => Err(io::ErrorKind::ConnectionRefused.into()),
         false => Ok(true),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use mio::{Events, Poll};
+
+    use super::*;
+
+    #[test]
+    fn a_hosts_name_is_looked_up_while_others_go_on() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let mut poll = Poll::new().unwrap();
+        for host in ["localhost", "127.0.0.1"] {
+            let mut dial = Dial::new(Address { host: host.into(), port }, None);
+            let (mut now, mut looked) = (0, 0);
+            while dial.go_on(poll.registry(), Token(1), now).ok().flatten().is_none() {
+                looked += usize::from(matches!(dial.state, State::Looking(..)));
+                assert!(now < 30_000, "{host} is not found");
+                let wait = Duration::from_millis(dial.due().unwrap().saturating_sub(now).clamp(1, 20));
+                poll.poll(&mut Events::with_capacity(4), Some(wait)).unwrap();
+                now += wait.as_millis() as u64;
+            }
+            assert_eq!((looked > 0, dial.is_down()), (host == "localhost", false));
+        }
+    }
+
+    #[test]
+    fn a_name_that_nobody_has_is_an_error_and_tried_again() {
+        let poll = Poll::new().unwrap();
+        let mut dial = Dial::new(Address { host: "nobody.invalid".into(), port: 1 }, None);
+        let mut now = 0;
+        while dial.go_on(poll.registry(), Token(1), now).is_ok() {
+            assert!(dial.is_down() && now < 60_000);
+            now += 1;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(matches!(dial.state, State::Down(at) if at > now));
     }
 }

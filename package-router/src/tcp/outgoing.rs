@@ -13,6 +13,7 @@
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 
+use super::requests::OPEN_AT_MOST;
 use crate::wire::{HEAD_LEN, Head};
 
 /// The level of the router's own answers and questions, above all packages.
@@ -22,8 +23,11 @@ const SLICES: usize = 8;
 /// Levels, and bytes of each, that stay when nothing waits in them.
 const LEVELS_KEPT: usize = 2;
 const BYTES_KEPT: usize = 2 << 10;
+/// Bytes of a level up to which its memory stays until then: of few levels, and of each of many.
+const TRIMMED_AT: [usize; 2] = [256 << 10, 16 << 10];
 /// Bytes of the router's own answers that may wait besides.
 const OWN_AT_MOST: usize = 4 << 10;
+const _: () = assert!(OWN_AT_MOST > (OPEN_AT_MOST + 2) * HEAD_LEN);
 
 /// The packages that wait for one connection.
 #[derive(Debug)]
@@ -51,8 +55,23 @@ struct Level {
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     len: u32,
-    /// When it came, in milliseconds.
-    since: u64,
+    /// When it came, in milliseconds: the low bits.
+    since: u32,
+    source: Source,
+}
+
+/// The connection that a package came by. Its place is another's once it has been closed; its number is not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// Its place.
+    pub place: u32,
+    /// Its number among all connections so far.
+    pub number: u32,
+}
+
+impl Source {
+    /// The router itself.
+    pub const ROUTER: Self = Self { place: u32::MAX, number: 0 };
 }
 
 /// A queue has no room for a package, nor anything less urgent in it.
@@ -70,20 +89,20 @@ impl Outgoing {
         self.own_most = self.own_most.max(most);
     }
 
-    /// Appends a package to those of its priority. The heads of packages that make room for it go to `dropped`.
+    /// Appends a package to those of its priority. The heads of packages that make room for it go to `dropped`, with their sources.
     pub fn push(
         &mut self,
         head: &Head,
         body: &[u8],
-        now: u64,
-        dropped: impl FnMut(Head),
+        (source, now): (Source, u64),
+        dropped: impl FnMut(Head, Source),
     ) -> Result<(), Full> {
         let priority = u16::from(head.priority);
         let len = HEAD_LEN + body.len();
         if self.bytes + len > self.most {
             self.make_room(self.bytes + len - self.most, priority, dropped)?;
         }
-        self.append(priority, head, body, now);
+        self.append(priority, head, body, (source, now));
         self.bytes += len;
         self.packages += 1;
         Ok(())
@@ -95,7 +114,7 @@ impl Outgoing {
         if self.levels[level].bytes.len() + HEAD_LEN + body.len() > self.own_most {
             return Err(Full);
         }
-        self.append(OWN, head, body, now);
+        self.append(OWN, head, body, (Source::ROUTER, now));
         Ok(())
     }
 
@@ -135,14 +154,14 @@ impl Outgoing {
         self.bytes
     }
 
-    /// When the oldest of them came.
-    pub fn oldest(&self) -> Option<u64> {
+    /// Milliseconds that the oldest of them has waited.
+    pub fn oldest(&self, now: u64) -> Option<u64> {
         self.levels
             .iter()
             .filter(|level| level.priority < OWN)
             .filter_map(|level| level.waiting.front())
-            .map(|of| of.since)
-            .min()
+            .map(|of| u64::from((now as u32).wrapping_sub(of.since)))
+            .max()
     }
 
     /// Frees memory of levels without packages.
@@ -154,6 +173,10 @@ impl Outgoing {
             level.bytes.shrink_to(BYTES_KEPT);
             level.waiting.shrink_to(BYTES_KEPT / size_of::<Waiting>());
         }
+    }
+
+    fn trimmed_at(&self) -> usize {
+        TRIMMED_AT[usize::from(self.levels.len() > LEVELS_KEPT)]
     }
 
     /// The place of a level, which is there from then on.
@@ -169,16 +192,21 @@ impl Outgoing {
         }
     }
 
-    fn append(&mut self, priority: u16, head: &Head, body: &[u8], now: u64) {
+    fn append(&mut self, priority: u16, head: &Head, body: &[u8], (source, now): (Source, u64)) {
         let place = self.level(priority);
         let level = &mut self.levels[place];
         level.bytes.extend(head.to_bytes());
         level.bytes.extend(body);
-        level.waiting.push_back(Waiting { len: (HEAD_LEN + body.len()) as u32, since: now });
+        level.waiting.push_back(Waiting { len: (HEAD_LEN + body.len()) as u32, since: now as u32, source });
     }
 
     /// Drops less urgent packages until `bytes` are free. Drops nothing if that is not enough.
-    fn make_room(&mut self, bytes: usize, priority: u16, mut dropped: impl FnMut(Head)) -> Result<(), Full> {
+    fn make_room(
+        &mut self,
+        bytes: usize,
+        priority: u16,
+        mut dropped: impl FnMut(Head, Source),
+    ) -> Result<(), Full> {
         let below = |level: &&Level| level.priority < priority;
         let mut there: usize = self.levels.iter().filter(below).map(|level| level.bytes.len()).sum();
         if let Some((begun, rest)) = self.begun
@@ -189,7 +217,7 @@ impl Outgoing {
         if there < bytes {
             return Err(Full);
         }
-        let mut freed = 0;
+        let (mut freed, trimmed_at) = (0, self.trimmed_at());
         while freed < bytes {
             let begun = self.begun;
             // A package that has partly left stays.
@@ -199,15 +227,16 @@ impl Outgoing {
             };
             let kept = kept(level);
             let first = if kept == 1 { begun.map_or(0, |(_, rest)| rest) } else { 0 };
-            let Some(Waiting { len, .. }) = level.waiting.remove(kept) else { break };
+            let Some(Waiting { len, source, .. }) = level.waiting.remove(kept) else { break };
             let mut head = [0; HEAD_LEN];
             head.iter_mut().zip(level.bytes.range(first..)).for_each(|(to, from)| *to = *from);
             level.bytes.drain(first..first + len as usize);
+            level.trim(trimmed_at);
             freed += len as usize;
             self.bytes -= len as usize;
             self.packages -= 1;
             if let Ok(head) = Head::parse(&head) {
-                dropped(head);
+                dropped(head, source);
             }
         }
         Ok(())
@@ -253,10 +282,11 @@ impl Outgoing {
     /// Removes the bytes of a level's first package, of which `rest` were left, out of `sent`; returns how many of `sent` belong to
     /// later packages.
     fn left_of(&mut self, priority: u16, rest: usize, sent: usize) -> usize {
-        let place = self.level(priority);
+        let (place, trimmed_at) = (self.level(priority), self.trimmed_at());
         let level = &mut self.levels[place];
         let now = rest.min(sent);
         level.bytes.drain(..now);
+        level.trim(trimmed_at);
         if now < rest {
             self.begun = Some((priority, rest - now));
         } else if let Some(gone) = level.waiting.pop_front()
@@ -266,6 +296,19 @@ impl Outgoing {
             self.packages -= 1;
         }
         sent - now
+    }
+}
+
+impl Level {
+    /// Gives memory back where four times as much is held as waits.
+    fn trim(&mut self, at: usize) {
+        let (bytes, waiting) = (self.bytes.len(), self.waiting.len());
+        if self.bytes.capacity() > at && bytes < self.bytes.capacity() / 4 {
+            self.bytes.shrink_to(at.max(2 * bytes));
+        }
+        if self.waiting.capacity() > at / size_of::<Waiting>() && waiting < self.waiting.capacity() / 4 {
+            self.waiting.shrink_to((at / size_of::<Waiting>()).max(2 * waiting));
+        }
     }
 }
 

@@ -1,8 +1,8 @@
 //! The router's rules, without a socket or a clock: bytes of connections go in, bytes for connections wait to be written.
 
+mod controls;
 mod forward;
 mod links;
-mod requests;
 mod status;
 #[cfg(test)]
 mod tests;
@@ -73,8 +73,11 @@ pub enum Ending {
     /// Its TLS session did not begin, or broke.
     #[error("TLS: {0}")]
     Tls(String),
-    /// The router has no memory left for the package that it has begun.
-    #[error("the router holds as many bytes as it may (limits.memory)")]
+    /// A newer connection took its place among those that have not proved yet that they may come.
+    #[error("it had not proved yet that it may come, and a newer connection took its place")]
+    Crowded,
+    /// It held the most memory when the router had none left.
+    #[error("it held the most bytes when the router held as many as it may (limits.memory)")]
     NoMemory,
     /// It sent bytes that are no package.
     #[error("{0}")]
@@ -84,10 +87,9 @@ pub enum Ending {
     Broken(i32),
 }
 
-/// As many connections as there may be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0} connections are open, which is the limit")]
-pub struct TooMany(pub usize);
+/// As many connections are open as may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooMany;
 
 /// The trust in a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,6 +103,8 @@ enum Trust {
 }
 
 struct Client {
+    /// Its number among all connections so far.
+    number: u32,
     peer: SocketAddr,
     trust: Trust,
     role: Role,
@@ -113,6 +117,8 @@ struct Client {
     is_asked: bool,
     /// It is among those that are to be written to.
     is_awake: bool,
+    /// It is to be closed: nothing that it sends counts any more.
+    is_ending: bool,
     counters: Counters,
 }
 
@@ -124,8 +130,14 @@ pub struct Router {
     system: u8,
     /// The systems to which each link leads.
     links: Vec<BTreeSet<u8>>,
+    /// Those that are open, and their places in the configuration.
+    open_links: Vec<(Connection, usize)>,
     clients: Vec<Option<Client>>,
     free: Vec<u32>,
+    /// Connections so far.
+    connections: u32,
+    /// Connections that have not proved yet that they may come, the oldest first.
+    untrusted: VecDeque<Connection>,
     table: BTreeMap<MailboxName, Connection>,
     awake: VecDeque<Connection>,
     endings: Vec<(Connection, Ending)>,
@@ -145,8 +157,11 @@ impl Router {
             rules: Rules::default(),
             system: 0,
             links: Vec::new(),
+            open_links: Vec::new(),
             clients: Vec::new(),
             free: Vec::new(),
+            connections: 0,
+            untrusted: VecDeque::new(),
             table: BTreeMap::new(),
             awake: VecDeque::new(),
             endings: Vec::new(),
@@ -167,15 +182,17 @@ impl Router {
         self.add(peer, Trust::Full, now)
     }
 
-    /// A connection from there is open, whose TLS session has not begun.
+    /// A connection from there is open, whose TLS session has not begun. The oldest of too many such makes room for it: who may come
+    /// proves that within moments.
     pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
-        let is_untrusted = |client: &&Client| client.trust != Trust::Full;
-        let untrusted = self.clients.iter().flatten().filter(is_untrusted).count();
-        if untrusted >= UNTRUSTED {
-            self.counters.connections_refused += 1;
-            return Err(TooMany(untrusted));
+        let connection = self.add(peer, Trust::Handshake, now)?;
+        self.untrusted.push_back(connection);
+        if self.untrusted.len() > UNTRUSTED
+            && let Some(oldest) = self.untrusted.pop_front()
+        {
+            self.end(oldest, Ending::Crowded);
         }
-        self.add(peer, Trust::Handshake, now)
+        Ok(connection)
     }
 
     /// The TLS session of a connection has begun. With a proof, its first package has to be that.
@@ -183,6 +200,9 @@ impl Router {
         if let Some(client) = self.client(connection).filter(|client| client.trust == Trust::Handshake) {
             client.trust = proof.map_or(Trust::Full, Trust::Proof);
             client.is_asked = false;
+            if client.trust == Trust::Full {
+                self.untrusted.retain(|untrusted| *untrusted != connection);
+            }
         }
     }
 
@@ -190,9 +210,11 @@ impl Router {
         let open = self.clients.len() - self.free.len();
         if open >= self.limits.connections {
             self.counters.connections_refused += 1;
-            return Err(TooMany(open));
+            return Err(TooMany);
         }
+        self.connections = self.connections.wrapping_add(1);
         let client = Client {
+            number: self.connections,
             peer,
             trust,
             role: Role::default(),
@@ -203,6 +225,7 @@ impl Router {
             watchdog: true,
             is_asked: false,
             is_awake: false,
+            is_ending: false,
             counters: Counters::default(),
         };
         Ok(match self.free.pop() {
@@ -219,24 +242,22 @@ impl Router {
 
     /// Bytes have come from a connection.
     pub fn received(&mut self, from: Connection, bytes: &[u8], now: u64) {
-        let Some(client) = self.client(from) else { return };
+        let Some(client) = self.client(from).filter(|client| !client.is_ending) else { return };
         // A handshake that takes long is no sign of life.
         client.is_asked &= client.trust != Trust::Full;
         let mut frames = core::mem::take(&mut client.frames);
         self.held -= frames.begun();
         let cut = frames.cut(bytes, |head, body| self.package(from, &head, body, now));
-        self.held += frames.begun();
-        let has_memory = frames.begun() == 0 || self.held <= self.limits.memory;
         let begun = frames.begun();
+        self.held += begun;
         let is_stranger = self.client(from).is_some_and(|client| {
             client.frames = frames;
             client.trust != Trust::Full && begun > HEAD_LEN + size_of::<Proof>()
         });
         match cut {
-            Ok(()) if is_stranger => self.endings.push((from, Ending::Stranger)),
-            Err(no_package) => self.endings.push((from, no_package.into())),
-            Ok(()) if !has_memory => self.endings.push((from, Ending::NoMemory)),
-            Ok(()) => {}
+            Ok(()) if is_stranger => self.end(from, Ending::Stranger),
+            Err(no_package) => self.end(from, no_package.into()),
+            Ok(()) => self.make_memory(0),
         }
     }
 
@@ -261,6 +282,11 @@ impl Router {
             client.is_awake = false;
         }
         Some(next)
+    }
+
+    /// Whether [`Self::next_awake`] has one.
+    pub fn has_awake(&self) -> bool {
+        !self.awake.is_empty()
     }
 
     /// The next connection that is to be closed, and why.
@@ -288,6 +314,8 @@ impl Router {
             counters: client.counters,
         });
         self.awake.retain(|awake| *awake != gone);
+        self.untrusted.retain(|untrusted| *untrusted != gone);
+        self.open_links.retain(|(link, _)| *link != gone);
         self.endings.retain(|(ending, _)| *ending != gone);
         self.free.push(gone.0);
     }
@@ -311,12 +339,41 @@ impl Router {
             let is_link = matches!(client.role, Role::Link(_));
             let is_trusted = client.trust == Trust::Full;
             if core::mem::replace(&mut client.is_asked, true) {
-                self.endings.push((Connection(place), Ending::Silent));
+                self.end(Connection(place), Ending::Silent);
             } else if is_link {
-                // The other router asks for signs of life: that is one.
                 self.ask_again(Connection(place), now);
             } else if is_trusted {
                 self.own(Connection(place), &lifesign, now);
+            }
+        }
+    }
+
+    /// A connection is to be closed.
+    fn end(&mut self, whom: Connection, why: Ending) {
+        if let Some(client) = self.client(whom)
+            && !core::mem::replace(&mut client.is_ending, true)
+        {
+            self.endings.push((whom, why));
+        }
+    }
+
+    /// Makes room for so many bytes: connections are closed that hold the most.
+    fn make_memory(&mut self, bytes: usize) {
+        while self.held + bytes > self.limits.memory {
+            let holds = |client: &Client| client.outgoing.bytes() + client.frames.begun();
+            let all =
+                self.clients.iter().enumerate().filter_map(|(place, client)| Some((place, client.as_ref()?)));
+            let Some((place, client)) = all.max_by_key(|(_, client)| holds(client)) else { return };
+            let (whom, held) = (Connection(place as u32), holds(client));
+            if held == 0 {
+                return;
+            }
+            self.end(whom, Ending::NoMemory);
+            self.held -= held;
+            let queue = self.limits.queue;
+            if let Some(client) = self.client(whom) {
+                client.counters.lost_at_close += client.outgoing.packages() as u64;
+                (client.outgoing, client.frames) = (Outgoing::new(queue), Frames::default());
             }
         }
     }

@@ -27,8 +27,8 @@ use remote::Order;
 pub use remote::Remote;
 use socket::{Begun, Socket};
 
-/// Events of one wait.
-const EVENTS: usize = 1_024;
+/// Connections of one listener that are accepted before the others have their turn.
+const ACCEPTS: usize = 64;
 /// Bytes of one read. A connection that has more waits until all others had their turn.
 const READ: usize = 64 << 10;
 /// Milliseconds from an accept that failed for want of descriptors or memory to the next.
@@ -50,6 +50,10 @@ pub struct Server {
     sockets: Vec<Option<Socket>>,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
+    /// Events of one wait: of each connection at most one. So each that has bytes has been read from after it.
+    events: usize,
+    /// Listeners that may have more connections.
+    accepting: Vec<usize>,
     /// When listeners are tried again.
     accepts_again: Option<u64>,
     orders: Receiver<Order>,
@@ -86,6 +90,8 @@ impl Server {
             links: Vec::new(),
             sockets: Vec::new(),
             readable: Vec::new(),
+            events: limits.connections + 2 * addresses.len() + 1,
+            accepting: Vec::new(),
             accepts_again: None,
             orders,
             remote,
@@ -111,7 +117,7 @@ impl Server {
 
     /// Runs until it is stopped.
     pub fn run(&mut self) -> io::Result<()> {
-        let mut events = Events::with_capacity(EVENTS);
+        let mut events = Events::with_capacity(self.events + self.links.len());
         let mut room = vec![0; READ];
         while !self.remote.is_stopped() {
             match self.poll.poll(&mut events, self.patience()) {
@@ -122,13 +128,11 @@ impl Server {
                 self.event(event);
             }
             self.read(&mut room);
-            // A full list of events may lack some. Else each connection that has bytes has been read from by now: they are signs of
-            // life.
-            let are_all = events.iter().count() < EVENTS;
-            if are_all && self.now() >= self.router.next_round() {
+            // Each connection that has bytes has been read from by now: they are signs of life.
+            if self.now() >= self.router.next_round() {
                 self.router.round(self.now());
             }
-            self.accept_again();
+            self.accept_all();
             self.link();
             self.write();
             self.close();
@@ -143,7 +147,7 @@ impl Server {
 
     /// How long it waits for events.
     fn patience(&self) -> Option<Duration> {
-        if !self.readable.is_empty() {
+        if !self.readable.is_empty() || !self.accepting.is_empty() || self.router.has_awake() {
             return Some(Duration::ZERO);
         }
         let links = self.links.iter().filter_map(Dial::due);
@@ -154,7 +158,7 @@ impl Server {
     fn event(&mut self, event: &Event) {
         match event.token() {
             WAKER => {}
-            Token(place) if place >= LISTENERS => self.accept(place - LISTENERS),
+            Token(place) if place >= LISTENERS => self.accepting.push(place - LISTENERS),
             // It is looked at after all events.
             Token(place) if place >= LINKS => {}
             Token(place) => {
@@ -172,7 +176,7 @@ impl Server {
     }
 
     fn accept(&mut self, place: usize) {
-        loop {
+        for _ in 0..ACCEPTS {
             match self.listeners[place].0.accept() {
                 Ok((stream, peer)) => self.connected(stream, peer, place),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
@@ -187,13 +191,15 @@ impl Server {
                 }
             }
         }
+        self.accepting.push(place);
     }
 
-    fn accept_again(&mut self) {
+    fn accept_all(&mut self) {
         if self.accepts_again.is_some_and(|at| self.now() >= at) {
             self.accepts_again = None;
-            (0..self.listeners.len()).for_each(|place| self.accept(place));
+            self.accepting = (0..self.listeners.len()).collect();
         }
+        core::mem::take(&mut self.accepting).into_iter().for_each(|place| self.accept(place));
     }
 
     fn connected(&mut self, mut stream: TcpStream, peer: SocketAddr, listener: usize) {

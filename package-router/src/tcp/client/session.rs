@@ -17,6 +17,7 @@ use std::io;
 use crate::name::MailboxName;
 use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER};
 use crate::tcp::frames::Frames;
+use crate::tcp::requests::Requests;
 use crate::wire::{HEAD_LEN, Head, HeadError, OK};
 
 /// Milliseconds until a registration that the router has refused is tried again: a connection that is dead may still have the name.
@@ -38,9 +39,9 @@ pub struct Session {
     is_connected: bool,
     frames: Frames,
     names: BTreeMap<MailboxName, Registration>,
-    /// Requests that the router has not answered, in their order: it answers them in that order. Nobody's name asks for a confirmation.
-    asked: VecDeque<(u8, MailboxName)>,
-    id: u8,
+    /// Names that are to be registered.
+    waiting: BTreeSet<MailboxName>,
+    requests: Requests<Asked>,
     /// Requests and answers that wait for the next batch.
     own: Vec<u8>,
     /// The router waits for a sign of life.
@@ -52,8 +53,8 @@ pub struct Session {
     last_heard: u64,
     /// Packages of all connections that the router has confirmed, or that are counted as lost or unconfirmed.
     settled: u64,
-    /// As many will be, once the router has answered.
-    settled_by_answer: Option<u64>,
+    /// Whether the router is asked for a confirmation.
+    is_confirming: bool,
     counters: SessionCounters,
 }
 
@@ -78,11 +79,20 @@ pub struct SessionCounters {
     pub names_refused: u64,
 }
 
+/// A request to the router.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    /// A registration.
+    Name(MailboxName),
+    /// That it has read what was sent before, so many packages.
+    Confirmation(u64),
+}
+
 /// The state of a name at the router.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Registration {
-    /// Asked for.
-    Asked,
+    /// It waits for its registration, or for the answer to that.
+    Open,
     /// This client's.
     Registered,
     /// Refused; asked for again then.
@@ -107,9 +117,8 @@ impl Session {
         self.is_connected = true;
         self.last_heard = now;
         proof.iter().for_each(|proof| self.control(PROOF, 0, *proof));
-        for name in self.names.keys().copied().collect::<Vec<_>>() {
-            self.register(name);
-        }
+        self.names.values_mut().for_each(|at| *at = Registration::Open);
+        self.waiting = self.names.keys().copied().collect();
     }
 
     /// The connection is over. Packages that were not written are lost; such as were written and not confirmed may be. Both are counted.
@@ -117,9 +126,9 @@ impl Session {
         self.is_connected = false;
         self.counters.lost += self.ends.len() as u64;
         self.counters.unconfirmed += self.counters.sent - self.settled;
-        (self.settled, self.settled_by_answer) = (self.counters.sent, None);
+        (self.settled, self.is_confirming) = (self.counters.sent, false);
         self.frames = Frames::default();
-        self.asked.clear();
+        self.requests.clear();
         self.own.clear();
         self.is_asked = false;
         self.batch.clear();
@@ -132,8 +141,7 @@ impl Session {
         let gone: Vec<_> = self.names.keys().filter(|name| !here.contains(name)).copied().collect();
         for name in gone {
             self.names.remove(&name);
-            self.asked.retain(|(_, asked)| *asked != name);
-            if self.is_connected {
+            if !self.waiting.remove(&name) && self.is_connected {
                 self.control(UNREGISTER, 0, &name.0.to_le_bytes());
             }
         }
@@ -237,19 +245,18 @@ impl Session {
         self.counters
     }
 
-    /// Without a connection the next one begins with it.
     fn register(&mut self, name: MailboxName) {
-        self.names.insert(name, Registration::Asked);
-        if !self.is_connected {
-            return;
-        }
-        self.ask(REGISTER, name);
+        self.names.insert(name, Registration::Open);
+        self.waiting.insert(name);
     }
 
-    fn ask(&mut self, kind: i8, name: MailboxName) {
-        self.id = self.id.wrapping_add(1);
-        self.asked.push_back((self.id, name));
-        self.control(kind, self.id, &name.0.to_le_bytes());
+    fn ask(&mut self, what: Asked) {
+        let (kind, name) = match what {
+            Asked::Name(name) => (REGISTER, name),
+            Asked::Confirmation(_) => (CONFIRM, MailboxName::NOBODY),
+        };
+        let id = self.requests.open(what);
+        self.control(kind, id, &name.0.to_le_bytes());
     }
 
     fn control(&mut self, kind: i8, id: u8, body: &[u8]) {
@@ -264,21 +271,30 @@ impl Session {
             self.is_asked = true;
             return;
         }
+        let Self { requests, names, waiting, .. } = self;
+        let mut is_confirmation_lost = false;
         // Other packages of the router answer nothing that was asked.
-        let Some(place) = self.asked.iter().position(|(id, _)| *id == head.id) else { return };
-        let Some((_, name)) = self.asked.remove(place) else { return };
-        if name == MailboxName::NOBODY {
-            self.settled = self.settled_by_answer.take().unwrap_or(self.settled);
-            return;
-        }
-        let Some(registration) = self.names.get_mut(&name) else { return };
-        *registration = match head.kind {
-            OK => Registration::Registered,
-            _ => {
-                self.counters.names_refused += 1;
-                Registration::Refused(now + RETRY)
+        let answered = requests.answered(head.id, |lost| match lost {
+            Asked::Name(name) if names.contains_key(&name) => _ = waiting.insert(name),
+            Asked::Name(_) => {}
+            Asked::Confirmation(_) => is_confirmation_lost = true,
+        });
+        self.is_confirming &= !is_confirmation_lost;
+        match answered {
+            // No answer confirms packages that have not left.
+            Some(Asked::Confirmation(sent)) => {
+                (self.settled, self.is_confirming) = (sent.min(self.counters.sent), false);
             }
-        };
+            Some(Asked::Name(name)) => self.registered(name, head.kind == OK, now),
+            None => {}
+        }
+    }
+
+    fn registered(&mut self, name: MailboxName, is_done: bool, now: u64) {
+        // It may be gone meanwhile.
+        let Some(registration) = self.names.get_mut(&name) else { return };
+        *registration = if is_done { Registration::Registered } else { Registration::Refused(now + RETRY) };
+        self.counters.names_refused += u64::from(!is_done);
     }
 
     fn fill(&mut self, next: &mut impl FnMut(&mut Vec<u8>) -> bool) {
@@ -287,14 +303,20 @@ impl Session {
         if core::mem::take(&mut self.is_asked) {
             self.control(OK, 0, &[]);
         }
+        while self.requests.has_room()
+            && let Some(name) = self.waiting.pop_first()
+        {
+            self.ask(Asked::Name(name));
+        }
         self.batch.append(&mut self.own);
-        while self.batch.len() < BATCH && next(&mut self.batch) {
+        // Packages follow once all mailboxes are asked for: what they are answered with finds its way back.
+        while self.waiting.is_empty() && self.batch.len() < BATCH && next(&mut self.batch) {
             self.ends.push_back(self.batch.len());
         }
         let sent = self.counters.sent + self.ends.len() as u64;
-        if self.settled_by_answer.is_none() && sent > self.settled {
-            self.settled_by_answer = Some(sent);
-            self.ask(CONFIRM, MailboxName::NOBODY);
+        if !self.is_confirming && sent > self.settled {
+            self.is_confirming = true;
+            self.ask(Asked::Confirmation(sent));
             self.batch.append(&mut self.own);
         }
     }

@@ -2,6 +2,8 @@ use super::*;
 use crate::name::MailboxName;
 use crate::wire::Endian;
 
+const SOURCE: Source = Source { place: 3, number: 7 };
+
 fn head(priority: u8, id: u8, body: usize) -> Head {
     Head { priority, id, ..Head::new(1, MailboxName(1), MailboxName(2)) }.with_body(body).unwrap()
 }
@@ -16,7 +18,7 @@ fn leaves(queue: &mut Outgoing, at_once: usize) -> Vec<(u8, u8)> {
     super::super::frames::Frames::default()
         .cut(&bytes, |head, _| seen.push((head.priority, head.id)))
         .unwrap();
-    assert_eq!((queue.bytes(), queue.packages(), queue.oldest()), (0, 0, None));
+    assert_eq!((queue.bytes(), queue.packages(), queue.oldest(9)), (0, 0, None));
     seen
 }
 
@@ -31,9 +33,9 @@ fn the_most_urgent_leaves_first_and_of_equals_the_oldest() {
     for at_once in 1..200 {
         let mut queue = Outgoing::new(1 << 16);
         for (id, priority) in (0..).zip([5, 200, 5, 0, 255, 200]) {
-            queue.push(&head(priority, id, 20), &[id; 20], 7, |_| ()).unwrap();
+            queue.push(&head(priority, id, 20), &[id; 20], (SOURCE, 7), |_, _| ()).unwrap();
         }
-        assert_eq!((queue.oldest(), queue.packages(), queue.bytes()), (Some(7), 6, 6 * 36));
+        assert_eq!((queue.oldest(9), queue.packages(), queue.bytes()), (Some(2), 6, 6 * 36));
         let own = Head { id: 99, ..Head::new(17, MailboxName::NOBODY, MailboxName::NOBODY) };
         queue.push_own(&own, &[], 8).unwrap();
         let order = [(0, 99), (255, 4), (200, 1), (200, 5), (5, 0), (5, 2), (0, 3)];
@@ -45,15 +47,15 @@ fn the_most_urgent_leaves_first_and_of_equals_the_oldest() {
 fn a_package_that_has_begun_is_ended_before_what_is_more_urgent() {
     for begun in 1..40 {
         let mut queue = Outgoing::new(1 << 16);
-        queue.push(&head(1, 0, 24), &[0; 24], 0, |_| ()).unwrap();
-        queue.push(&head(1, 1, 24), &[0; 24], 0, |_| ()).unwrap();
+        queue.push(&head(1, 0, 24), &[0; 24], (SOURCE, 0), |_, _| ()).unwrap();
+        queue.push(&head(1, 1, 24), &[0; 24], (SOURCE, 0), |_, _| ()).unwrap();
         let (mut bytes, mut first) = (Vec::new(), true);
         let once = |slices: &[IoSlice<'_>]| match core::mem::take(&mut first) {
             true => Ok(taken(&mut bytes, slices, begun)),
             false => Err(io::ErrorKind::WouldBlock.into()),
         };
         assert!(!queue.write(once).unwrap());
-        queue.push(&head(9, 2, 24), &[0; 24], 0, |_| ()).unwrap();
+        queue.push(&head(9, 2, 24), &[0; 24], (SOURCE, 0), |_, _| ()).unwrap();
         assert!(queue.write(|slices| Ok(taken(&mut bytes, slices, 7).max(1))).is_ok());
         while !queue.is_empty() {
             queue.write(|slices| Ok(taken(&mut bytes, slices, 7))).unwrap();
@@ -69,7 +71,8 @@ fn the_oldest_of_the_least_urgent_makes_room() {
     let mut queue = Outgoing::new(3 * 36);
     let mut push = |priority, id, body: usize| {
         let mut dropped = Vec::new();
-        let pushed = queue.push(&head(priority, id, body), &vec![0; body], 0, |head| dropped.push(head.id));
+        let pushed = queue
+            .push(&head(priority, id, body), &vec![0; body], (SOURCE, 0), |head, _| dropped.push(head.id));
         pushed.map(|()| dropped)
     };
     assert_eq!(push(3, 0, 20), Ok(vec![]));
@@ -87,7 +90,7 @@ fn the_oldest_of_the_least_urgent_makes_room() {
 fn what_has_begun_is_not_dropped() {
     let mut queue = Outgoing::new(3 * 36);
     for id in 0..3 {
-        queue.push(&head(1, id, 20), &[id; 20], 0, |_| ()).unwrap();
+        queue.push(&head(1, id, 20), &[id; 20], (SOURCE, 0), |_, _| ()).unwrap();
     }
     let (mut bytes, mut first) = (Vec::new(), true);
     let once = |slices: &[IoSlice<'_>]| match core::mem::take(&mut first) {
@@ -96,10 +99,14 @@ fn what_has_begun_is_not_dropped() {
     };
     assert!(!queue.write(once).unwrap());
     let mut dropped = Vec::new();
-    queue.push(&head(2, 8, 20), &[8; 20], 0, |head| dropped.push(head.id)).unwrap();
-    queue.push(&head(2, 9, 20), &[9; 20], 0, |head| dropped.push(head.id)).unwrap();
+    queue.push(&head(2, 8, 20), &[8; 20], (SOURCE, 0), |head, _| dropped.push(head.id)).unwrap();
+    queue.push(&head(2, 9, 20), &[9; 20], (SOURCE, 0), |head, _| dropped.push(head.id)).unwrap();
     assert_eq!(dropped, [1, 2]);
-    assert_eq!(queue.push(&head(3, 10, 20), &[0; 20], 0, |_| ()), Ok(()), "one of priority 2 goes");
+    assert_eq!(
+        queue.push(&head(3, 10, 20), &[0; 20], (SOURCE, 0), |_, _| ()),
+        Ok(()),
+        "one of priority 2 goes"
+    );
     while !queue.is_empty() {
         queue.write(|slices| Ok(taken(&mut bytes, slices, 1_000))).unwrap();
     }
@@ -118,17 +125,41 @@ fn answers_to_a_peer_that_does_not_read_are_bounded() {
     let own = Head::new(0, MailboxName::NOBODY, MailboxName::NOBODY);
     let taken = (0..10_000).filter(|_| queue.push_own(&own, &[], 0).is_ok()).count();
     assert_eq!(taken, OWN_AT_MOST / HEAD_LEN);
-    assert_eq!((queue.bytes(), queue.oldest()), (0, None), "they are not packages");
+    assert_eq!((queue.bytes(), queue.oldest(9)), (0, None), "they are not packages");
 }
 
 #[test]
 fn memory_is_given_back() {
     let mut queue = Outgoing::new(1 << 20);
     for priority in 0..=255 {
-        queue.push(&head(priority, 0, 2_000), &[0; 2_000], 0, |_| ()).unwrap();
+        queue.push(&head(priority, 0, 2_000), &[0; 2_000], (SOURCE, 0), |_, _| ()).unwrap();
     }
+    let held = |queue: &Outgoing| queue.levels.iter().map(|level| level.bytes.capacity()).sum::<usize>();
     leaves(&mut queue, 1 << 20);
     queue.shrink();
-    let kept: usize = queue.levels.iter().map(|level| level.bytes.capacity()).sum();
-    assert!(kept <= LEVELS_KEPT * BYTES_KEPT, "{kept}");
+    assert!(held(&queue) <= LEVELS_KEPT * BYTES_KEPT, "{}", held(&queue));
+}
+
+/// One priority after the other fills the queue, and what waits is displaced or leaves.
+#[test]
+fn memory_of_many_priorities_is_bounded_at_all_times() {
+    let most = 1 << 20;
+    for is_read in [false, true] {
+        let mut queue = Outgoing::new(most);
+        for priority in 0..=255 {
+            for id in 0..=255 {
+                queue.push(&head(priority, id, 4_080), &[0; 4_080], (SOURCE, 0), |_, _| ()).unwrap();
+            }
+            let mut left = if is_read { queue.bytes() - 4_096 } else { 0 };
+            let read = |slices: &[IoSlice<'_>]| {
+                let all: usize = slices.iter().map(|slice| slice.len()).sum();
+                let now = all.min(left);
+                left -= now;
+                if now == 0 { Err(io::ErrorKind::WouldBlock.into()) } else { Ok(now) }
+            };
+            queue.write(read).unwrap();
+            let held: usize = queue.levels.iter().map(|level| level.bytes.capacity()).sum();
+            assert!(held <= 4 * most + 256 * TRIMMED_AT[1], "{held} bytes at priority {priority}");
+        }
+    }
 }

@@ -1,8 +1,9 @@
 //! Packages on their way through the router.
 
+use super::links::Role;
 use super::{Connection, Counters, Router};
 use crate::name::MailboxName;
-use crate::tcp::outgoing::Full;
+use crate::tcp::outgoing::{Full, Source};
 use crate::wire::{self, Endian, Head};
 
 impl Router {
@@ -13,12 +14,14 @@ impl Router {
         if !self.rules.may_send(head) {
             return self.refuse(from, head, now, |counters| &mut counters.forbidden);
         }
-        let to = self.table.get(&head.to).copied().or_else(|| self.way_out(from, head.to));
-        let Some(to) = to else {
+        let Some(to) = self.receiver(from, head.to) else {
             return self.refuse(from, head, now, |counters| &mut counters.nobody_there);
         };
         let head = Head { head_order: Endian::Little, ..*head };
-        if self.enqueue(to, &head, body, now).is_err() {
+        let source = self
+            .client(from)
+            .map_or(Source::ROUTER, |client| Source { place: from.0, number: client.number });
+        if self.enqueue(to, &head, body, (source, now)).is_err() {
             return self.refuse(from, &head, now, |counters| &mut counters.receiver_full);
         }
         if let Some(sender) = self.client(from) {
@@ -27,14 +30,28 @@ impl Router {
         }
     }
 
-    /// Queues a package for a connection. A displaced package is counted at its sender.
-    fn enqueue(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) -> Result<(), Full> {
-        let has_memory = self.held + head.len as usize <= self.limits.memory;
+    /// The connection that a package leaves by. A package of another system goes to clients of this one only.
+    fn receiver(&self, from: Connection, to: MailboxName) -> Option<Connection> {
+        let is_client = |of: Connection| {
+            self.clients
+                .get(of.0 as usize)
+                .and_then(Option::as_ref)
+                .is_some_and(|client| client.role == Role::Client)
+        };
+        let to = self.table.get(&to).copied().or_else(|| self.way_out(to))?;
+        (is_client(from) || is_client(to)).then_some(to)
+    }
+
+    /// Queues a package for a connection. A displaced package is counted at the connection that it came by.
+    fn enqueue(&mut self, to: Connection, head: &Head, body: &[u8], at: (Source, u64)) -> Result<(), Full> {
+        self.make_memory(head.len as usize);
         let Some(receiver) = self.client(to) else { return Err(Full) };
         let (mut displaced, before) = (Vec::new(), receiver.outgoing.bytes());
-        let pushed = match has_memory {
-            true => receiver.outgoing.push(head, body, now, |dropped| displaced.push(dropped)),
-            false => Err(Full),
+        let pushed = match receiver.is_ending {
+            false => {
+                receiver.outgoing.push(head, body, at, |dropped, source| displaced.push((dropped, source)))
+            }
+            true => Err(Full),
         };
         let after = receiver.outgoing.bytes();
         match pushed {
@@ -47,20 +64,26 @@ impl Router {
             Err(Full) => receiver.counters.queue_full += 1,
         }
         self.held = self.held + after - before;
-        for dropped in displaced {
+        for (dropped, source) in displaced {
+            let sender = Connection(source.place);
             // Its answer is less urgent than what displaced it, so that this ends.
-            if let Some(&sender) = self.table.get(&dropped.from) {
-                self.refuse(sender, &dropped, now, |counters| &mut counters.overtaken);
+            if self.client(sender).is_some_and(|client| client.number == source.number) {
+                self.refuse(sender, &dropped, at.1, |counters| &mut counters.overtaken);
             }
         }
         pushed
     }
 
-    /// Whether a connection may send in this name: no other connection has it, and it may be its own.
+    /// Whether a connection may send in this name: it has it, or nobody has and it might.
     fn is_sender(&self, from: Connection, name: MailboxName) -> bool {
-        let client = self.clients.get(from.0 as usize).and_then(Option::as_ref);
-        let may_be_its_own = client.is_some_and(|client| client.role.may_have(name, self.system));
-        may_be_its_own && self.table.get(&name).is_none_or(|owner| *owner == from)
+        let Some(client) = self.clients.get(from.0 as usize).and_then(Option::as_ref) else { return false };
+        let might_have = || {
+            name == MailboxName::NOBODY
+                || matches!(client.role, Role::Link(_))
+                || self.rules.may_register(client.peer.ip(), name)
+        };
+        client.role.may_have(name, self.system)
+            && self.table.get(&name).map_or_else(might_have, |owner| *owner == from)
     }
 
     /// A package does not go on: that is counted at its sender, which is answered if it was a command.
@@ -73,7 +96,9 @@ impl Router {
     ) {
         let Some(client) = self.client(sender) else { return };
         *reason(&mut client.counters) += 1;
-        if head.is_command() && self.enqueue(sender, &head.answer(wire::NOT_AVAILABLE), &[], now).is_err() {
+        if head.is_command()
+            && self.enqueue(sender, &head.answer(wire::NOT_AVAILABLE), &[], (Source::ROUTER, now)).is_err()
+        {
             self.client(sender).into_iter().for_each(|client| client.counters.answers_lost += 1);
         }
     }

@@ -8,13 +8,14 @@
 //! A link is a connection that a router opens, as a client of the other router. It says of which system it is, and registers the
 //! mailboxes of that there. Packages go one link far: so there are no loops. A link to a router of the same system is refused.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 
 use core::net::SocketAddr;
 
 use super::{Connection, Ending, Router, TooMany, Trust};
 use crate::name::MailboxName;
-use crate::tcp::control::{LIFESIGN, PROOF, Proof, REGISTER, ROUTER, UNREGISTER};
+use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, ROUTER, UNREGISTER};
+use crate::tcp::requests::{OPEN_AT_MOST, Requests};
 use crate::wire::{HEAD_LEN, Head, OK};
 
 /// Bytes of a request that names a mailbox.
@@ -37,11 +38,24 @@ pub(super) enum Role {
 pub(super) struct Link {
     /// Its place in the configuration.
     place: usize,
-    /// Requests that the other router has not answered, in their order; `None`: the announcement.
-    asked: VecDeque<(u8, Option<MailboxName>)>,
-    id: u8,
+    /// The systems to which it leads; none: all others.
+    systems: BTreeSet<u8>,
+    requests: Requests<Asked>,
+    /// Mailboxes that are to be registered there.
+    waiting: BTreeSet<MailboxName>,
     /// Mailboxes that the other router has refused: they are asked for again in the next round.
     refused: BTreeSet<MailboxName>,
+}
+
+/// A request to the other router.
+#[derive(Debug, PartialEq, Eq)]
+enum Asked {
+    /// That this is the router of a system.
+    Announcement,
+    /// A mailbox.
+    Name(MailboxName),
+    /// Whether it lives.
+    Alive,
 }
 
 impl Role {
@@ -59,7 +73,10 @@ impl Role {
         match self {
             Role::Client => true,
             Role::Peer(system) => name.system() == *system,
-            Role::Link(_) => name.system() != own,
+            Role::Link(link) => {
+                let system = name.system();
+                system != own && (link.systems.is_empty() || link.systems.contains(&system))
+            }
         }
     }
 }
@@ -79,16 +96,19 @@ impl Router {
         now: u64,
     ) -> Result<Connection, TooMany> {
         let connection = self.add(peer, Trust::Full, now)?;
-        let most = (self.limits.all_names + 2) * 2 * REQUEST;
-        let link = Link { place, asked: VecDeque::new(), id: 0, refused: BTreeSet::new() };
+        // Requests to delete mailboxes have no answer that could pace them.
+        let most = (self.limits.all_names + OPEN_AT_MOST) * REQUEST;
+        let waiting = self.table.keys().copied().filter(|name| name.system() == self.system).collect();
+        let systems = self.links.get(place).cloned().unwrap_or_default();
+        let link = Link { place, systems, requests: Requests::default(), waiting, refused: BTreeSet::new() };
         if let Some(client) = self.client(connection) {
             client.role = Role::Link(link);
             client.outgoing.let_own_wait(most);
         }
+        self.open_links.push((connection, place));
         proof.iter().for_each(|proof| self.request(connection, PROOF, 0, *proof, now));
-        self.ask(connection, ROUTER, None, now);
-        let own: Vec<_> = self.table.keys().copied().filter(|name| name.system() == self.system).collect();
-        own.into_iter().for_each(|name| self.ask(connection, REGISTER, Some(name), now));
+        self.ask(connection, Asked::Announcement, now);
+        self.ask_waiting(connection, now);
         Ok(connection)
     }
 
@@ -100,46 +120,41 @@ impl Router {
         }
     }
 
-    /// The link by which a package leaves that comes from one of this system's clients, if one leads there.
-    pub(super) fn way_out(&self, from: Connection, to: MailboxName) -> Option<Connection> {
-        let is_client =
-            self.clients[from.0 as usize].as_ref().is_some_and(|client| client.role == Role::Client);
-        if !is_client || to.system() == self.system {
+    /// The link that leads to the system of a mailbox, if one does.
+    pub(super) fn way_out(&self, to: MailboxName) -> Option<Connection> {
+        if to.system() == self.system {
             return None;
         }
-        self.open_links()
-            .find(|(_, place)| {
-                let systems = self.links.get(*place);
-                systems.is_some_and(|systems| systems.is_empty() || systems.contains(&to.system()))
-            })
-            .map(|(link, _)| link)
+        let leads_there = |place: &usize| {
+            self.links.get(*place).is_some_and(|systems| systems.is_empty() || systems.contains(&to.system()))
+        };
+        self.open_links.iter().find(|(_, place)| leads_there(place)).map(|(link, _)| *link)
     }
 
     /// A mailbox of this system has come or gone: the other routers hear of it.
     pub(super) fn tell_links(&mut self, name: MailboxName, is_there: bool, now: u64) {
-        if name.system() != self.system || self.links.is_empty() {
+        if name.system() != self.system {
             return;
         }
-        let links: Vec<_> = self.open_links().map(|(link, _)| link).collect();
-        for link in links {
-            match is_there {
-                true => self.ask(link, REGISTER, Some(name), now),
-                false => {
-                    if let Some(Role::Link(of)) = self.client(link).map(|client| &mut client.role) {
-                        of.refused.remove(&name);
-                    }
-                    self.request(link, UNREGISTER, 0, &name.0.to_le_bytes(), now);
-                }
+        for place in 0..self.open_links.len() {
+            let (link, _) = self.open_links[place];
+            let Some(Role::Link(of)) = self.client(link).map(|client| &mut client.role) else { continue };
+            if is_there {
+                of.waiting.insert(name);
+                self.ask_waiting(link, now);
+            } else if !of.waiting.remove(&name) && !of.refused.remove(&name) {
+                self.request(link, UNREGISTER, 0, &name.0.to_le_bytes(), now);
             }
         }
     }
 
-    /// Asks again for mailboxes that another router has refused.
+    /// Asks for a sign of life, and again for mailboxes that the other router has refused.
     pub(super) fn ask_again(&mut self, link: Connection, now: u64) {
         let Some(Role::Link(of)) = self.client(link).map(|client| &mut client.role) else { return };
-        for name in core::mem::take(&mut of.refused) {
-            self.ask(link, REGISTER, Some(name), now);
-        }
+        let mut refused = core::mem::take(&mut of.refused);
+        of.waiting.append(&mut refused);
+        self.ask(link, Asked::Alive, now);
+        self.ask_waiting(link, now);
     }
 
     /// A control package of another router, by a link.
@@ -149,17 +164,22 @@ impl Router {
         }
         let Some(client) = self.client(link) else { return };
         let Role::Link(of) = &mut client.role else { return };
-        let place = of.asked.iter().position(|(id, _)| *id == head.id);
+        let Link { requests, waiting, refused, .. } = of;
         // Other packages of a router answer nothing that was asked.
-        let Some((_, name)) = place.and_then(|place| of.asked.remove(place)) else { return };
-        match name {
-            _ if head.kind == OK => {}
-            Some(name) => {
-                of.refused.insert(name);
+        let answered = requests.answered(head.id, |lost| {
+            if let Asked::Name(name) = lost {
+                waiting.insert(name);
+            }
+        });
+        match answered {
+            Some(Asked::Name(name)) if head.kind != OK => {
+                refused.insert(name);
                 client.counters.names_refused += 1;
             }
-            None => self.endings.push((link, Ending::SameSystem)),
+            Some(Asked::Announcement) if head.kind != OK => self.end(link, Ending::SameSystem),
+            _ => {}
         }
+        self.ask_waiting(link, now);
     }
 
     /// Another router says of which system it is; whether that can be.
@@ -176,21 +196,27 @@ impl Router {
         }
     }
 
-    fn open_links(&self) -> impl Iterator<Item = (Connection, usize)> {
-        let all = self.clients.iter().enumerate();
-        all.filter_map(|(place, client)| match &client.as_ref()?.role {
-            Role::Link(link) => Some((Connection(place as u32), link.place)),
-            _ => None,
-        })
+    /// Registers mailboxes that wait for that, as many at a time as the other router surely answers.
+    fn ask_waiting(&mut self, link: Connection, now: u64) {
+        while let Some(Role::Link(of)) = self.client(link).map(|client| &mut client.role)
+            && of.requests.has_room()
+            && let Some(name) = of.waiting.pop_first()
+        {
+            // One that has gone since its registration was lost is asked for no more.
+            if self.table.contains_key(&name) {
+                self.ask(link, Asked::Name(name), now);
+            }
+        }
     }
 
-    /// Asks for something that is answered.
-    fn ask(&mut self, link: Connection, kind: i8, name: Option<MailboxName>, now: u64) {
-        let number = name.map_or(u32::from(self.system), |name| name.0);
+    fn ask(&mut self, link: Connection, what: Asked, now: u64) {
+        let (kind, number) = match what {
+            Asked::Announcement => (ROUTER, u32::from(self.system)),
+            Asked::Name(name) => (REGISTER, name.0),
+            Asked::Alive => (CONFIRM, MailboxName::NOBODY.0),
+        };
         let Some(Role::Link(of)) = self.client(link).map(|client| &mut client.role) else { return };
-        of.id = of.id.wrapping_add(1);
-        of.asked.push_back((of.id, name));
-        let id = of.id;
+        let id = of.requests.open(what);
         self.request(link, kind, id, &number.to_le_bytes(), now);
     }
 

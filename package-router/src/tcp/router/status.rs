@@ -130,7 +130,7 @@ impl Router {
                 watchdog: client.watchdog,
                 waiting: client.outgoing.packages(),
                 waiting_bytes: client.outgoing.bytes(),
-                oldest: client.outgoing.oldest().map(|since| now - since),
+                oldest: client.outgoing.oldest(now),
                 counters: client.counters,
             })
             .collect();

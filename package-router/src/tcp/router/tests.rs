@@ -198,7 +198,7 @@ fn silence_ends_a_connection_in_the_round_after_it_was_asked() {
     net.send(0, &control(0, &[]));
     net.send(2, &control(18, &[]));
     assert_eq!(round(&mut net), [(3, Ending::Silent)]);
-    assert_eq!(round(&mut net).len(), 3, "all are silent by now, and 3 is open still");
+    assert_eq!(round(&mut net), [(2, Ending::Silent), (0, Ending::Silent)], "3 is on its way out already");
 }
 
 #[test]
@@ -215,6 +215,40 @@ fn nobody_sends_in_anothers_name() {
     );
     net.send(2, &package(-6, 2, 77, b"of nobody"));
     assert_eq!(net.reads(1).len(), HEAD_LEN + 9);
+}
+
+/// Rules for registration are rules for sending, too: else anybody might send in a free name that `[[send]]` allows.
+#[test]
+fn nobody_sends_in_a_name_that_it_may_not_register() {
+    let mut net = Net::of(2);
+    net.router.set_rules(Rules {
+        register: vec![RegisterRule { peer: None, names: vec!["0.Chassis.*".parse().unwrap()] }],
+        send: Vec::new(),
+    });
+    assert_eq!(net.register(1, 0x11_0000), wire::OK);
+    net.send(0, &package(21, 0x11_0000, 0x18_0500, b"in the name of a pilot"));
+    assert_eq!((net.reads(1).len(), net.counters(0).foreign_senders), (0, 1));
+    assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::NOT_AVAILABLE);
+    for name in [0x11_0100, 0] {
+        net.send(0, &package(-6, 0x11_0000, name, b"as it may"));
+        assert_eq!(net.reads(1).len(), HEAD_LEN + 9);
+    }
+}
+
+#[test]
+fn a_displaced_command_is_answered_where_it_came_from() {
+    let mut net = Net::of(3);
+    net.register(1, 2);
+    let head = |priority, body| {
+        let head = Head { priority, ..Head::new(21, MailboxName(2), MailboxName(77)) };
+        [&head.with_body(body).unwrap().to_bytes()[..], &vec![0; body]].concat()
+    };
+    let all = Limits::default().queue / 100_016;
+    (0..all).for_each(|_| net.send(0, &head(1, 100_000)));
+    net.send(2, &head(9, 100_000));
+    assert_eq!((net.counters(0).overtaken, net.counters(2).overtaken), (1, 0));
+    assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::NOT_AVAILABLE);
+    assert!(net.reads(2).is_empty());
 }
 
 #[test]
@@ -297,31 +331,42 @@ fn what_no_rule_allows_is_refused_counted_and_answered() {
 }
 
 #[test]
-fn all_connections_together_hold_no_more_than_they_may() {
-    let limits = Limits { memory: 1_000, all_names: 3, ..Limits::default() };
-    let mut net = Net { router: Router::new(limits, 0), read: vec![Vec::new(); 3], now: 0 };
+fn all_connections_together_have_no_more_names_than_they_may() {
+    let limits = Limits { all_names: 3, ..Limits::default() };
+    let mut net = Net { router: Router::new(limits, 0), ..Net::of(3) };
     (0..3).for_each(|_| assert!(net.router.connect(PEER, 0).is_ok()));
-    assert_eq!(
-        [(0, 1), (1, 2), (2, 3), (2, 4)].map(|(client, name)| net.register(client, name)),
-        [0, 0, 0, wire::ERROR]
-    );
-    // Eight packages of 116 bytes fit.
-    for to in [2, 3].repeat(5) {
+    let registered = [(0, 1), (1, 2), (2, 3), (2, 4)].map(|(client, name)| net.register(client, name));
+    assert_eq!(registered, [0, 0, 0, wire::ERROR]);
+}
+
+/// The others go on, also with commands and with packages that come in parts.
+#[test]
+fn the_connection_that_holds_most_is_closed_where_memory_ends() {
+    let limits = Limits { memory: 1_000, ..Limits::default() };
+    let mut net = Net { router: Router::new(limits, 0), ..Net::of(3) };
+    (0..3).for_each(|_| assert!(net.router.connect(PEER, 0).is_ok()));
+    (0..3).for_each(|client| assert_eq!(net.register(client, client as u32 + 1), wire::OK));
+    for to in [2, 2, 2, 2, 2, 2, 3, 3] {
         net.send(0, &package(-6, to, 1, &[0; 100]));
     }
-    assert_eq!((net.counters(0).receiver_full, net.router.held), (2, 8 * 116));
-    net.reads(1);
-    assert_eq!(net.router.held, 0);
-    // A package that has begun counts, and its connection ends.
-    net.send(1, &package(-6, 3, 2, &[0; 2_000])[..900]);
-    assert_eq!((net.router.held, net.endings()), (900, vec![]));
-    net.send(2, &package(-6, 2, 3, &[0; 2_000])[..101]);
-    assert_eq!(net.endings(), [(2, Ending::NoMemory)]);
-    net.router.disconnect(Connection(2), Ending::NoMemory, 0);
-    net.send(1, &[0; 1_116]);
-    assert_eq!((net.router.held, net.endings()), (0, vec![]), "its receiver is gone");
-    net.register(0, 9);
-    net.router.disconnect(Connection(0), Ending::Left, 0);
-    net.router.disconnect(Connection(1), Ending::Left, 0);
+    assert_eq!((net.router.held, net.endings()), (8 * 116, vec![]));
+    net.send(0, &package(-6, 3, 1, &[0; 100]));
+    assert_eq!((net.router.held, net.endings()), (3 * 116, vec![(1, Ending::NoMemory)]));
+    assert_eq!(net.counters(1).lost_at_close, 6);
+    net.send(0, &package(21, 2, 1, &[]));
+    assert_eq!(
+        (net.counters(0).receiver_full, Head::parse(&net.reads(0)).unwrap().kind),
+        (1, wire::NOT_AVAILABLE)
+    );
+    net.router.disconnect(Connection(1), Ending::NoMemory, 0);
+    // A package that has begun counts. More of it does not come from one that is to be closed.
+    net.reads(2);
+    net.send(2, &package(-6, 1, 3, &[0; 2_000])[..600]);
+    net.send(0, &package(-6, 3, 1, &[0; 2_000])[..900]);
+    assert_eq!((net.router.held, net.endings()), (600, vec![(0, Ending::NoMemory)]));
+    net.send(0, &[0; 1_116]);
+    assert_eq!((net.router.held, net.endings()), (600, vec![]));
+    net.router.disconnect(Connection(0), Ending::NoMemory, 0);
+    net.router.disconnect(Connection(2), Ending::Left, 0);
     assert_eq!((net.router.held, net.router.table.len()), (0, 0));
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::tcp::requests::OPEN_AT_MOST;
 use crate::tcp::router::{Connection, Limits, Router};
 use crate::wire::{ERROR, NOT_AVAILABLE};
 use proptest::collection::vec;
@@ -181,6 +182,38 @@ fn written_packages_are_unconfirmed_until_the_router_answers() {
     assert_eq!((session.counters().sent, session.counters().unconfirmed), (6, 3));
 }
 
+/// It may have guessed the id of a question that has not left.
+#[test]
+fn an_early_answer_confirms_no_more_than_was_sent() {
+    let mut session = Session::default();
+    session.connected(0, None);
+    let mut waiting = vec![package(-6, CHASSIS, PILOT, b"data")];
+    let next = |batch: &mut Vec<u8>| waiting.pop().map(|package| batch.extend(package)).is_some();
+    session.write(next, |_| Err(io::ErrorKind::WouldBlock.into())).unwrap();
+    came(&mut session, &reply(OK, 1), 1);
+    session.disconnected();
+    assert_eq!((session.counters().sent, session.counters().lost, session.counters().unconfirmed), (0, 1, 0));
+}
+
+/// As many at a time as a router surely answers.
+#[test]
+fn many_mailboxes_are_registered_before_the_first_package() {
+    let mut session = Session::default();
+    let all: BTreeSet<_> = (1..=1_000).map(MailboxName).collect();
+    session.set_names(&all);
+    session.connected(0, None);
+    let (mut asked, mut packages) = (0, 0);
+    while packages == 0 {
+        let kinds = sent(&mut session, 1);
+        let open: Vec<u8> = session.requests.ids().collect();
+        assert!(!kinds.is_empty() && open.len() <= OPEN_AT_MOST + 1);
+        asked += kinds.iter().filter(|kind| **kind == REGISTER).count();
+        packages += kinds.iter().filter(|kind| **kind == -6).count();
+        open.into_iter().for_each(|id| _ = came(&mut session, &reply(OK, id), 1));
+    }
+    assert_eq!((asked, session.names()), (1_000, (1_000, 0)));
+}
+
 #[test]
 fn a_router_that_is_silent_counts_as_gone() {
     let mut session = Session::default();
@@ -216,8 +249,11 @@ proptest! {
             if session.received(part, 1, |_, _| ()).is_err() {
                 break;
             }
+            sent(&mut session, at_once % 3);
         }
-        written(&mut session);
+        session.disconnected();
+        let SessionCounters { sent, unconfirmed, .. } = session.counters();
+        prop_assert!(unconfirmed <= sent);
     }
 
     /// Two sessions at our router: after any course of mailboxes, deaths and silence each has the names that it should have.

@@ -202,6 +202,79 @@ fn a_name_that_the_other_router_refuses_is_asked_for_again() {
     assert!(systems.heads(0, first).iter().any(|head| head.kind == 21));
 }
 
+/// More than may be asked for at once, all of which are somebody else's at first.
+#[test]
+fn many_refused_names_are_all_registered_once_they_are_free() {
+    const NAMES: u32 = 600;
+    let mut systems = Systems::new(2);
+    let (first, ghost) = (systems.connect(0), systems.connect(1));
+    for instance in 0..NAMES {
+        let name = PILOT_1 + instance;
+        assert_eq!(systems.registers(1, ghost, name), OK);
+        assert_eq!(systems.registers(0, first, name), OK);
+    }
+    assert_eq!(systems.status(0).counters.names_refused, u64::from(NAMES));
+    systems.routers[1].disconnect(ghost, Ending::Left, 0);
+    systems.routers[0].round(5_000);
+    systems.settle();
+    let names = systems.status(1).clients.iter().map(|client| client.names.len()).sum::<usize>();
+    assert_eq!((names, systems.status(1).counters.answers_lost), (NAMES as usize, 0));
+}
+
+/// Its rounds and those of the other router are as far apart as they happen to be.
+#[test]
+fn an_idle_link_does_not_depend_on_the_others_rounds() {
+    let mut systems = Systems::new(2);
+    for round in 1..10 {
+        systems.now = round * 5_000;
+        systems.routers[0].round(systems.now);
+        systems.settle();
+        assert!(systems.routers[0].next_ending().is_none(), "round {round}");
+    }
+}
+
+/// Systems 2 and 3 both have a link to system 1, which knows the mailboxes of both.
+#[test]
+fn packages_of_one_link_do_not_leave_by_another() {
+    let mut systems = Systems::new(1);
+    let [second, third] = [2u32, 3].map(|system| {
+        let connection = systems.connect(0);
+        systems.sends(0, connection, ROUTER, 0, 0, &system.to_le_bytes());
+        assert_eq!(systems.registers(0, connection, system << 24 | 0x18_0000), OK);
+        connection
+    });
+    systems.sends(0, second, 21, PILOT_3, PILOT_2, b"");
+    assert!(systems.heads(0, third).is_empty());
+    assert_eq!(systems.heads(0, second)[0].kind, NOT_AVAILABLE);
+}
+
+#[test]
+fn a_link_to_one_system_brings_nothing_of_another() {
+    let mut systems = Systems::new(1);
+    systems.add(2);
+    systems.routers[0].set_links(1, vec![BTreeSet::from([2])]);
+    systems.link(0, 1);
+    let client = systems.connect(0);
+    assert_eq!(systems.registers(0, client, PILOT_1), OK);
+    let [here, _] = systems.links[0];
+    for (from, came) in [(PILOT_3, 0), (PILOT_2, 1)] {
+        let head = Head::new(-6, MailboxName(PILOT_1), MailboxName(from));
+        systems.routers[0].received(here, &head.to_bytes(), 0);
+        assert_eq!(systems.heads(0, client).len(), came, "{from:#x}");
+    }
+}
+
+/// So that it does not wait for the next event.
+#[test]
+fn a_mailbox_that_goes_with_its_client_leaves_a_link_to_be_written() {
+    let mut systems = Systems::new(2);
+    let first = systems.connect(0);
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    while systems.routers[0].next_awake().is_some() {}
+    systems.routers[0].disconnect(first, Ending::Left, 0);
+    assert!(systems.routers[0].has_awake());
+}
+
 /// The other router asks for signs of life, and is gone if nothing comes for a round.
 #[test]
 fn links_answer_for_their_life_and_end_in_silence() {

@@ -46,12 +46,13 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// A package that waits: priority, its number among all, kind, sender, id, bytes.
+/// A package that waits: its priority, its number among all, its head, and the client that sent it, while that stays connected.
 #[derive(Clone, Debug, PartialEq)]
 struct Waiting {
     priority: u8,
     number: usize,
     head: Head,
+    sender: Option<usize>,
 }
 
 #[derive(Default)]
@@ -97,16 +98,16 @@ impl Model {
         let is_foreign = self.owners.get(&head.from.0).is_some_and(|owner| *owner != client);
         let to = self.owners.get(&head.to.0).copied().filter(|_| !is_foreign);
         let Some(to) = to else { return self.unavailable(client, &head) };
-        if !self.enqueues(to, head) {
+        if !self.enqueues(to, head, Some(client)) {
             self.unavailable(client, &head);
         }
     }
 
-    fn enqueues(&mut self, to: usize, head: Head) -> bool {
-        let Some(dropped) = self.push(to, head) else { return false };
-        for head in dropped {
-            if let Some(sender) = self.owners.get(&head.from.0).copied() {
-                self.unavailable(sender, &head);
+    fn enqueues(&mut self, to: usize, head: Head, sender: Option<usize>) -> bool {
+        let Some(dropped) = self.push(to, head, sender) else { return false };
+        for dropped in dropped {
+            if let Some(sender) = dropped.sender {
+                self.unavailable(sender, &dropped.head);
             }
         }
         true
@@ -114,12 +115,12 @@ impl Model {
 
     fn unavailable(&mut self, client: usize, head: &Head) {
         if head.is_command() {
-            self.enqueues(client, head.answer(wire::NOT_AVAILABLE));
+            self.enqueues(client, head.answer(wire::NOT_AVAILABLE), None);
         }
     }
 
-    /// The heads of packages that made room; `None` if there is no room.
-    fn push(&mut self, to: usize, head: Head) -> Option<Vec<Head>> {
+    /// The packages that made room; `None` if there is no room.
+    fn push(&mut self, to: usize, head: Head, sender: Option<usize>) -> Option<Vec<Waiting>> {
         let reader = &mut self.readers[to];
         let begun = if reader.rest > 0 && !reader.is_begun_own { reader.read.last() } else { None };
         let of = |waiting: &[Waiting]| waiting.iter().map(|of| of.head.len as usize).sum::<usize>();
@@ -137,8 +138,8 @@ impl Model {
         }
         reader.waiting.retain(|of| !dropped.contains(of));
         self.number += 1;
-        reader.waiting.push(Waiting { priority: head.priority, number: self.number, head });
-        Some(dropped.into_iter().map(|of| of.head).collect())
+        reader.waiting.push(Waiting { priority: head.priority, number: self.number, head, sender });
+        Some(dropped)
     }
 
     fn reads(&mut self, client: usize, mut bytes: usize) {
@@ -223,6 +224,8 @@ fn runs(steps: Vec<Step>) {
                 net.read[client].clear();
                 model.owners.retain(|_, owner| *owner != client);
                 model.readers[client] = Reader::default();
+                let waiting = model.readers.iter_mut().flat_map(|reader| &mut reader.waiting);
+                waiting.filter(|of| of.sender == Some(client)).for_each(|of| of.sender = None);
             }
         }
     }

@@ -10,15 +10,16 @@ use crate::wire::{self, Head};
 impl Router {
     /// Whether a connection is trusted; a package that is its proof makes it so, and any other ends it.
     pub(super) fn is_trusted(&mut self, from: Connection, head: &Head, body: &[u8]) -> bool {
-        let Some(client) = self.client(from) else { return false };
+        let Some(client) = self.client(from).filter(|client| !client.is_ending) else { return false };
         let Trust::Proof(proof) = client.trust else { return client.trust == Trust::Full };
         let is_control = (head.to, head.from, head.kind) == (MailboxName::NOBODY, MailboxName::NOBODY, PROOF);
         // The time says nothing of the place where they differ.
         if is_control && bool::from(proof.ct_eq(body)) {
             (client.trust, client.is_asked) = (Trust::Full, false);
+            self.untrusted.retain(|untrusted| *untrusted != from);
         } else {
             client.trust = Trust::Handshake;
-            self.endings.push((from, Ending::Stranger));
+            self.end(from, Ending::Stranger);
         }
         false
     }

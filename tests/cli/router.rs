@@ -124,6 +124,13 @@ fn register(stream: &mut TcpStream, name: u32) {
     assert_eq!(read(stream).0.kind, OK);
 }
 
+/// The message of a router that does not start. Its name is its own: another router may run on this host.
+fn not_started(arguments: &[&str]) -> String {
+    let name = unique("refused");
+    let named = if arguments.contains(&"--name") { vec![] } else { vec!["--name", &name] };
+    refusal(&rtnet().arg("router").args(named).args(arguments).output().unwrap())
+}
+
 fn refusal(output: &Output) -> String {
     let message = text(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{message}");
@@ -181,8 +188,7 @@ fn a_router_ends_when_it_is_told_to_and_its_port_is_free() {
 
 #[test]
 fn a_router_listens_for_other_hosts_only_if_that_is_said() {
-    let refused = rtnet().args(["router", "--listen", "0.0.0.0:0"]).output().unwrap();
-    let message = refusal(&refused);
+    let message = not_started(&["--listen", "0.0.0.0:0"]);
     assert!(message.contains("other hosts reach 0.0.0.0:0") && message.contains("--insecure"), "{message}");
     let router = Router::start("open", &["--listen", "0.0.0.0:0", "--insecure"]);
     assert!(router.at.ip().is_unspecified());
@@ -191,7 +197,7 @@ fn a_router_listens_for_other_hosts_only_if_that_is_said() {
 #[test]
 fn what_keeps_a_router_from_its_start_is_named() {
     let router = Router::start("first", &[]);
-    let run = |arguments: &[&str]| refusal(&rtnet().arg("router").args(arguments).output().unwrap());
+    let run = not_started;
     let at = router.at.to_string();
     let taken = run(&["--listen", &at, "--name", &unique("second")]);
     assert!(taken.contains(&at) && taken.contains("choose another --listen"), "{taken}");
@@ -266,9 +272,11 @@ fn a_router_has_figures_for_prometheus() {
         answer.starts_with("HTTP/1.1 200 OK") && answer.contains("\nrtnet_router_packages_total 0\n"),
         "{answer}"
     );
-    let refused =
-        rtnet().args(["router", "--listen", "127.0.0.1:0", "--metrics", "0.0.0.0:0"]).output().unwrap();
-    assert!(refusal(&refused).contains("other hosts reach 0.0.0.0:0"));
+    let refused = not_started(&["--listen", "127.0.0.1:0", "--metrics", "0.0.0.0:0"]);
+    assert!(
+        refused.contains("other hosts reach 0.0.0.0:0") && refused.contains("a reverse proxy"),
+        "{refused}"
+    );
 }
 
 #[test]

@@ -188,8 +188,9 @@ impl RouterFile {
 
     /// The first address that other hosts reach without a key, unless they may.
     pub fn exposed(&self) -> Option<SocketAddr> {
-        let plain = self.listen.iter().filter(|listen| listen.keys.is_none()).map(|listen| listen.address);
-        let exposed = plain.chain(self.metrics).find(|address| !address.ip().is_loopback());
+        let mut plain =
+            self.listen.iter().filter(|listen| listen.keys.is_none()).map(|listen| listen.address);
+        let exposed = plain.find(|address| !address.ip().is_loopback());
         exposed.filter(|_| !self.insecure)
     }
 }

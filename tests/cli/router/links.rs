@@ -10,7 +10,7 @@ use package_router::tcp::client::TcpOptions;
 use package_router::wire::{NOT_AVAILABLE, OK};
 
 use super::tls::Keys;
-use super::{Router, refusal};
+use super::{Router, not_started};
 use crate::cell::wait_until;
 use crate::rtnet;
 
@@ -108,8 +108,8 @@ fn a_link_that_cannot_be_is_refused_at_the_start() {
         ("system = 256", "router.toml:1:10: "),
     ] {
         fs::write(&file, text).unwrap();
-        let output = rtnet().arg("router").arg(&file).args(["--listen", "127.0.0.1:0"]).output().unwrap();
-        assert!(refusal(&output).contains(words), "{}", refusal(&output));
+        let output = not_started(&["--listen", "127.0.0.1:0", file.to_str().unwrap()]);
+        assert!(output.contains(words), "{output}");
     }
 }
 

@@ -13,7 +13,7 @@ use package_router::tcp::client::TcpOptions;
 use package_router::tcp::keys::{ClientKeys, SECRET_AT_LEAST};
 
 use super::meet::{Program, in_c};
-use super::{Router, package, refusal};
+use super::{Router, not_started, package, refusal};
 use crate::cell::{text, wait_until};
 use crate::rtnet;
 
@@ -162,11 +162,7 @@ fn strangers_are_kept_out_and_named() {
 fn keys_that_cannot_be_used_are_named_with_the_remedy() {
     let keys = Keys::new();
     let (router, client) = (keys.of("router"), keys.of("client"));
-    let start = || {
-        let mut command = rtnet();
-        command.args(["router", "--listen", "0.0.0.0:0", "--keys"]).arg(&router);
-        refusal(&command.output().unwrap())
-    };
+    let start = || not_started(&["--listen", "0.0.0.0:0", "--keys", router.to_str().unwrap()]);
     let again = rtnet().args(["router", "keys"]).arg(router.parent().unwrap()).output().unwrap();
     assert!(refusal(&again).contains("in a directory that is not there yet"));
 

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, bail};
 use package_router::tcp::config::{Link, Listen, RouterFile};
 use package_router::tcp::keys::{ClientKeys, RouterKeys};
 use package_router::tcp::serve::{LinkTo, Remote, Server};
@@ -107,11 +107,13 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
         control::parse_name(name).map_err(|why| anyhow!(why))?;
     }
     if let Some(exposed) = file.exposed() {
-        ensure!(
-            false,
+        bail!(
             "other hosts reach {exposed}, and nothing keeps a stranger from registering names there: listen on 127.0.0.1, or say \
              --insecure; or make keys (`rtnet router keys`), and say --keys"
         );
+    }
+    if let Some(at) = file.metrics.filter(|_| !file.insecure) {
+        metrics::parse_loopback(&at.to_string()).map_err(|why| anyhow!(why))?;
     }
     Ok(file)
 }

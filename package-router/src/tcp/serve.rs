@@ -21,7 +21,7 @@ use super::address::Address;
 use super::control::Proof;
 use super::dial::{Dial, Opened, prepare};
 use super::keys::{ClientKeys, RouterKeys};
-use super::router::{Connection, Ending, Limits, Router, Status};
+use super::router::{Connection, Ending, Limits, Router};
 use super::stream::Stream;
 use remote::Order;
 pub use remote::Remote;

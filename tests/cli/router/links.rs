@@ -12,7 +12,6 @@ use package_router::wire::{NOT_AVAILABLE, OK};
 use super::tls::Keys;
 use super::{Router, not_started};
 use crate::cell::wait_until;
-use crate::rtnet;
 
 const PATIENCE: Duration = Duration::from_secs(30);
 

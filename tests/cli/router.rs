@@ -208,6 +208,13 @@ fn what_keeps_a_router_from_its_start_is_named() {
     std::fs::write(&file, "[limits]\nqueue = 5\n").unwrap();
     let wrong = run(&[file.to_str().unwrap()]);
     assert!(wrong.contains("router.toml:2:9: 5 is too few: make it 262144 or more"), "{wrong}");
+    let missing = run(&["--listen", "127.0.0.1:0", "/nowhere/router.toml"]);
+    assert!(missing.contains("/nowhere/router.toml cannot be read: No such file"), "{missing}");
+    let no_address = run(&["--listen", "localhost:2000"]);
+    assert!(no_address.contains("write one, as 127.0.0.1:2000"), "{no_address}");
+    // It is no station.
+    let which = refusal(&rtnet().args(["package", "route"]).output().unwrap());
+    assert!(which.contains("-S [LAB/]STATION") && !which.contains(&router.name), "{which}");
     let nobody = refusal(&rtnet().args(["router", "status", "no-such-router"]).output().unwrap());
     assert!(nobody.contains("there is no router 'no-such-router'"), "{nobody}");
 }

@@ -96,9 +96,12 @@ struct rtnet_router_status {
     uint64_t not_connected; /* packages dropped while there was no connection; commands were answered */
     uint64_t not_written;   /* packages lost with a connection before they were written */
     uint64_t unconfirmed;   /* packages of `sent` whose connection was lost before the router had confirmed them: some may have arrived */
+    uint64_t names_refused; /* registrations that the router refused */
     uint32_t is_connected;  /* 1: there is a connection */
     uint32_t mailboxes;     /* registered at the router */
-    char last_error[160];   /* the end of the last connection, or the failure of the last attempt; "" */
+    uint32_t mailboxes_waiting; /* not registered: there is no connection, or another client has the name, or a rule forbids it */
+    uint32_t reserved;      /* 0 */
+    char last_error[160];   /* without a connection: the end of the last one, or the failure of the last attempt; "" */
 };
 
 /* -EOPNOTSUPP: the component is of a station. */
@@ -106,7 +109,8 @@ int32_t rtnet_component_router_status(const rtnet_component *component, struct r
 /* Its mailboxes and senders stay until they are given back. NULL is nothing. */
 void rtnet_component_detach(rtnet_component *component);
 
-/* -EEXIST: the name is taken; -EINVAL: there can be no such mailbox; -ENOSPC: the station has as many as it takes. */
+/* -EEXIST: the name is taken here. At a router it is registered later, and again each second if that is refused: see
+ * rtnet_component_router_status. -EINVAL: there can be no such mailbox; -ENOSPC: the station has as many as it takes. */
 int32_t rtnet_mailbox_create(rtnet_component *component, uint32_t name, const struct rtnet_shape *shape,
                              rtnet_mailbox **mailbox);
 /* With what waits in it, and what was peeked at. NULL is nothing. */

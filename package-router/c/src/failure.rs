@@ -111,7 +111,9 @@ fn of_station(error: &Error) -> i32 {
 fn of_send(error: &SendError) -> i32 {
     match error {
         SendError::Mailbox(mailbox::SendError::Full(_)) => libc::ENOBUFS,
-        SendError::Mailbox(mailbox::SendError::TooLarge { .. }) => libc::EMSGSIZE,
+        SendError::Mailbox(mailbox::SendError::TooLarge { .. }) | SendError::LongerThanTcpTakes { .. } => {
+            libc::EMSGSIZE
+        }
         SendError::Mailbox(_) => libc::EPROTO,
         SendError::NoMailbox(_) => libc::ENOENT,
         SendError::Unbound(_) => libc::EBADF,

@@ -22,13 +22,16 @@ pub struct RtnetRouterStatus {
     not_connected: u64,
     not_written: u64,
     unconfirmed: u64,
+    names_refused: u64,
     is_connected: u32,
     mailboxes: u32,
+    mailboxes_waiting: u32,
+    reserved: u32,
     last_error: [c_char; TEXT],
 }
 
 // As the header says.
-const _: () = assert!(size_of::<RtnetRouterStatus>() == 216);
+const _: () = assert!(size_of::<RtnetRouterStatus>() == 232);
 
 impl From<&TcpStatus> for RtnetRouterStatus {
     fn from(status: &TcpStatus) -> Self {
@@ -39,11 +42,18 @@ impl From<&TcpStatus> for RtnetRouterStatus {
             not_connected: status.local.not_connected,
             not_written: status.session.lost,
             unconfirmed: status.session.unconfirmed,
+            names_refused: status.session.names_refused,
             is_connected: status.is_connected.into(),
-            mailboxes: u32::try_from(status.names).unwrap_or(u32::MAX),
+            mailboxes: count(status.names),
+            mailboxes_waiting: count(status.names_waiting),
+            reserved: 0,
             last_error: text(status.last_error.as_deref().unwrap_or_default()),
         }
     }
+}
+
+fn count(of: usize) -> u32 {
+    u32::try_from(of).unwrap_or(u32::MAX)
 }
 
 /// As much of it as fits, with a zero behind it; no character is cut.

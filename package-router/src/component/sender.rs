@@ -53,6 +53,16 @@ pub enum SendError {
     /// The mailbox takes none.
     #[error(transparent)]
     Mailbox(#[from] mailbox::SendError),
+    /// The TCP client takes no body that long.
+    #[error(
+        "a body of {got} bytes is longer than the TCP client takes ({most}): start the station with a larger `--router-body`, or          the component with a larger `largest_body`"
+    )]
+    LongerThanTcpTakes {
+        /// Its bytes.
+        got: usize,
+        /// Bytes of the largest.
+        most: usize,
+    },
     /// It is there no more.
     #[error("{0} is there no more: bind to it anew once it is there again")]
     NoMailbox(MailboxName),
@@ -182,7 +192,13 @@ impl Sender {
         let head = Head { from: self.from, to: self.to, ..*head };
         match &mut self.way {
             // A lane keeps the name from others; elsewhere nobody does.
-            Way::Here(lane) | Way::Tcp(lane) => lane.send(&head, body, Origin::Here),
+            Way::Here(lane) => lane.send(&head, body, Origin::Here),
+            Way::Tcp(lane) => lane.send(&head, body, Origin::Here).map_err(|error| match error {
+                SendError::Mailbox(mailbox::SendError::TooLarge { got, most }) => {
+                    SendError::LongerThanTcpTakes { got, most }
+                }
+                error => error,
+            }),
             Way::Away(_) if !self.link.board.has(self.own.0, self.own.1) => {
                 Err(SendError::Unbound(self.from))
             }

@@ -19,7 +19,7 @@ use crate::name::MailboxName;
 use crate::wire::{HEAD_LEN, Head, HeadError, MAX_LEN};
 use links::Role;
 
-pub use status::{ClientStatus, Closed, Counters, Status};
+pub use status::{ClientStatus, Closed, Counters, LinkStatus, Status};
 
 /// Milliseconds between two signs of life that are asked for.
 pub const LIFESIGN_EVERY: u64 = 5_000;
@@ -56,8 +56,8 @@ impl Default for Limits {
 /// Why a connection was closed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Ending {
-    /// The client has closed it.
-    #[error("closed by the client")]
+    /// The other end has closed it.
+    #[error("closed at the other end")]
     Left,
     /// The client did not answer for a whole round.
     #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]

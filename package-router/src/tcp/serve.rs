@@ -1,11 +1,11 @@
 //! The router's loop over sockets: one thread.
 
+mod links;
 mod remote;
 mod socket;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeSet;
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -17,12 +17,12 @@ use mio::{Events, Interest, Poll, Token, Waker};
 use rtnet::clock::True;
 use rtnet::live::clock::monotonic;
 
-use super::address::Address;
-use super::control::Proof;
-use super::dial::{Dial, Opened, prepare};
-use super::keys::{ClientKeys, RouterKeys};
-use super::router::{Connection, Ending, Limits, Router};
+use super::dial::prepare;
+use super::keys::RouterKeys;
+use super::router::{Connection, Ending, Limits, Router, Status};
 use super::stream::Stream;
+pub use links::LinkTo;
+use links::OwnLink;
 use remote::Order;
 pub use remote::Remote;
 use socket::{Begun, Socket};
@@ -46,7 +46,7 @@ pub struct Server {
     begun: True,
     listeners: Vec<(TcpListener, Option<RouterKeys>)>,
     /// Connections to the routers of other systems.
-    links: Vec<Dial>,
+    links: Vec<OwnLink>,
     sockets: Vec<Option<Socket>>,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
@@ -58,17 +58,6 @@ pub struct Server {
     accepts_again: Option<u64>,
     orders: Receiver<Order>,
     remote: Remote,
-}
-
-/// A link to the router of another system.
-#[derive(Clone, Debug)]
-pub struct LinkTo {
-    /// That router.
-    pub router: Address,
-    /// Keys, if it is reached by TLS.
-    pub keys: Option<ClientKeys>,
-    /// The systems whose mailboxes are reached by it; none: all others.
-    pub systems: BTreeSet<u8>,
 }
 
 impl Server {
@@ -101,7 +90,7 @@ impl Server {
     /// The same with links from this system to the routers of others.
     pub fn with_links(mut self, system: u8, links: Vec<LinkTo>) -> Self {
         self.router.set_links(system, links.iter().map(|link| link.systems.clone()).collect());
-        self.links = links.into_iter().map(|link| Dial::new(link.router, link.keys)).collect();
+        self.links = links.into_iter().map(OwnLink::new).collect();
         self
     }
 
@@ -150,7 +139,7 @@ impl Server {
         if !self.readable.is_empty() || !self.accepting.is_empty() || self.router.has_awake() {
             return Some(Duration::ZERO);
         }
-        let links = self.links.iter().filter_map(Dial::due);
+        let links = self.links.iter().filter_map(OwnLink::due);
         let next = links.chain(self.accepts_again).fold(self.router.next_round(), u64::min);
         Some(Duration::from_millis(next.saturating_sub(self.now())))
     }
@@ -229,31 +218,6 @@ impl Server {
             self.sockets.resize_with(place + 1, || None);
         }
         self.sockets[place] = Some(socket);
-    }
-
-    /// Opens links that are not open, as far as that goes.
-    fn link(&mut self) {
-        let now = self.now();
-        for place in 0..self.links.len() {
-            // A failed attempt is followed by another.
-            let opened = self.links[place].go_on(self.poll.registry(), Token(LINKS + place), now);
-            if let Ok(Some(Opened { stream, proof })) = opened {
-                self.linked(place, stream, proof.as_ref(), now);
-            }
-        }
-    }
-
-    fn linked(&mut self, place: usize, mut stream: Stream, proof: Option<&Proof>, now: u64) {
-        let connection =
-            stream.tcp.peer_addr().ok().and_then(|peer| self.router.link(place, peer, proof, now).ok());
-        let Some(connection) = connection else { return self.links[place].lost(now) };
-        let (token, both) = (Token(connection.0 as usize), Interest::READABLE | Interest::WRITABLE);
-        if let Err(error) = self.poll.registry().reregister(&mut stream.tcp, token, both) {
-            self.links[place].lost(now);
-            return self.router.disconnect(connection, broken(&error), now);
-        }
-        self.keep(connection, Socket { stream, keys: None, is_readable: true, is_ended: false });
-        self.readable.push(connection);
     }
 
     /// Reads once from each connection that has something.
@@ -340,10 +304,7 @@ impl Server {
             drop(socket);
             let now = self.now();
             if let Some(place) = self.router.place_of_link(connection) {
-                match why {
-                    Ending::SameSystem => self.links[place].refused(now),
-                    _ => self.links[place].lost(now),
-                }
+                self.links[place].ended(&why, now);
             }
             self.readable.retain(|readable| *readable != connection);
             self.router.disconnect(connection, why, self.now());
@@ -355,7 +316,8 @@ impl Server {
             match self.orders.try_recv() {
                 Ok(Order::Status(asked)) => {
                     // A question that was given up meanwhile has no answer.
-                    let _ = asked.send(self.router.status(self.now()));
+                    let links = self.links.iter().map(OwnLink::status).collect();
+                    let _ = asked.send(Status { links, ..self.router.status(self.now()) });
                 }
                 Ok(Order::Rules(rules)) => self.router.set_rules(rules),
                 Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
@@ -366,9 +328,19 @@ impl Server {
 
 fn broken(error: &io::Error) -> Ending {
     match error.kind() {
-        io::ErrorKind::InvalidData => return Ending::Tls(error.to_string()),
+        io::ErrorKind::InvalidData => return Ending::Tls(of_tls(error)),
         io::ErrorKind::UnexpectedEof => return Ending::Left,
         _ => {}
     }
     Ending::Broken(error.raw_os_error().unwrap_or(libc::EIO))
+}
+
+/// An error of a TLS session.
+fn of_tls(error: &io::Error) -> String {
+    match error.get_ref().and_then(|of| of.downcast_ref()) {
+        Some(rustls::Error::InvalidMessage(_)) => {
+            format!("it does not speak TLS, which this address asks for: {error}")
+        }
+        _ => error.to_string(),
+    }
 }

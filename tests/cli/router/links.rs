@@ -112,6 +112,32 @@ fn a_link_that_cannot_be_is_refused_at_the_start() {
     }
 }
 
+/// Nobody listens there, then a router does.
+#[test]
+fn a_link_shows_whether_it_is_open_and_else_why() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("router.toml");
+    let other = Router::start("other", &[]);
+    let (at, shown) = (other.at.to_string(), |router: &Router| router.status()["links"][0].clone());
+    drop(other);
+    fs::write(&file, format!("system = 1\n[[link]]\nrouter = \"{at}\"\nsystems = [2, 3]")).unwrap();
+    let router = Router::start("opens", &["--listen", "127.0.0.1:0", file.to_str().unwrap()]);
+    wait_until("it says why", || {
+        let link = shown(&router);
+        link["open"] == false && link["last_error"].as_str().is_some_and(|why| why.contains("refused"))
+    });
+    assert_eq!((&shown(&router)["router"], shown(&router)["systems"][1].as_u64()), (&at.clone().into(), Some(3)));
+    fs::write(&file, "system = 2").unwrap();
+    let other = Router::start("opened", &["--listen", &at, file.to_str().unwrap()]);
+    wait_until("it is open", || shown(&router)["open"] == true);
+    assert!(shown(&router)["last_error"].is_null());
+    drop(other);
+    wait_until("it is over, and says why", || {
+        let link = shown(&router);
+        link["open"] == false && link["last_error"].is_string()
+    });
+}
+
 /// The link is there, closed again with the reason, and tried later.
 #[test]
 fn a_link_to_ones_own_system_says_so() {

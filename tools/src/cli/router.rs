@@ -19,13 +19,20 @@ pub struct RouterArgs {
     pub run: RouterRunArgs,
 }
 
+/// An address to listen at.
+fn parse_address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| {
+        format!("'{text}' is no IP address with a port: write one, as 127.0.0.1:2000 or [::1]:2000")
+    })
+}
+
 /// Options of a router.
 #[derive(Debug, Args)]
 pub struct RouterRunArgs {
     /// Its file; options on this line count before what it says
     pub file: Option<PathBuf>,
     /// Where to listen; can be given several times [default: 127.0.0.1:2000]
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address)]
     pub listen: Vec<SocketAddr>,
     /// Clients come by TLS, with a certificate or a secret: the keys of a router as `rtnet router keys` makes them. For --listen
     #[arg(long, value_name = "DIRECTORY", requires = "listen")]
@@ -34,7 +41,7 @@ pub struct RouterRunArgs {
     #[arg(long)]
     pub insecure: bool,
     /// Serve its figures for Prometheus by HTTP, at /metrics
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = parse_address)]
     pub metrics: Option<SocketAddr>,
     /// Its name, for `rtnet router status` [default: router]
     #[arg(long, value_parser = parse_name)]

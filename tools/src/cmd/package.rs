@@ -20,11 +20,12 @@ use package_router::route::Route;
 use package_router::wire::{Head, OK};
 
 use super::Failure;
+use super::interface::{asked, unasked};
 use super::tdma::found_of;
 use crate::cli::{
     MailboxArgs, MailboxVerb, PackageRouteVerb, PackageVerb, PackageVerbArgs, WhichOf, duration,
 };
-use crate::control::Directory;
+use crate::control::{Directory, StackReply, StackRequest, TcpShown};
 use crate::report::document::{Document, Documents};
 use counts::Counts;
 use shown::{Came, RouteShown, Shown, Trips, list, stat, watched};
@@ -35,6 +36,15 @@ use ways::{WayName, WayShown};
 const SLOTS: usize = 64;
 /// Its largest body: a package of one frame; `receive` says what to do about longer ones.
 const BODY: usize = 4096;
+
+/// The connection of a station's packages to its TCP router.
+fn connection(which: &WhichOf) -> Result<Option<TcpShown>, Failure> {
+    let which = found_of(which)?;
+    match asked(&which, StackRequest::Counters)? {
+        StackReply::Counters(shown) => Ok(shown.tcp),
+        _ => Err(unasked(&which)),
+    }
+}
 
 /// Reads `PATTERN=IP`.
 pub fn parse_route(text: &str) -> Result<(Pattern, Ipv4Addr), String> {
@@ -122,7 +132,7 @@ pub fn package(args: &PackageVerbArgs) -> Result<u8, Failure> {
             return Ok(u8::from(told.came == 0));
         }
         PackageVerb::Route { name: Some(name), verb: None } => {
-            let shown = WayShown::of(*name, component.way(*name))?;
+            let shown = WayShown::of(*name, component.way(*name), || connection(&args.which))?;
             super::print(json, &shown, WayShown::describe).map_err(Failure::Run)?;
             return Ok(u8::from(shown.way == WayName::None));
         }

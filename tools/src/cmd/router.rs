@@ -23,7 +23,7 @@ use self::figures::{TRAFFIC, figures};
 use super::{Failure, print};
 use crate::cli::{RouterArgs, RouterRunArgs, RouterVerb};
 use crate::control::{
-    self, ClientShown, Directory, Envelope, Place, RouterReply, RouterRequest, RouterShown,
+    self, ClientShown, Directory, Envelope, LinkShown, RouterReply, RouterRequest, RouterShown,
 };
 use crate::metrics;
 use crate::remedy::explained;
@@ -120,7 +120,9 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
 
 /// A file; keys that it names are looked for from where it is.
 fn read(path: &Path) -> Result<RouterFile> {
-    let mut file = RouterFile::parse(&read_text(path)?, &path.display().to_string())?;
+    let name = path.display().to_string();
+    let text = read_text(path).with_context(|| format!("{name} cannot be read"))?;
+    let mut file = RouterFile::parse(&text, &name)?;
     let directory = path.parent().unwrap_or(Path::new(""));
     let of_listeners = file.listen.iter_mut().filter_map(|listen| listen.keys.as_mut());
     for keys in of_listeners.chain(file.links.iter_mut().filter_map(|link| link.keys.as_mut())) {
@@ -135,7 +137,12 @@ fn read_again(args: &RouterRunArgs, remote: &Remote) {
         Ok(file) => {
             // One that has ended needs none.
             let _ = remote.set_rules(file.rules);
-            tell("the rules were read again; addresses and limits are those of the start");
+            let what = if args.file.is_some() {
+                "its file was read again: its rules are in force"
+            } else {
+                "it has no file to read again"
+            };
+            tell(&format!("{what}; all else is as at the start"));
         }
         Err(why) => tell(&format!("the rules stay as they were: {why:#}")),
     }
@@ -152,8 +159,8 @@ fn set_up(
     stop: &Arc<AtomicBool>,
 ) -> Result<(Server, control::Server, control::Held)> {
     let directory = Directory::of_user()?;
-    let held = directory.take_station(name)?;
-    let path = directory.station(&Place { lab: None, station: name.into() });
+    let held = directory.take_router(name)?;
+    let path = directory.router(name);
     let control = control::Server::bind(&path)?;
     let places: Vec<String> = file.listen.iter().map(|listen| listen.address.to_string()).collect();
     let with_keys = |Listen { address, keys }: &Listen| {
@@ -211,6 +218,7 @@ fn describe(router: &RouterShown) -> String {
         "router '{name}', process {pid}, at {} for {up}: {connections} connections, {names} mailboxes, {waiting} packages waiting",
         listen.join(", ")
     )];
+    lines.extend(router.links.iter().map(described));
     let clients = &router.clients;
     if !clients.is_empty() {
         lines.push(String::new());
@@ -249,6 +257,17 @@ fn describe(router: &RouterShown) -> String {
         }));
     }
     lines.join("\n") + "\n"
+}
+
+fn described(link: &LinkShown) -> String {
+    let systems: Vec<String> = link.systems.iter().map(u8::to_string).collect();
+    let to = if systems.is_empty() { "all others".into() } else { systems.join(", ") };
+    let state = match (link.open, &link.last_error) {
+        (true, _) => "open".into(),
+        (false, Some(why)) => format!("not open: {why}"),
+        (false, None) => "not open yet".into(),
+    };
+    format!("link to {}, for systems {to}: {state}", link.router)
 }
 
 fn names_of(client: &ClientShown) -> String {

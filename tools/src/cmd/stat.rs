@@ -6,7 +6,7 @@ use super::Failure;
 use super::interface::{asked, unasked};
 use super::tdma::found;
 use crate::cli::ShowArgs;
-use crate::control::{CountersShown, StackReply, StackRequest, TcpShown, VnicCounted};
+use crate::control::{CountersShown, StackReply, StackRequest, VnicCounted};
 use crate::report::text::grouped;
 
 /// Shows everything that a station counts.
@@ -51,12 +51,10 @@ fn describe(shown: &CountersShown) -> String {
         text += &line(socket, counts);
     }
     text += &packages.as_ref().map_or(String::new(), |counts| line("packages by the LAN", counts));
-    if let Some(TcpShown { router, connected, last_error, counters, lost }) = tcp {
-        let why = last_error.as_ref().map_or(String::new(), |why| format!(" ({why})"));
-        let state = if *connected { "connected" } else { "not connected" };
-        text += &format!("TCP router {router}: {state}{}\n", if *connected { "" } else { &why });
-        text += &line("packages by TCP", counters);
-        text += &line("packages by TCP, lost", lost);
+    if let Some(tcp) = tcp {
+        text += &format!("TCP {}\n", tcp.state());
+        text += &line("packages by TCP", &tcp.counters);
+        text += &line("packages by TCP, lost", &tcp.lost);
     }
     match vnic {
         None => {}

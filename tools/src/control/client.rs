@@ -71,8 +71,7 @@ pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) ->
 
 /// The status of a router.
 pub fn router_status(directory: &Directory, name: &str) -> Result<RouterShown> {
-    let place = Place { lab: None, station: name.to_owned() };
-    let reply = exchange(&directory.station(&place), RouterRequest::Status, PATIENCE);
+    let reply = exchange(&directory.router(name), RouterRequest::Status, PATIENCE);
     match reply.map_err(|error| explain(error, "router", name, Vec::new()))? {
         RouterReply::Status(shown) => Ok(*shown),
         RouterReply::Refused(why) => Err(anyhow!("router '{name}': {why}")),

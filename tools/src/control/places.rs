@@ -6,6 +6,7 @@
 //!   LAB/.lock  LAB/.sock          a lab; no station's name begins with a dot
 //!   LAB/.namespaces               by what its namespaces are known, see `lab::guests`
 //!   LAB/STATION.sock              a station of it
+//!   .router-NAME  .router-NAME.lock   a router of packages
 //!   .load-PID                     what a lab takes of a core, see `loads.rs`
 //!   .aside-NAMESPACE-INTERFACE    what a proxy has changed of Linux's there, see `vnic::tun`
 //! ```
@@ -33,6 +34,8 @@ const OWNERS: u32 = 0o700;
 const NAME_AT_MOST: usize = 32;
 /// In a lab's directory: by what its namespaces are known.
 const NOTE: &str = ".namespaces";
+/// The begin of the file names of a router of packages: no station's name begins with a dot.
+const ROUTER: &str = ".router-";
 /// How long a lock is waited for that somebody may only have looked at.
 const LOCKED_WITHIN: Duration = Duration::from_millis(50);
 
@@ -181,6 +184,19 @@ impl Directory {
         check_name(name)?;
         self.make()?;
         let path = self.0.join(format!("{name}{LOCK}"));
+        Ok(Held { lock: lock(&path, name)?, path, directory: None, left: None })
+    }
+
+    /// The socket of a router of packages.
+    pub fn router(&self, name: &str) -> PathBuf {
+        self.0.join(format!("{ROUTER}{name}"))
+    }
+
+    /// Takes a router's name.
+    pub fn take_router(&self, name: &str) -> Result<Held> {
+        check_name(name)?;
+        self.make()?;
+        let path = self.0.join(format!("{ROUTER}{name}{LOCK}"));
         Ok(Held { lock: lock(&path, name)?, path, directory: None, left: None })
     }
 

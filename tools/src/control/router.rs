@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use package_router::tcp::router::{ClientStatus, Closed, Counters, Status};
+use package_router::tcp::router::{ClientStatus, Closed, Counters, LinkStatus, Status};
 use serde::{Deserialize, Serialize};
 
 use crate::report::document::document;
@@ -51,6 +51,9 @@ pub struct RouterShown {
     pub waiting: usize,
     /// Counters since its start, by name.
     pub counters: BTreeMap<String, u64>,
+    /// Its links to routers of other systems.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub links: Vec<LinkShown>,
     /// The open connections, those with the most bytes waiting first; 100 at the most.
     pub clients: Vec<ClientShown>,
     /// The last 64 connections that were closed, the newest first.
@@ -58,6 +61,21 @@ pub struct RouterShown {
 }
 
 document!(RouterShown, "router-status", router_status_schema_is_kept);
+
+/// A link to the router of another system.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct LinkShown {
+    /// That router.
+    pub router: String,
+    /// The systems that are reached by it; none: all others.
+    pub systems: Vec<u8>,
+    /// Whether it is open.
+    pub open: bool,
+    /// The failure of the last attempt to open it, or its end; none while it is open.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_error: Option<String>,
+}
 
 /// An open connection.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -121,9 +139,17 @@ impl RouterShown {
             names: status.clients.iter().map(|client| client.names.len()).sum(),
             waiting: status.clients.iter().map(|client| client.waiting).sum(),
             counters: status.counters.each().map(|(name, count)| (name.to_owned(), count)).collect(),
+            links: status.links.iter().map(LinkShown::of).collect(),
             clients: clients.into_iter().map(ClientShown::of).collect(),
             closed: status.closed.iter().map(|closed| ClosedShown::of(closed, up_ms)).collect(),
         }
+    }
+}
+
+impl LinkShown {
+    fn of(link: &LinkStatus) -> Self {
+        let LinkStatus { router, systems, is_open, last_error } = link.clone();
+        Self { router, systems, open: is_open, last_error }
     }
 }
 

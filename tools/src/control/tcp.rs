@@ -13,7 +13,7 @@ pub struct TcpShown {
     pub router: String,
     /// Whether it has a connection.
     pub connected: bool,
-    /// The end of the last connection, or the failure of the last attempt to open one.
+    /// The end of the last connection, or the failure of the last attempt to open one; none while there is a connection.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_error: Option<String>,
     /// Packages, bytes, connections and mailboxes, by name.
@@ -23,6 +23,13 @@ pub struct TcpShown {
 }
 
 impl TcpShown {
+    /// Whether it has a connection, in words.
+    pub fn state(&self) -> String {
+        let why = self.last_error.as_ref().map_or(String::new(), |why| format!(" ({why})"));
+        let state = if self.connected { "connected".to_owned() } else { format!("not connected{why}") };
+        format!("router {}: {state}", self.router)
+    }
+
     /// As it is now.
     pub fn of(watch: &TcpWatch) -> Self {
         let status = watch.status();

@@ -104,6 +104,19 @@ pub struct Closed {
     pub counters: Counters,
 }
 
+/// A link of this router, open or not.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LinkStatus {
+    /// The router that it leads to.
+    pub router: String,
+    /// The systems that are reached by it; none: all others.
+    pub systems: Vec<u8>,
+    /// Whether it is open, and the other router has sent something.
+    pub is_open: bool,
+    /// The failure of the last attempt to open it, or its end; none while it is open.
+    pub last_error: Option<String>,
+}
+
 /// A router as it is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Status {
@@ -111,12 +124,14 @@ pub struct Status {
     pub clients: Vec<ClientStatus>,
     /// The last that were closed, the newest first.
     pub closed: Vec<Closed>,
+    /// Its links.
+    pub links: Vec<LinkStatus>,
     /// Sums over all connections so far.
     pub counters: Counters,
 }
 
 impl Router {
-    /// The router's status.
+    /// The router's status, without its links: the sockets know those.
     pub fn status(&self, now: u64) -> Status {
         let clients: Vec<ClientStatus> = self
             .clients
@@ -136,6 +151,6 @@ impl Router {
             .collect();
         let mut counters = self.counters;
         clients.iter().for_each(|client| counters.add(&client.counters));
-        Status { clients, closed: self.closed.iter().cloned().collect(), counters }
+        Status { clients, closed: self.closed.iter().cloned().collect(), links: Vec::new(), counters }
     }
 }

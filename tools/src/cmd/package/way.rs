@@ -66,7 +66,7 @@ impl Way {
                 continue;
             }
             if head.kind == NOT_AVAILABLE {
-                return Err(Failure::Run(anyhow!("{to} is not there: its station says so")));
+                return Err(Failure::Run(anyhow!("{to} is not available: nobody has it, or it has no room")));
             }
             return Ok(Some(Told { took, head, body: package.body().to_vec() }));
         }
@@ -84,6 +84,6 @@ pub(super) fn lacks_room(error: &SendError) -> bool {
     match error {
         SendError::Mailbox(error) => matches!(error, mailbox::SendError::Full(_)),
         SendError::Station(errno) => *errno == Errno::ENOBUFS as i32,
-        SendError::NoMailbox(_) | SendError::Unbound(_) => false,
+        SendError::NoMailbox(_) | SendError::Unbound(_) | SendError::LongerThanTcpTakes { .. } => false,
     }
 }

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::run;
 use crate::cmd::Failure;
+use crate::control::TcpShown;
 use crate::report::document::document;
 
 /// The layer that takes packages for a mailbox.
@@ -39,14 +40,27 @@ pub(super) struct WayShown {
     pub station: Option<Ipv4Addr>,
     /// That route.
     pub route: Option<String>,
+    /// The connection to the TCP router, if packages go there.
+    pub tcp: Option<TcpShown>,
 }
 
 document!(WayShown, "package-way", package_way_has_its_schema);
 
 impl WayShown {
-    pub fn of(to: MailboxName, way: Result<Way, Error>) -> Result<Self, Failure> {
-        let nothing =
-            Self { to: to.to_string(), way: WayName::None, process: None, station: None, route: None };
+    /// The way to a mailbox. `tcp` asks for the station's connection to its router.
+    pub fn of(
+        to: MailboxName,
+        way: Result<Way, Error>,
+        tcp: impl FnOnce() -> Result<Option<TcpShown>, Failure>,
+    ) -> Result<Self, Failure> {
+        let nothing = Self {
+            to: to.to_string(),
+            way: WayName::None,
+            process: None,
+            station: None,
+            route: None,
+            tcp: None,
+        };
         Ok(match way {
             Ok(Way::Here { process }) => {
                 Self { way: WayName::Mailbox, process: (process != 0).then_some(process), ..nothing }
@@ -55,14 +69,14 @@ impl WayShown {
                 let (station, route) = (Some(route.station), Some(route.to.to_string()));
                 Self { way: WayName::Lan, station, route, ..nothing }
             }
-            Ok(Way::Tcp) => Self { way: WayName::Tcp, ..nothing },
+            Ok(Way::Tcp) => Self { way: WayName::Tcp, tcp: tcp()?, ..nothing },
             Err(Error::Refused(Refused::NoMailbox(_))) => nothing,
             Err(error) => return Err(run(error)),
         })
     }
 
     pub fn describe(&self) -> String {
-        let Self { to, way, process, station, route } = self;
+        let Self { to, way, process, station, route, tcp } = self;
         let why = match (way, station, route) {
             (WayName::Mailbox, ..) => {
                 let of = process.map_or(String::new(), |process| format!(" of process {process}"));
@@ -71,7 +85,10 @@ impl WayShown {
             (WayName::Lan, Some(station), Some(route)) => {
                 format!("LAN: no mailbox of this station, and route {route} leads to {station}")
             }
-            (WayName::Tcp, ..) => "TCP: no mailbox of this station, and no route leads to another".into(),
+            (WayName::Tcp, ..) => {
+                let state = tcp.as_ref().map_or(String::new(), |tcp| format!("; {}", tcp.state()));
+                format!("TCP: no mailbox of this station, and no route leads to another{state}")
+            }
             _ => "none: no mailbox of this station, no route to another, and no TCP router (--router)".into(),
         };
         format!("{to}: {why}\n")

@@ -1,8 +1,8 @@
 """Mailboxes and prioritised packages by a TCP router (`rtnet router`)."""
 
 from .client import PORT, Mailbox, Router, keys
+from .errors import Failed, NameTaken, NotAvailable, NotConnected, TimedOut, Unavailable
 from .names import CLASSES, NOBODY, name, shown
-from .session import Failed, NameTaken, NotAvailable, NotConnected, TimedOut, Unavailable
 from .wire import ERROR, LONGEST, NOT_AVAILABLE, OK, TIMEOUT, Package, ProtocolError
 
 __all__ = [

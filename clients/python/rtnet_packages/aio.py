@@ -6,8 +6,9 @@ from types import TracebackType
 from typing import Callable, Optional, Type, TypeVar
 
 from .client import _AGAIN, _FIRST, _LONGEST, _READ, PORT, prepare
+from .errors import NameTaken, NotConnected, TimedOut, checked
 from .names import Name, name, shown
-from .session import NameTaken, NotConnected, Sender, Session, TimedOut, checked
+from .session import Sender, Session
 from .wire import Package, ProtocolError
 
 _T = TypeVar("_T")

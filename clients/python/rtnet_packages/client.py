@@ -9,8 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Callable, Optional, Type, TypeVar, Union
 
+from .errors import NameTaken, NotConnected, TimedOut, checked
 from .names import Name, name, shown
-from .session import NameTaken, NotConnected, Sender, Session, TimedOut, checked
+from .session import Sender, Session
 from .wire import Package, ProtocolError
 
 #: Where routers listen.

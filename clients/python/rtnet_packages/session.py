@@ -1,70 +1,12 @@
 """A client's part of the protocol without I/O: bytes come in, bytes are to be sent. Both fronts stand on it."""
 
-import heapq
 import itertools
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, Optional, Tuple
 
+from .errors import NameTaken
+from .inbox import Inbox
 from .names import NOBODY, Name, name, shown
-from .wire import DELETE, ERROR, LIFESIGN, NOT_AVAILABLE, OK, REGISTER, TIMEOUT, Decoder, Package, control
-
-
-class Unavailable(Exception):
-    """A call that was not answered as it should be."""
-
-
-class NotAvailable(Unavailable):
-    """Nobody has the mailbox, or it has no room."""
-
-
-class Failed(Unavailable):
-    """The other side answers that it cannot."""
-
-
-class TimedOut(Unavailable):
-    """No answer came in time, or the other side says that something took too long."""
-
-
-class NotConnected(Exception):
-    """There is no router now. The client connects again by itself; what was to be sent was not."""
-
-
-class NameTaken(Exception):
-    """Another connection of the router has this mailbox, or this one has it already."""
-
-
-#: Errors by the kind of the reply.
-_ERRORS = {ERROR: Failed, TIMEOUT: TimedOut, NOT_AVAILABLE: NotAvailable}
-
-
-def checked(reply: Package) -> Package:
-    """A reply that is no error; else the error."""
-    error = _ERRORS.get(reply.kind)
-    if error:
-        raise error(f"{shown(reply.sender)} answers {reply.kind}")
-    return reply
-
-
-class Inbox:
-    """The packages of one mailbox: the most urgent first, of equals the oldest. A full one refuses packages and counts them."""
-
-    def __init__(self, slots: int) -> None:
-        self._slots, self._number = slots, itertools.count()
-        self._waiting: List[Tuple[int, int, Package]] = []
-        #: Packages that found it full.
-        self.refused = 0
-
-    def put(self, package: Package) -> None:
-        if len(self._waiting) < self._slots:
-            heapq.heappush(self._waiting, (-package.priority, next(self._number), package))
-        else:
-            self.refused += 1
-
-    def take(self) -> Optional[Package]:
-        return heapq.heappop(self._waiting)[2] if self._waiting else None
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
+from .wire import DELETE, LIFESIGN, OK, REGISTER, Decoder, Package, control
 
 #: The key of an open call: the mailbox, its peer, and the id.
 Call = Tuple[int, int, int]

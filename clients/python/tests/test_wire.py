@@ -5,7 +5,9 @@ import unittest
 from typing import List
 
 from rtnet_packages import ERROR, LONGEST, NOT_AVAILABLE, Failed, NotAvailable, Package, ProtocolError, name, shown
-from rtnet_packages.session import Inbox, NameTaken, Session, checked
+from rtnet_packages.errors import NameTaken, checked
+from rtnet_packages.inbox import Inbox
+from rtnet_packages.session import Session
 from rtnet_packages.wire import HEAD, Decoder, control
 
 SEEN = {

@@ -1,5 +1,7 @@
 """The errors of calls, mailboxes and connections."""
 
+from typing import Optional
+
 from .names import shown
 from .wire import ERROR, NOT_AVAILABLE, TIMEOUT, Package
 
@@ -21,19 +23,25 @@ class TimedOut(Unavailable):
 
 
 class NotConnected(Exception):
-    """There is no router now. The client connects again by itself; what was to be sent was not."""
+    """There is no router now, and nothing was sent. The client connects again by itself."""
+
+
+class Full(Exception):
+    """The connection takes no more; it was not sent. Only the asyncio client raises it: the one for threads waits."""
 
 
 class NameTaken(Exception):
-    """Another connection of the router has this mailbox, or this one has it already."""
+    """The router refuses the mailbox: another connection has the name, or a rule or a limit forbids it. Or this client has it already."""
 
 
 #: Errors by the kind of the reply.
 _ERRORS = {ERROR: Failed, TIMEOUT: TimedOut, NOT_AVAILABLE: NotAvailable}
 
 
-def checked(reply: Package) -> Package:
-    """A reply that is no error; else the error."""
+def checked(reply: Optional[Package], to: int, timeout: float) -> Package:
+    """The reply to a call; an error if there is none within `timeout` seconds, or if it is one."""
+    if reply is None:
+        raise TimedOut(f"{shown(to)} has not answered within {timeout} s")
     error = _ERRORS.get(reply.kind)
     if error:
         raise error(f"{shown(reply.sender)} answers {reply.kind}")

@@ -11,6 +11,7 @@ from .errors import Full, checked
 from .mailbox import Sender
 from .names import Name, name
 from .session import Session
+from .tls import Handshake
 from .wire import Package, ProtocolError
 
 #: While more bytes wait for the router, nothing is sent.
@@ -156,16 +157,18 @@ class Router:
 
     async def _connect(self) -> asyncio.StreamReader:
         """Tries once."""
-        opened = asyncio.open_connection(*self._place, ssl=self._tls)
-        reader, writer = await asyncio.wait_for(opened, self._timeout)
-        try:
-            prepare(writer.get_extra_info("socket"))
-        except BaseException:
-            writer.transport.abort()
-            raise
+        with Handshake(self._tls) as handshake:
+            opened = asyncio.open_connection(*self._place, ssl=handshake.context)
+            reader, writer = await asyncio.wait_for(opened, self._timeout)
+            try:
+                prepare(writer.get_extra_info("socket"))
+                proof = handshake.proof()
+            except BaseException:
+                writer.transport.abort()
+                raise
         self._writer = writer
         self.connections += 1
-        writer.write(self._session.connected(time.monotonic()))
+        writer.write(proof + self._session.connected(time.monotonic()))
         return reader
 
 

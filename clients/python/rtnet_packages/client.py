@@ -5,14 +5,14 @@ import socket
 import ssl
 import threading
 import time
-from pathlib import Path
 from types import TracebackType
-from typing import Callable, Optional, Tuple, Type, TypeVar, Union
+from typing import Callable, Optional, Tuple, Type, TypeVar
 
 from .errors import checked
 from .mailbox import Sender
 from .names import Name, name
 from .session import Session
+from .tls import Handshake
 from .wire import Package, ProtocolError
 
 #: Where routers listen.
@@ -177,33 +177,28 @@ class Router:
 
     def _connect(self) -> socket.socket:
         """Tries once."""
-        connection = _dial(self._place, self._timeout, self._tls)
+        connection, proof = _dial(self._place, self._timeout, self._tls)
         with self._changed:
             self._socket = connection
             self.connections += 1
-            self._say(self._session.connected(time.monotonic()))
+            self._say(proof + self._session.connected(time.monotonic()))
             if self._session.is_closed:
                 self._drop()
         return connection
 
 
-def _dial(place: Tuple[str, int], timeout: float, tls: Optional[ssl.SSLContext]) -> socket.socket:
-    """A connection."""
+def _dial(place: Tuple[str, int], timeout: float, tls: Optional[ssl.SSLContext]) -> Tuple[socket.socket, bytes]:
+    """A connection, and the proof that it begins with."""
     connection = socket.create_connection(place, timeout)
     try:
         prepare(connection)
-        return connection if tls is None else tls.wrap_socket(connection, server_hostname=place[0])
+        with Handshake(tls) as handshake:
+            if handshake.context is not None:
+                connection = handshake.context.wrap_socket(connection, server_hostname=place[0])
+            return connection, handshake.proof()
     except BaseException:
         connection.close()
         raise
-
-
-def keys(directory: Union[str, Path]) -> ssl.SSLContext:
-    """The keys of a client as `rtnet router keys` makes them: its certificate, and the authority that has signed the router's."""
-    place = Path(directory)
-    context = ssl.create_default_context(cafile=str(place / "ca.pem"))
-    context.load_cert_chain(str(place / "client.pem"), str(place / "client.key"))
-    return context
 
 
 def prepare(connection: socket.socket) -> None:

@@ -2,24 +2,34 @@
 
 import asyncio
 import ssl
+import time
 from types import TracebackType
 from typing import Callable, Optional, Type, TypeVar
 
-from .client import _AGAIN, _FIRST, _LONGEST, _READ, PORT, prepare
-from .names import Name, name, shown
-from .session import NameTaken, NotConnected, Sender, Session, TimedOut, checked
+from .client import PORT, READ, prepare
+from .errors import Full, checked
+from .mailbox import Sender
+from .names import Name, name
+from .session import Session
+from .tls import Handshake
 from .wire import Package, ProtocolError
+
+#: While more bytes wait for the router, nothing is sent.
+MOST = 4 << 20
 
 _T = TypeVar("_T")
 
 
 class Router:
-    """A connection to a TCP router, of one event loop: `async with Router(...) as router`."""
+    """A connection to a TCP router, of one event loop: `async with Router(...) as router`.
+
+    Nothing waits for a router that does not read. While more than 4 MiB wait for it, a method that sends raises Full.
+    """
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0, tls: Optional[ssl.SSLContext] = None
     ) -> None:
-        """`timeout` in seconds is how long the router may take to answer. `tls`: see `keys`."""
+        """The router may take `timeout` seconds to answer. `tls`: see `keys`."""
         self._place, self._timeout, self._tls = (host, port), timeout, tls
         self._session = Session()
         self._writer: Optional[asyncio.StreamWriter] = None
@@ -30,8 +40,7 @@ class Router:
     async def __aenter__(self) -> "Router":
         """Connects; OSError if nobody listens there."""
         self._changed = asyncio.Event()
-        reader = await self._connect()
-        self._reads = asyncio.ensure_future(self._read(reader))
+        self._reads = asyncio.ensure_future(self._run(await self._connect()))
         return self
 
     async def __aexit__(
@@ -41,64 +50,56 @@ class Router:
 
     async def close(self) -> None:
         """Ends the connection; the router forgets its mailboxes."""
+        self._session.is_closed = True
         if self._reads is not None:
             self._reads.cancel()
             try:
                 await self._reads
             except asyncio.CancelledError:
                 pass
-        self._drop()
+        if self._writer is not None:
+            # It still sends what it has.
+            self._writer.close()
+        self._lost()
 
     async def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
-        """A mailbox of this name, for so many packages. NameTaken: somebody has it; NotConnected: there is no router now."""
-        number = name(of)
-        data = self._session.add(number, slots)
+        """A mailbox of this name, for so many packages. NameTaken: the router refuses it; NotConnected: there is no router now."""
+        number, session = name(of), self._session
+        data = session.add(number, slots)
         try:
             self._send(data)
-        except NotConnected:
-            self._session.remove(number)
+            await self._wait(lambda: session.registered(number), self._timeout)
+            session.settle(number, self._timeout)
+        except BaseException:
+            self._say(session.remove(number))
             raise
-        is_ours = await self._wait(lambda: self._session.registered.get(number), self._timeout)
-        if not is_ours:
-            data = self._session.remove(number)
-            if is_ours is None:
-                if self._writer is not None:
-                    self._writer.write(data)
-                raise NotConnected(f"the router has not answered the registration of {shown(number)} within {self._timeout} s")
-            raise NameTaken(f"another connection has {shown(number)}")
         return Mailbox(self, number)
 
     @property
     def is_connected(self) -> bool:
         """Whether there is a connection, and all mailboxes are registered."""
-        session = self._session
-        return self._writer is not None and all(session.registered.get(of) for of in session.inboxes)
+        return self._session.is_ready
 
     async def wait_until_connected(self, timeout: Optional[float] = None) -> bool:
         """Waits, at most so many seconds; tells whether there is a connection, and all mailboxes are registered."""
-        return bool(await self._wait(lambda: self.is_connected or None, timeout))
-
-    async def _connect(self) -> asyncio.StreamReader:
-        reader, writer = await asyncio.wait_for(asyncio.open_connection(*self._place, ssl=self._tls), self._timeout)
-        try:
-            prepare(writer.get_extra_info("socket"))
-        except OSError:
-            writer.close()
-            raise
-        self._writer = writer
-        self.connections += 1
-        writer.write(self._session.connected())
-        return reader
+        return bool(await self._wait(lambda: self._session.is_ready or None, timeout))
 
     def _send(self, data: bytes) -> None:
+        """Sends, or raises NotConnected or Full."""
         if self._writer is None or self._writer.is_closing():
-            raise NotConnected("there is no router now: it is connected to again as soon as there is one")
+            raise self._session.gone()
+        if self._writer.transport.get_write_buffer_size() > MOST:
+            raise Full(f"the connection takes no more; it was not sent: {MOST} bytes wait for the router")
         self._writer.write(data)
 
-    def _drop(self) -> None:
+    def _say(self, data: bytes) -> None:
+        """Sends if there is a connection."""
         if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+            self._writer.write(data)
+
+    def _lost(self) -> None:
+        self._writer = None
+        self._session.lost()
         self._tell()
 
     def _tell(self) -> None:
@@ -107,89 +108,96 @@ class Router:
         changed.set()
 
     async def _wait(self, look: Callable[[], Optional[_T]], timeout: Optional[float]) -> Optional[_T]:
-        loop = asyncio.get_running_loop()
-        deadline = None if timeout is None else loop.time() + timeout
+        """Waits until `look` finds something, time is up, or the client is closed."""
+        deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             found = look()
-            if found is not None:
+            if found is not None or self._session.is_closed:
                 return found
             try:
-                left = None if deadline is None else max(deadline - loop.time(), 0)
+                left = None if deadline is None else max(deadline - time.monotonic(), 0)
                 await asyncio.wait_for(self._changed.wait(), left)
             except asyncio.TimeoutError:
                 return look()
 
-    async def _read(self, reader: asyncio.StreamReader) -> None:
+    async def _run(self, reader: asyncio.StreamReader) -> None:
+        """Reads; connects again whenever a connection has ended."""
         while True:
             try:
-                data = await asyncio.wait_for(reader.read(_READ), _AGAIN)
-                answer = self._session.feed(data) if data else b""
-            except asyncio.TimeoutError:
-                self._ask_again()
-                continue
+                await self._read(reader)
             except (OSError, ProtocolError):
-                data, answer = b"", b""
-            if data:
-                if answer and self._writer is not None:
-                    self._writer.write(answer)
-                self._tell()
-            else:
-                self._drop()
-                reader = await self._connect_again()
+                pass
+            if self._writer is not None:
+                self._writer.transport.abort()
+            self._lost()
+            reader = await self._connect_again()
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        """Reads one connection until it ends, which is an error."""
+        reading = asyncio.ensure_future(reader.read(READ))
+        try:
+            while True:
+                await asyncio.wait([reading], timeout=self._session.wait(time.monotonic()))
+                data = reading.result() if reading.done() else None
+                self._say(self._session.step(data, time.monotonic()))
+                if data:
+                    self._tell()
+                    reading = asyncio.ensure_future(reader.read(READ))
+        finally:
+            reading.cancel()
 
     async def _connect_again(self) -> asyncio.StreamReader:
-        rest = _FIRST
+        """Tries until there is a connection."""
         while True:
+            await asyncio.sleep(self._session.rest())
             try:
                 return await self._connect()
             except (OSError, asyncio.TimeoutError):
-                await asyncio.sleep(rest)
-                rest = min(2 * rest, _LONGEST)
+                pass
 
-    def _ask_again(self) -> None:
-        for of, is_ours in list(self._session.registered.items()):
-            if not is_ours and of in self._session.inboxes and self._writer is not None:
-                self._writer.write(self._session.again(of))
+    async def _connect(self) -> asyncio.StreamReader:
+        """Tries once."""
+        with Handshake(self._tls) as handshake:
+            opened = asyncio.open_connection(*self._place, ssl=handshake.context)
+            reader, writer = await asyncio.wait_for(opened, self._timeout)
+            try:
+                prepare(writer.get_extra_info("socket"))
+                proof = handshake.proof()
+            except BaseException:
+                writer.transport.abort()
+                raise
+        self._writer = writer
+        self.connections += 1
+        writer.write(proof + self._session.connected(time.monotonic()))
+        return reader
 
 
 class Mailbox(Sender):
     """A mailbox of a router's client. It is gone when closed, or when its client is."""
 
     def __init__(self, router: Router, number: int) -> None:
-        self._router, self.name = router, number
+        super().__init__(router._session, number)
+        self._router = router
 
     def forward(self, package: Package) -> None:
-        """Sends a package as it is, such as a reply."""
+        """Sends a package as it is, such as a reply. NotConnected, Full: it was not sent."""
         self._router._send(package.encode())
 
     async def call(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, timeout: float = 2.0) -> Package:
-        """Sends a command and waits for its reply. NotAvailable, Failed and TimedOut are what may come instead."""
-        session = self._router._session
-        call, data = session.call(Package(name(to), self.name, kind, body, priority))
+        """Sends a command and returns its reply. NotAvailable, Failed, TimedOut: there is none; NotConnected, Full: nothing was sent."""
+        number = name(to)
+        call, data = self._session.call(Package(number, self.name, kind, body, priority))
         try:
             self._router._send(data)
-            await self._router._wait(lambda: session.answers.get(call), timeout)
+            await self._router._wait(lambda: self._session.answers.get(call), timeout)
         finally:
-            reply = session.end(call)
-        if reply is None:
-            raise TimedOut(f"{shown(name(to))} has not answered within {timeout} s")
-        return checked(reply)
+            reply = self._session.end(call)
+        return checked(reply, number, timeout)
 
     async def receive(self, timeout: Optional[float] = None) -> Optional[Package]:
         """The most urgent package, once there is one; None if none came within so many seconds."""
-        return await self._router._wait(self._take, timeout)
-
-    @property
-    def refused(self) -> int:
-        """Packages that found it full."""
-        return self._router._session.inboxes[self.name].refused
+        return await self._router._wait(lambda: self._session.take(self.name), timeout)
 
     def close(self) -> None:
         """The mailbox is gone."""
-        data = self._router._session.remove(self.name)
-        if self._router._writer is not None:
-            self._router._writer.write(data)
-
-    def _take(self) -> Optional[Package]:
-        inbox = self._router._session.inboxes.get(self.name)
-        return inbox.take() if inbox is not None else None
+        self._router._say(self._session.remove(self.name))

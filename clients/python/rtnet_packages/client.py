@@ -1,73 +1,77 @@
-"""Mailboxes for threads: each call waits for what it asks for."""
+"""Mailboxes for threads: a call waits until it has its answer."""
 
 import selectors
 import socket
 import ssl
 import threading
 import time
-from pathlib import Path
 from types import TracebackType
-from typing import Any, Callable, Optional, Type, TypeVar, Union
+from typing import Callable, Optional, Tuple, Type, TypeVar
 
-from .names import Name, name, shown
-from .session import NameTaken, NotConnected, Sender, Session, TimedOut, checked
+from .errors import checked
+from .mailbox import Sender
+from .names import Name, name
+from .session import Session
+from .tls import Handshake
 from .wire import Package, ProtocolError
 
 #: Where routers listen.
 PORT = 2000
-#: Seconds between attempts to connect, the first and the longest; and until a name that is taken is asked for again.
-_FIRST, _LONGEST, _AGAIN = 0.05, 1.0, 0.5
-_READ = 1 << 16
+#: Bytes to read at a time.
+READ = 1 << 16
 
 _T = TypeVar("_T")
 
 
 class Router:
-    """A connection to a TCP router. One thread reads; all methods may be called from any thread."""
+    """A connection to a TCP router. One thread reads; all methods may be called from any thread.
+
+    A method that sends waits while the router does not read, and all other methods wait for it. After `timeout` seconds it drops the
+    connection and raises NotConnected.
+    """
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0, tls: Optional[ssl.SSLContext] = None
     ) -> None:
-        """Connects; OSError if nobody listens there. `timeout` in seconds is how long the router may take to answer. `tls`: see `keys`."""
+        """Connects; OSError if nobody listens there. The router may take `timeout` seconds to answer, and to read. `tls`: see `keys`."""
         self._place, self._timeout, self._tls = (host, port), timeout, tls
         self._session = Session()
         self._changed = threading.Condition()
-        self._socket: Optional[socket.socket] = self._connect()
-        self._is_closed = False
+        self._socket: Optional[socket.socket] = None
         #: Connections so far.
-        self.connections = 1
-        self._reader = threading.Thread(target=self._read, name="rtnet-router", daemon=True)
+        self.connections = 0
+        self._reader = threading.Thread(target=self._run, args=[self._connect()], name="rtnet-router", daemon=True)
         self._reader.start()
 
     def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
-        """A mailbox of this name, for so many packages. NameTaken: somebody has it; NotConnected: there is no router now."""
-        number = name(of)
+        """A mailbox of this name, for so many packages. NameTaken: the router refuses it; NotConnected: there is no router now."""
+        number, session = name(of), self._session
         with self._changed:
-            self._send(self._session.add(number, slots), before=lambda: self._forget(number))
-            is_ours = self._wait(lambda: self._session.registered.get(number), self._timeout)
-            if not is_ours:
-                data = self._session.remove(number)
-                if is_ours is None:
-                    self._say(data)
-                    raise NotConnected(f"the router has not answered the registration of {shown(number)} within {self._timeout} s")
-                raise NameTaken(f"another connection has {shown(number)}")
+            data = session.add(number, slots)
+            try:
+                self._send(data)
+                self._wait(lambda: session.registered(number), self._timeout)
+                session.settle(number, self._timeout)
+            except BaseException:
+                self._say(session.remove(number))
+                raise
         return Mailbox(self, number)
 
     @property
     def is_connected(self) -> bool:
         """Whether there is a connection, and all mailboxes are registered."""
         with self._changed:
-            return self._is_ready()
+            return self._session.is_ready
 
     def wait_until_connected(self, timeout: Optional[float] = None) -> bool:
         """Waits, at most so many seconds; tells whether there is a connection, and all mailboxes are registered."""
         with self._changed:
-            return bool(self._wait(lambda: self._is_ready() or None, timeout))
+            return bool(self._wait(lambda: self._session.is_ready or None, timeout))
 
     def close(self) -> None:
         """Ends the connection; the router forgets its mailboxes."""
         with self._changed:
-            self._is_closed = True
+            self._session.is_closed = True
             self._drop()
         self._reader.join()
 
@@ -79,136 +83,122 @@ class Router:
     ) -> None:
         self.close()
 
-    def _connect(self) -> socket.socket:
-        connection = socket.create_connection(self._place, self._timeout)
-        try:
-            prepare(connection)
-            if self._tls is not None:
-                return self._tls.wrap_socket(connection, server_hostname=self._place[0])
-        except OSError:
-            connection.close()
-            raise
-        return connection
-
-    def _receive(self, connection: socket.socket) -> Optional[bytes]:
-        """The bytes that have come; None: less than a record of TLS."""
-        if not isinstance(connection, ssl.SSLSocket):
-            return connection.recv(_READ)
-        # One thread at a time has a session of TLS, and this one does not wait in it.
-        with self._changed:
-            connection.settimeout(0.0)
-            try:
-                return connection.recv(_READ)
-            except ssl.SSLWantReadError:
-                return None
-            finally:
-                connection.settimeout(self._timeout)
-
-    def _is_ready(self) -> bool:
-        session = self._session
-        return self._socket is not None and all(session.registered.get(of) for of in session.inboxes)
-
-    def _forget(self, number: int) -> None:
-        self._session.inboxes.pop(number, None)
-
-    def _send(self, data: bytes, before: Callable[[], Any] = lambda: None) -> None:
-        """Sends, or has `before` done and raises."""
-        if self._socket is None or not self._say(data):
-            before()
-            raise NotConnected("there is no router now: it is connected to again as soon as there is one")
+    def _send(self, data: bytes) -> None:
+        """Sends, or raises NotConnected."""
+        if not self._say(data):
+            raise self._session.gone()
 
     def _say(self, data: bytes) -> bool:
+        """Sends if there is a connection; tells whether it has."""
         if self._socket is None:
             return False
         try:
             self._socket.sendall(data)
             return True
         except OSError:
-            # Part of it may have left: what follows would be read as its rest.
+            # A part may have left: the router would take the next package for the rest of this one.
             self._drop()
             return False
 
     def _drop(self) -> None:
+        """Ends the connection, if there is one. Its reader notices, and closes the socket."""
         if self._socket is not None:
             try:
                 self._socket.shutdown(socket.SHUT_RDWR)
             except OSError:
                 pass
-            self._socket.close()
             self._socket = None
+            self._session.lost()
         self._changed.notify_all()
 
     def _wait(self, look: Callable[[], Optional[_T]], timeout: Optional[float]) -> Optional[_T]:
-        """Waits until `look` finds something, or time is up."""
+        """Waits until `look` finds something, time is up, or the client is closed."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             found = look()
-            if found is not None or self._is_closed:
+            if found is not None or self._session.is_closed:
                 return found
             left = None if deadline is None else deadline - time.monotonic()
             if left is not None and left <= 0:
                 return None
             self._changed.wait(left)
 
-    def _read(self) -> None:
-        while not self._is_closed:
-            connection = self._socket
-            if connection is None:
-                self._connect_again()
-                continue
+    def _run(self, connection: Optional[socket.socket]) -> None:
+        """Reads; connects again whenever a connection has ended."""
+        while connection is not None:
             try:
-                if not _has_come(connection):
-                    self._ask_again()
-                    continue
-                data = self._receive(connection)
-            except (OSError, ValueError):
-                # Another thread may have closed it.
-                data = b""
-            if data is None:
-                continue
+                self._read(connection)
+            except (OSError, ProtocolError):
+                pass
             with self._changed:
-                if self._socket is connection:
-                    try:
-                        answer = self._session.feed(data)
-                        if not data:
-                            self._drop()
-                        elif answer:
-                            self._say(answer)
-                    except ProtocolError:
-                        self._drop()
-                self._changed.notify_all()
+                self._drop()
+            connection.close()
+            connection = self._connect_again()
 
-    def _connect_again(self) -> None:
-        rest = _FIRST
-        while not self._is_closed:
+    def _read(self, connection: socket.socket) -> None:
+        """Reads one connection until it ends."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(connection, selectors.EVENT_READ)
+            while True:
+                data, now = self._receive(connection, selector), time.monotonic()
+                with self._changed:
+                    if self._socket is not connection:
+                        return
+                    self._say(self._session.step(data, now))
+                    if data:
+                        self._changed.notify_all()
+
+    def _receive(self, connection: socket.socket, selector: selectors.BaseSelector) -> Optional[bytes]:
+        """The bytes that have come, b"" at the end; None if the session may have something else to do."""
+        if isinstance(connection, ssl.SSLSocket):
+            # One thread at a time has a session of TLS, and this one does not wait in it.
+            with self._changed:
+                connection.settimeout(0.0)
+                try:
+                    return connection.recv(READ)
+                except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
+                    pass
+                finally:
+                    connection.settimeout(self._timeout)
+            selector.select(self._session.wait(time.monotonic()))
+            return None
+        return connection.recv(READ) if selector.select(self._session.wait(time.monotonic())) else None
+
+    def _connect_again(self) -> Optional[socket.socket]:
+        """Tries until there is a connection; None if the client is closed."""
+        while True:
+            with self._changed:
+                if self._changed.wait_for(lambda: self._session.is_closed, self._session.rest()):
+                    return None
             try:
-                connection = self._connect()
+                return self._connect()
             except OSError:
-                time.sleep(rest)
-                rest = min(2 * rest, _LONGEST)
-                continue
-            with self._changed:
-                if self._is_closed:
-                    connection.close()
-                    return
-                self._socket = connection
-                self.connections += 1
-                self._say(self._session.connected())
-            return
+                pass
 
-    def _ask_again(self) -> None:
+    def _connect(self) -> socket.socket:
+        """Tries once."""
+        connection, proof = _dial(self._place, self._timeout, self._tls)
         with self._changed:
-            for of, is_ours in list(self._session.registered.items()):
-                if not is_ours and of in self._session.inboxes:
-                    self._say(self._session.again(of))
+            self._socket = connection
+            self.connections += 1
+            self._say(proof + self._session.connected(time.monotonic()))
+            if self._session.is_closed:
+                self._drop()
+        return connection
 
 
-def keys(directory: Union[str, Path]) -> ssl.SSLContext:
-    """The keys of a client as `rtnet router keys` makes them: its certificate, and the authority that has signed the router's."""
-    place = Path(directory)
-    context = ssl.create_default_context(cafile=str(place / "ca.pem"))
-    context.load_cert_chain(str(place / "client.pem"), str(place / "client.key"))
-    return context
+def _dial(place: Tuple[str, int], timeout: float, tls: Optional[ssl.SSLContext]) -> Tuple[socket.socket, bytes]:
+    """A connection, and the proof that it begins with."""
+    connection = socket.create_connection(place, timeout)
+    try:
+        prepare(connection)
+        with Handshake(tls) as handshake:
+            if handshake.context is not None:
+                connection = handshake.context.wrap_socket(connection, server_hostname=place[0])
+            return connection, handshake.proof()
+    except BaseException:
+        connection.close()
+        raise
 
 
 def prepare(connection: socket.socket) -> None:
@@ -218,57 +208,37 @@ def prepare(connection: socket.socket) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def _has_come(connection: socket.socket) -> bool:
-    """Whether bytes come before names are to be asked for again."""
-    if isinstance(connection, ssl.SSLSocket) and connection.pending():
-        return True
-    with selectors.DefaultSelector() as selector:
-        selector.register(connection, selectors.EVENT_READ)
-        return bool(selector.select(_AGAIN))
-
-
 class Mailbox(Sender):
     """A mailbox of a router's client. It is gone when closed, or when its client is."""
 
     def __init__(self, router: Router, number: int) -> None:
-        self._router, self.name = router, number
+        super().__init__(router._session, number)
+        self._router = router
 
     def forward(self, package: Package) -> None:
-        """Sends a package as it is, such as a reply."""
+        """Sends a package as it is, such as a reply. NotConnected: it was not sent, or the router did not read it in time."""
         data = package.encode()
         with self._router._changed:
             self._router._send(data)
 
     def call(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, timeout: float = 2.0) -> Package:
-        """Sends a command and waits for its reply. NotAvailable, Failed and TimedOut are what may come instead."""
-        router = self._router
-        with router._changed:
-            call, data = router._session.call(Package(name(to), self.name, kind, body, priority))
+        """Sends a command and returns its reply. NotAvailable, Failed, TimedOut: there is none; NotConnected: nothing was sent."""
+        number = name(to)
+        with self._router._changed:
+            call, data = self._session.call(Package(number, self.name, kind, body, priority))
             try:
-                router._send(data)
-                router._wait(lambda: router._session.answers.get(call), timeout)
+                self._router._send(data)
+                self._router._wait(lambda: self._session.answers.get(call), timeout)
             finally:
-                reply = router._session.end(call)
-        if reply is None:
-            raise TimedOut(f"{shown(name(to))} has not answered within {timeout} s")
-        return checked(reply)
+                reply = self._session.end(call)
+        return checked(reply, number, timeout)
 
     def receive(self, timeout: Optional[float] = None) -> Optional[Package]:
         """The most urgent package, once there is one; None if none came within so many seconds."""
-        router = self._router
-        with router._changed:
-            return router._wait(self._take, timeout)
-
-    @property
-    def refused(self) -> int:
-        """Packages that found it full."""
-        return self._router._session.inboxes[self.name].refused
+        with self._router._changed:
+            return self._router._wait(lambda: self._session.take(self.name), timeout)
 
     def close(self) -> None:
         """The mailbox is gone."""
         with self._router._changed:
-            self._router._say(self._router._session.remove(self.name))
-
-    def _take(self) -> Optional[Package]:
-        inbox = self._router._session.inboxes.get(self.name)
-        return inbox.take() if inbox is not None else None
+            self._router._say(self._session.remove(self.name))

@@ -1,115 +1,127 @@
-"""A client's part of the protocol without I/O: bytes come in, bytes are to be sent. Both fronts stand on it."""
+"""A client's part of the protocol without I/O. It takes bytes and the time, and returns bytes to send. Both fronts stand on it."""
 
-import heapq
 import itertools
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, Optional, Tuple
 
-from .names import NOBODY, Name, name, shown
-from .wire import DELETE, ERROR, LIFESIGN, NOT_AVAILABLE, OK, REGISTER, TIMEOUT, Decoder, Package, control
+from .errors import NameTaken, NotConnected
+from .inbox import Inbox
+from .names import NOBODY, shown
+from .registrations import Registrations
+from .wire import DELETE, LIFESIGN, OK, Decoder, Package, control
 
-
-class Unavailable(Exception):
-    """A call that was not answered as it should be."""
-
-
-class NotAvailable(Unavailable):
-    """Nobody has the mailbox, or it has no room."""
-
-
-class Failed(Unavailable):
-    """The other side answers that it cannot."""
-
-
-class TimedOut(Unavailable):
-    """No answer came in time, or the other side says that something took too long."""
-
-
-class NotConnected(Exception):
-    """There is no router now. The client connects again by itself; what was to be sent was not."""
-
-
-class NameTaken(Exception):
-    """Another connection of the router has this mailbox, or this one has it already."""
-
-
-#: Errors by the kind of the reply.
-_ERRORS = {ERROR: Failed, TIMEOUT: TimedOut, NOT_AVAILABLE: NotAvailable}
-
-
-def checked(reply: Package) -> Package:
-    """A reply that is no error; else the error."""
-    error = _ERRORS.get(reply.kind)
-    if error:
-        raise error(f"{shown(reply.sender)} answers {reply.kind}")
-    return reply
-
-
-class Inbox:
-    """The packages of one mailbox: the most urgent first, of equals the oldest. A full one refuses packages and counts them."""
-
-    def __init__(self, slots: int) -> None:
-        self._slots, self._number = slots, itertools.count()
-        self._waiting: List[Tuple[int, int, Package]] = []
-        #: Packages that found it full.
-        self.refused = 0
-
-    def put(self, package: Package) -> None:
-        if len(self._waiting) < self._slots:
-            heapq.heappush(self._waiting, (-package.priority, next(self._number), package))
-        else:
-            self.refused += 1
-
-    def take(self) -> Optional[Package]:
-        return heapq.heappop(self._waiting)[2] if self._waiting else None
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
+#: Seconds of rest before an attempt to connect again: the first, and the longest.
+FIRST, LONGEST = 0.05, 1.0
+#: Seconds until refused names are asked for again.
+AGAIN = 0.5
+#: Seconds without a byte after which a router counts as gone. It asks for a sign of life every 5 s.
+SILENCE = 15.0
 
 #: The key of an open call: the mailbox, its peer, and the id.
 Call = Tuple[int, int, int]
 
 
 class Session:
-    """The mailboxes of a connection, the open calls, and the router's answers to registrations."""
+    """The mailboxes of a client and its open calls; and when it connects, asks again, and gives a router up.
+
+    Times are seconds of one clock that never goes back.
+    """
 
     def __init__(self) -> None:
-        self._decoder, self._ids = Decoder(), itertools.count(1)
         self.inboxes: Dict[int, Inbox] = {}
-        #: Names by the id of the request that registers them.
-        self._asked: Dict[int, int] = {}
-        #: The router's answer to the registration of a name: True if the name is this connection's.
-        self.registered: Dict[int, bool] = {}
         self.answers: Dict[Call, Package] = {}
-        self._calls: Dict[Call, None] = {}
         #: Packages for mailboxes that are gone.
         self.strays = 0
+        #: Whether there is a connection; whether the user has closed the client.
+        self.is_open = self.is_closed = False
+        self._registrations = Registrations()
+        self._decoder, self._ids = Decoder(), itertools.count(1)
+        self._calls: Dict[Call, None] = {}
+        self._rest, self._silence = FIRST, SILENCE
+        self._heard = self._again = 0.0
 
-    def connected(self) -> bytes:
-        """Begins a new connection; returns the bytes that register all mailboxes again."""
-        self._decoder, self._asked = Decoder(), {}
-        self.registered.clear()
-        return b"".join(self._register(name) for name in self.inboxes)
+    def connected(self, now: float) -> bytes:
+        """Begins a connection; returns the bytes that register all mailboxes again."""
+        self.is_open, self._decoder = True, Decoder()
+        self._heard, self._again = now, now + AGAIN
+        self._registrations.begin(self.inboxes)
+        return self._registrations.requests()
+
+    def lost(self) -> None:
+        """Ends the connection."""
+        self.is_open = False
+        self._registrations.begin([])
+
+    def rest(self) -> float:
+        """Seconds to rest before the next attempt to connect. They double with each attempt, until a byte has come."""
+        rest, self._rest = self._rest, min(2 * self._rest, LONGEST)
+        return rest
+
+    def wait(self, now: float) -> float:
+        """Seconds until `step` has something to do without new bytes."""
+        return max(min(self._again, self._heard + self._silence) - now, 0.0)
+
+    def step(self, data: Optional[bytes], now: float) -> bytes:
+        """Takes the bytes that have come, or None if none have; returns the bytes to send.
+
+        OSError, ProtocolError: drop the connection. It has ended (`data` is empty), is silent, or sends bytes that are no package.
+        """
+        answer = b""
+        if data:
+            self._heard, self._rest = now, FIRST
+            answer = self._sort(data)
+        elif data is not None:
+            raise ConnectionResetError("the router has ended the connection")
+        elif now >= self._heard + self._silence:
+            raise TimeoutError(f"the router has sent nothing for {self._silence} s")
+        if now >= self._again:
+            self._again = now + AGAIN
+            self._registrations.add_refused()
+        return answer + self._registrations.requests()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether there is a connection, and all mailboxes are registered."""
+        return self.is_open and all(self.registered(name) for name in self.inboxes)
+
+    def gone(self) -> NotConnected:
+        """The error of sending without a connection."""
+        return NotConnected("this client is closed" if self.is_closed else "there is no router now: the client connects again by itself")
 
     def add(self, name: int, slots: int) -> bytes:
-        """Adds a mailbox; returns the bytes that register it."""
+        """Adds a mailbox; returns the bytes that register it, if they may be sent now."""
         if name == NOBODY:
             raise ValueError("0 is nobody's name")
         if name in self.inboxes:
             raise NameTaken(f"{shown(name)} is a mailbox of this client already")
+        if not self.is_open:
+            raise self.gone()
         self.inboxes[name] = Inbox(slots)
-        return self._register(name)
+        self._registrations.add(name)
+        return self._registrations.requests()
 
-    def again(self, name: int) -> bytes:
-        """Registers a mailbox again that the router has refused: another connection of the same name may be gone by now."""
-        self.registered.pop(name, None)
-        return self._register(name)
+    def registered(self, name: int) -> Optional[bool]:
+        """Whether the router has registered a name for this connection; None: it has not answered."""
+        return self._registrations.answers.get(name)
+
+    def settle(self, name: int, timeout: float) -> None:
+        """Returns if a name is registered. NameTaken: the router refuses it; NotConnected: it has not answered within `timeout` seconds."""
+        is_ours = self.registered(name)
+        if is_ours is None:
+            if not self.is_open:
+                raise self.gone()
+            raise NotConnected(f"the router has not answered the registration of {shown(name)} within {timeout} s")
+        if not is_ours:
+            raise NameTaken(f"the router refuses {shown(name)}: another connection has it, or a rule or a limit forbids it")
 
     def remove(self, name: int) -> bytes:
-        """Removes a mailbox; returns the bytes that delete it."""
+        """Removes a mailbox; returns the bytes that delete it, if the router may have it."""
         self.inboxes.pop(name, None)
-        self.registered.pop(name, None)
-        return control(DELETE, name.to_bytes(4, "little")).encode()
+        return control(DELETE, name.to_bytes(4, "little")).encode() if self._registrations.remove(name) else b""
+
+    def take(self, name: int) -> Optional[Package]:
+        """The first package of a mailbox; None if there is none, or no such mailbox."""
+        inbox = self.inboxes.get(name)
+        return inbox.take() if inbox is not None else None
 
     def call(self, package: Package) -> Tuple[Call, bytes]:
         """Opens a call; returns its key in `answers`, and the bytes of the command."""
@@ -130,52 +142,20 @@ class Session:
         self._calls.pop(call, None)
         return self.answers.pop(call, None)
 
-    def feed(self, data: bytes) -> bytes:
+    def _sort(self, data: bytes) -> bytes:
         """Sorts packages into inboxes and answers; returns the bytes to send."""
         answer = b""
         for package in self._decoder.feed(data):
-            if (package.to, package.sender) == (NOBODY, NOBODY):
-                answer += self._from_router(package)
-                continue
             call = (package.to, package.sender, package.id)
-            if package.kind <= 0 and call in self._calls and call not in self.answers:
+            if (package.to, package.sender) == (NOBODY, NOBODY):
+                if package.kind == LIFESIGN:
+                    answer += control(OK).encode()
+                else:
+                    self._registrations.answered(package.id, package.kind == OK)
+            elif package.kind <= 0 and call in self._calls and call not in self.answers:
                 self.answers[call] = package
             elif package.to in self.inboxes:
                 self.inboxes[package.to].put(package)
             else:
                 self.strays += 1
         return answer
-
-    def _from_router(self, package: Package) -> bytes:
-        if package.kind == LIFESIGN:
-            return control(OK).encode()
-        name = self._asked.pop(package.id, None)
-        if name is not None and name in self.inboxes:
-            self.registered[name] = package.kind == OK
-        return b""
-
-    def _register(self, name: int) -> bytes:
-        number = next(self._ids) & 0xFF
-        while number in self._asked:
-            number = next(self._ids) & 0xFF
-        self._asked[number] = name
-        return Package(NOBODY, NOBODY, REGISTER, name.to_bytes(4, "little"), id=number).encode()
-
-
-class Sender:
-    """The part of a mailbox that waits for nothing, the same in both fronts."""
-
-    #: The number of the mailbox's name.
-    name: int
-
-    def forward(self, package: Package) -> None:
-        """Sends a package as it is. NotConnected: it was not sent."""
-        raise NotImplementedError
-
-    def send(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, id: int = 0) -> None:
-        """Sends a package. NotConnected: it was not sent. Whether it arrives is not known: `call` waits for an answer."""
-        self.forward(Package(name(to), self.name, kind, body, priority, id))
-
-    def reply(self, command: Package, kind: int = OK, body: bytes = b"") -> None:
-        """Answers a command that was received here."""
-        self.forward(command.reply(kind, body))

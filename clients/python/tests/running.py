@@ -1,4 +1,4 @@
-"""A router to test with: the one at RTNET_ROUTER (host:port), or one of the program RTNET_BIN."""
+"""A router to test with, of the program RTNET_BIN."""
 
 import os
 import re

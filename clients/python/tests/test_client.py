@@ -1,16 +1,12 @@
 """Clients of a router that runs: it is killed and comes back."""
 
 import asyncio
-import os
-import ssl
-import subprocess
-import tempfile
 import threading
 import time
 import unittest
 from typing import ClassVar
 
-from rtnet_packages import Failed, NameTaken, NotAvailable, NotConnected, Router, TimedOut, aio, keys
+from rtnet_packages import Failed, NameTaken, NotAvailable, NotConnected, Router, TimedOut, aio
 
 from .running import RunningRouter
 
@@ -105,41 +101,6 @@ class Restarts(unittest.TestCase):
         router.kill()
         with self.assertRaises(OSError):
             Router(*router.place)
-
-
-class Tls(unittest.TestCase):
-    def test_a_certificate_lets_clients_in_and_nothing_else_does(self) -> None:
-        with tempfile.TemporaryDirectory() as place:
-            made = f"{place}/keys"
-            subprocess.run([os.environ["RTNET_BIN"], "router", "keys", made], check=True)
-            router = RunningRouter(made)
-            try:
-                with self.assertRaises(ssl.SSLError):
-                    Router(*router.place, tls=ssl.create_default_context())
-                tls = keys(f"{made}/client")
-                with Router(*router.place, tls=tls) as client:
-                    asyncio.run(self.exchange(router, client, tls))
-            finally:
-                router.kill()
-
-    async def exchange(self, router: RunningRouter, client: Router, tls: ssl.SSLContext) -> None:
-        here = client.mailbox("0.Pilot.0")
-        async with aio.Router(*router.place, tls=tls) as other:
-            there = await other.mailbox("0.Odometry.0")
-            for size in [0, 1, 10_000, 200_000]:
-                here.send("0.Odometry.0", -6, bytes(size))
-                package = await there.receive(PATIENCE)
-                self.assertEqual(package.body if package else None, bytes(size))
-                there.send("0.Pilot.0", -6, bytes(size))
-                package = await asyncio.to_thread(here.receive, PATIENCE)
-                self.assertEqual(package.body if package else None, bytes(size))
-            # After a restart, too.
-            router.kill()
-            while client.is_connected or other.is_connected:
-                await asyncio.sleep(0.001)
-            router.start()
-            self.assertTrue(await asyncio.to_thread(client.wait_until_connected, PATIENCE))
-            self.assertTrue(await other.wait_until_connected(PATIENCE))
 
 
 class Asyncio(unittest.TestCase):

@@ -4,8 +4,7 @@ import random
 import unittest
 from typing import List
 
-from rtnet_packages import ERROR, LONGEST, NOT_AVAILABLE, Failed, NotAvailable, Package, ProtocolError, name, shown
-from rtnet_packages.session import Inbox, NameTaken, Session, checked
+from rtnet_packages import LONGEST, Package, ProtocolError, name, shown
 from rtnet_packages.wire import HEAD, Decoder, control
 
 SEEN = {
@@ -66,49 +65,6 @@ class Names(unittest.TestCase):
         for number in [-1, 2**32]:
             with self.assertRaises(ValueError):
                 name(number)
-
-
-class Sessions(unittest.TestCase):
-    def test_a_full_inbox_refuses_and_counts(self) -> None:
-        inbox = Inbox(3)
-        for number, priority in enumerate([1, 9, 1, 9]):
-            inbox.put(Package(1, 2, 0, bytes([number]), priority))
-        taken = [inbox.take() for _ in range(4)]
-        self.assertEqual([package.body[0] if package else None for package in taken], [1, 0, 2, None])
-        self.assertEqual(inbox.refused, 1)
-
-    def test_a_lifesign_is_answered(self) -> None:
-        self.assertEqual(Session().feed(control(17).encode()), control(0).encode())
-
-    def test_a_reply_is_the_calls_and_data_is_the_mailboxs(self) -> None:
-        session = Session()
-        session.add(7, 4)
-        call, data = session.call(Package(9, 7, 21))
-        command = Decoder().feed(data)[0]
-        session.feed(Package(7, 9, -6, b"other id", id=command.id ^ 1).encode())
-        session.feed(Package(7, 8, 0, b"another's", id=command.id).encode())
-        session.feed(command.reply(-21, b"the reply").encode())
-        session.feed(command.reply(-21, b"and again").encode())
-        reply = session.end(call)
-        self.assertEqual(reply.body if reply else None, b"the reply")
-        self.assertEqual(len(session.inboxes[7]), 3)
-        session.feed(Package(99, 8, 0).encode())
-        self.assertEqual(session.strays, 1)
-
-    def test_replies_that_are_errors_are_raised(self) -> None:
-        self.assertEqual(checked(Package(1, 2, -6)).kind, -6)
-        for kind, error in [(ERROR, Failed), (NOT_AVAILABLE, NotAvailable)]:
-            with self.assertRaises(error):
-                checked(Package(1, 2, kind))
-
-    def test_a_name_is_one_mailbox(self) -> None:
-        session = Session()
-        session.add(7, 1)
-        with self.assertRaises(NameTaken):
-            session.add(7, 1)
-        with self.assertRaises(ValueError):
-            session.add(0, 1)
-        self.assertEqual(len(session.connected()), HEAD + 4)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,149 @@
+"""Connections that end, are silent, or take nothing; and many mailboxes after a restart."""
+
+import asyncio
+import socket
+import time
+import unittest
+
+from rtnet_packages import Full, Mailbox, NotConnected, Router, aio
+
+from .fake import FakeRouter
+from .running import RunningRouter
+
+PATIENCE = 30.0
+MANY = 300
+BODY = bytes(200_000)
+
+
+class ManyMailboxes(unittest.TestCase):
+    def test_300_mailboxes_come_back_after_a_restart(self) -> None:
+        router = RunningRouter()
+        try:
+            with Router(*router.place) as client:
+                for number in range(MANY):
+                    client.mailbox(0x00180001 + number)
+                router.kill()
+                while client.is_connected:
+                    time.sleep(0.001)
+                router.start()
+                self.assertTrue(client.wait_until_connected(PATIENCE))
+                client.mailbox("0.Odometry.0")
+        finally:
+            router.kill()
+
+    def test_300_come_back_in_an_event_loop(self) -> None:
+        router = RunningRouter()
+        try:
+            asyncio.run(self.restart(router))
+        finally:
+            router.kill()
+
+    async def restart(self, router: RunningRouter) -> None:
+        async with aio.Router(*router.place) as client:
+            await asyncio.gather(*(client.mailbox(0x00180001 + number) for number in range(MANY)))
+            router.kill()
+            while client.is_connected:
+                await asyncio.sleep(0.001)
+            router.start()
+            self.assertTrue(await client.wait_until_connected(PATIENCE))
+            await client.mailbox("0.Odometry.0")
+
+
+class BackOff(unittest.TestCase):
+    """Rests of 50, 100, 200, 400 and 800 ms: five connections in a second, the user's among them."""
+
+    def test_a_router_that_closes_at_once_is_let_rest(self) -> None:
+        with FakeRouter(lambda connection: connection.shutdown(socket.SHUT_RDWR)) as router:
+            with Router(*router.place):
+                time.sleep(1.0)
+            self.assertIn(len(router.accepted), range(2, 7))
+
+    def test_it_is_let_rest_in_an_event_loop(self) -> None:
+        async def connect() -> None:
+            async with aio.Router(*router.place):
+                await asyncio.sleep(1.0)
+
+        with FakeRouter(lambda connection: connection.shutdown(socket.SHUT_RDWR)) as router:
+            asyncio.run(connect())
+            self.assertIn(len(router.accepted), range(2, 7))
+
+    def test_a_client_that_rests_is_closed_at_once(self) -> None:
+        with FakeRouter() as router:
+            client = Router(*router.place)
+            client._session._rest = PATIENCE
+        while client.is_connected:
+            time.sleep(0.001)
+        began = time.monotonic()
+        client.close()
+        self.assertLess(time.monotonic() - began, PATIENCE / 2)
+
+
+class Silence(unittest.TestCase):
+    def test_a_silent_router_is_connected_to_again(self) -> None:
+        with FakeRouter() as router, Router(*router.place) as client:
+            client._session._silence = 0.1
+            deadline = time.monotonic() + PATIENCE
+            while client.connections < 3:
+                self.assertLess(time.monotonic(), deadline)
+                time.sleep(0.01)
+
+    def test_it_is_given_up_in_an_event_loop(self) -> None:
+        async def connect() -> None:
+            async with aio.Router(*router.place) as client:
+                client._session._silence = 0.1
+                deadline = time.monotonic() + PATIENCE
+                while client.connections < 3:
+                    self.assertLess(time.monotonic(), deadline)
+                    await asyncio.sleep(0.01)
+
+        with FakeRouter() as router:
+            asyncio.run(connect())
+
+
+class RouterThatDoesNotRead(unittest.TestCase):
+    def test_a_send_that_takes_too_long_ends_the_connection(self) -> None:
+        with FakeRouter() as router, Router(*router.place, timeout=0.2) as client:
+            mailbox = Mailbox(client, 7)
+            began = time.monotonic()
+            with self.assertRaises(NotConnected):
+                while time.monotonic() < began + PATIENCE:
+                    sent = time.monotonic()
+                    mailbox.send("0.Odometry.0", -6, BODY)
+            self.assertGreaterEqual(time.monotonic() - sent, 0.2)
+            while client.connections < 2:
+                time.sleep(0.001)
+
+    def test_an_event_loop_is_told_that_it_is_full(self) -> None:
+        with FakeRouter() as router:
+            asyncio.run(self.fill(router))
+
+    async def fill(self, router: FakeRouter) -> None:
+        async with aio.Router(*router.place) as client:
+            mailbox = aio.Mailbox(client, 7)
+            with self.assertRaises(Full):
+                for _ in range(1000):
+                    mailbox.send("0.Odometry.0", -6, BODY)
+            with self.assertRaises(Full):
+                await mailbox.call("0.Odometry.0", 21)
+            with self.assertRaises(Full):
+                await client.mailbox("0.Pilot.0")
+            assert client._writer is not None
+            self.assertLess(client._writer.transport.get_write_buffer_size(), (4 << 20) + len(BODY) + 100)
+            # Once the router has read it sends again.
+            while not router.accepted:
+                await asyncio.sleep(0.001)
+            reading = asyncio.get_running_loop().run_in_executor(None, _read_all, router.accepted[0])
+            while client._writer.transport.get_write_buffer_size() > 0:
+                await asyncio.sleep(0.001)
+            mailbox.send("0.Odometry.0", -6)
+            self.assertEqual(client.connections, 1)
+        await reading
+
+
+def _read_all(connection: socket.socket) -> None:
+    while connection.recv(1 << 20):
+        pass
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -6,11 +6,12 @@ mod python_package;
 mod restarts;
 mod tls;
 
-use std::io::{BufRead, BufReader, Lines, Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
-use std::sync::Mutex;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
 use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
@@ -24,6 +25,7 @@ use crate::cell::{json, text, wait_until};
 use crate::host::{skip, unique};
 use crate::rights::assert_gives_up_all;
 use crate::rtnet;
+use crate::station::PATIENCE;
 
 /// The begin of the line of a router on a kernel without landlock.
 const NO_LANDLOCK: &str = "rtnet: landlock: ";
@@ -37,7 +39,8 @@ struct Router {
     figures: Option<SocketAddr>,
     /// Whether the kernel keeps it from files and ports that it does not need.
     is_confined: bool,
-    said: Mutex<Lines<BufReader<ChildStderr>>>,
+    /// Lines of its standard error.
+    said: Receiver<String>,
 }
 
 impl Router {
@@ -49,7 +52,7 @@ impl Router {
             command.args(["--listen", "127.0.0.1:0"]);
         }
         let mut child = command.spawn().unwrap();
-        let said = Mutex::new(BufReader::new(child.stderr.take().unwrap()).lines());
+        let said = lines(child.stderr.take().unwrap());
         let at = SocketAddr::from(([0, 0, 0, 0], 0));
         let mut router = Self { name, child, at, figures: None, is_confined: true, said };
         router.begun();
@@ -58,7 +61,7 @@ impl Router {
 
     /// Reads its first lines: where its figures are, if anywhere, and where it listens.
     fn begun(&mut self) {
-        for line in self.said.get_mut().unwrap().by_ref().map_while(Result::ok) {
+        while let Ok(line) = self.said.recv_timeout(PATIENCE) {
             if let Some((_, at)) = line.rsplit_once("listens at ") {
                 self.at = at.parse().unwrap();
                 return;
@@ -75,11 +78,12 @@ impl Router {
 
     /// Waits until it says something.
     fn wait_for(&self, words: &str) {
-        let mut said = self.said.lock().unwrap();
-        assert!(
-            said.by_ref().map_while(Result::ok).any(|line| line.contains(words)),
-            "it never says '{words}'"
-        );
+        while !self
+            .said
+            .recv_timeout(PATIENCE)
+            .unwrap_or_else(|_| panic!("it never says '{words}'"))
+            .contains(words)
+        {}
     }
 
     fn connect(&self) -> TcpStream {
@@ -95,6 +99,16 @@ impl Router {
     fn clients(&self) -> usize {
         self.status()["clients"].as_array().unwrap().len()
     }
+}
+
+/// The lines of a program's output, as they come.
+fn lines(output: ChildStderr) -> Receiver<String> {
+    let (to, lines) = channel();
+    thread::spawn(move || {
+        // A test that has ended waits for no more of them.
+        BufReader::new(output).lines().map_while(Result::ok).all(|line| to.send(line).is_ok());
+    });
+    lines
 }
 
 impl Drop for Router {
@@ -314,7 +328,7 @@ fn a_router_reads_no_file_but_those_of_its_directory() {
     std::fs::remove_file(&file).unwrap();
     std::os::unix::fs::symlink(&other, &file).unwrap();
     again();
-    router.wait_for("the rules stay as they were: Permission denied");
+    router.wait_for("cannot be read: Permission denied");
 }
 
 fn clients() -> PathBuf {

@@ -122,7 +122,8 @@ class Router:
 
     async def _run(self, reader: asyncio.StreamReader) -> None:
         """Reads; connects again whenever a connection has ended."""
-        while True:
+        # Before Python 3.12 a cancellation may be lost in wait_for.
+        while not self._session.is_closed:
             try:
                 await self._read(reader)
             except (OSError, ProtocolError):
@@ -136,7 +137,7 @@ class Router:
         """Reads one connection until it ends, which is an error."""
         reading = asyncio.ensure_future(reader.read(READ))
         try:
-            while True:
+            while not self._session.is_closed:
                 await asyncio.wait([reading], timeout=self._session.wait(time.monotonic()))
                 data = reading.result() if reading.done() else None
                 self._say(self._session.step(data, time.monotonic()))

@@ -49,6 +49,33 @@ class ManyMailboxes(unittest.TestCase):
             await client.mailbox("0.Odometry.0")
 
 
+class Closing(unittest.TestCase):
+    """Before Python 3.12 asyncio.wait_for loses a cancellation that comes together with its result."""
+
+    def test_close_ends_while_packages_come(self) -> None:
+        router = RunningRouter()
+        try:
+            asyncio.run(self.close_again_and_again(router))
+        finally:
+            router.kill()
+
+    async def close_again_and_again(self, router: RunningRouter) -> None:
+        async with aio.Router(*router.place) as other:
+            pilot = await other.mailbox("0.Pilot.0")
+            for _ in range(40):
+                client = aio.Router(*router.place)
+                await client.__aenter__()
+                await client.mailbox("0.Gps.0")
+                closing = asyncio.ensure_future(client.close())
+                deadline = time.monotonic() + PATIENCE
+                while not closing.done():
+                    self.assertLess(time.monotonic(), deadline, "it hangs")
+                    pilot.send("0.Gps.0", kind=-5)
+                    await asyncio.sleep(0)
+                # The name is free once the router has seen the end.
+                await asyncio.sleep(0.01)
+
+
 class BackOff(unittest.TestCase):
     """Rests of 50, 100, 200, 400 and 800 ms: five connections in a second, the user's among them."""
 

@@ -199,7 +199,9 @@ fn is_connected(stream: &TcpStream) -> io::Result<bool> {
     }
 }
 
+// Lookups take their time.
 #[cfg(test)]
+#[allow(clippy::disallowed_methods)]
 mod tests {
     use std::net::TcpListener;
 

@@ -126,7 +126,10 @@ fn a_link_shows_whether_it_is_open_and_else_why() {
         let link = shown(&router);
         link["open"] == false && link["last_error"].as_str().is_some_and(|why| why.contains("refused"))
     });
-    assert_eq!((&shown(&router)["router"], shown(&router)["systems"][1].as_u64()), (&at.clone().into(), Some(3)));
+    assert_eq!(
+        (&shown(&router)["router"], shown(&router)["systems"][1].as_u64()),
+        (&at.clone().into(), Some(3))
+    );
     fs::write(&file, "system = 2").unwrap();
     let other = Router::start("opened", &["--listen", &at, file.to_str().unwrap()]);
     wait_until("it is open", || shown(&router)["open"] == true);

@@ -127,7 +127,7 @@ fn strangers_are_kept_out_and_named() {
     let mut alert = Vec::new();
     // It may be reset before it is read.
     let _ = plain.read_to_end(&mut alert);
-    kept_out("TLS: received corrupt message");
+    kept_out("TLS: it does not speak TLS, which this address asks for");
 
     // Another authority's certificate: neither believes the other.
     let others = Keys::new();

@@ -138,7 +138,7 @@ fn read_again(args: &RouterRunArgs, remote: &Remote) {
             // One that has ended needs none.
             let _ = remote.set_rules(file.rules);
             let what = if args.file.is_some() {
-                "its file was read again: its rules are in force"
+                "the rules were read again"
             } else {
                 "it has no file to read again"
             };

@@ -63,6 +63,8 @@ fn signed(
     purpose: ExtendedKeyUsagePurpose,
 ) -> Result<(String, String)> {
     let mut of = CertificateParams::new(hosts).context("--host")?;
+    // Python 3.13 and later refuse a certificate that does not name the key of its authority.
+    of.use_authority_key_identifier_extension = true;
     of.distinguished_name.push(DnType::CommonName, format!("rtnet {whose}"));
     of.extended_key_usages = vec![purpose];
     of.key_usages = vec![KeyUsagePurpose::DigitalSignature];

@@ -140,7 +140,7 @@ class RouterThatDoesNotRead(unittest.TestCase):
             while client.connections < 2:
                 time.sleep(0.001)
 
-    def test_an_event_loop_is_told_that_it_is_full(self) -> None:
+    def test_an_event_loop_hears_that_it_is_full(self) -> None:
         with FakeRouter() as router:
             asyncio.run(self.fill(router))
 

@@ -55,7 +55,8 @@ pub enum SendError {
     Mailbox(#[from] mailbox::SendError),
     /// The TCP client takes no body that long.
     #[error(
-        "a body of {got} bytes is longer than the TCP client takes ({most}): start the station with a larger `--router-body`, or          the component with a larger `largest_body`"
+        "a body of {got} bytes is longer than the TCP client takes ({most}): start the station with a larger `--router-body`, or the \
+         component with a larger `largest_body`"
     )]
     LongerThanTcpTakes {
         /// Its bytes.
@@ -149,8 +150,8 @@ impl Sender {
         Ok(())
     }
 
-    /// Waits until the station has taken what goes to another station: with this sender the rest is lost. It waits a second, and then tells
-    /// ETIMEDOUT: whether the station takes any at all says [`taken`](Self::taken). Packages for a mailbox here and for a TCP router need no
+    /// Waits until the station has taken what goes to another station: with this sender the rest is lost. It waits a second; then it
+    /// returns ETIMEDOUT. [`taken`](Self::taken) says whether the station takes any at all. Packages for a mailbox here and for a TCP router need no
     /// wait: they are in memory that outlives their sender.
     pub fn drained(&self) -> Result<(), SendError> {
         match &self.way {

@@ -246,7 +246,8 @@ impl Worker {
     /// How long it may wait for events.
     fn patience(&self, is_empty: bool) -> Duration {
         let until = match &self.up {
-            Some(up) if up.is_readable || up.is_writable && (up.has_more || !is_empty) => 0,
+            Some(up) if up.is_readable => 0,
+            Some(up) if up.is_writable && (up.has_more || !is_empty && self.session.takes_packages()) => 0,
             Some(_) => self.session.next_due(),
             None if self.dial.is_down() && !is_empty => 0,
             None => self.dial.due().unwrap_or(0),

@@ -227,17 +227,4 @@ mod tests {
             assert_eq!((looked > 0, dial.is_down()), (host == "localhost", false));
         }
     }
-
-    #[test]
-    fn a_name_that_nobody_has_is_an_error_and_tried_again() {
-        let poll = Poll::new().unwrap();
-        let mut dial = Dial::new(Address { host: "nobody.invalid".into(), port: 1 }, None);
-        let mut now = 0;
-        while dial.go_on(poll.registry(), Token(1), now).is_ok() {
-            assert!(dial.is_down() && now < 60_000);
-            now += 1;
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        assert!(matches!(dial.state, State::Down(at) if at > now));
-    }
 }

@@ -16,7 +16,7 @@ mod dial;
 pub mod frames;
 pub mod keys;
 pub mod outgoing;
-pub mod requests;
+mod requests;
 pub mod router;
 pub mod rules;
 pub mod serve;

@@ -51,6 +51,14 @@ impl<T> Requests<T> {
         self.open.iter().map(|(id, _)| *id)
     }
 
+    /// Whether such a request is open.
+    pub fn has(&self, what: &T) -> bool
+    where
+        T: PartialEq,
+    {
+        self.open.iter().any(|(_, open)| open == what)
+    }
+
     /// Forgets all: their connection is over.
     pub fn clear(&mut self) {
         self.open.clear();

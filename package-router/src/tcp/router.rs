@@ -76,6 +76,9 @@ pub enum Ending {
     /// A newer connection took its place among those that have not proved yet that they may come.
     #[error("it had not proved yet that it may come, and a newer connection took its place")]
     Crowded,
+    /// There is no room for a link.
+    #[error("as many connections are open here as may (limits.connections)")]
+    TooMany,
     /// It held the most memory when the router had none left.
     #[error("it held the most bytes when the router held as many as it may (limits.memory)")]
     NoMemory,

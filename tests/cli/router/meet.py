@@ -4,17 +4,20 @@ meet.py HOST PORT OWN OTHER...      mailboxes as numbers
 """
 
 import sys
+import time
 
 from rtnet_packages import NotConnected, Router
 
 ASK, OK = 21, 0
+PATIENCE = 30.0
 
 host, port = sys.argv[1], int(sys.argv[2])
 own, *others = (int(name, 0) for name in sys.argv[3:])
 left = set(others)
 with Router(host, port, timeout=30.0) as router:
     mailbox = router.mailbox(own)
-    while True:
+    deadline = time.monotonic() + PATIENCE
+    while not left or time.monotonic() < deadline:
         try:
             for other in left:
                 mailbox.send(other, ASK, b"who")

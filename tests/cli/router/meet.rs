@@ -17,7 +17,7 @@ use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::wire::OK;
 
-use super::clients;
+use super::{AtEnd, clients};
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::{network, skip};
 use crate::rtnet;
@@ -197,6 +197,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
         let is_over = AtomicBool::new(false);
         let has_met = [const { AtomicBool::new(false) }; 3];
         thread::scope(|scope| {
+            let _ends = AtEnd(&is_over);
             for (mailbox, has_met) in in_rust.iter_mut().zip(&has_met) {
                 let is_over = &is_over;
                 scope.spawn(move || meets(mailbox, has_met, is_over));

@@ -400,7 +400,7 @@ impl Lab {
             }
         });
         capture.show();
-        let lost = ring.dropped().unwrap_or(self.lost) + ring.unreadable();
+        let lost = ring.dropped().map_or(self.lost, |dropped| dropped + ring.unreadable());
         if lost > self.lost {
             // The ring may be full still: what it loses from here on has no frame behind it yet.
             self.lost = lost;

@@ -203,6 +203,11 @@ impl Session {
         now >= self.last_heard + SILENCE || self.own.len() > REQUESTS
     }
 
+    /// Whether packages may leave: all mailboxes are asked for.
+    pub fn takes_packages(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
     /// Whether all that it has taken is written.
     pub fn is_idle(&self) -> bool {
         self.own.is_empty() && self.written == self.batch.len()
@@ -285,6 +290,8 @@ impl Session {
             Some(Asked::Confirmation(sent)) => {
                 (self.settled, self.is_confirming) = (sent.min(self.counters.sent), false);
             }
+            // A mailbox that went and came again is asked for a second time, which decides.
+            Some(asked @ Asked::Name(_)) if requests.has(&asked) => {}
             Some(Asked::Name(name)) => self.registered(name, head.kind == OK, now),
             None => {}
         }
@@ -310,7 +317,7 @@ impl Session {
         }
         self.batch.append(&mut self.own);
         // Packages follow once all mailboxes are asked for: what they are answered with finds its way back.
-        while self.waiting.is_empty() && self.batch.len() < BATCH && next(&mut self.batch) {
+        while self.takes_packages() && self.batch.len() < BATCH && next(&mut self.batch) {
             self.ends.push_back(self.batch.len());
         }
         let sent = self.counters.sent + self.ends.len() as u64;

@@ -109,7 +109,7 @@ impl Router {
     }
 
     pub(super) fn own_with(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) {
-        let Some(client) = self.client(to) else { return };
+        let Some(client) = self.client(to).filter(|client| !client.is_ending) else { return };
         match client.outgoing.push_own(head, body, now) {
             Ok(()) => self.wake(to),
             Err(Full) => client.counters.answers_lost += 1,

@@ -90,7 +90,9 @@ impl Server {
     fn linked(&mut self, place: usize, mut stream: Stream, proof: Option<&Proof>, now: u64) {
         let connection =
             stream.tcp.peer_addr().ok().and_then(|peer| self.router.link(place, peer, proof, now).ok());
-        let Some(connection) = connection else { return self.links[place].ended(&Ending::Left, now) };
+        let Some(connection) = connection else {
+            return self.links[place].ended(&Ending::TooMany, now);
+        };
         let (token, both) = (Token(connection.0 as usize), Interest::READABLE | Interest::WRITABLE);
         if let Err(error) = self.poll.registry().reregister(&mut stream.tcp, token, both) {
             let why = broken(&error);

@@ -215,6 +215,22 @@ fn many_mailboxes_are_registered_before_the_first_package() {
 }
 
 #[test]
+fn a_mailbox_that_goes_and_comes_is_as_its_last_answer_says() {
+    let mut session = Session::default();
+    session.connected(0, None);
+    for here in [&names(&[PILOT]), &names(&[]), &names(&[PILOT])] {
+        session.set_names(here);
+        sent(&mut session, 0);
+    }
+    came(&mut session, &reply(ERROR, 1), 1);
+    assert_eq!((session.names(), session.counters().names_refused), ((0, 1), 0));
+    session.retry(2 * RETRY);
+    assert!(sent(&mut session, 0).is_empty(), "it is asked for already");
+    came(&mut session, &reply(OK, 2), 2 * RETRY);
+    assert_eq!(session.names(), (1, 0));
+}
+
+#[test]
 fn a_router_that_is_silent_counts_as_gone() {
     let mut session = Session::default();
     session.connected(1_000, None);

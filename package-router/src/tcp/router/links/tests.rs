@@ -266,7 +266,7 @@ fn a_link_to_one_system_brings_nothing_of_another() {
 
 /// So that it does not wait for the next event.
 #[test]
-fn a_mailbox_that_goes_with_its_client_leaves_a_link_to_be_written() {
+fn a_mailbox_that_goes_with_its_client_wakes_its_link() {
     let mut systems = Systems::new(2);
     let first = systems.connect(0);
     assert_eq!(systems.registers(0, first, PILOT_1), OK);

@@ -220,7 +220,7 @@ fn what_people_see_of_mailboxes_is_what_components_do() {
         };
         let (status, why) = told(&["package", "ping", "0.Camera.0", "-c", "1"]);
         assert!(
-            status == Some(1) && why.contains("Camera(0/0) is not there: its station says so"),
+            status == Some(1) && why.contains("Camera(0/0) is not available: nobody has it"),
             "{status:?} {why}"
         );
         let (status, why) = told(&["package", "send", "0.Gyro.0"]);
@@ -345,7 +345,7 @@ fn what_a_way_to_another_station_takes_is_measured_beside_what_its_slots_say() {
         let nobody = ["package", "bench", "0.Camera.1", "-S", &cell.place("master")];
         let output = rtnet().args(nobody).output().unwrap();
         let (status, why) = (output.status.code(), text(&output.stderr));
-        assert!(status == Some(1) && why.contains("Camera(0/1) is not there"), "{status:?} {why}");
+        assert!(status == Some(1) && why.contains("Camera(0/1) is not available"), "{status:?} {why}");
         // An answer may have another slot where there is one: here in every other cycle.
         let offset = cell.station("arm")["slots"][0]["offset_ns"].as_u64().unwrap();
         for slot in [format!("0={offset}ns,phase=1/2"), format!("2={offset}ns,phase=2/2")] {

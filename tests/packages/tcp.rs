@@ -154,7 +154,7 @@ fn a_command_that_nobody_takes_is_answered_and_counted() {
     assert_eq!(answer(&mut arm), ERROR, "its slots hold no more than 2000 bytes");
     assert_eq!(
         asks.send(1, &[0; 4_097]),
-        Err(SendError::Mailbox(mailbox::SendError::TooLarge { got: 4_097, most: 4_096 })),
+        Err(SendError::LongerThanTcpTakes { got: 4_097, most: 4_096 }),
         "nor does the way there"
     );
     (0..17).for_each(|_| send(&mut asks));

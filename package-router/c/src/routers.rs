@@ -47,7 +47,9 @@ impl From<&TcpStatus> for RtnetRouterStatus {
             mailboxes: count(status.names),
             mailboxes_waiting: count(status.names_waiting),
             reserved: 0,
-            last_error: text(status.last_error.as_deref().unwrap_or_default()),
+            last_error: text(
+                status.last_error.as_deref().filter(|_| !status.is_connected).unwrap_or_default(),
+            ),
         }
     }
 }

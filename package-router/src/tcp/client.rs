@@ -92,7 +92,7 @@ pub struct TcpStatus {
     pub is_connected: bool,
     /// Connections that it has opened.
     pub connections: u64,
-    /// The end of the last connection, or the failure of the last attempt; none while there is a connection.
+    /// The end of the last connection, or the failure of the last attempt.
     pub last_error: Option<String>,
     /// Mailboxes that are registered.
     pub names: usize,
@@ -319,7 +319,7 @@ impl Worker {
         *self.shared.status() = TcpStatus {
             is_connected,
             connections: self.connections,
-            last_error: self.last_error.clone().filter(|_| !is_connected),
+            last_error: self.last_error.clone(),
             names: if is_connected { names } else { 0 },
             names_waiting: if is_connected { names_waiting } else { names + names_waiting },
             session: self.session.counters(),

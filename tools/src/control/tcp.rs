@@ -59,7 +59,7 @@ impl TcpShown {
         Self {
             router: watch.router().to_string(),
             connected: status.is_connected,
-            last_error: status.last_error,
+            last_error: status.last_error.filter(|_| !status.is_connected),
             counters: named(&counters),
             lost: named(&lost),
         }

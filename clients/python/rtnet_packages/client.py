@@ -44,7 +44,10 @@ class Router:
         self._reader.start()
 
     def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
-        """A mailbox of this name, for so many packages. NameTaken: the router refuses it; NotConnected: there is no router now."""
+        """A mailbox of this name, with room for `slots` packages.
+
+        NameTaken: the router refuses it; NotConnected: there is no router now.
+        """
         number, session = name(of), self._session
         with self._changed:
             data = session.add(number, slots)

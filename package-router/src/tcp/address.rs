@@ -43,12 +43,16 @@ impl FromStr for Address {
             Some((host, port)) => (host, port.parse().ok().filter(|port| *port != 0).ok_or_else(no_address)?),
             None => (text, PORT),
         };
-        let is_of_host = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c);
-        match !host.is_empty() && host.chars().all(is_of_host) {
+        match is_host_name(host) {
             true => Ok(Self { host: host.to_owned(), port }),
             false => Err(no_address()),
         }
     }
+}
+
+/// Whether text may be the name of a host.
+pub fn is_host_name(text: &str) -> bool {
+    !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || "-._".contains(c))
 }
 
 impl<'de> Deserialize<'de> for Address {

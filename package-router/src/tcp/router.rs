@@ -360,7 +360,7 @@ impl Router {
         }
     }
 
-    /// Makes room for so many bytes: connections are closed that hold the most.
+    /// Makes room for a number of bytes: connections that hold the most are closed.
     fn make_memory(&mut self, bytes: usize) {
         while self.held + bytes > self.limits.memory {
             let holds = |client: &Client| client.outgoing.bytes() + client.frames.begun();

@@ -166,6 +166,15 @@ fn keys_that_cannot_be_used_are_named_with_the_remedy() {
     let again = rtnet().args(["router", "keys"]).arg(router.parent().unwrap()).output().unwrap();
     assert!(refusal(&again).contains("in a directory that is not there yet"));
 
+    for host in ["10.1.0.4:2001", "bad host!", ""] {
+        let output = rtnet().args(["router", "keys", "--host", host]).arg(keys.of("other")).output().unwrap();
+        assert!(
+            refusal(&output).contains(&format!("'{host}' is no host: write its name")),
+            "{}",
+            refusal(&output)
+        );
+        assert!(!keys.of("other").exists());
+    }
     fs::write(client.join("secret"), "short").unwrap();
     let error = ClientKeys::read(&client).unwrap_err().to_string();
     assert!(error.contains("a secret of 5 bytes could be guessed: make it 16 or more"), "{error}");

@@ -1,9 +1,10 @@
 //! The command line of `rtnet router`.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use package_router::tcp::address::is_host_name;
 
 use crate::control::parse_name;
 
@@ -17,6 +18,14 @@ pub struct RouterArgs {
     /// Options to start one with.
     #[command(flatten)]
     pub run: RouterRunArgs,
+}
+
+/// A host, of which a certificate has the name or the address.
+fn parse_host(text: &str) -> Result<String, String> {
+    match is_host_name(text) || text.parse::<IpAddr>().is_ok() {
+        true => Ok(text.to_owned()),
+        false => Err(format!("'{text}' is no host: write its name or its address, without a port")),
+    }
 }
 
 /// An address to listen at.
@@ -69,7 +78,7 @@ pub enum RouterVerb {
         /// The directory, which must not exist
         directory: PathBuf,
         /// A name or address by which clients reach the router; can be given several times [default: localhost, 127.0.0.1, ::1]
-        #[arg(long, value_name = "NAME")]
+        #[arg(long, value_name = "NAME", value_parser = parse_host)]
         host: Vec<String>,
     },
 }

@@ -84,7 +84,7 @@ pub struct SessionCounters {
 enum Asked {
     /// A registration.
     Name(MailboxName),
-    /// That it has read what was sent before, so many packages.
+    /// That it has read all packages that were sent before: their number.
     Confirmation(u64),
 }
 

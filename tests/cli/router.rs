@@ -126,6 +126,15 @@ impl Drop for Router {
         // Gone already where a test has ended it.
         let _ = self.child.kill();
         let _ = self.child.wait();
+        forget(&self.name);
+    }
+}
+
+/// Removes the socket and the lock of a router that was killed: the next of its name, which would take them over, never comes here.
+fn forget(name: &str) {
+    for end in ["", ".lock"] {
+        // One that has ended by itself has removed them.
+        let _ = std::fs::remove_file(format!("/run/rtnet/.router-{name}{end}"));
     }
 }
 

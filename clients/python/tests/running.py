@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+from pathlib import Path
 from typing import Optional, Tuple
 
 
@@ -38,3 +39,6 @@ class RunningRouter:
         self._process.kill()
         self._process.wait()
         self._process.stderr.close()
+        # It could not remove its socket and its lock.
+        for end in ["", ".lock"]:
+            Path(f"/run/rtnet/.router-{self.name}{end}").unlink(missing_ok=True)

@@ -17,7 +17,7 @@ use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::wire::OK;
 
-use super::{AtEnd, clients};
+use super::{AtEnd, clients, forget};
 use crate::cell::{Cell, json, text, wait_until};
 use crate::host::{network, skip};
 use crate::rtnet;
@@ -208,7 +208,9 @@ fn components_of_stations_and_hosts_meet_by_name() {
             is_over.store(true, Ordering::Relaxed);
         });
         drop((in_rust, programs, router));
+        let name = cell.name.clone();
         cell.down();
+        forget(&name);
     });
 }
 

@@ -21,3 +21,10 @@ pub mod router;
 pub mod rules;
 pub mod serve;
 pub mod stream;
+
+/// Bytes that are written as in the reference, for tests.
+#[cfg(test)]
+fn hex(text: &str) -> Vec<u8> {
+    let digits: String = text.split_whitespace().collect();
+    (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect()
+}

@@ -168,7 +168,7 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
         let ends = || {
             let of = looks[2].status();
             let lost = of.local.not_connected + of.session.lost + nobody;
-            // What finds the mailbox full is counted there, together with calls.
+            // The receiver counts packages that find its mailbox full, calls among them.
             (data.load(Ordering::Relaxed), lost, of.session.unconfirmed + looks[0].status().local.full)
         };
         wait_until("each package has an end, or may have been lost with a router", || {

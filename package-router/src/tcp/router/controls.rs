@@ -60,8 +60,8 @@ impl Router {
         }
     }
 
-    /// Whether the name is this connection's from now on. One that it has already, and that of nobody, are let pass silently where
-    /// no answer is waited for.
+    /// Registers a name. Returns whether this connection owns it from now on. Without an answer, a second registration and the name 0
+    /// are not counted as refused.
     fn register(&mut self, from: Connection, name: MailboxName, is_answered: bool, now: u64) -> bool {
         let owner = self.table.get(&name).copied();
         let has_room = self.table.len() < self.limits.all_names;

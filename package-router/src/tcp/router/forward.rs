@@ -74,7 +74,7 @@ impl Router {
         pushed
     }
 
-    /// Whether a connection may send in this name: it has it, or nobody has and it might.
+    /// Whether a connection may send in this name: it owns the name, or the name is free and it may register it.
     fn is_sender(&self, from: Connection, name: MailboxName) -> bool {
         let Some(client) = self.clients.get(from.0 as usize).and_then(Option::as_ref) else { return false };
         let might_have = || {

@@ -1,5 +1,6 @@
 use super::*;
 use crate::tcp::control::PROOF;
+use crate::tcp::hex;
 use crate::tcp::rules::{RegisterRule, SendRule};
 use crate::wire;
 use crate::wire::HEAD_LEN;
@@ -14,11 +15,6 @@ struct Net {
     router: Router,
     read: Vec<Vec<u8>>,
     now: u64,
-}
-
-fn hex(text: &str) -> Vec<u8> {
-    let digits: String = text.split_whitespace().collect();
-    (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect()
 }
 
 impl Net {
@@ -300,6 +296,19 @@ fn limits_hold_and_are_counted() {
         net.router.connect(PEER, 0).unwrap();
     }
     assert_eq!(net.router.status(0).closed.len(), CLOSED);
+}
+
+#[test]
+fn a_hundred_thousand_registrations_are_refused_and_counted() {
+    const ASKED: u32 = 100_000;
+    let mut net = Net::of(2);
+    for name in 1..=ASKED {
+        net.send(0, &control(11, &name.to_le_bytes()));
+    }
+    let most = Limits::default().names;
+    assert_eq!(net.router.table.len(), most);
+    assert_eq!(net.counters(0).names_refused, u64::from(ASKED) - most as u64);
+    assert_eq!(net.register(1, ASKED), wire::OK, "the other client has room");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use super::*;
 use crate::name::MailboxName;
+use crate::tcp::hex;
 use crate::wire::{self, HEAD_LEN, Head};
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -84,6 +85,38 @@ fn packages_of_any_length_go_from_one_connection_to_another() {
     }
     a.write_all(&package(4, 9, 1, &[])).unwrap();
     assert_eq!(read(&mut a).0.kind, wire::NOT_AVAILABLE);
+}
+
+/// Section 5.3 of the reference: J is a Java client (big-endian), J2 another, C a client in C (little-endian).
+#[test]
+fn bytes_on_sockets_are_those_of_real_peers() {
+    let running = Running::start(Limits::default());
+    let (mut j, mut j2, mut c) = (running.connect(), running.connect(), running.connect());
+    let reads = |from: &mut Std, expected: &str| {
+        let expected = hex(expected);
+        let mut bytes = vec![0; expected.len()];
+        from.read_exact(&mut bytes).unwrap();
+        assert_eq!(bytes, expected);
+    };
+    j.write_all(&hex("000d0000 00000000 00000000 00000014 00100100")).unwrap();
+    reads(&mut j, "03000000 00000000 00000000 10000000");
+    j2.write_all(&hex("000d0000 00000000 00000000 00000014 00100200")).unwrap();
+    reads(&mut j2, "03000000 00000000 00000000 10000000");
+    j.write_all(&hex("00154d2a 00100200 00100100 00000015 68656c6c6f")).unwrap();
+    reads(&mut j2, "01154d2a 00021000 00011000 15000000 68656c6c6f");
+    j.write_all(&hex("0003052b 00106300 00100100 00000010")).unwrap();
+    reads(&mut j, "03fd052b 00011000 00631000 10000000");
+    // A reply to an unknown name has no answer: the next bytes are those of the lifesign.
+    j.write_all(&hex("00fa052c 00106300 00100100 00000010")).unwrap();
+    c.write_all(&hex("030d0000 00000000 00000000 14000000")).unwrap();
+    c.write_all(&hex("00001c00")).unwrap();
+    reads(&mut c, "03000000 00000000 00000000 10000000");
+    c.write_all(&hex("03130000 00000000 00000000 10000000")).unwrap();
+    reads(&mut j, "03110000 00000000 00000000 10000000");
+    j.write_all(&hex("00000000 00000000 00000000 00000010")).unwrap();
+    reads(&mut j2, "03110000 00000000 00000000 10000000");
+    j.write_all(&hex("00060000 001c0000 00100100 00000010")).unwrap();
+    reads(&mut c, "01060000 00001c00 00011000 10000000");
 }
 
 #[test]

@@ -32,7 +32,7 @@ fn package(kind: i8, to: MailboxName, from: MailboxName, body: &[u8]) -> Vec<u8>
     [&head.to_bytes()[..], body].concat()
 }
 
-/// The kinds of all that it writes with so many packages.
+/// The kinds of everything that a session writes while `packages` packages wait.
 fn sent(session: &mut Session, packages: usize) -> Vec<i8> {
     let (mut waiting, mut kinds) = (vec![package(-6, CHASSIS, PILOT, b"data"); packages], Vec::new());
     let next = |batch: &mut Vec<u8>| waiting.pop().map(|package| batch.extend(package)).is_some();

@@ -202,7 +202,7 @@ fn a_name_that_the_other_router_refuses_is_asked_for_again() {
     assert!(systems.heads(0, first).iter().any(|head| head.kind == 21));
 }
 
-/// More than may be asked for at once, all of which are somebody else's at first.
+/// Another client has all these names at first. They are more than may be asked for at once.
 #[test]
 fn many_refused_names_are_all_registered_once_they_are_free() {
     const NAMES: u32 = 600;

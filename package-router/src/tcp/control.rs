@@ -1,7 +1,7 @@
 //! Control packages: those to 0 from 0 are for the router itself.
 
 use crate::name::MailboxName;
-use crate::wire::{Endian, Head};
+use crate::wire::{Endian, HEAD_LEN, Head};
 
 /// Kind of the router's question whether a client is alive; the client answers 0.
 pub const LIFESIGN: i8 = 17;
@@ -16,6 +16,12 @@ pub const CONFIRM: i8 = 14;
 pub const PROOF: i8 = 20;
 /// Kind of the announcement of a router that it is one, and of which system; it is answered.
 pub const ROUTER: i8 = 21;
+/// The head of a request to a router.
+pub fn request(kind: i8, id: u8, body: &[u8]) -> Head {
+    let len = (HEAD_LEN + body.len()) as u32;
+    Head { id, len, ..Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY) }
+}
+
 /// The body of a proof.
 pub type Proof = [u8; 32];
 

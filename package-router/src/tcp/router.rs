@@ -125,6 +125,13 @@ struct Client {
     counters: Counters,
 }
 
+impl Client {
+    /// Bytes that wait for it, and of its package that has begun.
+    fn held(&self) -> usize {
+        self.outgoing.bytes() + self.frames.begun()
+    }
+}
+
 /// A router of packages among connections.
 pub struct Router {
     limits: Limits,
@@ -304,7 +311,7 @@ impl Router {
             self.table.remove(name);
             self.tell_links(*name, false, now);
         }
-        self.held -= client.outgoing.bytes() + client.frames.begun();
+        self.held -= client.held();
         client.counters.lost_at_close += client.outgoing.packages() as u64;
         self.counters.add(&client.counters);
         self.closed.truncate(CLOSED - 1);
@@ -363,11 +370,10 @@ impl Router {
     /// Makes room for a number of bytes: connections that hold the most are closed.
     fn make_memory(&mut self, bytes: usize) {
         while self.held + bytes > self.limits.memory {
-            let holds = |client: &Client| client.outgoing.bytes() + client.frames.begun();
             let all =
                 self.clients.iter().enumerate().filter_map(|(place, client)| Some((place, client.as_ref()?)));
-            let Some((place, client)) = all.max_by_key(|(_, client)| holds(client)) else { return };
-            let (whom, held) = (Connection(place as u32), holds(client));
+            let Some((place, client)) = all.max_by_key(|(_, client)| client.held()) else { return };
+            let (whom, held) = (Connection(place as u32), client.held());
             if held == 0 {
                 return;
             }

@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 
 use crate::name::MailboxName;
-use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER};
+use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER, request};
 use crate::tcp::frames::Frames;
 use crate::tcp::requests::Requests;
 use crate::wire::{HEAD_LEN, Head, HeadError, OK};
@@ -265,9 +265,7 @@ impl Session {
     }
 
     fn control(&mut self, kind: i8, id: u8, body: &[u8]) {
-        let len = (HEAD_LEN + body.len()) as u32;
-        let head = Head { id, len, ..Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY) };
-        self.own.extend_from_slice(&head.to_bytes());
+        self.own.extend_from_slice(&request(kind, id, body).to_bytes());
         self.own.extend_from_slice(body);
     }
 

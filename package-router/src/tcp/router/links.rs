@@ -14,7 +14,7 @@ use core::net::SocketAddr;
 
 use super::{Connection, Ending, Router, TooMany, Trust};
 use crate::name::MailboxName;
-use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, ROUTER, UNREGISTER};
+use crate::tcp::control::{self, CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, ROUTER, UNREGISTER};
 use crate::tcp::requests::{OPEN_AT_MOST, Requests};
 use crate::wire::{HEAD_LEN, Head, OK};
 
@@ -223,9 +223,7 @@ impl Router {
     }
 
     fn request(&mut self, link: Connection, kind: i8, id: u8, body: &[u8], now: u64) {
-        let len = (HEAD_LEN + body.len()) as u32;
-        let head = Head { id, len, ..Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY) };
-        self.own_with(link, &head, body, now);
+        self.own_with(link, &control::request(kind, id, body), body, now);
     }
 }
 

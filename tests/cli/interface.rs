@@ -158,7 +158,7 @@ fn a_lab_is_told_when_its_stations_carrier_is_lost_and_back_and_when_it_cannot_g
         };
         let lab = serde_json::to_string(&lab).unwrap();
         let mut station =
-            Station::start(&medium.a, &["--interface", "rt0", "--master", "--cycle", "5ms", "--lab", &lab]);
+            Station::of_lab(&medium.a, &["--interface", "rt0", "--master", "--cycle", "5ms", "--lab", &lab]);
         let report = |station: &Station, of: &str| -> Report {
             serde_json::from_str(&station.wait_for(&format!("{{\"{of}\":"))).unwrap()
         };

@@ -74,7 +74,20 @@ impl Station {
             first();
             command.spawn()
         };
-        let mut child = namespace.run(spawn).unwrap().unwrap();
+        Self::of(namespace.run(spawn).unwrap().unwrap())
+    }
+
+    /// A station of a lab, which this thread stands for: the kernel kills the station when the thread that has started it ends.
+    pub fn of_lab(namespace: &Namespace, arguments: &[&str]) -> Self {
+        let station = rtnet();
+        let mut command = Command::new("nsenter");
+        command.arg(format!("--net={}", namespace.path().display())).arg(station.get_program());
+        command.arg("station").args(arguments);
+        let child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+        Self::of(child.unwrap())
+    }
+
+    fn of(mut child: Child) -> Self {
         let (told, lines) = channel();
         pass_on(child.stdout.take().unwrap(), told.clone());
         pass_on(child.stderr.take().unwrap(), told);

@@ -142,6 +142,16 @@ impl Member {
         self.has_joined
     }
 
+    /// Whether its process has started, and has not reported.
+    pub fn is_starting(&self) -> bool {
+        self.process.is_some() && self.standing.is_none()
+    }
+
+    /// Steps that it has taken: it reports, and has been locked.
+    pub fn steps(&self) -> usize {
+        usize::from(self.standing.is_some()) + usize::from(self.has_joined)
+    }
+
     pub fn is_settled(&self) -> bool {
         self.standing.as_ref().is_some_and(|standing| standing.settled)
     }

@@ -17,6 +17,7 @@ pub mod enter;
 mod facts;
 pub(crate) mod faults;
 pub(crate) mod guests;
+pub(crate) mod join;
 mod keep;
 pub(crate) mod launch;
 pub(crate) mod lead;

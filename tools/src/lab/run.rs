@@ -16,12 +16,12 @@ use rtnet::time::{GlobalTime, Offset, Span};
 
 use super::faults::{Play, only_simulated};
 use super::guests::Guests;
-use super::launch::{Launch, Resume, arguments};
+use super::launch::Launch;
 use super::lead::{WakeUps, lead};
-use super::load::{Core, calibrating_at_once, load, too_much};
+use super::load::{Core, load, too_much};
 use super::members::{Member, lost_at_most};
 use super::namespace::{Namespace, Segment};
-use super::processes::{Process, Told};
+use super::processes::Told;
 use super::wires::Wires;
 use crate::control::{Directory, Home, Load};
 use crate::judge::account::Account;
@@ -39,15 +39,9 @@ pub const INTERFACE: &str = "rt0";
 /// How often frames and reports are looked at.
 pub(super) const LOOK_EVERY: Duration = Duration::from_millis(10);
 /// Cycles between the last look at the stations and the begin of the measurement.
-const SETTLE_CYCLES: u32 = 50;
-/// For so many cycles, and no longer, a lab waits for clocks to settle once all are locked: at 1 ms they take some 1300, at
-/// 5 ms some 500.
-const SETTLE_WITHIN: u32 = 3_000;
-const SETTLE_AT_MOST: Duration = Duration::from_secs(7);
-/// How long stations may take to be locked, besides what calibration takes.
-const JOIN_WITHIN: Duration = Duration::from_secs(5);
-/// A calibration round takes two periods of the slot; so many times that is allowed.
-const CALIBRATION_ALLOWANCE: u32 = 3;
+pub(super) const SETTLE_CYCLES: u32 = 50;
+/// How long the end of a run, and its first sync, may take.
+const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 /// After the last cycle, frames are still in the ring for up to its retirement time.
 const LINGER: Duration = Duration::from_millis(100);
 /// Frames that the kernel stamped before a step of the wall clock may still come out of the ring for so long.
@@ -221,77 +215,6 @@ impl Lab {
         })
     }
 
-    /// Starts the stations, and waits until every one has been locked.
-    pub(super) fn join(&mut self, scenario: &Scenario) -> Result<()> {
-        let at_once = calibrating_at_once(scenario, self.launch.lead);
-        let rounds = scenario.stations.iter().map(|station| {
-            let period = station.slots.iter().map(|slot| slot.period).max().unwrap_or(1);
-            station.rounds.saturating_mul(2).saturating_mul(period)
-        });
-        let cycles = rounds.max().unwrap_or(0).saturating_mul(CALIBRATION_ALLOWANCE);
-        let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
-        let turns = scenario.stations.len().div_ceil(at_once) as u32;
-        let calibration = cycle.saturating_mul(cycles.saturating_add(SETTLE_CYCLES)).saturating_mul(turns);
-        let deadline = Instant::now() + JOIN_WITHIN + calibration;
-        while !self.members.iter().all(Member::has_joined) {
-            self.start_some(scenario, at_once)?;
-            self.look();
-            self.fail_early(scenario)?;
-            let joined = self.members.iter().filter(|member| member.has_joined()).count();
-            if self.interrupted.load(Ordering::Relaxed) {
-                let all = self.members.len();
-                bail!(Interrupted(format!("{joined} of {all} stations were locked")));
-            }
-            if Instant::now() > deadline {
-                let late = self.members.iter().position(|member| !member.has_joined()).unwrap_or(0);
-                bail!(
-                    "station '{}' is not locked to the master in time ({}): a longer --cycle or --guard gives \
-                     a busy host more room",
-                    scenario.stations[late].name,
-                    self.members[late].state(),
-                );
-            }
-            self.show_progress(|| format!("{joined} of {} stations locked", scenario.stations.len()));
-        }
-        Ok(())
-    }
-
-    /// Starts stations in their order, as long as fewer than so many calibrate.
-    fn start_some(&mut self, scenario: &Scenario, at_once: usize) -> Result<()> {
-        let is_joining = |member: &&Member| member.process.is_some() && !member.has_joined();
-        let joining = self.members.iter().filter(is_joining).count();
-        let waiting = self.members.iter_mut().enumerate().filter(|(_, member)| member.process.is_none());
-        for (station, member) in waiting.take(at_once.saturating_sub(joining)) {
-            let arguments = arguments(scenario, station, &self.launch, &Resume::default())?;
-            member.process =
-                Some(Process::start(&member.namespace, station, &arguments, self.teller.clone())?);
-        }
-        Ok(())
-    }
-
-    /// Waits until the clocks of all stations are as near the master's as they come, but not for ever: a host may be too
-    /// busy, and that belongs to what is measured.
-    fn settle(&mut self, scenario: &Scenario) {
-        let cycle = Duration::from_nanos(scenario.cycle.nanos() as u64);
-        let deadline = Instant::now() + cycle.saturating_mul(SETTLE_WITHIN).min(SETTLE_AT_MOST);
-        while !self.members.iter().all(Member::is_settled) && Instant::now() < deadline {
-            self.look();
-            if self.interrupted.load(Ordering::Relaxed) || self.members.iter().any(|member| member.ended) {
-                break;
-            }
-            let (settled, all) =
-                (self.members.iter().filter(|member| member.is_settled()).count(), self.members.len());
-            self.show_progress(|| format!("clocks of {settled} of {all} stations settled"));
-        }
-        let unsettled =
-            self.members.iter().zip(&scenario.stations).filter(|(member, _)| !member.is_settled());
-        let names: Vec<_> = unsettled.map(|(_, plan)| plan.name.as_str()).collect();
-        if !names.is_empty() {
-            self.notes
-                .push(format!("clocks had not settled when the measurement began: {}", names.join(", ")));
-        }
-    }
-
     /// Measures for the scenario's duration, or until interrupted or a station is lost.
     fn measure(&mut self, scenario: &Scenario) -> Result<()> {
         let cycles =
@@ -299,7 +222,7 @@ impl Lab {
         let begin = self.begin(cycles)?;
         self.prepare(scenario, begin);
         let end = begin + scenario.duration.nanos() as u64 + END_WITHOUT_MASTER;
-        let allowed = Duration::from_nanos(scenario.duration.nanos() as u64) * 2 + JOIN_WITHIN;
+        let allowed = Duration::from_nanos(scenario.duration.nanos() as u64) * 2 + ANSWER_WITHIN;
         let deadline = Instant::now() + allowed;
         while !self.analysis.is_complete() && (self.has_master() || monotonic() < end) {
             self.look();
@@ -336,7 +259,7 @@ impl Lab {
     /// Waits for the first sync: a frame is in the ring for up to its retirement time, and stations that do not calibrate
     /// are locked sooner.
     fn see_sync(&mut self) -> Result<(u32, GlobalTime)> {
-        let deadline = Instant::now() + JOIN_WITHIN;
+        let deadline = Instant::now() + ANSWER_WITHIN;
         loop {
             if let Some(grid) = self.analysis.grid() {
                 return Ok(grid);
@@ -346,7 +269,7 @@ impl Lab {
             }
             ensure!(
                 Instant::now() < deadline,
-                "stations are locked, but no sync was seen on their bridge for {JOIN_WITHIN:?}"
+                "stations are locked, but no sync was seen on their bridge for {ANSWER_WITHIN:?}"
             );
             self.look();
         }
@@ -363,7 +286,7 @@ impl Lab {
             member.note_memory();
             member.tell_to_end();
         }
-        let deadline = Instant::now() + JOIN_WITHIN;
+        let deadline = Instant::now() + ANSWER_WITHIN;
         while !self.members.iter().all(|member| member.silent) && Instant::now() < deadline {
             self.members.iter_mut().for_each(Member::end_if_stopped);
             self.look();
@@ -374,7 +297,7 @@ impl Lab {
     }
 
     /// Waits a little, and takes what frames and reports there are.
-    fn look(&mut self) {
+    pub(super) fn look(&mut self) {
         std::thread::sleep(LOOK_EVERY);
         self.take_in();
     }
@@ -434,21 +357,7 @@ impl Lab {
         self.lost + self.distrusted
     }
 
-    /// A station that cannot be what it is to be ends the run before it begins.
-    fn fail_early(&mut self, scenario: &Scenario) -> Result<()> {
-        for (station, member) in self.members.iter().enumerate() {
-            let name = &scenario.stations[station].name;
-            if let Some(why) = &member.failed {
-                bail!("station '{name}': {why}");
-            }
-            if member.ended {
-                bail!("station '{name}' ended before the network was up; its own message is above");
-            }
-        }
-        Ok(())
-    }
-
-    fn show_progress(&mut self, what: impl Fn() -> String) {
+    pub(super) fn show_progress(&mut self, what: impl Fn() -> String) {
         if let Some(next) = &mut self.next_progress
             && Instant::now() >= *next
         {

@@ -24,6 +24,7 @@ use super::verdict::Observed;
 use crate::control::Load;
 use crate::lab::faults::only_simulated;
 use crate::lab::guests::Guests;
+use crate::lab::join::{START_WITHIN, Steps};
 use crate::lab::launch::clock;
 use crate::lab::load::too_much;
 use crate::lab::namespace::{Namespace, Segment};
@@ -39,8 +40,8 @@ use crate::station::link::{self, Report};
 
 /// How often frames and reports are looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
-/// How long stations may take to start.
-const START_WITHIN: Duration = Duration::from_secs(5);
+/// Longest time from a step of any station until the next takes part, in addition to what a ring takes to come up; and of the end.
+const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 /// After the last frame, frames are still in the observer's ring for up to its retirement time.
 const LINGER: Duration = Duration::from_millis(100);
 /// Frames that the kernel stamped before a step of the wall clock may still come out of it for so long.
@@ -167,7 +168,8 @@ impl<'a> Lab<'a> {
         let ring = &self.scenario.ring;
         let silent = ring.silence() + ring.step() * ring.stations.len() as i64;
         let comes_up = silent + self.scenario.network.cycle * 20;
-        let deadline = Instant::now() + START_WITHIN + Duration::from_nanos(comes_up.nanos() as u64);
+        let join_within = ANSWER_WITHIN + Duration::from_nanos(comes_up.nanos() as u64);
+        let (begun, mut steps) = (Instant::now(), Steps::default());
         while !(self.judge.all_present() && self.members.iter().all(Member::takes_part)) {
             self.look();
             for (member, plan) in self.members.iter().zip(&self.scenario.network.stations) {
@@ -186,7 +188,9 @@ impl<'a> Lab<'a> {
                 let all = self.members.len();
                 bail!(Interrupted(format!("{here} of {all} stations took part")));
             }
-            if Instant::now() > deadline {
+            let pause = steps.pause(self.members.iter().map(Member::steps).sum(), begun.elapsed());
+            let is_starting = self.members.iter().any(|member| member.steps() == 0);
+            if pause > if is_starting { START_WITHIN } else { join_within } {
                 let late = self.members.iter().position(|member| !member.takes_part()).unwrap_or(0);
                 bail!(
                     "station '{}' does not take part in the ring in time: a longer token_late gives a busy host more room",
@@ -234,7 +238,7 @@ impl<'a> Lab<'a> {
         }
         self.notes.extend(self.guests.end());
         self.members.iter_mut().for_each(Member::tell_to_end);
-        let deadline = Instant::now() + START_WITHIN;
+        let deadline = Instant::now() + ANSWER_WITHIN;
         while !self.members.iter().all(|member| member.silent) && Instant::now() < deadline {
             self.members.iter_mut().for_each(Member::end_if_stopped);
             self.look();

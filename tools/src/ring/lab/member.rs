@@ -69,6 +69,11 @@ impl Member {
         self.standing.as_ref().is_some_and(|standing| standing.cycle >= VISITS)
     }
 
+    /// Steps that it has taken: it reports, and takes part.
+    pub fn steps(&self) -> usize {
+        usize::from(self.standing.is_some()) + usize::from(self.takes_part())
+    }
+
     /// From here on all counts.
     pub fn begin(&mut self) {
         self.at_begin = self.standing.clone();

@@ -65,7 +65,7 @@ fn a_station_has_figures_for_prometheus() {
         let page = page(&medium.a, at);
         let after = stat();
         for ((group, reason), least) in &before {
-            let figure = format!("rtnet_station_events_total{{group=\"{group}\",reason=\"{reason}\"}}");
+            let figure = format!("rtnet_events_total{{group=\"{group}\",reason=\"{reason}\"}}");
             let shown = value(&page, &figure).unwrap_or_else(|| panic!("{figure}: {page}"));
             let most = after[&(*group, reason.clone())];
             assert!((*least..=most).contains(&shown), "{figure}: {least} <= {shown} <= {most}");

@@ -108,9 +108,12 @@ fn lab_that_stays_holds_no_directory_of_its_caller() {
         let below = dir.path().join("below");
         fs::create_dir(&below).unwrap();
         let scenario = "cycle = \"10ms\"\nnetwork = \"10.0.0.0/24\"\npackages = true\npackage_priorities = \"urgent.toml\"\n\
+                        router = \"127.0.0.1:9\"\nrouter_keys = \"keys/client\"\n\
                         [[station]]\nname = \"master\"\nrole = \"master\"\n[[station]]\nname = \"slave1\"\nrole = \"slave\"\n";
         fs::write(below.join("net.toml"), scenario).unwrap();
         fs::write(below.join("urgent.toml"), "").unwrap();
+        let made = rtnet().args(["router", "keys"]).arg(below.join("keys")).output().unwrap();
+        assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
         let pair = Pair::up_by("held", |name| {
             let mut command = rtnet();
             command.args([

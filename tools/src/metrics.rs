@@ -13,6 +13,10 @@ use anyhow::{Context, Result};
 pub use self::page::Page;
 use crate::remedy::explained;
 
+/// Counter of events by group and reason, of stations and routers.
+pub const EVENTS: &str = "rtnet_events_total";
+/// Mailboxes that are registered at a TCP router.
+pub const MAILBOXES: &str = "rtnet_mailboxes";
 /// Longest head of a request, and how long a client may take for it.
 const HEAD_AT_MOST: usize = 4 << 10;
 const PATIENCE: Duration = Duration::from_secs(2);

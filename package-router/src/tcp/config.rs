@@ -20,7 +20,7 @@
 //!         [[link]]                     # to the router of another system
 //!         router = "10.2.0.1:2001"
 //!         keys = "keys/client"         # by TLS; default: in the clear
-//!         systems = [2]                # default: all that are not this one
+//!         systems = [2]                # default: all that no other link names
 //!
 //!         [limits]                     # default: these
 //!         connections = 10000
@@ -108,7 +108,7 @@ struct File {
     #[serde(default)]
     system: u8,
     #[serde(default)]
-    link: Vec<Link>,
+    link: Vec<Spanned<Link>>,
     #[serde(default)]
     listen: Vec<Listen>,
     #[serde(default)]
@@ -137,7 +137,7 @@ pub struct Link {
     pub router: Address,
     /// The directory of a client's keys, if it is reached by TLS.
     pub keys: Option<PathBuf>,
-    /// The systems whose mailboxes are reached by it; none: all others.
+    /// The systems whose mailboxes are reached by it; none: all that no other link names.
     #[serde(default)]
     pub systems: BTreeSet<u8>,
 }
@@ -158,11 +158,6 @@ impl RouterFile {
         let source = Source { file, text };
         let File { name, insecure, metrics, system, link, listen, limits, register, send } =
             source.read(source.tables()?)?;
-        if let Some(own) = link.iter().find(|link| link.systems.contains(&system)) {
-            let what =
-                format!("the link to {} leads to system {system}, which is this router's own", own.router);
-            return Err(source.wrong(0, what));
-        }
         let default = Self::default();
         let at_least = |given: Option<Spanned<usize>>, default: usize, least: usize| match given {
             Some(given) if *given.get_ref() < least => {
@@ -182,8 +177,21 @@ impl RouterFile {
             true => default.listen,
             false => listen,
         };
+        for (place, this) in link.iter().enumerate() {
+            let before = link[..place].iter().map(Spanned::get_ref);
+            if let Some(what) = this.get_ref().contradicts(system, before) {
+                return Err(source.wrong(this.span().start, what));
+            }
+        }
+        let links = link.into_iter().map(Spanned::into_inner).collect();
         let rules = Rules { register, send };
-        Ok(Self { name, listen, insecure, metrics, system, links: link, limits, rules })
+        Ok(Self { name, listen, insecure, metrics, system, links, limits, rules })
+    }
+
+    /// The first link that leads to one of its own addresses, as far as both are numbers.
+    pub fn link_to_itself(&self) -> Option<&Address> {
+        let leads_here = |router: &&Address| self.listen.iter().any(|listen| is_at(router, listen.address));
+        self.links.iter().map(|link| &link.router).find(leads_here)
     }
 
     /// The first address that other hosts reach without a key, unless they may.
@@ -193,6 +201,38 @@ impl RouterFile {
         let exposed = plain.find(|address| !address.ip().is_loopback());
         exposed.filter(|_| !self.insecure)
     }
+}
+
+impl Link {
+    /// A contradiction to the rest of its file, if there is one.
+    fn contradicts<'a>(&self, system: u8, mut before: impl Iterator<Item = &'a Self>) -> Option<String> {
+        let Self { router, systems, .. } = self;
+        if systems.contains(&system) {
+            return Some(format!(
+                "the link to {router} leads to system {system}, which is this router's own"
+            ));
+        }
+        before.find_map(|other| {
+            if other.router == *router {
+                return Some(format!("there are two links to {router}: name all its systems in one `[[link]]`"));
+            }
+            if systems.is_empty() && other.systems.is_empty() {
+                return Some(format!(
+                    "the links to {} and {router} both lead to all other systems: add `systems` to one of them",
+                    other.router
+                ));
+            }
+            let both = systems.intersection(&other.systems).next()?;
+            Some(format!("the links to {} and {router} both lead to system {both}", other.router))
+        })
+    }
+}
+
+fn is_at(router: &Address, listener: SocketAddr) -> bool {
+    router.port == listener.port()
+        && router.host.parse().is_ok_and(|host: IpAddr| {
+            host == listener.ip() || host.is_loopback() && listener.ip().is_unspecified()
+        })
 }
 
 #[cfg(test)]
@@ -229,6 +269,32 @@ mod tests {
             own.contains("the link to there:2000 leads to system 2, which is this router's own"),
             "{own}"
         );
+        let link =
+            |router: &str, systems: &str| format!("[[link]]\nrouter = \"{router}\"\nsystems = [{systems}]\n");
+        for (text, words) in [
+            (link("a", "2") + &link("a", "3"), "r.toml:4:1: there are two links to a:2000"),
+            (
+                link("a", "2, 3") + &link("b", "3"),
+                "r.toml:4:1: the links to a:2000 and b:2000 both lead to system 3",
+            ),
+            (
+                link("a", "") + &link("b", ""),
+                "r.toml:4:1: the links to a:2000 and b:2000 both lead to all other systems",
+            ),
+        ] {
+            assert!(refused(&text).starts_with(words), "{}", refused(&text));
+        }
+        assert!(RouterFile::parse(&(link("a", "") + &link("b", "3")), "r.toml").is_ok());
+        let listen = "[[listen]]\naddress = \"0.0.0.0:2001\"\n";
+        for (text, leads_here) in [
+            (listen.to_owned() + &link("127.0.0.1:2001", "2"), true),
+            (listen.to_owned() + &link("127.0.0.1:2000", "2"), false),
+            (listen.to_owned() + &link("10.0.0.1:2001", "2"), false),
+            (link("127.0.0.1", "2"), true),
+        ] {
+            let file = RouterFile::parse(&text, "r.toml").unwrap();
+            assert_eq!(file.link_to_itself().is_some(), leads_here, "{text}");
+        }
         let network = refused("[[register]]\nnames = []\npeer = \"10.0.0.0/64\"");
         assert!(network.starts_with("r.toml:3:8: '10.0.0.0/64' is no network"), "{network}");
         assert!(refused("[[send]]\nfrom = [\"0.Nobody.1\"]\nto = []").starts_with("r.toml:2:"));

@@ -3,6 +3,8 @@
 mod controls;
 mod forward;
 mod links;
+mod rates;
+mod round;
 mod status;
 #[cfg(test)]
 mod tests;
@@ -11,14 +13,16 @@ use core::net::SocketAddr;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, IoSlice};
 
-use super::control::{Control, LIFESIGN, Proof};
+use super::control::{Control, Proof};
 use super::frames::Frames;
 use super::outgoing::Outgoing;
 use super::rules::Rules;
 use crate::name::MailboxName;
 use crate::wire::{HEAD_LEN, Head, HeadError, MAX_LEN};
-use links::Role;
+use links::{Reach, Role};
+use rates::Meter;
 
+pub use rates::Rates;
 pub use status::{ClientStatus, Closed, Counters, LinkStatus, Status};
 
 /// Milliseconds between two signs of life that are asked for.
@@ -123,6 +127,7 @@ struct Client {
     /// It is to be closed: nothing that it sends counts any more.
     is_ending: bool,
     counters: Counters,
+    meter: Meter,
 }
 
 impl Client {
@@ -139,7 +144,7 @@ pub struct Router {
     /// The system of its own mailboxes.
     system: u8,
     /// The systems to which each link leads.
-    links: Vec<BTreeSet<u8>>,
+    links: Vec<Reach>,
     /// Those that are open, and their places in the configuration.
     open_links: Vec<(Connection, usize)>,
     clients: Vec<Option<Client>>,
@@ -154,6 +159,8 @@ pub struct Router {
     closed: VecDeque<Closed>,
     /// Sums over the closed connections.
     counters: Counters,
+    /// The rate of all connections.
+    meter: Meter,
     next_round: u64,
     /// Bytes that wait for all connections, and of packages that have begun.
     held: usize,
@@ -177,6 +184,7 @@ impl Router {
             endings: Vec::new(),
             closed: VecDeque::new(),
             counters: Counters::default(),
+            meter: Meter::new(now),
             next_round: now + LIFESIGN_EVERY,
             held: 0,
         }
@@ -237,6 +245,7 @@ impl Router {
             is_awake: false,
             is_ending: false,
             counters: Counters::default(),
+            meter: Meter::new(now),
         };
         Ok(match self.free.pop() {
             Some(place) => {
@@ -328,34 +337,6 @@ impl Router {
         self.open_links.retain(|(link, _)| *link != gone);
         self.endings.retain(|(ending, _)| *ending != gone);
         self.free.push(gone.0);
-    }
-
-    /// When [`Self::round`] is due.
-    pub fn next_round(&self) -> u64 {
-        self.next_round
-    }
-
-    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life. The caller hands over all
-    /// bytes that have come before: so a router that was stopped for a while ends no connection that is alive.
-    pub fn round(&mut self, now: u64) {
-        self.next_round = now + LIFESIGN_EVERY;
-        let lifesign = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY);
-        for place in 0..self.clients.len() as u32 {
-            let Some(client) = &mut self.clients[place as usize] else { continue };
-            client.outgoing.shrink();
-            if !client.watchdog {
-                continue;
-            }
-            let is_link = matches!(client.role, Role::Link(_));
-            let is_trusted = client.trust == Trust::Full;
-            if core::mem::replace(&mut client.is_asked, true) {
-                self.end(Connection(place), Ending::Silent);
-            } else if is_link {
-                self.ask_again(Connection(place), now);
-            } else if is_trusted {
-                self.own(Connection(place), &lifesign, now);
-            }
-        }
     }
 
     /// A connection is to be closed.

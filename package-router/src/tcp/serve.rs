@@ -1,5 +1,6 @@
 //! The router's loop over sockets: one thread.
 
+mod awake;
 mod links;
 mod remote;
 mod socket;
@@ -21,6 +22,7 @@ use super::dial::prepare;
 use super::keys::RouterKeys;
 use super::router::{Connection, Ending, Limits, Router, Status};
 use super::stream::Stream;
+use awake::{AWAKE_AT_MOST, Awake};
 pub use links::LinkTo;
 use links::OwnLink;
 use remote::Order;
@@ -56,6 +58,7 @@ pub struct Server {
     accepting: Vec<usize>,
     /// When listeners are tried again.
     accepts_again: Option<u64>,
+    awake: Awake,
     orders: Receiver<Order>,
     remote: Remote,
 }
@@ -82,6 +85,7 @@ impl Server {
             events: limits.connections + 2 * addresses.len() + 1,
             accepting: Vec::new(),
             accepts_again: None,
+            awake: Awake::new(),
             orders,
             remote,
         })
@@ -109,7 +113,7 @@ impl Server {
         let mut events = Events::with_capacity(self.events + self.links.len());
         let mut room = vec![0; READ];
         while !self.remote.is_stopped() {
-            match self.poll.poll(&mut events, self.patience()) {
+            match self.wait(&mut events) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => return Err(error),
                 _ => {}
             }
@@ -128,6 +132,29 @@ impl Server {
             self.obey();
         }
         Ok(())
+    }
+
+    /// Waits for events: awake as long as they follow each other closely, else asleep.
+    fn wait(&mut self, events: &mut Events) -> io::Result<()> {
+        let (patience, begun) = (self.patience(), monotonic());
+        if patience == Some(Duration::ZERO) {
+            return self.poll.poll(events, patience);
+        }
+        if !self.awake.is_due() {
+            self.poll.poll(events, patience)?;
+            self.awake.slept(monotonic() - begun);
+            return Ok(());
+        }
+        while monotonic() - begun < AWAKE_AT_MOST {
+            self.poll.poll(events, Some(Duration::ZERO))?;
+            if !events.is_empty() {
+                self.awake.succeeded();
+                return Ok(());
+            }
+        }
+        self.awake.failed();
+        // Time has passed.
+        self.poll.poll(events, self.patience())
     }
 
     fn now(&self) -> u64 {

@@ -111,9 +111,10 @@ fn a_link_that_cannot_be_is_refused_at_the_start() {
         ("[[link]]\nrouter = \"10.0.0.9\"\nsystems = [0]", "leads to system 0, which is this router's own"),
         ("[[link]]\nrouter = \"10.0.0.9\"\nkeys = \"none\"", "none/ca.pem: "),
         ("system = 256", "router.toml:1:10: "),
+        ("[[link]]\nrouter = \"127.0.0.1:24999\"", "the link to 127.0.0.1:24999 leads to this router itself"),
     ] {
         fs::write(&file, text).unwrap();
-        let output = not_started(&["--listen", "127.0.0.1:0", file.to_str().unwrap()]);
+        let output = not_started(&["--listen", "127.0.0.1:24999", file.to_str().unwrap()]);
         assert!(output.contains(words), "{output}");
     }
 }

@@ -23,7 +23,9 @@ use crate::host::{network, skip};
 use crate::rtnet;
 
 const ASK: i8 = 21;
+/// The router's addresses: for hosts in the clear, and for stations by TLS, as their lab's file says.
 const ROUTER: &str = "10.1.0.4:2000";
+const BY_TLS: &str = "10.1.0.4:2001";
 /// The components: on the master, the arm and the leg, and on three hosts without a station.
 const NAMES: [MailboxName; 6] = [name(1), name(2), name(3), name(4), name(5), name(6)];
 
@@ -132,12 +134,23 @@ fn components_of_stations_and_hosts_meet_by_name() {
         }
         let (c, routes) = (c.to_str().unwrap(), dir.path().join("routes.toml"));
         fs::write(&routes, include_str!("meet_routes.toml")).unwrap();
+        let keys = dir.path().join("keys");
+        let made = rtnet().args(["router", "keys", "--host", "10.1.0.4"]).arg(&keys).output().unwrap();
+        assert!(made.status.success(), "{}", text(&made.stderr));
         let file = include_str!("meet.toml").replace("ROUTES", routes.to_str().unwrap());
+        let file = file.replace("KEYS", keys.join("client").to_str().unwrap());
         let cell = Cell::with("meet", |_| file);
+        let router_file = dir.path().join("router.toml");
+        let listens = format!(
+            "insecure = true\n[[listen]]\naddress = \"{ROUTER}\"\n\
+             [[listen]]\naddress = \"{BY_TLS}\"\nkeys = \"keys/router\"\n"
+        );
+        fs::write(&router_file, listens).unwrap();
+        let router_file = router_file.to_str().unwrap();
         let router = Program::of(
             &cell,
             "hosts",
-            &[env!("CARGO_BIN_EXE_rtnet"), "router", "--listen", ROUTER, "--insecure", "--name", &cell.name],
+            &[env!("CARGO_BIN_EXE_rtnet"), "router", router_file, "--name", &cell.name],
         );
         wait_until("all stations have their router", || {
             let is_connected = |station| {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
+use package_router::mailbox::LARGEST_BODY;
 use package_router::name::{MailboxName, Pattern};
 use package_router::tcp::address::Address;
 use rtnet::time::Span;
@@ -41,7 +42,7 @@ pub struct PackageArgs {
     #[arg(long, value_name = "DIRECTORY", requires = "router")]
     pub router_keys: Option<PathBuf>,
     /// Largest body that goes to the TCP router, up to 262128 bytes; memory for it is reserved [default: 4096]
-    #[arg(long, value_name = "BYTES", requires = "router", value_parser = clap::value_parser!(u32).range(0..=262_128))]
+    #[arg(long, value_name = "BYTES", requires = "router", value_parser = clap::value_parser!(u32).range(0..=LARGEST_BODY as i64))]
     pub router_body: Option<u32>,
 }
 

@@ -84,8 +84,11 @@ pub fn prepared(args: &LabRunArgs, html: Option<&PathBuf>) -> anyhow::Result<(Sc
     let mut scenario = scenario(args)?;
     scenario.check_duration()?;
     if let Some(packages) = &mut scenario.packages {
-        // A station reads it, whose working directory is another.
+        // A station reads them, whose working directory is another.
         packages.priorities = absolute(packages.priorities.as_ref())?;
+        if let Some(router) = &mut packages.router {
+            router.keys = absolute(router.keys.as_ref())?;
+        }
     }
     let options = ready(args, html, &scenario)?;
     Ok((scenario, options))

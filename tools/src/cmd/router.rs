@@ -3,8 +3,8 @@
 mod confined;
 mod figures;
 mod keys;
+mod shown;
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -19,15 +19,13 @@ use package_router::tcp::serve::{LinkTo, Remote, Server};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use self::confined::confine;
-use self::figures::{TRAFFIC, figures};
+use self::figures::figures;
+use self::shown::describe;
 use super::{Failure, print};
 use crate::cli::{RouterArgs, RouterRunArgs, RouterVerb};
-use crate::control::{
-    self, ClientShown, Directory, Envelope, LinkShown, RouterReply, RouterRequest, RouterShown,
-};
+use crate::control::{self, Directory, Envelope, RouterReply, RouterRequest, RouterShown};
 use crate::metrics;
 use crate::remedy::explained;
-use crate::report::text::{Column, duration, grouped, table};
 use crate::scenario::read_text;
 use crate::station::drop_capabilities;
 
@@ -36,7 +34,6 @@ const USUAL_NAME: &str = "router";
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// How long its loop may take for an answer.
 const PATIENCE: Duration = Duration::from_secs(2);
-const WIDTH: usize = 120;
 
 /// Runs a router until a signal ends it, or shows the status of one.
 pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
@@ -110,6 +107,11 @@ fn wanted(args: &RouterRunArgs) -> Result<RouterFile> {
         bail!(
             "other hosts reach {exposed}, and nothing keeps a stranger from registering names there: listen on 127.0.0.1, or say \
              --insecure; or make keys (`rtnet router keys`), and say --keys"
+        );
+    }
+    if let Some(router) = file.link_to_itself() {
+        bail!(
+            "the link to {router} leads to this router itself: give the address of another, or listen elsewhere"
         );
     }
     if let Some(at) = file.metrics.filter(|_| !file.insecure) {
@@ -209,69 +211,4 @@ fn answer(packet: &[u8], status: impl Fn() -> Option<RouterShown>) -> RouterRepl
 fn shown(name: &str, listen: &[String], begun: Instant, remote: &Remote) -> Option<RouterShown> {
     let status = remote.status(PATIENCE)?;
     Some(RouterShown::of(name, listen, begun.elapsed().as_millis() as u64, &status))
-}
-
-fn describe(router: &RouterShown) -> String {
-    let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
-    let up = duration(router.up_ns);
-    let mut lines = vec![format!(
-        "router '{name}', process {pid}, at {} for {up}: {connections} connections, {names} mailboxes, {waiting} packages waiting",
-        listen.join(", ")
-    )];
-    lines.extend(router.links.iter().map(described));
-    let clients = &router.clients;
-    if !clients.is_empty() {
-        lines.push(String::new());
-        let count = |of: &BTreeMap<String, u64>, name: &str| grouped(of.get(name).copied().unwrap_or(0));
-        let column = |head: [&'static str; 2], of: &dyn Fn(&ClientShown) -> String| {
-            Column::right(head, clients.iter().map(of))
-        };
-        let columns = [
-            Column::left(["", "from"], clients.iter().map(|client| client.peer.clone())),
-            column(["", "open"], &|client| duration(client.open_ns)),
-            column(["packages", "in"], &|client| count(&client.counters, "packages_in")),
-            column(["packages", "out"], &|client| count(&client.counters, "packages_out")),
-            column(["", "waiting"], &|client| grouped(client.waiting as u64)),
-            column(["", "oldest"], &|client| client.oldest_ns.map_or("-".into(), duration)),
-            Column::left(["", "mailboxes"], clients.iter().map(names_of)),
-        ];
-        lines.extend(table(&columns, WIDTH));
-        if *connections > clients.len() {
-            lines.push(format!("... and {} more", connections - clients.len()));
-        }
-    }
-    let dropped: Vec<String> = router
-        .counters
-        .iter()
-        .filter(|(name, count)| **count > 0 && !TRAFFIC.contains(&name.as_str()))
-        .map(|(name, count)| format!("{} {}", name.replace('_', " "), grouped(*count)))
-        .collect();
-    if !dropped.is_empty() {
-        lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
-    }
-    if !router.closed.is_empty() {
-        lines.extend([String::new(), "closed connections, the newest first:".into()]);
-        lines.extend(router.closed.iter().map(|closed| {
-            let [ago, open] = [closed.ago_ns, closed.open_ns].map(duration);
-            format!("{} {ago} ago, after {open}: {}", closed.peer, closed.why)
-        }));
-    }
-    lines.join("\n") + "\n"
-}
-
-fn described(link: &LinkShown) -> String {
-    let systems: Vec<String> = link.systems.iter().map(u8::to_string).collect();
-    let to = if systems.is_empty() { "all others".into() } else { systems.join(", ") };
-    let state = match (link.open, &link.last_error) {
-        (true, _) => "open".into(),
-        (false, Some(why)) => format!("not open: {why}"),
-        (false, None) => "not open yet".into(),
-    };
-    format!("link to {}, for systems {to}: {state}", link.router)
-}
-
-fn names_of(client: &ClientShown) -> String {
-    let more = client.names - client.first_names.len();
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!("{}{more}", client.first_names.join(" "))
 }

@@ -34,7 +34,7 @@ pub use protocol::{
     SlotRequest, SlotShown, StationStatus, VERSION, read,
 };
 pub use ring::RingShown;
-pub use router::{ClientShown, ClosedShown, LinkShown, RouterReply, RouterRequest, RouterShown};
+pub use router::{ClientShown, ClosedShown, LinkShown, RatesShown, RouterReply, RouterRequest, RouterShown};
 pub use schedule::{ActivationSaid, ChangesTold, ScheduleRequest, ScheduleSaid, ScheduleShown, SlotOf};
 pub use server::{REQUEST_AT_MOST, Server, Traffic, check_length};
 pub use sockets::{

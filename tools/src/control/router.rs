@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use package_router::tcp::router::{ClientStatus, Closed, Counters, LinkStatus, Status};
+use package_router::tcp::router::{ClientStatus, Closed, Counters, LinkStatus, Rates, Status};
 use serde::{Deserialize, Serialize};
 
 use crate::report::document::document;
@@ -51,6 +51,9 @@ pub struct RouterShown {
     pub waiting: usize,
     /// Counters since its start, by name.
     pub counters: BTreeMap<String, u64>,
+    /// Rates of all connections; none before the first are measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rates: Option<RatesShown>,
     /// Its links to routers of other systems.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<LinkShown>,
@@ -62,13 +65,27 @@ pub struct RouterShown {
 
 document!(RouterShown, "router-status", router_status_schema_is_kept);
 
+/// Packages and bytes a second, rounded up: the mean of the router's last round of 5 s.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct RatesShown {
+    /// Packages that came and were passed on.
+    pub packages_in_per_s: u64,
+    /// Their bytes.
+    pub bytes_in_per_s: u64,
+    /// Packages that were queued for their receivers.
+    pub packages_out_per_s: u64,
+    /// Their bytes.
+    pub bytes_out_per_s: u64,
+}
+
 /// A link to the router of another system.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct LinkShown {
     /// That router.
     pub router: String,
-    /// The systems that are reached by it; none: all others.
+    /// The systems that are reached by it; none: all that no other link names.
     pub systems: Vec<u8>,
     /// Whether it is open.
     pub open: bool,
@@ -102,6 +119,9 @@ pub struct ClientShown {
     pub oldest_ns: Option<u64>,
     /// Its counters that are not 0.
     pub counters: BTreeMap<String, u64>,
+    /// Its rates; none before the first are measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rates: Option<RatesShown>,
 }
 
 /// A connection that was closed.
@@ -139,9 +159,22 @@ impl RouterShown {
             names: status.clients.iter().map(|client| client.names.len()).sum(),
             waiting: status.clients.iter().map(|client| client.waiting).sum(),
             counters: status.counters.each().map(|(name, count)| (name.to_owned(), count)).collect(),
+            rates: status.rates.map(RatesShown::of),
             links: status.links.iter().map(LinkShown::of).collect(),
             clients: clients.into_iter().map(ClientShown::of).collect(),
             closed: status.closed.iter().map(|closed| ClosedShown::of(closed, up_ms)).collect(),
+        }
+    }
+}
+
+impl RatesShown {
+    fn of(rates: Rates) -> Self {
+        let Rates { packages_in, bytes_in, packages_out, bytes_out } = rates;
+        Self {
+            packages_in_per_s: packages_in,
+            bytes_in_per_s: bytes_in,
+            packages_out_per_s: packages_out,
+            bytes_out_per_s: bytes_out,
         }
     }
 }
@@ -166,6 +199,7 @@ impl ClientShown {
             waiting_bytes: client.waiting_bytes,
             oldest_ns: client.oldest.map(|oldest| oldest * MS),
             counters: counted(&client.counters),
+            rates: client.rates.map(RatesShown::of),
         }
     }
 }

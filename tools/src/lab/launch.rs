@@ -9,7 +9,7 @@ use crate::cli::VnicMode;
 use crate::control::{ChangesTold, Home};
 use crate::judge::givers::{TrueMaster, same_time};
 use crate::report::figures::Role;
-use crate::scenario::{Happening, Scenario, ServoName, VnicPlan};
+use crate::scenario::{Happening, RouterPlan, Scenario, ServoName, VnicPlan};
 use crate::station::link::LabOptions;
 use crate::station::stack::OwnIp;
 
@@ -117,7 +117,11 @@ pub fn arguments(
                 .for_each(|route| add("--package-route", format!("{}={}", route.to, route.station)));
         }
         packages.priorities.iter().for_each(|file| add("--package-priorities", file.display().to_string()));
-        packages.router.iter().for_each(|router| add("--router", router.to_string()));
+        if let Some(RouterPlan { address, keys, largest_body }) = &packages.router {
+            add("--router", address.to_string());
+            keys.iter().for_each(|keys| add("--router-keys", keys.display().to_string()));
+            largest_body.iter().for_each(|bytes| add("--router-body", bytes.to_string()));
+        }
         if packages.times && plan.ip.is_some() {
             line.push("--package-times".into());
         }
@@ -200,6 +204,17 @@ mod tests {
             let line = arguments(&scenario, 1, &launch, &Resume::default()).unwrap();
             assert_eq!(line.iter().filter(|word| *word == "--vnic-peer").count(), expected, "{line:?}");
         }
+    }
+
+    #[test]
+    fn stations_join_the_router_of_their_file() {
+        let text = format!(
+            "network = \"10.0.0.0/24\"\npackages = true\nrouter = \"10.1.0.4\"\nrouter_body = 20000\n{NETWORK}"
+        );
+        let scenario = Source::new("net.toml", &text).parse().unwrap();
+        let line = arguments(&scenario, 2, &launch(), &Resume::default()).unwrap();
+        let joins = ["--router", "10.1.0.4:2000", "--router-body", "20000"];
+        assert!(line.windows(joins.len()).any(|words| words == joins), "{line:?}");
     }
 
     #[test]

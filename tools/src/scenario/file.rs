@@ -17,7 +17,9 @@
 //! packages = true           # only in a lab: stations' programs send each other packages
 //! package_routes = "routes.toml"          # beside this file: which station has which mailboxes; names are those of this file
 //! package_priorities = "priorities.toml"  # beside this file: how urgent whose packages are
-//! package_router = "10.1.0.1:2000"  # TCP router for packages to mailboxes that are at no station; default: none
+//! router = "10.1.0.1:2000"  # TCP router for packages to mailboxes that are at no station; default: none
+//! router_keys = "keys/client"  # directory of a client's keys for TLS, relative to this file; default: without TLS
+//! router_body = 4096        # largest body that goes there, up to 262128 bytes; default: this
 //! package_times = true      # whether packages to other stations say when they were sent, and left; default: they do
 //! vnic_mode = "tap"         # or "tun", packets of IP only: what goes through VNICs, but for proxies, which are always of packets
 //!
@@ -125,7 +127,9 @@ struct NetworkFile {
     package_routes: Option<Spanned<String>>,
     package_priorities: Option<Spanned<String>>,
     package_times: Option<Spanned<bool>>,
-    package_router: Option<Spanned<String>>,
+    router: Option<Spanned<String>>,
+    router_keys: Option<Spanned<String>>,
+    router_body: Option<Spanned<u32>>,
     station: Vec<Spanned<StationFile>>,
     medium: Option<MediumFile>,
     host: Option<HostFile>,

@@ -125,7 +125,18 @@ pub struct PackagesPlan {
     /// Whether packages to other stations say when they were sent and left.
     pub times: bool,
     /// The TCP router of all stations, if there is one.
-    pub router: Option<RouterAddress>,
+    pub router: Option<RouterPlan>,
+}
+
+/// The TCP router of all stations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RouterPlan {
+    /// Where it is.
+    pub address: RouterAddress,
+    /// The directory of a client's keys; without them the connection is in the clear.
+    pub keys: Option<PathBuf>,
+    /// Bytes of the largest body that goes there, if the file gives it.
+    pub largest_body: Option<u32>,
 }
 
 /// One station.

@@ -38,13 +38,30 @@ pub(super) enum Role {
 pub(super) struct Link {
     /// Its place in the configuration.
     place: usize,
-    /// The systems to which it leads; none: all others.
-    systems: BTreeSet<u8>,
+    reach: Reach,
     requests: Requests<Asked>,
     /// Mailboxes that are to be registered there.
     waiting: BTreeSet<MailboxName>,
     /// Mailboxes that the other router has refused: they are asked for again in the next round.
     refused: BTreeSet<MailboxName>,
+}
+
+/// The systems to which a link leads.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Reach {
+    /// Those that its configuration names.
+    Only(BTreeSet<u8>),
+    /// It names none: all but those that other links name.
+    AllBut(BTreeSet<u8>),
+}
+
+impl Reach {
+    fn contains(&self, system: u8) -> bool {
+        match self {
+            Self::Only(systems) => systems.contains(&system),
+            Self::AllBut(systems) => !systems.contains(&system),
+        }
+    }
 }
 
 /// A request to the other router.
@@ -75,16 +92,22 @@ impl Role {
             Role::Peer(system) => name.system() == *system,
             Role::Link(link) => {
                 let system = name.system();
-                system != own && (link.systems.is_empty() || link.systems.contains(&system))
+                system != own && link.reach.contains(system)
             }
         }
     }
 }
 
 impl Router {
-    /// Sets the system of its own mailboxes, and the systems to which each link leads; a link without any leads to all.
+    /// Sets the system of its own mailboxes, and the systems to which each link leads; a link without any leads to all that no other
+    /// names.
     pub fn set_links(&mut self, system: u8, links: Vec<BTreeSet<u8>>) {
-        (self.system, self.links) = (system, links);
+        let named: BTreeSet<u8> = links.iter().flatten().copied().collect();
+        let reach = |systems: BTreeSet<u8>| match systems.is_empty() {
+            true => Reach::AllBut(named.clone()),
+            false => Reach::Only(systems),
+        };
+        (self.system, self.links) = (system, links.into_iter().map(reach).collect());
     }
 
     /// A link is open: it begins with the proof, if it needs one.
@@ -99,8 +122,8 @@ impl Router {
         // Requests to delete mailboxes have no answer that could pace them.
         let most = (self.limits.all_names + OPEN_AT_MOST) * REQUEST;
         let waiting = self.table.keys().copied().filter(|name| name.system() == self.system).collect();
-        let systems = self.links.get(place).cloned().unwrap_or_default();
-        let link = Link { place, systems, requests: Requests::default(), waiting, refused: BTreeSet::new() };
+        let reach = self.links.get(place).cloned().unwrap_or(Reach::AllBut(BTreeSet::new()));
+        let link = Link { place, reach, requests: Requests::default(), waiting, refused: BTreeSet::new() };
         if let Some(client) = self.client(connection) {
             client.role = Role::Link(link);
             client.outgoing.let_own_wait(most);
@@ -125,9 +148,8 @@ impl Router {
         if to.system() == self.system {
             return None;
         }
-        let leads_there = |place: &usize| {
-            self.links.get(*place).is_some_and(|systems| systems.is_empty() || systems.contains(&to.system()))
-        };
+        let leads_there =
+            |place: &usize| self.links.get(*place).is_some_and(|reach| reach.contains(to.system()));
         self.open_links.iter().find(|(_, place)| leads_there(place)).map(|(link, _)| *link)
     }
 

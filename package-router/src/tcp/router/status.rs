@@ -2,7 +2,7 @@
 
 use core::net::SocketAddr;
 
-use super::{Ending, Router};
+use super::{Ending, Rates, Router};
 use crate::name::MailboxName;
 
 macro_rules! counters {
@@ -85,6 +85,8 @@ pub struct ClientStatus {
     pub oldest: Option<u64>,
     /// Its counters.
     pub counters: Counters,
+    /// Its rates; none before its first round has ended.
+    pub rates: Option<Rates>,
 }
 
 /// A connection that was closed.
@@ -109,7 +111,7 @@ pub struct Closed {
 pub struct LinkStatus {
     /// The router that it leads to.
     pub router: String,
-    /// The systems that are reached by it; none: all others.
+    /// The systems that are reached by it; none: all that no other link names.
     pub systems: Vec<u8>,
     /// Whether it is open, and the other router has sent something.
     pub is_open: bool,
@@ -128,6 +130,8 @@ pub struct Status {
     pub links: Vec<LinkStatus>,
     /// Sums over all connections so far.
     pub counters: Counters,
+    /// The rates of all connections; none before the first round has ended.
+    pub rates: Option<Rates>,
 }
 
 impl Router {
@@ -147,10 +151,12 @@ impl Router {
                 waiting_bytes: client.outgoing.bytes(),
                 oldest: client.outgoing.oldest(now),
                 counters: client.counters,
+                rates: client.meter.rates(),
             })
             .collect();
         let mut counters = self.counters;
         clients.iter().for_each(|client| counters.add(&client.counters));
-        Status { clients, closed: self.closed.iter().cloned().collect(), links: Vec::new(), counters }
+        let closed = self.closed.iter().cloned().collect();
+        Status { clients, closed, links: Vec::new(), counters, rates: self.meter.rates() }
     }
 }

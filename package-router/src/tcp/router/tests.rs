@@ -1,5 +1,5 @@
 use super::*;
-use crate::tcp::control::PROOF;
+use crate::tcp::control::{LIFESIGN, PROOF};
 use crate::tcp::hex;
 use crate::tcp::rules::{RegisterRule, SendRule};
 use crate::wire;
@@ -99,6 +99,48 @@ fn bytes_are_those_seen_between_real_peers() {
     assert_eq!(net.reads(2), hex("03000000 00000000 00000000 10000000"));
     net.send(0, &hex("00060000 001c0000 00100100 00000010"));
     assert_eq!(net.reads(2), hex("01060000 00001c00 00011000 10000000"));
+}
+
+#[test]
+fn rates_are_those_of_the_last_round() {
+    let mut net = Net::of(2);
+    net.register(0, 1);
+    net.register(1, 2);
+    let rates = |net: &Net| {
+        let status = net.router.status(net.now);
+        (status.rates, status.clients.iter().map(|client| client.rates).collect::<Vec<_>>())
+    };
+    assert_eq!(rates(&net), (None, vec![None, None]));
+    for _ in 0..10 {
+        net.send(0, &package(-6, 2, 1, &[0; 14]));
+    }
+    net.now = LIFESIGN_EVERY;
+    net.router.round(net.now);
+    let sender = Rates { packages_in: 2, bytes_in: 60, ..Rates::default() };
+    let receiver = Rates { packages_out: 2, bytes_out: 60, ..Rates::default() };
+    let all = Rates { packages_out: 2, bytes_out: 60, ..sender };
+    assert_eq!(rates(&net), (Some(all), vec![Some(sender), Some(receiver)]));
+    // Packages of a closed connection count once.
+    net.send(0, &package(-6, 2, 1, &[0; 4984]));
+    net.router.disconnect(Connection(0), Ending::Left, net.now);
+    net.send(1, &control(0, &[]));
+    net.now = 2 * LIFESIGN_EVERY;
+    net.router.round(net.now);
+    net.send(1, &control(0, &[]));
+    let last = Rates { packages_out: 1, bytes_out: 1_000, ..Rates::default() };
+    let all = Rates { packages_in: 1, bytes_in: 1_000, ..last };
+    assert_eq!(rates(&net), (Some(all), vec![Some(last)]), "one in 5 s is not none");
+    // A long round; and a connection that has just been opened.
+    let young = net.router.connect(PEER, net.now + 50_000 - 999).unwrap();
+    net.router.received(young, &package(-6, 2, 3, &[0; 4984]), net.now);
+    net.now += 50_000;
+    net.router.round(net.now);
+    let last = Rates { packages_out: 1, bytes_out: 100, ..Rates::default() };
+    let all = Rates { packages_in: 1, bytes_in: 100, ..last };
+    assert_eq!(rates(&net), (Some(all), vec![None, Some(last)]));
+    net.now += LIFESIGN_EVERY;
+    net.router.round(net.now);
+    assert_eq!(rates(&net).1[0], Some(Rates { packages_in: 1, bytes_in: 834, ..Rates::default() }));
 }
 
 #[test]

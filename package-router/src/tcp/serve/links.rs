@@ -19,7 +19,7 @@ pub struct LinkTo {
     pub router: Address,
     /// Keys, if it is reached by TLS.
     pub keys: Option<ClientKeys>,
-    /// The systems whose mailboxes are reached by it; none: all others.
+    /// The systems whose mailboxes are reached by it; none: all that no other link names.
     pub systems: BTreeSet<u8>,
 }
 

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use super::*;
 use crate::name::MailboxName;
+use crate::tcp::control::LIFESIGN;
 use crate::tcp::hex;
 use crate::wire::{self, HEAD_LEN, Head};
 
@@ -85,6 +86,35 @@ fn packages_of_any_length_go_from_one_connection_to_another() {
     }
     a.write_all(&package(4, 9, 1, &[])).unwrap();
     assert_eq!(read(&mut a).0.kind, wire::NOT_AVAILABLE);
+}
+
+/// Two clients answer each other for more than a round, for which the loop polls where it may; a third is asked for a sign of life, and
+/// questions of other threads are answered.
+#[test]
+fn a_busy_loop_keeps_its_rounds_and_answers() {
+    let running = Running::start(Limits::default());
+    let (mut a, mut b, mut third) = (running.connect(), running.connect(), running.connect());
+    register(&mut a, 1);
+    register(&mut b, 2);
+    let (to_a, to_b) = (package(-6, 1, 2, &[]), package(-6, 2, 1, &[]));
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(Ordering::Relaxed) {
+                a.write_all(&to_b).unwrap();
+                while read(&mut b).0.kind != -6 {}
+                b.write_all(&to_a).unwrap();
+                while read(&mut a).0.kind != -6 {}
+            }
+        });
+        let mut asked = [0; HEAD_LEN];
+        let read = third.read_exact(&mut asked);
+        let status = running.remote.status(PATIENCE);
+        is_over.store(true, Ordering::Relaxed);
+        read.unwrap();
+        assert_eq!(Head::parse(&asked).unwrap().kind, LIFESIGN);
+        assert!(status.unwrap().counters.packages_out > 0);
+    });
 }
 
 /// Section 5.3 of the reference: J is a Java client (big-endian), J2 another, C a client in C (little-endian).

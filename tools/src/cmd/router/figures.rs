@@ -2,10 +2,7 @@
 
 use package_router::tcp::router::Status;
 
-use crate::metrics::Figures;
-
-/// Counters that say what went well: they have names of their own.
-pub const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_out"];
+use crate::metrics::{EVENTS, Figures, MAILBOXES};
 
 /// All of them, in the text format.
 pub fn figures(status: &Status, up_seconds: f64) -> String {
@@ -16,7 +13,7 @@ pub fn figures(status: &Status, up_seconds: f64) -> String {
     let mut figures = Figures::default();
     figures.gauge("rtnet_router_up_seconds", "Time since the start.", up_seconds);
     figures.gauge("rtnet_router_connections", "Open connections.", status.clients.len());
-    figures.gauge("rtnet_router_mailboxes", "Registered names.", sum(|client| client.names.len()));
+    figures.gauge(MAILBOXES, "Mailboxes that are registered.", sum(|client| client.names.len()));
     figures.gauge(
         "rtnet_router_waiting_packages",
         "Packages that wait in queues.",
@@ -28,15 +25,8 @@ pub fn figures(status: &Status, up_seconds: f64) -> String {
         "Time that the oldest of them has waited.",
         oldest as f64 / 1e3,
     );
-    let counters = &status.counters;
-    figures.counter(
-        "rtnet_router_packages_total",
-        "Packages that were queued for their receivers.",
-        counters.packages_out,
-    );
-    figures.counter("rtnet_router_bytes_total", "Their bytes.", counters.bytes_out);
-    let others = counters.each().filter(|(name, _)| !TRAFFIC.contains(name)).map(|(name, n)| ([name], n));
-    figures.counters("rtnet_router_events_total", "What did not go on, by reason.", ["reason"], others);
+    let counters = status.counters.each().map(|(name, n)| (["router", name], n));
+    figures.counters(EVENTS, "Everything that the router counts.", ["group", "reason"], counters);
     figures.into_text()
 }
 
@@ -52,10 +42,10 @@ mod tests {
         for line in [
             "rtnet_router_up_seconds 1.5",
             "rtnet_router_connections 0",
-            "rtnet_router_events_total{reason=\"queue_full\"} 0",
+            "rtnet_mailboxes 0",
+            "rtnet_events_total{group=\"router\",reason=\"queue_full\"} 0",
         ] {
             assert!(text.lines().any(|of| of == line), "{line}: {text}");
         }
-        assert!(!text.contains("packages_in"), "{text}");
     }
 }

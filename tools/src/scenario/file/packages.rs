@@ -3,14 +3,16 @@
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 
+use package_router::mailbox::LARGEST_BODY;
 use package_router::priority::Priorities;
 use package_router::route::Routes;
 use package_router::tcp::address::NoAddress;
+use package_router::tcp::keys::ClientKeys;
 use toml::Spanned;
 
 use super::source::read_text;
 use super::{FileError, NetworkFile, Source};
-use crate::scenario::{PackagesPlan, StationPlan};
+use crate::scenario::{PackagesPlan, RouterPlan, StationPlan};
 
 impl Source<'_> {
     /// What its stations' packages are to be: files that it names are beside it, and name stations as it does.
@@ -19,15 +21,15 @@ impl Source<'_> {
         network: &NetworkFile,
         stations: &[StationPlan],
     ) -> Result<Option<PackagesPlan>, FileError> {
-        let NetworkFile {
-            packages, package_routes, package_priorities, package_router, package_times, ..
-        } = network;
+        let NetworkFile { packages, package_routes, package_priorities, package_times, .. } = network;
         if !packages.unwrap_or(false) {
-            let said = [package_routes, package_priorities, package_router].into_iter().flatten().next();
-            let said = said.map(Spanned::span);
-            return said.or(package_times.as_ref().map(Spanned::span)).map_or(Ok(None), |said| {
+            let NetworkFile { router, router_keys, router_body, .. } = network;
+            let names = [package_routes, package_priorities, router, router_keys];
+            let mut spans = names.into_iter().flatten().map(Spanned::span);
+            let given = spans.next().or(package_times.as_ref().map(Spanned::span));
+            return given.or(router_body.as_ref().map(Spanned::span)).map_or(Ok(None), |given| {
                 let what = "this is about packages, and stations have none: write packages = true, too";
-                Err(self.impossible(said.start, what))
+                Err(self.impossible(given.start, what))
             });
         }
         let resolve = |name: &str| {
@@ -48,16 +50,45 @@ impl Source<'_> {
             read.map(|_| file).map_err(|error| self.impossible(said.span().start, error))
         });
         let times = package_times.as_ref().is_none_or(|said| *said.get_ref());
-        let router = package_router.as_ref().map(|said| {
-            said.get_ref().parse().map_err(|error: NoAddress| self.impossible(said.span().start, error))
-        });
-        let (priorities, router) = (priorities.transpose()?, router.transpose()?);
+        let (priorities, router) = (priorities.transpose()?, self.router(network)?);
         Ok(Some(PackagesPlan { routes, priorities, times, router }))
+    }
+
+    fn router(&self, network: &NetworkFile) -> Result<Option<RouterPlan>, FileError> {
+        let NetworkFile { router, router_keys, router_body, .. } = network;
+        let Some(router) = router else {
+            let given = router_keys.as_ref().map(Spanned::span).or(router_body.as_ref().map(Spanned::span));
+            return given.map_or(Ok(None), |given| {
+                let what =
+                    "this is about a TCP router, and stations have none: write router = \"HOST:PORT\", too";
+                Err(self.impossible(given.start, what))
+            });
+        };
+        let address = router.get_ref().parse();
+        let address = address.map_err(|error: NoAddress| self.impossible(router.span().start, error))?;
+        let keys = router_keys.as_ref().map(|given| {
+            let directory = self.path_of(given.get_ref());
+            let keys = ClientKeys::read(&directory);
+            keys.map(|_| directory).map_err(|error| self.impossible(given.span().start, error))
+        });
+        let largest_body = router_body.as_ref().map(|given| match *given.get_ref() {
+            bytes if bytes as usize <= LARGEST_BODY => Ok(bytes),
+            bytes => {
+                let what = format!("a body of {bytes} bytes is too long: {LARGEST_BODY} is the longest");
+                Err(self.impossible(given.span().start, what))
+            }
+        });
+        Ok(Some(RouterPlan { address, keys: keys.transpose()?, largest_body: largest_body.transpose()? }))
+    }
+
+    /// The path of a file or directory that is named from where this file is.
+    fn path_of(&self, named: &str) -> PathBuf {
+        Path::new(self.file).parent().unwrap_or(Path::new("")).join(named)
     }
 
     /// A file that is named from where this one is.
     fn beside(&self, said: &Spanned<String>) -> Result<(PathBuf, String), FileError> {
-        let file = Path::new(self.file).parent().unwrap_or(Path::new("")).join(said.get_ref());
+        let file = self.path_of(said.get_ref());
         let text = read_text(&file);
         let text = text.map_err(|why| {
             self.impossible(said.span().start, format!("{} cannot be read: {why}", file.display()))
@@ -97,8 +128,13 @@ mod tests {
         let plan = read(dir, all).unwrap().unwrap();
         assert_eq!(plan.routes[0].station, Ipv4Addr::new(10, 0, 0, 2));
         assert_eq!(plan.priorities, Some(dir.join("urgent.toml")));
-        let plan = read(dir, "packages = true\npackage_router = \"10.1.0.1\"").unwrap().unwrap();
-        assert_eq!(plan.router.unwrap().to_string(), "10.1.0.1:2000");
+        let plan =
+            read(dir, "packages = true\nrouter = \"10.1.0.1\"\nrouter_body = 262128").unwrap().unwrap();
+        let RouterPlan { address, keys, largest_body } = plan.router.unwrap();
+        assert_eq!(
+            (address.to_string().as_str(), keys, largest_body),
+            ("10.1.0.1:2000", None, Some(262_128))
+        );
     }
 
     #[test]
@@ -110,11 +146,15 @@ mod tests {
         for (head, told) in [
             ("package_routes = \"routes.toml\"", ":1:18: this is about packages, and stations have none"),
             ("package_times = true", ":1:17: this is about packages, and stations have none"),
-            ("package_router = \"10.1.0.1\"", ":1:18: this is about packages, and stations have none"),
+            ("router = \"10.1.0.1\"", ":1:10: this is about packages, and stations have none"),
+            ("router_body = 1", ":1:15: this is about packages, and stations have none"),
+            ("packages = true\nrouter_body = 1", ":2:15: this is about a TCP router, and stations have none"),
+            ("packages = true\nrouter = \"10.1.0.1:x\"", ":2:10: '10.1.0.1:x' is no address of a router"),
             (
-                "packages = true\npackage_router = \"10.1.0.1:x\"",
-                ":2:18: '10.1.0.1:x' is no address of a router",
+                "packages = true\nrouter = \"10.1.0.1\"\nrouter_body = 262129",
+                ":3:15: a body of 262129 bytes is too long: 262128 is the longest",
             ),
+            ("packages = true\nrouter = \"10.1.0.1\"\nrouter_keys = \"none\"", ":3:15: "),
             ("packages = true\npackage_routes = \"none.toml\"", ":2:18: "),
             ("packages = true\npackage_routes = \"routes.toml\"", "'leg' is neither an IPv4 address"),
             ("packages = true\npackage_priorities = \"urgent.toml\"", "urgent.toml:2"),

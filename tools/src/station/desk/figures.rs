@@ -8,18 +8,13 @@ use rtnet::time::Span;
 
 use super::Desk;
 use crate::control::{CountersShown, TcpShown, VnicCounted};
-use crate::metrics::Figures;
+use crate::metrics::{EVENTS, Figures, MAILBOXES};
 use crate::station::wire::LinkState;
 
 /// Counts that go down, too, by group and name, with the gauge that each is: there is no such counter.
 const LEVELS: [(&str, &str, &str, &str); 5] = [
     ("station", "queued", "rtnet_station_queued_frames", "Frames that wait to be sent."),
-    (
-        "tcp",
-        "mailboxes",
-        "rtnet_station_router_mailboxes",
-        "Mailboxes that are registered at the TCP router.",
-    ),
+    ("tcp", "mailboxes", MAILBOXES, "Mailboxes that are registered at the TCP router."),
     (
         "tcp",
         "mailboxes_waiting",
@@ -129,7 +124,7 @@ fn of_counters(figures: &mut Figures, shown: &CountersShown, is_silent: bool) {
         grow.map(|(name, n)| ([*group, name.as_str()], *n))
     });
     let help = "Everything that the station counts, as in rtnet stat.";
-    figures.counters("rtnet_station_events_total", help, ["group", "reason"], all);
+    figures.counters(EVENTS, help, ["group", "reason"], all);
 }
 
 /// Without those of each socket: sockets come and go.
@@ -200,10 +195,10 @@ mod tests {
                 "rtnet_station_silent_parts 2",
                 "rtnet_station_router_connected 1",
                 "rtnet_station_queued_frames 2",
-                "rtnet_station_router_mailboxes 3",
-                "rtnet_station_events_total{group=\"station\",reason=\"frames_sent\"} 7",
-                "rtnet_station_events_total{group=\"tcp\",reason=\"sent\"} 5",
-                "rtnet_station_events_total{group=\"tcp_lost\",reason=\"full\"} 1",
+                "rtnet_mailboxes 3",
+                "rtnet_events_total{group=\"station\",reason=\"frames_sent\"} 7",
+                "rtnet_events_total{group=\"tcp\",reason=\"sent\"} 5",
+                "rtnet_events_total{group=\"tcp_lost\",reason=\"full\"} 1",
             ]
         );
     }

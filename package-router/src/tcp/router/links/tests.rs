@@ -292,3 +292,37 @@ fn links_answer_for_their_life_and_end_in_silence() {
     systems.routers[0].round(25_000);
     assert_eq!(systems.routers[0].next_ending(), Some((here, Ending::Silent)));
 }
+
+/// This holds even while that link is not open: the router of the link to all others would not pass its packages on.
+#[test]
+fn a_link_that_names_a_system_takes_precedence() {
+    let peer = PEER.parse().unwrap();
+    let mut router = Router::new(Limits::default(), 0);
+    router.set_links(1, vec![BTreeSet::new(), BTreeSet::from([3])]);
+    let to_all = router.link(0, peer, None, 0).unwrap();
+    let client = router.connect(peer, 0).unwrap();
+    let send = |router: &mut Router, to: u32| {
+        let head = Head::new(-6, MailboxName(to), MailboxName(PILOT_1));
+        router.received(client, &head.to_bytes(), 0);
+    };
+    let sent =
+        |router: &Router, link: Connection| router.status(0).clients[link.0 as usize].counters.packages_out;
+    send(&mut router, PILOT_3);
+    assert_eq!((sent(&router, to_all), router.status(0).counters.nobody_there), (0, 1));
+    let to_third = router.link(1, peer, None, 0).unwrap();
+    send(&mut router, PILOT_3);
+    send(&mut router, PILOT_2);
+    assert_eq!((sent(&router, to_all), sent(&router, to_third)), (1, 1));
+    // Nor does the link to all others bring packages of that system.
+    assert_eq!(send_to_pilot(&mut router, to_all, PILOT_2), 0);
+    assert_eq!(send_to_pilot(&mut router, to_all, PILOT_3), 1);
+    assert_eq!(send_to_pilot(&mut router, to_third, PILOT_3), 0);
+}
+
+/// How many packages in this name a link brought that it may not bring.
+fn send_to_pilot(router: &mut Router, link: Connection, from: u32) -> u64 {
+    let foreign = |router: &Router| router.status(0).counters.foreign_senders;
+    let before = foreign(router);
+    router.received(link, &Head::new(-6, MailboxName(PILOT_1), MailboxName(from)).to_bytes(), 0);
+    foreign(router) - before
+}

@@ -78,6 +78,34 @@ fn a_connection_that_is_not_trusted_ends_within_two_rounds() {
     assert!(!net.reads(0).is_empty(), "and is asked as all are");
 }
 
+/// Neither packages of others nor answers leave for them; a name that one has asked for is nobody's.
+#[test]
+fn strangers_hear_nothing() {
+    let mut net = Net::of(2);
+    let strangers = [None, Some(PROVES)].map(|proof| {
+        let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+        proof.into_iter().for_each(|proof| net.router.secured(connection, Some(proof)));
+        net.read.push(Vec::new());
+        connection.0 as usize
+    });
+    net.register(0, 1);
+    net.register(1, 2);
+    let asks = registration();
+    net.send(strangers[1], &asks[..5]);
+    net.send(0, &package(21, 2, 1, b"not for strangers"));
+    net.send(1, &package(0, 1, 2, b"nor is this"));
+    net.router.round(LIFESIGN_EVERY);
+    net.send(strangers[1], &asks[5..]);
+    net.reads(0);
+    net.send(0, &package(21, REGISTERS, 1, b"to the name that it asked for"));
+    assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::NOT_AVAILABLE);
+    assert_eq!(net.endings(), [(strangers[1] as u32, Ending::Stranger)]);
+    for stranger in strangers {
+        assert!(net.reads(stranger).is_empty());
+        assert_eq!(net.counters(stranger), Counters::default());
+    }
+}
+
 #[test]
 fn strangers_take_neither_memory_nor_the_place_of_clients() {
     let mut net = untrusted();

@@ -1,0 +1,47 @@
+//! The work of every [`LIFESIGN_EVERY`] milliseconds.
+
+use super::links::Role;
+use super::{Connection, Ending, LIFESIGN_EVERY, Router, Trust};
+use crate::name::MailboxName;
+use crate::tcp::control::LIFESIGN;
+use crate::wire::Head;
+
+impl Router {
+    /// When [`Self::round`] is due.
+    pub fn next_round(&self) -> u64 {
+        self.next_round
+    }
+
+    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life; measures rates. The caller
+    /// hands over all bytes that have come before: so a router that was stopped for a while ends no connection that is alive.
+    pub fn round(&mut self, now: u64) {
+        self.next_round = now + LIFESIGN_EVERY;
+        self.measure(now);
+        let lifesign = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY);
+        for place in 0..self.clients.len() as u32 {
+            let Some(client) = &mut self.clients[place as usize] else { continue };
+            client.outgoing.shrink();
+            if !client.watchdog {
+                continue;
+            }
+            let is_link = matches!(client.role, Role::Link(_));
+            let is_trusted = client.trust == Trust::Full;
+            if core::mem::replace(&mut client.is_asked, true) {
+                self.end(Connection(place), Ending::Silent);
+            } else if is_link {
+                self.ask_again(Connection(place), now);
+            } else if is_trusted {
+                self.own(Connection(place), &lifesign, now);
+            }
+        }
+    }
+
+    fn measure(&mut self, now: u64) {
+        let mut all = self.counters;
+        for client in self.clients.iter_mut().flatten() {
+            client.meter.round(&client.counters, now);
+            all.add(&client.counters);
+        }
+        self.meter.round(&all, now);
+    }
+}

@@ -1,0 +1,125 @@
+//! The status of a router, as text.
+
+use std::collections::BTreeMap;
+
+use crate::control::{ClientShown, LinkShown, RatesShown, RouterShown};
+use crate::report::text::{Column, duration, grouped, table};
+
+const WIDTH: usize = 120;
+/// Counters of packages that went on: all others are shown together.
+const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_out"];
+
+pub(super) fn describe(router: &RouterShown) -> String {
+    let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
+    let up = duration(router.up_ns);
+    let mut lines = vec![format!(
+        "router '{name}', process {pid}, at {} for {up}: {connections} connections, {names} mailboxes, {waiting} packages waiting",
+        listen.join(", ")
+    )];
+    lines.extend(router.rates.map(
+        |RatesShown { packages_out_per_s: packages, bytes_out_per_s: bytes, .. }| {
+            format!(
+                "{} packages and {} bytes a second, mean of the last round of 5 s",
+                grouped(packages),
+                grouped(bytes)
+            )
+        },
+    ));
+    lines.extend(router.links.iter().map(described));
+    lines.extend(clients_of(router));
+    let dropped: Vec<String> = router
+        .counters
+        .iter()
+        .filter(|(name, count)| **count > 0 && !TRAFFIC.contains(&name.as_str()))
+        .map(|(name, count)| format!("{} {}", name.replace('_', " "), grouped(*count)))
+        .collect();
+    if !dropped.is_empty() {
+        lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
+    }
+    if !router.closed.is_empty() {
+        lines.extend([String::new(), "closed connections, the newest first:".into()]);
+        lines.extend(router.closed.iter().map(|closed| {
+            let [ago, open] = [closed.ago_ns, closed.open_ns].map(duration);
+            format!("{} {ago} ago, after {open}: {}", closed.peer, closed.why)
+        }));
+    }
+    lines.join("\n") + "\n"
+}
+
+fn described(link: &LinkShown) -> String {
+    let systems: Vec<String> = link.systems.iter().map(u8::to_string).collect();
+    let to = if systems.is_empty() { "that no other link names".into() } else { systems.join(", ") };
+    let state = match (link.open, &link.last_error) {
+        (true, _) => "open".into(),
+        (false, Some(why)) => format!("not open: {why}"),
+        (false, None) => "not open yet".into(),
+    };
+    format!("link to {}, for systems {to}: {state}", link.router)
+}
+
+fn names_of(client: &ClientShown) -> String {
+    let more = client.names - client.first_names.len();
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{more}", client.first_names.join(" "))
+}
+
+/// The table of open connections.
+fn clients_of(router: &RouterShown) -> Vec<String> {
+    let clients = &router.clients;
+    if clients.is_empty() {
+        return Vec::new();
+    }
+    let count = |of: &BTreeMap<String, u64>, name: &str| grouped(of.get(name).copied().unwrap_or(0));
+    let column = |head: [&'static str; 2], of: &dyn Fn(&ClientShown) -> String| {
+        Column::right(head, clients.iter().map(of))
+    };
+    let rate = |of: &ClientShown, take: fn(RatesShown) -> u64| {
+        of.rates.map_or("-".into(), |rates| grouped(take(rates)))
+    };
+    let columns = [
+        Column::left(["", "from"], clients.iter().map(|client| client.peer.clone())),
+        column(["", "open"], &|client| duration(client.open_ns)),
+        column(["packages", "in"], &|client| count(&client.counters, "packages_in")),
+        column(["packages", "out"], &|client| count(&client.counters, "packages_out")),
+        column(["packages/s", "in"], &|client| rate(client, |rates| rates.packages_in_per_s)),
+        column(["packages/s", "out"], &|client| rate(client, |rates| rates.packages_out_per_s)),
+        column(["", "waiting"], &|client| grouped(client.waiting as u64)),
+        column(["", "oldest"], &|client| client.oldest_ns.map_or("-".into(), duration)),
+        Column::left(["", "mailboxes"], clients.iter().map(names_of)),
+    ];
+    let mut lines = vec![String::new()];
+    lines.extend(table(&columns, WIDTH));
+    if router.connections > clients.len() {
+        lines.push(format!("... and {} more", router.connections - clients.len()));
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use package_router::tcp::router::{Limits, Rates, Router};
+
+    use super::*;
+
+    #[test]
+    fn rates_are_shown_for_each_connection_and_in_sum() {
+        let mut router = Router::new(Limits::default(), 0);
+        router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
+        let before = RouterShown::of("r", &[], 9, &router.status(9));
+        assert!(before.rates.is_none() && !describe(&before).contains("a second"));
+        let mut status = router.status(9);
+        status.rates =
+            Some(Rates { packages_in: 1, bytes_in: 2, packages_out: 30_000, bytes_out: 4_000_000 });
+        status.clients[0].rates =
+            Some(Rates { packages_in: 5_000, bytes_in: 6, packages_out: 70_000, bytes_out: 8 });
+        let shown = RouterShown::of("r", &[], 9, &status);
+        let text = describe(&shown);
+        let sum = "30 000 packages and 4 000 000 bytes a second, mean of the last round of 5 s";
+        assert!(text.lines().any(|line| line == sum), "{text}");
+        let row = text.lines().find(|line| line.starts_with("10.0.0.9:4000")).unwrap();
+        let figures: Vec<_> = row.split("  ").filter(|word| !word.is_empty()).map(str::trim).collect();
+        assert_eq!(figures[1..], ["9ms", "0", "0", "5 000", "70 000", "0", "-"], "{text}");
+        let rates = shown.clients[0].rates.unwrap();
+        assert_eq!((rates.bytes_in_per_s, rates.bytes_out_per_s), (6, 8));
+    }
+}

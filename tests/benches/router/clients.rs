@@ -17,11 +17,12 @@ const BATCH: usize = 64;
 /// Packages of a pair that are on their way at the most: no router drops any.
 const ON_THE_WAY: usize = 4_096;
 /// A router that has not passed a package on in such a time has lost it.
-const PATIENCE: Duration = Duration::from_secs(10);
+pub const PATIENCE: Duration = Duration::from_secs(10);
 /// Connections that say nothing.
 const SILENT: usize = 1_000;
 
-fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStream> {
+/// A client that has joined.
+pub fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStream> {
     let begun = Instant::now();
     let mut stream = loop {
         match TcpStream::connect(at) {

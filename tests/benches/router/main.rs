@@ -6,6 +6,7 @@
 //! router trips PROTOCOL PORT SECONDS CLIENTS    64 bytes there and back between two of CLIENTS clients, one after the other
 //! router rate PROTOCOL PORT SECONDS PAIRS       64 bytes from PAIRS senders, each to its own receiver
 //! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after CLIENTS clients have joined
+//! router behind PORT SECONDS                    an answer of the router and an urgent package, behind 10 000 packages that wait
 //! router abuse PROTOCOL PORT                    a client that does not read, one that sends a byte a second, 1000 that say nothing
 //! ```
 
@@ -13,6 +14,7 @@
 #![allow(clippy::disallowed_methods)]
 
 mod bare;
+mod behind;
 mod clients;
 mod protocols;
 
@@ -52,6 +54,7 @@ fn asked(words: &[&str]) -> Result<serde_json::Value> {
         ["idle", protocol, port, pid, count] => {
             clients::idle(protocols::named(protocol)?, at(port)?, pid.parse()?, count.parse()?)
         }
+        ["behind", port, time] => behind::behind(at(port)?, seconds(time)?),
         ["abuse", protocol, port] => clients::abuse(protocols::named(protocol)?, at(port)?),
         _ => bail!("what is to be measured? See the head of tests/benches/router/main.rs"),
     }

@@ -62,7 +62,8 @@ impl Protocol for Ours {
     }
 }
 
-fn name(of: u32) -> MailboxName {
+/// The name of a client in our protocol.
+pub fn name(of: u32) -> MailboxName {
     MailboxName(0x0080_0000 + of)
 }
 

@@ -153,5 +153,9 @@ fn a_second_station_at_an_interface_is_refused() {
         first.child.kill().unwrap();
         first.child.wait().unwrap();
         start("direct").wait_for("Ctrl-C ends it");
+        // One that was killed leaves its socket and its lock.
+        for end in ["sock", "lock"] {
+            std::fs::remove_file(format!("/run/rtnet/{name}.{end}")).unwrap();
+        }
     });
 }

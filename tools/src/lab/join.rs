@@ -63,27 +63,31 @@ impl Lab {
                 bail!(Interrupted(format!("{joined} of {all} stations were locked")));
             }
             let pause = steps.pause(self.members.iter().map(Member::steps).sum(), begun.elapsed());
-            let name_of = |is_late: fn(&Member) -> bool| {
-                let mut all = self.members.iter().zip(&scenario.stations);
-                all.find(|(member, _)| is_late(member)).map(|(member, plan)| (&plan.name, member.state()))
-            };
-            if let Some((name, _)) = name_of(Member::is_starting).filter(|_| pause > START_WITHIN) {
-                bail!(
-                    "station '{name}' has not started within {START_WITHIN:?}: this host's disk or kernel is too busy"
-                );
-            }
-            let is_starting = self.members.iter().any(Member::is_starting);
-            if let Some((name, state)) =
-                name_of(|member| !member.has_joined()).filter(|_| !is_starting && pause > lock_within)
-            {
-                bail!(
-                    "station '{name}' is not locked to the master in time ({state}): a longer --cycle or --guard gives \
-                     a busy host more room"
-                );
+            if let Some(why) = self.late(scenario, pause, lock_within) {
+                bail!(why);
             }
             self.show_progress(|| format!("{joined} of {} stations locked", scenario.stations.len()));
         }
         Ok(())
+    }
+
+    /// The first station that has taken too long, if there has been no step for too long: what to do about it.
+    fn late(&self, scenario: &Scenario, pause: Duration, lock_within: Duration) -> Option<String> {
+        let starting = self.members.iter().position(Member::is_starting);
+        if pause <= if starting.is_some() { START_WITHIN } else { lock_within } {
+            return None;
+        }
+        let station = starting.or_else(|| self.members.iter().position(|member| !member.has_joined()))?;
+        let (name, state) = (&scenario.stations[station].name, self.members[station].state());
+        Some(match starting {
+            Some(_) => format!(
+                "station '{name}' has not started within {START_WITHIN:?}: this host's disk or kernel is too busy"
+            ),
+            None => format!(
+                "station '{name}' is not locked to the master in time ({state}): a longer --cycle or --guard gives a busy \
+                 host more room"
+            ),
+        })
     }
 
     /// Starts stations in their order, while fewer than `at_once` calibrate.

@@ -49,9 +49,9 @@ pub(super) struct Link {
 /// The systems to which a link leads.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Reach {
-    /// Those that its configuration names.
+    /// The systems that its configuration names.
     Only(BTreeSet<u8>),
-    /// It names none: all but those that other links name.
+    /// All systems but these, which other links name: its configuration names none.
     AllBut(BTreeSet<u8>),
 }
 

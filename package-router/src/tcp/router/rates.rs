@@ -5,7 +5,7 @@ use super::Counters;
 /// Milliseconds of the shortest time that rates are measured over: a few packages of a shorter one are no rate.
 const SHORTEST: u64 = 1_000;
 
-/// Packages and bytes a second over the last round of the router, rounded up: 0 is none. Of a connection or of all, as [`Counters`] are.
+/// Packages and bytes a second over the router's last round, rounded up, so that 0 means none. They count one connection, or all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rates {
     /// Packages that came and were passed on.

@@ -96,3 +96,64 @@ fn rounds_of_a_master_that_is_gone_say_nothing_of_the_next() {
     }
     assert_eq!((bench.slave.calibration().delay(), bench.slave.drift_ppb()), (delay, Some(0)));
 }
+
+/// Syncs of these cycles, on their way for `slow`; by how much the line is wrong at the most, apart from the cycles that wait for the
+/// next sync.
+fn wrong_at_most(bench: &mut Bench, cycles: core::ops::Range<u32>, slow: i64) -> Span {
+    let mut worst = Span::ZERO;
+    for cycle in cycles {
+        if bench.hear(cycle, slow + i64::from(cycle * 7_919 % 601)).unwrap() != Followed::Pending {
+            let start = bench.slave.line().unwrap().start_of(cycle);
+            worst = worst.max((start - Instant::from_nanos(u64::from(cycle) * PERIOD)).abs());
+        }
+    }
+    worst
+}
+
+/// A slave of 100 rounds, one in every second cycle, while a frame for one station takes 4 us and a sync `slow`.
+fn calibrated_while_slow(slow: i64) -> (Bench, u32) {
+    let mut bench = Bench::new(100);
+    bench.hear(1, slow).unwrap();
+    for cycle in (2..400).step_by(2) {
+        hear_and_calibrate(&mut bench, cycle..cycle + 1, slow, 4_000);
+        bench.hear(cycle + 1, slow).unwrap();
+    }
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_nanos(slow)));
+    (bench, 400)
+}
+
+#[test]
+fn syncs_slow_while_it_calibrated_make_no_slave_early() {
+    // They are then earlier by more than the step limit, 20 us.
+    for slow in (25_000..50_000).step_by(500) {
+        for lasts in [0, 3_000] {
+            let (mut bench, from) = calibrated_while_slow(slow);
+            let quick = from + lasts;
+            wrong_at_most(&mut bench, from..quick, slow);
+            let worst = wrong_at_most(&mut bench, quick..quick + 3_000, 4_000);
+            assert!(worst <= Span::from_micros(1), "{slow} ns for {lasts} cycles more: {worst}");
+            assert!(bench.slave.calibration().delay().unwrap() < Span::from_micros(5));
+        }
+    }
+}
+
+#[test]
+fn syncs_may_get_quicker_in_several_steps() {
+    let (mut bench, from) = calibrated_while_slow(48_000);
+    for (i, slow) in [26_000, 4_000].into_iter().enumerate() {
+        let from = from + 100 * i as u32;
+        let worst = wrong_at_most(&mut bench, from..from + 100, slow);
+        assert!(worst <= Span::from_micros(1), "{slow} ns: {worst}");
+    }
+}
+
+#[test]
+fn a_clock_set_forward_is_no_quicker_sync() {
+    // Less than the delay of syncs beyond a frame's cannot be told from that; more cannot be that.
+    let (mut bench, from) = calibrated_while_slow(24_000);
+    let set = |cycle: u32| u64::from(cycle) * PERIOD - 30_000;
+    assert_eq!(bench.hear_from_line(from, set(from), 24_000), Ok(Followed::Pending));
+    assert_eq!(bench.hear_from_line(from + 1, set(from + 1), 24_000), Ok(Followed::NewLine));
+    assert_eq!(bench.slave.line().unwrap().start.nanos(), set(from + 1));
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(24)));
+}

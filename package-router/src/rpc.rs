@@ -55,10 +55,10 @@ use zerocopy::byteorder::LittleEndian;
 
 use crate::body::{self, BodyError, Record};
 use crate::component::{self, Component, Mailbox, ReceiveError, SendError, Sender};
-use crate::mailbox::Shape;
+use crate::mailbox::{self, Shape};
 use crate::name::MailboxName;
 use crate::priority;
-use crate::wire::Head;
+use crate::wire::{Head, NOT_AVAILABLE};
 
 pub use calls::{Call, Dropped, MOST_CALLS};
 use calls::{Calls, Next};
@@ -90,8 +90,11 @@ pub enum CallError {
     /// The server answers TIMEOUT, -2: what it waited for itself did not come.
     #[error("{0} answers that it was not done in time")]
     NotInTime(MailboxName),
-    /// A router answers NOT_AVAILABLE, -3, for the server.
-    #[error("nobody has the mailbox {0}, says a router: start its component")]
+    /// The answer is NOT_AVAILABLE, -3: no component has the server's mailbox, or there is no way there, or that is full.
+    #[error(
+        "{0} is not available: no component has it, or the way there is closed or full. `rtnet package route {0}` shows the way, \
+         `rtnet stat` what was dropped on it"
+    )]
     NotAvailable(MailboxName),
     /// The server has not answered so long; the call is given up.
     #[error("{0} has not answered in time")]
@@ -180,7 +183,8 @@ impl Proxy {
 
     /// Sends a command without waiting for its reply. It does not wait at all.
     ///
-    /// Other than 1 to 127 is no command, and no server answers it.
+    /// Other than 1 to 127 is no command, and no server answers it. Where the server is reached by TCP and the queue to the router is
+    /// full, the call is answered NOT_AVAILABLE at once.
     pub fn begin(&mut self, command: i8, body: &[u8]) -> Result<Call, CallError> {
         let Some(server) = &mut self.server else {
             return Err(SendError::NoMailbox(self.calls.server()).into());
@@ -189,6 +193,13 @@ impl Proxy {
         let head = Head { kind: command, priority: self.priority, id: call.id(), ..Head::default() };
         match server.send_with(&head, body) {
             Ok(()) => Ok(call),
+            Err(SendError::Mailbox(mailbox::SendError::Full(_)))
+                if server.is_by_tcp() && head.is_command() =>
+            {
+                let command = Head { from: self.mailbox.name(), to: server.to(), ..head };
+                self.calls.on_package(&command.answer(NOT_AVAILABLE), monotonic(), |_| 0);
+                Ok(call)
+            }
             Err(error) => {
                 self.calls.give_up(&call);
                 Err(error.into())

@@ -71,9 +71,9 @@ fn a_station_has_figures_for_prometheus() {
             assert!((*least..=most).contains(&shown), "{figure}: {least} <= {shown} <= {most}");
         }
         for (figure, expected) in [("locked", 1.0), ("link_up", 1.0), ("silent_parts", 0.0)] {
-            assert_eq!(value(&page, &format!("rtnet_station_{figure}")), Some(expected), "{page}");
+            assert_eq!(value(&page, &format!("rtnet_{figure}")), Some(expected), "{page}");
         }
-        assert!(value(&page, "rtnet_station_cpu_seconds_total") > Some(0.0), "{page}");
+        assert!(value(&page, "rtnet_cpu_seconds_total") > Some(0.0), "{page}");
         assert_eq!(master.end(), Some(0));
     });
 }

@@ -1,12 +1,13 @@
 //! Programs on hosts without a station, and those of a station, meet by a TCP router.
 
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
 use std::time::Instant;
 
 use package_router::component::{Error, ReceiveError, SendError, Way};
 use package_router::mailbox;
 use package_router::node::Node;
 use package_router::registry::Refused;
+use package_router::rpc::{CallError, Proxy};
 use package_router::tcp::client::{TcpOptions, TcpStatus};
 use package_router::tcp::router::Limits;
 use package_router::tcp::serve::{Remote, Server};
@@ -170,6 +171,40 @@ fn a_command_that_nobody_takes_is_answered_and_counted() {
     assert_eq!(answer(&mut arm), NOT_AVAILABLE, "there is no router");
     eventually("it is counted", || status(&component).local.not_connected == 1);
     assert!(status(&component).last_error.is_some());
+}
+
+#[test]
+fn calls_are_answered_and_counted_where_the_queue_is_full() {
+    // The kernel takes connections, and nobody reads them.
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = silent.local_addr().unwrap().to_string().parse().unwrap();
+    let component = Component::of_router(&TcpOptions::new(at)).unwrap();
+    eventually("it is connected", || status(&component).is_connected);
+    let arm = component.mailbox(name(0x80, 0), Shape::new(16, 64)).unwrap();
+    let mut asks = arm.sender(name(0x15, 0)).unwrap();
+    let body = [0; 4_096];
+    let full = Err(SendError::Mailbox(mailbox::SendError::Full(8)));
+    let mut refused = 0;
+    eventually("all buffers on the way are full", || {
+        let is_full = asks.send(-6, &body) == full;
+        refused += u64::from(is_full);
+        is_full && {
+            thread::sleep(Duration::from_millis(200));
+            let stays_full = asks.send(-6, &body) == full;
+            refused += u64::from(stays_full);
+            stays_full
+        }
+    });
+    let mut proxy = Proxy::new(&component, name(0x80, 1), Shape::new(16, 64), name(0x15, 0)).unwrap();
+    let calls: Vec<_> = (0..12).map(|_| proxy.begin(1, &body).unwrap()).collect();
+    let answered: Vec<bool> = calls.iter().map(|call| proxy.is_answered(call).unwrap()).collect();
+    assert_eq!(answered, [[false; 8].as_slice(), &[true; 4]].concat(), "8 wait for the router");
+    let ends = calls.into_iter().skip(8).map(|call| proxy.finish(call, Duration::ZERO).err());
+    assert!(ends.into_iter().all(|end| end == Some(CallError::NotAvailable(name(0x15, 0)))));
+    eventually("each is counted", || status(&component).local.queue_full == refused + 4);
+    assert_eq!(status(&component).local.waiting, 16);
+    drop(proxy);
+    assert_eq!(status(&component).local.queue_full, refused + 4, "those of senders that have gone, too");
 }
 
 /// Whenever its queue has room.

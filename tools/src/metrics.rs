@@ -13,10 +13,16 @@ use anyhow::{Context, Result};
 pub use self::page::Page;
 use crate::remedy::explained;
 
-/// Counter of events by group and reason, of stations and routers.
-pub const EVENTS: &str = "rtnet_events_total";
+/// Time since the start: name and meaning. Stations and routers have this figure and the next ones in common.
+pub const UP: [&str; 2] = ["rtnet_up_seconds", "Time since the start."];
+/// Open connections by TCP.
+pub const CONNECTIONS: [&str; 2] = ["rtnet_connections", "Open connections by TCP."];
 /// Mailboxes that are registered at a TCP router.
-pub const MAILBOXES: &str = "rtnet_mailboxes";
+pub const MAILBOXES: [&str; 2] = ["rtnet_mailboxes", "Mailboxes that are registered at a TCP router."];
+/// Packages that wait to be sent by TCP.
+pub const WAITING: [&str; 2] = ["rtnet_waiting_packages", "Packages that wait to be sent by TCP."];
+/// All that is counted.
+pub const EVENTS: [&str; 2] = ["rtnet_events_total", "All that is counted, by group and reason."];
 /// Longest head of a request, and how long a client may take for it.
 const HEAD_AT_MOST: usize = 4 << 10;
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -121,14 +127,14 @@ pub struct Figures(String);
 
 impl Figures {
     /// A figure that goes up and down.
-    pub fn gauge(&mut self, name: &str, help: &str, value: impl Display) {
+    pub fn gauge(&mut self, [name, help]: [&str; 2], value: impl Display) {
         self.head(name, help, "gauge");
         // A string takes everything.
         let _ = writeln!(self.0, "{name} {value}");
     }
 
     /// One that only grows.
-    pub fn counter(&mut self, name: &str, help: &str, value: impl Display) {
+    pub fn counter(&mut self, [name, help]: [&str; 2], value: impl Display) {
         self.head(name, help, "counter");
         let _ = writeln!(self.0, "{name} {value}");
     }
@@ -136,8 +142,7 @@ impl Figures {
     /// Several that only grow, distinguished by labels. Their values need no escapes: they are names of this program's.
     pub fn counters<'a, const N: usize>(
         &mut self,
-        name: &str,
-        help: &str,
+        [name, help]: [&str; 2],
         labels: [&str; N],
         of: impl Iterator<Item = ([&'a str; N], u64)>,
     ) {
@@ -176,10 +181,9 @@ mod tests {
     #[test]
     fn figures_are_lines_with_help_and_type() {
         let mut figures = Figures::default();
-        figures.gauge("rtnet_connections", "Open connections.", 3);
+        figures.gauge(["rtnet_connections", "Open connections."], 3);
         figures.counters(
-            "rtnet_dropped_total",
-            "Packages.",
+            ["rtnet_dropped_total", "Packages."],
             ["reason"],
             [(["full"], 7), (["late"], 0)].into_iter(),
         );
@@ -192,7 +196,7 @@ mod tests {
     #[test]
     fn figures_have_as_many_labels_as_they_need() {
         let mut figures = Figures::default();
-        figures.counters("x_total", "X.", ["group", "reason"], [(["tcp", "full"], 7)].into_iter());
+        figures.counters(["x_total", "X."], ["group", "reason"], [(["tcp", "full"], 7)].into_iter());
         assert!(figures.into_text().ends_with("\nx_total{group=\"tcp\",reason=\"full\"} 7\n"));
     }
 

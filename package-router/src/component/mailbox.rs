@@ -161,6 +161,11 @@ impl Mailbox {
         Ok(self.inbox.depth())
     }
 
+    /// Packages that found it full, of all senders so far.
+    pub(crate) fn refused(&self) -> u64 {
+        self.inbox.refused()
+    }
+
     /// Its own memory, where it counts: see [`mailbox::of_owner`].
     pub fn counted(&self, what: usize) -> u64 {
         Word::get(self.inbox.segment().at(what))

@@ -119,6 +119,11 @@ impl Sender {
         matches!(self.way, Way::Here(_))
     }
 
+    /// Whether it leads into the queue of the TCP client.
+    pub(crate) fn is_by_tcp(&self) -> bool {
+        matches!(self.way, Way::Tcp(_))
+    }
+
     /// The other station to which it leads, and the slot; `None`: it leads to a mailbox of this one, or to the TCP router.
     pub fn away(&self) -> Option<(Ipv4Addr, Channel)> {
         match &self.way {

@@ -116,7 +116,15 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             is_over && (lane * slots..(lane + 1) * slots).all(|node| !self.urgency.waits(node as Node))
         })?;
         let sender = self.lanes[lane].sender.take()?;
+        self.count(of_owner::REFUSED, sender.segment.at(of_sender::FULL).get());
         Some((lane, sender.segment))
+    }
+
+    /// Packages of all senders so far that found no slot.
+    pub fn refused(&self) -> u64 {
+        let senders = self.lanes[..self.used].iter().filter_map(|lane| lane.sender.as_ref());
+        let of_those_here = senders.map(|sender| sender.segment.at(of_sender::FULL).get());
+        of_those_here.fold(self.own.at(of_owner::REFUSED).get(), u64::wrapping_add)
     }
 
     /// Whether something waits, or did when it was looked at.

@@ -45,6 +45,8 @@ const READ: usize = 64 << 10;
 /// Milliseconds that it goes on at its end while packages wait to be written; and how often it looks.
 const END_WITHIN: u64 = 1_000;
 const END_EVERY: Duration = Duration::from_millis(10);
+/// How often its state is renewed while packages wait.
+const SHOWN_EVERY: Duration = Duration::from_millis(100);
 const WAKER: Token = Token(0);
 const MAILBOX: Token = Token(1);
 const STREAM: Token = Token(2);
@@ -252,7 +254,9 @@ impl Worker {
             None if self.dial.is_down() && !is_empty => 0,
             None => self.dial.due().unwrap_or(0),
         };
-        Duration::from_millis(until.saturating_sub(now()))
+        let patience = Duration::from_millis(until.saturating_sub(now()));
+        // A sender that finds the queue full wakes nobody, and is to be seen all the same.
+        if is_empty { patience } else { patience.min(SHOWN_EVERY) }
     }
 
     /// Opens a connection if there is none, as far as that goes.
@@ -313,7 +317,7 @@ impl Worker {
         self.dial.lost(now());
     }
 
-    fn publish(&self) {
+    fn publish(&mut self) {
         let (names, names_waiting) = self.session.names();
         let is_connected = self.up.is_some();
         *self.shared.status() = TcpStatus {

@@ -1,4 +1,4 @@
-//! Answers of the router, and an urgent package, behind packages that wait for the same client.
+//! Signs of life, answers of the router, and an urgent package, behind packages that wait for the same client.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
 use package_router::name::MailboxName;
-use package_router::tcp::control::{CONFIRM, request};
-use package_router::wire::{HEAD_LEN, Head};
+use package_router::tcp::control::{CONFIRM, LIFESIGN, request};
+use package_router::wire::{HEAD_LEN, Head, OK};
 use serde_json::{Value, json};
 use socket2::{Domain, Socket, Type};
 
@@ -44,6 +44,33 @@ pub fn behind(at: SocketAddr, time: Duration) -> Result<Value> {
         overtook.until(&mut receiver, ours, sent, |head| head.priority == URGENT)?;
     }
     Ok(json!({ "answer": answered.shown(), "urgent": overtook.shown() }))
+}
+
+/// Time from the router's question for a sign of life to its arrival at a client for which packages wait: the router asks another
+/// client, for which nothing waits, in the same round.
+pub fn lifesigns(at: SocketAddr, rounds: usize) -> Result<Value> {
+    let ours = protocols::named("ours")?;
+    let (mut receiver, mut sender, mut other) = (slow(ours, at)?, joined(ours, at, 1)?, joined(ours, at, 2)?);
+    let many = ours.package(0, 1).repeat(WAITING);
+    let answer = Head::new(OK, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
+    let mut came = Figures::new()?;
+    for _ in 0..rounds {
+        waits(&mut sender, &many)?;
+        asked(&mut other)?;
+        came.until(&mut receiver, ours, Instant::now(), |head| head.kind == LIFESIGN)?;
+        asked(&mut sender)?;
+        [&mut receiver, &mut sender, &mut other].into_iter().try_for_each(|of| of.write_all(&answer))?;
+    }
+    Ok(json!({ "lifesign": came.shown() }))
+}
+
+/// Waits for the router's question for a sign of life.
+fn asked(client: &mut TcpStream) -> Result<()> {
+    let mut head = [0; HEAD_LEN];
+    client.read_exact(&mut head).context("no question for a sign of life")?;
+    let kind = Head::parse(&head)?.kind;
+    ensure!(kind == LIFESIGN, "kind {kind} came, no question for a sign of life");
+    Ok(())
 }
 
 /// The receiver.

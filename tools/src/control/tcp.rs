@@ -39,21 +39,23 @@ impl TcpShown {
             ("mailboxes", status.names as u64),
             ("mailboxes_waiting", status.names_waiting as u64),
             ("names_refused", session.names_refused),
-            ("sent", session.sent),
-            ("bytes_sent", session.bytes_sent),
-            ("received", session.received),
-            ("bytes_received", session.bytes_received),
+            ("packages_out", session.sent),
+            ("bytes_out", session.bytes_sent),
+            ("packages_in", session.received),
+            ("bytes_in", session.bytes_received),
             ("delivered", local.delivered),
+            ("waiting", local.waiting),
         ];
         let lost = [
             ("not_connected", local.not_connected),
+            ("queue_full", local.queue_full),
             ("not_written", session.lost),
             ("unconfirmed", session.unconfirmed),
-            ("answers", session.answers_lost),
-            ("no_mailbox", local.no_mailbox),
-            ("full", local.full),
+            ("answers_lost", session.answers_lost),
+            ("nobody_there", local.no_mailbox),
+            ("receiver_full", local.full),
             ("too_large", local.too_large),
-            ("forged", local.forged),
+            ("foreign_senders", local.forged),
         ];
         let named = |all: &[(&str, u64)]| all.iter().map(|(name, n)| ((*name).to_owned(), *n)).collect();
         Self {

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam::queue::ArrayQueue;
 use nix::errno::Errno;
@@ -51,6 +51,7 @@ const NO_NEWS: &str = "the station has only just started: ask again";
 /// What the control thread knows of a station, and how it reaches the real-time thread.
 pub struct Desk {
     name: String,
+    begun: Instant,
     address: String,
     wire: Wire,
     /// How long after its begin a slot may still be used, unless a lab says otherwise.
@@ -131,6 +132,7 @@ impl Desk {
         let named = options.name.as_ref().or(lab.map(|lab| &lab.name));
         Self {
             name: named.unwrap_or(&options.interface).clone(),
+            begun: Instant::now(),
             address: address.to_string(),
             wire,
             latest: options.latest,

@@ -25,6 +25,10 @@ pub struct LocalCounters {
     pub forged: u64,
     /// Packages for the router while there was no connection.
     pub not_connected: u64,
+    /// Packages for the router that found its queue full.
+    pub queue_full: u64,
+    /// Packages that wait for the router.
+    pub waiting: u64,
 }
 
 /// The mailboxes of a broker, as the TCP client has them.
@@ -161,7 +165,10 @@ impl Local {
         }
     }
 
-    pub fn counters(&self) -> LocalCounters {
-        self.counters
+    /// The counters, as they are now.
+    pub fn counters(&mut self) -> LocalCounters {
+        // A broker that has ended is seen at the next wait.
+        let waiting = self.mailbox.depth().unwrap_or(0) as u64;
+        LocalCounters { queue_full: self.mailbox.refused(), waiting, ..self.counters }
     }
 }

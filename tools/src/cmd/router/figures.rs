@@ -2,7 +2,7 @@
 
 use package_router::tcp::router::Status;
 
-use crate::metrics::{EVENTS, Figures, MAILBOXES};
+use crate::metrics::{CONNECTIONS, EVENTS, Figures, MAILBOXES, UP, WAITING};
 
 /// All of them, in the text format.
 pub fn figures(status: &Status, up_seconds: f64) -> String {
@@ -11,22 +11,14 @@ pub fn figures(status: &Status, up_seconds: f64) -> String {
     };
     let oldest = status.clients.iter().filter_map(|client| client.oldest).max().unwrap_or(0);
     let mut figures = Figures::default();
-    figures.gauge("rtnet_router_up_seconds", "Time since the start.", up_seconds);
-    figures.gauge("rtnet_router_connections", "Open connections.", status.clients.len());
-    figures.gauge(MAILBOXES, "Mailboxes that are registered.", sum(|client| client.names.len()));
-    figures.gauge(
-        "rtnet_router_waiting_packages",
-        "Packages that wait in queues.",
-        sum(|client| client.waiting),
-    );
-    figures.gauge("rtnet_router_waiting_bytes", "Their bytes.", sum(|client| client.waiting_bytes));
-    figures.gauge(
-        "rtnet_router_oldest_seconds",
-        "Time that the oldest of them has waited.",
-        oldest as f64 / 1e3,
-    );
+    figures.gauge(UP, up_seconds);
+    figures.gauge(CONNECTIONS, status.clients.len());
+    figures.gauge(MAILBOXES, sum(|client| client.names.len()));
+    figures.gauge(WAITING, sum(|client| client.waiting));
+    figures.gauge(["rtnet_waiting_bytes", "Their bytes."], sum(|client| client.waiting_bytes));
+    figures.gauge(["rtnet_oldest_seconds", "Time that the oldest of them has waited."], oldest as f64 / 1e3);
     let counters = status.counters.each().map(|(name, n)| (["router", name], n));
-    figures.counters(EVENTS, "Everything that the router counts.", ["group", "reason"], counters);
+    figures.counters(EVENTS, ["group", "reason"], counters);
     figures.into_text()
 }
 
@@ -40,8 +32,8 @@ mod tests {
     fn a_router_has_figures_without_a_connection() {
         let text = figures(&Router::new(Limits::default(), 0).status(0), 1.5);
         for line in [
-            "rtnet_router_up_seconds 1.5",
-            "rtnet_router_connections 0",
+            "rtnet_up_seconds 1.5",
+            "rtnet_connections 0",
             "rtnet_mailboxes 0",
             "rtnet_events_total{group=\"router\",reason=\"queue_full\"} 0",
         ] {

@@ -8,26 +8,21 @@ use rtnet::time::Span;
 
 use super::Desk;
 use crate::control::{CountersShown, TcpShown, VnicCounted};
-use crate::metrics::{EVENTS, Figures, MAILBOXES};
+use crate::metrics::{CONNECTIONS, EVENTS, Figures, MAILBOXES, UP, WAITING};
 use crate::station::wire::LinkState;
 
 /// Counts that go down, too, by group and name, with the gauge that each is: there is no such counter.
-const LEVELS: [(&str, &str, &str, &str); 5] = [
-    ("station", "queued", "rtnet_station_queued_frames", "Frames that wait to be sent."),
-    ("tcp", "mailboxes", MAILBOXES, "Mailboxes that are registered at the TCP router."),
+const LEVELS: [(&str, &str, [&str; 2]); 6] = [
+    ("station", "queued", ["rtnet_waiting_frames", "Frames that wait to be sent."]),
+    ("tcp", "mailboxes", MAILBOXES),
     (
         "tcp",
         "mailboxes_waiting",
-        "rtnet_station_router_mailboxes_waiting",
-        "Mailboxes that are to be registered at the TCP router.",
+        ["rtnet_mailboxes_waiting", "Mailboxes that are to be registered at the TCP router."],
     ),
-    (
-        "vnic_filter",
-        "waiting",
-        "rtnet_station_vnic_waiting_packets",
-        "Packets that Linux holds for the VNIC.",
-    ),
-    ("vnic_filter", "waiting_bytes", "rtnet_station_vnic_waiting_bytes", "Their bytes."),
+    ("tcp", "waiting", WAITING),
+    ("vnic_filter", "waiting", ["rtnet_vnic_waiting_packets", "Packets that Linux holds for the VNIC."]),
+    ("vnic_filter", "waiting_bytes", ["rtnet_vnic_waiting_bytes", "Their bytes."]),
 ];
 
 /// Counters by group and name.
@@ -43,14 +38,13 @@ impl Desk {
         let own = asked.and_then(Result::ok).unwrap_or_default();
         let counters = self.with_those_below(self.with_those_beside(own), newest);
         let mut figures = Figures::default();
+        figures.gauge(UP, self.begun.elapsed().as_secs_f64());
         figures.gauge(
-            "rtnet_station_link_up",
-            "Whether frames can pass at the interface.",
+            ["rtnet_link_up", "Whether frames can pass at the interface."],
             u8::from(self.link() == LinkState::Up),
         );
         figures.counter(
-            "rtnet_station_cpu_seconds_total",
-            "Processor time of the real-time thread.",
+            ["rtnet_cpu_seconds_total", "Processor time of the real-time thread."],
             newest.cpu as f64 / 1e9,
         );
         if let Some(tdma) = newest.status.tdma() {
@@ -66,56 +60,41 @@ fn of_time(figures: &mut Figures, tdma: &TdmaStatus) {
     let seconds = |span: Span| span.nanos() as f64 / 1e9;
     let is_locked = tdma.state == SyncState::Locked;
     figures.gauge(
-        "rtnet_station_locked",
-        "Whether the station is synchronised, and no sync is missing.",
+        ["rtnet_locked", "Whether the station is synchronised, and no sync is missing."],
         u8::from(is_locked),
     );
+    figures.gauge(["rtnet_missing_syncs", "Cycles since the last sync that was followed."], tdma.missing);
     figures.gauge(
-        "rtnet_station_missing_syncs",
-        "Cycles since the last sync that was followed.",
-        tdma.missing,
-    );
-    figures.gauge(
-        "rtnet_station_deviation_seconds",
-        "Difference of the last sync and the time line.",
+        ["rtnet_deviation_seconds", "Difference of the last sync and the time line."],
         seconds(tdma.deviation),
     );
     if let Some(bound) = tdma.error_bound {
-        figures.gauge(
-            "rtnet_station_error_bound_seconds",
-            "Largest error of the start of a cycle.",
-            seconds(bound),
-        );
+        figures
+            .gauge(["rtnet_error_bound_seconds", "Largest error of the start of a cycle."], seconds(bound));
     }
     if let Some(drift) = tdma.drift_ppb {
         let help = "Gain of the station's clock on the master's, per second.";
-        figures.gauge("rtnet_station_drift_ratio", help, drift as f64 / 1e9);
+        figures.gauge(["rtnet_drift_ratio", help], drift as f64 / 1e9);
     }
 }
 
 /// Counters, and what of them goes down, too.
 fn of_counters(figures: &mut Figures, shown: &CountersShown, is_silent: bool) {
     let is_unknown = shown.vnic.as_ref().is_some_and(|vnic| vnic.unknown.is_some());
-    figures.gauge(
-        "rtnet_station_silent_parts",
-        "Parts of the station (sockets, VNIC) whose counters are missing here: they did not answer in time.",
-        u8::from(is_silent) + u8::from(is_unknown),
-    );
+    let help =
+        "Parts of the station (sockets, VNIC) whose counters are missing here: they did not answer in time.";
+    figures.gauge(["rtnet_silent_parts", help], u8::from(is_silent) + u8::from(is_unknown));
     if let Some(tcp) = &shown.tcp {
-        figures.gauge(
-            "rtnet_station_router_connected",
-            "Whether there is a connection to the TCP router.",
-            u8::from(tcp.connected),
-        );
+        figures.gauge(CONNECTIONS, u8::from(tcp.connected));
     }
     let groups = groups(shown);
     let count = |group: &str, name: &str| {
         let mut counts = groups.iter().filter(|(of, _)| *of == group).map(|(_, counts)| counts);
         counts.find_map(|counts| counts.get(name)).copied()
     };
-    for (group, name, gauge, help) in LEVELS {
+    for (group, name, gauge) in LEVELS {
         if let Some(now) = count(group, name) {
-            figures.gauge(gauge, help, now);
+            figures.gauge(gauge, now);
         }
     }
     let is_level = |group: &str, name: &str| LEVELS.iter().any(|level| (level.0, level.1) == (group, name));
@@ -123,8 +102,7 @@ fn of_counters(figures: &mut Figures, shown: &CountersShown, is_silent: bool) {
         let grow = counts.iter().filter(|(name, _)| !is_level(group, name));
         grow.map(|(name, n)| ([*group, name.as_str()], *n))
     });
-    let help = "Everything that the station counts, as in rtnet stat.";
-    figures.counters(EVENTS, help, ["group", "reason"], all);
+    figures.counters(EVENTS, ["group", "reason"], all);
 }
 
 /// Without those of each socket: sockets come and go.
@@ -178,8 +156,8 @@ mod tests {
             station: counts(&[("frames_sent", 7), ("queued", 2)]),
             tcp: Some(TcpShown {
                 connected: true,
-                counters: counts(&[("sent", 5), ("mailboxes", 3)]),
-                lost: counts(&[("full", 1)]),
+                counters: counts(&[("packages_out", 5), ("mailboxes", 3), ("waiting", 4)]),
+                lost: counts(&[("queue_full", 1)]),
                 ..TcpShown::default()
             }),
             vnic: Some(VnicCounted { unknown: Some("it has ended".into()), ..VnicCounted::default() }),
@@ -192,13 +170,14 @@ mod tests {
         assert_eq!(
             lines,
             [
-                "rtnet_station_silent_parts 2",
-                "rtnet_station_router_connected 1",
-                "rtnet_station_queued_frames 2",
+                "rtnet_silent_parts 2",
+                "rtnet_connections 1",
+                "rtnet_waiting_frames 2",
                 "rtnet_mailboxes 3",
+                "rtnet_waiting_packages 4",
                 "rtnet_events_total{group=\"station\",reason=\"frames_sent\"} 7",
-                "rtnet_events_total{group=\"tcp\",reason=\"sent\"} 5",
-                "rtnet_events_total{group=\"tcp_lost\",reason=\"full\"} 1",
+                "rtnet_events_total{group=\"tcp\",reason=\"packages_out\"} 5",
+                "rtnet_events_total{group=\"tcp_lost\",reason=\"queue_full\"} 1",
             ]
         );
     }
@@ -220,7 +199,7 @@ mod tests {
             figures.into_text()
         };
         let before = text(&waits);
-        assert!(before.contains("\nrtnet_station_locked 0\n") && !before.contains("error_bound"), "{before}");
+        assert!(before.contains("\nrtnet_locked 0\n") && !before.contains("error_bound"), "{before}");
         let follows = TdmaStatus {
             state: SyncState::Locked,
             error_bound: Some(Span::from_nanos(7_250)),
@@ -228,11 +207,8 @@ mod tests {
             ..waits
         };
         let after = text(&follows);
-        for line in [
-            "rtnet_station_locked 1",
-            "rtnet_station_error_bound_seconds 0.00000725",
-            "rtnet_station_drift_ratio -0.0000125",
-        ] {
+        for line in ["rtnet_locked 1", "rtnet_error_bound_seconds 0.00000725", "rtnet_drift_ratio -0.0000125"]
+        {
             assert!(after.lines().any(|of| of == line), "{line}: {after}");
         }
     }

@@ -14,7 +14,19 @@ pub struct Frames {
 impl Frames {
     /// Hands over each package that `bytes` complete: its head, and its body. A head that is none ends the connection: nothing
     /// says where the next package would begin. Memory grows with the bytes received, not with the length in a head.
-    pub fn cut(&mut self, mut bytes: &[u8], mut each: impl FnMut(Head, &[u8])) -> Result<(), HeadError> {
+    pub fn cut(&mut self, bytes: &[u8], mut each: impl FnMut(Head, &[u8])) -> Result<(), HeadError> {
+        self.cut_runs(bytes, |head, body, _| {
+            each(head, body);
+            0
+        })
+    }
+
+    /// The same, with the bytes behind the package: those that `each` returns, whole packages, it has taken as well.
+    pub fn cut_runs(
+        &mut self,
+        mut bytes: &[u8],
+        mut each: impl FnMut(Head, &[u8], &[u8]) -> usize,
+    ) -> Result<(), HeadError> {
         if !self.begun.is_empty() {
             let Some(head) =
                 self.filled(&mut bytes, HEAD_LEN).then(|| Head::parse(&self.begun)).transpose()?
@@ -24,15 +36,16 @@ impl Frames {
             if !self.filled(&mut bytes, head.len as usize) {
                 return Ok(());
             }
-            each(head, &self.begun[HEAD_LEN..]);
+            let taken = each(head, &self.begun[HEAD_LEN..], bytes);
+            bytes = &bytes[taken..];
             self.begun.clear();
             self.begun.shrink_to(KEPT);
         }
         while bytes.len() >= HEAD_LEN {
             let head = Head::parse(bytes)?;
             let Some((package, rest)) = bytes.split_at_checked(head.len as usize) else { break };
-            each(head, &package[HEAD_LEN..]);
-            bytes = rest;
+            let taken = each(head, &package[HEAD_LEN..], rest);
+            bytes = &rest[taken..];
         }
         self.begun.extend_from_slice(bytes);
         Ok(())

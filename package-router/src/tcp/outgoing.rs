@@ -10,8 +10,12 @@
 //! A full queue takes a package only where less urgent ones wait: the oldest of the least urgent make room for it. All that is
 //! dropped is handed back, so that a command's sender is answered.
 
+mod bytes;
+
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
+
+use bytes::Bytes;
 
 use super::requests::OPEN_AT_MOST;
 use crate::wire::{HEAD_LEN, Head};
@@ -48,7 +52,7 @@ pub struct Outgoing {
 #[derive(Debug)]
 struct Level {
     priority: u16,
-    bytes: VecDeque<u8>,
+    bytes: Bytes,
     waiting: VecDeque<Waiting>,
 }
 
@@ -106,6 +110,30 @@ impl Outgoing {
         self.bytes += len;
         self.packages += 1;
         Ok(())
+    }
+
+    /// Appends whole packages of one priority, one behind the other and as they are sent, if there is room for all; returns how many.
+    pub fn push_run(
+        &mut self,
+        priority: u8,
+        packages: &[u8],
+        (source, now): (Source, u64),
+    ) -> Result<u64, Full> {
+        if self.bytes + packages.len() > self.most {
+            return Err(Full);
+        }
+        let place = self.level(priority.into());
+        let level = &mut self.levels[place];
+        let (mut at, before) = (0, level.waiting.len());
+        while let Ok(Head { len, .. }) = Head::parse(&packages[at..]) {
+            level.waiting.push_back(Waiting { len, since: now as u32, source });
+            at += len as usize;
+        }
+        level.bytes.push(packages, &[]);
+        let count = level.waiting.len() - before;
+        self.bytes += packages.len();
+        self.packages += count;
+        Ok(count as u64)
     }
 
     /// Appends an answer or a question of the router: it overtakes all packages. A peer that asks and does not read gets no more answers.
@@ -186,7 +214,7 @@ impl Outgoing {
             place => {
                 let place = place.unwrap_or(self.levels.len());
                 self.levels
-                    .insert(place, Level { priority, bytes: VecDeque::new(), waiting: VecDeque::new() });
+                    .insert(place, Level { priority, bytes: Bytes::default(), waiting: VecDeque::new() });
                 place
             }
         }
@@ -195,8 +223,7 @@ impl Outgoing {
     fn append(&mut self, priority: u16, head: &Head, body: &[u8], (source, now): (Source, u64)) {
         let place = self.level(priority);
         let level = &mut self.levels[place];
-        level.bytes.extend(head.to_bytes());
-        level.bytes.extend(body);
+        level.bytes.push(&head.to_bytes(), body);
         level.waiting.push_back(Waiting { len: (HEAD_LEN + body.len()) as u32, since: now as u32, source });
     }
 
@@ -228,14 +255,13 @@ impl Outgoing {
             let kept = kept(level);
             let first = if kept == 1 { begun.map_or(0, |(_, rest)| rest) } else { 0 };
             let Some(Waiting { len, source, .. }) = level.waiting.remove(kept) else { break };
-            let mut head = [0; HEAD_LEN];
-            head.iter_mut().zip(level.bytes.range(first..)).for_each(|(to, from)| *to = *from);
-            level.bytes.drain(first..first + len as usize);
+            let head = Head::parse(&level.bytes.as_slice()[first..]);
+            level.bytes.remove(first, len as usize);
             level.trim(trimmed_at);
             freed += len as usize;
             self.bytes -= len as usize;
             self.packages -= 1;
-            if let Ok(head) = Head::parse(&head) {
+            if let Ok(head) = head {
                 dropped(head, source);
             }
         }
@@ -246,16 +272,10 @@ impl Outgoing {
     fn next<'a>(&'a self, slices: &mut [IoSlice<'a>; SLICES]) -> (usize, usize) {
         let (mut count, mut all) = (0, 0);
         let mut add = |level: &'a Level, from: usize, to: usize| {
-            let (front, back) = level.bytes.as_slices();
-            let split = front.len();
-            for part in [
-                &front[from.min(split)..to.min(split)],
-                &back[from.max(split) - split..to.max(split) - split],
-            ] {
-                if !part.is_empty() && count < SLICES {
-                    slices[count] = IoSlice::new(part);
-                    (count, all) = (count + 1, all + part.len());
-                }
+            let part = &level.bytes.as_slice()[from..to];
+            if !part.is_empty() && count < SLICES {
+                slices[count] = IoSlice::new(part);
+                (count, all) = (count + 1, all + part.len());
             }
         };
         let rest_of =
@@ -268,34 +288,39 @@ impl Outgoing {
     /// Removes bytes that have left.
     fn left(&mut self, mut sent: usize) {
         if let Some((priority, rest)) = self.begun.take() {
-            sent = self.left_of(priority, rest, sent);
+            let place = self.level(priority);
+            sent -= self.left_of(place, rest, sent.min(rest));
         }
         for place in 0..self.levels.len() {
-            while sent > 0
-                && let Some(first) = self.levels[place].waiting.front()
-            {
-                sent = self.left_of(self.levels[place].priority, first.len as usize, sent);
+            if let Some(first) = self.levels[place].waiting.front().filter(|_| sent > 0) {
+                sent -= self.left_of(place, first.len as usize, sent);
             }
         }
     }
 
-    /// Removes the bytes of a level's first package, of which `rest` were left, out of `sent`; returns how many of `sent` belong to
-    /// later packages.
-    fn left_of(&mut self, priority: u16, rest: usize, sent: usize) -> usize {
-        let (place, trimmed_at) = (self.level(priority), self.trimmed_at());
+    /// Removes bytes that have left from a level, of whose first package `rest` were there; returns how many of `sent` these are.
+    fn left_of(&mut self, place: usize, mut rest: usize, sent: usize) -> usize {
+        let trimmed_at = self.trimmed_at();
         let level = &mut self.levels[place];
-        let now = rest.min(sent);
-        level.bytes.drain(..now);
-        level.trim(trimmed_at);
-        if now < rest {
-            self.begun = Some((priority, rest - now));
-        } else if let Some(gone) = level.waiting.pop_front()
-            && priority < OWN
+        let all = sent.min(level.bytes.len());
+        level.bytes.remove(0, all);
+        let (mut left, mut packages, mut bytes) = (all, 0, 0);
+        while left >= rest
+            && let Some(gone) = level.waiting.pop_front()
         {
-            self.bytes -= gone.len as usize;
-            self.packages -= 1;
+            left -= rest;
+            (packages, bytes) = (packages + 1, bytes + gone.len as usize);
+            rest = level.waiting.front().map_or(usize::MAX, |next| next.len as usize);
         }
-        sent - now
+        if left > 0 {
+            self.begun = Some((level.priority, rest - left));
+        }
+        if level.priority < OWN {
+            self.bytes -= bytes;
+            self.packages -= packages;
+        }
+        level.trim(trimmed_at);
+        all
     }
 }
 

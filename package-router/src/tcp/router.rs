@@ -266,7 +266,7 @@ impl Router {
         client.is_asked &= client.trust != Trust::Full;
         let mut frames = core::mem::take(&mut client.frames);
         self.held -= frames.begun();
-        let cut = frames.cut(bytes, |head, body| self.package(from, &head, body, now));
+        let cut = frames.cut_runs(bytes, |head, body, rest| self.package(from, &head, (body, rest), now));
         let begun = frames.begun();
         self.held += begun;
         let is_stranger = self.client(from).is_some_and(|client| {
@@ -372,14 +372,16 @@ impl Router {
         self.clients.get_mut(of.0 as usize)?.as_mut()
     }
 
-    fn package(&mut self, from: Connection, head: &Head, body: &[u8], now: u64) {
+    /// A package, with the bytes behind it; returns how many of those are packages that went the same way.
+    fn package(&mut self, from: Connection, head: &Head, (body, rest): (&[u8], &[u8]), now: u64) -> usize {
         if !self.is_trusted(from, head, body) {
-            return;
+            return 0;
         }
         match Control::of(head, body) {
             Some(_) if self.place_of_link(from).is_some() => self.of_other_router(from, head, now),
             Some(control) => self.control(from, head, control, now),
-            None => self.forward(from, head, body, now),
+            None => return self.forward(from, head, (body, rest), now),
         }
+        0
     }
 }

@@ -19,6 +19,8 @@ use crate::protocols::{self, Protocol, name};
 const WAITING: usize = 10_000;
 /// The priority of the urgent package; those that wait have 0.
 const URGENT: u8 = 200;
+/// Kind of the request to be asked for signs of life: no client of the benchmark is, unless it wants that.
+const WATCHED: i8 = 18;
 /// The receiver's socket buffer, which would grow else: most packages wait in the router.
 const BUFFER: usize = 64 << 10;
 
@@ -54,6 +56,8 @@ pub fn lifesigns(at: SocketAddr, rounds: usize) -> Result<Value> {
     let many = ours.package(0, 1).repeat(WAITING);
     let answer = Head::new(OK, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
     let mut came = Figures::new()?;
+    let watched = Head::new(WATCHED, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
+    [&mut receiver, &mut sender, &mut other].into_iter().try_for_each(|of| of.write_all(&watched))?;
     for _ in 0..rounds {
         waits(&mut sender, &many)?;
         asked(&mut other)?;

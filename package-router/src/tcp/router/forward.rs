@@ -6,28 +6,74 @@ use crate::name::MailboxName;
 use crate::tcp::outgoing::{Full, Source};
 use crate::wire::{self, Endian, Head};
 
+/// The counter of what became of a package, at its sender.
+type Reason = fn(&mut Counters) -> &mut u64;
+
 impl Router {
-    pub(super) fn forward(&mut self, from: Connection, head: &Head, body: &[u8], now: u64) {
-        if !self.is_sender(from, head.from) {
-            return self.refuse(from, head, now, |counters| &mut counters.foreign_senders);
-        }
-        if !self.rules.may_send(head) {
-            return self.refuse(from, head, now, |counters| &mut counters.forbidden);
-        }
-        let Some(to) = self.receiver(from, head.to) else {
-            return self.refuse(from, head, now, |counters| &mut counters.nobody_there);
+    /// Passes a package on, and those right behind it that go the same way; returns the bytes of these.
+    pub(super) fn forward(
+        &mut self,
+        from: Connection,
+        head: &Head,
+        (body, rest): (&[u8], &[u8]),
+        now: u64,
+    ) -> usize {
+        let to = match self.way(from, head) {
+            Ok(to) => to,
+            Err(reason) => {
+                self.refuse(from, head, now, reason);
+                return 0;
+            }
         };
-        let head = Head { head_order: Endian::Little, ..*head };
+        let sent = Head { head_order: Endian::Little, ..*head };
         let source = self
             .client(from)
             .map_or(Source::ROUTER, |client| Source { place: from.0, number: client.number });
-        if self.enqueue(to, &head, body, (source, now)).is_err() {
-            return self.refuse(from, &head, now, |counters| &mut counters.receiver_full);
+        if self.enqueue(to, &sent, body, (source, now)).is_err() {
+            self.refuse(from, &sent, now, |counters| &mut counters.receiver_full);
+            return 0;
         }
+        let (packages, bytes) = run(head, rest);
+        let (packages, bytes) = match self.enqueue_run(to, head.priority, &rest[..bytes], (source, now)) {
+            Ok(()) => (packages, bytes),
+            // One by one some may find room.
+            Err(Full) => (0, 0),
+        };
         if let Some(sender) = self.client(from) {
-            sender.counters.packages_in += 1;
-            sender.counters.bytes_in += u64::from(head.len);
+            sender.counters.packages_in += 1 + packages;
+            sender.counters.bytes_in += u64::from(head.len) + bytes as u64;
         }
+        bytes
+    }
+
+    /// The connection that a package leaves by, if it may.
+    fn way(&self, from: Connection, head: &Head) -> Result<Connection, Reason> {
+        if !self.is_sender(from, head.from) {
+            return Err(|counters| &mut counters.foreign_senders);
+        }
+        if !self.rules.may_send(head) {
+            return Err(|counters| &mut counters.forbidden);
+        }
+        self.receiver(from, head.to).ok_or(|counters| &mut counters.nobody_there)
+    }
+
+    /// Queues packages of one priority, if there is room for all without any that are displaced.
+    fn enqueue_run(
+        &mut self,
+        to: Connection,
+        priority: u8,
+        packages: &[u8],
+        at: (Source, u64),
+    ) -> Result<(), Full> {
+        if self.held + packages.len() > self.limits.memory {
+            return Err(Full);
+        }
+        let Some(receiver) = self.client(to).filter(|receiver| !receiver.is_ending) else { return Err(Full) };
+        let count = receiver.outgoing.push_run(priority, packages, at)?;
+        receiver.counters.packages_out += count;
+        receiver.counters.bytes_out += packages.len() as u64;
+        self.held += packages.len();
+        Ok(())
     }
 
     /// The connection that a package leaves by. A package of another system goes to clients of this one only.
@@ -87,13 +133,7 @@ impl Router {
     }
 
     /// A package does not go on: that is counted at its sender, which is answered if it was a command.
-    fn refuse(
-        &mut self,
-        sender: Connection,
-        head: &Head,
-        now: u64,
-        reason: impl FnOnce(&mut Counters) -> &mut u64,
-    ) {
+    fn refuse(&mut self, sender: Connection, head: &Head, now: u64, reason: Reason) {
         let Some(client) = self.client(sender) else { return };
         *reason(&mut client.counters) += 1;
         if head.is_command()
@@ -123,4 +163,19 @@ impl Router {
             self.awake.push_back(whom);
         }
     }
+}
+
+/// Packages in front of `rest` that go the way of `first` and are as urgent, as they are to be sent: how many, and their bytes.
+fn run(first: &Head, rest: &[u8]) -> (u64, usize) {
+    let (mut packages, mut bytes) = (0, 0);
+    while let Ok(next) = Head::parse(&rest[bytes..])
+        && next.head_order == Endian::Little
+        && next.is_command() == first.is_command()
+        && (next.from, next.to, next.priority) == (first.from, first.to, first.priority)
+        && bytes + next.len as usize <= rest.len()
+    {
+        packages += 1;
+        bytes += next.len as usize;
+    }
+    (packages, bytes)
 }

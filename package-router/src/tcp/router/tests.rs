@@ -6,6 +6,7 @@ use crate::wire;
 use crate::wire::HEAD_LEN;
 
 mod model;
+mod runs;
 mod trust;
 
 const PEER: SocketAddr = SocketAddr::new(core::net::IpAddr::V4(core::net::Ipv4Addr::LOCALHOST), 9);

@@ -90,10 +90,9 @@ pub enum CallError {
     /// The server answers TIMEOUT, -2: what it waited for itself did not come.
     #[error("{0} answers that it was not done in time")]
     NotInTime(MailboxName),
-    /// The answer is NOT_AVAILABLE, -3: no component has the server's mailbox, or there is no way there, or that is full.
+    /// The answer is NOT_AVAILABLE, -3: no component has the server's mailbox, or a queue on the way there is full.
     #[error(
-        "{0} is not available: no component has it, or the way there is closed or full. `rtnet package route {0}` shows the way, \
-         `rtnet stat` what was dropped on it"
+        "{0} is not available: start its component, or send less if the queue to the router is full (`rtnet stat`)"
     )]
     NotAvailable(MailboxName),
     /// The server has not answered so long; the call is given up.

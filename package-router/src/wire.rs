@@ -36,7 +36,7 @@ pub const OK: i8 = 0;
 pub const ERROR: i8 = -1;
 /// Kind of a reply: it was not done in time.
 pub const TIMEOUT: i8 = -2;
-/// Kind of a reply, by a router: nobody has the mailbox that was named.
+/// Kind of a reply on the way: no component has the mailbox that was named, or a queue on the way there is full.
 pub const NOT_AVAILABLE: i8 = -3;
 
 const LITTLE_HEAD: u8 = 0b0001;

@@ -1,5 +1,6 @@
 //! The TCP router as its clients meet it, in Python among others.
 
+mod crowd;
 mod links;
 mod meet;
 mod python_package;

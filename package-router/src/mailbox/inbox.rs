@@ -25,6 +25,8 @@ pub struct Inbox<Own, Theirs> {
     /// The number of the package that was last found in each node, and not replaced since.
     pub(super) known: Box<[u64]>,
     pub(super) news: News,
+    /// Packages of senders that have gone that found no slot.
+    refused: u64,
     /// What is lent, or was last: here, since to move it costs as much as to find it.
     found: Found,
 }
@@ -84,7 +86,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let known = vec![0; nodes].into_boxed_slice();
         let news = News::with_room(shape.slots, nodes);
         let urgency = Urgency::new(nodes);
-        Self { own, layout, lanes, used: 0, urgency, known, news, found: Found::default() }
+        Self { own, layout, lanes, used: 0, urgency, known, news, refused: 0, found: Found::default() }
     }
 
     /// Lets a sender in, whose packages are from that mailbox; from [nobody](MailboxName::NOBODY): it says of each whose it is.
@@ -116,15 +118,14 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             is_over && (lane * slots..(lane + 1) * slots).all(|node| !self.urgency.waits(node as Node))
         })?;
         let sender = self.lanes[lane].sender.take()?;
-        self.count(of_owner::REFUSED, sender.segment.at(of_sender::FULL).get());
+        self.refused = self.refused.wrapping_add(sender.segment.at(of_sender::FULL).get());
         Some((lane, sender.segment))
     }
 
-    /// Packages of all senders so far that found no slot.
+    /// Packages of all senders so far that found no slot, as the senders count them.
     pub fn refused(&self) -> u64 {
         let senders = self.lanes[..self.used].iter().filter_map(|lane| lane.sender.as_ref());
-        let of_those_here = senders.map(|sender| sender.segment.at(of_sender::FULL).get());
-        of_those_here.fold(self.own.at(of_owner::REFUSED).get(), u64::wrapping_add)
+        senders.fold(self.refused, |sum, sender| sum.wrapping_add(sender.segment.at(of_sender::FULL).get()))
     }
 
     /// Whether something waits, or did when it was looked at.

@@ -64,8 +64,6 @@ pub mod of_owner {
     pub const RECEIVED: usize = 8;
     /// Such that were cleaned away.
     pub const CLEANED: usize = 9;
-    /// Such that found no slot, of senders that have gone.
-    pub const REFUSED: usize = 10;
     /// The most that ever waited.
     pub const MOST: usize = 11;
     /// Such that said that somebody else had sent them.

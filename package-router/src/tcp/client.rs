@@ -45,8 +45,8 @@ const READ: usize = 64 << 10;
 /// Milliseconds that it goes on at its end while packages wait to be written; and how often it looks.
 const END_WITHIN: u64 = 1_000;
 const END_EVERY: Duration = Duration::from_millis(10);
-/// How often its state is renewed while packages wait.
-const SHOWN_EVERY: Duration = Duration::from_millis(100);
+/// Milliseconds after which it looks again how many packages wait and were refused, while some wait.
+const SHOWN_EVERY: u64 = 100;
 const WAKER: Token = Token(0);
 const MAILBOX: Token = Token(1);
 const STREAM: Token = Token(2);
@@ -133,6 +133,7 @@ impl TcpClient {
             up: None,
             connections: 0,
             last_error: None,
+            look_at: 0,
         };
         let thread =
             Builder::new().name("packages-tcp".into()).stack_size(STACK).spawn(move || worker.run())?;
@@ -182,6 +183,8 @@ struct Worker {
     local: Local,
     connections: u64,
     last_error: Option<String>,
+    /// When it looks again at its mailbox.
+    look_at: u64,
 }
 
 /// The connection to the router.
@@ -204,6 +207,11 @@ impl Worker {
             if self.is_over(is_empty, &mut stop_at) {
                 break;
             }
+            if is_empty || now() >= self.look_at {
+                self.local.look();
+                self.look_at = now() + SHOWN_EVERY;
+            }
+            self.publish();
             let patience = self.patience(is_empty).min(stop_at.map_or(Duration::MAX, |_| END_EVERY));
             // Interrupted, or too late: there is nothing new.
             let _ = self.poll.poll(&mut events, Some(patience));
@@ -221,7 +229,6 @@ impl Worker {
             if self.dial.is_down() {
                 self.local.refuse_all();
             }
-            self.publish();
         }
         self.down(&io::Error::other("the TCP client has ended"));
         self.publish();
@@ -254,9 +261,9 @@ impl Worker {
             None if self.dial.is_down() && !is_empty => 0,
             None => self.dial.due().unwrap_or(0),
         };
-        let patience = Duration::from_millis(until.saturating_sub(now()));
-        // A sender that finds the queue full wakes nobody, and is to be seen all the same.
-        if is_empty { patience } else { patience.min(SHOWN_EVERY) }
+        // A sender that finds the queue full does not wake this thread.
+        let until = if is_empty { until } else { until.min(self.look_at) };
+        Duration::from_millis(until.saturating_sub(now()))
     }
 
     /// Opens a connection if there is none, as far as that goes.
@@ -317,7 +324,7 @@ impl Worker {
         self.dial.lost(now());
     }
 
-    fn publish(&mut self) {
+    fn publish(&self) {
         let (names, names_waiting) = self.session.names();
         let is_connected = self.up.is_some();
         *self.shared.status() = TcpStatus {

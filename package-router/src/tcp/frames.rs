@@ -21,7 +21,7 @@ impl Frames {
         })
     }
 
-    /// The same, with the bytes behind the package: those that `each` returns, whole packages, it has taken as well.
+    /// The same, with the bytes behind the package: `each` returns how many of them it has taken, in whole packages.
     pub fn cut_runs(
         &mut self,
         mut bytes: &[u8],

@@ -112,16 +112,14 @@ impl Outgoing {
         Ok(())
     }
 
-    /// Appends whole packages of one priority, one behind the other and as they are sent, if there is room for all; returns how many.
-    pub fn push_run(
-        &mut self,
-        priority: u8,
-        packages: &[u8],
-        (source, now): (Source, u64),
-    ) -> Result<u64, Full> {
-        if self.bytes + packages.len() > self.most {
-            return Err(Full);
-        }
+    /// Bytes of packages that it takes without dropping any.
+    pub fn room(&self) -> usize {
+        self.most.saturating_sub(self.bytes)
+    }
+
+    /// Appends whole packages of one priority, one behind the other and as they are sent; returns how many. There is [room](Self::room)
+    /// for them.
+    pub fn push_run(&mut self, priority: u8, packages: &[u8], (source, now): (Source, u64)) -> u64 {
         let place = self.level(priority.into());
         let level = &mut self.levels[place];
         let (mut at, before) = (0, level.waiting.len());
@@ -133,7 +131,7 @@ impl Outgoing {
         let count = level.waiting.len() - before;
         self.bytes += packages.len();
         self.packages += count;
-        Ok(count as u64)
+        count as u64
     }
 
     /// Appends an answer or a question of the router: it overtakes all packages. A peer that asks and does not read gets no more answers.

@@ -372,7 +372,7 @@ impl Router {
         self.clients.get_mut(of.0 as usize)?.as_mut()
     }
 
-    /// A package, with the bytes behind it; returns how many of those are packages that went the same way.
+    /// A package, with the bytes behind it; returns the bytes of the packages among them that went the same way.
     fn package(&mut self, from: Connection, head: &Head, (body, rest): (&[u8], &[u8]), now: u64) -> usize {
         if !self.is_trusted(from, head, body) {
             return 0;

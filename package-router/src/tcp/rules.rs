@@ -45,6 +45,11 @@ impl Rules {
         self.register.is_empty() || self.register.iter().any(allows)
     }
 
+    /// Whether two packages have the same answer to [`Self::may_send`].
+    pub fn are_alike(one: &Head, other: &Head) -> bool {
+        (one.from, one.to, one.is_command()) == (other.from, other.to, other.is_command())
+    }
+
     /// Whether a package may go on. A reply, or data, may go where a command may come from.
     pub fn may_send(&self, head: &Head) -> bool {
         let one_way = |from, to| self.send.iter().any(|rule| any(&rule.from, from) && any(&rule.to, to));

@@ -12,7 +12,8 @@
 //! ```
 //!
 //! It holds for when cycles start, as long as one in eight Synchronisations of one window in two was not held up by more
-//! than the others show, no clock is faster than another by more than 200 ppm, and none was set within this window.
+//! than the others show, no clock is faster than another by more than 200 ppm, and none was set within this window. Nor may one
+//! have been set forward by a step that is no longer than Synchronisations are slower than frames for one station.
 
 use rtnet::time::{Instant, Span};
 

@@ -29,7 +29,7 @@ use super::follow::Servo;
 use super::line::TimeLine;
 use super::rate::Rate;
 use super::report::{CalibrationReport, DelayOf, Tally};
-use super::round::{self, ALIKE, Begun, Room, Round};
+use super::round::{self, Begun, Room, Round};
 
 /// Rounds unless configured otherwise, as in RTnet.
 pub const DEFAULT_ROUNDS: u32 = 100;
@@ -39,6 +39,8 @@ pub const MAX_ROUNDS: u32 = 10_000;
 /// Requests per round before calibration is given up, and some for the begin.
 const ATTEMPTS_PER_ROUND: u32 = 3;
 const ATTEMPTS_EXTRA: u32 = 20;
+/// Two syncs that make a line agree within this.
+const QUICKER_WITHIN: Span = Span::from_micros(2);
 
 /// A calibration: one that is done, one under way, or both while the delay is measured anew. What every turn looks at
 /// comes first, together.
@@ -276,17 +278,20 @@ impl Calibration {
         delay - before
     }
 
-    /// Syncs are on their way for a time that is shorter by `by` than while the delay was measured; returns by how much the delay is
-    /// shorter. `None`: then they would be quicker than a frame for one station, so that is not why they are earlier.
-    pub fn quicken(&mut self, by: Span) -> Option<Span> {
-        let delay = self.delay?;
-        let at_most = delay - self.one;
+    /// By how much the delay is shorter where syncs come earlier by `by`. `None` if that is not why they do: a sync is on its way for no
+    /// less time than a frame for one station, and `by` is more, or there is no delay yet.
+    pub fn quicker(&self, by: Span) -> Option<Span> {
+        let at_most = self.delay? - self.one;
         let shorter = by.min(at_most);
-        if shorter <= Span::ZERO || by > at_most + ALIKE {
-            return None;
-        }
-        self.delay = Some(delay - shorter);
-        Some(shorter)
+        (shorter > Span::ZERO && by <= at_most + QUICKER_WITHIN).then_some(shorter)
+    }
+
+    /// Shortens the delay, and returns it. Rounds that are being measured say nothing of the syncs since.
+    pub fn shorten(&mut self, by: Span) -> Span {
+        self.line = self.line.wrapping_add(1);
+        let delay = self.delay.unwrap_or(Span::ZERO) - by;
+        self.delay = Some(delay);
+        delay
     }
 
     /// The cycle of its last round, once done, as long as its rounds are of the line that is followed.

@@ -160,7 +160,7 @@ impl Envelope {
         }
     }
 
-    /// Synchronisations are on their way for a time that is shorter by so much than all were before: the clocks are the same.
+    /// Synchronisations are on their way for a time that is shorter by `by` than before. The clocks are the same.
     pub fn quicken(&mut self, by: Span) {
         self.forget_edge();
         if let Some(known) = &mut self.known {

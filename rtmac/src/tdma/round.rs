@@ -30,7 +30,7 @@ const KEPT: usize = 128;
 /// ... and none that took longer than the quicker quarter by more than this, or by more than this part of it, nor shorter.
 /// What holds up one way (a tick of the host's that falls into the slot, a core that has to be woken) moves a round's middle
 /// by as much as it adds to its delay, and if from some time on, that looks like a rate.
-pub const ALIKE: Span = Span::from_micros(2);
+const ALIKE: Span = Span::from_micros(2);
 const ALIKE_PARTS: i64 = 4;
 /// From the first round to the last a busy host may make one way longer than the other by twice this much: measured.
 const ASKEW: Span = Span::from_micros(1);

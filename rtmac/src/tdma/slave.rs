@@ -32,8 +32,8 @@
 //! clocks. An earlier line needs two Synchronisations in a row, a later one eight, and a later one that a slow host explains
 //! needs a window of the envelope.
 //!
-//! Synchronisations that have become earlier by no more than the delay was measured to be longer than a frame's show that they had
-//! been slow while it was measured: the delay is shorter then, and the line stays (`rounds.rs`).
+//! Synchronisations that have become earlier by a step show that they had been slow while the delay was measured, if the step is no
+//! longer than the delay is longer than that of a frame for one station: the delay is shorter then, and the line stays (`rounds.rs`).
 //!
 //! A Synchronisation that agrees belongs to the line below all of them ([`Envelope`]), once that line is known. Until then
 //! it moves the line by a 300th of the cycle at most. Lateness beyond the clocks' drift moves it by an eighth only.
@@ -220,7 +220,7 @@ impl Slave {
                         step.and_then(|step| step.with(mark, takes, self.config.step_limit, line.period));
                     match agreed {
                         Some((step, moved)) if step.seen >= step.takes && age <= moved.period => {
-                            if self.quicken(from, &moved) {
+                            if self.quicken(from, &moved, events) {
                                 Followed::Agrees
                             } else {
                                 self.adopt(from, moved)

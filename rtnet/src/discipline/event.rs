@@ -67,7 +67,7 @@ pub enum EventKind {
     SyncLate,
     /// Synchronised; the span is the delay from the master.
     Locked,
-    /// The delay was measured anew: the span is what it is from now on.
+    /// The delay was measured again, or shortened: the span is what it is from now on.
     CalibratedAnew,
     /// Calibration was given up for now; a delay that is known stays.
     CalibrationTimeout,

@@ -19,7 +19,7 @@ use crate::protocols::{self, Protocol, name};
 const WAITING: usize = 10_000;
 /// The priority of the urgent package; those that wait have 0.
 const URGENT: u8 = 200;
-/// Kind of the request to be asked for signs of life: no client of the benchmark is, unless it wants that.
+/// Kind of the request to be asked for signs of life. Clients of the benchmark switch that off when they join.
 const WATCHED: i8 = 18;
 /// The receiver's socket buffer, which would grow else: most packages wait in the router.
 const BUFFER: usize = 64 << 10;
@@ -57,13 +57,12 @@ pub fn lifesigns(at: SocketAddr, rounds: usize) -> Result<Value> {
     let answer = Head::new(OK, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
     let mut came = Figures::new()?;
     let watched = Head::new(WATCHED, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
-    [&mut receiver, &mut sender, &mut other].into_iter().try_for_each(|of| of.write_all(&watched))?;
+    [&mut receiver, &mut other].into_iter().try_for_each(|of| of.write_all(&watched))?;
     for _ in 0..rounds {
         waits(&mut sender, &many)?;
         asked(&mut other)?;
         came.until(&mut receiver, ours, Instant::now(), |head| head.kind == LIFESIGN)?;
-        asked(&mut sender)?;
-        [&mut receiver, &mut sender, &mut other].into_iter().try_for_each(|of| of.write_all(&answer))?;
+        [&mut receiver, &mut other].into_iter().try_for_each(|of| of.write_all(&answer))?;
     }
     Ok(json!({ "lifesign": came.shown() }))
 }

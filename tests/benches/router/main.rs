@@ -7,7 +7,7 @@
 //! router rate PROTOCOL PORT SECONDS PAIRS       64 bytes from PAIRS senders, each to its own receiver
 //! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after CLIENTS clients have joined
 //! router behind PORT SECONDS                    an answer of the router and an urgent package, behind 10 000 packages that wait
-//! router lifesigns PORT ROUNDS                  a question for a sign of life behind as many, in so many rounds of 5 s
+//! router lifesigns PORT ROUNDS                  a question for a sign of life behind them, in ROUNDS rounds of 5 s
 //! router abuse PROTOCOL PORT                    a client that does not read, one that sends a byte a second, 1000 that say nothing
 //! ```
 

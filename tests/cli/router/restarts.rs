@@ -180,7 +180,7 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
         assert_eq!(made, answered + not_available + timed_out + refused, "each has one end");
         back_after.sort_unstable();
         let (delivered, lost, unconfirmed) = ends();
-        wait_until("what was refused is counted", || looks[2].status().local.queue_full == full);
+        wait_until("refused packages are counted", || looks[2].status().local.queue_full == full);
         figure(
             "clients_come_back_to_a_router_killed_again_and_again",
             &format!(

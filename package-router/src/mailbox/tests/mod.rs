@@ -245,7 +245,11 @@ fn what_a_sender_that_is_gone_has_sent_is_read_and_then_its_lane_is_another_s() 
     assert_eq!(all(&mut inbox), [(0, 5), (0, 6)]);
     assert_eq!(next.waiting(), Ok(0));
     inbox.leave(0);
-    assert_eq!((inbox.next_left().is_some(), inbox.refused()), (true, 1), "of those that have gone, too");
+    assert_eq!(
+        (inbox.next_left().is_some(), inbox.refused()),
+        (true, 1),
+        "a sender that has gone counts, too"
+    );
 }
 
 #[test]

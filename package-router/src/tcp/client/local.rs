@@ -165,10 +165,15 @@ impl Local {
         }
     }
 
-    /// The counters, as they are now.
-    pub fn counters(&mut self) -> LocalCounters {
+    /// Counts what its own mailbox has and has refused. Each sender's part is in memory that the sender writes with each package, so this is
+    /// for moments at which nothing waits, or for one of many.
+    pub fn look(&mut self) {
         // A broker that has ended is seen at the next wait.
-        let waiting = self.mailbox.depth().unwrap_or(0) as u64;
-        LocalCounters { queue_full: self.mailbox.refused(), waiting, ..self.counters }
+        self.counters.waiting = self.mailbox.depth().unwrap_or(0) as u64;
+        self.counters.queue_full = self.mailbox.refused();
+    }
+
+    pub fn counters(&self) -> LocalCounters {
+        self.counters
     }
 }

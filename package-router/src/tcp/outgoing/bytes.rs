@@ -1,6 +1,6 @@
 //! Bytes in a row: they are appended at the end, and removed at the front or behind what has partly left.
 
-/// The bytes. Those that are gone stay in front of the others until they are as many.
+/// Bytes in a row. Removed ones stay in front until they are half of all.
 #[derive(Debug, Default)]
 pub struct Bytes {
     all: Vec<u8>,
@@ -28,9 +28,13 @@ impl Bytes {
         self.all.extend_from_slice(body);
     }
 
-    /// Removes so many bytes from there on, and moves those before.
+    /// Removes `len` bytes from a place on, and moves the shorter part that is left.
     #[inline]
     pub fn remove(&mut self, from: usize, len: usize) {
+        if from > self.len() - from - len {
+            self.all.drain(self.gone + from..self.gone + from + len);
+            return;
+        }
         self.all.copy_within(self.gone..self.gone + from, self.gone + len);
         self.gone += len;
         if 2 * self.gone >= self.all.len() {
@@ -38,7 +42,7 @@ impl Bytes {
         }
     }
 
-    /// Frees memory beyond so many bytes, and beyond what is there.
+    /// Frees memory beyond `bytes`, and beyond what is there.
     pub fn shrink_to(&mut self, bytes: usize) {
         self.close_up();
         self.all.shrink_to(bytes);

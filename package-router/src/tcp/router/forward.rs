@@ -4,6 +4,7 @@ use super::links::Role;
 use super::{Connection, Counters, Router};
 use crate::name::MailboxName;
 use crate::tcp::outgoing::{Full, Source};
+use crate::tcp::rules::Rules;
 use crate::wire::{self, Endian, Head};
 
 /// The counter of what became of a package, at its sender.
@@ -33,12 +34,7 @@ impl Router {
             self.refuse(from, &sent, now, |counters| &mut counters.receiver_full);
             return 0;
         }
-        let (packages, bytes) = run(head, rest);
-        let (packages, bytes) = match self.enqueue_run(to, head.priority, &rest[..bytes], (source, now)) {
-            Ok(()) => (packages, bytes),
-            // One by one some may find room.
-            Err(Full) => (0, 0),
-        };
+        let (packages, bytes) = self.enqueue_run(from, to, (head, rest), (source, now));
         if let Some(sender) = self.client(from) {
             sender.counters.packages_in += 1 + packages;
             sender.counters.bytes_in += u64::from(head.len) + bytes as u64;
@@ -57,23 +53,31 @@ impl Router {
         self.receiver(from, head.to).ok_or(|counters| &mut counters.nobody_there)
     }
 
-    /// Queues packages of one priority, if there is room for all without any that are displaced.
+    /// Queues packages in front of `rest` that go the way of `first`, as long as there is room without any that are displaced; returns how
+    /// many, and their bytes.
     fn enqueue_run(
         &mut self,
+        from: Connection,
         to: Connection,
-        priority: u8,
-        packages: &[u8],
+        (first, rest): (&Head, &[u8]),
         at: (Source, u64),
-    ) -> Result<(), Full> {
-        if self.held + packages.len() > self.limits.memory {
-            return Err(Full);
+    ) -> (u64, usize) {
+        let room = self.limits.memory.saturating_sub(self.held);
+        // Memory for `first` may have been made of the sender's.
+        if self.client(from).is_none_or(|sender| sender.is_ending) {
+            return (0, 0);
         }
-        let Some(receiver) = self.client(to).filter(|receiver| !receiver.is_ending) else { return Err(Full) };
-        let count = receiver.outgoing.push_run(priority, packages, at)?;
+        let Some(receiver) = self.client(to).filter(|receiver| !receiver.is_ending) else { return (0, 0) };
+        let room = room.min(receiver.outgoing.room()).min(rest.len());
+        let packages = run(first, &rest[..room]);
+        if packages.is_empty() {
+            return (0, 0);
+        }
+        let (count, bytes) = (receiver.outgoing.push_run(first.priority, packages, at), packages.len());
         receiver.counters.packages_out += count;
-        receiver.counters.bytes_out += packages.len() as u64;
-        self.held += packages.len();
-        Ok(())
+        receiver.counters.bytes_out += bytes as u64;
+        self.held += bytes;
+        (count, bytes)
     }
 
     /// The connection that a package leaves by. A package of another system goes to clients of this one only.
@@ -165,17 +169,16 @@ impl Router {
     }
 }
 
-/// Packages in front of `rest` that go the way of `first` and are as urgent, as they are to be sent: how many, and their bytes.
-fn run(first: &Head, rest: &[u8]) -> (u64, usize) {
-    let (mut packages, mut bytes) = (0, 0);
+/// Whole packages in front of `rest` that go the way of `first` and are as urgent, as they are to be sent.
+fn run<'a>(first: &Head, rest: &'a [u8]) -> &'a [u8] {
+    let mut bytes = 0;
     while let Ok(next) = Head::parse(&rest[bytes..])
         && next.head_order == Endian::Little
-        && next.is_command() == first.is_command()
-        && (next.from, next.to, next.priority) == (first.from, first.to, first.priority)
+        && next.priority == first.priority
+        && Rules::are_alike(first, &next)
         && bytes + next.len as usize <= rest.len()
     {
-        packages += 1;
         bytes += next.len as usize;
     }
-    (packages, bytes)
+    &rest[..bytes]
 }

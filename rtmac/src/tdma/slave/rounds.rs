@@ -5,11 +5,13 @@ use rtnet::discipline::{EventKind, SyncState};
 use rtnet::time::{Instant, Offset, Span};
 use rtnet::wire::ethernet::Address;
 
+use super::super::bound::Disagreement;
 use super::super::calibration::Calibration;
 use super::super::envelope::Envelope;
 use super::super::events::Events;
 use super::super::follow::{OnMasterChange, Servo};
 use super::super::line::TimeLine;
+use super::super::mark;
 use super::super::round::Begun;
 use super::{Slave, Track};
 
@@ -64,22 +66,27 @@ impl Slave {
         Ok(before.is_none())
     }
 
-    /// Whether `moved` is earlier than the line only since syncs are on their way for a shorter time than while the delay was measured.
-    /// Then the delay is corrected, and the line goes on.
-    pub(super) fn quicken(&mut self, from: Address, moved: &TimeLine) -> bool {
+    /// Whether `moved`, to which syncs have come, is earlier than the line only since syncs are on their way for a shorter time than the
+    /// delay. Then the delay is corrected, and the line goes on. It has to be known as it was while the delay was measured.
+    pub(super) fn quicken(&mut self, from: Address, moved: &TimeLine, events: &mut Events) -> bool {
         let Track::On { line, .. } = &self.track else { return false };
-        let (by, drift) = (line.start_of(moved.cycle) - moved.start, line.drift);
-        let is_of_line = self.calibration.done().is_some_and(|done| self.envelope.is_unbroken_since(done));
-        let says_the_same = from == self.line_of && moved.sched == line.sched_of(moved.cycle);
-        if !is_of_line || !says_the_same {
+        let says_the_same =
+            from == self.line_of && moved.sched == line.sched_of(moved.cycle) && moved.period == line.period;
+        let by = line.start_of(moved.cycle) - moved.start;
+        let knows = |done| self.envelope.is_unbroken_since(done) && self.envelope.unsure_in(done).is_some();
+        if !says_the_same || !self.calibration.done().is_some_and(knows) {
             return false;
         }
-        let Some(shorter) = self.calibration.quicken(by) else { return false };
-        self.envelope.quicken(shorter);
+        let Some(shorter) = self.calibration.quicker(by) else { return false };
         let start = moved.start + shorter;
-        let line = TimeLine { start, drift, offset: Offset::between(start, moved.sched), ..*moved };
+        let line =
+            TimeLine { start, offset: Offset::between(start, moved.sched), drift: line.drift, ..*moved };
+        let delay = self.calibration.shorten(shorter);
+        self.envelope.quicken(shorter);
+        self.disagreement = Disagreement::at_first(mark::step_limit(self.config.step_limit, line.period));
         self.track = Track::On { line, step: None };
         self.beside = Span::ZERO;
+        events.note(moved.cycle, EventKind::CalibratedAnew, delay);
         true
     }
 

@@ -274,14 +274,19 @@ fn hear_and_calibrate(bench: &mut Bench, cycles: core::ops::Range<u32>, late: i6
     for cycle in cycles {
         bench.hear(cycle, late).unwrap();
         if bench.slave.calibration().delay().is_none() {
-            bench.slave.calibration_mut().begin_round();
-            let sent = u64::from(cycle) * PERIOD + 100_000;
-            bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
-            let [there, back] = [way, way + 200].map(|after| sent + after + AHEAD);
-            let rx = Instant::from_nanos(sent + 2 * way + 200);
-            bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
+            round_of(bench, cycle, way);
         }
     }
+}
+
+/// A request in a cycle, and its reply; each takes `way` nanoseconds.
+fn round_of(bench: &mut Bench, cycle: u32, way: u64) {
+    bench.slave.calibration_mut().begin_round();
+    let sent = u64::from(cycle) * PERIOD + 100_000;
+    bench.slave.calibration_mut().sent(Instant::from_nanos(sent));
+    let [there, back] = [way, way + 200].map(|after| sent + after + AHEAD);
+    let rx = Instant::from_nanos(sent + 2 * way + 200);
+    bench.slave.on_reply(rx, sent, there, back, &mut bench.events).unwrap();
 }
 
 #[test]

@@ -165,7 +165,7 @@ impl Model {
 }
 
 /// Has `bytes` read of what waits for a connection.
-fn read(net: &mut Net, of: usize, bytes: usize) {
+pub(super) fn read(net: &mut Net, of: usize, bytes: usize) {
     let (read, mut left) = (&mut net.read[of], bytes);
     let send = |slices: &[IoSlice<'_>]| {
         let now: Vec<u8> = slices.iter().flat_map(|slice| slice.iter().copied()).take(left).collect();

@@ -97,8 +97,8 @@ fn rounds_of_a_master_that_is_gone_say_nothing_of_the_next() {
     assert_eq!((bench.slave.calibration().delay(), bench.slave.drift_ppb()), (delay, Some(0)));
 }
 
-/// Syncs of these cycles, on their way for `slow`; by how much the line is wrong at the most, apart from the cycles that wait for the
-/// next sync.
+/// Hears syncs of these cycles, on their way for `slow`. Returns the largest error of the line in cycles that do not wait for the next
+/// sync.
 fn wrong_at_most(bench: &mut Bench, cycles: core::ops::Range<u32>, slow: i64) -> Span {
     let mut worst = Span::ZERO;
     for cycle in cycles {
@@ -126,7 +126,7 @@ fn calibrated_while_slow(slow: i64) -> (Bench, u32) {
 fn syncs_slow_while_it_calibrated_make_no_slave_early() {
     // They are then earlier by more than the step limit, 20 us.
     for slow in (25_000..50_000).step_by(500) {
-        for lasts in [0, 3_000] {
+        for lasts in [0, 100, 300, 500, 1_000, 3_000, 8_000] {
             let (mut bench, from) = calibrated_while_slow(slow);
             let quick = from + lasts;
             wrong_at_most(&mut bench, from..quick, slow);
@@ -149,11 +149,44 @@ fn syncs_may_get_quicker_in_several_steps() {
 
 #[test]
 fn a_clock_set_forward_is_no_quicker_sync() {
-    // Less than the delay of syncs beyond a frame's cannot be told from that; more cannot be that.
+    // No sync is quicker than a frame for one station, so 20 us is the most that it can get quicker by.
     let (mut bench, from) = calibrated_while_slow(24_000);
     let set = |cycle: u32| u64::from(cycle) * PERIOD - 30_000;
     assert_eq!(bench.hear_from_line(from, set(from), 24_000), Ok(Followed::Pending));
     assert_eq!(bench.hear_from_line(from + 1, set(from + 1), 24_000), Ok(Followed::NewLine));
     assert_eq!(bench.slave.line().unwrap().start.nanos(), set(from + 1));
     assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(24)));
+}
+
+#[test]
+fn syncs_that_get_quicker_on_another_line_are_followed() {
+    let (mut bench, from) = calibrated_while_slow(33_000);
+    let moved = |cycle: u32| u64::from(cycle) * PERIOD + 400_000;
+    for cycle in from..from + 1_000 {
+        bench.hear_from_line(cycle, moved(cycle), 33_000).unwrap();
+    }
+    // On this line no round tells syncs that are quicker from a clock that was set.
+    let quick = from + 1_000;
+    assert_eq!(bench.hear_from_line(quick, moved(quick), 8_000), Ok(Followed::Pending));
+    assert_eq!(bench.hear_from_line(quick + 1, moved(quick + 1), 8_000), Ok(Followed::NewLine));
+    assert_eq!(bench.slave.calibration().delay(), Some(Span::from_micros(33)));
+}
+
+#[test]
+fn rounds_before_syncs_got_quicker_do_not_count() {
+    let (mut bench, from) = calibrated_while_slow(28_000);
+    bench.slave.calibration_mut().repeat();
+    let measures = |bench: &mut Bench, cycles: core::ops::Range<u32>, slow: i64| {
+        for cycle in cycles {
+            let _ = bench.hear(cycle, slow);
+            if bench.slave.calibration().is_measuring() {
+                round_of(bench, cycle, 4_000);
+            }
+        }
+    };
+    measures(&mut bench, from..from + 90, 28_000);
+    measures(&mut bench, from + 90..from + 101, 4_000);
+    assert!(!bench.slave.calibration().is_measuring(), "all rounds are done");
+    let worst = wrong_at_most(&mut bench, from + 101..from + 1_000, 4_000);
+    assert!(worst <= Span::from_micros(1), "{worst}");
 }

@@ -1,0 +1,48 @@
+//! As many connections as a router takes.
+
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
+
+use super::*;
+use crate::host::figure;
+
+/// The router's limit.
+const CONNECTIONS: u32 = 10_000;
+const MORE: u32 = 10;
+/// Descriptors of all else in this process.
+const OTHERS: u64 = 1_000;
+/// Kind of the request not to be asked for signs of life, which nothing here answers.
+const UNWATCHED: i8 = 19;
+
+#[test]
+fn a_router_takes_ten_thousand_connections() {
+    let test = "a_router_takes_ten_thousand_connections";
+    let needed = u64::from(CONNECTIONS + MORE) + OTHERS;
+    let (soft, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
+    if hard < needed {
+        return skip(test, &format!("needs {needed} descriptors, and may have {hard} (ulimit -Hn)"));
+    }
+    setrlimit(Resource::RLIMIT_NOFILE, soft.max(needed), hard).unwrap();
+    let router = Router::start("crowd", &[]);
+    let mut clients: Vec<TcpStream> = (1..=CONNECTIONS)
+        .map(|name| {
+            let mut client = router.connect();
+            client.write_all(&package(UNWATCHED, 0, 0, &[])).unwrap();
+            register(&mut client, name);
+            client
+        })
+        .collect();
+    for _ in 0..MORE {
+        // It is closed at once, or reset.
+        assert_eq!(router.connect().read(&mut [0]).unwrap_or(0), 0);
+    }
+    clients[0].write_all(&package(-6, CONNECTIONS, 1, b"to the last")).unwrap();
+    assert_eq!(read(clients.last_mut().unwrap()).1, b"to the last");
+    let status = router.status();
+    let [connections, names] = ["connections", "names"].map(|of| status[of].as_u64().unwrap());
+    assert_eq!((connections, names), (CONNECTIONS.into(), CONNECTIONS.into()));
+    assert_eq!(status["counters"]["connections_refused"], MORE);
+    figure(
+        test,
+        &format!("{connections} connections, each with a name; {MORE} more were refused, and counted"),
+    );
+}

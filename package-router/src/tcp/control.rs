@@ -5,6 +5,10 @@ use crate::wire::{Endian, HEAD_LEN, Head};
 
 /// Kind of the router's question whether a client is alive; the client answers 0.
 pub const LIFESIGN: i8 = 17;
+/// Kind of the request to be asked whether one is alive.
+pub const WATCHED: i8 = 18;
+/// Kind of the request not to be asked.
+pub const UNWATCHED: i8 = 19;
 /// Kind of the request to register a mailbox, which is answered.
 pub const REGISTER: i8 = 13;
 /// Kind of the request to delete a mailbox, which is not answered.
@@ -84,8 +88,8 @@ impl Control {
             ROUTER => name().map_or(malformed, |system| Self::Router(system.0)),
             15 => bare(Self::Purge),
             0 => bare(Self::Alive),
-            18 => bare(Self::Watchdog(true)),
-            19 => bare(Self::Watchdog(false)),
+            WATCHED => bare(Self::Watchdog(true)),
+            UNWATCHED => bare(Self::Watchdog(false)),
             _ => Self::Unknown,
         })
     }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
 use package_router::name::MailboxName;
-use package_router::tcp::control::{CONFIRM, LIFESIGN, request};
+use package_router::tcp::control::{CONFIRM, LIFESIGN, WATCHED, request};
 use package_router::wire::{HEAD_LEN, Head, OK};
 use serde_json::{Value, json};
 use socket2::{Domain, Socket, Type};
@@ -19,8 +19,6 @@ use crate::protocols::{self, Protocol, name};
 const WAITING: usize = 10_000;
 /// The priority of the urgent package; those that wait have 0.
 const URGENT: u8 = 200;
-/// Kind of the request to be asked for signs of life. Clients of the benchmark switch that off when they join.
-const WATCHED: i8 = 18;
 /// The receiver's socket buffer, which would grow else: most packages wait in the router.
 const BUFFER: usize = 64 << 10;
 

@@ -5,6 +5,7 @@ use std::net::TcpStream;
 
 use anyhow::{Result, bail, ensure};
 use package_router::name::MailboxName;
+use package_router::tcp::control::UNWATCHED;
 use package_router::wire::{HEAD_LEN, Head, OK};
 
 /// Bytes behind the 16 of a head.
@@ -43,7 +44,7 @@ impl Protocol for Ours {
         stream.read_exact(&mut answer)?;
         ensure!(Head::parse(&answer)?.kind == OK, "the name {} is taken", name(me));
         // No lifesigns among the packages that are counted.
-        stream.write_all(&Head::new(19, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes())?;
+        stream.write_all(&Head::new(UNWATCHED, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes())?;
         Ok(())
     }
 

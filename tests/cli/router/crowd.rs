@@ -2,6 +2,8 @@
 
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
+use package_router::tcp::control::UNWATCHED;
+
 use super::*;
 use crate::host::figure;
 
@@ -10,8 +12,6 @@ const CONNECTIONS: u32 = 10_000;
 const MORE: u32 = 10;
 /// Descriptors of all else in this process.
 const OTHERS: u64 = 1_000;
-/// Kind of the request not to be asked for signs of life, which nothing here answers.
-const UNWATCHED: i8 = 19;
 
 #[test]
 fn a_router_takes_ten_thousand_connections() {
@@ -26,6 +26,7 @@ fn a_router_takes_ten_thousand_connections() {
     let mut clients: Vec<TcpStream> = (1..=CONNECTIONS)
         .map(|name| {
             let mut client = router.connect();
+            // Nothing here answers questions for a sign of life.
             client.write_all(&package(UNWATCHED, 0, 0, &[])).unwrap();
             register(&mut client, name);
             client

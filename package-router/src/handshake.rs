@@ -339,6 +339,7 @@ impl RawShape {
             when_full: match shape.when_full {
                 WhenFull::Refuse => 0,
                 WhenFull::Replace => 1,
+                WhenFull::Answer => 2,
             },
             slots: number(shape.slots),
             largest_body: number(shape.largest_body),
@@ -350,6 +351,7 @@ impl RawShape {
         let when_full = match self.when_full {
             0 => WhenFull::Refuse,
             1 => WhenFull::Replace,
+            2 => WhenFull::Answer,
             _ => return None,
         };
         let [slots, largest_body, senders] =

@@ -55,10 +55,10 @@ use zerocopy::byteorder::LittleEndian;
 
 use crate::body::{self, BodyError, Record};
 use crate::component::{self, Component, Mailbox, ReceiveError, SendError, Sender};
-use crate::mailbox::{self, Shape};
+use crate::mailbox::Shape;
 use crate::name::MailboxName;
 use crate::priority;
-use crate::wire::{Head, NOT_AVAILABLE};
+use crate::wire::Head;
 
 pub use calls::{Call, Dropped, MOST_CALLS};
 use calls::{Calls, Next};
@@ -182,8 +182,7 @@ impl Proxy {
 
     /// Sends a command without waiting for its reply. It does not wait at all.
     ///
-    /// Other than 1 to 127 is no command, and no server answers it. Where the server is reached by TCP and the queue to the router is
-    /// full, the call is answered NOT_AVAILABLE at once.
+    /// Other than 1 to 127 is no command, and no server answers it.
     pub fn begin(&mut self, command: i8, body: &[u8]) -> Result<Call, CallError> {
         let Some(server) = &mut self.server else {
             return Err(SendError::NoMailbox(self.calls.server()).into());
@@ -192,13 +191,6 @@ impl Proxy {
         let head = Head { kind: command, priority: self.priority, id: call.id(), ..Head::default() };
         match server.send_with(&head, body) {
             Ok(()) => Ok(call),
-            Err(SendError::Mailbox(mailbox::SendError::Full(_)))
-                if server.is_by_tcp() && head.is_command() =>
-            {
-                let command = Head { from: self.mailbox.name(), to: server.to(), ..head };
-                self.calls.on_package(&command.answer(NOT_AVAILABLE), monotonic(), |_| 0);
-                Ok(call)
-            }
             Err(error) => {
                 self.calls.give_up(&call);
                 Err(error.into())

@@ -158,7 +158,10 @@ fn a_command_that_nobody_takes_is_answered_and_counted() {
         Err(SendError::LongerThanTcpTakes { got: 4_097, most: 4_096 }),
         "nor does the way there"
     );
-    (0..17).for_each(|_| send(&mut asks));
+    for more in 1..=17 {
+        asks.send(1, &[]).unwrap();
+        eventually("it is written", || status(&component).session.sent == 2 + more);
+    }
     assert_eq!(answer(&mut arm), NOT_AVAILABLE, "16 wait, and there is no room");
     eventually("all of it is counted", || {
         let counted = status(&theirs).local;
@@ -167,20 +170,20 @@ fn a_command_that_nobody_takes_is_answered_and_counted() {
     (0..16).for_each(|_| _ = camera.receive(Some(PATIENCE)).unwrap());
     drop(router);
     eventually("the connection is lost", || !status(&component).is_connected);
-    send(&mut asks);
+    asks.send(1, &[]).unwrap();
     assert_eq!(answer(&mut arm), NOT_AVAILABLE, "there is no router");
     eventually("it is counted", || status(&component).local.not_connected == 1);
     assert!(status(&component).last_error.is_some());
 }
 
 #[test]
-fn calls_are_answered_and_counted_where_the_queue_is_full() {
+fn commands_are_answered_and_counted_where_the_queue_is_full() {
     // The kernel takes connections; no program reads.
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let at = silent.local_addr().unwrap().to_string().parse().unwrap();
     let component = Component::of_router(&TcpOptions::new(at)).unwrap();
     eventually("it is connected", || status(&component).is_connected);
-    let arm = component.mailbox(name(0x80, 0), Shape::new(16, 64)).unwrap();
+    let mut arm = component.mailbox(name(0x80, 0), Shape::new(16, 64)).unwrap();
     let mut asks = arm.sender(name(0x15, 0)).unwrap();
     let body = [0; 4_096];
     let full = Err(SendError::Mailbox(mailbox::SendError::Full(8)));
@@ -195,19 +198,24 @@ fn calls_are_answered_and_counted_where_the_queue_is_full() {
             stays_full
         }
     });
+    // Its queue stays full: each command is answered, and nothing else is.
+    for _ in 0..40 {
+        let id = asks.send(1, &body).unwrap();
+        assert_eq!(asks.send(0, &[]), full);
+        let package = arm.receive(Some(PATIENCE)).unwrap();
+        let Head { kind, id: of, from, len, .. } = *package.head();
+        assert_eq!((kind, of, from, len), (NOT_AVAILABLE, id, name(0x15, 0), 16));
+    }
+    refused += 2 * 40;
     let mut proxy = Proxy::new(&component, name(0x80, 1), Shape::new(16, 64), name(0x15, 0)).unwrap();
     let calls: Vec<_> = (0..12).map(|_| proxy.begin(1, &body).unwrap()).collect();
+    eventually("4 are answered", || proxy.is_answered(&calls[11]).unwrap());
     let answered: Vec<bool> = calls.iter().map(|call| proxy.is_answered(call).unwrap()).collect();
     assert_eq!(answered, [[false; 8].as_slice(), &[true; 4]].concat(), "8 wait for the router");
     let ends = calls.into_iter().skip(8).map(|call| proxy.finish(call, Duration::ZERO).err());
     assert!(ends.into_iter().all(|end| end == Some(CallError::NotAvailable(name(0x15, 0)))));
     eventually("each is counted", || status(&component).local.queue_full == refused + 4);
     assert_eq!(status(&component).local.waiting, 16);
-}
-
-/// Whenever its queue has room.
-fn send(sender: &mut Sender) {
-    eventually("there is room", || sender.send(1, &[]).is_ok());
 }
 
 #[test]

@@ -119,11 +119,6 @@ impl Sender {
         matches!(self.way, Way::Here(_))
     }
 
-    /// Whether it leads into the queue of the TCP client.
-    pub(crate) fn is_by_tcp(&self) -> bool {
-        matches!(self.way, Way::Tcp(_))
-    }
-
     /// The other station to which it leads, and the slot; `None`: it leads to a mailbox of this one, or to the TCP router.
     pub fn away(&self) -> Option<(Ipv4Addr, Channel)> {
         match &self.way {
@@ -183,7 +178,8 @@ impl Sender {
         self.priority = priority;
     }
 
-    /// Sends a package. It does not wait, whatever its receiver does. Tells the package's number, which a reply has, too.
+    /// Sends a package. It does not wait, whatever its receiver does. Returns the package's number, which a reply has, too. A command
+    /// for a TCP router whose queue is full is answered NOT_AVAILABLE.
     #[inline]
     pub fn send(&mut self, kind: i8, body: &[u8]) -> Result<u8, SendError> {
         self.id = self.id.wrapping_add(1);

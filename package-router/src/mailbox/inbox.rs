@@ -1,7 +1,7 @@
 //! The owner's end: all lanes of a mailbox, merged by priority. Nothing that a sender writes is believed: the worst that comes
 //! of it is that its own packages are lost.
 
-use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::layout::{Entry, HEAD, KEPT, Layout, of_lane, of_owner, of_sender, of_slot};
 use super::news::News;
 use super::package::{Package, TooSmall};
 use super::sender::{Origin, Stamps};
@@ -36,6 +36,8 @@ pub(super) struct Lane<Theirs> {
     pub(super) sender: Option<Attached<Theirs>>,
     /// How many of its slots were given back, whoever had it.
     returned: u64,
+    /// How many refused commands were taken, whoever had it.
+    answered: u64,
 }
 
 pub(super) struct Attached<Theirs> {
@@ -54,6 +56,13 @@ pub(super) struct Attached<Theirs> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("that lane has a sender whose packages are not all read yet")]
 pub struct Taken;
+
+#[inline]
+fn read_head(words: &[impl Word]) -> Option<Head> {
+    let halves = [words[0].get(), words[1].get()].map(u64::to_ne_bytes);
+    let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
+    Head::parse(&bytes).ok()
+}
 
 /// What there was to be read.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -82,7 +91,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let layout = Layout::of(shape);
         assert!(own.count() >= layout.owner_words(shape.senders), "the owner's segment has all lanes");
         let nodes = shape.slots * shape.senders;
-        let lanes = (0..shape.senders).map(|_| Lane { sender: None, returned: 0 }).collect();
+        let lanes = (0..shape.senders).map(|_| Lane { sender: None, returned: 0, answered: 0 }).collect();
         let known = vec![0; nodes].into_boxed_slice();
         let news = News::with_room(shape.slots, nodes);
         let urgency = Urgency::new(nodes);
@@ -115,7 +124,8 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let slots = self.layout.slots;
         let lane = (0..self.used).find(|&lane| {
             let is_over = self.lanes[lane].sender.as_ref().is_some_and(|sender| sender.has_left);
-            is_over && (lane * slots..(lane + 1) * slots).all(|node| !self.urgency.waits(node as Node))
+            let mut nodes = lane * slots..(lane + 1) * slots;
+            is_over && nodes.all(|node| !self.urgency.waits(node as Node)) && !self.keeps(lane)
         })?;
         let sender = self.lanes[lane].sender.take()?;
         self.refused = self.refused.wrapping_add(sender.segment.at(of_sender::FULL).get());
@@ -126,6 +136,47 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     pub fn refused(&self) -> u64 {
         let senders = self.lanes[..self.used].iter().filter_map(|lane| lane.sender.as_ref());
         senders.fold(self.refused, |sum, sender| sum.wrapping_add(sender.segment.at(of_sender::FULL).get()))
+    }
+
+    /// Takes the heads of commands that found no slot, in a mailbox that [answers](WhenFull::Answer) such ones: of all that were
+    /// refused before. They are answered by whoever takes them.
+    pub fn take_refused(&mut self, heads: &mut Vec<Head>) {
+        for lane in 0..self.used {
+            if self.keeps(lane) {
+                self.take_refused_of(lane, heads);
+            }
+        }
+    }
+
+    fn take_refused_of(&mut self, lane: usize, heads: &mut Vec<Head>) {
+        let Lane { sender, answered, .. } = &mut self.lanes[lane];
+        let Some(sender) = sender else { return };
+        let kept = sender.segment.at(of_sender::KEPT).get_acquire();
+        if kept.wrapping_sub(*answered) > KEPT as u64 {
+            sender.is_broken = true;
+            return self.count(of_owner::NONSENSE, 1);
+        }
+        let (mut nonsense, mut forged) = (0, 0);
+        while *answered != kept {
+            let head = read_head(sender.segment.part(self.layout.kept(*answered), HEAD));
+            match head.filter(Head::is_command) {
+                None => nonsense += 1,
+                Some(head) if head.from != sender.from => forged += 1,
+                Some(head) => heads.push(head),
+            }
+            *answered = answered.wrapping_add(1);
+        }
+        self.own.at(self.layout.lane(lane) + of_lane::ANSWERED).set_release(kept);
+        self.count(of_owner::NONSENSE, nonsense);
+        self.count(of_owner::FORGED, forged);
+    }
+
+    /// Whether a refused command of that lane waits to be answered.
+    fn keeps(&self, lane: usize) -> bool {
+        let Lane { sender, answered, .. } = &self.lanes[lane];
+        let sender = sender.as_ref().filter(|sender| !sender.is_broken);
+        self.layout.when_full == WhenFull::Answer
+            && sender.is_some_and(|sender| sender.segment.at(of_sender::KEPT).get_acquire() != *answered)
     }
 
     /// Whether something waits, or did when it was looked at.
@@ -192,14 +243,16 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     }
 
     /// Says that it sleeps, and looks once more: whether there is nothing, so that it may. Who sends then says that it is to be woken.
+    /// If there is something, and refused commands are to be answered, those wake it.
     pub fn falls_asleep(&mut self) -> bool {
-        self.own.at(of_owner::ASLEEP).set(1);
+        self.own.at(of_owner::ASLEEP).set(of_owner::FOR_PACKAGES);
         // Either a sender sees that, or what it has sent is seen here.
         Own::Word::fence();
         if !self.has_some() {
             return true;
         }
-        self.wakes_up();
+        let answers = self.layout.when_full == WhenFull::Answer;
+        self.own.at(of_owner::ASLEEP).set(if answers { of_owner::FOR_REFUSED } else { 0 });
         false
     }
 
@@ -247,12 +300,9 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
             let Some(sender) = &self.lanes[lane].sender else { continue };
             let base = self.layout.slot(slot);
             let words = sender.segment.part(base, of_slot::BODY);
-            let at = |place: usize| words[place].get();
             let is_there = words[of_slot::NUMBER].get_acquire() == number;
-            let halves = [at(of_slot::HEAD), at(of_slot::HEAD + 1)].map(u64::to_ne_bytes);
-            let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
-            let (from, took) = (sender.from, now.saturating_sub(at(of_slot::SENT)));
-            let parsed = Head::parse(&bytes);
+            let (from, took) = (sender.from, now.saturating_sub(words[of_slot::SENT].get()));
+            let parsed = read_head(&words[of_slot::HEAD..]);
             let head = parsed.unwrap_or_default();
             self.found = Found { head, node, lane, slot, number, took };
             if !is_there {
@@ -262,7 +312,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
                 nothing = Taking::Replaced;
                 continue;
             }
-            let is_sound = parsed.is_ok() && head.body_len() <= self.layout.largest_body;
+            let is_sound = parsed.is_some() && head.body_len() <= self.layout.largest_body;
             if !is_sound || (from != MailboxName::NOBODY && head.from != from) {
                 self.count(if is_sound { of_owner::FORGED } else { of_owner::NONSENSE }, 1);
                 self.give_back(false);

@@ -2,11 +2,13 @@
 //!
 //! ```text
 //! a sender's segment: it writes, the owner reads                 the owner's segment: it writes, senders read
-//!    0  published: the number of its newest package   1  begun      0  asleep
+//!    0  published: the number of its newest package   1  begun      0  asleep: 1, it waits for packages; 2, for refused commands alone
+//!    2  kept: how many refused commands
 //!    8  sent, full, too large, replaced                             8  statistics
 //!   16  announced: ring of entries, one for each package           16  latencies
-//!    …  slots, each in whole cache lines:                           …  lanes, one for each sender:
-//!       0  number of the package in it, 0: none                        0  returned: how many   1  taking: a number, 0: none   2  drained
+//!    …  kept: ring of the heads of refused commands                 …  lanes, one for each sender:
+//!    …  slots, each in whole cache lines:                              0  returned: how many   1  taking: a number, 0: none   2  drained
+//!       0  number of the package in it, 0: none                        3  answered: how many refused commands
 //!       1  sent  2  left  3  came  4  head, 16 bytes  6  origin  8  body   8  ring of entries, one for each that was returned
 //!
 //! an entry: a package's number << 16 | its slot; of a returned one the highest bit says that nobody has read it
@@ -17,9 +19,15 @@
 
 use super::shape::{Shape, WhenFull};
 use super::word::{Segment, Word};
+use crate::wire::HEAD_LEN;
 
 /// Words of a cache line.
 pub const LINE: usize = 8;
+
+/// Refused commands of a sender that may wait to be answered: a power of two.
+pub const KEPT: usize = 16;
+/// Words of a head.
+pub const HEAD: usize = HEAD_LEN / size_of::<u64>();
 
 /// Of a sender's segment.
 pub mod of_sender {
@@ -27,6 +35,8 @@ pub mod of_sender {
     pub const PUBLISHED: usize = 0;
     /// How many slots of the lane had been returned when it came.
     pub const BEGUN: usize = 1;
+    /// Commands that were refused and kept to be answered.
+    pub const KEPT: usize = 2;
     /// Packages that it has sent.
     pub const SENT: usize = 8;
     /// Such that found no slot.
@@ -58,8 +68,10 @@ pub mod of_slot {
 
 /// Of the owner's segment.
 pub mod of_owner {
-    /// Whether it waits to be woken.
+    /// Whether it waits to be woken: by a package, or, while packages wait that it does not read now, by a refused command.
     pub const ASLEEP: usize = 0;
+    pub(in crate::mailbox) const FOR_PACKAGES: u64 = 1;
+    pub(in crate::mailbox) const FOR_REFUSED: u64 = 2;
     /// Packages that were received.
     pub const RECEIVED: usize = 8;
     /// Such that were cleaned away.
@@ -83,6 +95,8 @@ pub mod of_lane {
     pub const TAKING: usize = 1;
     /// Who of those that had the lane was read to the end: written for who sees to lanes.
     pub const DRAINED: usize = 2;
+    /// Refused commands that the owner has taken to answer.
+    pub const ANSWERED: usize = 3;
     pub(super) const RING: usize = super::LINE;
 }
 
@@ -93,6 +107,8 @@ pub struct Layout {
     pub slots: usize,
     /// Of each of the rings, a power of two.
     pub ring: usize,
+    /// Where the first refused command is kept.
+    first_kept: usize,
     /// Where the first slot is, and from one to the next.
     first_slot: usize,
     stride: usize,
@@ -110,10 +126,13 @@ impl Layout {
         let stride = (of_slot::BODY + shape.largest_body.div_ceil(size_of::<u64>())).next_multiple_of(LINE);
         // Between two looks of a sender all that it has there may come back, and what each of them has made way for, too.
         let ring = (2 * shape.slots).next_power_of_two();
+        let first_kept = of_sender::RING + ring;
+        let kept = if shape.when_full == WhenFull::Answer { KEPT * HEAD } else { 0 };
         Self {
             slots: shape.slots,
             ring,
-            first_slot: (of_sender::RING + ring).next_multiple_of(LINE),
+            first_kept,
+            first_slot: (first_kept + kept).next_multiple_of(LINE),
             stride,
             lane_stride: (of_lane::RING + ring).next_multiple_of(LINE),
             largest_body: shape.largest_body,
@@ -138,6 +157,10 @@ impl Layout {
     #[inline]
     pub fn announced(&self, number: u64) -> usize {
         of_sender::RING + self.in_ring(number)
+    }
+    /// Where the head of a refused command is kept, counted from 0.
+    pub fn kept(&self, count: u64) -> usize {
+        self.first_kept + (count as usize & (KEPT - 1)) * HEAD
     }
     /// Where a sender's lane begins in the owner's segment.
     #[inline]
@@ -219,7 +242,7 @@ mod tests {
     #[test]
     fn everything_has_a_place_of_its_own() {
         for (slots, largest_body, senders) in [(1, 0, 1), (3, 1, 2), (16, 240, 5), (1024, 1456, 127)] {
-            let layout = Layout::of(&Shape { slots, largest_body, senders, when_full: WhenFull::Refuse });
+            let layout = Layout::of(&Shape { slots, largest_body, senders, when_full: WhenFull::Answer });
             let mut seen = BTreeSet::new();
             let mut take = |range: core::ops::Range<usize>, end: usize| {
                 range.for_each(|word| assert!(word < end && seen.insert(word), "word {word}"));
@@ -228,6 +251,7 @@ mod tests {
             take(0..12, end);
             (0..layout.ring as u64)
                 .for_each(|number| take(layout.announced(number)..layout.announced(number) + 1, end));
+            (0..KEPT as u64).for_each(|count| take(layout.kept(count)..layout.kept(count) + HEAD, end));
             for slot in 0..slots {
                 let begin = layout.slot(slot);
                 assert_eq!(begin % LINE, 0);
@@ -240,7 +264,7 @@ mod tests {
             let end = layout.owner_words(senders);
             take(0..of_owner::LANES, end);
             for lane in 0..senders {
-                take(layout.lane(lane)..layout.lane(lane) + 3, end);
+                take(layout.lane(lane)..layout.lane(lane) + 4, end);
                 (0..layout.ring as u64)
                     .for_each(|n| take(layout.returned(lane, n)..layout.returned(lane, n) + 1, end));
             }

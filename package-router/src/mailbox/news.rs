@@ -95,7 +95,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     fn look_at_all_of<const IS_ONLY: bool>(&mut self, lane: usize, newest: u64, mut sent: u64) {
         let Self { lanes, layout, news, .. } = self;
         let Some(sender) = &mut lanes[lane].sender else { return };
-        if layout.when_full == WhenFull::Refuse {
+        if layout.when_full != WhenFull::Replace {
             // It has no more slots than that: nobody has read so many.
             sender.is_broken = true;
             return self.count(of_owner::NONSENSE, 1);

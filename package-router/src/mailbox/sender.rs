@@ -2,7 +2,7 @@
 
 use rtnet::time::GlobalTime;
 
-use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::layout::{Entry, HEAD, KEPT, Layout, of_lane, of_owner, of_sender, of_slot};
 use super::shape::WhenFull;
 use super::word::{Segment, Word};
 use crate::wire::{HEAD_LEN, Head};
@@ -123,6 +123,7 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         // A lane that had another sender before goes on where that ended.
         let returned = theirs.at(layout.lane(lane) + of_lane::RETURNED).get_acquire();
         own.at(of_sender::BEGUN).set(returned);
+        own.at(of_sender::KEPT).set(theirs.at(layout.lane(lane) + of_lane::ANSWERED).get_acquire());
         // The last one first, which is still in the cache; at the beginning the first.
         let free = (0..layout.slots as u16).rev().collect();
         let held = vec![Held::default(); layout.slots].into_boxed_slice();
@@ -132,9 +133,32 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     /// Sends a package: whether its receiver sleeps, and is to be woken. The length in its head is made that of the body.
     #[inline]
     pub fn send(&mut self, head: &Head, body: &[u8], stamps: &Stamps) -> Result<bool, SendError> {
-        let mut begun = self.begin(head.priority, body.len())?;
+        let mut begun = match self.begin(head.priority, body.len()) {
+            Err(SendError::Full(slots)) => return self.keep(head).ok_or(SendError::Full(slots)),
+            begun => begun?,
+        };
         begun.write(&self.own, body);
         Ok(self.publish(&begun, head, stamps))
+    }
+
+    /// Keeps a refused command for the owner to answer: whether that sleeps, and is to be woken. `None`: it is none that the owner
+    /// answers, or there is no room.
+    #[cold]
+    fn keep(&mut self, head: &Head) -> Option<bool> {
+        let Self { own, theirs, layout, lane, .. } = self;
+        if layout.when_full != WhenFull::Answer || !head.is_command() {
+            return None;
+        }
+        let answered = theirs.at(layout.lane(*lane) + of_lane::ANSWERED).get_acquire();
+        let kept = own.at(of_sender::KEPT).get();
+        if kept.wrapping_sub(answered) >= KEPT as u64 {
+            return None;
+        }
+        write_head(own.part(layout.kept(kept), HEAD), &Head { len: HEAD_LEN as u32, ..*head });
+        own.at(of_sender::KEPT).set_release(kept.wrapping_add(1));
+        // As with a package: either it is seen here that the owner sleeps, or the owner sees the command.
+        Own::Word::fence();
+        Some(theirs.at(of_owner::ASLEEP).get() != 0)
     }
 
     /// A slot for a body of so many bytes.
@@ -176,7 +200,6 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         let (number, slot) = (*newest + 1, usize::from(begun.slot));
         let base = layout.slot(slot);
         let head = Head { len: (HEAD_LEN + begun.written) as u32, ..*head };
-        let bytes: [[u8; 8]; 2] = zerocopy::transmute!(head.to_bytes());
         let words = own.part(base, of_slot::BODY);
         words[of_slot::SENT].set(stamps.sent);
         words[of_slot::ORIGIN].set(stamps.origin.word());
@@ -185,9 +208,7 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
             words[of_slot::LEFT].set(stamps.left.map_or(0, GlobalTime::nanos));
             words[of_slot::CAME].set(stamps.came.map_or(0, GlobalTime::nanos));
         }
-        for (word, half) in words[of_slot::HEAD..].iter().zip(bytes) {
-            word.set(u64::from_ne_bytes(half));
-        }
+        write_head(&words[of_slot::HEAD..], &head);
         *newest = number;
         held[slot] = Held { number, priority: head.priority, in_limbo: false };
         words[of_slot::NUMBER].set_release(number);
@@ -197,7 +218,7 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
         own.at(of_sender::PUBLISHED).set_release(number);
         // Either the receiver has said that it sleeps, and that is seen here, or it looks once more and sees the package.
         Own::Word::fence();
-        theirs.at(of_owner::ASLEEP).get() != 0
+        theirs.at(of_owner::ASLEEP).get() == of_owner::FOR_PACKAGES
     }
 
     /// How many of its packages wait to be read, as far as it knows.
@@ -271,6 +292,14 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     fn count(&self, place: usize) {
         let word = self.own.at(place);
         word.set(word.get().wrapping_add(1));
+    }
+}
+
+#[inline]
+fn write_head(words: &[impl Word], head: &Head) {
+    let bytes: [[u8; 8]; HEAD] = zerocopy::transmute!(head.to_bytes());
+    for (word, half) in words.iter().zip(bytes) {
+        word.set(u64::from_ne_bytes(half));
     }
 }
 

@@ -32,6 +32,9 @@ pub enum WhenFull {
     Refuse,
     /// It takes the place of the oldest of the least urgent that its sender has waiting there, unless that is more urgent.
     Replace,
+    /// It is refused, but a command counts as sent: its head is kept, and the owner [answers](super::Inbox::take_refused) it. Once
+    /// [16](super::layout::KEPT) of a sender wait for that, its commands are refused, too.
+    Answer,
 }
 
 /// A mailbox that cannot be.
@@ -67,6 +70,11 @@ impl Shape {
     /// The same for a mailbox that prefers what is new.
     pub const fn replacing(self) -> Self {
         Self { when_full: WhenFull::Replace, ..self }
+    }
+
+    /// The same for a mailbox whose owner answers the commands that find no slot.
+    pub const fn answering(self) -> Self {
+        Self { when_full: WhenFull::Answer, ..self }
     }
 
     /// Its lanes: the first is the LAN router's, then those of its senders, the last is the TCP client's.

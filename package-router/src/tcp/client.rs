@@ -5,8 +5,8 @@
 //! components' mailboxes ◄─ the lane of each ◄── session ◄─ the router
 //! ```
 //!
-//! It is a component of its broker. Its mailbox is its queue: bounded, the most urgent package first; a sender that finds it full is
-//! refused at once, as by any mailbox. It connects again by itself.
+//! It is a component of its broker. Its mailbox is its queue: bounded, the most urgent package first. A sender that finds it full is
+//! refused at once, as by any mailbox, but for commands: those are answered NOT_AVAILABLE. It connects again by itself.
 
 mod local;
 pub mod session;
@@ -71,7 +71,7 @@ impl TcpOptions {
     /// The mailbox in which packages wait: of as many senders as there may be, and as its memory takes.
     fn shape(&self) -> Shape {
         let largest_body = self.largest_body.min(LARGEST_BODY);
-        let shape = Shape::new(SLOTS, largest_body).senders(1);
+        let shape = Shape::new(SLOTS, largest_body).senders(1).answering();
         let each = Layout::of(&shape).sender_words() * size_of::<u64>();
         shape.senders((MOST_BYTES / each).clamp(1, MOST_SENDERS))
     }
@@ -261,7 +261,7 @@ impl Worker {
             None if self.dial.is_down() && !is_empty => 0,
             None => self.dial.due().unwrap_or(0),
         };
-        // A sender that finds the queue full does not wake this thread.
+        // A package that is refused does not wake this thread, unless it is a command.
         let until = if is_empty { until } else { until.min(self.look_at) };
         Duration::from_millis(until.saturating_sub(now()))
     }

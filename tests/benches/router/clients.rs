@@ -13,13 +13,11 @@ use crate::protocols::Protocol;
 /// Not measured: the first trips.
 const WARM: usize = 1_000;
 /// Packages of one write.
-const BATCH: usize = 64;
+pub const BATCH: usize = 64;
 /// Packages of a pair that are on their way at the most: no router drops any.
 const ON_THE_WAY: usize = 4_096;
 /// A router that has not passed a package on in such a time has lost it.
 pub const PATIENCE: Duration = Duration::from_secs(10);
-/// Connections that say nothing.
-const SILENT: usize = 1_000;
 
 /// A client that has joined.
 pub fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStream> {
@@ -39,30 +37,64 @@ pub fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStr
     Ok(stream)
 }
 
+/// Clients of which the first and the last exchange packages.
+pub struct Trips {
+    all: Vec<TcpStream>,
+    there: Vec<u8>,
+    back: Vec<u8>,
+    room: [Vec<u8>; 2],
+}
+
+impl Trips {
+    pub fn join(protocol: &dyn Protocol, at: SocketAddr, clients: u32) -> Result<Self> {
+        let all = (0..clients).map(|me| joined(protocol, at, me)).collect::<Result<Vec<_>>>()?;
+        let last = clients - 1;
+        let (there, back) = (protocol.package(last, 0), protocol.package(0, last));
+        let room = [last, 0].map(|to| vec![0; protocol.comes(to)]);
+        let mut trips = Self { all, there, back, room };
+        for _ in 0..WARM {
+            trips.once()?;
+        }
+        Ok(trips)
+    }
+
+    fn once(&mut self) -> Result<u64> {
+        let Self { all, there, back, room: [at_last, at_first] } = self;
+        let last = all.len() - 1;
+        let begun = Instant::now();
+        all[0].write_all(there)?;
+        all[last].read_exact(at_last)?;
+        all[last].write_all(back)?;
+        all[0].read_exact(at_first)?;
+        Ok(begun.elapsed().as_nanos() as u64)
+    }
+
+    /// Round trips, one after the other.
+    pub fn run(&mut self, time: Duration, times: &mut Histogram<u64>) -> Result<()> {
+        let begun = Instant::now();
+        while begun.elapsed() < time {
+            times.record(self.once()?)?;
+        }
+        Ok(())
+    }
+}
+
+/// A histogram of times in nanoseconds.
+pub fn histogram() -> Result<Histogram<u64>> {
+    Ok(Histogram::new(3)?)
+}
+
+/// What of it is printed.
+pub fn shown(times: &Histogram<u64>) -> Value {
+    let at = |share| times.value_at_quantile(share);
+    json!({ "n": times.len(), "p50": at(0.5), "p99": at(0.99), "p999": at(0.999) })
+}
+
 /// Round trips between the first and the last of `clients` clients.
 pub fn trips(protocol: &dyn Protocol, at: SocketAddr, time: Duration, clients: u32) -> Result<Value> {
-    let mut all = (0..clients).map(|me| joined(protocol, at, me)).collect::<Result<Vec<_>>>()?;
-    let last = clients - 1;
-    let (there, back) = (protocol.package(last, 0), protocol.package(0, last));
-    let mut room = vec![0; protocol.comes(last).max(protocol.comes(0))];
-    let mut times = Histogram::<u64>::new(3)?;
-    let mut once = |all: &mut [TcpStream]| -> Result<u64> {
-        let begun = Instant::now();
-        all[0].write_all(&there)?;
-        all[last as usize].read_exact(&mut room[..protocol.comes(last)])?;
-        all[last as usize].write_all(&back)?;
-        all[0].read_exact(&mut room[..protocol.comes(0)])?;
-        Ok(begun.elapsed().as_nanos() as u64)
-    };
-    for _ in 0..WARM {
-        once(&mut all)?;
-    }
-    let begun = Instant::now();
-    while begun.elapsed() < time {
-        times.record(once(&mut all)?)?;
-    }
-    let at = |share| times.value_at_quantile(share);
-    Ok(json!({ "n": times.len(), "p50": at(0.5), "p99": at(0.99), "p999": at(0.999) }))
+    let mut times = histogram()?;
+    Trips::join(protocol, at, clients)?.run(time, &mut times)?;
+    Ok(shown(&times))
 }
 
 struct Pair {
@@ -78,10 +110,19 @@ struct Pair {
 }
 
 impl Pair {
-    /// Sends and reads what goes without waiting; tells whether anything did.
-    fn turn(&mut self, room: &mut [u8]) -> Result<bool> {
+    fn join(protocol: &dyn Protocol, at: SocketAddr, pair: u32) -> Result<Self> {
+        let (from, to) = (2 * pair, 2 * pair + 1);
+        let (sender, receiver) = (joined(protocol, at, from)?, joined(protocol, at, to)?);
+        sender.set_nonblocking(true)?;
+        receiver.set_nonblocking(true)?;
+        let batch = protocol.package(to, from).repeat(BATCH);
+        Ok(Self { sender, receiver, batch, left: 0, sent: 0, comes: protocol.comes(to), came: 0 })
+    }
+
+    /// Sends and reads what goes without waiting, no further batch after the end; returns whether anything did.
+    fn turn(&mut self, room: &mut [u8], is_over: bool) -> Result<bool> {
         let mut moved = false;
-        while self.left > 0 || self.sent - self.came / self.comes + BATCH <= ON_THE_WAY {
+        while self.left > 0 || !is_over && self.on_the_way() + BATCH <= ON_THE_WAY {
             match self.sender.write(&self.batch[self.left..]) {
                 Ok(length) => {
                     moved = true;
@@ -105,41 +146,58 @@ impl Pair {
         }
         Ok(moved)
     }
+
+    /// Packages that have left and not come.
+    fn on_the_way(&self) -> usize {
+        self.sent - self.came / self.comes
+    }
+}
+
+/// Senders, each with a receiver of its own.
+pub struct Pairs {
+    all: Vec<Pair>,
+    room: Vec<u8>,
+}
+
+impl Pairs {
+    pub fn join(protocol: &dyn Protocol, at: SocketAddr, pairs: u32) -> Result<Self> {
+        let all = (0..pairs).map(|pair| Pair::join(protocol, at, pair)).collect::<Result<Vec<_>>>()?;
+        Ok(Self { all, room: vec![0; 256 << 10] })
+    }
+
+    /// Sends and receives so long, and until all have come that were sent: how many came, and in how many seconds.
+    pub fn run(&mut self, time: Duration) -> Result<(usize, f64)> {
+        let (begun, before) = (Instant::now(), self.came());
+        let mut moved = begun;
+        loop {
+            let is_over = begun.elapsed() >= time;
+            if is_over && self.all.iter().all(|pair| pair.left == 0 && pair.on_the_way() == 0) {
+                return Ok((self.came() - before, begun.elapsed().as_secs_f64()));
+            }
+            let mut any = false;
+            for pair in &mut self.all {
+                any |= pair.turn(&mut self.room, is_over)?;
+            }
+            if any {
+                moved = Instant::now();
+            } else {
+                ensure!(moved.elapsed() < PATIENCE, "packages have been lost");
+                std::thread::yield_now();
+            }
+        }
+    }
+
+    fn came(&self) -> usize {
+        self.all.iter().map(|pair| pair.came / pair.comes).sum()
+    }
 }
 
 /// Packages received per second by `pairs` receivers.
 pub fn rate(protocol: &dyn Protocol, at: SocketAddr, time: Duration, pairs: u32) -> Result<Value> {
-    let mut all = (0..pairs)
-        .map(|pair| {
-            let (from, to) = (2 * pair, 2 * pair + 1);
-            let (sender, receiver) = (joined(protocol, at, from)?, joined(protocol, at, to)?);
-            sender.set_nonblocking(true)?;
-            receiver.set_nonblocking(true)?;
-            let batch = protocol.package(to, from).repeat(BATCH);
-            Ok(Pair { sender, receiver, batch, left: 0, sent: 0, comes: protocol.comes(to), came: 0 })
-        })
-        .collect::<Result<Vec<_>>>()?;
-    let mut room = vec![0; 256 << 10];
-    let (mut begun, mut warm, mut moved) = (Instant::now(), true, Instant::now());
-    let mut before = 0;
-    let came = |all: &[Pair]| all.iter().map(|pair| pair.came / pair.comes).sum::<usize>();
-    while begun.elapsed() < time {
-        let mut any = false;
-        for pair in &mut all {
-            any |= pair.turn(&mut room)?;
-        }
-        if any {
-            moved = Instant::now();
-        } else {
-            ensure!(moved.elapsed() < PATIENCE, "packages have been lost");
-            std::thread::yield_now();
-        }
-        if warm && begun.elapsed() > time / 4 {
-            (warm, begun, before) = (false, Instant::now(), came(&all));
-        }
-    }
-    let seconds = begun.elapsed().as_secs_f64();
-    Ok(json!({ "rate": (came(&all) - before) as f64 / seconds, "n": came(&all) - before }))
+    let mut pairs = Pairs::join(protocol, at, pairs)?;
+    pairs.run(time / 4)?;
+    let (came, seconds) = pairs.run(time * 3 / 4)?;
+    Ok(json!({ "rate": came as f64 / seconds, "n": came }))
 }
 
 /// Memory of the router's process for a client that has joined and does nothing, bytes.
@@ -156,25 +214,4 @@ fn resident(pid: u32) -> Result<u64> {
     let line = status.lines().find(|line| line.starts_with("VmRSS:")).context("no VmRSS")?;
     let kib: u64 = line.split_whitespace().nth(1).context("no VmRSS")?.parse()?;
     Ok(kib << 10)
-}
-
-/// Clients that are a burden, until they are killed: one is sent to and does not read, one sends a byte a second, a thousand say
-/// nothing.
-pub fn abuse(protocol: &dyn Protocol, at: SocketAddr) -> Result<Value> {
-    const DEAF: u32 = 900_000;
-    let _silent = (0..SILENT).map(|_| TcpStream::connect(at)).collect::<std::io::Result<Vec<_>>>()?;
-    let (_deaf, mut sender, mut slow) =
-        (joined(protocol, at, DEAF)?, joined(protocol, at, DEAF + 1)?, joined(protocol, at, DEAF + 2)?);
-    let batch = protocol.package(DEAF, DEAF + 1).repeat(BATCH);
-    println!("{}", json!({ "ready": true }));
-    let begin = protocol.begin();
-    for turn in 0.. {
-        // A thousand packages a second for the one that does not read.
-        sender.write_all(&batch)?;
-        std::thread::sleep(Duration::from_millis(64));
-        if turn % 16 == 0 {
-            slow.write_all(begin.get(turn / 16..=turn / 16).unwrap_or_default())?;
-        }
-    }
-    Ok(Value::Null)
 }

@@ -8,7 +8,8 @@
 //! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after CLIENTS clients have joined
 //! router behind PORT SECONDS                    an answer of the router and an urgent package, behind 10 000 packages that wait
 //! router lifesigns PORT ROUNDS                  a question for a sign of life behind them, in ROUNDS rounds of 5 s
-//! router abuse PROTOCOL PORT                    a client that does not read, one that sends a byte a second, 1000 that say nothing
+//! router burden PORT                            a client that does not read, one that sends a byte a second, 1000 that say nothing
+//! router compare PORT PORT SECONDS PID ..       a router that has these burdens, its process and theirs, with one that has none
 //! ```
 
 // A benchmark waits, and reads clocks.
@@ -16,6 +17,7 @@
 
 mod bare;
 mod behind;
+mod burdens;
 mod clients;
 mod protocols;
 
@@ -57,7 +59,10 @@ fn asked(words: &[&str]) -> Result<serde_json::Value> {
         }
         ["behind", port, time] => behind::behind(at(port)?, seconds(time)?),
         ["lifesigns", port, rounds] => behind::lifesigns(at(port)?, rounds.parse()?),
-        ["abuse", protocol, port] => clients::abuse(protocols::named(protocol)?, at(port)?),
+        ["burden", port] => burdens::burden(at(port)?),
+        ["compare", burdened, free, time, ref pids @ ..] => {
+            burdens::compare(at(burdened)?, at(free)?, pids, seconds(time)?)
+        }
         _ => bail!("what is to be measured? See the head of tests/benches/router/main.rs"),
     }
 }

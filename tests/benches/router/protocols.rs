@@ -19,8 +19,6 @@ pub trait Protocol {
     fn package(&self, to: u32, from: u32) -> Vec<u8>;
     /// Bytes of that package at its receiver.
     fn comes(&self, to: u32) -> usize;
-    /// Bytes with which a package of any length begins.
-    fn begin(&self) -> Vec<u8>;
 }
 
 /// By its name.
@@ -34,7 +32,8 @@ pub fn named(name: &str) -> Result<&'static dyn Protocol> {
     })
 }
 
-struct Ours;
+/// Packages as they are.
+pub struct Ours;
 
 impl Protocol for Ours {
     fn join(&self, stream: &mut TcpStream, me: u32) -> Result<()> {
@@ -56,10 +55,6 @@ impl Protocol for Ours {
 
     fn comes(&self, _: u32) -> usize {
         HEAD_LEN + BODY
-    }
-
-    fn begin(&self) -> Vec<u8> {
-        self.package(0, 0)[..8].to_vec()
     }
 }
 
@@ -83,10 +78,6 @@ impl Protocol for Bare {
     fn comes(&self, to: u32) -> usize {
         Ours.comes(to)
     }
-
-    fn begin(&self) -> Vec<u8> {
-        vec![0]
-    }
 }
 
 struct Nats;
@@ -109,10 +100,6 @@ impl Protocol for Nats {
 
     fn comes(&self, to: u32) -> usize {
         format!("MSG c{to:06} 1 {BODY}\r\n").len() + BODY + 2
-    }
-
-    fn begin(&self) -> Vec<u8> {
-        b"PUB c000".to_vec()
     }
 }
 
@@ -154,9 +141,5 @@ impl Protocol for Mqtt {
 
     fn comes(&self, to: u32) -> usize {
         self.package(to, 0).len()
-    }
-
-    fn begin(&self) -> Vec<u8> {
-        vec![0x30, 100]
     }
 }

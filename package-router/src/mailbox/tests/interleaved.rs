@@ -5,7 +5,7 @@ use loom::model::Builder;
 use loom::sync::atomic::{self as watched, Ordering};
 use loom::thread;
 
-use super::super::layout::{of_lane, of_slot};
+use super::super::layout::{HEAD, of_lane, of_slot};
 use super::*;
 
 /// A word that both sides deal with, or one that is only counted in.
@@ -58,15 +58,18 @@ fn spots(count: usize, is_watched: impl Fn(usize) -> bool) -> Spots {
 fn pair(shape: Shape) -> (Inbox<Spots, Spots>, LaneSender<Spots, Spots>) {
     let layout = Layout::of(&shape);
     let lane = layout.lane(0);
-    let of_lane = [lane + of_lane::RETURNED, lane + of_lane::TAKING, of_owner::ASLEEP];
+    let of_lane = [of_lane::RETURNED, of_lane::TAKING, of_lane::ANSWERED].map(|of| lane + of);
     let own = spots(layout.owner_words(1), |place| {
-        of_lane.contains(&place) || (0..layout.ring as u64).any(|n| place == layout.returned(0, n))
+        place == of_owner::ASLEEP
+            || of_lane.contains(&place)
+            || (0..layout.ring as u64).any(|n| place == layout.returned(0, n))
     });
     let theirs = spots(layout.sender_words(), |place| {
         let in_slot = |slot| {
             [of_slot::NUMBER, of_slot::SENT, of_slot::HEAD, of_slot::BODY].map(|of| layout.slot(slot) + of)
         };
-        place == of_sender::PUBLISHED
+        [of_sender::PUBLISHED, of_sender::KEPT].contains(&place)
+            || (0..HEAD).any(|word| place == layout.kept(0) + word)
             || (0..layout.ring as u64).any(|n| place == layout.announced(n))
             || (0..shape.slots).any(|slot| in_slot(slot).contains(&place))
     });
@@ -144,5 +147,21 @@ fn who_sleeps_is_woken_or_has_seen_what_came() {
         let wakes = sending.join().unwrap();
         assert!(!sleeps || wakes, "it sleeps, and nobody wakes it");
         assert_eq!(receive(&mut inbox), Some(1));
+    });
+}
+
+#[test]
+fn a_refused_command_wakes_its_owner_or_is_seen() {
+    try_all(4, || {
+        let (mut inbox, mut sender) = pair(Shape::new(1, 8).senders(1).answering());
+        sender.send(&head(0, 7, 1), &1u64.to_ne_bytes(), &at(1)).unwrap();
+        let sending = thread::spawn(move || sender.send(&head(0, 7, 2), &[], &at(2)).unwrap());
+        assert!(!inbox.falls_asleep(), "a package waits");
+        let mut refused = Vec::new();
+        inbox.take_refused(&mut refused);
+        assert!(sending.join().unwrap() || refused == [Head { len: 16, ..head(0, 7, 2) }]);
+        inbox.wakes_up();
+        inbox.take_refused(&mut refused);
+        assert_eq!(refused.len(), 1);
     });
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use rtnet::time::GlobalTime;
 
+use super::layout::KEPT;
 use super::*;
 use crate::name::{Class, MailboxName};
 use crate::wire::Head;
@@ -266,6 +267,55 @@ fn only_who_sleeps_is_woken_and_nobody_sleeps_while_something_waits() {
     assert_eq!(awaited(&inbox), [(3, 2)]);
     inbox.wakes_up();
     assert_eq!(all(&mut inbox), [(0, 3)]);
+}
+
+/// The ids of the refused commands of each sender that it takes to answer.
+fn refused(inbox: &mut Owner) -> Vec<(u8, u8)> {
+    let mut heads = Vec::new();
+    inbox.take_refused(&mut heads);
+    heads.iter().map(|head| (head.from.instance(), head.id)).collect()
+}
+
+#[test]
+fn refused_commands_are_kept_for_the_owner_to_answer() {
+    let (mut inbox, mut senders) = mailbox(Shape::new(1, 8).senders(2).answering());
+    for (lane, sender) in senders.iter_mut().enumerate() {
+        assert_eq!(sender.send(&head(lane, 9, 0), &[], &at(1)), Ok(false));
+        let data = Head { kind: 0, ..head(lane, 9, 1) };
+        assert_eq!(sender.send(&data, &[], &at(1)), Err(SendError::Full(1)), "no answer is awaited");
+    }
+    // More than are kept at once, in turns.
+    for turn in 0..5 {
+        for id in 0..KEPT as u8 {
+            assert_eq!(senders[1].send(&head(1, 9, turn * 20 + id), &[0; 8], &at(2)), Ok(turn > 0));
+        }
+        let (one_more, full) = (head(1, 9, 255), Err(SendError::Full(1)));
+        assert_eq!(senders[1].send(&one_more, &[], &at(2)), full, "16 of one sender are kept");
+        let kept: Vec<_> = (0..KEPT as u8).map(|id| (1, turn * 20 + id)).collect();
+        assert_eq!((refused(&mut inbox), refused(&mut inbox)), (kept, vec![]));
+        assert!(!inbox.falls_asleep(), "two packages wait, but a refused command wakes it");
+    }
+    assert_eq!(inbox.refused(), 2 + 5 * 17);
+    assert_eq!(all(&mut inbox), [(0, 0), (1, 0)]);
+    assert_eq!(senders[0].send(&head(0, 9, 2), &[], &at(3)), Ok(false), "a package does not");
+}
+
+#[test]
+fn a_lane_is_free_once_its_refused_commands_are_taken() {
+    let (mut inbox, mut senders) = mailbox(Shape::new(1, 8).senders(1).answering());
+    for id in 0..3 {
+        senders[0].send(&head(0, 9, id), &[], &at(1)).unwrap();
+    }
+    inbox.leave(0);
+    assert_eq!(all(&mut inbox), [(0, 0)]);
+    assert!(inbox.next_left().is_none(), "two commands are not answered");
+    assert_eq!(refused(&mut inbox), [(0, 1), (0, 2)]);
+    assert_eq!(inbox.next_left().map(|(lane, _)| lane), Some(0));
+    let mut next = bound(&mut inbox, 0);
+    for id in 3..6 {
+        next.send(&head(0, 9, id), &[], &at(2)).unwrap();
+    }
+    assert_eq!(refused(&mut inbox), [(0, 4), (0, 5)], "the next sender goes on where it was");
 }
 
 #[test]

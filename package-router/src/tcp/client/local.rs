@@ -43,18 +43,26 @@ pub(super) struct Local {
     senders: BTreeMap<MailboxName, Sender>,
     /// The body of the package that was taken last.
     body: Vec<u8>,
+    /// Commands that found the mailbox full, while they are answered.
+    refused: Vec<Head>,
     counters: LocalCounters,
 }
 
 impl Local {
     pub fn new(component: Component, mailbox: Mailbox) -> Self {
         let (names, senders, counters) = (BTreeSet::new(), BTreeMap::new(), LocalCounters::default());
-        Self { component, mailbox, names, seen: None, senders, body: Vec::new(), counters }
+        let (body, refused) = (Vec::new(), Vec::new());
+        Self { component, mailbox, names, seen: None, senders, body, refused, counters }
     }
 
-    /// `true`: nothing waits, and its descriptor is readable once something does.
+    /// `true`: nothing waits, and its descriptor is readable once something does. Commands that found the queue full are answered.
     pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
-        self.mailbox.prepare_wait()
+        let is_empty = self.mailbox.prepare_wait()?;
+        let mut refused = core::mem::take(&mut self.refused);
+        self.mailbox.take_refused(&mut refused)?;
+        refused.drain(..).for_each(|head| self.answer(&head, NOT_AVAILABLE));
+        self.refused = refused;
+        Ok(is_empty)
     }
 
     /// Ends that wait.
@@ -148,9 +156,13 @@ impl Local {
     /// Brings a package of a sender here into a mailbox here. A command that it does not take is answered.
     fn bring_back(&mut self, head: &Head, body: &[u8]) {
         if let Some(kind) = self.bring(head, body).filter(|_| head.is_command()) {
-            // An answer that its mailbox does not take is lost, and counted there.
-            let _ = self.send(&head.answer(kind), &[]);
+            self.answer(head, kind);
         }
+    }
+
+    /// Answers a command of a mailbox here. An answer that the mailbox does not take is lost, and counted there.
+    fn answer(&mut self, head: &Head, kind: i8) {
+        let _ = self.send(&head.answer(kind), &[]);
     }
 
     /// Refuses packages for the router: commands are answered.
@@ -159,8 +171,7 @@ impl Local {
             let Some(head) = self.take() else { return };
             self.counters.not_connected += 1;
             if head.is_command() {
-                // An answer that its mailbox does not take is lost, and counted there.
-                let _ = self.send(&head.answer(NOT_AVAILABLE), &[]);
+                self.answer(&head, NOT_AVAILABLE);
             }
         }
     }

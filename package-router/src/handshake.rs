@@ -2,9 +2,9 @@
 //! gives up its mailboxes.
 //!
 //! ```text
-//! ask     "RTP2"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
+//! ask     "RTP3"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
 //!         and, to `Create`: the owner's file, the lanes', the set that its bells hang in
-//! answer  "RTP2"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
+//! answer  "RTP3"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
 //!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Look`: the owner's, the lanes';
 //!         to `Bind` here: the owner's, the lanes', a bell
 //! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4  mailbox 8  generation 4           numbers little-endian
@@ -21,7 +21,7 @@ pub use crate::registry::LaneId as Lane;
 use crate::registry::Refused;
 
 /// Begins every packet.
-const MAGIC: [u8; 4] = *b"RTP2";
+const MAGIC: [u8; 4] = *b"RTP3";
 /// Bytes of an ask.
 pub const ASK_LEN: usize = size_of::<RawAsk>();
 /// Bytes of an answer.
@@ -229,6 +229,7 @@ const SLOTS: u8 = 32;
 const BODY: u8 = 33;
 const SENDERS: u8 = 34;
 const MEMORY: u8 = 35;
+const ANSWERS: u8 = 36;
 
 impl Answer {
     /// As a packet.
@@ -305,6 +306,7 @@ impl RawAnswer {
             Refused::Shape(ShapeError::Slots(n)) => (SLOTS, MailboxName::NOBODY, [n, 0, 0]),
             Refused::Shape(ShapeError::Body(n)) => (BODY, MailboxName::NOBODY, [n, 0, 0]),
             Refused::Shape(ShapeError::Senders(n)) => (SENDERS, MailboxName::NOBODY, [n, 0, 0]),
+            Refused::Shape(ShapeError::Answers) => (ANSWERS, MailboxName::NOBODY, [0; 3]),
             Refused::Shape(ShapeError::Memory(bytes, slots, senders)) => {
                 (MEMORY, MailboxName::NOBODY, [bytes, slots, senders])
             }
@@ -325,6 +327,7 @@ impl RawAnswer {
             SLOTS => Refused::Shape(ShapeError::Slots(n)),
             BODY => Refused::Shape(ShapeError::Body(n)),
             SENDERS => Refused::Shape(ShapeError::Senders(n)),
+            ANSWERS => Refused::Shape(ShapeError::Answers),
             MEMORY => Refused::Shape(ShapeError::Memory(n, slots, senders)),
             _ => return None,
         })

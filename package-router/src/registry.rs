@@ -8,7 +8,7 @@
 //! The TCP client is a component, too. Its mailbox has the name of nobody: it takes packages that have no other way. Its lane into other
 //! mailboxes takes packages of anybody.
 
-use crate::mailbox::{Shape, ShapeError};
+use crate::mailbox::{Shape, ShapeError, WhenFull};
 use crate::name::MailboxName;
 
 /// Mailboxes of a station: as many as the board shows.
@@ -138,6 +138,9 @@ impl Registry {
     ) -> Result<usize, Refused> {
         if name == MailboxName::NOBODY {
             return Err(Refused::NoName(name));
+        }
+        if shape.when_full == WhenFull::Answer {
+            return Err(Refused::Shape(ShapeError::Answers));
         }
         let is_anothers = self.users().any(|(by, from)| from == name && by != owner && !is_former(by));
         if is_anothers {

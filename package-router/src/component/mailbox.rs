@@ -161,11 +161,12 @@ impl Mailbox {
         Ok(self.inbox.depth())
     }
 
-    /// Takes the heads of commands that found it full, if it is one that [answers](mailbox::WhenFull::Answer) such ones.
-    pub fn take_refused(&mut self, heads: &mut Vec<Head>) -> Result<(), ReceiveError> {
+    /// Takes the heads of commands that found it full, if it [answers](mailbox::WhenFull::Answer) them.
+    pub(crate) fn take_refused_commands(&mut self, heads: &mut Vec<Head>) -> Result<(), ReceiveError> {
         self.follow()?;
-        self.inbox.take_refused(heads);
-        Ok(())
+        self.inbox.take_refused_commands(heads);
+        // A lane may be free now.
+        self.follow()
     }
 
     /// Packages that found it full, of all senders so far.
@@ -179,8 +180,7 @@ impl Mailbox {
     }
 
     /// Prepares a wait in the caller's own set of descriptors, in which this is readable once something comes. `false`: something is here
-    /// already. [`Self::end_wait`] follows in both cases. A [refused command](Self::take_refused) makes it readable in both: take those
-    /// that are there after this call.
+    /// already. [`Self::end_wait`] follows in both cases.
     pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
         self.follow()?;
         Ok(self.inbox.falls_asleep())

@@ -21,7 +21,9 @@ fn what_is_asked_and_answered_comes_over_as_it_is() {
         assert_eq!(Ask::parse(&ask.to_bytes()), Some(ask));
     }
     let create = Ask::Create(NAME, SHAPE);
-    for ask in [Ask::Attach, create, Ask::Delete(NAME), bind, Ask::Ready(LANE), Ask::Unbind(LANE)] {
+    let answering = Ask::Create(NAME, SHAPE.answering());
+    for ask in [Ask::Attach, create, answering, Ask::Delete(NAME), bind, Ask::Ready(LANE), Ask::Unbind(LANE)]
+    {
         assert_eq!(Ask::parse(&ask.to_bytes()), Some(ask));
     }
     let refused = [
@@ -35,6 +37,7 @@ fn what_is_asked_and_answered_comes_over_as_it_is() {
         Refused::Shape(ShapeError::Body(usize::MAX)),
         Refused::Shape(ShapeError::Senders(500)),
         Refused::Shape(ShapeError::Memory(1, 2, 3)),
+        Refused::Shape(ShapeError::Answers),
     ];
     let created = Answer::Created { place: 3, generation: u64::MAX };
     let [here, beyond] =

@@ -1,9 +1,10 @@
 //! The owner's end: all lanes of a mailbox, merged by priority. Nothing that a sender writes is believed: the worst that comes
 //! of it is that its own packages are lost.
 
-use super::layout::{Entry, HEAD, KEPT, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
 use super::news::News;
 use super::package::{Package, TooSmall};
+use super::refused::read_head;
 use super::sender::{Origin, Stamps};
 use super::shape::{Shape, WhenFull};
 use super::statistics::bucket;
@@ -12,7 +13,7 @@ use super::word::{Segment, Word};
 use rtnet::time::GlobalTime;
 
 use crate::name::MailboxName;
-use crate::wire::{HEAD_LEN, Head};
+use crate::wire::Head;
 
 /// The receiving end of a mailbox. `Own` is its segment, `Theirs` those of its senders.
 pub struct Inbox<Own, Theirs> {
@@ -37,13 +38,13 @@ pub(super) struct Lane<Theirs> {
     /// How many of its slots were given back, whoever had it.
     returned: u64,
     /// How many refused commands were taken, whoever had it.
-    answered: u64,
+    pub(super) answered: u64,
 }
 
 pub(super) struct Attached<Theirs> {
     pub(super) segment: Theirs,
     /// Whose packages these are; a router's are anybody's.
-    from: MailboxName,
+    pub(super) from: MailboxName,
     /// The number of the newest that was looked at.
     pub(super) seen: u64,
     /// It sends no more: the lane is free once what it has sent is read.
@@ -56,13 +57,6 @@ pub(super) struct Attached<Theirs> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("that lane has a sender whose packages are not all read yet")]
 pub struct Taken;
-
-#[inline]
-fn read_head(words: &[impl Word]) -> Option<Head> {
-    let halves = [words[0].get(), words[1].get()].map(u64::to_ne_bytes);
-    let bytes: [u8; HEAD_LEN] = zerocopy::transmute!(halves);
-    Head::parse(&bytes).ok()
-}
 
 /// What there was to be read.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -125,7 +119,7 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
         let lane = (0..self.used).find(|&lane| {
             let is_over = self.lanes[lane].sender.as_ref().is_some_and(|sender| sender.has_left);
             let mut nodes = lane * slots..(lane + 1) * slots;
-            is_over && nodes.all(|node| !self.urgency.waits(node as Node)) && !self.keeps(lane)
+            is_over && nodes.all(|node| !self.urgency.waits(node as Node)) && !self.keeps_commands(lane)
         })?;
         let sender = self.lanes[lane].sender.take()?;
         self.refused = self.refused.wrapping_add(sender.segment.at(of_sender::FULL).get());
@@ -136,47 +130,6 @@ impl<Own: Segment, Theirs: Segment> Inbox<Own, Theirs> {
     pub fn refused(&self) -> u64 {
         let senders = self.lanes[..self.used].iter().filter_map(|lane| lane.sender.as_ref());
         senders.fold(self.refused, |sum, sender| sum.wrapping_add(sender.segment.at(of_sender::FULL).get()))
-    }
-
-    /// Takes the heads of commands that found no slot, in a mailbox that [answers](WhenFull::Answer) such ones: of all that were
-    /// refused before. They are answered by whoever takes them.
-    pub fn take_refused(&mut self, heads: &mut Vec<Head>) {
-        for lane in 0..self.used {
-            if self.keeps(lane) {
-                self.take_refused_of(lane, heads);
-            }
-        }
-    }
-
-    fn take_refused_of(&mut self, lane: usize, heads: &mut Vec<Head>) {
-        let Lane { sender, answered, .. } = &mut self.lanes[lane];
-        let Some(sender) = sender else { return };
-        let kept = sender.segment.at(of_sender::KEPT).get_acquire();
-        if kept.wrapping_sub(*answered) > KEPT as u64 {
-            sender.is_broken = true;
-            return self.count(of_owner::NONSENSE, 1);
-        }
-        let (mut nonsense, mut forged) = (0, 0);
-        while *answered != kept {
-            let head = read_head(sender.segment.part(self.layout.kept(*answered), HEAD));
-            match head.filter(Head::is_command) {
-                None => nonsense += 1,
-                Some(head) if head.from != sender.from => forged += 1,
-                Some(head) => heads.push(head),
-            }
-            *answered = answered.wrapping_add(1);
-        }
-        self.own.at(self.layout.lane(lane) + of_lane::ANSWERED).set_release(kept);
-        self.count(of_owner::NONSENSE, nonsense);
-        self.count(of_owner::FORGED, forged);
-    }
-
-    /// Whether a refused command of that lane waits to be answered.
-    fn keeps(&self, lane: usize) -> bool {
-        let Lane { sender, answered, .. } = &self.lanes[lane];
-        let sender = sender.as_ref().filter(|sender| !sender.is_broken);
-        self.layout.when_full == WhenFull::Answer
-            && sender.is_some_and(|sender| sender.segment.at(of_sender::KEPT).get_acquire() != *answered)
     }
 
     /// Whether something waits, or did when it was looked at.

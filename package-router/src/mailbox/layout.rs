@@ -25,7 +25,7 @@ use crate::wire::HEAD_LEN;
 pub const LINE: usize = 8;
 
 /// Refused commands of a sender that may wait to be answered: a power of two.
-pub const KEPT: usize = 16;
+pub const MOST_KEPT: usize = 16;
 /// Words of a head.
 pub const HEAD: usize = HEAD_LEN / size_of::<u64>();
 
@@ -127,7 +127,7 @@ impl Layout {
         // Between two looks of a sender all that it has there may come back, and what each of them has made way for, too.
         let ring = (2 * shape.slots).next_power_of_two();
         let first_kept = of_sender::RING + ring;
-        let kept = if shape.when_full == WhenFull::Answer { KEPT * HEAD } else { 0 };
+        let kept = if shape.when_full == WhenFull::Answer { MOST_KEPT * HEAD } else { 0 };
         Self {
             slots: shape.slots,
             ring,
@@ -160,7 +160,7 @@ impl Layout {
     }
     /// Where the head of a refused command is kept, counted from 0.
     pub fn kept(&self, count: u64) -> usize {
-        self.first_kept + (count as usize & (KEPT - 1)) * HEAD
+        self.first_kept + (count as usize & (MOST_KEPT - 1)) * HEAD
     }
     /// Where a sender's lane begins in the owner's segment.
     #[inline]
@@ -251,7 +251,7 @@ mod tests {
             take(0..12, end);
             (0..layout.ring as u64)
                 .for_each(|number| take(layout.announced(number)..layout.announced(number) + 1, end));
-            (0..KEPT as u64).for_each(|count| take(layout.kept(count)..layout.kept(count) + HEAD, end));
+            (0..MOST_KEPT as u64).for_each(|count| take(layout.kept(count)..layout.kept(count) + HEAD, end));
             for slot in 0..slots {
                 let begin = layout.slot(slot);
                 assert_eq!(begin % LINE, 0);

@@ -14,6 +14,7 @@ mod inbox;
 mod layout;
 mod news;
 mod package;
+mod refused;
 mod sender;
 mod shape;
 mod statistics;

@@ -2,7 +2,8 @@
 
 use rtnet::time::GlobalTime;
 
-use super::layout::{Entry, HEAD, KEPT, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::layout::{Entry, Layout, of_lane, of_owner, of_sender, of_slot};
+use super::refused::write_head;
 use super::shape::WhenFull;
 use super::word::{Segment, Word};
 use crate::wire::{HEAD_LEN, Head};
@@ -74,10 +75,10 @@ pub enum SendError {
 
 /// A sender's side of a lane. `Own` is its segment, `Theirs` the owner's.
 pub struct LaneSender<Own, Theirs> {
-    own: Own,
-    theirs: Theirs,
-    layout: Layout,
-    lane: usize,
+    pub(super) own: Own,
+    pub(super) theirs: Theirs,
+    pub(super) layout: Layout,
+    pub(super) lane: usize,
     /// The number of its newest package.
     newest: u64,
     /// How many slots have come back.
@@ -134,31 +135,11 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     #[inline]
     pub fn send(&mut self, head: &Head, body: &[u8], stamps: &Stamps) -> Result<bool, SendError> {
         let mut begun = match self.begin(head.priority, body.len()) {
-            Err(SendError::Full(slots)) => return self.keep(head).ok_or(SendError::Full(slots)),
+            Err(SendError::Full(slots)) => return self.keep_command(head).ok_or(SendError::Full(slots)),
             begun => begun?,
         };
         begun.write(&self.own, body);
         Ok(self.publish(&begun, head, stamps))
-    }
-
-    /// Keeps a refused command for the owner to answer: whether that sleeps, and is to be woken. `None`: it is none that the owner
-    /// answers, or there is no room.
-    #[cold]
-    fn keep(&mut self, head: &Head) -> Option<bool> {
-        let Self { own, theirs, layout, lane, .. } = self;
-        if layout.when_full != WhenFull::Answer || !head.is_command() {
-            return None;
-        }
-        let answered = theirs.at(layout.lane(*lane) + of_lane::ANSWERED).get_acquire();
-        let kept = own.at(of_sender::KEPT).get();
-        if kept.wrapping_sub(answered) >= KEPT as u64 {
-            return None;
-        }
-        write_head(own.part(layout.kept(kept), HEAD), &Head { len: HEAD_LEN as u32, ..*head });
-        own.at(of_sender::KEPT).set_release(kept.wrapping_add(1));
-        // As with a package: either it is seen here that the owner sleeps, or the owner sees the command.
-        Own::Word::fence();
-        Some(theirs.at(of_owner::ASLEEP).get() != 0)
     }
 
     /// A slot for a body of so many bytes.
@@ -292,14 +273,6 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     fn count(&self, place: usize) {
         let word = self.own.at(place);
         word.set(word.get().wrapping_add(1));
-    }
-}
-
-#[inline]
-fn write_head(words: &[impl Word], head: &Head) {
-    let bytes: [[u8; 8]; HEAD] = zerocopy::transmute!(head.to_bytes());
-    for (word, half) in words.iter().zip(bytes) {
-        word.set(u64::from_ne_bytes(half));
     }
 }
 

@@ -32,8 +32,8 @@ pub enum WhenFull {
     Refuse,
     /// It takes the place of the oldest of the least urgent that its sender has waiting there, unless that is more urgent.
     Replace,
-    /// It is refused, but a command counts as sent: its head is kept, and the owner [answers](super::Inbox::take_refused) it. Once
-    /// [16](super::layout::KEPT) of a sender wait for that, its commands are refused, too.
+    /// It is refused, but a command counts as sent: its head is kept, and the owner [answers](super::Inbox::take_refused_commands) it.
+    /// While 16 of a sender wait for that, its commands are refused, too. The TCP client alone has such a mailbox.
     Answer,
 }
 
@@ -49,6 +49,9 @@ pub enum ShapeError {
     /// Too few or too many senders.
     #[error("{0} senders: a mailbox has 1 to {MOST_SENDERS}")]
     Senders(usize),
+    /// It would have to answer commands that it has no slot for.
+    #[error("only the TCP client answers commands that find its mailbox full")]
+    Answers,
     /// More memory than a mailbox may take.
     #[error(
         "{0} bytes for {1} slots of {2} senders: a mailbox takes {MOST_BYTES} at the most; fewer slots, senders or smaller bodies do"
@@ -73,7 +76,7 @@ impl Shape {
     }
 
     /// The same for a mailbox whose owner answers the commands that find no slot.
-    pub const fn answering(self) -> Self {
+    pub(crate) const fn answering(self) -> Self {
         Self { when_full: WhenFull::Answer, ..self }
     }
 

@@ -71,6 +71,9 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
         Err(Refused::NoName(MailboxName::NOBODY))
     );
     assert_eq!(registry.create(ARM, name(3), Shape::new(0, 1)), Err(Refused::Shape(ShapeError::Slots(0))));
+    let answering = Shape::new(1, 1).answering();
+    assert_eq!(registry.create(ARM, name(3), answering), Err(Refused::Shape(ShapeError::Answers)));
+    assert!(two().create_tcp(ARM, answering).is_ok());
     assert_eq!(registry.bind(ARM, name(2), name(2), never), Err(Refused::NotOwn(name(2))));
     assert_eq!(registry.bind(ARM, name(9), name(2), never), Err(Refused::NotOwn(name(9))));
     assert_eq!(registry.bind(ARM, name(1), name(9), never), Err(Refused::NoMailbox(name(9))));

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! It is a component of its broker. Its mailbox is its queue: bounded, the most urgent package first. A sender that finds it full is
-//! refused at once, as by any mailbox, but for commands: those are answered NOT_AVAILABLE. It connects again by itself.
+//! refused at once, as by any mailbox; its commands are answered NOT_AVAILABLE. It connects again by itself.
 
 mod local;
 pub mod session;

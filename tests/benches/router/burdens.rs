@@ -16,13 +16,15 @@ use crate::protocols::{Ours, Protocol};
 const SILENT: usize = 1_000;
 /// The clients that are a burden, after all others.
 const DEAF: u32 = 900_000;
-/// From one batch for the client that does not read to the next: a thousand packages a second.
-const TURN: Duration = Duration::from_millis(64);
-/// Turns of a second: a byte of the client that sends one a second, and a look at each silent connection.
-const TURNS: usize = 16;
+/// Bytes for the client that does not read, before anything is measured: more than its queue and the kernel take.
+const FILLS: usize = 16 << 20;
+/// From one batch for it to the next: a thousand packages a second.
+const BEAT: Duration = Duration::from_millis(64);
+/// Beats of a second: a byte of the client that sends one a second, and a look at each silent connection.
+const BEATS: usize = 16;
 /// Senders that are measured at once, each with a receiver.
 const PAIRS: u32 = 8;
-/// Each router is measured so long before it is the other's turn: within that a host changes its speed little.
+/// A turn of a router: a host changes its speed little within two of them.
 const WINDOW: Duration = Duration::from_millis(100);
 
 /// Clients that are a burden, until they are killed: one is sent to and does not read, one sends a byte a second, a thousand say
@@ -33,13 +35,16 @@ pub fn burden(at: SocketAddr) -> Result<Value> {
         (joined(&Ours, at, DEAF)?, joined(&Ours, at, DEAF + 1)?, joined(&Ours, at, DEAF + 2)?);
     let batch = Ours.package(DEAF, DEAF + 1).repeat(BATCH);
     let slowly = Ours.package(DEAF, DEAF + 2);
-    println!("{}", json!({ "ready": true }));
-    for turn in 0.. {
+    for _ in 0..FILLS / batch.len() {
         sender.write_all(&batch)?;
-        if turn % TURNS == 0 {
-            slow.write_all(&slowly[turn / TURNS % slowly.len()..][..1])?;
+    }
+    println!("{}", json!({ "ready": true }));
+    for beat in 0.. {
+        sender.write_all(&batch)?;
+        if beat % BEATS == 0 {
+            slow.write_all(&slowly[beat / BEATS % slowly.len()..][..1])?;
         }
-        for stream in silent.iter_mut().skip(turn % TURNS).step_by(TURNS) {
+        for stream in silent.iter_mut().skip(beat % BEATS).step_by(BEATS) {
             // It has a question for a sign of life, or nothing, or it is closed.
             let has_ended = match stream.peek(&mut [0]) {
                 Ok(length) => length == 0,
@@ -49,7 +54,7 @@ pub fn burden(at: SocketAddr) -> Result<Value> {
                 *stream = mute(at)?;
             }
         }
-        std::thread::sleep(TURN);
+        std::thread::sleep(BEAT);
     }
     Ok(Value::Null)
 }
@@ -80,6 +85,8 @@ impl Drop for Burdened {
 pub fn compare(burdened: SocketAddr, free: SocketAddr, pids: &[&str], time: Duration) -> Result<Value> {
     let pids = pids.iter().map(|pid| Ok(Pid::from_raw(pid.parse()?))).collect::<Result<_>>()?;
     let processes = Burdened(pids);
+    // An earlier comparison may have been killed.
+    processes.send(Signal::SIGCONT)?;
     let mut rates = [Pairs::join(&Ours, burdened, PAIRS)?, Pairs::join(&Ours, free, PAIRS)?];
     let mut sums = [(0, 0.0); 2];
     in_turns(&processes, time, |at| {
@@ -96,7 +103,7 @@ pub fn compare(burdened: SocketAddr, free: SocketAddr, pids: &[&str], time: Dura
     Ok(json!({ "rate": rate, "trips": { "with": shown(&times[0]), "without": shown(&times[1]) } }))
 }
 
-/// First one, then the other, and from then on the other way round each time.
+/// Measures both routers by turns; the one that comes first comes second the next time.
 fn in_turns(burdened: &Burdened, time: Duration, mut measure: impl FnMut(usize) -> Result<()>) -> Result<()> {
     let turns = time.div_duration_f64(2 * WINDOW).ceil() as usize;
     for at in (0..turns).flat_map(|turn| [turn % 2, 1 - turn % 2]) {

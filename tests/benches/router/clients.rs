@@ -84,7 +84,7 @@ pub fn histogram() -> Result<Histogram<u64>> {
     Ok(Histogram::new(3)?)
 }
 
-/// What of it is printed.
+/// The figures of a histogram that are printed.
 pub fn shown(times: &Histogram<u64>) -> Value {
     let at = |share| times.value_at_quantile(share);
     json!({ "n": times.len(), "p50": at(0.5), "p99": at(0.99), "p999": at(0.999) })
@@ -165,7 +165,7 @@ impl Pairs {
         Ok(Self { all, room: vec![0; 256 << 10] })
     }
 
-    /// Sends and receives so long, and until all have come that were sent: how many came, and in how many seconds.
+    /// Sends for that time, and receives until each package has come: how many came, and in how many seconds.
     pub fn run(&mut self, time: Duration) -> Result<(usize, f64)> {
         let (begun, before) = (Instant::now(), self.came());
         let mut moved = begun;

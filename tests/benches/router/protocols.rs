@@ -32,7 +32,7 @@ pub fn named(name: &str) -> Result<&'static dyn Protocol> {
     })
 }
 
-/// Packages as they are.
+/// The protocol of the TCP router.
 pub struct Ours;
 
 impl Protocol for Ours {

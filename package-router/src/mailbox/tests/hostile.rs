@@ -44,8 +44,8 @@ proptest! {
                 }
                 _ => {
                     let before = refused.len();
-                    inbox.take_refused(&mut refused);
-                    prop_assert!(refused.len() - before <= 2 * KEPT);
+                    inbox.take_refused_commands(&mut refused);
+                    prop_assert!(refused.len() - before <= 2 * MOST_KEPT);
                     if let Some(package) = inbox.receive(now) {
                         prop_assert!(package.body().len() <= 8);
                         if package.head().from == from(0) {
@@ -66,7 +66,7 @@ proptest! {
         }
         prop_assert_eq!(came, expected);
         prop_assert_eq!(senders[0].waiting(), Ok(0));
-        inbox.take_refused(&mut refused);
+        inbox.take_refused_commands(&mut refused);
         prop_assert_eq!(refused.iter().filter(|head| head.from == from(0)).count(), kept);
     }
 
@@ -85,7 +85,7 @@ proptest! {
             let _ = senders[lane].send(&head(lane, what, what), &[what; 8], &at(now));
             if what > 200 {
                 drop(inbox.receive(now));
-                inbox.take_refused(&mut Vec::new());
+                inbox.take_refused_commands(&mut Vec::new());
             }
         }
     }

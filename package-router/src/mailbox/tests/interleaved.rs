@@ -158,10 +158,10 @@ fn a_refused_command_wakes_its_owner_or_is_seen() {
         let sending = thread::spawn(move || sender.send(&head(0, 7, 2), &[], &at(2)).unwrap());
         assert!(!inbox.falls_asleep(), "a package waits");
         let mut refused = Vec::new();
-        inbox.take_refused(&mut refused);
+        inbox.take_refused_commands(&mut refused);
         assert!(sending.join().unwrap() || refused == [Head { len: 16, ..head(0, 7, 2) }]);
         inbox.wakes_up();
-        inbox.take_refused(&mut refused);
+        inbox.take_refused_commands(&mut refused);
         assert_eq!(refused.len(), 1);
     });
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use rtnet::time::GlobalTime;
 
-use super::layout::KEPT;
+use super::layout::MOST_KEPT;
 use super::*;
 use crate::name::{Class, MailboxName};
 use crate::wire::Head;
@@ -272,7 +272,7 @@ fn only_who_sleeps_is_woken_and_nobody_sleeps_while_something_waits() {
 /// The ids of the refused commands of each sender that it takes to answer.
 fn refused(inbox: &mut Owner) -> Vec<(u8, u8)> {
     let mut heads = Vec::new();
-    inbox.take_refused(&mut heads);
+    inbox.take_refused_commands(&mut heads);
     heads.iter().map(|head| (head.from.instance(), head.id)).collect()
 }
 
@@ -284,20 +284,20 @@ fn refused_commands_are_kept_for_the_owner_to_answer() {
         let data = Head { kind: 0, ..head(lane, 9, 1) };
         assert_eq!(sender.send(&data, &[], &at(1)), Err(SendError::Full(1)), "no answer is awaited");
     }
-    // More than are kept at once, in turns.
+    // Five times as many as are kept at once.
     for turn in 0..5 {
-        for id in 0..KEPT as u8 {
+        for id in 0..MOST_KEPT as u8 {
             assert_eq!(senders[1].send(&head(1, 9, turn * 20 + id), &[0; 8], &at(2)), Ok(turn > 0));
         }
         let (one_more, full) = (head(1, 9, 255), Err(SendError::Full(1)));
         assert_eq!(senders[1].send(&one_more, &[], &at(2)), full, "16 of one sender are kept");
-        let kept: Vec<_> = (0..KEPT as u8).map(|id| (1, turn * 20 + id)).collect();
+        let kept: Vec<_> = (0..MOST_KEPT as u8).map(|id| (1, turn * 20 + id)).collect();
         assert_eq!((refused(&mut inbox), refused(&mut inbox)), (kept, vec![]));
         assert!(!inbox.falls_asleep(), "two packages wait, but a refused command wakes it");
     }
     assert_eq!(inbox.refused(), 2 + 5 * 17);
     assert_eq!(all(&mut inbox), [(0, 0), (1, 0)]);
-    assert_eq!(senders[0].send(&head(0, 9, 2), &[], &at(3)), Ok(false), "a package does not");
+    assert_eq!(senders[0].send(&head(0, 9, 2), &[], &at(3)), Ok(false), "a package does not wake it");
 }
 
 #[test]

@@ -58,9 +58,17 @@ impl Local {
     /// `true`: nothing waits, and its descriptor is readable once something does. Commands that found the queue full are answered.
     pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
         let is_empty = self.mailbox.prepare_wait()?;
+        // Those that are refused from now on make it readable, too, whatever waits.
         let mut refused = core::mem::take(&mut self.refused);
-        self.mailbox.take_refused(&mut refused)?;
-        refused.drain(..).for_each(|head| self.answer(&head, NOT_AVAILABLE));
+        self.mailbox.take_refused_commands(&mut refused)?;
+        // The broker is asked once for a mailbox that has gone: the commands of a sender come one behind the other.
+        let mut gone = MailboxName::NOBODY;
+        for head in refused.drain(..) {
+            if head.from != gone && self.answer(&head, NOT_AVAILABLE) == Err(SendError::NoMailbox(head.from))
+            {
+                gone = head.from;
+            }
+        }
         self.refused = refused;
         Ok(is_empty)
     }
@@ -156,13 +164,13 @@ impl Local {
     /// Brings a package of a sender here into a mailbox here. A command that it does not take is answered.
     fn bring_back(&mut self, head: &Head, body: &[u8]) {
         if let Some(kind) = self.bring(head, body).filter(|_| head.is_command()) {
-            self.answer(head, kind);
+            let _ = self.answer(head, kind);
         }
     }
 
     /// Answers a command of a mailbox here. An answer that the mailbox does not take is lost, and counted there.
-    fn answer(&mut self, head: &Head, kind: i8) {
-        let _ = self.send(&head.answer(kind), &[]);
+    fn answer(&mut self, head: &Head, kind: i8) -> Result<(), SendError> {
+        self.send(&head.answer(kind), &[])
     }
 
     /// Refuses packages for the router: commands are answered.
@@ -171,7 +179,7 @@ impl Local {
             let Some(head) = self.take() else { return };
             self.counters.not_connected += 1;
             if head.is_command() {
-                self.answer(&head, NOT_AVAILABLE);
+                let _ = self.answer(&head, NOT_AVAILABLE);
             }
         }
     }

@@ -295,13 +295,18 @@ fn a_router_keeps_its_rules_if_the_new_file_is_wrong() {
     hup();
     router.wait_for("the rules stay as they were: ");
     assert!(registers(0x0018_0100) && !registers(0x0011_0000));
+    let status = router.status();
+    assert_eq!(status["counters"]["rules_refused"], 1);
+    assert!(status["rules_error"].as_str().unwrap().contains("0.Nobody.*"), "{status:#}");
     write("\"0.Chassis.*\"");
     hup();
     router.wait_for("the rules were read again");
     // Orders are carried out in turn: the new rules hold once this is answered.
     router.status();
     assert!(registers(0x0011_0000) && !registers(0x0018_0200));
-    assert_eq!(router.status()["names"], 3, "nobody was dropped");
+    let status = router.status();
+    assert_eq!(status["names"], 3, "nobody was dropped");
+    assert!(status.get("rules_error").is_none() && status["counters"]["rules_refused"] == 1);
 }
 
 #[test]

@@ -8,8 +8,8 @@ use super::word::{Segment, Word};
 use crate::wire::{HEAD_LEN, Head};
 
 impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
-    /// Keeps a refused command for the owner to answer: whether that sleeps, and is to be woken. `None`: the package is no command, the
-    /// owner answers none, or 16 wait to be answered.
+    /// Keeps a refused command for the owner to answer. Returns whether the owner sleeps and is to be woken. `None`: the package is no
+    /// command, the owner answers none, or 16 wait to be answered.
     #[cold]
     pub(super) fn keep_command(&mut self, head: &Head) -> Option<bool> {
         let Self { own, theirs, layout, lane, .. } = self;

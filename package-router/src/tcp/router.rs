@@ -1,6 +1,7 @@
 //! The router's rules, without a socket or a clock: bytes of connections go in, bytes for connections wait to be written.
 
 mod controls;
+mod ending;
 mod forward;
 mod links;
 mod rates;
@@ -18,10 +19,11 @@ use super::frames::Frames;
 use super::outgoing::Outgoing;
 use super::rules::Rules;
 use crate::name::MailboxName;
-use crate::wire::{HEAD_LEN, Head, HeadError, MAX_LEN};
+use crate::wire::{HEAD_LEN, Head, MAX_LEN};
 use links::{Reach, Role};
 use rates::Meter;
 
+pub use ending::Ending;
 pub use rates::Rates;
 pub use status::{ClientStatus, Closed, Counters, LinkStatus, Status};
 
@@ -55,43 +57,6 @@ impl Default for Limits {
     fn default() -> Self {
         Self { connections: 10_000, names: 1_024, all_names: 100_000, queue: 4 << 20, memory: 256 << 20 }
     }
-}
-
-/// Why a connection was closed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Ending {
-    /// The other end has closed it.
-    #[error("closed at the other end")]
-    Left,
-    /// The client did not answer for a whole round.
-    #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]
-    Silent,
-    /// It did not prove that it knows the secret: its first package was another, or the proof was wrong.
-    #[error("it has no certificate, and did not prove that it knows the secret")]
-    Stranger,
-    /// The router at the other end of a link is of the same system, or does not take links.
-    #[error(
-        "the router there takes no link of this system: it has the same number (`system`), or is of another make"
-    )]
-    SameSystem,
-    /// Its TLS session did not begin, or broke.
-    #[error("TLS: {0}")]
-    Tls(String),
-    /// A newer connection took its place among those that have not proved yet that they may come.
-    #[error("it had not proved yet that it may come, and a newer connection took its place")]
-    Crowded,
-    /// There is no room for a link.
-    #[error("as many connections are open here as may (limits.connections)")]
-    TooMany,
-    /// It held the most memory when the router had none left.
-    #[error("it held the most bytes when the router held as many as it may (limits.memory)")]
-    NoMemory,
-    /// It sent bytes that are no package.
-    #[error("{0}")]
-    NoPackage(#[from] HeadError),
-    /// The kernel's error number.
-    #[error("{}", io::Error::from_raw_os_error(*.0))]
-    Broken(i32),
 }
 
 /// As many connections are open as may be.
@@ -159,6 +124,10 @@ pub struct Router {
     closed: VecDeque<Closed>,
     /// Sums over the closed connections.
     counters: Counters,
+    /// How many were closed, by [`Ending::reason`].
+    endings_by_reason: BTreeMap<&'static str, u64>,
+    /// The error of a file that was read again; none once another was read without.
+    rules_error: Option<String>,
     /// The rate of all connections.
     meter: Meter,
     next_round: u64,
@@ -184,6 +153,8 @@ impl Router {
             endings: Vec::new(),
             closed: VecDeque::new(),
             counters: Counters::default(),
+            endings_by_reason: Ending::REASONS.map(|reason| (reason, 0)).into(),
+            rules_error: None,
             meter: Meter::new(now),
             next_round: now + LIFESIGN_EVERY,
             held: 0,
@@ -192,7 +163,13 @@ impl Router {
 
     /// Replaces the rules. Registered names stay.
     pub fn set_rules(&mut self, rules: Rules) {
-        self.rules = rules;
+        (self.rules, self.rules_error) = (rules, None);
+    }
+
+    /// Counts rules that cannot be, and remembers why. Those before stay in force.
+    pub fn refuse_rules(&mut self, why: String) {
+        self.counters.rules_refused += 1;
+        self.rules_error = Some(why);
     }
 
     /// A connection from there is open.
@@ -323,6 +300,7 @@ impl Router {
         self.held -= client.held();
         client.counters.lost_at_close += client.outgoing.packages() as u64;
         self.counters.add(&client.counters);
+        *self.endings_by_reason.entry(why.reason()).or_default() += 1;
         self.closed.truncate(CLOSED - 1);
         self.closed.push_front(Closed {
             peer: client.peer,

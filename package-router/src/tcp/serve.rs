@@ -346,7 +346,8 @@ impl Server {
                     let links = self.links.iter().map(OwnLink::status).collect();
                     let _ = asked.send(Status { links, ..self.router.status(self.now()) });
                 }
-                Ok(Order::Rules(rules)) => self.router.set_rules(rules),
+                Ok(Order::Rules(Ok(rules))) => self.router.set_rules(rules),
+                Ok(Order::Rules(Err(why))) => self.router.refuse_rules(why),
                 Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
             }
         }

@@ -18,7 +18,7 @@ const SILENT: usize = 1_000;
 const DEAF: u32 = 900_000;
 /// Bytes for the client that does not read, before anything is measured: more than its queue and the kernel take.
 const FILLS: usize = 16 << 20;
-/// From one batch for it to the next: a thousand packages a second.
+/// From one batch for it to the next: a thousand packages a second while it runs.
 const BEAT: Duration = Duration::from_millis(64);
 /// Beats of a second: a byte of the client that sends one a second, and a look at each silent connection.
 const BEATS: usize = 16;

@@ -156,6 +156,9 @@ fn strangers_are_kept_out_and_named() {
         wait_until("it tries again", || why().len() > before);
         kept_out("did not prove that it knows the secret");
     }
+    let endings = router.status()["endings"].clone();
+    let count = |reason: &str| endings[reason].as_u64().unwrap();
+    assert!(count("tls") >= 3 && count("stranger") >= 2, "{endings}");
 }
 
 #[test]

@@ -146,7 +146,11 @@ fn read_again(args: &RouterRunArgs, remote: &Remote) {
             };
             tell(&format!("{what}; all else is as at the start"));
         }
-        Err(why) => tell(&format!("the rules stay as they were: {why:#}")),
+        Err(why) => {
+            // One that has ended shows no status.
+            let _ = remote.refuse_rules(format!("{why:#}"));
+            tell(&format!("the rules stay as they were: {why:#}"));
+        }
     }
 }
 

@@ -51,6 +51,11 @@ pub struct RouterShown {
     pub waiting: usize,
     /// Counters since its start, by name.
     pub counters: BTreeMap<String, u64>,
+    /// Connections that were closed since its start, by reason.
+    pub endings: BTreeMap<String, u64>,
+    /// The error of its file, if that was read again and has one: the rules before are in force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rules_error: Option<String>,
     /// Rates of all connections; none before the first are measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rates: Option<RatesShown>,
@@ -159,6 +164,8 @@ impl RouterShown {
             names: status.clients.iter().map(|client| client.names.len()).sum(),
             waiting: status.clients.iter().map(|client| client.waiting).sum(),
             counters: status.counters.each().map(|(name, count)| (name.to_owned(), count)).collect(),
+            endings: status.endings.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect(),
+            rules_error: status.rules_error.clone(),
             rates: status.rates.map(RatesShown::of),
             links: status.links.iter().map(LinkShown::of).collect(),
             clients: clients.into_iter().map(ClientShown::of).collect(),

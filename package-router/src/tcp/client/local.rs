@@ -58,10 +58,10 @@ impl Local {
     /// `true`: nothing waits, and its descriptor is readable once something does. Commands that found the queue full are answered.
     pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
         let is_empty = self.mailbox.prepare_wait()?;
-        // Those that are refused from now on make it readable, too, whatever waits.
+        // A command that is refused from now on makes the mailbox readable, whatever waits.
         let mut refused = core::mem::take(&mut self.refused);
         self.mailbox.take_refused_commands(&mut refused)?;
-        // The broker is asked once for a mailbox that has gone: the commands of a sender come one behind the other.
+        // The commands of a sender come one behind the other: for them the broker is asked once for a mailbox that has gone.
         let mut gone = MailboxName::NOBODY;
         for head in refused.drain(..) {
             if head.from != gone && self.answer(&head, NOT_AVAILABLE) == Err(SendError::NoMailbox(head.from))

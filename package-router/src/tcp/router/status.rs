@@ -1,6 +1,7 @@
 //! The status of a router.
 
 use core::net::SocketAddr;
+use std::collections::BTreeMap;
 
 use super::{Ending, Rates, Router};
 use crate::name::MailboxName;
@@ -62,6 +63,8 @@ counters! {
     controls_malformed,
     /// Connections beyond the limit.
     connections_refused,
+    /// Files that were read again and had an error: the rules before stayed in force.
+    rules_refused,
 }
 
 /// A connection that is open.
@@ -130,6 +133,10 @@ pub struct Status {
     pub links: Vec<LinkStatus>,
     /// Sums over all connections so far.
     pub counters: Counters,
+    /// How many connections were closed, by [`Ending::reason`]; all reasons are there.
+    pub endings: BTreeMap<&'static str, u64>,
+    /// The error of the file that was read again last, if it had one.
+    pub rules_error: Option<String>,
     /// The rates of all connections; none before the first round has ended.
     pub rates: Option<Rates>,
 }
@@ -157,6 +164,14 @@ impl Router {
         let mut counters = self.counters;
         clients.iter().for_each(|client| counters.add(&client.counters));
         let closed = self.closed.iter().cloned().collect();
-        Status { clients, closed, links: Vec::new(), counters, rates: self.meter.rates() }
+        Status {
+            clients,
+            closed,
+            links: Vec::new(),
+            counters,
+            endings: self.endings_by_reason.clone(),
+            rules_error: self.rules_error.clone(),
+            rates: self.meter.rates(),
+        }
     }
 }

@@ -21,7 +21,7 @@ pub struct Remote {
 /// A request of another thread.
 pub(super) enum Order {
     Status(Sender<Status>),
-    Rules(Rules),
+    Rules(Result<Rules, String>),
 }
 
 impl Remote {
@@ -45,7 +45,12 @@ impl Remote {
 
     /// Replaces the rules; `None` if the server has ended.
     pub fn set_rules(&self, rules: Rules) -> Option<()> {
-        self.order(Order::Rules(rules))
+        self.order(Order::Rules(Ok(rules)))
+    }
+
+    /// Reports rules that cannot be, and why, for the router's status; `None` if the server has ended.
+    pub fn refuse_rules(&self, why: String) -> Option<()> {
+        self.order(Order::Rules(Err(why)))
     }
 
     /// The router as it is; `None` if the server has not answered in time.

@@ -18,6 +18,7 @@ pub fn figures(status: &Status, up_seconds: f64) -> String {
     figures.gauge(["rtnet_waiting_bytes", "Their bytes."], sum(|client| client.waiting_bytes));
     figures.gauge(["rtnet_oldest_seconds", "Time that the oldest of them has waited."], oldest as f64 / 1e3);
     let counters = status.counters.each().map(|(name, n)| (["router", name], n));
+    let counters = counters.chain(status.endings.iter().map(|(reason, n)| (["closed", *reason], *n)));
     figures.counters(EVENTS, ["group", "reason"], counters);
     figures.into_text()
 }
@@ -36,6 +37,7 @@ mod tests {
             "rtnet_connections 0",
             "rtnet_mailboxes 0",
             "rtnet_events_total{group=\"router\",reason=\"queue_full\"} 0",
+            "rtnet_events_total{group=\"closed\",reason=\"stranger\"} 0",
         ] {
             assert!(text.lines().any(|of| of == line), "{line}: {text}");
         }

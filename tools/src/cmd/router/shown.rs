@@ -26,6 +26,9 @@ pub(super) fn describe(router: &RouterShown) -> String {
         },
     ));
     lines.extend(router.links.iter().map(described));
+    lines.extend(router.rules_error.iter().map(|why| {
+        format!("its file was read again and has an error, so the rules before are in force: {why}")
+    }));
     lines.extend(clients_of(router));
     let dropped: Vec<String> = router
         .counters
@@ -37,7 +40,14 @@ pub(super) fn describe(router: &RouterShown) -> String {
         lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
     }
     if !router.closed.is_empty() {
-        lines.extend([String::new(), "closed connections, the newest first:".into()]);
+        let ended = router.endings.iter().filter(|(_, count)| **count > 0);
+        let by_reason: Vec<String> = ended
+            .map(|(reason, count)| format!("{} {}", reason.replace('_', " "), grouped(*count)))
+            .collect();
+        lines.extend([
+            String::new(),
+            format!("connections closed since its start: {}; the newest first:", by_reason.join(", ")),
+        ]);
         lines.extend(router.closed.iter().map(|closed| {
             let [ago, open] = [closed.ago_ns, closed.open_ns].map(duration);
             format!("{} {ago} ago, after {open}: {}", closed.peer, closed.why)

@@ -1,0 +1,77 @@
+//! Why a connection was closed.
+
+use std::io;
+
+use super::LIFESIGN_EVERY;
+use crate::wire::HeadError;
+
+/// Why a connection was closed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Ending {
+    /// The other end has closed it.
+    #[error("closed at the other end")]
+    Left,
+    /// The client did not answer for a whole round.
+    #[error("no sign of life for {} s", LIFESIGN_EVERY / 1_000)]
+    Silent,
+    /// It did not prove that it knows the secret: its first package was another, or the proof was wrong.
+    #[error("it has no certificate, and did not prove that it knows the secret")]
+    Stranger,
+    /// The router at the other end of a link is of the same system, or does not take links.
+    #[error(
+        "the router there takes no link of this system: it has the same number (`system`), or is of another make"
+    )]
+    SameSystem,
+    /// Its TLS session did not begin, or broke.
+    #[error("TLS: {0}")]
+    Tls(String),
+    /// A newer connection took its place among those that have not proved yet that they may come.
+    #[error("it had not proved yet that it may come, and a newer connection took its place")]
+    Crowded,
+    /// There is no room for a link.
+    #[error("as many connections are open here as may (limits.connections)")]
+    TooMany,
+    /// It held the most memory when the router had none left.
+    #[error("it held the most bytes when the router held as many as it may (limits.memory)")]
+    NoMemory,
+    /// It sent bytes that are no package.
+    #[error("{0}")]
+    NoPackage(#[from] HeadError),
+    /// The kernel's error number.
+    #[error("{}", io::Error::from_raw_os_error(*.0))]
+    Broken(i32),
+}
+
+impl Ending {
+    /// All reasons by which connections that were closed are counted.
+    pub const REASONS: [&'static str; 11] = [
+        "left",
+        "silent",
+        "stranger",
+        "same_system",
+        "tls",
+        "crowded",
+        "too_many",
+        "no_memory",
+        "too_short",
+        "too_long",
+        "broken",
+    ];
+
+    /// The one of [`REASONS`](Self::REASONS) by which it is counted.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Silent => "silent",
+            Self::Stranger => "stranger",
+            Self::SameSystem => "same_system",
+            Self::Tls(_) => "tls",
+            Self::Crowded => "crowded",
+            Self::TooMany => "too_many",
+            Self::NoMemory => "no_memory",
+            Self::NoPackage(HeadError::LenAboveMost { .. }) => "too_long",
+            Self::NoPackage(HeadError::LenBelowHead { .. } | HeadError::TooShort { .. }) => "too_short",
+            Self::Broken(_) => "broken",
+        }
+    }
+}

@@ -26,7 +26,7 @@ const ASK: i8 = 21;
 /// The router's addresses: for hosts in the clear, and for stations by TLS, as their lab's file says.
 const ROUTER: &str = "10.1.0.4:2000";
 const BY_TLS: &str = "10.1.0.4:2001";
-/// The components: on the master, the arm and the leg, and on three hosts without a station.
+/// The components: on the master, the arm and the leg, and on two hosts without a station, in C and Rust on one and in Python on the other.
 const NAMES: [MailboxName; 6] = [name(1), name(2), name(3), name(4), name(5), name(6)];
 
 const fn name(instance: u8) -> MailboxName {
@@ -93,6 +93,11 @@ fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, 
             has_met.store(left.is_empty(), Ordering::Relaxed);
         }
     }
+}
+
+/// The Python component, and the directory of the client that it uses.
+pub fn in_python() -> (PathBuf, PathBuf) {
+    (clients().join("../../tests/cli/router/meet.py"), clients())
 }
 
 /// A component in C, if there is a compiler, and the library has been built.
@@ -166,13 +171,13 @@ fn components_of_stations_and_hosts_meet_by_name() {
             std::iter::once(&numbers[own]).chain(others).map(String::as_str).collect::<Vec<_>>()
         };
         let broker = Path::new("/run/rtnet").join(&cell.name).join("arm.packages");
-        let python = clients().join("../../tests/cli/router/meet.py");
-        let python_path = format!("PYTHONPATH={}", clients().display());
+        let (python, client) = in_python();
+        let python_path = format!("PYTHONPATH={}", client.display());
         let programs = [
             ("arm", vec![c, "station", broker.to_str().unwrap()], 1),
             ("hosts", vec![c, "router", ROUTER], 3),
             (
-                "hosts",
+                "console",
                 vec![
                     "env",
                     &python_path,
@@ -241,4 +246,16 @@ fn shows_ways(cell: &Cell) {
         (&"lan".into(), &"0.0x80.2".into(), &"10.0.0.2".into())
     );
     assert_eq!(way(NAMES[4])["way"], "tcp");
+    let why = |to: MailboxName| {
+        let to = format!("{:#010x}", to.0);
+        let output = rtnet().args(["package", "-S", &cell.place("leg"), "route", &to]).output().unwrap();
+        text(&output.stdout).to_string()
+    };
+    for (to, words) in [
+        (NAMES[2], "mailbox: it is a mailbox of this station"),
+        (NAMES[1], "LAN: no mailbox of this station, and route 0.0x80.2 leads to 10.0.0.2"),
+        (NAMES[4], "TCP: no mailbox of this station, and no route leads to another; "),
+    ] {
+        assert!(why(to).contains(words), "{}", why(to));
+    }
 }

@@ -1,4 +1,4 @@
-//! The Python client as a package: pip installs it, and builds a wheel of it, without a network.
+//! The Python client as a package: pip installs it, what is installed passes its tests, and a wheel is built of it, without a network.
 
 use std::fs;
 use std::path::Path;
@@ -25,6 +25,7 @@ fn run(program: &Path, arguments: &[&str], directory: &Path) -> String {
     command.args(["-n", "19"]).arg(program);
     command.args(arguments).current_dir(directory);
     command.env_remove("PYTHONPATH").env("PIP_CONFIG_FILE", "/dev/null").env("PIP_NO_CACHE_DIR", "1");
+    command.env("RTNET_BIN", env!("CARGO_BIN_EXE_rtnet"));
     let output = command.env("PIP_DISABLE_PIP_VERSION_CHECK", "1").output().unwrap();
     let printed = text(&output.stdout);
     assert!(output.status.success(), "{arguments:?}: {printed}{}", text(&output.stderr));
@@ -66,6 +67,15 @@ fn python_client_installs_and_its_wheel_builds() {
     let installed = Path::new(file);
     assert!(installed.starts_with(&venv) && installed.with_file_name("py.typed").exists(), "{file}");
     assert!(names.split_whitespace().any(|name| name == "Router"), "{names}");
+
+    // The tests alone: what they import is what was installed.
+    fs::create_dir(elsewhere.path().join("tests")).unwrap();
+    for file in fs::read_dir(client.join("tests")).unwrap().map(Result::unwrap) {
+        if file.file_type().unwrap().is_file() {
+            fs::copy(file.path(), elsewhere.path().join("tests").join(file.file_name())).unwrap();
+        }
+    }
+    run(&python, &["-W", "error", "-m", "unittest", "discover", "-t", ".", "-s", "tests"], elsewhere.path());
 
     let wheels = place.path().join("wheels");
     pip(&["wheel", "--no-deps", "-w", wheels.to_str().unwrap(), "."]);

@@ -1,6 +1,8 @@
 //! A router that is killed and started again, under load.
 
 use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -11,14 +13,18 @@ use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::wire::{Head, NOT_AVAILABLE, OK};
 
+use super::meet::{Program, in_c, in_python};
 use super::{AtEnd, Router};
 use crate::cell::wait_until;
-use crate::host::figure;
+use crate::host::{figure, skip};
 
 const RESTARTS: usize = 100;
 const ECHO: MailboxName = MailboxName::new(0, Class(0x80), 0, 0);
 const CALLER: MailboxName = MailboxName::new(0, Class(0x80), 1, 0);
 const FLOOD: MailboxName = MailboxName::new(0, Class(0x80), 2, 0);
+/// Clients in other languages, which answer each other.
+const IN_C: MailboxName = MailboxName::new(0, Class(0x80), 3, 0);
+const IN_PYTHON: MailboxName = MailboxName::new(0, Class(0x80), 4, 0);
 const ASK: i8 = 21;
 const DATA: i8 = -6;
 /// How long a call waits for its answer.
@@ -124,16 +130,41 @@ fn floods(mailbox: &Mailbox, is_over: &AtomicBool) -> (u64, u64) {
     (taken, full)
 }
 
+/// A client in C and one in Python, which have met each other. `None`: there is no compiler, or no Python.
+fn in_other_languages(test: &str, dir: &Path, at: &str) -> Option<[Program; 2]> {
+    let c = in_c(test, dir)?;
+    if Command::new("python3").arg("--version").output().is_err() {
+        skip(test, "needs python3: Debian package python3");
+        return None;
+    }
+    let (python, client) = in_python();
+    let [own, other] = [IN_C, IN_PYTHON].map(|name| format!("{:#010x}", name.0));
+    let (host, port) = at.split_once(':').unwrap();
+    let mut in_c = Command::new(c);
+    in_c.args(["router", at, &own, &other]);
+    let mut in_python = Command::new("python3");
+    in_python.arg(python).args([host, port, &other, &own]);
+    in_python.env("PYTHONPATH", client).env("PYTHONDONTWRITEBYTECODE", "1");
+    let mut programs =
+        [in_c, in_python].map(|mut command| Program(command.stdout(Stdio::piped()).spawn().unwrap()));
+    programs.iter_mut().for_each(Program::has_met_all);
+    Some(programs)
+}
+
 #[test]
 fn clients_come_back_to_a_router_killed_again_and_again() {
+    let test = "clients_come_back_to_a_router_killed_again_and_again";
     let mut router = Router::start("restarts", &[]);
     let at = router.at.to_string();
     let [mut echo, mut caller, flood] = [ECHO, CALLER, FLOOD].map(|name| Host::new(&router, name));
     let looks = [&echo, &caller, &flood].map(|host| host.component.tcp().unwrap());
-    let are_back = |connections: u64| {
-        looks.iter().map(|look| look.status()).all(|of| of.names == 1 && of.connections >= connections)
+    let dir = tempfile::tempdir().unwrap();
+    let Some(_programs) = in_other_languages(test, dir.path(), &at) else { return };
+    let are_back = |connections: u64, router: &Router| {
+        let mut all = looks.iter().map(|look| look.status());
+        all.all(|of| of.names == 1 && of.connections >= connections) && router.status()["names"] == 5
     };
-    wait_until("all are registered", || are_back(1));
+    wait_until("all are registered", || are_back(1, &router));
 
     let (is_over, is_read, data) = (AtomicBool::new(false), AtomicBool::new(false), AtomicU64::new(0));
     thread::scope(|scope| {
@@ -158,7 +189,7 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
             router.child.wait().unwrap();
             router = Router::start("restarts", &["--listen", &at]);
             let begun = Instant::now();
-            wait_until("all are back", || are_back(restart + 1));
+            wait_until("all are back", || are_back(restart + 1, &router));
             back_after.push(begun.elapsed());
             wait_until("packages come again", || data.load(Ordering::Relaxed) > received);
         }
@@ -182,9 +213,9 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
         let (delivered, lost, unconfirmed) = ends();
         wait_until("refused packages are counted", || looks[2].status().local.queue_full == full);
         figure(
-            "clients_come_back_to_a_router_killed_again_and_again",
+            test,
             &format!(
-                "{RESTARTS} restarts: all 3 clients back after {:.0} ms (p50), {:.0} ms (max); {made} calls: {answered} answered, \
+                "{RESTARTS} restarts: all 5 clients back after {:.0} ms (p50), {:.0} ms (max); {made} calls: {answered} answered, \
                  {not_available} not available, {timed_out} timed out, {refused} refused; {taken} other packages: {delivered} \
                  delivered once, {lost} lost and counted, {} lost of {unconfirmed} unconfirmed; {full} refused",
                 back_after[RESTARTS / 2].as_secs_f64() * 1e3,

@@ -112,9 +112,12 @@ fn left(router: &mut Router, now: u64) -> u64 {
 fn router_file_takes_any_text() {
     let file = "name = \"r\"\ninsecure = true\n[[listen]]\naddress = \"127.0.0.1:2000\"\n[limits]\nconnections = 5\nnames = 3\n\
                 queue = 300000\n";
+    let of_systems = "system = 1\nmetrics = \"127.0.0.1:9100\"\n[[listen]]\naddress = \"0.0.0.0:2001\"\nkeys = \"keys/router\"\n\
+                      [[link]]\nrouter = \"far:2001\"\nkeys = \"keys/client\"\nsystems = [2, 3]\n\
+                      [[register]]\nnames = [\"1.Pilot.*\", \"1.0x80.1/2\"]\n[[send]]\nfrom = [\"2.*\"]\nto = [\"1.Pilot.*\"]\n";
     fuzz(&Target {
         name: "router_file",
-        seeds: [file, "", "[limits]\nqueue = 1\n"].map(|text| text.as_bytes().to_vec()).into(),
+        seeds: [file, of_systems, "", "[limits]\nqueue = 1\n"].map(|text| text.as_bytes().to_vec()).into(),
         has_corpus: false,
         mutate: mutate::text,
         run: |bytes| {

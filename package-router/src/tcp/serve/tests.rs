@@ -147,6 +147,25 @@ fn bytes_on_sockets_are_those_of_real_peers() {
     reads(&mut j2, "03110000 00000000 00000000 10000000");
     j.write_all(&hex("00060000 001c0000 00100100 00000010")).unwrap();
     reads(&mut c, "01060000 00001c00 00011000 10000000");
+
+    // M is a module, in little-endian; J has two mailboxes for its records, and one for messages.
+    let mut m = running.connect();
+    register(&mut m, 0x0011_0000);
+    for name in ["00020700", "00020701", "00010000"] {
+        j.write_all(&hex(&format!("000d0000 00000000 00000000 00000014 {name}"))).unwrap();
+        reads(&mut j, "03000000 00000000 00000000 10000000");
+    }
+    j.write_all(&hex("0006000a 00110000 00020700 00000018 00000000 00020701")).unwrap();
+    reads(&mut m, "0106000a 00001100 00070200 18000000 00000000 00020701");
+    let record = "01".repeat(36);
+    for answer in [
+        "03f9000a 00070200 00001100 14000000 64000000".to_owned(),
+        format!("03fa000a 01070200 00001100 34000000 {record}"),
+        "03840100 00000100 00001100 1b000000 4d6f64756c65206f6e0a00".to_owned(),
+    ] {
+        m.write_all(&hex(&answer)).unwrap();
+        reads(&mut j, &answer);
+    }
 }
 
 #[test]

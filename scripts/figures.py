@@ -133,14 +133,16 @@ class Table:
         self.failed, self.width, self.names = 0, width, Names()
         print(f"{'figure':{width}} {'':6} {'':>8} {'(spread)':22} {'n':>3}  aim")
 
-    def row(self, what, values, aim=None, places=3, kind="median", spread=lambda values: (min(values), max(values))):
+    def row(self, what, values, aim=None, places=3, kind="median", spread=lambda values: (min(values), max(values)), value=None):
+        """The figure is of that kind, of `values`; a figure of another kind is `value`, and `values` those of the rounds."""
         name = self.names.of(what)
         if not values:
             print(f"{what:{self.width}} did not run")
             if aim:
                 Report.line("FAILED", name, "did not run")
             return
-        value = {"median": statistics.median, "mean": statistics.mean, "sum": sum, "max": max}[kind](values)
+        if value is None:
+            value = {"median": statistics.median, "mean": statistics.mean, "sum": sum, "max": max}[kind](values)
         least, most = spread(values)
         shown = f"({least:.{places}f}..{most:.{places}f})"
         verdict = judged(name, value, aim, least, most, places)

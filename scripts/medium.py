@@ -1,0 +1,72 @@
+"""A lab's medium from its capture (pcapng): its frames, and when its cycles began."""
+
+import statistics
+import struct
+from bisect import bisect_right
+
+from figures import NotRun
+
+PACKAGES_PORT = 8192
+RTMAC_ETHERTYPE, IPV4_ETHERTYPE = b"\x90\x21", b"\x08\x00"
+# RTmac's head, then TDMA's version and its number of a synchronisation.
+SYNC = bytes.fromhex("0001 02 00 0201 0000".replace(" ", ""))
+
+
+def frames(path):
+    """Each frame of a capture, and its stamp in ns."""
+    data, at, order = path.read_bytes(), 0, "<"
+    while at + 12 <= len(data):
+        if data[at : at + 4] == b"\x0a\x0d\x0d\x0a":
+            order = "<" if data[at + 8 : at + 12] == b"\x4d\x3c\x2b\x1a" else ">"
+        kind, length = struct.unpack_from(order + "II", data, at)
+        if length < 12 or at + length > len(data):
+            raise NotRun("the capture is not whole")
+        # An interface description has the option if_tsresol (code 9, 1 byte): 9.
+        if kind == 1 and struct.pack(order + "HHB", 9, 1, 9) not in data[at + 16 : at + length]:
+            raise NotRun("the stamps of the capture are not in ns")
+        if kind == 6:
+            high, low, captured = struct.unpack_from(order + "III", data, at + 12)
+            yield (high << 32) | low, data[at + 28 : at + 28 + captured]
+        at += length
+
+
+def is_package(frame):
+    """Whether it is a real-time UDP datagram to the port of packages."""
+    if frame[12:14] != IPV4_ETHERTYPE or frame[23] != 17:
+        return False
+    return struct.unpack_from(">H", frame, 14 + 4 * (frame[14] & 15) + 2)[0] == PACKAGES_PORT
+
+
+def scheduled(frame):
+    """When a synchronisation was to be sent, by the master's clock; `None`: it is another frame."""
+    is_sync = frame[12:14] == RTMAC_ETHERTYPE and frame[14:22] == SYNC
+    return struct.unpack_from(">Q", frame, 34)[0] if is_sync else None
+
+
+class Schedule:
+    """When cycles began, by the capture's clock: syncs carry the scheduled instants by the master's clock."""
+
+    def __init__(self, syncs):
+        """`syncs`: stamp, scheduled instant."""
+        self.stamps, self.scheduled = [stamp for stamp, _ in syncs], [scheduled for _, scheduled in syncs]
+        self.first, span = self.stamps[0], self.stamps[-1] - self.stamps[0] + 1
+        self.parts = max(1, round(span / 1e9))
+        self.length = span / self.parts
+        parts = [[] for _ in range(self.parts)]
+        for stamp, scheduled in syncs:
+            parts[self.part(stamp)].append((stamp, stamp - scheduled))
+        if not all(parts):
+            raise NotRun("a second without syncs")
+        # The clocks drift by some 10 us in a second: first by how much, then the smallest difference in each second.
+        middles = [statistics.fmean(stamp for stamp, _ in part) - self.first for part in parts]
+        apart = [statistics.median(difference for _, difference in part) for part in parts]
+        self.drift = (apart[-1] - apart[0]) / (middles[-1] - middles[0]) if self.parts > 1 else 0.0
+        self.least = [min(difference - self.drift * (stamp - self.first) for stamp, difference in part) for part in parts]
+
+    def part(self, stamp):
+        return min(self.parts - 1, max(0, int((stamp - self.first) / self.length)))
+
+    def last_begin(self, stamp):
+        """When the cycle of the last sync before that began."""
+        place = max(0, bisect_right(self.stamps, stamp) - 1)
+        return self.scheduled[place] + self.least[self.part(stamp)] + self.drift * (stamp - self.first)

@@ -144,7 +144,7 @@ pub fn json(command: &mut Command) -> Value {
     schema::read(&output.stdout)
 }
 
-pub fn wait_until(what: &str, holds: impl Fn() -> bool) {
+pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let deadline = Instant::now() + Duration::from_secs(120);
     while !holds() {
         assert!(Instant::now() < deadline, "in vain: {what}");

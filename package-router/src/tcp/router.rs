@@ -60,7 +60,8 @@ impl Default for Limits {
 }
 
 /// As many connections are open as may be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("as many connections are open here as may be (limits.connections)")]
 pub struct TooMany;
 
 /// The trust in a connection.
@@ -125,7 +126,7 @@ pub struct Router {
     /// Sums over the closed connections.
     counters: Counters,
     /// How many were closed, by [`Ending::reason`].
-    endings_by_reason: BTreeMap<&'static str, u64>,
+    counted_endings: BTreeMap<&'static str, u64>,
     /// The error of a file that was read again; none once another was read without.
     rules_error: Option<String>,
     /// The rate of all connections.
@@ -153,7 +154,7 @@ impl Router {
             endings: Vec::new(),
             closed: VecDeque::new(),
             counters: Counters::default(),
-            endings_by_reason: Ending::REASONS.map(|reason| (reason, 0)).into(),
+            counted_endings: Ending::REASONS.map(|reason| (reason, 0)).into(),
             rules_error: None,
             meter: Meter::new(now),
             next_round: now + LIFESIGN_EVERY,
@@ -166,7 +167,7 @@ impl Router {
         (self.rules, self.rules_error) = (rules, None);
     }
 
-    /// Counts rules that cannot be, and remembers why. Those before stay in force.
+    /// Counts rules that cannot be, and remembers why. The rules before stay in force.
     pub fn refuse_rules(&mut self, why: String) {
         self.counters.rules_refused += 1;
         self.rules_error = Some(why);
@@ -300,7 +301,7 @@ impl Router {
         self.held -= client.held();
         client.counters.lost_at_close += client.outgoing.packages() as u64;
         self.counters.add(&client.counters);
-        *self.endings_by_reason.entry(why.reason()).or_default() += 1;
+        *self.counted_endings.entry(why.reason()).or_default() += 1;
         self.closed.truncate(CLOSED - 1);
         self.closed.push_front(Closed {
             peer: client.peer,

@@ -74,14 +74,16 @@ int main(int argc, char **argv) {
             return 1;
         }
         while (rtnet_mailbox_receive(own, &head, body, sizeof body, A_WHILE) >= 0) {
+            if (head.kind == ASK) {
+                rtnet_sender *back;
+                checked(rtnet_sender_bind(own, head.from, &back), "a sender for an answer");
+                head.kind = RTNET_OK;
+                rtnet_sender_send_with(back, &head, body, head.len);
+                rtnet_sender_unbind(back);
+                continue;
+            }
             for (int other = 0; other < count; other++) {
-                if (names[other] != head.from) {
-                    continue;
-                }
-                if (head.kind == ASK) {
-                    head.kind = RTNET_OK;
-                    rtnet_sender_send_with(to[other], &head, body, head.len);
-                } else if (head.kind == RTNET_OK && !answered[other]) {
+                if (names[other] == head.from && head.kind == RTNET_OK && !answered[other]) {
                     answered[other] = 1;
                     left--;
                 }

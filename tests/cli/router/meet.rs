@@ -95,9 +95,13 @@ fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, 
     }
 }
 
-/// The Python component, and the directory of the client that it uses.
-pub fn in_python() -> (PathBuf, PathBuf) {
-    (clients().join("../../tests/cli/router/meet.py"), clients())
+/// The component in Python, and the directory of the client that it uses, if there is Python.
+pub fn in_python(test: &str) -> Option<(PathBuf, PathBuf)> {
+    if Command::new("python3").arg("--version").output().is_err() {
+        skip(test, "needs python3: Debian package python3");
+        return None;
+    }
+    Some((clients().join("../../tests/cli/router/meet.py"), clients()))
 }
 
 /// A component in C, if there is a compiler, and the library has been built.
@@ -134,9 +138,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
     network(test, || {
         let dir = tempfile::tempdir().unwrap();
         let Some(c) = in_c(test, dir.path()) else { return };
-        if Command::new("python3").arg("--version").output().is_err() {
-            return skip(test, "needs python3: Debian package python3");
-        }
+        let Some((python, client)) = in_python(test) else { return };
         let (c, routes) = (c.to_str().unwrap(), dir.path().join("routes.toml"));
         fs::write(&routes, include_str!("meet_routes.toml")).unwrap();
         let keys = dir.path().join("keys");
@@ -171,7 +173,6 @@ fn components_of_stations_and_hosts_meet_by_name() {
             std::iter::once(&numbers[own]).chain(others).map(String::as_str).collect::<Vec<_>>()
         };
         let broker = Path::new("/run/rtnet").join(&cell.name).join("arm.packages");
-        let (python, client) = in_python();
         let python_path = format!("PYTHONPATH={}", client.display());
         let programs = [
             ("arm", vec![c, "station", broker.to_str().unwrap()], 1),

@@ -16,7 +16,7 @@ use package_router::wire::{Head, NOT_AVAILABLE, OK};
 use super::meet::{Program, in_c, in_python};
 use super::{AtEnd, Router};
 use crate::cell::wait_until;
-use crate::host::{figure, skip};
+use crate::host::figure;
 
 const RESTARTS: usize = 100;
 const ECHO: MailboxName = MailboxName::new(0, Class(0x80), 0, 0);
@@ -130,25 +130,30 @@ fn floods(mailbox: &Mailbox, is_over: &AtomicBool) -> (u64, u64) {
     (taken, full)
 }
 
-/// A client in C and one in Python, which have met each other. `None`: there is no compiler, or no Python.
-fn in_other_languages(test: &str, dir: &Path, at: &str) -> Option<[Program; 2]> {
-    let c = in_c(test, dir)?;
-    if Command::new("python3").arg("--version").output().is_err() {
-        skip(test, "needs python3: Debian package python3");
-        return None;
-    }
-    let (python, client) = in_python();
+/// A client in C and one in Python, which have met each other; none if there is no compiler, or no Python.
+fn in_other_languages(test: &str, dir: &Path, at: &str) -> Vec<Program> {
+    let (Some(c), Some((python, client))) = (in_c(test, dir), in_python(test)) else { return Vec::new() };
     let [own, other] = [IN_C, IN_PYTHON].map(|name| format!("{:#010x}", name.0));
     let (host, port) = at.split_once(':').unwrap();
-    let mut in_c = Command::new(c);
-    in_c.args(["router", at, &own, &other]);
-    let mut in_python = Command::new("python3");
-    in_python.arg(python).args([host, port, &other, &own]);
-    in_python.env("PYTHONPATH", client).env("PYTHONDONTWRITEBYTECODE", "1");
-    let mut programs =
-        [in_c, in_python].map(|mut command| Program(command.stdout(Stdio::piped()).spawn().unwrap()));
+    let mut first = Command::new(c);
+    first.args(["router", at, &own, &other]);
+    let mut second = Command::new("python3");
+    second.arg(python).args([host, port, &other, &own]);
+    second.env("PYTHONPATH", client).env("PYTHONDONTWRITEBYTECODE", "1");
+    let start = |command: &mut Command| Program(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut programs = vec![start(&mut first), start(&mut second)];
     programs.iter_mut().for_each(Program::has_met_all);
-    Some(programs)
+    programs
+}
+
+/// Whether a client answers a question.
+fn answers(caller: &mut Mailbox, to: MailboxName) -> bool {
+    let id = caller.sender(to).unwrap().send(ASK, b"again").unwrap();
+    let package = caller.receive(Some(ANSWER_WITHIN));
+    package.is_ok_and(|package| {
+        let head = package.head();
+        (head.kind, head.from, head.id) == (OK, to, id)
+    })
 }
 
 #[test]
@@ -159,10 +164,11 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
     let [mut echo, mut caller, flood] = [ECHO, CALLER, FLOOD].map(|name| Host::new(&router, name));
     let looks = [&echo, &caller, &flood].map(|host| host.component.tcp().unwrap());
     let dir = tempfile::tempdir().unwrap();
-    let Some(_programs) = in_other_languages(test, dir.path(), &at) else { return };
+    let programs = in_other_languages(test, dir.path(), &at);
+    let clients = looks.len() + programs.len();
     let are_back = |connections: u64, router: &Router| {
         let mut all = looks.iter().map(|look| look.status());
-        all.all(|of| of.names == 1 && of.connections >= connections) && router.status()["names"] == 5
+        all.all(|of| of.names == 1 && of.connections >= connections) && router.status()["names"] == clients
     };
     wait_until("all are registered", || are_back(1, &router));
 
@@ -215,7 +221,7 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
         figure(
             test,
             &format!(
-                "{RESTARTS} restarts: all 5 clients back after {:.0} ms (p50), {:.0} ms (max); {made} calls: {answered} answered, \
+                "{RESTARTS} restarts: all {clients} clients back after {:.0} ms (p50), {:.0} ms (max); {made} calls: {answered} answered, \
                  {not_available} not available, {timed_out} timed out, {refused} refused; {taken} other packages: {delivered} \
                  delivered once, {lost} lost and counted, {} lost of {unconfirmed} unconfirmed; {full} refused",
                 back_after[RESTARTS / 2].as_secs_f64() * 1e3,
@@ -224,4 +230,7 @@ fn clients_come_back_to_a_router_killed_again_and_again() {
             ),
         );
     });
+    for to in [IN_C, IN_PYTHON].into_iter().take(programs.len()) {
+        wait_until("it answers, too", || answers(&mut caller.mailbox, to));
+    }
 }

@@ -52,6 +52,7 @@ pub struct RouterShown {
     /// Counters since its start, by name.
     pub counters: BTreeMap<String, u64>,
     /// Connections that were closed since its start, by reason.
+    #[serde(default)]
     pub endings: BTreeMap<String, u64>,
     /// The error of its file, if that was read again and has one: the rules before are in force.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -28,9 +28,6 @@ pub enum Ending {
     /// A newer connection took its place among those that have not proved yet that they may come.
     #[error("it had not proved yet that it may come, and a newer connection took its place")]
     Crowded,
-    /// There is no room for a link.
-    #[error("as many connections are open here as may (limits.connections)")]
-    TooMany,
     /// It held the most memory when the router had none left.
     #[error("it held the most bytes when the router held as many as it may (limits.memory)")]
     NoMemory,
@@ -44,14 +41,13 @@ pub enum Ending {
 
 impl Ending {
     /// All reasons by which connections that were closed are counted.
-    pub const REASONS: [&'static str; 11] = [
+    pub const REASONS: [&'static str; 10] = [
         "left",
         "silent",
         "stranger",
         "same_system",
         "tls",
         "crowded",
-        "too_many",
         "no_memory",
         "too_short",
         "too_long",
@@ -67,11 +63,35 @@ impl Ending {
             Self::SameSystem => "same_system",
             Self::Tls(_) => "tls",
             Self::Crowded => "crowded",
-            Self::TooMany => "too_many",
             Self::NoMemory => "no_memory",
             Self::NoPackage(HeadError::LenAboveMost { .. }) => "too_long",
             Self::NoPackage(HeadError::LenBelowHead { .. } | HeadError::TooShort { .. }) => "too_short",
             Self::Broken(_) => "broken",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn each_ending_is_counted_by_a_reason_of_its_own() {
+        let too_long = HeadError::LenAboveMost { len: 1 << 20 };
+        let endings = [
+            Ending::Left,
+            Ending::Silent,
+            Ending::Stranger,
+            Ending::SameSystem,
+            Ending::Tls("an alert".into()),
+            Ending::Crowded,
+            Ending::NoMemory,
+            HeadError::LenBelowHead { len: 3 }.into(),
+            too_long.into(),
+            Ending::Broken(5),
+        ];
+        let reasons: BTreeSet<_> = endings.iter().map(Ending::reason).collect();
+        assert_eq!(reasons, Ending::REASONS.into());
     }
 }

@@ -169,7 +169,7 @@ impl Router {
             closed,
             links: Vec::new(),
             counters,
-            endings: self.endings_by_reason.clone(),
+            endings: self.counted_endings.clone(),
             rules_error: self.rules_error.clone(),
             rates: self.meter.rates(),
         }

@@ -1,5 +1,6 @@
 //! Links to the routers of other systems, on sockets.
 
+use core::fmt::Display;
 use std::collections::BTreeSet;
 
 use mio::{Interest, Registry, Token};
@@ -9,7 +10,7 @@ use crate::tcp::address::Address;
 use crate::tcp::control::Proof;
 use crate::tcp::dial::{Dial, Opened};
 use crate::tcp::keys::ClientKeys;
-use crate::tcp::router::{Ending, LinkStatus};
+use crate::tcp::router::{Ending, LinkStatus, TooMany};
 use crate::tcp::stream::Stream;
 
 /// A link to the router of another system.
@@ -60,10 +61,15 @@ impl OwnLink {
 
     /// It is over; another attempt follows.
     pub fn ended(&mut self, why: &Ending, now: u64) {
-        match why {
-            Ending::SameSystem => self.dial.refused(now),
-            _ => self.dial.lost(now),
+        if *why == Ending::SameSystem {
+            self.dial.refused(now);
+        } else {
+            self.dial.lost(now);
         }
+        self.is_closed(why);
+    }
+
+    fn is_closed(&mut self, why: &dyn Display) {
         (self.is_open, self.last_error) = (false, Some(why.to_string()));
     }
 
@@ -91,7 +97,8 @@ impl Server {
         let connection =
             stream.tcp.peer_addr().ok().and_then(|peer| self.router.link(place, peer, proof, now).ok());
         let Some(connection) = connection else {
-            return self.links[place].ended(&Ending::TooMany, now);
+            self.links[place].dial.lost(now);
+            return self.links[place].is_closed(&TooMany);
         };
         let (token, both) = (Token(connection.0 as usize), Interest::READABLE | Interest::WRITABLE);
         if let Err(error) = self.poll.registry().reregister(&mut stream.tcp, token, both) {

@@ -30,20 +30,12 @@ pub(super) fn describe(router: &RouterShown) -> String {
         format!("its file was read again and has an error, so the rules before are in force: {why}")
     }));
     lines.extend(clients_of(router));
-    let dropped: Vec<String> = router
-        .counters
-        .iter()
-        .filter(|(name, count)| **count > 0 && !TRAFFIC.contains(&name.as_str()))
-        .map(|(name, count)| format!("{} {}", name.replace('_', " "), grouped(*count)))
-        .collect();
+    let dropped = counted(router.counters.iter().filter(|(name, _)| !TRAFFIC.contains(&name.as_str())));
     if !dropped.is_empty() {
         lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
     }
     if !router.closed.is_empty() {
-        let ended = router.endings.iter().filter(|(_, count)| **count > 0);
-        let by_reason: Vec<String> = ended
-            .map(|(reason, count)| format!("{} {}", reason.replace('_', " "), grouped(*count)))
-            .collect();
+        let by_reason = counted(router.endings.iter());
         lines.extend([
             String::new(),
             format!("connections closed since its start: {}; the newest first:", by_reason.join(", ")),
@@ -54,6 +46,12 @@ pub(super) fn describe(router: &RouterShown) -> String {
         }));
     }
     lines.join("\n") + "\n"
+}
+
+/// Each count that is not 0, and its name.
+fn counted<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> Vec<String> {
+    let counts = counts.filter(|(_, count)| **count > 0);
+    counts.map(|(name, count)| format!("{} {}", name.replace('_', " "), grouped(*count))).collect()
 }
 
 fn described(link: &LinkShown) -> String {
@@ -107,9 +105,25 @@ fn clients_of(router: &RouterShown) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use package_router::tcp::router::{Limits, Rates, Router};
+    use package_router::tcp::router::{Ending, Limits, Rates, Router};
 
     use super::*;
+
+    #[test]
+    fn closed_connections_and_refused_rules_are_shown() {
+        let mut router = Router::new(Limits::default(), 0);
+        let connection = router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
+        router.disconnect(connection, Ending::NoMemory, 5);
+        router.refuse_rules("a.toml:3: no such key".into());
+        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9)));
+        for words in [
+            "connections closed since its start: no memory 1; the newest first:",
+            "counted since its start: rules refused 1",
+            "its file was read again and has an error, so the rules before are in force: a.toml:3: no such key",
+        ] {
+            assert!(text.lines().any(|line| line == words), "{words}: {text}");
+        }
+    }
 
     #[test]
     fn rates_are_shown_for_each_connection_and_in_sum() {

@@ -2,30 +2,31 @@
 
 use super::inbox::{Inbox, Lane};
 use super::layout::{HEAD, MOST_KEPT, of_lane, of_owner, of_sender};
-use super::sender::LaneSender;
+use super::sender::{LaneSender, SendError};
 use super::shape::WhenFull;
 use super::word::{Segment, Word};
 use crate::wire::{HEAD_LEN, Head};
 
 impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
-    /// Keeps a refused command for the owner to answer. Returns whether the owner sleeps and is to be woken. `None`: the package is no
-    /// command, the owner answers none, or 16 wait to be answered.
+    /// Keeps a refused command for the owner to answer. Returns whether the owner sleeps and is to be woken. The refusal stays if the
+    /// package is no command, if the owner answers none, and while 16 wait to be answered.
     #[cold]
-    pub(super) fn keep_command(&mut self, head: &Head) -> Option<bool> {
+    pub(super) fn keep_command(&mut self, head: &Head, refusal: SendError) -> Result<bool, SendError> {
         let Self { own, theirs, layout, lane, .. } = self;
-        if layout.when_full != WhenFull::Answer || !head.is_command() {
-            return None;
+        let is_full = matches!(refusal, SendError::Full(_));
+        if !is_full || layout.when_full != WhenFull::Answer || !head.is_command() {
+            return Err(refusal);
         }
         let answered = theirs.at(layout.lane(*lane) + of_lane::ANSWERED).get_acquire();
         let kept = own.at(of_sender::KEPT).get();
         if kept.wrapping_sub(answered) >= MOST_KEPT as u64 {
-            return None;
+            return Err(refusal);
         }
         write_head(own.part(layout.kept(kept), HEAD), &Head { len: HEAD_LEN as u32, ..*head });
         own.at(of_sender::KEPT).set_release(kept.wrapping_add(1));
         // As with a package: either it is seen here that the owner sleeps, or the owner sees the command.
         Own::Word::fence();
-        Some(theirs.at(of_owner::ASLEEP).get() != 0)
+        Ok(theirs.at(of_owner::ASLEEP).get() != 0)
     }
 }
 

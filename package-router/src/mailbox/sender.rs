@@ -135,8 +135,8 @@ impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     #[inline]
     pub fn send(&mut self, head: &Head, body: &[u8], stamps: &Stamps) -> Result<bool, SendError> {
         let mut begun = match self.begin(head.priority, body.len()) {
-            Err(SendError::Full(slots)) => return self.keep_command(head).ok_or(SendError::Full(slots)),
-            begun => begun?,
+            Ok(begun) => begun,
+            Err(error) => return self.keep_command(head, error),
         };
         begun.write(&self.own, body);
         Ok(self.publish(&begun, head, stamps))

@@ -26,7 +26,10 @@ fn untrusted() -> Net {
 
 #[test]
 fn the_proof_is_the_first_package_or_the_connection_ends() {
-    for other in [registration(), proof(&[8; 32]), proof(&[7; 31]), proof(&[7; 33]), proof(&[])] {
+    let in_anothers_name = package(21, 2, 1, b"from a stranger");
+    for other in
+        [registration(), in_anothers_name, proof(&[8; 32]), proof(&[7; 31]), proof(&[7; 33]), proof(&[])]
+    {
         let mut net = untrusted();
         net.send(0, &[other, proof(&PROVES), registration()].concat());
         assert_eq!(net.endings(), [(0, Ending::Stranger)]);

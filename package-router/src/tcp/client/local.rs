@@ -59,6 +59,11 @@ impl Local {
     pub fn prepare_wait(&mut self) -> Result<bool, ReceiveError> {
         let is_empty = self.mailbox.prepare_wait()?;
         // A command that is refused from now on makes the mailbox readable, whatever waits.
+        self.answer_refused()?;
+        Ok(is_empty)
+    }
+
+    fn answer_refused(&mut self) -> Result<(), ReceiveError> {
         let mut refused = core::mem::take(&mut self.refused);
         self.mailbox.take_refused_commands(&mut refused)?;
         // The commands of a sender come one behind the other: for them the broker is asked once for a mailbox that has gone.
@@ -70,7 +75,7 @@ impl Local {
             }
         }
         self.refused = refused;
-        Ok(is_empty)
+        Ok(())
     }
 
     /// Ends that wait.

@@ -66,10 +66,10 @@ impl OwnLink {
         } else {
             self.dial.lost(now);
         }
-        self.is_closed(why);
+        self.note_end(why);
     }
 
-    fn is_closed(&mut self, why: &dyn Display) {
+    fn note_end(&mut self, why: &dyn Display) {
         (self.is_open, self.last_error) = (false, Some(why.to_string()));
     }
 
@@ -98,7 +98,7 @@ impl Server {
             stream.tcp.peer_addr().ok().and_then(|peer| self.router.link(place, peer, proof, now).ok());
         let Some(connection) = connection else {
             self.links[place].dial.lost(now);
-            return self.links[place].is_closed(&TooMany);
+            return self.links[place].note_end(&TooMany);
         };
         let (token, both) = (Token(connection.0 as usize), Interest::READABLE | Interest::WRITABLE);
         if let Err(error) = self.poll.registry().reregister(&mut stream.tcp, token, both) {

@@ -1,8 +1,8 @@
-"""A lab's medium from its capture (pcapng): its frames, and when its cycles began."""
+"""A lab's medium from its capture (pcapng): its frames, when its cycles began, and the slots of a station."""
 
 import statistics
 import struct
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 
 from figures import NotRun
 
@@ -70,3 +70,49 @@ class Schedule:
         """When the cycle of the last sync before that began."""
         place = max(0, bisect_right(self.stamps, stamp) - 1)
         return self.scheduled[place] + self.least[self.part(stamp)] + self.drift * (stamp - self.first)
+
+
+def slots(capture, address, slot, windows):
+    """Slot errors, cycles, missed ones, packages and the time between them, of a station in all windows of each kind.
+
+    `slot`: period and offset in the cycle. `windows`: kind, begin, end, load of the other core.
+    """
+    (period_ns, offset_ns), since, until = slot, windows[0][1] - 10**8, windows[-1][2] + 10**8
+    syncs, sent = [], []
+    for stamp, frame in frames(capture):
+        if not since <= stamp <= until:
+            continue
+        if (instant := scheduled(frame)) is not None:
+            syncs.append((stamp, instant))
+        elif frame[6:12] == address:
+            sent.append((stamp, is_package(frame)))
+    if not syncs or not sent:
+        raise NotRun("the capture has no syncs, or no frames of the station")
+    syncs.sort()
+    sent.sort()
+    schedule, stamps, figures = Schedule(syncs), [stamp for stamp, _ in sent], {}
+    for kind, begun, ended, busy in windows:
+        of = figures.setdefault(kind, {"errors": [], "cycles": 0, "missed": 0, "packages": 0, "between_ns": 0, "busy": []})
+        # Slots that begin in the window; a frame of the last one comes after it.
+        first = begun + (schedule.last_begin(begun) + offset_ns - begun) % period_ns
+        cycles, used = int((ended - first) // period_ns), set()
+        asked = []
+        half = period_ns / 2
+        for place in range(bisect_left(stamps, begun - period_ns), bisect_right(stamps, ended + period_ns)):
+            stamp, is_question = sent[place]
+            # Where a sync is missing, the last one is some cycles ago.
+            error = (stamp - schedule.last_begin(stamp) - offset_ns + half) % period_ns - half
+            number = round((stamp - error - first) / period_ns)
+            if not 0 <= number < cycles:
+                continue
+            if is_question:
+                asked.append(stamp)
+            used.add(number)
+            of["errors"].append(error)
+        of["cycles"] += cycles
+        of["missed"] += cycles - len(used)
+        if len(asked) > 1:
+            of["packages"] += len(asked) - 1
+            of["between_ns"] += asked[-1] - asked[0]
+        of["busy"].append(busy)
+    return figures

@@ -304,7 +304,7 @@ impl Broker {
                 let channel = self.priorities.channel(from.class());
                 return Ok((Answer::Away { station, priority, channel }, Vec::new()));
             }
-            Answer::ByTcp if from != MailboxName::NOBODY => (MailboxName::NOBODY, true),
+            Answer::ByTcp { .. } if from != MailboxName::NOBODY => (MailboxName::NOBODY, true),
             _ => return Err(Answer::Refused(Refused::NoMailbox(to))),
         };
         let memory = self.registry.find(to).and_then(|place| self.memories[place].as_ref());
@@ -334,10 +334,14 @@ impl Broker {
         if let Some(mailbox) = here {
             return mailbox;
         }
-        if let Some(route) = self.beyond.as_mut().and_then(|beyond| beyond.routes().of(to)) {
-            return Answer::Route(route.to, route.station);
+        let mut is_of_other_system = false;
+        if let Some(routes) = self.beyond.as_mut().map(|beyond| beyond.routes()) {
+            if let Some(route) = routes.of(to) {
+                return Answer::Route(route.to, route.station);
+            }
+            is_of_other_system = routes.is_of_other_system(to);
         }
-        self.registry.find(MailboxName::NOBODY).map_or(nowhere, |_| Answer::ByTcp)
+        self.registry.find(MailboxName::NOBODY).map_or(nowhere, |_| Answer::ByTcp { is_of_other_system })
     }
 
     /// A component has hung up.
@@ -381,6 +385,7 @@ impl Broker {
             }
             Err(RouteError::Full) => Answer::Failed(libc::ENOSPC),
             Err(RouteError::NotAStation(..)) => Answer::Failed(libc::EADDRNOTAVAIL),
+            Err(RouteError::OtherSystem(_)) => Answer::Failed(libc::EXDEV),
             Err(RouteError::Unknown(_)) => Answer::Failed(libc::ENOENT),
         }
     }

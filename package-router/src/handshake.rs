@@ -113,7 +113,10 @@ pub enum Answer {
     /// There is no other.
     NoMore,
     /// Packages for a mailbox go to the TCP router.
-    ByTcp,
+    ByTcp {
+        /// Whether it is of another system than the station: no route leads there.
+        is_of_other_system: bool,
+    },
 }
 
 #[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned, Default)]
@@ -259,7 +262,9 @@ impl Answer {
                 (raw.what, raw.detail[0], raw.station) = (ROUTE, U64::new(to.to_bits()), station.octets());
             }
             Answer::NoMore => raw.what = NO_MORE,
-            Answer::ByTcp => raw.what = BY_TCP,
+            Answer::ByTcp { is_of_other_system } => {
+                (raw.what, raw.detail[0]) = (BY_TCP, U64::new(is_of_other_system.into()));
+            }
             Answer::Refused(refused) => raw.refuse(refused),
         }
         zerocopy::transmute!(raw)
@@ -288,7 +293,7 @@ impl Answer {
             },
             ROUTE => Answer::Route(Pattern::from_bits(raw.detail[0].get())?, raw.station.into()),
             NO_MORE => Answer::NoMore,
-            BY_TCP => Answer::ByTcp,
+            BY_TCP => Answer::ByTcp { is_of_other_system: raw.detail[0].get() != 0 },
             _ => Answer::Refused(raw.refused()?),
         })
     }

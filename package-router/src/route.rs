@@ -5,6 +5,7 @@
 //!                    0.Pilot.1     10.0.0.3     names before patterns, places further left before those right
 //!                    0.*.*         10.0.0.4
 //!                    no route, or one to this station itself ─► the next layer
+//! to Pilot(1/1)      of another system than the station's: no route leads there ─► the next layer
 //! ```
 //!
 //! An entry that leads to the station that reads it leads nowhere there, so that all can have the same file; it still keeps what
@@ -12,9 +13,10 @@
 //!
 //! ```
 //! use core::net::Ipv4Addr;
-//! use package_router::route::Routes;
+//! use package_router::route::{Own, Routes};
 //!
-//! let (own, arm) = (Ipv4Addr::new(10, 0, 0, 2), Ipv4Addr::new(10, 0, 0, 3));
+//! let own = Own { station: Ipv4Addr::new(10, 0, 0, 2), system: 0 };
+//! let arm = Ipv4Addr::new(10, 0, 0, 3);
 //! let file = r#"
 //!     [[route]]
 //!     to = "0.Pilot.*"          # system, class, instance, and perhaps local: a number, or '*' for any
@@ -56,10 +58,19 @@ pub struct Route {
     pub station: Ipv4Addr,
 }
 
+/// The station that has routes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Own {
+    /// Its IP address.
+    pub station: Ipv4Addr,
+    /// The system of all stations of its LAN. Mailboxes of others are reached by the next layer.
+    pub system: u8,
+}
+
 /// The routes of one station, the most specific first. Their memory is reserved at the start.
 #[derive(Clone, Debug)]
 pub struct Routes {
-    own: Ipv4Addr,
+    own: Own,
     routes: Vec<Route>,
 }
 
@@ -74,23 +85,29 @@ pub enum RouteError {
     /// Nobody could be there.
     #[error("{0} is no station's address: {1}")]
     NotAStation(Ipv4Addr, &'static str),
+    /// No station of this LAN has such mailboxes.
+    #[error(
+        "{0} is not of this station's system, and packages for other systems go by the TCP router: remove the route, or give all stations \
+         of this LAN that system (--package-system)"
+    )]
+    OtherSystem(Pattern),
     /// It is not there.
     #[error("there is no route to {0}: name it as the list of routes does")]
     Unknown(Pattern),
 }
 
 impl Routes {
-    /// None yet, for the station of that address.
-    pub fn new(own: Ipv4Addr) -> Self {
+    /// None yet, for that station.
+    pub fn new(own: Own) -> Self {
         Self { own, routes: Vec::with_capacity(MOST_ROUTES) }
     }
 
-    /// Reads what `text` says, of a file that messages call `file`, for the station of address `own`. Whose names stand for
-    /// which addresses `resolve` knows.
+    /// Reads what `text` says, of a file that messages call `file`, for the station `own`. Whose names stand for which addresses
+    /// `resolve` knows.
     pub fn parse(
         text: &str,
         file: &str,
-        own: Ipv4Addr,
+        own: Own,
         resolve: impl Fn(&str) -> Option<Ipv4Addr>,
     ) -> Result<Self, FileError> {
         let source = Source { file, text };
@@ -132,13 +149,25 @@ impl Routes {
     /// The route that [`Self::find`] follows.
     #[inline]
     pub fn of(&self, name: MailboxName) -> Option<&Route> {
+        if self.is_of_other_system(name) {
+            return None;
+        }
         let route = self.routes.iter().find(|route| route.to.matches(name))?;
-        (route.station != self.own).then_some(route)
+        (route.station != self.own.station).then_some(route)
+    }
+
+    /// Whether a mailbox is of another system: no route leads there.
+    #[inline]
+    pub fn is_of_other_system(&self, name: MailboxName) -> bool {
+        name.system() != self.own.system
     }
 
     /// Adds a route, or lets the one there is to the same mailboxes lead elsewhere, and returns where it led.
     pub fn add(&mut self, to: Pattern, station: Ipv4Addr) -> Result<Option<Ipv4Addr>, RouteError> {
         check_station(station)?;
+        if to.system().is_some_and(|system| system != self.own.system) {
+            return Err(RouteError::OtherSystem(to));
+        }
         match self.place(to) {
             Ok(place) => Ok(Some(core::mem::replace(&mut self.routes[place].station, station))),
             Err(_) if self.routes.len() == MOST_ROUTES => Err(RouteError::Full),
@@ -169,7 +198,7 @@ impl Routes {
     }
     /// How many of them lead to this station itself, and so nowhere.
     pub fn to_itself(&self) -> usize {
-        self.routes.iter().filter(|route| route.station == self.own).count()
+        self.routes.iter().filter(|route| route.station == self.own.station).count()
     }
 
     fn place(&self, to: Pattern) -> Result<usize, usize> {
@@ -197,7 +226,7 @@ impl fmt::Display for Route {
 impl fmt::Display for Routes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.routes.iter().try_for_each(|route| {
-            let itself = if route.station == self.own { " (this station)" } else { "" };
+            let itself = if route.station == self.own.station { " (this station)" } else { "" };
             writeln!(f, "{route}{itself}")
         })
     }

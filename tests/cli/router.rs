@@ -1,6 +1,7 @@
 //! The TCP router as its clients meet it, in Python among others.
 
 mod crowd;
+mod languages;
 mod links;
 mod meet;
 mod python_package;

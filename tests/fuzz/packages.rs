@@ -26,7 +26,7 @@ use package_router::handshake::{ANSWER_LEN, Answer, Ask, FILES, Lane};
 use package_router::mailbox::{Layout, Shape};
 use package_router::name::{Class, MailboxName, Pattern};
 use package_router::priority::{Priorities, level_of};
-use package_router::route::{MOST_ROUTES, Routes};
+use package_router::route::{MOST_ROUTES, Own, Routes};
 use package_router::shared::lane_at;
 use package_router::wire::{
     Endian, HEAD_LEN, Head, HeadError, Joining, MAX_LEN, MOST_DATAGRAM, MOST_PARTS, Part, split,

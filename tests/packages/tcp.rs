@@ -1,6 +1,8 @@
 //! Programs on hosts without a station, and those of a station, meet by a TCP router.
 
+use std::fs;
 use std::net::{SocketAddr, TcpListener};
+use std::os::fd::{BorrowedFd, RawFd};
 use std::time::Instant;
 
 use package_router::component::{Error, ReceiveError, SendError, Way};
@@ -12,6 +14,7 @@ use package_router::tcp::client::{TcpOptions, TcpStatus};
 use package_router::tcp::router::Limits;
 use package_router::tcp::serve::{Remote, Server};
 use package_router::wire::{ERROR, Head, NOT_AVAILABLE, OK};
+use socket2::SockRef;
 
 use super::*;
 
@@ -71,12 +74,34 @@ fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
+/// TCP_NODELAY of each end of all connections with a router: both ends are in this process.
+#[allow(unsafe_code)]
+fn nodelay_of(router: SocketAddr) -> Vec<bool> {
+    let descriptors = fs::read_dir("/proc/self/fd").unwrap();
+    let numbers = descriptors.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let nodelay = |number: RawFd| {
+        // SAFETY: it is used for three calls, which fail if another thread has closed it by now.
+        let descriptor = unsafe { BorrowedFd::borrow_raw(number) };
+        let socket = SockRef::from(&descriptor);
+        let ends = [socket.local_addr().ok()?.as_socket()?, socket.peer_addr().ok()?.as_socket()?];
+        ends.contains(&router).then(|| socket.tcp_nodelay().ok()).flatten()
+    };
+    numbers.filter_map(nodelay).collect()
+}
+
+#[test]
+fn no_end_of_a_connection_waits_for_more_to_send() {
+    let router = Routing::new();
+    let _host = router.component(name(0x80, 0));
+    assert_eq!(nodelay_of(router.at), [true; 2]);
+}
+
 #[test]
 fn hosts_without_a_station_exchange_packages_by_name() {
     let router = Routing::new();
     let (ours, mut arm) = router.component(name(0x80, 0));
     let (_theirs, mut camera) = router.component(name(0x15, 0));
-    assert_eq!(ours.way(camera.name()).unwrap(), Way::Tcp);
+    assert_eq!(ours.way(camera.name()).unwrap(), Way::Tcp { is_of_other_system: false });
     let mut asks = arm.sender(camera.name()).unwrap();
     assert!(!asks.is_here() && asks.is_current());
     asks.set_priority(9);

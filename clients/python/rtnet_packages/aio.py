@@ -8,19 +8,20 @@ from typing import Callable, Optional, Type, TypeVar
 
 from .client import PORT, READ, prepare
 from .errors import Full, checked
-from .mailbox import Sender
+from .mailbox import Client, Sender
 from .names import Name, name
-from .session import Session
 from .tls import Handshake
 from .wire import Package, ProtocolError
 
 #: While more bytes wait for the router, nothing is sent.
 MOST = 4 << 20
+#: Bytes that the transport has: what comes after them does not overtake them.
+AHEAD = 64 << 10
 
 _T = TypeVar("_T")
 
 
-class Router:
+class Router(Client):
     """A connection to a TCP router, of one event loop: `async with Router(...) as router`.
 
     Nothing waits for a router that does not read. While more than 4 MiB wait for it, a method that sends raises Full.
@@ -30,12 +31,12 @@ class Router:
         self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0, tls: Optional[ssl.SSLContext] = None
     ) -> None:
         """The router may take `timeout` seconds to answer. `tls`: see `keys`."""
+        super().__init__()
         self._place, self._timeout, self._tls = (host, port), timeout, tls
-        self._session = Session()
         self._writer: Optional[asyncio.StreamWriter] = None
         self._reads: Optional["asyncio.Task[None]"] = None
-        #: Connections so far.
-        self.connections = 0
+        #: Writes what the transport did not take at once.
+        self._writes: Optional["asyncio.Task[None]"] = None
 
     async def __aenter__(self) -> "Router":
         """Connects; OSError if nobody listens there."""
@@ -59,6 +60,7 @@ class Router:
                 pass
         if self._writer is not None:
             # It still sends what it has.
+            self._flush(all=True)
             self._writer.close()
         self._lost()
 
@@ -70,7 +72,8 @@ class Router:
         number, session = name(of), self._session
         data = session.add(number, slots)
         try:
-            self._send(data)
+            self._check()
+            self._say(data)
             await self._wait(lambda: session.registered(number), self._timeout)
             session.settle(number, self._timeout)
         except BaseException:
@@ -87,20 +90,55 @@ class Router:
         """Waits, at most so many seconds; tells whether there is a connection, and all mailboxes are registered."""
         return bool(await self._wait(lambda: self._session.is_ready or None, timeout))
 
-    def _send(self, data: bytes) -> None:
-        """Sends, or raises NotConnected or Full."""
+    def _send(self, package: bytes) -> None:
+        """Sends a package, or raises NotConnected or Full."""
+        self._check()
+        self._session.outgoing.put(package)
+        self._flush()
+
+    def _check(self) -> None:
+        """NotConnected, Full: nothing can be sent now."""
         if self._writer is None or self._writer.is_closing():
             raise self._session.gone()
-        if self._writer.transport.get_write_buffer_size() > MOST:
+        if self._session.outgoing.size > MOST:
             raise Full(f"the connection takes no more; it was not sent: {MOST} bytes wait for the router")
-        self._writer.write(data)
 
     def _say(self, data: bytes) -> None:
-        """Sends if there is a connection."""
-        if self._writer is not None:
-            self._writer.write(data)
+        """Sends bytes of the session if there is a connection."""
+        if self._writer is not None and data:
+            self._session.outgoing.say(data)
+            self._flush()
+
+    def _flush(self, all: bool = False) -> None:
+        """Gives the transport as much as it may have, or all. A task gives it the rest."""
+        if self._writer is None:
+            return
+        transport = self._writer.transport
+        while all or transport.get_write_buffer_size() <= AHEAD:
+            data = self._session.to_write(time.monotonic())
+            if not data:
+                return
+            # The transport keeps what it does not write at once.
+            self._writer.write(bytes(data))
+            self._session.outgoing.wrote(len(data))
+        if self._writes is None:
+            self._writes = asyncio.ensure_future(self._write(self._writer))
+
+    async def _write(self, writer: asyncio.StreamWriter) -> None:
+        """Gives the transport more whenever it has written half of what it may have, until nothing waits or the connection ends."""
+        try:
+            while self._session.outgoing.waits:
+                await writer.drain()
+                self._flush()
+        except OSError:
+            # The end of the connection is read, too.
+            pass
+        self._writes = None
 
     def _lost(self) -> None:
+        if self._writes is not None:
+            self._writes.cancel()
+            self._writes = None
         self._writer = None
         self._session.lost()
         self._tell()
@@ -143,7 +181,8 @@ class Router:
             while not self._session.is_closed:
                 await asyncio.wait([reading], timeout=self._session.wait(time.monotonic()))
                 data = reading.result() if reading.done() else None
-                self._say(self._session.step(data, time.monotonic()))
+                self._session.outgoing.say(self._session.step(data, time.monotonic()))
+                self._flush()
                 if data:
                     self._tell()
                     reading = asyncio.ensure_future(reader.read(READ))
@@ -170,9 +209,10 @@ class Router:
             except BaseException:
                 writer.transport.abort()
                 raise
+        writer.transport.set_write_buffer_limits(AHEAD, AHEAD // 2)
         self._writer = writer
         self.connections += 1
-        writer.write(proof + self._session.connected(time.monotonic()))
+        self._say(proof + self._session.connected(time.monotonic()))
         return reader
 
 

@@ -9,9 +9,8 @@ from types import TracebackType
 from typing import Callable, Optional, Tuple, Type, TypeVar
 
 from .errors import checked
-from .mailbox import Sender
+from .mailbox import Client, Sender
 from .names import Name, name
-from .session import Session
 from .tls import Handshake
 from .wire import Package, ProtocolError
 
@@ -19,29 +18,30 @@ from .wire import Package, ProtocolError
 PORT = 2000
 #: Bytes to read at a time.
 READ = 1 << 16
+#: Bytes of a connection that its kernel takes and has not sent: what comes after them does not overtake them. Where the kernel lets choose.
+UNSENT = 128 << 10
 
 _T = TypeVar("_T")
 
 
-class Router:
+class Router(Client):
     """A connection to a TCP router. One thread reads; all methods may be called from any thread.
 
-    A method that sends waits while the router does not read, and all other methods wait for it. After `timeout` seconds it drops the
-    connection and raises NotConnected.
+    A method that sends waits while the router does not read. After `timeout` seconds it drops the connection and raises NotConnected.
     """
 
     def __init__(
         self, host: str = "127.0.0.1", port: int = PORT, timeout: float = 5.0, tls: Optional[ssl.SSLContext] = None
     ) -> None:
         """Connects; OSError if nobody listens there. The router may take `timeout` seconds to answer, and to read. `tls`: see `keys`."""
+        super().__init__()
         self._place, self._timeout, self._tls = (host, port), timeout, tls
-        self._session = Session()
         self._changed = threading.Condition()
         self._socket: Optional[socket.socket] = None
-        #: Connections so far.
-        self.connections = 0
-        self._reader = threading.Thread(target=self._run, args=[self._connect()], name="rtnet-router", daemon=True)
-        self._reader.start()
+        first = self._connect()
+        self._bell = Bell()
+        self._thread = threading.Thread(target=self._run, args=[first], name="rtnet-router", daemon=True)
+        self._thread.start()
 
     def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
         """A mailbox of this name, with room for `slots` packages.
@@ -52,7 +52,8 @@ class Router:
         with self._changed:
             data = session.add(number, slots)
             try:
-                self._send(data)
+                if not self._say(data):
+                    raise session.gone()
                 self._wait(lambda: session.registered(number), self._timeout)
                 session.settle(number, self._timeout)
             except BaseException:
@@ -76,7 +77,7 @@ class Router:
         with self._changed:
             self._session.is_closed = True
             self._drop()
-        self._reader.join()
+        self._thread.join()
 
     def __enter__(self) -> "Router":
         return self
@@ -86,25 +87,46 @@ class Router:
     ) -> None:
         self.close()
 
-    def _send(self, data: bytes) -> None:
-        """Sends, or raises NotConnected."""
-        if not self._say(data):
+    def _send(self, package: bytes) -> None:
+        """Sends a package, or raises NotConnected."""
+        if self._socket is None:
+            raise self._session.gone()
+        leaving = self._session.outgoing.put(package)
+        self._flush()
+        if self._wait(lambda: leaving.has_left, self._timeout) is None:
+            # A part may have left: the router would take the next package for the rest of this one.
+            self._drop()
+        if not leaving.has_left:
             raise self._session.gone()
 
     def _say(self, data: bytes) -> bool:
-        """Sends if there is a connection; tells whether it has."""
-        if self._socket is None:
-            return False
-        try:
-            self._socket.sendall(data)
-            return True
-        except OSError:
-            # A part may have left: the router would take the next package for the rest of this one.
-            self._drop()
-            return False
+        """Sends bytes of the session if there is a connection; tells whether there is one."""
+        if self._socket is not None and data:
+            self._session.outgoing.say(data)
+            self._flush()
+        return self._socket is not None
+
+    def _flush(self) -> None:
+        """Writes what the connection takes. The thread writes the rest."""
+        self._write()
+        if self._session.outgoing.waits:
+            self._bell.ring()
+
+    def _write(self) -> None:
+        """Writes what the connection takes."""
+        while self._socket is not None:
+            data = self._session.to_write(time.monotonic())
+            if not data:
+                return
+            try:
+                self._session.outgoing.wrote(self._socket.send(data))
+            except (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
+                return
+            except OSError:
+                self._drop()
 
     def _drop(self) -> None:
-        """Ends the connection, if there is one. Its reader notices, and closes the socket."""
+        """Ends the connection, if there is one. Its thread notices, and closes the socket."""
         if self._socket is not None:
             try:
                 self._socket.shutdown(socket.SHUT_RDWR)
@@ -130,42 +152,40 @@ class Router:
         """Reads; connects again whenever a connection has ended."""
         while connection is not None:
             try:
-                self._read(connection)
+                self._serve(connection)
             except (OSError, ProtocolError):
                 pass
             with self._changed:
                 self._drop()
             connection.close()
             connection = self._connect_again()
+        self._bell.close()
 
-    def _read(self, connection: socket.socket) -> None:
-        """Reads one connection until it ends."""
+    def _serve(self, connection: socket.socket) -> None:
+        """Reads one connection until it ends, and writes what it did not take at once."""
         with selectors.DefaultSelector() as selector:
+            selector.register(self._bell, selectors.EVENT_READ)
             selector.register(connection, selectors.EVENT_READ)
+            events = selectors.EVENT_READ
             while True:
-                data, now = self._receive(connection, selector), time.monotonic()
                 with self._changed:
                     if self._socket is not connection:
                         return
-                    self._say(self._session.step(data, now))
-                    if data:
+                    data, had_waited = _received(connection), self._session.outgoing.waits
+                    self._session.outgoing.say(self._session.step(data, time.monotonic()))
+                    self._write()
+                    if data or had_waited:
                         self._changed.notify_all()
-
-    def _receive(self, connection: socket.socket, selector: selectors.BaseSelector) -> Optional[bytes]:
-        """The bytes that have come, b"" at the end; None if the session may have something else to do."""
-        if isinstance(connection, ssl.SSLSocket):
-            # One thread at a time has a session of TLS, and this one does not wait in it.
-            with self._changed:
-                connection.settimeout(0.0)
-                try:
-                    return connection.recv(READ)
-                except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
-                    pass
-                finally:
-                    connection.settimeout(self._timeout)
-            selector.select(self._session.wait(time.monotonic()))
-            return None
-        return connection.recv(READ) if selector.select(self._session.wait(time.monotonic())) else None
+                    wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._session.outgoing.waits else 0)
+                    patience = self._session.wait(time.monotonic())
+                if data:
+                    continue
+                if wanted != events:
+                    selector.modify(connection, wanted)
+                    events = wanted
+                for key, _ in selector.select(patience):
+                    if key.fileobj is self._bell:
+                        self._bell.silence()
 
     def _connect_again(self) -> Optional[socket.socket]:
         """Tries until there is a connection; None if the client is closed."""
@@ -179,26 +199,65 @@ class Router:
                 pass
 
     def _connect(self) -> socket.socket:
-        """Tries once."""
+        """Tries once. What waits is written by the thread."""
         connection, proof = _dial(self._place, self._timeout, self._tls)
         with self._changed:
             self._socket = connection
             self.connections += 1
-            self._say(proof + self._session.connected(time.monotonic()))
+            self._session.outgoing.say(proof + self._session.connected(time.monotonic()))
             if self._session.is_closed:
                 self._drop()
         return connection
 
 
+class Bell:
+    """Wakes the thread that waits for its connection."""
+
+    def __init__(self) -> None:
+        self._heard, self._rung = socket.socketpair()
+        self._heard.setblocking(False)
+        self._rung.setblocking(False)
+
+    def fileno(self) -> int:
+        return self._heard.fileno()
+
+    def ring(self) -> None:
+        """Wakes it now, or as soon as it waits."""
+        try:
+            self._rung.send(b"\0")
+        except OSError:
+            # It rings already, or the thread has ended.
+            pass
+
+    def silence(self) -> None:
+        """Ends all ringing."""
+        self._heard.recv(READ)
+
+    def close(self) -> None:
+        """Frees it."""
+        self._heard.close()
+        self._rung.close()
+
+
+def _received(connection: socket.socket) -> Optional[bytes]:
+    """The bytes that have come, b"" at the end; None if none have."""
+    try:
+        return connection.recv(READ)
+    except (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
+        return None
+
+
 def _dial(place: Tuple[str, int], timeout: float, tls: Optional[ssl.SSLContext]) -> Tuple[socket.socket, bytes]:
-    """A connection, and the proof that it begins with."""
+    """A connection, from which no call waits, and the proof that it begins with."""
     connection = socket.create_connection(place, timeout)
     try:
         prepare(connection)
         with Handshake(tls) as handshake:
             if handshake.context is not None:
                 connection = handshake.context.wrap_socket(connection, server_hostname=place[0])
-            return connection, handshake.proof()
+            proof = handshake.proof()
+        connection.setblocking(False)
+        return connection, proof
     except BaseException:
         connection.close()
         raise
@@ -209,6 +268,8 @@ def prepare(connection: socket.socket) -> None:
     if connection.getsockname() == connection.getpeername():
         raise ConnectionRefusedError("nobody listens there")
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
 
 
 class Mailbox(Sender):
@@ -219,7 +280,7 @@ class Mailbox(Sender):
         self._router = router
 
     def forward(self, package: Package) -> None:
-        """Sends a package as it is, such as a reply. NotConnected: it was not sent, or the router did not read it in time."""
+        """Sends a package as it is, such as a reply. NotConnected: it has not left, or not in time."""
         data = package.encode()
         with self._router._changed:
             self._router._send(data)

@@ -1,8 +1,39 @@
-"""The part of a mailbox that waits for nothing, the same in both fronts."""
+"""The parts of a client and of a mailbox that wait for nothing, the same in both fronts."""
+
+from typing import Dict
 
 from .names import Name, name
 from .session import Session
 from .wire import OK, Package
+
+
+class Client:
+    """A client, with the fate of its packages over all connections."""
+
+    def __init__(self) -> None:
+        self._session = Session()
+        #: Connections so far.
+        self.connections = 0
+
+    @property
+    def sent(self) -> int:
+        """Packages that have left."""
+        return self._session.outgoing.sent
+
+    @property
+    def lost(self) -> int:
+        """Packages that were lost with a connection before they had left. A thread that waits for that has got NotConnected."""
+        return self._session.outgoing.lost
+
+    @property
+    def unconfirmed(self) -> int:
+        """Packages that had left when their connection was lost, and that the router had not confirmed: some may have arrived."""
+        return self._session.outgoing.unconfirmed
+
+    @property
+    def at_router(self) -> Dict[str, int]:
+        """Packages that the router has read and not passed on, by reason: those of its status."""
+        return dict(self._session.outgoing.at_router)
 
 
 class Sender:

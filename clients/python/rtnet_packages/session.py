@@ -1,4 +1,4 @@
-"""A client's part of the protocol without I/O. It takes bytes and the time, and returns bytes to send. Both fronts stand on it."""
+"""A client's part of the protocol without I/O. It takes bytes and the time, and has bytes to send. Both fronts stand on it."""
 
 import itertools
 from typing import Dict, Optional, Tuple
@@ -6,13 +6,16 @@ from typing import Dict, Optional, Tuple
 from .errors import NameTaken, NotConnected
 from .inbox import Inbox
 from .names import NOBODY, shown
-from .registrations import Registrations
-from .wire import DELETE, LIFESIGN, OK, Decoder, Package, control
+from .outgoing import Outgoing
+from .requests import Requests
+from .wire import ACCOUNT, DELETE, LIFESIGN, OK, Decoder, Package, control
 
 #: Seconds of rest before an attempt to connect again: the first, and the longest.
 FIRST, LONGEST = 0.05, 1.0
 #: Seconds until refused names are asked for again.
 AGAIN = 0.5
+#: Seconds from one question which packages have arrived to the next. Each costs about as much as a package.
+CONFIRM_EVERY = 0.01
 #: Seconds without a byte after which a router counts as gone. It asks for a sign of life every 5 s.
 SILENCE = 15.0
 
@@ -23,7 +26,8 @@ Call = Tuple[int, int, int]
 class Session:
     """The mailboxes of a client and its open calls; and when it connects, asks again, and gives a router up.
 
-    Times are seconds of one clock that never goes back.
+    Methods return the session's own bytes, which are to be put into `outgoing` with `say`. Times are seconds of one clock that never goes
+    back.
     """
 
     def __init__(self) -> None:
@@ -33,23 +37,36 @@ class Session:
         self.strays = 0
         #: Whether there is a connection; whether the user has closed the client.
         self.is_open = self.is_closed = False
-        self._registrations = Registrations()
+        self.outgoing = Outgoing()
+        self._requests = Requests()
         self._decoder, self._ids = Decoder(), itertools.count(1)
         self._calls: Dict[Call, None] = {}
         self._rest, self._silence = FIRST, SILENCE
-        self._heard = self._again = 0.0
+        self._heard = self._again = self._confirm_at = 0.0
 
     def connected(self, now: float) -> bytes:
         """Begins a connection; returns the bytes that register all mailboxes again."""
         self.is_open, self._decoder = True, Decoder()
-        self._heard, self._again = now, now + AGAIN
-        self._registrations.begin(self.inboxes)
-        return self._registrations.requests()
+        self._heard, self._again, self._confirm_at = now, now + AGAIN, now
+        self._requests.begin(self.inboxes)
+        return self._requests.registrations()
 
     def lost(self) -> None:
         """Ends the connection."""
         self.is_open = False
-        self._registrations.begin([])
+        self._requests.begin([])
+        self.outgoing.end()
+
+    def to_write(self, now: float) -> memoryview:
+        """The bytes to write next; empty if there are none."""
+        if now < self._confirm_at:
+            return self.outgoing.next()
+
+        def confirm(packages: int) -> bytes:
+            self._confirm_at = now + CONFIRM_EVERY
+            return self._requests.confirmation(packages)
+
+        return self.outgoing.next(confirm)
 
     def rest(self) -> float:
         """Seconds to rest before the next attempt to connect. They double with each attempt, until a byte has come."""
@@ -75,8 +92,8 @@ class Session:
             raise TimeoutError(f"the router has sent nothing for {self._silence} s")
         if now >= self._again:
             self._again = now + AGAIN
-            self._registrations.add_refused()
-        return answer + self._registrations.requests()
+            self._requests.add_refused()
+        return answer + self._requests.registrations()
 
     @property
     def is_ready(self) -> bool:
@@ -96,12 +113,12 @@ class Session:
         if not self.is_open:
             raise self.gone()
         self.inboxes[name] = Inbox(slots)
-        self._registrations.add(name)
-        return self._registrations.requests()
+        self._requests.add(name)
+        return self._requests.registrations()
 
     def registered(self, name: int) -> Optional[bool]:
         """Whether the router has registered a name for this connection; None: it has not answered."""
-        return self._registrations.answers.get(name)
+        return self._requests.answers.get(name)
 
     def settle(self, name: int, timeout: float) -> None:
         """Returns if a name is registered. NameTaken: the router refuses it; NotConnected: it has not answered within `timeout` seconds."""
@@ -116,7 +133,7 @@ class Session:
     def remove(self, name: int) -> bytes:
         """Removes a mailbox; returns the bytes that delete it, if the router may have it."""
         self.inboxes.pop(name, None)
-        return control(DELETE, name.to_bytes(4, "little")).encode() if self._registrations.remove(name) else b""
+        return control(DELETE, name.to_bytes(4, "little")).encode() if self._requests.remove(name) else b""
 
     def take(self, name: int) -> Optional[Package]:
         """The first package of a mailbox; None if there is none, or no such mailbox."""
@@ -142,6 +159,14 @@ class Session:
         self._calls.pop(call, None)
         return self.answers.pop(call, None)
 
+    def _answered(self, answer: Package) -> None:
+        """Takes an answer of the router."""
+        request = self._requests.answered(answer.id, answer.kind == OK)
+        if request is not None and request.kind == ACCOUNT:
+            self.outgoing.account(answer.body)
+        elif request is not None and request.packages:
+            self.outgoing.confirmed(request.packages)
+
     def _sort(self, data: bytes) -> bytes:
         """Sorts packages into inboxes and answers; returns the bytes to send."""
         answer = b""
@@ -151,7 +176,7 @@ class Session:
                 if package.kind == LIFESIGN:
                     answer += control(OK).encode()
                 else:
-                    self._registrations.answered(package.id, package.kind == OK)
+                    self._answered(package)
             elif package.kind <= 0 and call in self._calls and call not in self.answers:
                 self.answers[call] = package
             elif package.to in self.inboxes:

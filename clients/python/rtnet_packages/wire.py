@@ -19,7 +19,7 @@ LONGEST = 256 << 10
 
 OK, ERROR, TIMEOUT, NOT_AVAILABLE = 0, -1, -2, -3
 #: Kinds of control packages, which go to nobody from nobody.
-DELETE, REGISTER, DELETE_ANSWERED, PURGE, LIFESIGN, PROOF = 12, 13, 14, 15, 17, 20
+DELETE, REGISTER, DELETE_ANSWERED, PURGE, LIFESIGN, PROOF, ACCOUNT = 12, 13, 14, 15, 17, 20, 22
 
 
 class ProtocolError(Exception):

@@ -2,10 +2,13 @@
 
 import asyncio
 import socket
+import threading
 import time
 import unittest
+from typing import Callable, List
 
-from rtnet_packages import Full, Mailbox, NotConnected, Router, aio
+from rtnet_packages import OK, Full, Mailbox, NotConnected, Router, aio
+from rtnet_packages.wire import LIFESIGN, Decoder, control
 
 from .fake import FakeRouter
 from .running import RunningRouter
@@ -13,6 +16,8 @@ from .running import RunningRouter
 PATIENCE = 30.0
 MANY = 300
 BODY = bytes(200_000)
+#: Packages of nearly 4 MiB.
+COUNT = 20
 
 
 class ManyMailboxes(unittest.TestCase):
@@ -154,17 +159,73 @@ class RouterThatDoesNotRead(unittest.TestCase):
                 await mailbox.call("0.Odometry.0", 21)
             with self.assertRaises(Full):
                 await client.mailbox("0.Pilot.0")
-            assert client._writer is not None
-            self.assertLess(client._writer.transport.get_write_buffer_size(), (4 << 20) + len(BODY) + 100)
+            self.assertLess(client._session.outgoing.size, (4 << 20) + len(BODY) + 100)
             # Once the router has read it sends again.
             while not router.accepted:
                 await asyncio.sleep(0.001)
             reading = asyncio.get_running_loop().run_in_executor(None, _read_all, router.accepted[0])
-            while client._writer.transport.get_write_buffer_size() > 0:
+            while client._session.outgoing.waits:
                 await asyncio.sleep(0.001)
             mailbox.send("0.Odometry.0", -6)
             self.assertEqual(client.connections, 1)
         await reading
+
+
+class SignsOfLife(unittest.TestCase):
+    """A router asks for a sign of life while nearly 4 MiB of packages wait for it. Its kernel and the client's have a part of them."""
+
+    #: Packages that may be before the answer.
+    BEFORE = (2 << 20) // len(BODY)
+
+    def test_threads_that_wait_do_not_keep_it_back(self) -> None:
+        with FakeRouter() as router, Router(*router.place, timeout=PATIENCE) as client:
+            mailbox = Mailbox(client, 7)
+            threads = [threading.Thread(target=mailbox.send, args=["0.Odometry.0", -6, BODY]) for _ in range(COUNT)]
+            for thread in threads:
+                thread.start()
+            outgoing = client._session.outgoing
+            while outgoing.sent + len(outgoing._ends) + len(outgoing._packages) < COUNT:
+                time.sleep(0.001)
+            kinds = _kinds_after_a_question(router.accepted[0], lambda: bool(client._session.outgoing._first))
+            for thread in threads:
+                thread.join()
+            self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
+        self.check(kinds)
+
+    def test_the_queue_of_an_event_loop_does_not_keep_it_back(self) -> None:
+        async def exchange() -> None:
+            async with aio.Router(*router.place) as client:
+                mailbox = aio.Mailbox(client, 7)
+                for _ in range(COUNT):
+                    mailbox.send("0.Odometry.0", -6, BODY)
+                while not router.accepted:
+                    await asyncio.sleep(0.001)
+                is_asked = lambda: bool(client._session.outgoing._first)
+                kinds = await asyncio.to_thread(_kinds_after_a_question, router.accepted[0], is_asked)
+                self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
+                self.check(kinds)
+
+        with FakeRouter() as router:
+            asyncio.run(exchange())
+
+    def check(self, kinds: List[int]) -> None:
+        self.assertEqual(kinds.count(-6), COUNT)
+        self.assertLess(kinds[: kinds.index(OK)].count(-6), self.BEFORE)
+
+
+def _kinds_after_a_question(connection: socket.socket, is_asked: Callable[[], bool]) -> List[int]:
+    """Asks for a sign of life, and reads all, once the client has heard that; the kinds of all packages."""
+    connection.sendall(control(LIFESIGN).encode())
+    deadline = time.monotonic() + PATIENCE
+    while not is_asked():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    decoder = Decoder()
+    kinds: List[int] = []
+    connection.settimeout(PATIENCE)
+    while kinds.count(-6) < COUNT or OK not in kinds:
+        kinds += [package.kind for package in decoder.feed(connection.recv(1 << 20))]
+    return kinds
 
 
 def _read_all(connection: socket.socket) -> None:

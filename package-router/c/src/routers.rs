@@ -22,6 +22,7 @@ pub struct RtnetRouterStatus {
     not_connected: u64,
     not_written: u64,
     unconfirmed: u64,
+    lost_at_router: u64,
     names_refused: u64,
     is_connected: u32,
     mailboxes: u32,
@@ -31,7 +32,7 @@ pub struct RtnetRouterStatus {
 }
 
 // As the header says.
-const _: () = assert!(size_of::<RtnetRouterStatus>() == 232);
+const _: () = assert!(size_of::<RtnetRouterStatus>() == 240);
 
 impl From<&TcpStatus> for RtnetRouterStatus {
     fn from(status: &TcpStatus) -> Self {
@@ -42,6 +43,7 @@ impl From<&TcpStatus> for RtnetRouterStatus {
             not_connected: status.local.not_connected,
             not_written: status.session.lost,
             unconfirmed: status.session.unconfirmed,
+            lost_at_router: status.session.at_router.sum(),
             names_refused: status.session.names_refused,
             is_connected: status.is_connected.into(),
             mailboxes: count(status.names),

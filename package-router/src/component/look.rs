@@ -70,7 +70,10 @@ pub enum Way {
     /// By real-time UDP to another station, by that route.
     Station(Route),
     /// To the TCP router: there is no such mailbox here, and no route.
-    Tcp,
+    Tcp {
+        /// Whether it is of another system than the station: no route leads there.
+        is_of_other_system: bool,
+    },
 }
 
 impl Component {
@@ -119,7 +122,7 @@ impl Component {
         match self.link.ask(Ask::Way(to), &[])?.0 {
             Answer::Mailbox { process, .. } => Ok(Way::Here { process }),
             Answer::Route(by, station) => Ok(Way::Station(Route { to: by, station })),
-            Answer::ByTcp => Ok(Way::Tcp),
+            Answer::ByTcp { is_of_other_system } => Ok(Way::Tcp { is_of_other_system }),
             answer => Err(odd(&answer).into()),
         }
     }
@@ -183,6 +186,7 @@ impl Component {
         self.link.ask(Ask::AddRoute(to, station), &[]).map(drop).map_err(|error| match number(&error) {
             Some(libc::ENOSPC) => RouteError::Full.into(),
             Some(libc::EADDRNOTAVAIL) => RouteError::NotAStation(station, "write that of one station").into(),
+            Some(libc::EXDEV) => RouteError::OtherSystem(to).into(),
             _ => error,
         })
     }

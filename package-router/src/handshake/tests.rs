@@ -54,7 +54,8 @@ fn what_is_asked_and_answered_comes_over_as_it_is() {
         mailbox,
         Answer::Route(pattern, station),
         Answer::NoMore,
-        Answer::ByTcp,
+        Answer::ByTcp { is_of_other_system: false },
+        Answer::ByTcp { is_of_other_system: true },
     ]
     .into_iter()
     .chain(refused.map(Answer::Refused))

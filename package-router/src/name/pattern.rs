@@ -52,6 +52,12 @@ impl Pattern {
         }
     }
 
+    /// Its system; `None` is any.
+    pub const fn system(self) -> Option<u8> {
+        let ([is_named, ..], [system, ..]) = (self.mask.to_be_bytes(), self.value.to_be_bytes());
+        if is_named == 0 { None } else { Some(system) }
+    }
+
     /// As a number, for who passes it on.
     pub const fn to_bits(self) -> u64 {
         (self.mask as u64) << 32 | self.value as u64

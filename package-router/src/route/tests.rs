@@ -3,7 +3,7 @@ use crate::name::Class;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-const OWN: Ipv4Addr = station(1);
+const OWN: Own = Own { station: station(1), system: 0 };
 
 const fn station(number: u8) -> Ipv4Addr {
     Ipv4Addr::new(10, 0, 0, number)
@@ -55,14 +55,7 @@ fn the_most_specific_route_wins_in_whatever_order_they_stand() {
     for _ in 0..lines.len() {
         lines.rotate_left(1);
         let routes = routes(&lines);
-        for (to, number) in [
-            ("Pilot(0/1).3", 2),
-            ("Pilot(0/1)", 3),
-            ("Pilot(0/2).3", 4),
-            ("Pilot(1/1)", 5),
-            ("Gyro(0/1)", 6),
-            ("Gyro(1/1)", 7),
-        ] {
+        for (to, number) in [("Pilot(0/1).3", 2), ("Pilot(0/1)", 3), ("Pilot(0/2).3", 4), ("Gyro(0/1)", 6)] {
             assert_eq!(routes.find(name(to)), Some(station(number)), "{to}");
         }
     }
@@ -73,6 +66,23 @@ fn of_patterns_that_say_as_much_the_one_further_left_wins() {
     let lines = ["*.Pilot.1 10.0.0.2", "0.*.1 10.0.0.3", "0.Pilot.* 10.0.0.4"];
     assert_eq!(routes(&lines).find(name("Pilot(0/1)")), Some(station(4)));
     assert_eq!(routes(&lines[..2]).find(name("Pilot(0/1)")), Some(station(3)));
+}
+
+#[test]
+fn no_route_leads_to_a_mailbox_of_another_system() {
+    let one = Own { system: 1, ..OWN };
+    let text = file(&["1.Pilot.* 10.0.0.2", "*.*.* 10.0.0.3"]);
+    let routes = Routes::parse(&text, "routes.toml", one, resolve).unwrap();
+    assert_eq!(routes.find(name("Pilot(1/4)")), Some(station(2)));
+    assert_eq!(routes.find(name("Gyro(1/4)")), Some(station(3)));
+    for other in ["Pilot(0/4)", "Gyro(2/4)"] {
+        assert_eq!(routes.find(name(other)), None);
+        assert!(routes.is_of_other_system(name(other)));
+    }
+    let error = refused(&text);
+    assert!(error.starts_with("routes.toml:2:6: 1.Pilot.* is not of this station's system, and "), "{error}");
+    let by_hand = Routes::new(OWN).add(pattern("1.Pilot.0"), station(2));
+    assert_eq!(by_hand, Err(RouteError::OtherSystem(pattern("1.Pilot.0"))));
 }
 
 #[test]
@@ -98,7 +108,8 @@ fn a_route_to_the_station_itself_leads_nowhere_and_is_not_overruled_by_a_wider_o
 fn one_file_does_for_all_stations() {
     let text = file(&["0.Pilot.* 10.0.0.1", "0.Gyro.* 10.0.0.2", "0.Ladar.* arm"]);
     for own in 1..=3 {
-        let routes = Routes::parse(&text, "routes.toml", station(own), resolve).unwrap();
+        let routes =
+            Routes::parse(&text, "routes.toml", Own { station: station(own), ..OWN }, resolve).unwrap();
         let found = ["Pilot(0/0)", "Gyro(0/0)", "Ladar(0/0)"].map(|to| routes.find(name(to)));
         let expected = [1, 2, 3].map(|number| (number != own).then_some(station(number)));
         assert_eq!((found, routes.to_itself()), (expected, 1));
@@ -189,7 +200,11 @@ fn routes_change_while_all_others_stay() {
     assert_eq!(found(&routes), [Some(station(4)), Some(station(5)), Some(station(3))]);
     assert_eq!(routes.remove(pattern("0.Pilot.1")), Ok(station(4)));
     assert_eq!(found(&routes), [Some(station(5)), Some(station(5)), Some(station(3))]);
-    assert_eq!(routes.add(pattern("0.Pilot.*"), OWN), Ok(Some(station(5))), "the component moves here");
+    assert_eq!(
+        routes.add(pattern("0.Pilot.*"), OWN.station),
+        Ok(Some(station(5))),
+        "the component moves here"
+    );
     assert_eq!(found(&routes), [None, None, Some(station(3))]);
     let unknown = routes.remove(pattern("0.Pilot.1"));
     assert_eq!(unknown, Err(RouteError::Unknown(pattern("0.Pilot.1"))));
@@ -202,17 +217,13 @@ fn routes_change_while_all_others_stay() {
 #[test]
 fn the_table_is_bounded_in_a_file_and_by_hand() {
     let lines: Vec<String> =
-        (0..=MOST_ROUTES).map(|n| format!("{}.Pilot.{} 10.0.0.2", n / 256, n % 256)).collect();
+        (0..=MOST_ROUTES).map(|n| format!("0.{}.{} 10.0.0.2", n / 256, n % 256)).collect();
     let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
     let mut routes = routes(&lines[..MOST_ROUTES]);
     let reserved = routes.routes.capacity();
     assert_eq!(routes.len(), MOST_ROUTES);
-    assert_eq!(routes.add(pattern("1.Pilot.0"), station(2)), Err(RouteError::Full));
-    assert_eq!(
-        routes.add(pattern("0.Pilot.0"), station(3)),
-        Ok(Some(station(2))),
-        "a full table can be changed"
-    );
+    assert_eq!(routes.add(pattern("0.Pilot.0"), station(2)), Err(RouteError::Full));
+    assert_eq!(routes.add(pattern("0.0.0"), station(3)), Ok(Some(station(2))), "a full table can be changed");
     assert_eq!(routes.routes.capacity(), reserved, "no memory was taken");
     let error = refused(&file(&lines));
     let line = 3 * MOST_ROUTES + 2;
@@ -232,7 +243,9 @@ proptest! {
         let mut model: BTreeMap<Pattern, Ipv4Addr> = BTreeMap::new();
         for ([system, class, instance, local], number, adds) in steps {
             let to = Pattern::new(system, class.map(Class), instance, local);
-            if adds || number < 3 {
+            if system.is_some_and(|system| system != OWN.system) {
+                prop_assert_eq!(routes.add(to, station(number)), Err(RouteError::OtherSystem(to)));
+            } else if adds || number < 3 {
                 prop_assert_eq!(routes.add(to, station(number)), Ok(model.insert(to, station(number))));
             } else {
                 prop_assert_eq!(routes.remove(to).ok(), model.remove(&to));
@@ -243,7 +256,8 @@ proptest! {
             let name = MailboxName::new(system, Class(class), instance, local);
             let matching = model.iter().filter(|(to, _)| to.matches(name));
             let best = matching.max_by_key(|(to, _)| to.specificity()).map(|(_, station)| *station);
-            prop_assert_eq!(routes.find(name), best.filter(|&station| station != OWN));
+            let best = best.filter(|&station| station != OWN.station && system == OWN.system);
+            prop_assert_eq!(routes.find(name), best);
         }
         let lines: Vec<String> = routes.iter().map(|Route { to, station }| format!("{to} {station}")).collect();
         let lines: Vec<&str> = lines.iter().map(String::as_str).collect();

@@ -20,6 +20,8 @@ pub const CONFIRM: i8 = 14;
 pub const PROOF: i8 = 20;
 /// Kind of the announcement of a router that it is one, and of which system; it is answered.
 pub const ROUTER: i8 = 21;
+/// Kind of the question what the router has not passed on of this connection: the answer's body is an [`Account`](super::account::Account).
+pub const ACCOUNT: i8 = 22;
 /// The head of a request to a router.
 pub fn request(kind: i8, id: u8, body: &[u8]) -> Head {
     let len = (HEAD_LEN + body.len()) as u32;
@@ -54,6 +56,8 @@ pub enum Control {
     Proof,
     /// The client is the router of this system.
     Router(u32),
+    /// The question for an account.
+    Account,
     /// Whether the client is to be asked for signs of life.
     Watchdog(bool),
     /// Nothing that the router knows: ignored, as a login is.
@@ -71,7 +75,7 @@ impl Control {
         if (head.to, head.from) != (MailboxName::NOBODY, MailboxName::NOBODY) {
             return None;
         }
-        let is_answered = matches!(head.kind, REGISTER | CONFIRM | ROUTER);
+        let is_answered = matches!(head.kind, REGISTER | CONFIRM | ROUTER | ACCOUNT);
         let name = || {
             let bytes = body.try_into().ok()?;
             Some(MailboxName(match head.body_order {
@@ -86,6 +90,7 @@ impl Control {
             12 | 14 => name().map_or(malformed, |name| Self::Delete { name, is_answered }),
             PROOF => Self::Proof,
             ROUTER => name().map_or(malformed, |system| Self::Router(system.0)),
+            ACCOUNT => bare(Self::Account),
             15 => bare(Self::Purge),
             0 => bare(Self::Alive),
             WATCHED => bare(Self::Watchdog(true)),

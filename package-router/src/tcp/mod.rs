@@ -8,6 +8,7 @@
 //! [`router`] has all rules and no socket: bytes go in, bytes are to be written. [`serve`] is its loop over sockets. [`client`] is the
 //! other end, for the mailboxes of a broker.
 
+pub mod account;
 pub mod address;
 pub mod client;
 pub mod config;

@@ -17,6 +17,7 @@ use std::io::{self, IoSlice};
 
 use bytes::Bytes;
 
+use super::account::Account;
 use super::requests::OPEN_AT_MOST;
 use crate::wire::{HEAD_LEN, Head};
 
@@ -31,7 +32,7 @@ const BYTES_KEPT: usize = 2 << 10;
 const TRIMMED_AT: [usize; 2] = [256 << 10, 16 << 10];
 /// Bytes of the router's own answers that may wait besides.
 const OWN_AT_MOST: usize = 4 << 10;
-const _: () = assert!(OWN_AT_MOST > (OPEN_AT_MOST + 2) * HEAD_LEN);
+const _: () = assert!(OWN_AT_MOST > (OPEN_AT_MOST + 3) * HEAD_LEN + Account::LEN);
 
 /// The packages that wait for one connection.
 #[derive(Debug)]

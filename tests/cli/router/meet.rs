@@ -2,10 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -17,9 +15,10 @@ use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::wire::OK;
 
-use super::{AtEnd, clients, forget};
+use super::languages::{Program, in_c, in_python};
+use super::{AtEnd, forget};
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{network, skip};
+use crate::host::network;
 use crate::rtnet;
 
 const ASK: i8 = 21;
@@ -27,37 +26,19 @@ const ASK: i8 = 21;
 const ROUTER: &str = "10.1.0.4:2000";
 const BY_TLS: &str = "10.1.0.4:2001";
 /// The components: on the master, the arm and the leg, and on two hosts without a station, in C and Rust on one and in Python on the other.
-const NAMES: [MailboxName; 6] = [name(1), name(2), name(3), name(4), name(5), name(6)];
+/// The last is of another system.
+const NAMES: [MailboxName; 6] =
+    [name(1), name(2), name(3), name(4), name(5), MailboxName::new(1, Class(0x80), 6, 0)];
 
 const fn name(instance: u8) -> MailboxName {
     MailboxName::new(0, Class(0x80), instance, 0)
 }
 
-/// A program of a namespace; killed when dropped.
-pub struct Program(pub Child);
-
-impl Program {
-    /// In the namespace of a station.
-    fn of(cell: &Cell, station: &str, words: &[&str]) -> Self {
-        let mut command = rtnet();
-        command.args(["lab", "exec", &cell.place(station), "--"]).args(words);
-        Self(command.stdout(Stdio::piped()).spawn().unwrap())
-    }
-
-    /// Waits until it says that all have answered it.
-    pub fn has_met_all(&mut self) {
-        let mut line = String::new();
-        BufReader::new(self.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        assert_eq!(line, "met\n");
-    }
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        // Gone already where a test has ended it.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// In the namespace of a station.
+fn start(cell: &Cell, station: &str, words: &[&str]) -> Program {
+    let mut command = rtnet();
+    command.args(["lab", "exec", &cell.place(station), "--"]).args(words);
+    Program::start(&mut command)
 }
 
 /// Asks all others until each has answered, and answers them until it is over. Packages of hosts that come to a station have the station's
@@ -95,50 +76,13 @@ fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, 
     }
 }
 
-/// The component in Python, and the directory of the client that it uses, if there is Python.
-pub fn in_python(test: &str) -> Option<(PathBuf, PathBuf)> {
-    if Command::new("python3").arg("--version").output().is_err() {
-        skip(test, "needs python3: Debian package python3");
-        return None;
-    }
-    Some((clients().join("../../tests/cli/router/meet.py"), clients()))
-}
-
-/// A component in C, if there is a compiler, and the library has been built.
-pub fn in_c(test: &str, dir: &Path) -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let library = std::env::current_exe().unwrap().with_file_name("librtnet_packages.a");
-    if !library.exists() {
-        skip(test, "needs librtnet_packages.a: run `cargo test --workspace`, which builds it");
-        return None;
-    }
-    let program = dir.join("meet");
-    let compiled = Command::new("cc")
-        .args(["-Wall", "-Wextra", "-Werror", "-std=c11", "-o"])
-        .arg(&program)
-        .arg("-I")
-        .arg(root.join("package-router/c/include"))
-        .arg(root.join("tests/cli/router/meet.c"))
-        .arg(library)
-        .args(["-lpthread", "-ldl", "-lm"])
-        .output();
-    match compiled {
-        Ok(output) => assert!(output.status.success(), "{}", text(&output.stderr)),
-        Err(_) => {
-            skip(test, "needs a C compiler: Debian package gcc");
-            return None;
-        }
-    }
-    Some(program)
-}
-
 #[test]
 fn components_of_stations_and_hosts_meet_by_name() {
     let test = "components_of_stations_and_hosts_meet_by_name";
     network(test, || {
         let dir = tempfile::tempdir().unwrap();
-        let Some(c) = in_c(test, dir.path()) else { return };
-        let Some((python, client)) = in_python(test) else { return };
+        let Some(c) = in_c(test, "meet.c", dir.path()) else { return };
+        let Some((python, client)) = in_python(test, "meet.py") else { return };
         let (c, routes) = (c.to_str().unwrap(), dir.path().join("routes.toml"));
         fs::write(&routes, include_str!("meet_routes.toml")).unwrap();
         let keys = dir.path().join("keys");
@@ -154,7 +98,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
         );
         fs::write(&router_file, listens).unwrap();
         let router_file = router_file.to_str().unwrap();
-        let router = Program::of(
+        let router = start(
             &cell,
             "hosts",
             &[env!("CARGO_BIN_EXE_rtnet"), "router", router_file, "--name", &cell.name],
@@ -193,7 +137,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
         ];
         let mut programs = programs.map(|(station, mut words, own)| {
             words.extend(names_for(own));
-            Program::of(&cell, station, &words)
+            start(&cell, station, &words)
         });
 
         let shape = Shape::new(8, 64);
@@ -221,7 +165,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
                 let is_over = &is_over;
                 scope.spawn(move || meets(mailbox, has_met, is_over));
             }
-            programs.iter_mut().for_each(Program::has_met_all);
+            programs.iter_mut().for_each(|program| assert_eq!(program.line(), "met"));
             wait_until("all have met", || has_met.iter().all(|met| met.load(Ordering::Relaxed)));
             shows_ways(&cell);
             is_over.store(true, Ordering::Relaxed);
@@ -256,6 +200,7 @@ fn shows_ways(cell: &Cell) {
         (NAMES[2], "mailbox: it is a mailbox of this station"),
         (NAMES[1], "LAN: no mailbox of this station, and route 0.0x80.2 leads to 10.0.0.2"),
         (NAMES[4], "TCP: no mailbox of this station, and no route leads to another; "),
+        (NAMES[5], "TCP: no mailbox of this station, and it is of another system; "),
     ] {
         assert!(why(to).contains(words), "{}", why(to));
     }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use package_router::component::{Component, Mailbox};
@@ -12,7 +12,7 @@ use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::tcp::keys::{ClientKeys, SECRET_AT_LEAST};
 
-use super::meet::{Program, in_c};
+use super::languages::{Program, in_c};
 use super::{Router, not_started, package, refusal};
 use crate::cell::{text, wait_until};
 use crate::rtnet;
@@ -93,16 +93,16 @@ fn a_certificate_or_the_secret_lets_a_client_in() {
 #[test]
 fn programs_in_c_come_by_tls() {
     let (keys, dir) = (Keys::new(), tempfile::tempdir().unwrap());
-    let Some(program) = in_c("programs_in_c_come_by_tls", dir.path()) else { return };
+    let Some(program) = in_c("programs_in_c_come_by_tls", "meet.c", dir.path()) else { return };
     let router = keys.router("tls_in_c");
     let [first, second] = [1, 2].map(|instance| format!("{:#010x}", name(instance).0));
     let meets = |own: &str, other: &str| {
         let mut command = Command::new(&program);
         command.args(["router", &router.at.to_string(), own, other]).env("KEYS", keys.of("client"));
-        Program(command.stdout(Stdio::piped()).spawn().unwrap())
+        Program::start(&mut command)
     };
     let mut programs = [meets(&first, &second), meets(&second, &first)];
-    programs.iter_mut().for_each(Program::has_met_all);
+    programs.iter_mut().for_each(|program| assert_eq!(program.line(), "met"));
     assert_eq!(router.clients(), 2);
 }
 

@@ -26,6 +26,10 @@ pub struct PackageArgs {
     /// The same for all stations of a system: a file of `[[route]]` with `to` and `station`
     #[arg(long, value_name = "FILE", requires_all = ["packages", "ip"])]
     pub package_routes: Option<PathBuf>,
+    /// The system of this station and of all others of its LAN. Routes (--package-route) lead to mailboxes of this system only: packages for
+    /// others go to the TCP router [default: 0]
+    #[arg(long, value_name = "NUMBER", requires = "packages")]
+    pub package_system: Option<u8>,
     /// How urgent whose packages are: a file with a `[class.NAME]` for each that is not as its class says
     #[arg(long, value_name = "FILE", requires = "packages")]
     pub package_priorities: Option<PathBuf>,

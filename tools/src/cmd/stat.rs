@@ -55,6 +55,7 @@ fn describe(shown: &CountersShown) -> String {
         text += &format!("TCP {}\n", tcp.state());
         text += &line("packages by TCP", &tcp.counters);
         text += &line("packages by TCP, lost", &tcp.lost);
+        text += &line("packages by TCP, lost at the router", &tcp.lost_at_router);
     }
     match vnic {
         None => {}

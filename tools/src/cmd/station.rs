@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, anyhow, bail};
 use package_router::priority::Priorities;
-use package_router::route::Routes;
+use package_router::route::{Own, Routes};
 use package_router::tcp::client::{BODY, TcpOptions};
 use package_router::tcp::keys::ClientKeys;
 use rtmac::tdma::change::ChangeConfig;
@@ -222,7 +222,10 @@ fn packages(args: &StationArgs) -> anyhow::Result<Option<PackagesOptions>> {
         return Ok(None);
     }
     let read = |file: &Path| read_text(file).with_context(|| file.display().to_string());
-    let own = args.stack.ip.map_or(Ipv4Addr::UNSPECIFIED, |own| own.ip);
+    let own = Own {
+        station: args.stack.ip.map_or(Ipv4Addr::UNSPECIFIED, |own| own.ip),
+        system: said.package_system.unwrap_or_default(),
+    };
     let mut routes = match &said.package_routes {
         // A station by itself knows others by their addresses only.
         Some(file) => Routes::parse(&read(file)?, &file.display().to_string(), own, |_| None)?,

@@ -18,8 +18,10 @@ pub struct TcpShown {
     pub last_error: Option<String>,
     /// Packages, bytes, connections and mailboxes, by name.
     pub counters: BTreeMap<String, u64>,
-    /// Packages and answers that were lost or refused, by reason.
+    /// Packages and answers that were lost or refused here, by reason.
     pub lost: BTreeMap<String, u64>,
+    /// Packages that the router has read and not passed on, by reason: those of its status.
+    pub lost_at_router: BTreeMap<String, u64>,
 }
 
 impl TcpShown {
@@ -58,12 +60,14 @@ impl TcpShown {
             ("foreign_senders", local.forged),
         ];
         let named = |all: &[(&str, u64)]| all.iter().map(|(name, n)| ((*name).to_owned(), *n)).collect();
+        let at_router: Vec<_> = session.at_router.each().collect();
         Self {
             router: watch.router().to_string(),
             connected: status.is_connected,
             last_error: status.last_error.filter(|_| !status.is_connected),
             counters: named(&counters),
             lost: named(&lost),
+            lost_at_router: named(&at_router),
         }
     }
 }

@@ -116,6 +116,7 @@ pub fn arguments(
                 .iter()
                 .for_each(|route| add("--package-route", format!("{}={}", route.to, route.station)));
         }
+        add("--package-system", packages.system.to_string());
         packages.priorities.iter().for_each(|file| add("--package-priorities", file.display().to_string()));
         if let Some(RouterPlan { address, keys, largest_body }) = &packages.router {
             add("--router", address.to_string());

@@ -16,6 +16,7 @@
 //! network = "10.0.0.0/24"   # only in a lab: stations have sockets, the master .1, the others .2, .3 ... in their order
 //! packages = true           # only in a lab: stations' programs send each other packages
 //! package_routes = "routes.toml"          # beside this file: which station has which mailboxes; names are those of this file
+//! package_system = 0        # system of all stations: routes lead to its mailboxes only, and packages for others go by TCP
 //! package_priorities = "priorities.toml"  # beside this file: how urgent whose packages are
 //! router = "10.1.0.1:2000"  # TCP router for packages to mailboxes that are at no station; default: none
 //! router_keys = "keys/client"  # directory of a client's keys for TLS, relative to this file; default: without TLS
@@ -125,6 +126,7 @@ struct NetworkFile {
     vnic_mode: Option<Spanned<VnicMode>>,
     packages: Option<bool>,
     package_routes: Option<Spanned<String>>,
+    package_system: Option<Spanned<u8>>,
     package_priorities: Option<Spanned<String>>,
     package_times: Option<Spanned<bool>>,
     router: Option<Spanned<String>>,

@@ -120,6 +120,8 @@ pub struct TooShort {
 pub struct PackagesPlan {
     /// Which station has which mailboxes.
     pub routes: Vec<Route>,
+    /// The system of all stations.
+    pub system: u8,
     /// Where it stands how urgent whose packages are.
     pub priorities: Option<PathBuf>,
     /// Whether packages to other stations say when they were sent and left.

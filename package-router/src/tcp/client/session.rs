@@ -15,7 +15,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 
 use crate::name::MailboxName;
-use crate::tcp::control::{CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER, request};
+use crate::tcp::account::Account;
+use crate::tcp::control::{ACCOUNT, CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER, request};
 use crate::tcp::frames::Frames;
 use crate::tcp::requests::Requests;
 use crate::wire::{HEAD_LEN, Head, HeadError, OK};
@@ -55,6 +56,8 @@ pub struct Session {
     settled: u64,
     /// Whether the router is asked for a confirmation.
     is_confirming: bool,
+    /// The sum of the last accounts of earlier connections.
+    accounts: Account,
     counters: SessionCounters,
 }
 
@@ -73,6 +76,8 @@ pub struct SessionCounters {
     pub lost: u64,
     /// Packages of [`Self::sent`] whose connection was lost before the router confirmed that it had read them: some may have arrived.
     pub unconfirmed: u64,
+    /// Packages of [`Self::sent`] that the router has read and not passed on, as it said when it last confirmed any.
+    pub at_router: Account,
     /// Answers that were not sent, since as many wait as may.
     pub answers_lost: u64,
     /// Registrations that the router has refused.
@@ -84,6 +89,8 @@ pub struct SessionCounters {
 enum Asked {
     /// A registration.
     Name(MailboxName),
+    /// The packages that it has not passed on so far.
+    Account,
     /// That it has read all packages that were sent before: their number.
     Confirmation(u64),
 }
@@ -115,6 +122,7 @@ impl Session {
     pub fn connected(&mut self, now: u64, proof: Option<&Proof>) {
         self.disconnected();
         self.is_connected = true;
+        self.accounts = self.counters.at_router;
         self.last_heard = now;
         proof.iter().for_each(|proof| self.control(PROOF, 0, *proof));
         self.names.values_mut().for_each(|at| *at = Registration::Open);
@@ -162,7 +170,7 @@ impl Session {
         self.last_heard = now;
         let mut frames = core::mem::take(&mut self.frames);
         let cut = frames.cut(bytes, |head, body| match (head.to, head.from) {
-            (MailboxName::NOBODY, MailboxName::NOBODY) => self.of_router(&head, now),
+            (MailboxName::NOBODY, MailboxName::NOBODY) => self.of_router(&head, body, now),
             _ => {
                 self.counters.received += 1;
                 self.counters.bytes_received += u64::from(head.len);
@@ -256,12 +264,12 @@ impl Session {
     }
 
     fn ask(&mut self, what: Asked) {
-        let (kind, name) = match what {
-            Asked::Name(name) => (REGISTER, name),
-            Asked::Confirmation(_) => (CONFIRM, MailboxName::NOBODY),
-        };
         let id = self.requests.open(what);
-        self.control(kind, id, &name.0.to_le_bytes());
+        match what {
+            Asked::Name(name) => self.control(REGISTER, id, &name.0.to_le_bytes()),
+            Asked::Account => self.control(ACCOUNT, id, &[]),
+            Asked::Confirmation(_) => self.control(CONFIRM, id, &MailboxName::NOBODY.0.to_le_bytes()),
+        }
     }
 
     fn control(&mut self, kind: i8, id: u8, body: &[u8]) {
@@ -269,7 +277,7 @@ impl Session {
         self.own.extend_from_slice(body);
     }
 
-    fn of_router(&mut self, head: &Head, now: u64) {
+    fn of_router(&mut self, head: &Head, body: &[u8], now: u64) {
         if head.kind == LIFESIGN {
             self.is_asked = true;
             return;
@@ -279,7 +287,8 @@ impl Session {
         // Other packages of the router answer nothing that was asked.
         let answered = requests.answered(head.id, |lost| match lost {
             Asked::Name(name) if names.contains_key(&name) => _ = waiting.insert(name),
-            Asked::Name(_) => {}
+            // A router of another make does not answer it.
+            Asked::Name(_) | Asked::Account => {}
             Asked::Confirmation(_) => is_confirmation_lost = true,
         });
         self.is_confirming &= !is_confirmation_lost;
@@ -287,6 +296,10 @@ impl Session {
             // No answer confirms packages that have not left.
             Some(Asked::Confirmation(sent)) => {
                 (self.settled, self.is_confirming) = (sent.min(self.counters.sent), false);
+            }
+            Some(Asked::Account) => {
+                let account = Account::parse(body).unwrap_or_default();
+                self.counters.at_router = self.accounts.plus(&account);
             }
             // A mailbox that went and came again is asked for a second time, which decides.
             Some(asked @ Asked::Name(_)) if requests.has(&asked) => {}
@@ -321,6 +334,8 @@ impl Session {
         let sent = self.counters.sent + self.ends.len() as u64;
         if !self.is_confirming && sent > self.settled {
             self.is_confirming = true;
+            // In this order: packages that are confirmed are accounted for.
+            self.ask(Asked::Account);
             self.ask(Asked::Confirmation(sent));
             self.batch.append(&mut self.own);
         }

@@ -5,7 +5,7 @@ use subtle::ConstantTimeEq;
 use super::{Connection, Counters, Ending, Router, Trust};
 use crate::name::MailboxName;
 use crate::tcp::control::{Control, PROOF};
-use crate::wire::{self, Head};
+use crate::wire::{self, HEAD_LEN, Head};
 
 impl Router {
     /// Whether a connection is trusted; a package that is its proof makes it so, and any other ends it.
@@ -39,6 +39,10 @@ impl Router {
                 None
             }
             Control::Router(system) => Some(self.announced(from, system)),
+            Control::Account => {
+                self.answer_account(from, head, now);
+                None
+            }
             Control::Alive | Control::Proof => None,
             Control::Watchdog(on) => {
                 self.client(from)
@@ -97,6 +101,14 @@ impl Router {
             self.tell_links(name, false, now);
         }
         true
+    }
+
+    /// Answers what of this connection was not passed on so far.
+    fn answer_account(&mut self, from: Connection, head: &Head, now: u64) {
+        let Some(client) = self.client(from) else { return };
+        let body = client.counters.account().to_bytes();
+        let answer = Head { len: (HEAD_LEN + body.len()) as u32, ..head.answer(wire::OK) };
+        self.own_with(from, &answer, &body, now);
     }
 
     fn purge(&mut self, from: Connection, now: u64) {

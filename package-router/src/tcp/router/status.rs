@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use super::{Ending, Rates, Router};
 use crate::name::MailboxName;
+use crate::tcp::account::Account;
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
@@ -65,6 +66,14 @@ counters! {
     connections_refused,
     /// Files that were read again and had an error: the rules before stayed in force.
     rules_refused,
+}
+
+impl Counters {
+    /// Its packages that were not passed on.
+    pub fn account(&self) -> Account {
+        let Self { nobody_there, foreign_senders, forbidden, receiver_full, overtaken, .. } = *self;
+        Account { nobody_there, foreign_senders, forbidden, receiver_full, overtaken }
+    }
 }
 
 /// A connection that is open.

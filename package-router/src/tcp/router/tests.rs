@@ -252,7 +252,7 @@ fn a_receiver_that_does_not_read_costs_its_senders_answers_only() {
 }
 
 #[test]
-fn an_urgent_package_and_a_lifesign_overtake_ten_thousand() {
+fn answers_lifesigns_and_urgent_packages_overtake_10000() {
     let mut net = Net::of(2);
     net.register(1, 2);
     for _ in 0..10_000 {
@@ -260,11 +260,12 @@ fn an_urgent_package_and_a_lifesign_overtake_ten_thousand() {
     }
     let urgent = Head { priority: 200, ..Head::new(-6, MailboxName(2), MailboxName(7)) };
     net.send(0, &urgent.to_bytes());
+    net.send(1, &control(13, &3u32.to_le_bytes()));
     net.router.round(0);
     let read = net.reads(1);
-    let first = [0, HEAD_LEN].map(|at| Head::parse(&read[at..]).unwrap());
-    assert_eq!((first[0].kind, first[1].priority), (LIFESIGN, 200));
-    assert_eq!(read.len(), 10_000 * 64 + 2 * HEAD_LEN);
+    let first = [0, 1, 2].map(|at| Head::parse(&read[at * HEAD_LEN..]).unwrap());
+    assert_eq!((first[0].kind, first[1].kind, first[2].priority), (wire::OK, LIFESIGN, 200));
+    assert_eq!(read.len(), 10_000 * 64 + 3 * HEAD_LEN);
 }
 
 #[test]

@@ -40,6 +40,8 @@ pub(super) struct WayShown {
     pub station: Option<Ipv4Addr>,
     /// That route.
     pub route: Option<String>,
+    /// Whether it is of another system than the station, and goes to the TCP router therefore.
+    pub other_system: bool,
     /// The connection to the TCP router, if packages go there.
     pub tcp: Option<TcpShown>,
 }
@@ -59,6 +61,7 @@ impl WayShown {
             process: None,
             station: None,
             route: None,
+            other_system: false,
             tcp: None,
         };
         Ok(match way {
@@ -69,14 +72,16 @@ impl WayShown {
                 let (station, route) = (Some(route.station), Some(route.to.to_string()));
                 Self { way: WayName::Lan, station, route, ..nothing }
             }
-            Ok(Way::Tcp) => Self { way: WayName::Tcp, tcp: tcp()?, ..nothing },
+            Ok(Way::Tcp { is_of_other_system: other_system }) => {
+                Self { way: WayName::Tcp, other_system, tcp: tcp()?, ..nothing }
+            }
             Err(Error::Refused(Refused::NoMailbox(_))) => nothing,
             Err(error) => return Err(run(error)),
         })
     }
 
     pub fn describe(&self) -> String {
-        let Self { to, way, process, station, route, tcp } = self;
+        let Self { to, way, process, station, route, other_system, tcp } = self;
         let why = match (way, station, route) {
             (WayName::Mailbox, ..) => {
                 let of = process.map_or(String::new(), |process| format!(" of process {process}"));
@@ -86,8 +91,9 @@ impl WayShown {
                 format!("LAN: no mailbox of this station, and route {route} leads to {station}")
             }
             (WayName::Tcp, ..) => {
+                let why = if *other_system { "it is of another system" } else { "no route leads to another" };
                 let state = tcp.as_ref().map_or(String::new(), |tcp| format!("; {}", tcp.state()));
-                format!("TCP: no mailbox of this station, and no route leads to another{state}")
+                format!("TCP: no mailbox of this station, and {why}{state}")
             }
             _ => "none: no mailbox of this station, no route to another, and no TCP router (--router)".into(),
         };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use package_router::mailbox::LARGEST_BODY;
 use package_router::priority::Priorities;
-use package_router::route::Routes;
+use package_router::route::{Own, Routes};
 use package_router::tcp::address::NoAddress;
 use package_router::tcp::keys::ClientKeys;
 use toml::Spanned;
@@ -23,11 +23,16 @@ impl Source<'_> {
     ) -> Result<Option<PackagesPlan>, FileError> {
         let NetworkFile { packages, package_routes, package_priorities, package_times, .. } = network;
         if !packages.unwrap_or(false) {
-            let NetworkFile { router, router_keys, router_body, .. } = network;
+            let NetworkFile { router, router_keys, router_body, package_system, .. } = network;
             let names = [package_routes, package_priorities, router, router_keys];
-            let mut spans = names.into_iter().flatten().map(Spanned::span);
-            let given = spans.next().or(package_times.as_ref().map(Spanned::span));
-            return given.or(router_body.as_ref().map(Spanned::span)).map_or(Ok(None), |given| {
+            let others = [
+                package_times.as_ref().map(Spanned::span),
+                router_body.as_ref().map(Spanned::span),
+                package_system.as_ref().map(Spanned::span),
+            ];
+            let mut spans =
+                names.into_iter().flatten().map(Spanned::span).chain(others.into_iter().flatten());
+            return spans.next().map_or(Ok(None), |given| {
                 let what = "this is about packages, and stations have none: write packages = true, too";
                 Err(self.impossible(given.start, what))
             });
@@ -36,11 +41,13 @@ impl Source<'_> {
             let station = stations.iter().find(|station| station.name == name)?;
             station.ip.map(|own| own.ip)
         };
+        let system = network.package_system.as_ref().map_or(0, |said| *said.get_ref());
         let mut routes = Vec::new();
         if let Some(said) = package_routes {
             let (file, text) = self.beside(said)?;
             // Which is one's own each station says for itself.
-            let read = Routes::parse(&text, &file.display().to_string(), Ipv4Addr::UNSPECIFIED, resolve);
+            let own = Own { station: Ipv4Addr::UNSPECIFIED, system };
+            let read = Routes::parse(&text, &file.display().to_string(), own, resolve);
             let read = read.map_err(|error| self.impossible(said.span().start, error))?;
             routes.extend(read.iter().copied());
         }
@@ -51,7 +58,7 @@ impl Source<'_> {
         });
         let times = package_times.as_ref().is_none_or(|said| *said.get_ref());
         let (priorities, router) = (priorities.transpose()?, self.router(network)?);
-        Ok(Some(PackagesPlan { routes, priorities, times, router }))
+        Ok(Some(PackagesPlan { routes, system, priorities, times, router }))
     }
 
     fn router(&self, network: &NetworkFile) -> Result<Option<RouterPlan>, FileError> {
@@ -128,6 +135,9 @@ mod tests {
         let plan = read(dir, all).unwrap().unwrap();
         assert_eq!(plan.routes[0].station, Ipv4Addr::new(10, 0, 0, 2));
         assert_eq!(plan.priorities, Some(dir.join("urgent.toml")));
+        assert_eq!(plan.system, 0);
+        let plan = read(dir, "packages = true\npackage_system = 255").unwrap().unwrap();
+        assert_eq!(plan.system, 255);
         let plan =
             read(dir, "packages = true\nrouter = \"10.1.0.1\"\nrouter_body = 262128").unwrap().unwrap();
         let RouterPlan { address, keys, largest_body } = plan.router.unwrap();
@@ -142,6 +152,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let dir = dir.path();
         fs::write(dir.join("routes.toml"), "[[route]]\nto = \"0.Pilot.*\"\nstation = \"leg\"\n").unwrap();
+        fs::write(dir.join("other.toml"), "[[route]]\nto = \"1.Pilot.*\"\nstation = \"arm\"\n").unwrap();
         fs::write(dir.join("urgent.toml"), "[class.Pilot]\nlevel = 31\n").unwrap();
         for (head, told) in [
             ("package_routes = \"routes.toml\"", ":1:18: this is about packages, and stations have none"),
@@ -156,6 +167,8 @@ mod tests {
             ),
             ("packages = true\nrouter = \"10.1.0.1\"\nrouter_keys = \"none\"", ":3:15: "),
             ("packages = true\npackage_routes = \"none.toml\"", ":2:18: "),
+            ("package_system = 1", ":1:18: this is about packages, and stations have none"),
+            ("packages = true\npackage_routes = \"other.toml\"", "1.Pilot.* is not of this station's system"),
             ("packages = true\npackage_routes = \"routes.toml\"", "'leg' is neither an IPv4 address"),
             ("packages = true\npackage_priorities = \"urgent.toml\"", "urgent.toml:2"),
         ] {

@@ -96,6 +96,7 @@ const NOT_OF_RINGS: &[(&str, &[&str], &str)] = &[
             "vnic_mode",
             "packages",
             "package_routes",
+            "package_system",
             "package_priorities",
             "package_times",
             "router",

@@ -129,8 +129,8 @@ fn groups(shown: &CountersShown) -> Groups<'_> {
         ("loopback", loopback),
     ];
     groups.extend(packages.iter().map(|counts| ("packages", counts)));
-    if let Some(TcpShown { counters, lost, .. }) = tcp {
-        groups.extend([("tcp", counters), ("tcp_lost", lost)]);
+    if let Some(TcpShown { counters, lost, lost_at_router, .. }) = tcp {
+        groups.extend([("tcp", counters), ("tcp_lost", lost), ("tcp_lost_at_router", lost_at_router)]);
     }
     if let Some(VnicCounted { counters, lost, filter, unknown: _ }) = vnic {
         groups.extend([("vnic", counters), ("vnic_lost", lost), ("vnic_filter", filter)]);

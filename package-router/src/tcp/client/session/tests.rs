@@ -108,10 +108,11 @@ fn a_new_connection_registers_all_before_it_sends() {
         )
         .unwrap();
     let register = HEAD_LEN + 4;
-    let confirm = register + HEAD_LEN + 2;
+    let account = register + HEAD_LEN + 2;
+    let confirm = account + HEAD_LEN;
     assert_eq!(
-        (bytes[1], bytes[register + 1], bytes[confirm + 1], bytes.len()),
-        (13, 1, 14, confirm + HEAD_LEN + 4)
+        ([1, register + 1, account + 1, confirm + 1].map(|at| bytes[at]), bytes.len()),
+        ([13, 1, 22, 14], confirm + HEAD_LEN + 4)
     );
 }
 
@@ -127,7 +128,7 @@ fn signs_of_life_and_answers_overtake_packages() {
     };
     assert_eq!(session.write(endless, |_| Err(io::ErrorKind::WouldBlock.into())).unwrap(), Written::Blocked);
     let begun = session.batch.len();
-    assert!((BATCH..BATCH + one.len() + HEAD_LEN + 4).contains(&begun));
+    assert!((BATCH..BATCH + one.len() + 2 * HEAD_LEN + 4).contains(&begun));
     came(&mut session, &reply(LIFESIGN, 0), 5);
     session.answer(&Head::new(NOT_AVAILABLE, CHASSIS, PILOT));
     let mut bytes = Vec::new();
@@ -168,18 +169,48 @@ fn packages_that_were_not_written_are_counted_as_lost() {
 fn written_packages_are_unconfirmed_until_the_router_answers() {
     let mut session = Session::default();
     session.connected(0, None);
-    assert_eq!(sent(&mut session, 2), [-6, -6, CONFIRM]);
+    assert_eq!(sent(&mut session, 2), [-6, -6, ACCOUNT, CONFIRM]);
     assert_eq!(sent(&mut session, 3), [-6; 3], "one question waits already");
-    came(&mut session, &reply(OK, 1), 1);
-    assert_eq!(sent(&mut session, 0), [CONFIRM], "the other three are asked for then");
+    came(&mut session, &reply(OK, 2), 1);
+    assert_eq!(sent(&mut session, 0), [ACCOUNT, CONFIRM], "the other three are asked for then");
     session.disconnected();
     assert_eq!((session.counters().sent, session.counters().unconfirmed), (5, 3));
     session.connected(2, None);
-    assert_eq!(sent(&mut session, 1), [-6, CONFIRM]);
-    came(&mut session, &reply(OK, 3), 3);
+    assert_eq!(sent(&mut session, 1), [-6, ACCOUNT, CONFIRM]);
+    came(&mut session, &reply(OK, 6), 3);
     assert!(sent(&mut session, 0).is_empty(), "an idle client asks nothing");
     session.disconnected();
     assert_eq!((session.counters().sent, session.counters().unconfirmed), (6, 3));
+}
+
+/// A session and our router: packages to names that nobody has, over two connections.
+#[test]
+fn a_router_gives_account_of_what_it_did_not_pass_on() {
+    let mut router = Router::new(Limits::default(), 0);
+    let mut session = Session::default();
+    for (packages, all) in [(3, 3), (2, 5)] {
+        session.connected(0, None);
+        let connection = router.connect("127.0.0.1:9".parse().unwrap(), 0).unwrap();
+        let mut waiting = vec![package(-6, CHASSIS, PILOT, b"data"); packages];
+        let mut bytes = Vec::new();
+        let next = |batch: &mut Vec<u8>| waiting.pop().map(|package| batch.extend(package)).is_some();
+        let write = |part: &[u8]| {
+            bytes.extend_from_slice(part);
+            Ok(part.len())
+        };
+        session.write(next, write).unwrap();
+        router.received(connection, &bytes, 0);
+        let mut answers = Vec::new();
+        let read = |parts: &[io::IoSlice<'_>]| {
+            parts.iter().for_each(|part| answers.extend_from_slice(part));
+            Ok(parts.iter().map(|part| part.len()).sum())
+        };
+        assert!(router.write(connection, read).unwrap());
+        assert!(came(&mut session, &answers, 1).is_empty());
+        assert_eq!(session.counters().at_router, Account { nobody_there: all, ..Account::default() });
+        session.disconnected();
+    }
+    assert_eq!((session.counters().sent, session.counters().unconfirmed), (5, 0));
 }
 
 /// It may have guessed the id of a question that has not left.
@@ -190,7 +221,7 @@ fn an_early_answer_confirms_no_more_than_was_sent() {
     let mut waiting = vec![package(-6, CHASSIS, PILOT, b"data")];
     let next = |batch: &mut Vec<u8>| waiting.pop().map(|package| batch.extend(package)).is_some();
     session.write(next, |_| Err(io::ErrorKind::WouldBlock.into())).unwrap();
-    came(&mut session, &reply(OK, 1), 1);
+    came(&mut session, &reply(OK, 2), 1);
     session.disconnected();
     assert_eq!((session.counters().sent, session.counters().lost, session.counters().unconfirmed), (0, 1, 0));
 }
@@ -206,7 +237,7 @@ fn many_mailboxes_are_registered_before_the_first_package() {
     while packages == 0 {
         let kinds = sent(&mut session, 1);
         let open: Vec<u8> = session.requests.ids().collect();
-        assert!(!kinds.is_empty() && open.len() <= OPEN_AT_MOST + 1);
+        assert!(!kinds.is_empty() && open.len() <= OPEN_AT_MOST + 2);
         asked += kinds.iter().filter(|kind| **kind == REGISTER).count();
         packages += kinds.iter().filter(|kind| **kind == -6).count();
         open.into_iter().for_each(|id| _ = came(&mut session, &reply(OK, id), 1));

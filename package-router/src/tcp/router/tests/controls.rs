@@ -1,6 +1,8 @@
 //! Control packages: names, and answers.
 
 use super::*;
+use crate::tcp::account::Account;
+use crate::tcp::control::ACCOUNT;
 
 #[test]
 fn a_name_is_one_connections() {
@@ -49,9 +51,25 @@ fn no_name_is_everybodys() {
 }
 
 #[test]
+fn an_account_is_of_what_was_not_passed_on() {
+    let mut net = Net::of(2);
+    net.register(1, 2);
+    net.send(0, &[package(-6, 9, 1, b"x"), package(-6, 9, 1, b"x"), package(-6, 1, 2, b"forged")].concat());
+    for (connection, lost) in
+        [(0, Account { nobody_there: 2, foreign_senders: 1, ..Account::default() }), (1, Account::default())]
+    {
+        net.send(connection, &control(ACCOUNT, &[]));
+        let read = net.reads(connection);
+        let head = Head::parse(&read).unwrap();
+        assert_eq!((head.kind, head.len as usize), (wire::OK, read.len()));
+        assert_eq!(Account::parse(&read[HEAD_LEN..]), Some(lost));
+    }
+}
+
+#[test]
 fn unknown_and_malformed_controls_are_counted() {
     let mut net = Net::of(1);
-    for kind in [10, 9, 16, 17, 22, 127, -1, -128] {
+    for kind in [10, 9, 16, 17, 23, 127, -1, -128] {
         net.send(0, &control(kind, b"any"));
     }
     assert_eq!(net.counters(0).controls_ignored, 8);

@@ -1,0 +1,127 @@
+"""The bytes of a session on their way to the router."""
+
+import struct
+import unittest
+from typing import List, Tuple
+
+from rtnet_packages import OK, Package
+from rtnet_packages.outgoing import BATCH, REASONS
+from rtnet_packages.session import CONFIRM_EVERY, Session
+from rtnet_packages.wire import ACCOUNT, DELETE_ANSWERED, LIFESIGN, Decoder, control
+
+DATA = Package(9, 7, -6, bytes(984))
+SIZE = len(DATA.encode())
+
+
+def session() -> Session:
+    it = Session()
+    it.connected(0.0)
+    return it
+
+
+def kinds(data: bytes) -> List[int]:
+    return [package.kind for package in Decoder().feed(data)]
+
+
+def written(it: Session, now: float) -> bytes:
+    """All that it writes now."""
+    data = b""
+    while part := bytes(it.to_write(now)):
+        it.outgoing.wrote(len(part))
+        data += part
+    return data
+
+
+def answers(it: Session, data: bytes, *counts: int) -> None:
+    """The router answers the questions in these bytes, with this account."""
+    for package in Decoder().feed(data):
+        if package.kind == ACCOUNT:
+            it.step(package.reply(OK, struct.pack("<5Q", *counts)).encode(), 0.0)
+        elif package.kind == DELETE_ANSWERED:
+            it.step(package.reply(OK).encode(), 0.0)
+
+
+def fate(it: Session) -> Tuple[int, int, int]:
+    return it.outgoing.sent, it.outgoing.lost, it.outgoing.unconfirmed
+
+
+class Overtaking(unittest.TestCase):
+    def test_an_answer_waits_for_one_batch(self) -> None:
+        it = session()
+        for _ in range(1000):
+            it.outgoing.put(DATA.encode())
+        begun = len(it.to_write(0.0))
+        self.assertLess(begun, BATCH + SIZE + 100)
+        it.outgoing.wrote(100)
+        it.outgoing.say(it.step(control(LIFESIGN).encode(), 0.0))
+        rest = written(it, 0.0)
+        self.assertEqual(kinds(DATA.encode()[:100] + rest[: begun - 100])[0], DATA.kind)
+        self.assertEqual(rest[begun - 100 :][:16], control(OK).encode())
+        self.assertEqual(it.outgoing.sent, 1000)
+
+
+class Fate(unittest.TestCase):
+    def test_sent_packages_are_unconfirmed_until_the_router_answers(self) -> None:
+        it = session()
+        it.outgoing.put(DATA.encode())
+        first = written(it, 0.0)
+        self.assertEqual(kinds(first), [-6, ACCOUNT, DELETE_ANSWERED])
+        it.outgoing.put(DATA.encode())
+        it.outgoing.put(DATA.encode())
+        self.assertEqual(kinds(written(it, 1.0)), [-6, -6], "one question waits already")
+        answers(it, first, 0, 0, 0, 0, 0)
+        self.assertEqual(written(it, 1.0), b"", "not that often")
+        second = written(it, 1.0 + CONFIRM_EVERY)
+        self.assertEqual(kinds(second), [ACCOUNT, DELETE_ANSWERED], "the other two are asked for then")
+        it.lost()
+        self.assertEqual(fate(it), (3, 0, 2))
+        it.connected(2.0)
+        it.outgoing.put(DATA.encode())
+        answers(it, written(it, 2.0), 0, 0, 0, 0, 0)
+        self.assertEqual(written(it, 3.0), b"", "an idle client asks nothing")
+        it.lost()
+        self.assertEqual(fate(it), (4, 0, 2))
+
+    def test_packages_that_have_not_left_are_lost(self) -> None:
+        it = session()
+        packages = [it.outgoing.put(DATA.encode()) for _ in range(5)]
+        it.to_write(0.0)
+        it.outgoing.wrote(2 * SIZE + 50)
+        self.assertEqual([package.has_left for package in packages], [True, True, None, None, None])
+        it.lost()
+        self.assertEqual(fate(it), (2, 3, 2))
+        self.assertEqual((it.outgoing.size, it.outgoing.waits), (0, False))
+        self.assertEqual([package.has_left for package in packages], [True, True, False, False, False])
+
+    def test_an_early_answer_confirms_no_more_than_has_left(self) -> None:
+        it = session()
+        it.outgoing.put(DATA.encode())
+        answers(it, bytes(it.to_write(0.0)), 0, 0, 0, 0, 0)
+        it.lost()
+        self.assertEqual(fate(it), (0, 1, 0))
+
+
+class Accounts(unittest.TestCase):
+    def test_accounts_are_summed_over_connections(self) -> None:
+        it = session()
+        for now, counts in [(0.0, (1, 0, 2, 0, 0)), (1.0, (3, 0, 2, 1, 9))]:
+            it.outgoing.put(DATA.encode())
+            answers(it, written(it, now), *counts)
+        self.assertEqual(it.outgoing.at_router, dict(zip(REASONS, (3, 0, 2, 1, 9))))
+        it.lost()
+        it.connected(2.0)
+        it.outgoing.put(DATA.encode())
+        answers(it, written(it, 2.0), 1, 1, 1, 1, 1)
+        self.assertEqual(it.outgoing.at_router, dict(zip(REASONS, (4, 1, 3, 2, 10))))
+
+    def test_a_router_of_another_make_has_no_account(self) -> None:
+        it = session()
+        it.outgoing.put(DATA.encode())
+        question = Decoder().feed(written(it, 0.0))[-1]
+        it.step(question.reply(OK).encode(), 0.0)
+        it.lost()
+        self.assertEqual((fate(it), sum(it.outgoing.at_router.values())), ((1, 0, 0), 0))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -75,7 +75,7 @@ class Schedule:
 def slots(capture, address, slot, windows):
     """Slot errors, cycles, missed ones, packages and the time between them, of a station in all windows of each kind.
 
-    `slot`: period and offset in the cycle. `windows`: kind, begin, end, load of the other core.
+    `slot`: period and offset in the cycle. `windows`: kind, begin, end.
     """
     (period_ns, offset_ns), since, until = slot, windows[0][1] - 10**8, windows[-1][2] + 10**8
     syncs, sent = [], []
@@ -91,8 +91,8 @@ def slots(capture, address, slot, windows):
     syncs.sort()
     sent.sort()
     schedule, stamps, figures = Schedule(syncs), [stamp for stamp, _ in sent], {}
-    for kind, begun, ended, busy in windows:
-        of = figures.setdefault(kind, {"errors": [], "cycles": 0, "missed": 0, "packages": 0, "between_ns": 0, "busy": []})
+    for kind, begun, ended in windows:
+        of = figures.setdefault(kind, {"errors": [], "cycles": 0, "missed": 0, "packages": 0, "between_ns": 0})
         # Slots that begin in the window; a frame of the last one comes after it.
         first = begun + (schedule.last_begin(begun) + offset_ns - begun) % period_ns
         cycles, used = int((ended - first) // period_ns), set()
@@ -114,5 +114,4 @@ def slots(capture, address, slot, windows):
         if len(asked) > 1:
             of["packages"] += len(asked) - 1
             of["between_ns"] += asked[-1] - asked[0]
-        of["busy"].append(busy)
     return figures

@@ -97,7 +97,7 @@ pub enum Refused {
     #[error("the station has {MOST_MAILBOXES} mailboxes: delete some")]
     TooMany,
     /// There is none of that name here.
-    #[error("{0} is no mailbox of this station, and no route leads to it")]
+    #[error("{0} is no mailbox of this station, and no route of the station's system leads to it")]
     NoMailbox(MailboxName),
     /// It is somebody else's.
     #[error("{0} is not this component's: it sends from mailboxes that it has, and deletes those")]

@@ -102,8 +102,8 @@ impl Routes {
         Self { own, routes: Vec::with_capacity(MOST_ROUTES) }
     }
 
-    /// Reads what `text` says, of a file that messages call `file`, for the station `own`. Whose names stand for which addresses
-    /// `resolve` knows.
+    /// Reads what `text` says, of a file that messages call `file`, for the station `own`. `resolve` returns the address of a station's
+    /// name.
     pub fn parse(
         text: &str,
         file: &str,
@@ -157,7 +157,6 @@ impl Routes {
     }
 
     /// Whether a mailbox is of another system: no route leads there.
-    #[inline]
     pub fn is_of_other_system(&self, name: MailboxName) -> bool {
         name.system() != self.own.system
     }

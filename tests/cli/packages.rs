@@ -225,7 +225,9 @@ fn what_people_see_of_mailboxes_is_what_components_do() {
         );
         let (status, why) = told(&["package", "send", "0.Gyro.0"]);
         assert!(
-            status == Some(2) && why.contains("no mailbox of this station, and no route leads to it"),
+            status == Some(2)
+                && why
+                    .contains("no mailbox of this station, and no route of the station's system leads to it"),
             "{status:?} {why}"
         );
         let (status, why) = told(&["mailbox", "stat", "0.Gyro.0"]);

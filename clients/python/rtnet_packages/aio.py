@@ -6,7 +6,7 @@ import time
 from types import TracebackType
 from typing import Callable, Optional, Type, TypeVar
 
-from .client import PORT, READ, prepare
+from .client import LINGER, PORT, READ, prepare
 from .errors import Full, checked
 from .mailbox import Client, Sender
 from .names import Name, name
@@ -33,6 +33,7 @@ class Router(Client):
         """The router may take `timeout` seconds to answer. `tls`: see `keys`."""
         super().__init__()
         self._place, self._timeout, self._tls = (host, port), timeout, tls
+        self._reader: Optional[asyncio.StreamReader] = None
         self._writer: Optional[asyncio.StreamWriter] = None
         self._reads: Optional["asyncio.Task[None]"] = None
         #: Writes what the transport did not take at once.
@@ -50,7 +51,7 @@ class Router(Client):
         await self.close()
 
     async def close(self) -> None:
-        """Ends the connection; the router forgets its mailboxes."""
+        """Ends the connection; the router forgets its mailboxes. It has read all that was sent, or that took too long."""
         self._session.is_closed = True
         if self._reads is not None:
             self._reads.cancel()
@@ -59,10 +60,22 @@ class Router(Client):
             except asyncio.CancelledError:
                 pass
         if self._writer is not None:
-            # It still sends what it has.
             self._flush(all=True)
+            await self._linger(self._writer)
             self._writer.close()
+            # The loop may end behind this: it closes the socket in its next turn.
+            await asyncio.sleep(0)
         self._lost()
+
+    async def _linger(self, writer: asyncio.StreamWriter) -> None:
+        """Waits until the router has read all. With unread bytes the kernel would reset the connection, and drop those that it has not sent."""
+        if self._reader is None or self._session.outgoing.is_settled or writer.is_closing() or not writer.can_write_eof():
+            return
+        try:
+            writer.write_eof()
+            await asyncio.wait_for(_read_all(self._reader), LINGER)
+        except (OSError, asyncio.TimeoutError):
+            pass
 
     async def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
         """A mailbox of this name, with room for `slots` packages.
@@ -72,12 +85,11 @@ class Router(Client):
         number, session = name(of), self._session
         data = session.add(number, slots)
         try:
-            self._check()
             self._say(data)
             await self._wait(lambda: session.registered(number), self._timeout)
             session.settle(number, self._timeout)
         except BaseException:
-            self._say(session.remove(number))
+            self._delete(number)
             raise
         return Mailbox(self, number)
 
@@ -92,16 +104,19 @@ class Router(Client):
 
     def _send(self, package: bytes) -> None:
         """Sends a package, or raises NotConnected or Full."""
-        self._check()
-        self._session.outgoing.put(package)
-        self._flush()
-
-    def _check(self) -> None:
-        """NotConnected, Full: nothing can be sent now."""
         if self._writer is None or self._writer.is_closing():
             raise self._session.gone()
         if self._session.outgoing.size > MOST:
             raise Full(f"the connection takes no more; it was not sent: {MOST} bytes wait for the router")
+        self._session.outgoing.put(package)
+        self._flush()
+
+    def _delete(self, number: int) -> None:
+        """Removes a mailbox. The packages that it has sent go first."""
+        data = self._session.remove(number)
+        if self._writer is not None and data:
+            self._session.outgoing.put(data, counts=False)
+            self._flush()
 
     def _say(self, data: bytes) -> None:
         """Sends bytes of the session if there is a connection."""
@@ -111,7 +126,7 @@ class Router(Client):
 
     def _flush(self, all: bool = False) -> None:
         """Gives the transport as much as it may have, or all. A task gives it the rest."""
-        if self._writer is None:
+        if self._writer is None or self._writer.is_closing():
             return
         transport = self._writer.transport
         while all or transport.get_write_buffer_size() <= AHEAD:
@@ -210,10 +225,15 @@ class Router(Client):
                 writer.transport.abort()
                 raise
         writer.transport.set_write_buffer_limits(AHEAD, AHEAD // 2)
-        self._writer = writer
+        self._reader, self._writer = reader, writer
         self.connections += 1
         self._say(proof + self._session.connected(time.monotonic()))
         return reader
+
+
+async def _read_all(reader: asyncio.StreamReader) -> None:
+    while await reader.read(READ):
+        pass
 
 
 class Mailbox(Sender):
@@ -244,4 +264,4 @@ class Mailbox(Sender):
 
     def close(self) -> None:
         """The mailbox is gone."""
-        self._router._say(self._session.remove(self.name))
+        self._router._delete(self.name)

@@ -18,16 +18,22 @@ from .wire import Package, ProtocolError
 PORT = 2000
 #: Bytes to read at a time.
 READ = 1 << 16
-#: Bytes of a connection that its kernel takes and has not sent: what comes after them does not overtake them. Where the kernel lets choose.
+#: Bytes that the kernel takes and has not sent, where it has this option. Nothing overtakes them.
 UNSENT = 128 << 10
+#: Bytes of one record of TLS: a call that sends more tells nothing before all have left.
+RECORD = 16 << 10
+#: Seconds that a client that is closed waits for the router to read all that it has sent.
+LINGER = 1.0
 
 _T = TypeVar("_T")
 
 
 class Router(Client):
-    """A connection to a TCP router. One thread reads; all methods may be called from any thread.
+    """A connection to a TCP router. A thread of its own reads, and writes what did not leave at once; all methods may be called from any
+    thread.
 
-    A method that sends waits while the router does not read. After `timeout` seconds it drops the connection and raises NotConnected.
+    A package is sent when the kernel has taken it. Its sender waits while the router does not read; if it reads nothing for `timeout`
+    seconds, the connection is dropped, and the sender gets NotConnected.
     """
 
     def __init__(
@@ -38,10 +44,19 @@ class Router(Client):
         self._place, self._timeout, self._tls = (host, port), timeout, tls
         self._changed = threading.Condition()
         self._socket: Optional[socket.socket] = None
-        first = self._connect()
+        #: Threads that wait until their package has left.
+        self._blocked = 0
+        #: When a client that is closed waits no more.
+        self._end = 0.0
         self._bell = Bell()
-        self._thread = threading.Thread(target=self._run, args=[first], name="rtnet-router", daemon=True)
-        self._thread.start()
+        try:
+            first = self._connect()
+            self._thread = threading.Thread(target=self._run, args=[first], name="rtnet-router", daemon=True)
+            self._thread.start()
+        except BaseException:
+            self._drop()
+            self._bell.close()
+            raise
 
     def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
         """A mailbox of this name, with room for `slots` packages.
@@ -57,7 +72,7 @@ class Router(Client):
                 self._wait(lambda: session.registered(number), self._timeout)
                 session.settle(number, self._timeout)
             except BaseException:
-                self._say(session.remove(number))
+                self._delete(number)
                 raise
         return Mailbox(self, number)
 
@@ -73,10 +88,13 @@ class Router(Client):
             return bool(self._wait(lambda: self._session.is_ready or None, timeout))
 
     def close(self) -> None:
-        """Ends the connection; the router forgets its mailboxes."""
+        """Ends the connection; the router forgets its mailboxes. It has read all that was sent, or that took too long."""
         with self._changed:
             self._session.is_closed = True
-            self._drop()
+            self._end = time.monotonic() + LINGER
+            if self._session.outgoing.is_settled or not self._shut_down(socket.SHUT_WR):
+                self._drop()
+            self._changed.notify_all()
         self._thread.join()
 
     def __enter__(self) -> "Router":
@@ -91,11 +109,19 @@ class Router(Client):
         """Sends a package, or raises NotConnected."""
         if self._socket is None:
             raise self._session.gone()
-        leaving = self._session.outgoing.put(package)
+        outgoing = self._session.outgoing
+        leaving = outgoing.put(package)
         self._flush()
-        if self._wait(lambda: leaving.has_left, self._timeout) is None:
-            # A part may have left: the router would take the next package for the rest of this one.
-            self._drop()
+        while leaving.has_left is None:
+            progress = outgoing.progress
+            self._blocked += 1
+            try:
+                moved = self._wait(lambda: leaving.has_left is not None or outgoing.progress != progress or None, self._timeout)
+            finally:
+                self._blocked -= 1
+            if moved is None:
+                # A part may have left: the router would take the next package for the rest of this one.
+                self._drop()
         if not leaving.has_left:
             raise self._session.gone()
 
@@ -106,6 +132,13 @@ class Router(Client):
             self._flush()
         return self._socket is not None
 
+    def _delete(self, number: int) -> None:
+        """Removes a mailbox. The packages that it has sent go first."""
+        data = self._session.remove(number)
+        if self._socket is not None and data:
+            self._session.outgoing.put(data, counts=False)
+            self._flush()
+
     def _flush(self) -> None:
         """Writes what the connection takes. The thread writes the rest."""
         self._write()
@@ -113,28 +146,39 @@ class Router(Client):
             self._bell.ring()
 
     def _write(self) -> None:
-        """Writes what the connection takes."""
-        while self._socket is not None:
+        """Writes what the connection takes, and wakes threads that wait for that."""
+        outgoing, before = self._session.outgoing, self._session.outgoing.progress
+        while self._socket is not None and not self._session.is_closed:
             data = self._session.to_write(time.monotonic())
             if not data:
-                return
+                break
             try:
-                self._session.outgoing.wrote(self._socket.send(data))
+                outgoing.wrote(self._socket.send(data[:RECORD] if self._tls else data))
             except (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
-                return
+                break
             except OSError:
                 self._drop()
+        if self._blocked and outgoing.progress != before:
+            self._changed.notify_all()
 
     def _drop(self) -> None:
         """Ends the connection, if there is one. Its thread notices, and closes the socket."""
         if self._socket is not None:
-            try:
-                self._socket.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
+            self._shut_down(socket.SHUT_RDWR)
             self._socket = None
             self._session.lost()
-        self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+    def _shut_down(self, how: int) -> bool:
+        """Shuts a connection down; tells whether there was one."""
+        try:
+            if self._socket is not None:
+                self._socket.shutdown(how)
+                return True
+        except OSError:
+            pass
+        return False
 
     def _wait(self, look: Callable[[], Optional[_T]], timeout: Optional[float]) -> Optional[_T]:
         """Waits until `look` finds something, time is up, or the client is closed."""
@@ -149,7 +193,7 @@ class Router(Client):
             self._changed.wait(left)
 
     def _run(self, connection: Optional[socket.socket]) -> None:
-        """Reads; connects again whenever a connection has ended."""
+        """Serves one connection after the other."""
         while connection is not None:
             try:
                 self._serve(connection)
@@ -171,13 +215,20 @@ class Router(Client):
                 with self._changed:
                     if self._socket is not connection:
                         return
-                    data, had_waited = _received(connection), self._session.outgoing.waits
-                    self._session.outgoing.say(self._session.step(data, time.monotonic()))
-                    self._write()
-                    if data or had_waited:
+                    data = _received(connection)
+                    if self._session.is_closed:
+                        # With unread bytes the kernel would reset the connection, and drop those that it has not sent.
+                        patience = self._end - time.monotonic()
+                        if data == b"" or patience <= 0:
+                            return
+                    else:
+                        self._session.outgoing.say(self._session.step(data, time.monotonic()))
+                        self._write()
+                        patience = self._session.wait(time.monotonic())
+                    if data:
                         self._changed.notify_all()
-                    wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._session.outgoing.waits else 0)
-                    patience = self._session.wait(time.monotonic())
+                    waits = self._session.outgoing.waits and not self._session.is_closed
+                wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
                 if data:
                     continue
                 if wanted != events:
@@ -199,7 +250,7 @@ class Router(Client):
                 pass
 
     def _connect(self) -> socket.socket:
-        """Tries once. What waits is written by the thread."""
+        """Tries once. The thread writes the proof and the registrations."""
         connection, proof = _dial(self._place, self._timeout, self._tls)
         with self._changed:
             self._socket = connection
@@ -268,8 +319,11 @@ def prepare(connection: socket.socket) -> None:
     if connection.getsockname() == connection.getpeername():
         raise ConnectionRefusedError("nobody listens there")
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+    try:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
+    except (AttributeError, OSError):
+        # Without it signs of life wait longer.
+        pass
 
 
 class Mailbox(Sender):
@@ -305,4 +359,4 @@ class Mailbox(Sender):
     def close(self) -> None:
         """The mailbox is gone."""
         with self._router._changed:
-            self._router._say(self._session.remove(self.name))
+            self._router._delete(self.name)

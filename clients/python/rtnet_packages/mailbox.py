@@ -17,7 +17,7 @@ class Client:
 
     @property
     def sent(self) -> int:
-        """Packages that have left."""
+        """Packages that the kernel has taken; in an event loop those that the loop has taken."""
         return self._session.outgoing.sent
 
     @property
@@ -27,13 +27,13 @@ class Client:
 
     @property
     def unconfirmed(self) -> int:
-        """Packages that had left when their connection was lost, and that the router had not confirmed: some may have arrived."""
+        """Packages of `sent` that the router had not confirmed when their connection was lost: some may have arrived."""
         return self._session.outgoing.unconfirmed
 
     @property
-    def at_router(self) -> Dict[str, int]:
-        """Packages that the router has read and not passed on, by reason: those of its status."""
-        return dict(self._session.outgoing.at_router)
+    def lost_at_router(self) -> Dict[str, int]:
+        """Packages that the router has read and not passed on, by the reasons in its status."""
+        return dict(self._session.outgoing.lost_at_router)
 
 
 class Sender:

@@ -4,19 +4,22 @@ import struct
 from collections import deque
 from typing import Callable, Deque, Dict, Optional, Tuple
 
+from .wire import OK, control
+
 #: Bytes after which a batch takes no further package.
 BATCH = 32 << 10
 #: The reasons of an account, in its order.
-REASONS = ["nobody_there", "foreign_senders", "forbidden", "receiver_full", "overtaken"]
+REASONS = ["nobody_there", "foreign_senders", "forbidden", "receiver_full", "overtaken", "receiver_gone"]
 
 
 class Leaving:
-    """A package on its way out."""
+    """A package on its way out, or a request that keeps its place among packages."""
 
-    __slots__ = ["package", "has_left"]
+    __slots__ = ["data", "counts", "has_left"]
 
-    def __init__(self, package: bytes) -> None:
-        self.package = package
+    def __init__(self, data: bytes, counts: bool) -> None:
+        #: `counts`: whether it is a package.
+        self.data, self.counts = data, counts
         #: Whether it has left; None: it waits.
         self.has_left: Optional[bool] = None
 
@@ -32,80 +35,92 @@ class Outgoing:
         #: Packages that had left, without the router's confirmation when their connection ended: some may have arrived.
         self.unconfirmed = 0
         #: Packages that the router has read and not passed on, by reason, as it said when it last confirmed any.
-        self.at_router: Dict[str, int] = dict.fromkeys(REASONS, 0)
-        #: Those of earlier connections.
-        self._before = self.at_router
-        #: Bytes of packages that wait for a batch.
+        self.lost_at_router: Dict[str, int] = dict.fromkeys(REASONS, 0)
+        #: Bytes that wait for a batch, without those of the session.
         self.size = 0
+        #: Bytes that have left, of all kinds and connections.
+        self.progress = 0
+        #: The router waits for a sign of life.
+        self.is_asked = False
         self._first = b""
-        self._packages: Deque[Leaving] = deque()
+        self._waiting: Deque[Leaving] = deque()
         #: The rest of the batch that is being written, and where in the batch that is.
         self._batch, self._written = memoryview(b""), 0
         #: Where in the batch its packages end.
         self._ends: Deque[Tuple[int, Leaving]] = deque()
-        self._confirmed = 0
+        #: Packages that the router has confirmed; and those that wait there, and the losses at routers of earlier connections.
+        self._confirmed, self._waiting_there, self._lost_before = 0, 0, dict(self.lost_at_router)
 
     def say(self, data: bytes) -> None:
-        """Adds a request or an answer of the session."""
+        """Adds a request of the session."""
         self._first += data
 
-    def put(self, package: bytes) -> Leaving:
-        """Adds a package."""
-        leaving = Leaving(package)
-        self._packages.append(leaving)
-        self.size += len(package)
+    def put(self, data: bytes, counts: bool = True) -> Leaving:
+        """Adds a package; or a request, which does not count as one, and follows the packages before it."""
+        leaving = Leaving(data, counts)
+        self._waiting.append(leaving)
+        self.size += len(data)
         return leaving
 
     @property
     def waits(self) -> bool:
         """Whether there is anything to write."""
-        return bool(self._batch or self._first or self._packages)
+        return bool(self._batch or self._first or self._waiting or self.is_asked)
 
-    def next(self, confirm: Optional[Callable[[int], bytes]] = None) -> memoryview:
-        """The bytes to write next; empty if there are none. `confirm` returns the request to confirm all packages up to a number."""
-        if not self._batch and (self._first or self._packages or confirm):
-            batch, length, self._written = [self._first], len(self._first), 0
-            while self._packages and length < BATCH:
-                leaving = self._packages.popleft()
-                batch.append(leaving.package)
-                length += len(leaving.package)
+    @property
+    def is_settled(self) -> bool:
+        """Whether all packages that have left are confirmed."""
+        return self.sent == self._confirmed
+
+    def next(self, confirm: Callable[[int], bytes]) -> memoryview:
+        """The bytes to write next; empty if there are none. `confirm` returns the question for all packages up to a number, if any."""
+        if not self._batch and (self.waits or not self.is_settled):
+            first = control(OK).encode() + self._first if self.is_asked else self._first
+            batch, length, sent = [first], len(first), self.sent
+            while self._waiting and length < BATCH:
+                leaving = self._waiting.popleft()
+                batch.append(leaving.data)
+                length += len(leaving.data)
+                sent += leaving.counts
                 self._ends.append((length, leaving))
-            self.size -= length - len(self._first)
-            self._first = b""
-            sent = self.sent + len(self._ends)
-            if confirm and sent > self._confirmed:
+            self.size -= length - len(first)
+            if sent > self._confirmed:
                 batch.append(confirm(sent))
-            self._batch = memoryview(b"".join(batch))
+            self._batch, self._written, self._first, self.is_asked = memoryview(b"".join(batch)), 0, b"", False
         return self._batch
 
     def wrote(self, count: int) -> None:
         """So many of those bytes have left."""
         self._batch, self._written = self._batch[count:], self._written + count
+        self.progress += count
         while self._ends and self._ends[0][0] <= self._written:
-            self._ends.popleft()[1].has_left = True
-            self.sent += 1
+            leaving = self._ends.popleft()[1]
+            leaving.has_left = True
+            self.sent += leaving.counts
 
     def confirmed(self, number: int) -> None:
-        """The router has read all packages up to this number."""
-        self._confirmed = min(number, self.sent)
+        """The router has read all packages up to this number. Those that wait there may still be lost with it."""
+        self._confirmed = max(self._confirmed, min(number, self.sent) - self._waiting_there)
 
     def account(self, body: bytes) -> None:
-        """The router says what it has not passed on of this connection."""
+        """The router says what it has not passed on of this connection, and how much of it waits there."""
         try:
-            counts = struct.unpack(f"<{len(REASONS)}Q", body)
+            *counts, self._waiting_there = struct.unpack(f"<{len(REASONS) + 1}Q", body)
         except struct.error:
             # A router of another make has no account.
             return
-        self.at_router = {reason: self._before[reason] + count for reason, count in zip(REASONS, counts)}
+        for reason, count in zip(REASONS, counts):
+            self.lost_at_router[reason] = max(self.lost_at_router[reason], self._lost_before[reason] + count)
 
     def end(self) -> None:
         """The connection has ended: counts all that waited."""
-        waiting = [leaving for _, leaving in self._ends] + list(self._packages)
+        waiting = [leaving for _, leaving in self._ends] + list(self._waiting)
         for leaving in waiting:
             leaving.has_left = False
-        self.lost += len(waiting)
+            self.lost += leaving.counts
         self.unconfirmed += self.sent - self._confirmed
-        self.size, self._first, self._confirmed, self._before = 0, b"", self.sent, self.at_router
+        self.size, self._first, self.is_asked = 0, b"", False
+        self._confirmed, self._waiting_there, self._lost_before = self.sent, 0, dict(self.lost_at_router)
         self._batch = memoryview(b"")
-        self._packages.clear()
+        self._waiting.clear()
         self._ends.clear()

@@ -54,7 +54,7 @@ class Requests:
         """Removes a name; tells whether the router may have it."""
         self._waiting.pop(name, None)
         is_asked = any(request.name == name for request in self._open)
-        # Nobody takes its answer: if the name is added again, that request has an answer of its own.
+        # Its answer is ignored: if the name is added again, that request has an answer of its own.
         self._open = deque(request._replace(name=NOBODY) if request.name == name else request for request in self._open)
         return self.answers.pop(name, False) or is_asked
 
@@ -67,11 +67,16 @@ class Requests:
             data += self._ask(REGISTER, name)
         return data
 
+    @property
+    def has_question(self) -> bool:
+        """Whether a question about packages is open."""
+        return any(request.kind == DELETE_ANSWERED for request in self._open)
+
     def confirmation(self, packages: int) -> bytes:
         """The question for the account, and for a confirmation of all packages up to this number; none while one is open."""
-        if any(request.packages for request in self._open):
+        if self.has_question:
             return b""
-        # Nobody has the name of nobody: the answer says that the router has read all before.
+        # No connection has the name 0: the answer says that the router has read all before.
         return self._ask(ACCOUNT) + self._ask(DELETE_ANSWERED, NOBODY, packages)
 
     def answered(self, number: int, is_done: bool) -> Optional[Request]:

@@ -16,6 +16,8 @@ FIRST, LONGEST = 0.05, 1.0
 AGAIN = 0.5
 #: Seconds from one question which packages have arrived to the next. Each costs about as much as a package.
 CONFIRM_EVERY = 0.01
+#: Seconds until the router is asked again about the same packages, which wait there.
+CONFIRM_AGAIN = 0.1
 #: Seconds without a byte after which a router counts as gone. It asks for a sign of life every 5 s.
 SILENCE = 15.0
 
@@ -26,8 +28,7 @@ Call = Tuple[int, int, int]
 class Session:
     """The mailboxes of a client and its open calls; and when it connects, asks again, and gives a router up.
 
-    Methods return the session's own bytes, which are to be put into `outgoing` with `say`. Times are seconds of one clock that never goes
-    back.
+    Methods return the session's own bytes, which go to `outgoing.say`. Times are seconds of one clock that never goes back.
     """
 
     def __init__(self) -> None:
@@ -42,12 +43,15 @@ class Session:
         self._decoder, self._ids = Decoder(), itertools.count(1)
         self._calls: Dict[Call, None] = {}
         self._rest, self._silence = FIRST, SILENCE
-        self._heard = self._again = self._confirm_at = 0.0
+        self._heard = self._again = 0.0
+        #: The packages that the router was asked about last, and when.
+        self._asked, self._asked_at = 0, -CONFIRM_EVERY
 
     def connected(self, now: float) -> bytes:
         """Begins a connection; returns the bytes that register all mailboxes again."""
         self.is_open, self._decoder = True, Decoder()
-        self._heard, self._again, self._confirm_at = now, now + AGAIN, now
+        self._heard, self._again = now, now + AGAIN
+        self._asked, self._asked_at = self.outgoing.sent, now - CONFIRM_EVERY
         self._requests.begin(self.inboxes)
         return self._requests.registrations()
 
@@ -59,14 +63,20 @@ class Session:
 
     def to_write(self, now: float) -> memoryview:
         """The bytes to write next; empty if there are none."""
-        if now < self._confirm_at:
-            return self.outgoing.next()
 
         def confirm(packages: int) -> bytes:
-            self._confirm_at = now + CONFIRM_EVERY
-            return self._requests.confirmation(packages)
+            if now < self._confirm_at(packages):
+                return b""
+            question = self._requests.confirmation(packages)
+            if question:
+                self._asked, self._asked_at = packages, now
+            return question
 
         return self.outgoing.next(confirm)
+
+    def _confirm_at(self, packages: int) -> float:
+        """When the router may be asked about packages up to this number."""
+        return self._asked_at + (CONFIRM_EVERY if packages > self._asked else CONFIRM_AGAIN)
 
     def rest(self) -> float:
         """Seconds to rest before the next attempt to connect. They double with each attempt, until a byte has come."""
@@ -75,17 +85,19 @@ class Session:
 
     def wait(self, now: float) -> float:
         """Seconds until `step` has something to do without new bytes."""
-        return max(min(self._again, self._heard + self._silence) - now, 0.0)
+        due = min(self._again, self._heard + self._silence)
+        if not self.outgoing.is_settled and not self._requests.has_question:
+            due = min(due, self._confirm_at(self.outgoing.sent))
+        return max(due - now, 0.0)
 
     def step(self, data: Optional[bytes], now: float) -> bytes:
         """Takes the bytes that have come, or None if none have; returns the bytes to send.
 
         OSError, ProtocolError: drop the connection. It has ended (`data` is empty), is silent, or sends bytes that are no package.
         """
-        answer = b""
         if data:
             self._heard, self._rest = now, FIRST
-            answer = self._sort(data)
+            self._sort(data)
         elif data is not None:
             raise ConnectionResetError("the router has ended the connection")
         elif now >= self._heard + self._silence:
@@ -93,7 +105,7 @@ class Session:
         if now >= self._again:
             self._again = now + AGAIN
             self._requests.add_refused()
-        return answer + self._requests.registrations()
+        return self._requests.registrations()
 
     @property
     def is_ready(self) -> bool:
@@ -131,7 +143,7 @@ class Session:
             raise NameTaken(f"the router refuses {shown(name)}: another connection has it, or a rule or a limit forbids it")
 
     def remove(self, name: int) -> bytes:
-        """Removes a mailbox; returns the bytes that delete it, if the router may have it."""
+        """Removes a mailbox; returns the bytes that delete it, if the router may have it: they follow the packages before them."""
         self.inboxes.pop(name, None)
         return control(DELETE, name.to_bytes(4, "little")).encode() if self._requests.remove(name) else b""
 
@@ -167,14 +179,14 @@ class Session:
         elif request is not None and request.packages:
             self.outgoing.confirmed(request.packages)
 
-    def _sort(self, data: bytes) -> bytes:
-        """Sorts packages into inboxes and answers; returns the bytes to send."""
-        answer = b""
+    def _sort(self, data: bytes) -> None:
+        """Sorts packages into inboxes and answers."""
         for package in self._decoder.feed(data):
             call = (package.to, package.sender, package.id)
             if (package.to, package.sender) == (NOBODY, NOBODY):
                 if package.kind == LIFESIGN:
-                    answer += control(OK).encode()
+                    # One answer is enough for several questions.
+                    self.outgoing.is_asked = True
                 else:
                     self._answered(package)
             elif package.kind <= 0 and call in self._calls and call not in self.answers:
@@ -183,4 +195,3 @@ class Session:
                 self.inboxes[package.to].put(package)
             else:
                 self.strays += 1
-        return answer

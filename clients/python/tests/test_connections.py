@@ -157,8 +157,6 @@ class RouterThatDoesNotRead(unittest.TestCase):
                     mailbox.send("0.Odometry.0", -6, BODY)
             with self.assertRaises(Full):
                 await mailbox.call("0.Odometry.0", 21)
-            with self.assertRaises(Full):
-                await client.mailbox("0.Pilot.0")
             self.assertLess(client._session.outgoing.size, (4 << 20) + len(BODY) + 100)
             # Once the router has read it sends again.
             while not router.accepted:
@@ -169,6 +167,59 @@ class RouterThatDoesNotRead(unittest.TestCase):
             mailbox.send("0.Odometry.0", -6)
             self.assertEqual(client.connections, 1)
         await reading
+
+
+class SlowRouter(unittest.TestCase):
+    """A router that reads all, and never answers."""
+
+    def test_threads_wait_as_long_as_it_reads_something(self) -> None:
+        read: List[int] = []
+
+        def slowly(connection: socket.socket) -> None:
+            # In all it takes longer than `timeout`.
+            while sum(read) < COUNT * len(BODY):
+                time.sleep(0.03)
+                read.append(len(connection.recv(200_000)))
+
+        with FakeRouter(slowly) as router, Router(*router.place, timeout=0.5) as client:
+            mailbox = Mailbox(client, 7)
+            threads = [threading.Thread(target=mailbox.send, args=["0.Odometry.0", -6, BODY]) for _ in range(COUNT)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(PATIENCE)
+                self.assertFalse(thread.is_alive(), "its package has left")
+            self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
+
+
+class Leaving(unittest.TestCase):
+    def test_packages_before_a_close_arrive(self) -> None:
+        router = RunningRouter()
+        try:
+            for number in range(10):
+                with Router(*router.place) as other:
+                    here = other.mailbox("0.Odometry.0", slots=1000)
+                    with Router(*router.place) as client:
+                        mailbox = client.mailbox("0.Pilot.0")
+                        for _ in range(500):
+                            mailbox.send("0.Odometry.0", -6, bytes(100))
+                    self.assertEqual(self.count(here), 500, number)
+                    asyncio.run(self.send(router))
+                    self.assertEqual(self.count(here), 500, number)
+        finally:
+            router.kill()
+
+    async def send(self, router: RunningRouter) -> None:
+        async with aio.Router(*router.place) as client:
+            mailbox = await client.mailbox("0.Pilot.1")
+            for _ in range(500):
+                mailbox.send("0.Odometry.0", -6, bytes(100))
+
+    def count(self, mailbox: Mailbox) -> int:
+        came = 0
+        while came < 500 and mailbox.receive(timeout=5.0) is not None:
+            came += 1
+        return came
 
 
 class SignsOfLife(unittest.TestCase):
@@ -183,10 +234,10 @@ class SignsOfLife(unittest.TestCase):
             threads = [threading.Thread(target=mailbox.send, args=["0.Odometry.0", -6, BODY]) for _ in range(COUNT)]
             for thread in threads:
                 thread.start()
-            outgoing = client._session.outgoing
-            while outgoing.sent + len(outgoing._ends) + len(outgoing._packages) < COUNT:
-                time.sleep(0.001)
-            kinds = _kinds_after_a_question(router.accepted[0], lambda: bool(client._session.outgoing._first))
+            _wait_until(lambda: bool(router.accepted) and client._blocked > 0)
+            # Each that has not left waits.
+            _wait_until(lambda: client.sent + client._blocked == COUNT)
+            kinds = _kinds_after_a_question(router.accepted[0], lambda: client._session.outgoing.is_asked)
             for thread in threads:
                 thread.join()
             self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
@@ -198,9 +249,8 @@ class SignsOfLife(unittest.TestCase):
                 mailbox = aio.Mailbox(client, 7)
                 for _ in range(COUNT):
                     mailbox.send("0.Odometry.0", -6, BODY)
-                while not router.accepted:
-                    await asyncio.sleep(0.001)
-                is_asked = lambda: bool(client._session.outgoing._first)
+                await asyncio.to_thread(_wait_until, lambda: bool(router.accepted))
+                is_asked = lambda: client._session.outgoing.is_asked
                 kinds = await asyncio.to_thread(_kinds_after_a_question, router.accepted[0], is_asked)
                 self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
                 self.check(kinds)
@@ -213,13 +263,17 @@ class SignsOfLife(unittest.TestCase):
         self.assertLess(kinds[: kinds.index(OK)].count(-6), self.BEFORE)
 
 
+def _wait_until(is_so: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
 def _kinds_after_a_question(connection: socket.socket, is_asked: Callable[[], bool]) -> List[int]:
     """Asks for a sign of life, and reads all, once the client has heard that; the kinds of all packages."""
     connection.sendall(control(LIFESIGN).encode())
-    deadline = time.monotonic() + PATIENCE
-    while not is_asked():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
+    _wait_until(is_asked)
     decoder = Decoder()
     kinds: List[int] = []
     connection.settimeout(PATIENCE)

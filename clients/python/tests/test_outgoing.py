@@ -7,7 +7,7 @@ from typing import List, Tuple
 from rtnet_packages import OK, Package
 from rtnet_packages.outgoing import BATCH, REASONS
 from rtnet_packages.session import CONFIRM_EVERY, Session
-from rtnet_packages.wire import ACCOUNT, DELETE_ANSWERED, LIFESIGN, Decoder, control
+from rtnet_packages.wire import ACCOUNT, DELETE, DELETE_ANSWERED, LIFESIGN, Decoder, control
 
 DATA = Package(9, 7, -6, bytes(984))
 SIZE = len(DATA.encode())
@@ -33,10 +33,10 @@ def written(it: Session, now: float) -> bytes:
 
 
 def answers(it: Session, data: bytes, *counts: int) -> None:
-    """The router answers the questions in these bytes, with this account."""
+    """The router answers the questions in these bytes, with an account that begins with these numbers."""
     for package in Decoder().feed(data):
         if package.kind == ACCOUNT:
-            it.step(package.reply(OK, struct.pack("<5Q", *counts)).encode(), 0.0)
+            it.step(package.reply(OK, struct.pack("<7Q", *(counts + (0,) * (7 - len(counts))))).encode(), 0.0)
         elif package.kind == DELETE_ANSWERED:
             it.step(package.reply(OK).encode(), 0.0)
 
@@ -53,10 +53,11 @@ class Overtaking(unittest.TestCase):
         begun = len(it.to_write(0.0))
         self.assertLess(begun, BATCH + SIZE + 100)
         it.outgoing.wrote(100)
-        it.outgoing.say(it.step(control(LIFESIGN).encode(), 0.0))
+        for _ in range(1000):
+            it.outgoing.say(it.step(control(LIFESIGN).encode(), 0.0))
         rest = written(it, 0.0)
         self.assertEqual(kinds(DATA.encode()[:100] + rest[: begun - 100])[0], DATA.kind)
-        self.assertEqual(rest[begun - 100 :][:16], control(OK).encode())
+        self.assertEqual(rest[begun - 100 :][:32], control(OK).encode() + DATA.encode()[:16], "one answer is enough")
         self.assertEqual(it.outgoing.sent, 1000)
 
 
@@ -68,16 +69,16 @@ class Fate(unittest.TestCase):
         self.assertEqual(kinds(first), [-6, ACCOUNT, DELETE_ANSWERED])
         it.outgoing.put(DATA.encode())
         it.outgoing.put(DATA.encode())
-        self.assertEqual(kinds(written(it, 1.0)), [-6, -6], "one question waits already")
-        answers(it, first, 0, 0, 0, 0, 0)
-        self.assertEqual(written(it, 1.0), b"", "not that often")
-        second = written(it, 1.0 + CONFIRM_EVERY)
+        self.assertEqual(kinds(written(it, CONFIRM_EVERY)), [-6, -6], "one question waits already")
+        answers(it, first)
+        self.assertEqual(written(it, 0.001), b"", "not that often")
+        second = written(it, CONFIRM_EVERY)
         self.assertEqual(kinds(second), [ACCOUNT, DELETE_ANSWERED], "the other two are asked for then")
         it.lost()
         self.assertEqual(fate(it), (3, 0, 2))
         it.connected(2.0)
         it.outgoing.put(DATA.encode())
-        answers(it, written(it, 2.0), 0, 0, 0, 0, 0)
+        answers(it, written(it, 2.0))
         self.assertEqual(written(it, 3.0), b"", "an idle client asks nothing")
         it.lost()
         self.assertEqual(fate(it), (4, 0, 2))
@@ -93,10 +94,39 @@ class Fate(unittest.TestCase):
         self.assertEqual((it.outgoing.size, it.outgoing.waits), (0, False))
         self.assertEqual([package.has_left for package in packages], [True, True, False, False, False])
 
+    def test_packages_that_wait_at_the_router_are_unconfirmed(self) -> None:
+        it = session()
+        for _ in range(3):
+            it.outgoing.put(DATA.encode())
+        answers(it, written(it, 0.0), 0, 0, 0, 0, 0, 0, 2)
+        self.assertEqual(written(it, 0.09), b"")
+        self.assertAlmostEqual(it.wait(0.09), 0.01)
+        again = written(it, 0.1)
+        self.assertEqual(kinds(again), [ACCOUNT, DELETE_ANSWERED])
+        answers(it, again, 0, 0, 0, 0, 0, 0, 1)
+        it.lost()
+        self.assertEqual(fate(it), (3, 0, 1))
+
+    def test_a_question_that_is_due_is_waited_for(self) -> None:
+        it = session()
+        for _ in range(2):
+            it.outgoing.put(DATA.encode())
+            answers(it, written(it, 0.0))
+        self.assertAlmostEqual(it.wait(0.0), CONFIRM_EVERY)
+
+    def test_a_deletion_follows_the_packages_before_it(self) -> None:
+        it = session()
+        it.outgoing.put(DATA.encode())
+        it.outgoing.put(control(DELETE, bytes(4)).encode(), counts=False)
+        self.assertEqual(kinds(written(it, 0.0)), [-6, DELETE, ACCOUNT, DELETE_ANSWERED])
+        it.outgoing.put(control(DELETE, bytes(4)).encode(), counts=False)
+        it.lost()
+        self.assertEqual(fate(it), (1, 0, 1))
+
     def test_an_early_answer_confirms_no_more_than_has_left(self) -> None:
         it = session()
         it.outgoing.put(DATA.encode())
-        answers(it, bytes(it.to_write(0.0)), 0, 0, 0, 0, 0)
+        answers(it, bytes(it.to_write(0.0)))
         it.lost()
         self.assertEqual(fate(it), (0, 1, 0))
 
@@ -107,20 +137,26 @@ class Accounts(unittest.TestCase):
         for now, counts in [(0.0, (1, 0, 2, 0, 0)), (1.0, (3, 0, 2, 1, 9))]:
             it.outgoing.put(DATA.encode())
             answers(it, written(it, now), *counts)
-        self.assertEqual(it.outgoing.at_router, dict(zip(REASONS, (3, 0, 2, 1, 9))))
+        self.assertEqual(it.outgoing.lost_at_router, dict(zip(REASONS, (3, 0, 2, 1, 9, 0))))
         it.lost()
         it.connected(2.0)
         it.outgoing.put(DATA.encode())
-        answers(it, written(it, 2.0), 1, 1, 1, 1, 1)
-        self.assertEqual(it.outgoing.at_router, dict(zip(REASONS, (4, 1, 3, 2, 10))))
+        first = written(it, 2.0)
+        answers(it, first, 1, 1, 1, 1, 1)
+        # A router that counts down, and one that answers with an error, change nothing.
+        it.outgoing.put(DATA.encode())
+        answers(it, written(it, 3.0), 0, 0, 0, 0, 0)
+        self.assertEqual(it.outgoing.lost_at_router, dict(zip(REASONS, (4, 1, 3, 2, 10, 0))))
 
     def test_a_router_of_another_make_has_no_account(self) -> None:
         it = session()
         it.outgoing.put(DATA.encode())
-        question = Decoder().feed(written(it, 0.0))[-1]
-        it.step(question.reply(OK).encode(), 0.0)
+        account, confirmation = Decoder().feed(written(it, 0.0))[-2:]
+        self.assertEqual((account.kind, confirmation.kind), (ACCOUNT, DELETE_ANSWERED))
+        # It ignores the first, as all that it does not know.
+        it.step(confirmation.reply(OK).encode(), 0.0)
         it.lost()
-        self.assertEqual((fate(it), sum(it.outgoing.at_router.values())), ((1, 0, 0), 0))
+        self.assertEqual((fate(it), sum(it.outgoing.lost_at_router.values())), ((1, 0, 0), 0))
 
 
 if __name__ == "__main__":

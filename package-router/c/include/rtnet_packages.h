@@ -96,7 +96,8 @@ struct rtnet_router_status {
     uint64_t not_connected; /* packages dropped while there was no connection; commands were answered */
     uint64_t not_written;   /* packages lost with a connection before they were written */
     uint64_t unconfirmed;   /* packages of `sent` whose connection was lost before the router had confirmed them: some may have arrived */
-    uint64_t lost_at_router; /* packages that the router has read and not passed on: nobody has the name, no rule allows it, its queue is full */
+    uint64_t lost_at_router; /* packages that the router has read and not passed on: no connection has the name, or that has ended; no rule
+                              * allows it; the queue is full */
     uint64_t names_refused; /* registrations that the router refused */
     uint32_t is_connected;  /* 1: there is a connection */
     uint32_t mailboxes;     /* registered at the router */

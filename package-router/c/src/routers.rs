@@ -43,7 +43,7 @@ impl From<&TcpStatus> for RtnetRouterStatus {
             not_connected: status.local.not_connected,
             not_written: status.session.lost,
             unconfirmed: status.session.unconfirmed,
-            lost_at_router: status.session.at_router.sum(),
+            lost_at_router: status.session.lost_at_router.sum(),
             names_refused: status.session.names_refused,
             is_connected: status.is_connected.into(),
             mailboxes: count(status.names),

@@ -1,47 +1,28 @@
-//! The account of a connection: the packages of it that its router has read and not passed on, by reason.
+//! The account of a connection: its packages that its router has read and not passed on, by reason, and those that still wait there.
 
 macro_rules! reasons {
     ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
         /// Packages by the reason for which the router did not pass them on. Commands among them were answered NOT_AVAILABLE.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-        pub struct Account {
+        pub struct Lost {
             $($(#[$doc])* pub $name: u64,)+
         }
 
-        impl Account {
-            /// Bytes of the answer's body: a number of 8 bytes for each reason.
-            pub const LEN: usize = [$(stringify!($name)),+].len() * size_of::<u64>();
+        impl Lost {
+            const REASONS: usize = [$(stringify!($name)),+].len();
 
             /// Each with its name.
             pub fn each(&self) -> impl Iterator<Item = (&'static str, u64)> {
                 [$((stringify!($name), self.$name)),+].into_iter()
             }
 
-            /// The body of an answer, little-endian.
-            pub fn to_bytes(&self) -> [u8; Self::LEN] {
-                let mut bytes = [0; Self::LEN];
-                for (at, number) in bytes.chunks_exact_mut(size_of::<u64>()).zip([$(self.$name),+]) {
-                    at.copy_from_slice(&number.to_le_bytes());
-                }
-                bytes
+            fn of(numbers: [u64; Self::REASONS]) -> Self {
+                let [$($name),+] = numbers;
+                Self { $($name),+ }
             }
 
-            /// Reads such a body; `None`: it has another length.
-            pub fn parse(body: &[u8]) -> Option<Self> {
-                let body: &[u8; Self::LEN] = body.try_into().ok()?;
-                let mut numbers = body.chunks_exact(size_of::<u64>());
-                let mut next = || Some(u64::from_le_bytes(numbers.next()?.try_into().ok()?));
-                Some(Self { $($name: next()?),+ })
-            }
-
-            /// Adds another's. Sums end at the largest number: a router may say anything.
-            pub fn plus(&self, other: &Self) -> Self {
-                Self { $($name: self.$name.saturating_add(other.$name)),+ }
-            }
-
-            /// All together.
-            pub fn sum(&self) -> u64 {
-                self.each().fold(0, |sum, (_, number)| sum.saturating_add(number))
+            fn numbers(&self) -> [u64; Self::REASONS] {
+                [$(self.$name),+]
             }
         }
     };
@@ -58,6 +39,62 @@ reasons! {
     receiver_full,
     /// They made room for more urgent ones in their receiver's queue.
     overtaken,
+    /// They waited for their receiver when its connection ended.
+    receiver_gone,
+}
+
+impl Lost {
+    /// All together.
+    pub fn sum(&self) -> u64 {
+        self.numbers().into_iter().fold(0, u64::saturating_add)
+    }
+
+    /// Adds another's. A sum ends at the largest number: a router may send anything.
+    pub fn plus(&self, other: &Self) -> Self {
+        self.with(other, u64::saturating_add)
+    }
+
+    /// The larger of each number.
+    pub fn max(&self, other: &Self) -> Self {
+        self.with(other, u64::max)
+    }
+
+    fn with(&self, other: &Self, each: fn(u64, u64) -> u64) -> Self {
+        let (ours, theirs) = (self.numbers(), other.numbers());
+        Self::of(core::array::from_fn(|at| each(ours[at], theirs[at])))
+    }
+}
+
+/// The account of a connection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Account {
+    /// Packages that were not passed on.
+    pub lost: Lost,
+    /// Packages that wait for their receivers.
+    pub waiting: u64,
+}
+
+impl Account {
+    /// Bytes of the answer's body: a number of 8 bytes for each reason, and one of those that wait.
+    pub const LEN: usize = (Lost::REASONS + 1) * size_of::<u64>();
+
+    /// The body of an answer, little-endian.
+    pub fn to_bytes(&self) -> [u8; Self::LEN] {
+        let mut bytes = [0; Self::LEN];
+        let numbers = self.lost.numbers().into_iter().chain([self.waiting]);
+        for (at, number) in bytes.chunks_exact_mut(size_of::<u64>()).zip(numbers) {
+            at.copy_from_slice(&number.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// Reads such a body; `None`: it has another length.
+    pub fn parse(body: &[u8]) -> Option<Self> {
+        let body: &[u8; Self::LEN] = body.try_into().ok()?;
+        let (numbers, _) = body.as_chunks();
+        let at = |place: usize| numbers.get(place).map_or(0, |number| u64::from_le_bytes(*number));
+        Some(Self { lost: Lost::of(core::array::from_fn(at)), waiting: at(Lost::REASONS) })
+    }
 }
 
 #[cfg(test)]
@@ -66,19 +103,21 @@ mod tests {
 
     #[test]
     fn its_bytes_are_numbers_in_order() {
-        let account = Account {
-            nobody_there: 1,
-            foreign_senders: 2,
-            forbidden: 3,
-            receiver_full: 4,
-            overtaken: 0x0102_0304_0506_0708,
-        };
+        let large = 0x0102_0304_0506_0708;
+        let account = Account { lost: Lost::of([1, 2, 3, 4, 5, large]), waiting: 7 };
         let bytes = account.to_bytes();
-        let numbers = [1u64, 2, 3, 4, 0x0102_0304_0506_0708].map(u64::to_le_bytes).concat();
+        let numbers = [1u64, 2, 3, 4, 5, large, 7].map(u64::to_le_bytes).concat();
         assert_eq!((&bytes[..], Account::parse(&bytes)), (&numbers[..], Some(account)));
-        for wrong in [0, 39, 41, 48] {
+        for wrong in [0, 55, 57, 64] {
             assert_eq!(Account::parse(&vec![0; wrong]), None);
         }
-        assert_eq!((account.sum(), account.plus(&account).forbidden), (10 + 0x0102_0304_0506_0708, 6));
+    }
+
+    #[test]
+    fn sums_end_at_the_largest_number() {
+        let (some, most) = (Lost::of([1, 2, 3, 4, 5, 6]), Lost::of([u64::MAX; 6]));
+        assert_eq!((some.sum(), most.sum()), (21, u64::MAX));
+        assert_eq!((some.plus(&some), some.plus(&most)), (Lost::of([2, 4, 6, 8, 10, 12]), most));
+        assert_eq!(some.max(&Lost::of([6, 5, 4, 3, 2, 1])), Lost::of([6, 5, 4, 4, 5, 6]));
     }
 }

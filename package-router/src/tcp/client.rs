@@ -12,6 +12,7 @@ mod local;
 pub mod session;
 
 use std::io::{self, Read, Write};
+use std::net::Shutdown;
 use std::os::fd::{AsFd, AsRawFd};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -230,8 +231,30 @@ impl Worker {
                 self.local.refuse_all();
             }
         }
+        self.linger(&mut room);
         self.down(&io::Error::other("the TCP client has ended"));
         self.publish();
+    }
+
+    /// Waits at its end until the router has read all that was sent. With unread bytes the kernel would reset the connection, and drop
+    /// those that it has not sent.
+    fn linger(&mut self, room: &mut [u8]) {
+        let until = now() + END_WITHIN;
+        let Some(up) = self.up.as_mut().filter(|_| !self.session.is_settled()) else { return };
+        if up.stream.flush_tls().is_err() || up.stream.tcp.shutdown(Shutdown::Write).is_err() {
+            return;
+        }
+        let mut events = Events::with_capacity(8);
+        while now() < until {
+            match up.stream.tcp.read(room) {
+                Ok(0) => return,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    let _ = self.poll.poll(&mut events, Some(END_EVERY));
+                }
+                Err(error) if error.kind() != io::ErrorKind::Interrupted => return,
+                _ => {}
+            }
+        }
     }
 
     /// Whether it is stopped, and packages that were taken before are written, as far as that goes at once.

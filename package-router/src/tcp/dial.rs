@@ -210,6 +210,21 @@ mod tests {
     use super::*;
 
     #[test]
+    fn rests_double_up_to_a_second_until_the_router_sends() {
+        let mut dial = Dial::new(Address { host: "127.0.0.1".into(), port: 1 }, None);
+        let rest = |dial: &mut Dial| {
+            dial.lost(70);
+            dial.due().unwrap() - 70
+        };
+        let rests: Vec<u64> = (0..7).map(|_| rest(&mut dial)).collect();
+        assert_eq!(rests, [50, 100, 200, 400, 800, 1_000, 1_000]);
+        dial.works();
+        assert_eq!([rest(&mut dial), rest(&mut dial)], [50, 100]);
+        dial.refused(70);
+        assert_eq!(dial.due(), Some(70 + REFUSED));
+    }
+
+    #[test]
     fn a_hosts_name_is_looked_up_while_others_go_on() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();

@@ -30,8 +30,8 @@ const LEVELS_KEPT: usize = 2;
 const BYTES_KEPT: usize = 2 << 10;
 /// Bytes of a level up to which its memory stays until then: of few levels, and of each of many.
 const TRIMMED_AT: [usize; 2] = [256 << 10, 16 << 10];
-/// Bytes of the router's own answers that may wait besides.
-const OWN_AT_MOST: usize = 4 << 10;
+/// Bytes of the router's own answers that may wait besides: those to as many requests as one read holds.
+const OWN_AT_MOST: usize = 64 << 10;
 const _: () = assert!(OWN_AT_MOST > (OPEN_AT_MOST + 3) * HEAD_LEN + Account::LEN);
 
 /// The packages that wait for one connection.
@@ -145,15 +145,20 @@ impl Outgoing {
         Ok(())
     }
 
-    /// Hands bytes to `send` until it takes no more; returns whether the queue is empty.
-    pub fn write(&mut self, mut send: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>) -> io::Result<bool> {
+    /// Hands bytes to `send` until it takes no more; returns whether the queue is empty. Appends to `gone` how many packages of which
+    /// sources have left.
+    pub fn write(
+        &mut self,
+        mut send: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
+        gone: &mut Vec<(Source, u64)>,
+    ) -> io::Result<bool> {
         while !self.is_empty() {
             let mut slices = [IoSlice::new(&[]); SLICES];
             let (count, all) = self.next(&mut slices);
             match send(&slices[..count]) {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(sent) => {
-                    self.left(sent);
+                    self.left(sent, gone);
                     if sent < all {
                         return Ok(false);
                     }
@@ -179,6 +184,26 @@ impl Outgoing {
     /// Their bytes.
     pub fn bytes(&self) -> usize {
         self.bytes
+    }
+
+    /// Bytes that it holds, the router's own included.
+    pub fn held(&self) -> usize {
+        let own = self.levels.first().filter(|level| level.priority == OWN);
+        self.bytes + own.map_or(0, |level| level.bytes.len())
+    }
+
+    /// Drops all that waits. Packages go to `dropped`, with their heads unless a part of them has left.
+    pub fn drop_all(&mut self, mut dropped: impl FnMut(Option<Head>, Source)) {
+        for level in core::mem::take(&mut self.levels) {
+            let begun = self.begun.filter(|(priority, _)| *priority == level.priority);
+            let (mut at, mut rest) = (0, begun.map(|(_, rest)| rest));
+            for Waiting { len, source, .. } in level.waiting {
+                let head = Head::parse(&level.bytes.as_slice()[at..]).ok().filter(|_| rest.is_none());
+                at += rest.take().unwrap_or(len as usize);
+                dropped(head, source);
+            }
+        }
+        *self = Self { own_most: self.own_most, ..Self::new(self.most) };
     }
 
     /// Milliseconds that the oldest of them has waited.
@@ -285,30 +310,40 @@ impl Outgoing {
     }
 
     /// Removes bytes that have left.
-    fn left(&mut self, mut sent: usize) {
+    fn left(&mut self, mut sent: usize, gone: &mut Vec<(Source, u64)>) {
         if let Some((priority, rest)) = self.begun.take() {
             let place = self.level(priority);
-            sent -= self.left_of(place, rest, sent.min(rest));
+            sent -= self.left_of(place, rest, sent.min(rest), gone);
         }
         for place in 0..self.levels.len() {
             if let Some(first) = self.levels[place].waiting.front().filter(|_| sent > 0) {
-                sent -= self.left_of(place, first.len as usize, sent);
+                sent -= self.left_of(place, first.len as usize, sent, gone);
             }
         }
     }
 
     /// Removes bytes that have left from a level, of whose first package `rest` were there; returns how many of `sent` these are.
-    fn left_of(&mut self, place: usize, mut rest: usize, sent: usize) -> usize {
+    fn left_of(
+        &mut self,
+        place: usize,
+        mut rest: usize,
+        sent: usize,
+        gone: &mut Vec<(Source, u64)>,
+    ) -> usize {
         let trimmed_at = self.trimmed_at();
         let level = &mut self.levels[place];
         let all = sent.min(level.bytes.len());
         level.bytes.remove(0, all);
         let (mut left, mut packages, mut bytes) = (all, 0, 0);
         while left >= rest
-            && let Some(gone) = level.waiting.pop_front()
+            && let Some(first) = level.waiting.pop_front()
         {
             left -= rest;
-            (packages, bytes) = (packages + 1, bytes + gone.len as usize);
+            (packages, bytes) = (packages + 1, bytes + first.len as usize);
+            match gone.last_mut() {
+                Some((source, count)) if *source == first.source => *count += 1,
+                _ => gone.push((first.source, 1)),
+            }
             rest = level.waiting.front().map_or(usize::MAX, |next| next.len as usize);
         }
         if left > 0 {

@@ -16,7 +16,7 @@ use std::io::{self, IoSlice};
 
 use super::control::{Control, Proof};
 use super::frames::Frames;
-use super::outgoing::Outgoing;
+use super::outgoing::{Outgoing, Source};
 use super::rules::Rules;
 use crate::name::MailboxName;
 use crate::wire::{HEAD_LEN, Head, MAX_LEN};
@@ -30,7 +30,7 @@ pub use status::{ClientStatus, Closed, Counters, LinkStatus, Status};
 /// Milliseconds between two signs of life that are asked for.
 pub const LIFESIGN_EVERY: u64 = 5_000;
 /// Connections that are not trusted yet, at the most: strangers leave room for clients.
-const UNTRUSTED: usize = 256;
+pub(super) const UNTRUSTED: usize = 256;
 /// Closed connections that are remembered.
 const CLOSED: usize = 64;
 
@@ -79,6 +79,7 @@ struct Client {
     /// Its number among all connections so far.
     number: u32,
     peer: SocketAddr,
+    is_by_tls: bool,
     trust: Trust,
     role: Role,
     since: u64,
@@ -92,6 +93,8 @@ struct Client {
     is_awake: bool,
     /// It is to be closed: nothing that it sends counts any more.
     is_ending: bool,
+    /// Its packages that wait for their receivers.
+    waits: u64,
     counters: Counters,
     meter: Meter,
 }
@@ -99,7 +102,7 @@ struct Client {
 impl Client {
     /// Bytes that wait for it, and of its package that has begun.
     fn held(&self) -> usize {
-        self.outgoing.bytes() + self.frames.begun()
+        self.outgoing.held() + self.frames.begun()
     }
 }
 
@@ -117,6 +120,8 @@ pub struct Router {
     free: Vec<u32>,
     /// Connections so far.
     connections: u32,
+    /// Connections that may do all that rules allow.
+    trusted: usize,
     /// Connections that have not proved yet that they may come, the oldest first.
     untrusted: VecDeque<Connection>,
     table: BTreeMap<MailboxName, Connection>,
@@ -134,6 +139,8 @@ pub struct Router {
     next_round: u64,
     /// Bytes that wait for all connections, and of packages that have begun.
     held: usize,
+    /// Memory for [`Self::write`].
+    gone: Vec<(Source, u64)>,
 }
 
 impl Router {
@@ -148,6 +155,7 @@ impl Router {
             clients: Vec::new(),
             free: Vec::new(),
             connections: 0,
+            trusted: 0,
             untrusted: VecDeque::new(),
             table: BTreeMap::new(),
             awake: VecDeque::new(),
@@ -159,6 +167,7 @@ impl Router {
             meter: Meter::new(now),
             next_round: now + LIFESIGN_EVERY,
             held: 0,
+            gone: Vec::new(),
         }
     }
 
@@ -175,43 +184,62 @@ impl Router {
 
     /// A connection from there is open.
     pub fn connect(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
-        self.add(peer, Trust::Full, now)
+        if self.is_full() {
+            return Err(TooMany);
+        }
+        self.trusted += 1;
+        Ok(self.add(peer, Trust::Full, now))
     }
 
-    /// A connection from there is open, whose TLS session has not begun. The oldest of too many such makes room for it: who may come
-    /// proves that within moments.
-    pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
-        let connection = self.add(peer, Trust::Handshake, now)?;
+    /// A connection from there is open, whose TLS session has not begun. The oldest of too many such makes room for it: a client that
+    /// may come proves that within moments. They take no place of [`Limits::connections`].
+    pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Connection {
+        let connection = self.add(peer, Trust::Handshake, now);
         self.untrusted.push_back(connection);
         if self.untrusted.len() > UNTRUSTED
             && let Some(oldest) = self.untrusted.pop_front()
         {
             self.end(oldest, Ending::Crowded);
         }
-        Ok(connection)
+        connection
     }
 
     /// The TLS session of a connection has begun. With a proof, its first package has to be that.
     pub fn secured(&mut self, connection: Connection, proof: Option<Proof>) {
-        if let Some(client) = self.client(connection).filter(|client| client.trust == Trust::Handshake) {
-            client.trust = proof.map_or(Trust::Full, Trust::Proof);
-            client.is_asked = false;
-            if client.trust == Trust::Full {
-                self.untrusted.retain(|untrusted| *untrusted != connection);
-            }
+        let Some(client) = self.client(connection).filter(|client| client.trust == Trust::Handshake) else {
+            return;
+        };
+        match proof {
+            Some(proof) => (client.trust, client.is_asked) = (Trust::Proof(proof), false),
+            None => self.trust(connection),
         }
     }
 
-    fn add(&mut self, peer: SocketAddr, trust: Trust, now: u64) -> Result<Connection, TooMany> {
-        let open = self.clients.len() - self.free.len();
-        if open >= self.limits.connections {
-            self.counters.connections_refused += 1;
-            return Err(TooMany);
+    /// A connection has proved that it may come. It is closed if as many are open as may be.
+    fn trust(&mut self, connection: Connection) {
+        self.untrusted.retain(|untrusted| *untrusted != connection);
+        if self.is_full() {
+            return self.end(connection, Ending::TooMany);
         }
+        self.trusted += 1;
+        if let Some(client) = self.client(connection) {
+            (client.trust, client.is_asked) = (Trust::Full, false);
+        }
+    }
+
+    /// Whether as many connections are open as may be: then another is refused, and counted.
+    fn is_full(&mut self) -> bool {
+        let is_full = self.trusted >= self.limits.connections;
+        self.counters.connections_refused += u64::from(is_full);
+        is_full
+    }
+
+    fn add(&mut self, peer: SocketAddr, trust: Trust, now: u64) -> Connection {
         self.connections = self.connections.wrapping_add(1);
         let client = Client {
             number: self.connections,
             peer,
+            is_by_tls: trust == Trust::Handshake,
             trust,
             role: Role::default(),
             since: now,
@@ -222,10 +250,11 @@ impl Router {
             is_asked: false,
             is_awake: false,
             is_ending: false,
+            waits: 0,
             counters: Counters::default(),
             meter: Meter::new(now),
         };
-        Ok(match self.free.pop() {
+        match self.free.pop() {
             Some(place) => {
                 self.clients[place as usize] = Some(client);
                 Connection(place)
@@ -234,7 +263,7 @@ impl Router {
                 self.clients.push(Some(client));
                 Connection(self.clients.len() as u32 - 1)
             }
-        })
+        }
     }
 
     /// Bytes have come from a connection.
@@ -254,7 +283,7 @@ impl Router {
         match cut {
             Ok(()) if is_stranger => self.end(from, Ending::Stranger),
             Err(no_package) => self.end(from, no_package.into()),
-            Ok(()) => self.make_memory(0),
+            Ok(()) => self.make_memory(0, now),
         }
     }
 
@@ -264,11 +293,16 @@ impl Router {
         to: Connection,
         send: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
     ) -> io::Result<bool> {
+        let mut gone = core::mem::take(&mut self.gone);
         let Some(client) = self.client(to) else { return Ok(true) };
-        let before = client.outgoing.bytes();
-        let written = client.outgoing.write(send);
-        let left = before - client.outgoing.bytes();
+        let before = client.outgoing.held();
+        let written = client.outgoing.write(send, &mut gone);
+        let left = before - client.outgoing.held();
         self.held -= left;
+        for (source, count) in gone.drain(..) {
+            self.source(source).into_iter().for_each(|sender| sender.waits -= count);
+        }
+        self.gone = gone;
         written
     }
 
@@ -299,7 +333,9 @@ impl Router {
             self.tell_links(*name, false, now);
         }
         self.held -= client.held();
+        self.trusted -= usize::from(client.trust == Trust::Full);
         client.counters.lost_at_close += client.outgoing.packages() as u64;
+        self.give_up(&mut client.outgoing, now);
         self.counters.add(&client.counters);
         *self.counted_endings.entry(why.reason()).or_default() += 1;
         self.closed.truncate(CLOSED - 1);
@@ -328,7 +364,7 @@ impl Router {
     }
 
     /// Makes room for a number of bytes: connections that hold the most are closed.
-    fn make_memory(&mut self, bytes: usize) {
+    fn make_memory(&mut self, bytes: usize, now: u64) {
         while self.held + bytes > self.limits.memory {
             let all =
                 self.clients.iter().enumerate().filter_map(|(place, client)| Some((place, client.as_ref()?)));
@@ -339,12 +375,19 @@ impl Router {
             }
             self.end(whom, Ending::NoMemory);
             self.held -= held;
-            let queue = self.limits.queue;
+            let mut outgoing = Outgoing::new(self.limits.queue);
             if let Some(client) = self.client(whom) {
                 client.counters.lost_at_close += client.outgoing.packages() as u64;
-                (client.outgoing, client.frames) = (Outgoing::new(queue), Frames::default());
+                client.frames = Frames::default();
+                core::mem::swap(&mut client.outgoing, &mut outgoing);
             }
+            self.give_up(&mut outgoing, now);
         }
+    }
+
+    /// The connection that a package came by, if it is still open.
+    fn source(&mut self, of: Source) -> Option<&mut Client> {
+        self.client(Connection(of.place)).filter(|client| client.number == of.number)
     }
 
     fn client(&mut self, of: Connection) -> Option<&mut Client> {

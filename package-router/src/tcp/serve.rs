@@ -20,7 +20,7 @@ use rtnet::live::clock::monotonic;
 
 use super::dial::prepare;
 use super::keys::RouterKeys;
-use super::router::{Connection, Ending, Limits, Router, Status};
+use super::router::{Connection, Ending, Limits, Router, Status, UNTRUSTED};
 use super::stream::Stream;
 use awake::{AWAKE_AT_MOST, Awake};
 pub use links::LinkTo;
@@ -82,7 +82,7 @@ impl Server {
             links: Vec::new(),
             sockets: Vec::new(),
             readable: Vec::new(),
-            events: limits.connections + 2 * addresses.len() + 1,
+            events: limits.connections + UNTRUSTED + 2 * addresses.len() + 1,
             accepting: Vec::new(),
             accepts_again: None,
             awake: Awake::new(),
@@ -223,7 +223,7 @@ impl Server {
         let (keys, now) = (self.listeners[listener].1.clone(), self.now());
         let connection = match keys {
             None => self.router.connect(peer, now),
-            Some(_) => self.router.connect_by_tls(peer, now),
+            Some(_) => Ok(self.router.connect_by_tls(peer, now)),
         };
         // One connection too many is closed at once, and counted.
         let Ok(connection) = connection else { return };

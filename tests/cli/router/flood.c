@@ -15,12 +15,12 @@
 static const struct rtnet_shape SHAPE = {8, 64, 16, 0};
 static const int64_t SENDS_EVERY = 500000, SAYS_EVERY = 100000000;
 
-static int32_t checked(int32_t told, const char *what) {
-    if (told < 0) {
+static int32_t checked(int32_t result, const char *what) {
+    if (result < 0) {
         fprintf(stderr, "%s: %s\n", what, rtnet_packages_error());
         exit(1);
     }
-    return told;
+    return result;
 }
 
 int main(int argc, char **argv) {

@@ -33,4 +33,4 @@ with Router(host, port, timeout=30.0) as router:
             pass
         if is_over.is_set() and time.monotonic() > shown + 0.1:
             shown = time.monotonic()
-            print(taken, 0, sum(router.at_router.values()), router.unconfirmed, flush=True)
+            print(taken, 0, sum(router.lost_at_router.values()), router.unconfirmed, flush=True)

@@ -1,6 +1,7 @@
 //! Two systems with a router each, and a link between them.
 
 use std::fs;
+use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use package_router::component::{Component, Mailbox};
@@ -146,6 +147,24 @@ fn a_link_shows_whether_it_is_open_and_else_why() {
         let link = shown(&router);
         link["open"] == false && link["last_error"].is_string()
     });
+}
+
+/// It knows the name of its host only, and finds itself there.
+#[test]
+fn a_link_to_the_router_itself_by_a_name_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("router.toml");
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    fs::write(&file, format!("system = 1\n[[link]]\nrouter = \"localhost:{port}\"\n")).unwrap();
+    let at = format!("127.0.0.1:{port}");
+    let router = Router::start("itself", &[file.to_str().unwrap(), "--listen", &at]);
+    wait_until("it is refused", || {
+        let closed = router.status()["closed"].clone();
+        let why =
+            |of: &serde_json::Value| of["why"].as_str().unwrap().contains("takes no link of this system");
+        closed.as_array().unwrap().iter().any(why)
+    });
+    assert_eq!(router.status()["links"][0]["open"], false);
 }
 
 /// The link is there, closed again with the reason, and tried later.

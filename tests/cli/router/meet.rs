@@ -61,6 +61,9 @@ fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, 
                 assert!(journey.is_from_elsewhere && journey.sent.is_none());
                 assert!(journey.delivered.is_some() && journey.delivered <= journey.received);
             }
+            if let Some(times) = times.as_ref().filter(|_| NAMES[..3].contains(&head.from)) {
+                assert!(times.journey(&package).came.is_some(), "from a station it comes by the LAN");
+            }
             drop(package);
             match head.kind {
                 ASK => {
@@ -168,6 +171,7 @@ fn components_of_stations_and_hosts_meet_by_name() {
             programs.iter_mut().for_each(|program| assert_eq!(program.line(), "met"));
             wait_until("all have met", || has_met.iter().all(|met| met.load(Ordering::Relaxed)));
             shows_ways(&cell);
+            shows_losses(&cell);
             is_over.store(true, Ordering::Relaxed);
         });
         drop((in_rust, programs, router));
@@ -175,6 +179,20 @@ fn components_of_stations_and_hosts_meet_by_name() {
         cell.down();
         forget(&name);
     });
+}
+
+/// The station shows what the router did not pass on.
+fn shows_losses(cell: &Cell) {
+    let leg = cell.place("leg");
+    let lost = || {
+        let shown = json(rtnet().args(["stat", "-S", &leg, "--json"]));
+        shown["tcp"]["lost_at_router"]["nobody_there"].as_u64().unwrap()
+    };
+    // The first questions came before the mailboxes of others.
+    let before = lost();
+    let sent = rtnet().args(["package", "-S", &leg, "send", "0x00990000", "hello"]).output().unwrap();
+    assert!(sent.status.success(), "{}", text(&sent.stderr));
+    wait_until("it is counted", || lost() > before);
 }
 
 /// The way of packages from a station to a mailbox of its own, of another station, of a host, and to one that nobody has.

@@ -175,13 +175,13 @@ fn answers(caller: &mut Mailbox, to: MailboxName) -> bool {
 #[derive(Clone, Copy, Debug, Default)]
 struct Account {
     taken: u64,
-    /// Those that did not leave, or that the router read and did not pass on.
+    /// Packages that did not leave, or that the router read and did not pass on.
     lost: u64,
     unconfirmed: u64,
 }
 
 impl Account {
-    /// What a program says of itself.
+    /// Reads a program's next line.
     fn of(program: &mut Program) -> Self {
         let line = program.line();
         let numbers: Vec<u64> = line.split(' ').map(|number| number.parse().unwrap()).collect();
@@ -189,10 +189,10 @@ impl Account {
         Self { taken, lost: lost + at_router, unconfirmed }
     }
 
-    /// What the interface in Rust says.
+    /// Reads the counters of a client in Rust.
     fn of_watch(taken: u64, watch: &TcpWatch) -> Self {
         let TcpStatus { session, local, .. } = watch.status();
-        let lost = local.not_connected + session.lost + session.at_router.sum();
+        let lost = local.not_connected + session.lost + session.lost_at_router.sum();
         Self { taken, lost, unconfirmed: session.unconfirmed }
     }
 

@@ -76,7 +76,7 @@ fn routed(bytes: &[u8]) -> Vec<u64> {
 fn connected(router: &mut Router, which: u32, now: u64) -> Connection {
     let peer = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 1);
     let connection = match which {
-        UNTRUSTED => router.connect_by_tls(peer, now),
+        UNTRUSTED => Ok(router.connect_by_tls(peer, now)),
         LINK => router.link(0, peer, None, now),
         _ => router.connect(peer, now),
     };

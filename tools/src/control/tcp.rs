@@ -60,7 +60,7 @@ impl TcpShown {
             ("foreign_senders", local.forged),
         ];
         let named = |all: &[(&str, u64)]| all.iter().map(|(name, n)| ((*name).to_owned(), *n)).collect();
-        let at_router: Vec<_> = session.at_router.each().collect();
+        let at_router: Vec<_> = session.lost_at_router.each().collect();
         Self {
             router: watch.router().to_string(),
             connected: status.is_connected,

@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io;
 
 use crate::name::MailboxName;
-use crate::tcp::account::Account;
+use crate::tcp::account::{Account, Lost};
 use crate::tcp::control::{ACCOUNT, CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, UNREGISTER, request};
 use crate::tcp::frames::Frames;
 use crate::tcp::requests::Requests;
@@ -23,6 +23,8 @@ use crate::wire::{HEAD_LEN, Head, HeadError, OK};
 
 /// Milliseconds until a registration that the router has refused is tried again: a connection that is dead may still have the name.
 pub const RETRY: u64 = 1_000;
+/// Milliseconds until the router is asked again about packages that wait there.
+const CONFIRM_AGAIN: u64 = 100;
 /// Milliseconds without a byte after which the router counts as gone. It asks for a sign of life every 5 s.
 pub const SILENCE: u64 = 15_000;
 /// Bytes after which a batch takes no further package.
@@ -56,8 +58,14 @@ pub struct Session {
     settled: u64,
     /// Whether the router is asked for a confirmation.
     is_confirming: bool,
-    /// The sum of the last accounts of earlier connections.
-    accounts: Account,
+    /// The packages that it was asked about last, and when it is asked about the same again.
+    asked: u64,
+    ask_again: u64,
+    /// Packages that wait at the router, as it said last.
+    waiting_there: u64,
+    /// Packages that the routers of earlier connections did not pass on.
+    lost_before: Lost,
+    now: u64,
     counters: SessionCounters,
 }
 
@@ -76,8 +84,8 @@ pub struct SessionCounters {
     pub lost: u64,
     /// Packages of [`Self::sent`] whose connection was lost before the router confirmed that it had read them: some may have arrived.
     pub unconfirmed: u64,
-    /// Packages of [`Self::sent`] that the router has read and not passed on, as it said when it last confirmed any.
-    pub at_router: Account,
+    /// Packages, and answers, that the router has read and not passed on, as it said when it last confirmed any.
+    pub lost_at_router: Lost,
     /// Answers that were not sent, since as many wait as may.
     pub answers_lost: u64,
     /// Registrations that the router has refused.
@@ -122,7 +130,7 @@ impl Session {
     pub fn connected(&mut self, now: u64, proof: Option<&Proof>) {
         self.disconnected();
         self.is_connected = true;
-        self.accounts = self.counters.at_router;
+        self.lost_before = self.counters.lost_at_router;
         self.last_heard = now;
         proof.iter().for_each(|proof| self.control(PROOF, 0, *proof));
         self.names.values_mut().for_each(|at| *at = Registration::Open);
@@ -134,7 +142,8 @@ impl Session {
         self.is_connected = false;
         self.counters.lost += self.ends.len() as u64;
         self.counters.unconfirmed += self.counters.sent - self.settled;
-        (self.settled, self.is_confirming) = (self.counters.sent, false);
+        (self.settled, self.asked, self.is_confirming) = (self.counters.sent, self.counters.sent, false);
+        self.waiting_there = 0;
         self.frames = Frames::default();
         self.requests.clear();
         self.own.clear();
@@ -190,8 +199,9 @@ impl Session {
         }
     }
 
-    /// Registers names again whose time has come.
+    /// Registers names again whose time has come, and asks again about packages that wait at the router.
     pub fn retry(&mut self, now: u64) {
+        self.now = now;
         let due = |at: &Registration| matches!(at, Registration::Refused(at) if *at <= now);
         let names: Vec<_> = self.names.iter().filter(|(_, at)| due(at)).map(|(name, _)| *name).collect();
         names.into_iter().for_each(|name| self.register(name));
@@ -203,7 +213,8 @@ impl Session {
             Registration::Refused(at) => Some(*at),
             _ => None,
         });
-        retries.fold(self.last_heard + SILENCE, u64::min)
+        let questions = self.has_unsettled().then_some(self.ask_again);
+        retries.chain(questions).fold(self.last_heard + SILENCE, u64::min)
     }
 
     /// Whether nothing has come for so long that the router counts as gone, or it reads nothing.
@@ -219,6 +230,11 @@ impl Session {
     /// Whether all that it has taken is written.
     pub fn is_idle(&self) -> bool {
         self.own.is_empty() && self.written == self.batch.len()
+    }
+
+    /// Whether the router has confirmed all packages that were sent.
+    pub fn is_settled(&self) -> bool {
+        self.counters.sent == self.settled
     }
 
     /// Writes requests, answers, and packages, which `next` appends one at a time as long as there are any.
@@ -258,6 +274,11 @@ impl Session {
         self.counters
     }
 
+    /// Whether there are packages that are not settled, and the router is not asked about them.
+    fn has_unsettled(&self) -> bool {
+        !self.is_confirming && !self.is_settled()
+    }
+
     fn register(&mut self, name: MailboxName) {
         self.names.insert(name, Registration::Open);
         self.waiting.insert(name);
@@ -293,13 +314,18 @@ impl Session {
         });
         self.is_confirming &= !is_confirmation_lost;
         match answered {
-            // No answer confirms packages that have not left.
             Some(Asked::Confirmation(sent)) => {
-                (self.settled, self.is_confirming) = (sent.min(self.counters.sent), false);
+                // No answer confirms packages that have not left, or that wait at the router.
+                let settled = sent.min(self.counters.sent).saturating_sub(self.waiting_there);
+                (self.settled, self.is_confirming) = (self.settled.max(settled), false);
             }
             Some(Asked::Account) => {
-                let account = Account::parse(body).unwrap_or_default();
-                self.counters.at_router = self.accounts.plus(&account);
+                // A router of another make has none.
+                if let Some(Account { lost, waiting }) = Account::parse(body).filter(|_| head.kind == OK) {
+                    let lost = self.lost_before.plus(&lost);
+                    self.counters.lost_at_router = self.counters.lost_at_router.max(&lost);
+                    self.waiting_there = waiting;
+                }
             }
             // A mailbox that went and came again is asked for a second time, which decides.
             Some(asked @ Asked::Name(_)) if requests.has(&asked) => {}
@@ -332,8 +358,9 @@ impl Session {
             self.ends.push_back(self.batch.len());
         }
         let sent = self.counters.sent + self.ends.len() as u64;
-        if !self.is_confirming && sent > self.settled {
-            self.is_confirming = true;
+        let is_due = sent > self.asked || self.has_unsettled() && self.now >= self.ask_again;
+        if !self.is_confirming && is_due {
+            (self.is_confirming, self.asked, self.ask_again) = (true, sent, self.now + CONFIRM_AGAIN);
             // In this order: packages that are confirmed are accounted for.
             self.ask(Asked::Account);
             self.ask(Asked::Confirmation(sent));

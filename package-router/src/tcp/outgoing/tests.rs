@@ -12,7 +12,7 @@ fn head(priority: u8, id: u8, body: usize) -> Head {
 fn leaves(queue: &mut Outgoing, at_once: usize) -> Vec<(u8, u8)> {
     let mut bytes = Vec::new();
     while !queue.is_empty() {
-        queue.write(|slices| Ok(taken(&mut bytes, slices, at_once))).unwrap();
+        queue.write(|slices| Ok(taken(&mut bytes, slices, at_once)), &mut Vec::new()).unwrap();
     }
     let mut seen = Vec::new();
     super::super::frames::Frames::default()
@@ -54,11 +54,11 @@ fn a_package_that_has_begun_is_ended_before_what_is_more_urgent() {
             true => Ok(taken(&mut bytes, slices, begun)),
             false => Err(io::ErrorKind::WouldBlock.into()),
         };
-        assert!(!queue.write(once).unwrap());
+        assert!(!queue.write(once, &mut Vec::new()).unwrap());
         queue.push(&head(9, 2, 24), &[0; 24], (SOURCE, 0), |_, _| ()).unwrap();
-        assert!(queue.write(|slices| Ok(taken(&mut bytes, slices, 7).max(1))).is_ok());
+        assert!(queue.write(|slices| Ok(taken(&mut bytes, slices, 7).max(1)), &mut Vec::new()).is_ok());
         while !queue.is_empty() {
-            queue.write(|slices| Ok(taken(&mut bytes, slices, 7))).unwrap();
+            queue.write(|slices| Ok(taken(&mut bytes, slices, 7)), &mut Vec::new()).unwrap();
         }
         let mut seen = Vec::new();
         super::super::frames::Frames::default().cut(&bytes, |head, _| seen.push(head.id)).unwrap();
@@ -97,7 +97,7 @@ fn what_has_begun_is_not_dropped() {
         true => Ok(taken(&mut bytes, slices, 10)),
         false => Err(io::ErrorKind::WouldBlock.into()),
     };
-    assert!(!queue.write(once).unwrap());
+    assert!(!queue.write(once, &mut Vec::new()).unwrap());
     let mut dropped = Vec::new();
     queue.push(&head(2, 8, 20), &[8; 20], (SOURCE, 0), |head, _| dropped.push(head.id)).unwrap();
     queue.push(&head(2, 9, 20), &[9; 20], (SOURCE, 0), |head, _| dropped.push(head.id)).unwrap();
@@ -108,7 +108,7 @@ fn what_has_begun_is_not_dropped() {
         "one of priority 2 goes"
     );
     while !queue.is_empty() {
-        queue.write(|slices| Ok(taken(&mut bytes, slices, 1_000))).unwrap();
+        queue.write(|slices| Ok(taken(&mut bytes, slices, 1_000)), &mut Vec::new()).unwrap();
     }
     let mut seen = Vec::new();
     let frames = &mut super::super::frames::Frames::default();
@@ -157,7 +157,7 @@ fn memory_of_many_priorities_is_bounded_at_all_times() {
                 left -= now;
                 if now == 0 { Err(io::ErrorKind::WouldBlock.into()) } else { Ok(now) }
             };
-            queue.write(read).unwrap();
+            queue.write(read, &mut Vec::new()).unwrap();
             let held: usize = queue.levels.iter().map(|level| level.bytes.capacity()).sum();
             assert!(held <= 4 * most + 256 * TRIMMED_AT[1], "{held} bytes at priority {priority}");
         }

@@ -4,6 +4,7 @@ use subtle::ConstantTimeEq;
 
 use super::{Connection, Counters, Ending, Router, Trust};
 use crate::name::MailboxName;
+use crate::tcp::account::Account;
 use crate::tcp::control::{Control, PROOF};
 use crate::wire::{self, HEAD_LEN, Head};
 
@@ -15,8 +16,7 @@ impl Router {
         let is_control = (head.to, head.from, head.kind) == (MailboxName::NOBODY, MailboxName::NOBODY, PROOF);
         // The time says nothing of the place where they differ.
         if is_control && bool::from(proof.ct_eq(body)) {
-            (client.trust, client.is_asked) = (Trust::Full, false);
-            self.untrusted.retain(|untrusted| *untrusted != from);
+            self.trust(from);
         } else {
             client.trust = Trust::Handshake;
             self.end(from, Ending::Stranger);
@@ -43,14 +43,16 @@ impl Router {
                 self.answer_account(from, head, now);
                 None
             }
-            Control::Alive | Control::Proof => None,
+            Control::Alive => None,
+            // A client with a certificate may send one, too.
+            Control::Proof if self.client(from).is_some_and(|client| client.is_by_tls) => None,
             Control::Watchdog(on) => {
                 self.client(from)
                     .into_iter()
                     .for_each(|client| (client.watchdog, client.is_asked) = (on, false));
                 None
             }
-            Control::Unknown => {
+            Control::Proof | Control::Unknown => {
                 self.count(from, |counters| &mut counters.controls_ignored);
                 None
             }
@@ -106,7 +108,7 @@ impl Router {
     /// Answers what of this connection was not passed on so far.
     fn answer_account(&mut self, from: Connection, head: &Head, now: u64) {
         let Some(client) = self.client(from) else { return };
-        let body = client.counters.account().to_bytes();
+        let body = Account { lost: client.counters.lost(), waiting: client.waits }.to_bytes();
         let answer = Head { len: (HEAD_LEN + body.len()) as u32, ..head.answer(wire::OK) };
         self.own_with(from, &answer, &body, now);
     }

@@ -28,6 +28,9 @@ pub enum Ending {
     /// A newer connection took its place among those that have not proved yet that they may come.
     #[error("it had not proved yet that it may come, and a newer connection took its place")]
     Crowded,
+    /// As many connections were open as may be.
+    #[error("as many connections are open here as may be (limits.connections)")]
+    TooMany,
     /// It held the most memory when the router had none left.
     #[error("it held the most bytes when the router held as many as it may (limits.memory)")]
     NoMemory,
@@ -41,13 +44,14 @@ pub enum Ending {
 
 impl Ending {
     /// All reasons by which connections that were closed are counted.
-    pub const REASONS: [&'static str; 10] = [
+    pub const REASONS: [&'static str; 11] = [
         "left",
         "silent",
         "stranger",
         "same_system",
         "tls",
         "crowded",
+        "too_many",
         "no_memory",
         "too_short",
         "too_long",
@@ -63,6 +67,7 @@ impl Ending {
             Self::SameSystem => "same_system",
             Self::Tls(_) => "tls",
             Self::Crowded => "crowded",
+            Self::TooMany => "too_many",
             Self::NoMemory => "no_memory",
             Self::NoPackage(HeadError::LenAboveMost { .. }) => "too_long",
             Self::NoPackage(HeadError::LenBelowHead { .. } | HeadError::TooShort { .. }) => "too_short",
@@ -86,6 +91,7 @@ mod tests {
             Ending::SameSystem,
             Ending::Tls("an alert".into()),
             Ending::Crowded,
+            Ending::TooMany,
             Ending::NoMemory,
             HeadError::LenBelowHead { len: 3 }.into(),
             too_long.into(),

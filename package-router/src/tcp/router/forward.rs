@@ -3,12 +3,15 @@
 use super::links::Role;
 use super::{Connection, Counters, Router};
 use crate::name::MailboxName;
-use crate::tcp::outgoing::{Full, Source};
+use crate::tcp::outgoing::{Full, Outgoing, Source};
 use crate::tcp::rules::Rules;
-use crate::wire::{self, Endian, Head};
+use crate::wire::{self, Endian, HEAD_LEN, Head};
 
 /// The counter of what became of a package, at its sender.
 type Reason = fn(&mut Counters) -> &mut u64;
+
+/// Its receiver's connection has ended.
+const RECEIVER_GONE: Reason = |counters| &mut counters.receiver_gone;
 
 impl Router {
     /// Passes a package on, and those right behind it that go the same way; returns the bytes of these.
@@ -36,6 +39,7 @@ impl Router {
         }
         let (packages, bytes) = self.enqueue_run(from, to, (head, rest), (source, now));
         if let Some(sender) = self.client(from) {
+            sender.waits += 1 + packages;
             sender.counters.packages_in += 1 + packages;
             sender.counters.bytes_in += u64::from(head.len) + bytes as u64;
         }
@@ -94,7 +98,7 @@ impl Router {
 
     /// Queues a package for a connection. A displaced package is counted at the connection that it came by.
     fn enqueue(&mut self, to: Connection, head: &Head, body: &[u8], at: (Source, u64)) -> Result<(), Full> {
-        self.make_memory(head.len as usize);
+        self.make_memory(head.len as usize, at.1);
         let Some(receiver) = self.client(to) else { return Err(Full) };
         let (mut displaced, before) = (Vec::new(), receiver.outgoing.bytes());
         let pushed = match receiver.is_ending {
@@ -115,11 +119,10 @@ impl Router {
         }
         self.held = self.held + after - before;
         for (dropped, source) in displaced {
-            let sender = Connection(source.place);
+            let Some(sender) = self.source(source) else { continue };
+            sender.waits -= 1;
             // Its answer is less urgent than what displaced it, so that this ends.
-            if self.client(sender).is_some_and(|client| client.number == source.number) {
-                self.refuse(sender, &dropped, at.1, |counters| &mut counters.overtaken);
-            }
+            self.refuse(Connection(source.place), &dropped, at.1, |counters| &mut counters.overtaken);
         }
         pushed
     }
@@ -134,6 +137,20 @@ impl Router {
         };
         client.role.may_have(name, self.system)
             && self.table.get(&name).map_or_else(might_have, |owner| *owner == from)
+    }
+
+    /// Drops all that waits for a receiver that is gone: it is counted at its senders, and commands are answered.
+    pub(super) fn give_up(&mut self, outgoing: &mut Outgoing, now: u64) {
+        let mut dropped = Vec::new();
+        outgoing.drop_all(|head, source| dropped.push((head, source)));
+        for (head, source) in dropped {
+            let Some(sender) = self.source(source) else { continue };
+            sender.waits -= 1;
+            match head {
+                Some(head) => self.refuse(Connection(source.place), &head, now, RECEIVER_GONE),
+                None => sender.counters.receiver_gone += 1,
+            }
+        }
     }
 
     /// A package does not go on: that is counted at its sender, which is answered if it was a command.
@@ -155,7 +172,10 @@ impl Router {
     pub(super) fn own_with(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) {
         let Some(client) = self.client(to).filter(|client| !client.is_ending) else { return };
         match client.outgoing.push_own(head, body, now) {
-            Ok(()) => self.wake(to),
+            Ok(()) => {
+                self.held += HEAD_LEN + body.len();
+                self.wake(to);
+            }
             Err(Full) => client.counters.answers_lost += 1,
         }
     }

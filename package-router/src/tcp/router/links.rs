@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 
 use core::net::SocketAddr;
 
-use super::{Connection, Ending, Router, TooMany, Trust};
+use super::{Connection, Ending, Router, TooMany};
 use crate::name::MailboxName;
 use crate::tcp::control::{self, CONFIRM, LIFESIGN, PROOF, Proof, REGISTER, ROUTER, UNREGISTER};
 use crate::tcp::requests::{OPEN_AT_MOST, Requests};
@@ -118,7 +118,7 @@ impl Router {
         proof: Option<&Proof>,
         now: u64,
     ) -> Result<Connection, TooMany> {
-        let connection = self.add(peer, Trust::Full, now)?;
+        let connection = self.connect(peer, now)?;
         // Requests to delete mailboxes have no answer that could pace them.
         let most = (self.limits.all_names + OPEN_AT_MOST) * REQUEST;
         let waiting = self.table.keys().copied().filter(|name| name.system() == self.system).collect();

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use super::{Ending, Rates, Router};
 use crate::name::MailboxName;
-use crate::tcp::account::Account;
+use crate::tcp::account::Lost;
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
@@ -48,6 +48,8 @@ counters! {
     receiver_full,
     /// Its packages that made room for more urgent ones in their receiver's queue.
     overtaken,
+    /// Its packages that waited for their receiver when its connection ended.
+    receiver_gone,
     /// Packages for it that found its queue full.
     queue_full,
     /// Packages for it that made room for more urgent ones.
@@ -70,9 +72,11 @@ counters! {
 
 impl Counters {
     /// Its packages that were not passed on.
-    pub fn account(&self) -> Account {
-        let Self { nobody_there, foreign_senders, forbidden, receiver_full, overtaken, .. } = *self;
-        Account { nobody_there, foreign_senders, forbidden, receiver_full, overtaken }
+    pub fn lost(&self) -> Lost {
+        let Self {
+            nobody_there, foreign_senders, forbidden, receiver_full, overtaken, receiver_gone, ..
+        } = *self;
+        Lost { nobody_there, foreign_senders, forbidden, receiver_full, overtaken, receiver_gone }
     }
 }
 

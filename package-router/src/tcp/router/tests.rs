@@ -268,6 +268,36 @@ fn answers_lifesigns_and_urgent_packages_overtake_10000() {
     assert_eq!(read.len(), 10_000 * 64 + 3 * HEAD_LEN);
 }
 
+/// Alone, and behind one that goes the same way.
+#[test]
+fn other_flags_and_the_body_are_passed_on_untouched() {
+    let mut net = Net::of(2);
+    net.register(1, 2);
+    for flags in [0xFC, 0xFD, 0xFE, 0xFF, 0x00, 0x03] {
+        let mut sent = package(-6, 2, 7, b"body");
+        sent[0] = flags;
+        if flags & 1 == 0 {
+            [4, 8, 12].into_iter().for_each(|at| sent[at..at + 4].reverse());
+        }
+        net.send(0, &[&sent[..], &sent].concat());
+        let mut expected = package(-6, 2, 7, b"body");
+        expected[0] = flags | 1;
+        assert_eq!(net.reads(1), [&expected[..], &expected].concat(), "{flags:#x}");
+    }
+}
+
+#[test]
+fn a_status_shows_how_much_waits_and_since_when() {
+    let mut net = Net::of(2);
+    net.register(1, 2);
+    for now in [100, 350] {
+        net.now = now;
+        net.send(0, &package(-6, 2, 7, &[0; 48]));
+    }
+    let of = &net.router.status(400).clients[1];
+    assert_eq!((of.waiting, of.waiting_bytes, of.oldest), (2, 128, Some(300)));
+}
+
 #[test]
 fn limits_hold_and_are_counted() {
     let limits = Limits { connections: 2, names: 2, queue: 0, ..Limits::default() };

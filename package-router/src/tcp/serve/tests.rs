@@ -108,10 +108,14 @@ fn a_busy_loop_keeps_its_rounds_and_answers() {
             }
         });
         let mut asked = [0; HEAD_LEN];
+        let begun = Instant::now();
         let read = third.read_exact(&mut asked);
+        // A Java client gives up after 10 s.
+        let waited = begun.elapsed();
         let status = running.remote.status(PATIENCE);
         is_over.store(true, Ordering::Relaxed);
         read.unwrap();
+        assert!(waited < Duration::from_secs(10), "{waited:?}");
         assert_eq!(Head::parse(&asked).unwrap().kind, LIFESIGN);
         assert!(status.unwrap().counters.packages_out > 0);
     });

@@ -95,7 +95,10 @@ impl WayShown {
                 let state = tcp.as_ref().map_or(String::new(), |tcp| format!("; {}", tcp.state()));
                 format!("TCP: no mailbox of this station, and {why}{state}")
             }
-            _ => "none: no mailbox of this station, no route to another, and no TCP router (--router)".into(),
+            _ => {
+                let routes = "no route to another of its system (--package-system)";
+                format!("none: no mailbox of this station, {routes}, and no TCP router (--router)")
+            }
         };
         format!("{to}: {why}\n")
     }

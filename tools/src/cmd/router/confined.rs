@@ -56,3 +56,38 @@ fn directory_of(file: &Path) -> PathBuf {
         _ => ".".into(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::io::{ErrorKind, Result, Write};
+    use std::net::{TcpListener, TcpStream};
+
+    use super::*;
+
+    /// A thread of its own has the rights: no other test loses any.
+    #[test]
+    fn a_router_reaches_no_port_but_those_of_its_links() {
+        let [link, other] = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap());
+        let [link_at, other_at] = [&link, &other].map(|of| of.local_addr().unwrap());
+        let text = format!("system = 1\n[[link]]\nrouter = \"{link_at}\"\n");
+        let file = RouterFile::parse(&text, "router.toml").unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let control = dir.path().join("router");
+        let confined = std::thread::spawn(move || {
+            if restrict(&file, None, &control).unwrap() != RulesetStatus::FullyEnforced {
+                let _ = std::io::stderr().write_all(b"SKIP: needs a kernel with landlock (Linux 6.10)\n");
+                return;
+            }
+            fn is_denied<T>(of: Result<T>) -> bool {
+                of.is_err_and(|error| error.kind() == ErrorKind::PermissionDenied)
+            }
+            assert!(TcpStream::connect(link_at).is_ok());
+            assert!(is_denied(TcpStream::connect(other_at)));
+            assert!(is_denied(TcpListener::bind("127.0.0.1:0")));
+            assert!(is_denied(File::open("/etc/passwd")));
+            assert!(File::create(control).is_ok());
+        });
+        confined.join().unwrap();
+    }
+}

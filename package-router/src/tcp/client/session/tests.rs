@@ -1,3 +1,5 @@
+use core::net::{IpAddr, Ipv4Addr, SocketAddr};
+
 use super::*;
 use crate::tcp::requests::OPEN_AT_MOST;
 use crate::tcp::router::{Connection, Limits, Router};
@@ -5,6 +7,7 @@ use crate::wire::{ERROR, NOT_AVAILABLE};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
+const PEER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9);
 const PILOT: MailboxName = MailboxName(0x0018_0000);
 const CHASSIS: MailboxName = MailboxName(0x0011_0000);
 
@@ -183,34 +186,101 @@ fn written_packages_are_unconfirmed_until_the_router_answers() {
     assert_eq!((session.counters().sent, session.counters().unconfirmed), (6, 3));
 }
 
-/// A session and our router: packages to names that nobody has, over two connections.
-#[test]
-fn a_router_gives_account_of_what_it_did_not_pass_on() {
-    let mut router = Router::new(Limits::default(), 0);
-    let mut session = Session::default();
-    for (packages, all) in [(3, 3), (2, 5)] {
+/// A session and our router.
+struct Joined {
+    router: Router,
+    session: Session,
+    connection: Connection,
+}
+
+impl Joined {
+    fn new() -> Self {
+        let (mut router, mut session) = (Router::new(Limits::default(), 0), Session::default());
+        let connection = router.connect(PEER, 0).unwrap();
         session.connected(0, None);
-        let connection = router.connect("127.0.0.1:9".parse().unwrap(), 0).unwrap();
-        let mut waiting = vec![package(-6, CHASSIS, PILOT, b"data"); packages];
-        let mut bytes = Vec::new();
+        Self { router, session, connection }
+    }
+
+    /// Sends packages to a name, and all else that the session has to send; it reads what the router answers.
+    fn sends(&mut self, to: MailboxName, packages: usize, now: u64) {
+        let mut waiting = vec![package(-6, to, PILOT, b"data"); packages];
         let next = |batch: &mut Vec<u8>| waiting.pop().map(|package| batch.extend(package)).is_some();
+        let mut bytes = Vec::new();
         let write = |part: &[u8]| {
             bytes.extend_from_slice(part);
             Ok(part.len())
         };
-        session.write(next, write).unwrap();
-        router.received(connection, &bytes, 0);
-        let mut answers = Vec::new();
-        let read = |parts: &[io::IoSlice<'_>]| {
-            parts.iter().for_each(|part| answers.extend_from_slice(part));
-            Ok(parts.iter().map(|part| part.len()).sum())
-        };
-        assert!(router.write(connection, read).unwrap());
-        assert!(came(&mut session, &answers, 1).is_empty());
-        assert_eq!(session.counters().at_router, Account { nobody_there: all, ..Account::default() });
-        session.disconnected();
+        self.session.retry(now);
+        self.session.write(next, write).unwrap();
+        self.router.received(self.connection, &bytes, now);
+        let answers = left_for(&mut self.router, self.connection);
+        assert!(came(&mut self.session, &answers, now).is_empty());
     }
-    assert_eq!((session.counters().sent, session.counters().unconfirmed), (5, 0));
+}
+
+/// All that waits for a connection.
+fn left_for(router: &mut Router, connection: Connection) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let read = |parts: &[io::IoSlice<'_>]| {
+        parts.iter().for_each(|part| bytes.extend_from_slice(part));
+        Ok(parts.iter().map(|part| part.len()).sum())
+    };
+    assert!(router.write(connection, read).unwrap());
+    bytes
+}
+
+#[test]
+fn a_router_gives_account_of_what_it_did_not_pass_on() {
+    let mut joined = Joined::new();
+    for (packages, all) in [(3, 3), (2, 5)] {
+        joined.sends(CHASSIS, packages, 0);
+        let lost = Lost { nobody_there: all, ..Lost::default() };
+        assert_eq!(joined.session.counters().lost_at_router, lost);
+        joined.session.connected(0, None);
+        joined.connection = joined.router.connect(PEER, 0).unwrap();
+    }
+    assert_eq!((joined.session.counters().sent, joined.session.counters().unconfirmed), (5, 0));
+}
+
+#[test]
+fn packages_that_wait_at_the_router_are_not_confirmed() {
+    let mut joined = Joined::new();
+    let receiver = joined.router.connect(PEER, 0).unwrap();
+    let head = request(REGISTER, 0, &CHASSIS.0.to_le_bytes());
+    joined.router.received(receiver, &[&head.to_bytes()[..], &CHASSIS.0.to_le_bytes()].concat(), 0);
+    left_for(&mut joined.router, receiver);
+    joined.sends(CHASSIS, 3, 0);
+    assert!(!joined.session.is_settled());
+    assert_eq!(joined.session.next_due(), CONFIRM_AGAIN, "it is asked again then");
+    left_for(&mut joined.router, receiver);
+    joined.sends(CHASSIS, 0, CONFIRM_AGAIN - 1);
+    assert!(!joined.session.is_settled(), "not before");
+    joined.sends(CHASSIS, 0, CONFIRM_AGAIN);
+    assert!(joined.session.is_settled());
+    joined.sends(CHASSIS, 2, CONFIRM_AGAIN);
+    joined.session.disconnected();
+    assert_eq!((joined.session.counters().sent, joined.session.counters().unconfirmed), (5, 2));
+}
+
+#[test]
+fn an_account_that_cannot_be_changes_nothing() {
+    let account = |kind: i8, id: u8, body: &[u8]| {
+        let head = Head { id, ..Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY) };
+        [&head.with_body(body.len()).unwrap().to_bytes()[..], body].concat()
+    };
+    let mut session = Session::default();
+    session.connected(0, None);
+    let lost = Lost { forbidden: 7, ..Lost::default() };
+    let good = Account { lost, waiting: 0 }.to_bytes();
+    let none = Account::default().to_bytes();
+    // Each question has the id after the one before: those for an account are the odd ones.
+    for (id, kind, body) in
+        [(1, OK, &good[..]), (3, ERROR, &good), (5, OK, &good[1..]), (7, OK, &[]), (9, OK, &none)]
+    {
+        assert_eq!(sent(&mut session, 1), [-6, ACCOUNT, CONFIRM]);
+        came(&mut session, &[&account(kind, id, body)[..], &reply(OK, id + 1)].concat(), 1);
+        assert_eq!(session.counters().lost_at_router, lost, "{id}");
+    }
 }
 
 /// It may have guessed the id of a question that has not left.

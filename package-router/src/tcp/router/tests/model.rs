@@ -119,6 +119,18 @@ impl Model {
         }
     }
 
+    /// Senders of what waited for a client are answered, from the most urgent on.
+    fn leaves(&mut self, client: usize) {
+        self.owners.retain(|_, owner| *owner != client);
+        let waiting = self.readers.iter_mut().flat_map(|reader| &mut reader.waiting);
+        waiting.filter(|of| of.sender == Some(client)).for_each(|of| of.sender = None);
+        let mut waited = core::mem::take(&mut self.readers[client]).waiting;
+        waited.sort_by_key(|of| (core::cmp::Reverse(of.priority), of.number));
+        for Waiting { head, sender, .. } in waited {
+            sender.into_iter().for_each(|sender| self.unavailable(sender, &head));
+        }
+    }
+
     /// The packages that made room; `None` if there is no room.
     fn push(&mut self, to: usize, head: Head, sender: Option<usize>) -> Option<Vec<Waiting>> {
         let reader = &mut self.readers[to];
@@ -222,10 +234,7 @@ fn runs(steps: Vec<Step>) {
                 net.router.disconnect(Connection(client as u32), Ending::Left, 0);
                 assert_eq!(net.router.connect(PEER, 0), Ok(Connection(client as u32)));
                 net.read[client].clear();
-                model.owners.retain(|_, owner| *owner != client);
-                model.readers[client] = Reader::default();
-                let waiting = model.readers.iter_mut().flat_map(|reader| &mut reader.waiting);
-                waiting.filter(|of| of.sender == Some(client)).for_each(|of| of.sender = None);
+                model.leaves(client);
             }
         }
     }
@@ -242,6 +251,7 @@ fn runs(steps: Vec<Step>) {
     }
     let begun: usize = net.router.clients.iter().flatten().map(|client| client.frames.begun()).sum();
     assert_eq!((net.router.held, begun), (0, 0));
+    assert!(net.router.clients.iter().flatten().all(|client| client.waits == 0));
     let owned: usize = net.router.status(0).clients.iter().map(|client| client.names.len()).sum();
     assert_eq!((owned, net.router.table.len()), (model.owners.len(), model.owners.len()));
     assert_eq!(net.endings(), []);

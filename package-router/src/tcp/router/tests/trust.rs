@@ -18,7 +18,7 @@ fn registration() -> Vec<u8> {
 /// A connection that has to prove that it knows the secret.
 fn untrusted() -> Net {
     let mut net = Net::of(0);
-    let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+    let connection = net.router.connect_by_tls(PEER, 0);
     net.router.secured(connection, Some(PROVES));
     net.read.push(Vec::new());
     net
@@ -50,7 +50,7 @@ fn a_proof_may_come_byte_by_byte_and_again() {
 #[test]
 fn a_certificate_needs_no_proof() {
     let mut net = Net::of(0);
-    let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+    let connection = net.router.connect_by_tls(PEER, 0);
     net.read.push(Vec::new());
     net.router.secured(connection, None);
     net.send(0, &registration());
@@ -62,7 +62,7 @@ fn a_certificate_needs_no_proof() {
 fn a_connection_that_is_not_trusted_ends_within_two_rounds() {
     for has_begun in [false, true] {
         let mut net = Net::of(0);
-        let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+        let connection = net.router.connect_by_tls(PEER, 0);
         net.read.push(Vec::new());
         if has_begun {
             net.router.secured(connection, Some(PROVES));
@@ -86,7 +86,7 @@ fn a_connection_that_is_not_trusted_ends_within_two_rounds() {
 fn strangers_hear_nothing() {
     let mut net = Net::of(2);
     let strangers = [None, Some(PROVES)].map(|proof| {
-        let connection = net.router.connect_by_tls(PEER, 0).unwrap();
+        let connection = net.router.connect_by_tls(PEER, 0);
         proof.into_iter().for_each(|proof| net.router.secured(connection, Some(proof)));
         net.read.push(Vec::new());
         connection.0 as usize
@@ -117,15 +117,34 @@ fn strangers_take_neither_memory_nor_the_place_of_clients() {
     net.send(0, &long);
     assert_eq!(net.endings(), [(0, Ending::Stranger)]);
     net.router.disconnect(Connection(0), Ending::Stranger, 0);
-    let came: Vec<_> = (0..UNTRUSTED + 10).map(|_| net.router.connect_by_tls(PEER, 0).unwrap()).collect();
+    let came: Vec<_> = (0..UNTRUSTED + 10).map(|_| net.router.connect_by_tls(PEER, 0)).collect();
     let mut crowded = net.endings();
     crowded.reverse();
     assert_eq!(crowded, came[..10].iter().map(|of| (of.0, Ending::Crowded)).collect::<Vec<_>>());
     // One that proves itself in time takes no place among them any more.
     let newest = *came.last().unwrap();
     net.router.secured(newest, None);
-    assert!(net.router.connect_by_tls(PEER, 0).is_ok() && net.endings().is_empty());
+    net.router.connect_by_tls(PEER, 0);
+    assert!(net.endings().is_empty());
     (0..UNTRUSTED).for_each(|_| _ = net.router.connect_by_tls(PEER, 0));
     assert!(net.endings().iter().all(|(of, _)| *of != newest.0));
     assert!(net.router.connect(PEER, 0).is_ok(), "others come in");
+}
+
+#[test]
+fn strangers_take_no_connection_of_clients() {
+    let limits = Limits { connections: 2, ..Limits::default() };
+    let mut net = Net { router: Router::new(limits, 0), read: Vec::new(), now: 0 };
+    let strangers: Vec<_> = (0..10).map(|_| net.router.connect_by_tls(PEER, 0)).collect();
+    net.router.connect(PEER, 0).unwrap();
+    net.router.secured(strangers[3], None);
+    assert_eq!((net.endings(), net.router.connect(PEER, 0)), (vec![], Err(TooMany)), "two are two");
+    net.router.secured(strangers[4], Some(PROVES));
+    net.router.received(strangers[4], &proof(&PROVES), 0);
+    net.router.secured(strangers[5], None);
+    assert_eq!(net.endings(), [5, 4].map(|of| (strangers[of].0, Ending::TooMany)));
+    assert_eq!(net.router.status(0).counters.connections_refused, 3);
+    [4, 5].into_iter().for_each(|of| net.router.disconnect(strangers[of], Ending::TooMany, 0));
+    net.router.disconnect(strangers[3], Ending::Left, 0);
+    assert!(net.router.connect(PEER, 0).is_ok(), "one has left");
 }

@@ -1,6 +1,7 @@
 """The same for asyncio: nothing blocks the loop."""
 
 import asyncio
+import math
 import ssl
 import time
 from types import TracebackType
@@ -17,6 +18,8 @@ from .wire import Package, ProtocolError
 MOST = 4 << 20
 #: Bytes that the transport has: what comes after them does not overtake them.
 AHEAD = 64 << 10
+#: Seconds from one look of a client that is closed whether all has left to the next.
+LOOK = 0.01
 
 _T = TypeVar("_T")
 
@@ -33,11 +36,14 @@ class Router(Client):
         """The router may take `timeout` seconds to answer. `tls`: see `keys`."""
         super().__init__()
         self._place, self._timeout, self._tls = (host, port), timeout, tls
-        self._reader: Optional[asyncio.StreamReader] = None
         self._writer: Optional[asyncio.StreamWriter] = None
         self._reads: Optional["asyncio.Task[None]"] = None
         #: Writes what the transport did not take at once.
         self._writes: Optional["asyncio.Task[None]"] = None
+        #: Nothing is read any more.
+        self._is_over = False
+        #: Asks what the router has read.
+        self._asks: Optional[asyncio.TimerHandle] = None
 
     async def __aenter__(self) -> "Router":
         """Connects; OSError if nobody listens there."""
@@ -53,29 +59,28 @@ class Router(Client):
     async def close(self) -> None:
         """Ends the connection; the router forgets its mailboxes. It has read all that was sent, or that took too long."""
         self._session.is_closed = True
-        if self._reads is not None:
-            self._reads.cancel()
-            try:
-                await self._reads
-            except asyncio.CancelledError:
-                pass
-        if self._writer is not None:
-            self._flush(all=True)
-            await self._linger(self._writer)
-            self._writer.close()
-            # The loop may end behind this: it closes the socket in its next turn.
-            await asyncio.sleep(0)
-        self._lost()
-
-    async def _linger(self, writer: asyncio.StreamWriter) -> None:
-        """Waits until the router has read all. With unread bytes the kernel would reset the connection, and drop those that it has not sent."""
-        if self._reader is None or self._session.outgoing.is_settled or writer.is_closing() or not writer.can_write_eof():
-            return
         try:
-            writer.write_eof()
-            await asyncio.wait_for(_read_all(self._reader), LINGER)
-        except (OSError, asyncio.TimeoutError):
-            pass
+            # With unread bytes the kernel would reset the connection, and drop those that it has not sent.
+            end, outgoing = time.monotonic() + LINGER, self._session.outgoing
+            while self._writer is not None and (outgoing.waits or not outgoing.is_read) and time.monotonic() < end:
+                self._flush()
+                try:
+                    await asyncio.wait_for(self._changed.wait(), LOOK)
+                except asyncio.TimeoutError:
+                    pass
+        finally:
+            self._is_over = True
+            if self._reads is not None:
+                self._reads.cancel()
+                try:
+                    await self._reads
+                except asyncio.CancelledError:
+                    pass
+            if self._writer is not None:
+                self._writer.close()
+                # The loop may end behind this: it closes the socket in its next turn.
+                await asyncio.sleep(0)
+            self._lost()
 
     async def mailbox(self, of: Name, slots: int = 256) -> "Mailbox":
         """A mailbox of this name, with room for `slots` packages.
@@ -104,7 +109,7 @@ class Router(Client):
 
     def _send(self, package: bytes) -> None:
         """Sends a package, or raises NotConnected or Full."""
-        if self._writer is None or self._writer.is_closing():
+        if self._writer is None or self._writer.is_closing() or self._session.is_closed:
             raise self._session.gone()
         if self._session.outgoing.size > MOST:
             raise Full(f"the connection takes no more; it was not sent: {MOST} bytes wait for the router")
@@ -124,20 +129,30 @@ class Router(Client):
             self._session.outgoing.say(data)
             self._flush()
 
-    def _flush(self, all: bool = False) -> None:
-        """Gives the transport as much as it may have, or all. A task gives it the rest."""
+    def _flush(self) -> None:
+        """Gives the transport as much as it may have. A task gives it the rest."""
         if self._writer is None or self._writer.is_closing():
             return
         transport = self._writer.transport
-        while all or transport.get_write_buffer_size() <= AHEAD:
+        while transport.get_write_buffer_size() <= AHEAD:
             data = self._session.to_write(time.monotonic())
             if not data:
-                return
+                return self._ask_later()
             # The transport keeps what it does not write at once.
             self._writer.write(bytes(data))
             self._session.outgoing.wrote(len(data))
         if self._writes is None:
             self._writes = asyncio.ensure_future(self._write(self._writer))
+
+    def _ask_later(self) -> None:
+        """Has the next question sent when it is due."""
+        wait = self._session.wait_to_ask(time.monotonic())
+        if self._asks is None and wait < math.inf:
+            self._asks = asyncio.get_running_loop().call_later(wait, self._ask)
+
+    def _ask(self) -> None:
+        self._asks = None
+        self._flush()
 
     async def _write(self, writer: asyncio.StreamWriter) -> None:
         """Gives the transport more whenever it has written half of what it may have, until nothing waits or the connection ends."""
@@ -154,6 +169,9 @@ class Router(Client):
         if self._writes is not None:
             self._writes.cancel()
             self._writes = None
+        if self._asks is not None:
+            self._asks.cancel()
+            self._asks = None
         self._writer = None
         self._session.lost()
         self._tell()
@@ -179,21 +197,25 @@ class Router(Client):
     async def _run(self, reader: asyncio.StreamReader) -> None:
         """Reads; connects again whenever a connection has ended."""
         # Before Python 3.12 a cancellation may be lost in wait_for.
-        while not self._session.is_closed:
+        while not self._is_over:
             try:
                 await self._read(reader)
             except (OSError, ProtocolError):
                 pass
+            if self._is_over:
+                return
             if self._writer is not None:
                 self._writer.transport.abort()
             self._lost()
+            if self._session.is_closed:
+                return
             reader = await self._connect_again()
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         """Reads one connection until it ends, which is an error."""
         reading = asyncio.ensure_future(reader.read(READ))
         try:
-            while not self._session.is_closed:
+            while not self._is_over:
                 await asyncio.wait([reading], timeout=self._session.wait(time.monotonic()))
                 data = reading.result() if reading.done() else None
                 self._session.outgoing.say(self._session.step(data, time.monotonic()))
@@ -225,15 +247,11 @@ class Router(Client):
                 writer.transport.abort()
                 raise
         writer.transport.set_write_buffer_limits(AHEAD, AHEAD // 2)
-        self._reader, self._writer = reader, writer
+        self._writer = writer
         self.connections += 1
         self._say(proof + self._session.connected(time.monotonic()))
+        self._tell()
         return reader
-
-
-async def _read_all(reader: asyncio.StreamReader) -> None:
-    while await reader.read(READ):
-        pass
 
 
 class Mailbox(Sender):

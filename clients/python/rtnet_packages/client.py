@@ -46,15 +46,19 @@ class Router(Client):
         self._socket: Optional[socket.socket] = None
         #: Threads that wait until their package has left.
         self._blocked = 0
-        #: When a client that is closed waits no more.
-        self._end = 0.0
+        #: When the thread looks again by itself; and when a client that is closed waits no more.
+        self._looks_at, self._end = 0.0, 0.0
         self._bell = Bell()
         try:
             first = self._connect()
-            self._thread = threading.Thread(target=self._run, args=[first], name="rtnet-router", daemon=True)
+        except BaseException:
+            self._bell.close()
+            raise
+        self._thread = threading.Thread(target=self._run, args=[first], name="rtnet-router", daemon=True)
+        try:
             self._thread.start()
         except BaseException:
-            self._drop()
+            first.close()
             self._bell.close()
             raise
 
@@ -92,8 +96,9 @@ class Router(Client):
         with self._changed:
             self._session.is_closed = True
             self._end = time.monotonic() + LINGER
-            if self._session.outgoing.is_settled or not self._shut_down(socket.SHUT_WR):
-                self._drop()
+            # It asks at once for what the router has read.
+            self._flush()
+            self._bell.ring()
             self._changed.notify_all()
         self._thread.join()
 
@@ -107,7 +112,7 @@ class Router(Client):
 
     def _send(self, package: bytes) -> None:
         """Sends a package, or raises NotConnected."""
-        if self._socket is None:
+        if self._socket is None or self._session.is_closed:
             raise self._session.gone()
         outgoing = self._session.outgoing
         leaving = outgoing.put(package)
@@ -116,10 +121,10 @@ class Router(Client):
             progress = outgoing.progress
             self._blocked += 1
             try:
-                moved = self._wait(lambda: leaving.has_left is not None or outgoing.progress != progress or None, self._timeout)
+                moved = self._changed.wait_for(lambda: leaving.has_left is not None or outgoing.progress != progress, self._timeout)
             finally:
                 self._blocked -= 1
-            if moved is None:
+            if not moved:
                 # A part may have left: the router would take the next package for the rest of this one.
                 self._drop()
         if not leaving.has_left:
@@ -140,15 +145,16 @@ class Router(Client):
             self._flush()
 
     def _flush(self) -> None:
-        """Writes what the connection takes. The thread writes the rest."""
+        """Writes what the connection takes. The thread writes the rest, and asks what the router has read."""
         self._write()
-        if self._session.outgoing.waits:
+        if self._session.outgoing.waits or time.monotonic() + self._session.wait_to_ask(time.monotonic()) < self._looks_at:
+            self._looks_at = 0.0
             self._bell.ring()
 
     def _write(self) -> None:
         """Writes what the connection takes, and wakes threads that wait for that."""
         outgoing, before = self._session.outgoing, self._session.outgoing.progress
-        while self._socket is not None and not self._session.is_closed:
+        while self._socket is not None:
             data = self._session.to_write(time.monotonic())
             if not data:
                 break
@@ -164,21 +170,13 @@ class Router(Client):
     def _drop(self) -> None:
         """Ends the connection, if there is one. Its thread notices, and closes the socket."""
         if self._socket is not None:
-            self._shut_down(socket.SHUT_RDWR)
+            try:
+                self._socket.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass
             self._socket = None
             self._session.lost()
-        with self._changed:
-            self._changed.notify_all()
-
-    def _shut_down(self, how: int) -> bool:
-        """Shuts a connection down; tells whether there was one."""
-        try:
-            if self._socket is not None:
-                self._socket.shutdown(how)
-                return True
-        except OSError:
-            pass
-        return False
+        self._changed.notify_all()
 
     def _wait(self, look: Callable[[], Optional[_T]], timeout: Optional[float]) -> Optional[_T]:
         """Waits until `look` finds something, time is up, or the client is closed."""
@@ -215,20 +213,21 @@ class Router(Client):
                 with self._changed:
                     if self._socket is not connection:
                         return
-                    data = _received(connection)
-                    if self._session.is_closed:
-                        # With unread bytes the kernel would reset the connection, and drop those that it has not sent.
-                        patience = self._end - time.monotonic()
-                        if data == b"" or patience <= 0:
-                            return
-                    else:
-                        self._session.outgoing.say(self._session.step(data, time.monotonic()))
-                        self._write()
-                        patience = self._session.wait(time.monotonic())
+                    data, outgoing = _received(connection), self._session.outgoing
+                    outgoing.say(self._session.step(data, time.monotonic()))
+                    self._write()
                     if data:
                         self._changed.notify_all()
-                    waits = self._session.outgoing.waits and not self._session.is_closed
-                wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
+                    now = time.monotonic()
+                    if self._session.is_closed and (now >= self._end or outgoing.is_read and not outgoing.waits):
+                        # With unread bytes the kernel would reset the connection, and drop those that it has not sent.
+                        return
+                    # The next question is written as soon as all else is.
+                    patience = self._session.wait(now) if outgoing.waits else min(self._session.wait(now), self._session.wait_to_ask(now))
+                    if self._session.is_closed:
+                        patience = min(patience, self._end - now)
+                    self._looks_at = now + patience
+                    wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if outgoing.waits else 0)
                 if data:
                     continue
                 if wanted != events:
@@ -256,6 +255,7 @@ class Router(Client):
             self._socket = connection
             self.connections += 1
             self._session.outgoing.say(proof + self._session.connected(time.monotonic()))
+            self._changed.notify_all()
             if self._session.is_closed:
                 self._drop()
         return connection

@@ -48,17 +48,25 @@ class Outgoing:
         self._batch, self._written = memoryview(b""), 0
         #: Where in the batch its packages end.
         self._ends: Deque[Tuple[int, Leaving]] = deque()
-        #: Packages that the router has confirmed; and those that wait there, and the losses at routers of earlier connections.
-        self._confirmed, self._waiting_there, self._lost_before = 0, 0, dict(self.lost_at_router)
+        #: Requests that keep their place among the packages that wait.
+        self._requests = 0
+        #: Packages that the router has read; those of them that do not wait there; and those that wait there, as it said last.
+        self._read, self._confirmed, self._waiting_there = 0, 0, 0
+        #: The losses at routers of earlier connections.
+        self._lost_before = dict(self.lost_at_router)
 
     def say(self, data: bytes) -> None:
-        """Adds a request of the session."""
-        self._first += data
+        """Adds a request of the session. It overtakes packages, but no other request."""
+        if self._requests and data:
+            self.put(data, counts=False)
+        else:
+            self._first += data
 
     def put(self, data: bytes, counts: bool = True) -> Leaving:
         """Adds a package; or a request, which does not count as one, and follows the packages before it."""
         leaving = Leaving(data, counts)
         self._waiting.append(leaving)
+        self._requests += not counts
         self.size += len(data)
         return leaving
 
@@ -68,8 +76,13 @@ class Outgoing:
         return bool(self._batch or self._first or self._waiting or self.is_asked)
 
     @property
+    def is_read(self) -> bool:
+        """Whether the router has read all packages that have left."""
+        return self.sent == self._read
+
+    @property
     def is_settled(self) -> bool:
-        """Whether all packages that have left are confirmed."""
+        """Whether none of them waits there, either."""
         return self.sent == self._confirmed
 
     def next(self, confirm: Callable[[int], bytes]) -> memoryview:
@@ -82,6 +95,7 @@ class Outgoing:
                 batch.append(leaving.data)
                 length += len(leaving.data)
                 sent += leaving.counts
+                self._requests -= not leaving.counts
                 self._ends.append((length, leaving))
             self.size -= length - len(first)
             if sent > self._confirmed:
@@ -100,15 +114,15 @@ class Outgoing:
 
     def confirmed(self, number: int) -> None:
         """The router has read all packages up to this number. Those that wait there may still be lost with it."""
-        self._confirmed = max(self._confirmed, min(number, self.sent) - self._waiting_there)
+        self._read = max(self._read, min(number, self.sent))
+        self._confirmed = max(self._confirmed, self._read - self._waiting_there)
 
     def account(self, body: bytes) -> None:
         """The router says what it has not passed on of this connection, and how much of it waits there."""
-        try:
-            *counts, self._waiting_there = struct.unpack(f"<{len(REASONS) + 1}Q", body)
-        except struct.error:
-            # A router of another make has no account.
+        if not body or len(body) % 8:
+            # A router of another make has no account. One of another version may know more reasons, or fewer.
             return
+        self._waiting_there, *counts = struct.unpack(f"<{len(body) // 8}Q", body)
         for reason, count in zip(REASONS, counts):
             self.lost_at_router[reason] = max(self.lost_at_router[reason], self._lost_before[reason] + count)
 
@@ -119,8 +133,9 @@ class Outgoing:
             leaving.has_left = False
             self.lost += leaving.counts
         self.unconfirmed += self.sent - self._confirmed
-        self.size, self._first, self.is_asked = 0, b"", False
-        self._confirmed, self._waiting_there, self._lost_before = self.sent, 0, dict(self.lost_at_router)
+        self.size, self._requests, self._first, self.is_asked = 0, 0, b"", False
+        self._read, self._confirmed, self._waiting_there = self.sent, self.sent, 0
+        self._lost_before = dict(self.lost_at_router)
         self._batch = memoryview(b"")
         self._waiting.clear()
         self._ends.clear()

@@ -1,6 +1,7 @@
 """A client's part of the protocol without I/O. It takes bytes and the time, and has bytes to send. Both fronts stand on it."""
 
 import itertools
+import math
 from typing import Dict, Optional, Tuple
 
 from .errors import NameTaken, NotConnected
@@ -76,6 +77,8 @@ class Session:
 
     def _confirm_at(self, packages: int) -> float:
         """When the router may be asked about packages up to this number."""
+        if self.is_closed:
+            return self._asked_at
         return self._asked_at + (CONFIRM_EVERY if packages > self._asked else CONFIRM_AGAIN)
 
     def rest(self) -> float:
@@ -85,10 +88,13 @@ class Session:
 
     def wait(self, now: float) -> float:
         """Seconds until `step` has something to do without new bytes."""
-        due = min(self._again, self._heard + self._silence)
-        if not self.outgoing.is_settled and not self._requests.has_question:
-            due = min(due, self._confirm_at(self.outgoing.sent))
-        return max(due - now, 0.0)
+        return max(min(self._again, self._heard + self._silence) - now, 0.0)
+
+    def wait_to_ask(self, now: float) -> float:
+        """Seconds until `to_write` has a question without a new package, if all else has left."""
+        if self.outgoing.is_settled or self._requests.has_question or not self.is_open:
+            return math.inf
+        return max(self._confirm_at(self.outgoing.sent) - now, 0.0)
 
     def step(self, data: Optional[bytes], now: float) -> bytes:
         """Takes the bytes that have come, or None if none have; returns the bytes to send.

@@ -11,6 +11,7 @@ from rtnet_packages import OK, Full, Mailbox, NotConnected, Router, aio
 from rtnet_packages.wire import LIFESIGN, Decoder, control
 
 from .fake import FakeRouter
+from .leaving import leave
 from .running import RunningRouter
 
 PATIENCE = 30.0
@@ -170,56 +171,118 @@ class RouterThatDoesNotRead(unittest.TestCase):
 
 
 class SlowRouter(unittest.TestCase):
-    """A router that reads all, and never answers."""
-
     def test_threads_wait_as_long_as_it_reads_something(self) -> None:
-        read: List[int] = []
-
         def slowly(connection: socket.socket) -> None:
-            # In all it takes longer than `timeout`.
-            while sum(read) < COUNT * len(BODY):
+            # It never answers, and in all it takes longer than `timeout`.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
+            while connection.recv(100_000):
                 time.sleep(0.03)
-                read.append(len(connection.recv(200_000)))
 
-        with FakeRouter(slowly) as router, Router(*router.place, timeout=0.5) as client:
-            mailbox = Mailbox(client, 7)
-            threads = [threading.Thread(target=mailbox.send, args=["0.Odometry.0", -6, BODY]) for _ in range(COUNT)]
-            for thread in threads:
-                thread.start()
+        with FakeRouter(slowly) as router:
+            with Router(*router.place, timeout=0.5) as client:
+                mailbox, began = Mailbox(client, 7), time.monotonic()
+                threads = [threading.Thread(target=mailbox.send, args=["0.Odometry.0", -6, BODY]) for _ in range(COUNT)]
+                for thread in threads:
+                    thread.start()
+                for thread in threads:
+                    thread.join(PATIENCE)
+                    self.assertFalse(thread.is_alive(), "its package has left")
+                self.assertGreater(time.monotonic() - began, 0.5)
+                self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
+
+    def test_a_router_that_stops_reading_costs_no_processor_time(self) -> None:
+        with FakeRouter(_answer_once) as router:
+            with Router(*router.place, timeout=PATIENCE) as client:
+                mailbox = Mailbox(client, 7)
+                mailbox.send("0.Odometry.0", -6)
+                _wait_until(lambda: client._session.outgoing.is_settled)
+                threads = [threading.Thread(target=self.send, args=[mailbox]) for _ in range(COUNT)]
+                for thread in threads:
+                    thread.start()
+                _wait_until(lambda: client._blocked > 0)
+                self.check()
             for thread in threads:
                 thread.join(PATIENCE)
-                self.assertFalse(thread.is_alive(), "its package has left")
-            self.assertEqual((client.sent, client.lost, client.connections), (COUNT, 0, 1))
+
+    def test_nor_in_an_event_loop(self) -> None:
+        async def exchange() -> None:
+            async with aio.Router(*router.place) as client:
+                mailbox = aio.Mailbox(client, 7)
+                mailbox.send("0.Odometry.0", -6)
+                while not client._session.outgoing.is_settled:
+                    await asyncio.sleep(0.001)
+                for _ in range(COUNT):
+                    mailbox.send("0.Odometry.0", -6, BODY)
+                began = time.process_time()
+                await asyncio.sleep(0.5)
+                self.assertLess(time.process_time() - began, 0.2)
+
+        with FakeRouter(_answer_once) as router:
+            asyncio.run(exchange())
+
+    def send(self, mailbox: Mailbox) -> None:
+        try:
+            mailbox.send("0.Odometry.0", -6, BODY)
+        except NotConnected:
+            # The client is closed.
+            pass
+
+    def check(self) -> None:
+        began = time.process_time()
+        time.sleep(0.5)
+        self.assertLess(time.process_time() - began, 0.2)
+
+
+def _answer_once(connection: socket.socket) -> None:
+    """Answers the first questions, and reads nothing any more."""
+    decoder, answered = Decoder(), 0
+    while answered < 2:
+        for package in decoder.feed(connection.recv(1000)):
+            if package.kind > 0:
+                connection.sendall(package.reply(OK).encode())
+                answered += 1
 
 
 class Leaving(unittest.TestCase):
     def test_packages_before_a_close_arrive(self) -> None:
         router = RunningRouter()
         try:
-            for number in range(10):
-                with Router(*router.place) as other:
-                    here = other.mailbox("0.Odometry.0", slots=1000)
-                    with Router(*router.place) as client:
-                        mailbox = client.mailbox("0.Pilot.0")
-                        for _ in range(500):
-                            mailbox.send("0.Odometry.0", -6, bytes(100))
-                    self.assertEqual(self.count(here), 500, number)
-                    asyncio.run(self.send(router))
-                    self.assertEqual(self.count(here), 500, number)
+            leave(self, router, None)
         finally:
             router.kill()
 
-    async def send(self, router: RunningRouter) -> None:
-        async with aio.Router(*router.place) as client:
-            mailbox = await client.mailbox("0.Pilot.1")
-            for _ in range(500):
-                mailbox.send("0.Odometry.0", -6, bytes(100))
+    def test_a_close_does_not_wait_for_senders(self) -> None:
+        """Another thread sends until the client is closed: what it has sent arrives."""
+        router = RunningRouter()
+        try:
+            for _ in range(10):
+                self.close_while_another_sends(router)
+        finally:
+            router.kill()
 
-    def count(self, mailbox: Mailbox) -> int:
-        came = 0
-        while came < 500 and mailbox.receive(timeout=5.0) is not None:
-            came += 1
-        return came
+    def close_while_another_sends(self, router: RunningRouter) -> None:
+        sent: List[int] = []
+
+        def send() -> None:
+            try:
+                while True:
+                    mailbox.send("0.Odometry.0", -6, bytes(1000))
+                    sent.append(1)
+            except NotConnected:
+                pass
+
+        with Router(*router.place) as other:
+            here = other.mailbox("0.Odometry.0", slots=1_000_000)
+            client = Router(*router.place)
+            mailbox = client.mailbox("0.Pilot.0")
+            thread = threading.Thread(target=send)
+            thread.start()
+            time.sleep(0.02)
+            client.close()
+            thread.join(PATIENCE)
+            self.assertFalse(thread.is_alive())
+            self.assertEqual(client.lost, 0)
+            _wait_until(lambda: len(here._session.inboxes[here.name]) == len(sent))
 
 
 class SignsOfLife(unittest.TestCase):

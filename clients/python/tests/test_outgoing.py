@@ -7,7 +7,7 @@ from typing import List, Tuple
 from rtnet_packages import OK, Package
 from rtnet_packages.outgoing import BATCH, REASONS
 from rtnet_packages.session import CONFIRM_EVERY, Session
-from rtnet_packages.wire import ACCOUNT, DELETE, DELETE_ANSWERED, LIFESIGN, Decoder, control
+from rtnet_packages.wire import ACCOUNT, DELETE, DELETE_ANSWERED, LIFESIGN, REGISTER, Decoder, control
 
 DATA = Package(9, 7, -6, bytes(984))
 SIZE = len(DATA.encode())
@@ -32,11 +32,11 @@ def written(it: Session, now: float) -> bytes:
     return data
 
 
-def answers(it: Session, data: bytes, *counts: int) -> None:
-    """The router answers the questions in these bytes, with an account that begins with these numbers."""
+def answers(it: Session, data: bytes, *counts: int, waiting: int = 0) -> None:
+    """The router answers the questions in these bytes, with this account. It may know more reasons, or fewer."""
     for package in Decoder().feed(data):
         if package.kind == ACCOUNT:
-            it.step(package.reply(OK, struct.pack("<7Q", *(counts + (0,) * (7 - len(counts))))).encode(), 0.0)
+            it.step(package.reply(OK, struct.pack(f"<{1 + len(counts)}Q", waiting, *counts)).encode(), 0.0)
         elif package.kind == DELETE_ANSWERED:
             it.step(package.reply(OK).encode(), 0.0)
 
@@ -98,12 +98,12 @@ class Fate(unittest.TestCase):
         it = session()
         for _ in range(3):
             it.outgoing.put(DATA.encode())
-        answers(it, written(it, 0.0), 0, 0, 0, 0, 0, 0, 2)
+        answers(it, written(it, 0.0), waiting=2)
         self.assertEqual(written(it, 0.09), b"")
-        self.assertAlmostEqual(it.wait(0.09), 0.01)
+        self.assertAlmostEqual(it.wait_to_ask(0.09), 0.01)
         again = written(it, 0.1)
         self.assertEqual(kinds(again), [ACCOUNT, DELETE_ANSWERED])
-        answers(it, again, 0, 0, 0, 0, 0, 0, 1)
+        answers(it, again, 0, 0, 0, 0, 0, 0, 99, waiting=1)
         it.lost()
         self.assertEqual(fate(it), (3, 0, 1))
 
@@ -112,16 +112,23 @@ class Fate(unittest.TestCase):
         for _ in range(2):
             it.outgoing.put(DATA.encode())
             answers(it, written(it, 0.0))
-        self.assertAlmostEqual(it.wait(0.0), CONFIRM_EVERY)
+        self.assertAlmostEqual(it.wait_to_ask(0.0), CONFIRM_EVERY)
+        it.is_closed = True
+        self.assertEqual(it.wait_to_ask(0.0), 0.0)
 
     def test_a_deletion_follows_the_packages_before_it(self) -> None:
         it = session()
         it.outgoing.put(DATA.encode())
         it.outgoing.put(control(DELETE, bytes(4)).encode(), counts=False)
-        self.assertEqual(kinds(written(it, 0.0)), [-6, DELETE, ACCOUNT, DELETE_ANSWERED])
+        # It may register the same name again.
+        it.outgoing.say(control(REGISTER, bytes(4)).encode())
+        self.assertEqual(kinds(written(it, 0.0)), [-6, DELETE, REGISTER, ACCOUNT, DELETE_ANSWERED])
+        it.outgoing.put(DATA.encode())
+        it.outgoing.say(control(REGISTER, bytes(4)).encode())
+        self.assertEqual(kinds(written(it, 0.0)), [REGISTER, -6])
         it.outgoing.put(control(DELETE, bytes(4)).encode(), counts=False)
         it.lost()
-        self.assertEqual(fate(it), (1, 0, 1))
+        self.assertEqual(fate(it), (2, 0, 2))
 
     def test_an_early_answer_confirms_no_more_than_has_left(self) -> None:
         it = session()

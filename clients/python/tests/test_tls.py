@@ -12,6 +12,7 @@ from unittest import mock
 
 from rtnet_packages import NotConnected, Router, aio, keys
 
+from .leaving import leave
 from .running import RunningRouter
 
 PATIENCE = 30.0
@@ -35,6 +36,14 @@ class Tls(unittest.TestCase):
         for file in removed:
             Path(made, file).unlink()
         return made
+
+    def test_packages_before_a_close_arrive(self) -> None:
+        made = self.keys()
+        router = RunningRouter(made)
+        try:
+            leave(self, router, keys(f"{made}/client"))
+        finally:
+            router.kill()
 
     def exchange(self, made: str) -> None:
         router = RunningRouter(made)

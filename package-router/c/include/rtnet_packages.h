@@ -108,7 +108,8 @@ struct rtnet_router_status {
 
 /* -EOPNOTSUPP: the component is of a station. */
 int32_t rtnet_component_router_status(const rtnet_component *component, struct rtnet_router_status *status);
-/* Its mailboxes and senders stay until they are given back. NULL is nothing. */
+/* Its mailboxes and senders stay until they are given back. Of a router: it waits for up to a second until that has read all that was
+ * sent. NULL is nothing. */
 void rtnet_component_detach(rtnet_component *component);
 
 /* -EEXIST: the name is taken here. At a router it is registered later, and again each second if that is refused: see

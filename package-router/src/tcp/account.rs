@@ -75,25 +75,25 @@ pub struct Account {
 }
 
 impl Account {
-    /// Bytes of the answer's body: a number of 8 bytes for each reason, and one of those that wait.
+    /// Bytes of the answer's body: a number of 8 bytes of those that wait, and one for each reason.
     pub const LEN: usize = (Lost::REASONS + 1) * size_of::<u64>();
 
     /// The body of an answer, little-endian.
     pub fn to_bytes(&self) -> [u8; Self::LEN] {
         let mut bytes = [0; Self::LEN];
-        let numbers = self.lost.numbers().into_iter().chain([self.waiting]);
+        let numbers = [self.waiting].into_iter().chain(self.lost.numbers());
         for (at, number) in bytes.chunks_exact_mut(size_of::<u64>()).zip(numbers) {
             at.copy_from_slice(&number.to_le_bytes());
         }
         bytes
     }
 
-    /// Reads such a body; `None`: it has another length.
+    /// Reads such a body; `None`: it is none. A router of another version may know more reasons, or fewer.
     pub fn parse(body: &[u8]) -> Option<Self> {
-        let body: &[u8; Self::LEN] = body.try_into().ok()?;
-        let (numbers, _) = body.as_chunks();
+        let (numbers, rest) = body.as_chunks();
         let at = |place: usize| numbers.get(place).map_or(0, |number| u64::from_le_bytes(*number));
-        Some(Self { lost: Lost::of(core::array::from_fn(at)), waiting: at(Lost::REASONS) })
+        let is_one = rest.is_empty() && !numbers.is_empty();
+        is_one.then(|| Self { waiting: at(0), lost: Lost::of(core::array::from_fn(|reason| at(reason + 1))) })
     }
 }
 
@@ -106,9 +106,13 @@ mod tests {
         let large = 0x0102_0304_0506_0708;
         let account = Account { lost: Lost::of([1, 2, 3, 4, 5, large]), waiting: 7 };
         let bytes = account.to_bytes();
-        let numbers = [1u64, 2, 3, 4, 5, large, 7].map(u64::to_le_bytes).concat();
+        let numbers = [7, 1u64, 2, 3, 4, 5, large].map(u64::to_le_bytes).concat();
         assert_eq!((&bytes[..], Account::parse(&bytes)), (&numbers[..], Some(account)));
-        for wrong in [0, 55, 57, 64] {
+        let more = [&bytes[..], &[9; 16]].concat();
+        assert_eq!(Account::parse(&more), Some(account), "reasons that are not known here");
+        let fewer = Account { lost: Lost::of([1, 2, 0, 0, 0, 0]), waiting: 7 };
+        assert_eq!(Account::parse(&bytes[..24]), Some(fewer));
+        for wrong in [0, 7, 55, 57] {
             assert_eq!(Account::parse(&vec![0; wrong]), None);
         }
     }

@@ -12,7 +12,6 @@ mod local;
 pub mod session;
 
 use std::io::{self, Read, Write};
-use std::net::Shutdown;
 use std::os::fd::{AsFd, AsRawFd};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -231,38 +230,17 @@ impl Worker {
                 self.local.refuse_all();
             }
         }
-        self.linger(&mut room);
         self.down(&io::Error::other("the TCP client has ended"));
         self.publish();
     }
 
-    /// Waits at its end until the router has read all that was sent. With unread bytes the kernel would reset the connection, and drop
-    /// those that it has not sent.
-    fn linger(&mut self, room: &mut [u8]) {
-        let until = now() + END_WITHIN;
-        let Some(up) = self.up.as_mut().filter(|_| !self.session.is_settled()) else { return };
-        if up.stream.flush_tls().is_err() || up.stream.tcp.shutdown(Shutdown::Write).is_err() {
-            return;
-        }
-        let mut events = Events::with_capacity(8);
-        while now() < until {
-            match up.stream.tcp.read(room) {
-                Ok(0) => return,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    let _ = self.poll.poll(&mut events, Some(END_EVERY));
-                }
-                Err(error) if error.kind() != io::ErrorKind::Interrupted => return,
-                _ => {}
-            }
-        }
-    }
-
-    /// Whether it is stopped, and packages that were taken before are written, as far as that goes at once.
+    /// Whether it is stopped, and the router has read all packages that were taken before, as far as that goes within a while. With unread
+    /// bytes the kernel would reset the connection, and drop those that it has not sent.
     fn is_over(&self, is_empty: bool, stop_at: &mut Option<u64>) -> bool {
         if !self.shared.stop.load(Ordering::Relaxed) {
             return false;
         }
-        let is_done = self.up.is_none() || is_empty && self.session.is_idle();
+        let is_done = self.up.is_none() || is_empty && self.session.is_idle() && self.session.is_read();
         is_done || now() > *stop_at.get_or_insert(now() + END_WITHIN)
     }
 
@@ -280,7 +258,8 @@ impl Worker {
         let until = match &self.up {
             Some(up) if up.is_readable => 0,
             Some(up) if up.is_writable && (up.has_more || !is_empty && self.session.takes_packages()) => 0,
-            Some(_) => self.session.next_due(),
+            // The next question goes with the next batch.
+            Some(up) => self.session.next_due(up.is_writable),
             None if self.dial.is_down() && !is_empty => 0,
             None => self.dial.due().unwrap_or(0),
         };

@@ -48,6 +48,8 @@ pub struct Outgoing {
     own_most: usize,
     /// Priority of the package that has partly left, and its bytes that have not.
     begun: Option<(u16, usize)>,
+    /// Its head.
+    begun_head: Option<Head>,
 }
 
 #[derive(Debug)]
@@ -86,7 +88,8 @@ pub struct Full;
 impl Outgoing {
     /// An empty queue for `most` bytes.
     pub fn new(most: usize) -> Self {
-        Self { levels: Vec::new(), most, bytes: 0, packages: 0, own_most: OWN_AT_MOST, begun: None }
+        let own_most = OWN_AT_MOST;
+        Self { levels: Vec::new(), most, bytes: 0, packages: 0, own_most, begun: None, begun_head: None }
     }
 
     /// Lets more of the router's own wait, for a connection to which it has much to say.
@@ -192,15 +195,18 @@ impl Outgoing {
         self.bytes + own.map_or(0, |level| level.bytes.len())
     }
 
-    /// Drops all that waits. Packages go to `dropped`, with their heads unless a part of them has left.
-    pub fn drop_all(&mut self, mut dropped: impl FnMut(Option<Head>, Source)) {
+    /// Drops all that waits. The heads of packages go to `dropped`, with their sources.
+    pub fn drop_all(&mut self, mut dropped: impl FnMut(Head, Source)) {
         for level in core::mem::take(&mut self.levels) {
-            let begun = self.begun.filter(|(priority, _)| *priority == level.priority);
-            let (mut at, mut rest) = (0, begun.map(|(_, rest)| rest));
+            let mut begun = self.begun.filter(|(priority, _)| *priority == level.priority);
+            let mut at = 0;
             for Waiting { len, source, .. } in level.waiting {
-                let head = Head::parse(&level.bytes.as_slice()[at..]).ok().filter(|_| rest.is_none());
-                at += rest.take().unwrap_or(len as usize);
-                dropped(head, source);
+                let (head, left) = match begun.take() {
+                    Some((_, rest)) => (self.begun_head, rest),
+                    None => (Head::parse(&level.bytes.as_slice()[at..]).ok(), len as usize),
+                };
+                at += left;
+                head.into_iter().for_each(|head| dropped(head, source));
             }
         }
         *self = Self { own_most: self.own_most, ..Self::new(self.most) };
@@ -333,12 +339,14 @@ impl Outgoing {
         let trimmed_at = self.trimmed_at();
         let level = &mut self.levels[place];
         let all = sent.min(level.bytes.len());
-        level.bytes.remove(0, all);
         let (mut left, mut packages, mut bytes) = (all, 0, 0);
+        // Whether a part of the first had left before.
+        let mut has_begun = level.waiting.front().is_some_and(|first| rest < first.len as usize);
         while left >= rest
             && let Some(first) = level.waiting.pop_front()
         {
             left -= rest;
+            has_begun = false;
             (packages, bytes) = (packages + 1, bytes + first.len as usize);
             match gone.last_mut() {
                 Some((source, count)) if *source == first.source => *count += 1,
@@ -348,7 +356,11 @@ impl Outgoing {
         }
         if left > 0 {
             self.begun = Some((level.priority, rest - left));
+            if !has_begun {
+                self.begun_head = Head::parse(&level.bytes.as_slice()[all - left..]).ok();
+            }
         }
+        level.bytes.remove(0, all);
         if level.priority < OWN {
             self.bytes -= bytes;
             self.packages -= packages;

@@ -188,11 +188,15 @@ fn shows_losses(cell: &Cell) {
         let shown = json(rtnet().args(["stat", "-S", &leg, "--json"]));
         shown["tcp"]["lost_at_router"]["nobody_there"].as_u64().unwrap()
     };
-    // The first questions came before the mailboxes of others.
-    let before = lost();
+    // The first questions came before the mailboxes of others, and are in an account by now.
+    let mut before = lost();
+    wait_until("no more are counted", || {
+        thread::sleep(Duration::from_millis(300));
+        core::mem::replace(&mut before, lost()) == before
+    });
     let sent = rtnet().args(["package", "-S", &leg, "send", "0x00990000", "hello"]).output().unwrap();
     assert!(sent.status.success(), "{}", text(&sent.stderr));
-    wait_until("it is counted", || lost() > before);
+    wait_until("it is counted", || lost() == before + 1);
 }
 
 /// The way of packages from a station to a mailbox of its own, of another station, of a host, and to one that nobody has.

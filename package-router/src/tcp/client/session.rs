@@ -61,7 +61,8 @@ pub struct Session {
     /// The packages that it was asked about last, and when it is asked about the same again.
     asked: u64,
     ask_again: u64,
-    /// Packages that wait at the router, as it said last.
+    /// Packages that the router has read; and those of them that wait there, as it said last.
+    read: u64,
     waiting_there: u64,
     /// Packages that the routers of earlier connections did not pass on.
     lost_before: Lost,
@@ -142,8 +143,8 @@ impl Session {
         self.is_connected = false;
         self.counters.lost += self.ends.len() as u64;
         self.counters.unconfirmed += self.counters.sent - self.settled;
-        (self.settled, self.asked, self.is_confirming) = (self.counters.sent, self.counters.sent, false);
-        self.waiting_there = 0;
+        (self.settled, self.read, self.asked) = (self.counters.sent, self.counters.sent, self.counters.sent);
+        (self.waiting_there, self.is_confirming) = (0, false);
         self.frames = Frames::default();
         self.requests.clear();
         self.own.clear();
@@ -207,13 +208,13 @@ impl Session {
         names.into_iter().for_each(|name| self.register(name));
     }
 
-    /// When [`Self::retry`] is due, or the router counts as gone if nothing comes.
-    pub fn next_due(&self) -> u64 {
+    /// When [`Self::retry`] is due, or the router counts as gone if nothing comes; or the next question, if it may be written.
+    pub fn next_due(&self, may_write: bool) -> u64 {
         let retries = self.names.values().filter_map(|at| match at {
             Registration::Refused(at) => Some(*at),
             _ => None,
         });
-        let questions = self.has_unsettled().then_some(self.ask_again);
+        let questions = (may_write && self.has_unsettled()).then_some(self.ask_again);
         retries.chain(questions).fold(self.last_heard + SILENCE, u64::min)
     }
 
@@ -232,9 +233,9 @@ impl Session {
         self.own.is_empty() && self.written == self.batch.len()
     }
 
-    /// Whether the router has confirmed all packages that were sent.
-    pub fn is_settled(&self) -> bool {
-        self.counters.sent == self.settled
+    /// Whether the router has read all packages that were sent.
+    pub fn is_read(&self) -> bool {
+        self.counters.sent == self.read
     }
 
     /// Writes requests, answers, and packages, which `next` appends one at a time as long as there are any.
@@ -276,7 +277,7 @@ impl Session {
 
     /// Whether there are packages that are not settled, and the router is not asked about them.
     fn has_unsettled(&self) -> bool {
-        !self.is_confirming && !self.is_settled()
+        !self.is_confirming && self.counters.sent > self.settled
     }
 
     fn register(&mut self, name: MailboxName) {
@@ -316,7 +317,8 @@ impl Session {
         match answered {
             Some(Asked::Confirmation(sent)) => {
                 // No answer confirms packages that have not left, or that wait at the router.
-                let settled = sent.min(self.counters.sent).saturating_sub(self.waiting_there);
+                self.read = self.read.max(sent.min(self.counters.sent));
+                let settled = self.read.saturating_sub(self.waiting_there);
                 (self.settled, self.is_confirming) = (self.settled.max(settled), false);
             }
             Some(Asked::Account) => {

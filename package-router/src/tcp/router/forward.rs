@@ -146,10 +146,7 @@ impl Router {
         for (head, source) in dropped {
             let Some(sender) = self.source(source) else { continue };
             sender.waits -= 1;
-            match head {
-                Some(head) => self.refuse(Connection(source.place), &head, now, RECEIVER_GONE),
-                None => sender.counters.receiver_gone += 1,
-            }
+            self.refuse(Connection(source.place), &head, now, RECEIVER_GONE);
         }
     }
 
@@ -164,19 +161,24 @@ impl Router {
         }
     }
 
-    /// Sends an answer or a question of the router.
-    pub(super) fn own(&mut self, to: Connection, head: &Head, now: u64) {
-        self.own_with(to, head, &[], now);
+    /// Sends an answer or a question of the router; returns whether there was room for it.
+    pub(super) fn own(&mut self, to: Connection, head: &Head, now: u64) -> bool {
+        self.own_with(to, head, &[], now)
     }
 
-    pub(super) fn own_with(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) {
-        let Some(client) = self.client(to).filter(|client| !client.is_ending) else { return };
+    /// The same with a body.
+    pub(super) fn own_with(&mut self, to: Connection, head: &Head, body: &[u8], now: u64) -> bool {
+        let Some(client) = self.client(to).filter(|client| !client.is_ending) else { return false };
         match client.outgoing.push_own(head, body, now) {
             Ok(()) => {
                 self.held += HEAD_LEN + body.len();
                 self.wake(to);
+                true
             }
-            Err(Full) => client.counters.answers_lost += 1,
+            Err(Full) => {
+                client.counters.answers_lost += 1;
+                false
+            }
         }
     }
 

@@ -182,7 +182,8 @@ impl Router {
     /// A control package of another router, by a link.
     pub(super) fn of_other_router(&mut self, link: Connection, head: &Head, now: u64) {
         if head.kind == LIFESIGN {
-            return self.own(link, &head.answer(OK), now);
+            self.own(link, &head.answer(OK), now);
+            return;
         }
         let Some(client) = self.client(link) else { return };
         let Role::Link(of) = &mut client.role else { return };

@@ -31,7 +31,8 @@ impl Router {
             } else if is_link {
                 self.ask_again(Connection(place), now);
             } else if is_trusted {
-                self.own(Connection(place), &lifesign, now);
+                let is_asked = self.own(Connection(place), &lifesign, now);
+                self.client(Connection(place)).into_iter().for_each(|client| client.is_asked = is_asked);
             }
         }
     }

@@ -250,13 +250,15 @@ fn packages_that_wait_at_the_router_are_not_confirmed() {
     joined.router.received(receiver, &[&head.to_bytes()[..], &CHASSIS.0.to_le_bytes()].concat(), 0);
     left_for(&mut joined.router, receiver);
     joined.sends(CHASSIS, 3, 0);
-    assert!(!joined.session.is_settled());
-    assert_eq!(joined.session.next_due(), CONFIRM_AGAIN, "it is asked again then");
+    let unsettled = |joined: &Joined| joined.session.counters().sent - joined.session.settled;
+    assert_eq!((unsettled(&joined), joined.session.is_read()), (3, true));
+    assert_eq!(joined.session.next_due(false), SILENCE, "nothing can be written");
+    assert_eq!(joined.session.next_due(true), CONFIRM_AGAIN, "it is asked again then");
     left_for(&mut joined.router, receiver);
     joined.sends(CHASSIS, 0, CONFIRM_AGAIN - 1);
-    assert!(!joined.session.is_settled(), "not before");
+    assert_eq!(unsettled(&joined), 3, "it is not asked before");
     joined.sends(CHASSIS, 0, CONFIRM_AGAIN);
-    assert!(joined.session.is_settled());
+    assert_eq!(unsettled(&joined), 0);
     joined.sends(CHASSIS, 2, CONFIRM_AGAIN);
     joined.session.disconnected();
     assert_eq!((joined.session.counters().sent, joined.session.counters().unconfirmed), (5, 2));
@@ -335,7 +337,7 @@ fn a_mailbox_that_goes_and_comes_is_as_its_last_answer_says() {
 fn a_router_that_is_silent_counts_as_gone() {
     let mut session = Session::default();
     session.connected(1_000, None);
-    assert_eq!((session.next_due(), session.is_silent(999 + SILENCE)), (1_000 + SILENCE, false));
+    assert_eq!((session.next_due(true), session.is_silent(999 + SILENCE)), (1_000 + SILENCE, false));
     came(&mut session, &reply(LIFESIGN, 0), 5_000);
     assert!(!session.is_silent(1_000 + SILENCE) && session.is_silent(5_000 + SILENCE));
 }

@@ -78,12 +78,13 @@ fn packages_for_a_receiver_that_goes_are_their_senders_loss() {
     net.register(1, 2);
     net.send(
         0,
-        &[package(-6, 2, 1, b"data"), package(21, 2, 1, b"command"), package(-6, 2, 1, b"data")].concat(),
+        &[package(21, 2, 1, b"command"), package(-6, 2, 1, b"data"), package(-6, 2, 1, b"data")].concat(),
     );
     // The connection that this one came by ends first.
     net.send(2, &package(-6, 2, 9, b"data"));
     net.router.disconnect(Connection(2), Ending::Left, 0);
-    // A part of the first has left.
+    // A part of the command has left.
+    model::read(&mut net, 1, 5);
     model::read(&mut net, 1, 5);
     net.send(0, &control(ACCOUNT, &[]));
     model::read(&mut net, 0, usize::MAX);

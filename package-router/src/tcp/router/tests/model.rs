@@ -59,8 +59,9 @@ struct Waiting {
 struct Reader {
     own: Vec<i8>,
     waiting: Vec<Waiting>,
-    /// Bytes of the first package in `read` that are still to come.
+    /// Bytes of the last package in `read` that are still to come, and that package if it is not the router's.
     rest: usize,
+    begun: Option<Waiting>,
     /// Heads of packages whose first byte has left.
     read: Vec<Head>,
     is_begun_own: bool,
@@ -122,9 +123,11 @@ impl Model {
     /// Senders of what waited for a client are answered, from the most urgent on.
     fn leaves(&mut self, client: usize) {
         self.owners.retain(|_, owner| *owner != client);
-        let waiting = self.readers.iter_mut().flat_map(|reader| &mut reader.waiting);
+        let waiting =
+            self.readers.iter_mut().flat_map(|reader| reader.waiting.iter_mut().chain(&mut reader.begun));
         waiting.filter(|of| of.sender == Some(client)).for_each(|of| of.sender = None);
-        let mut waited = core::mem::take(&mut self.readers[client]).waiting;
+        let Reader { waiting: mut waited, begun, rest, .. } = core::mem::take(&mut self.readers[client]);
+        waited.extend(begun.filter(|_| rest > 0));
         waited.sort_by_key(|of| (core::cmp::Reverse(of.priority), of.number));
         for Waiting { head, sender, .. } in waited {
             sender.into_iter().for_each(|sender| self.unavailable(sender, &head));
@@ -163,8 +166,11 @@ impl Model {
                     if reader.waiting.is_empty() {
                         return;
                     }
-                    (reader.waiting.remove(0).head, false)
+                    let first = reader.waiting.remove(0);
+                    reader.begun = Some(first.clone());
+                    (first.head, false)
                 } else {
+                    reader.begun = None;
                     (Head::new(reader.own.remove(0), MailboxName::NOBODY, MailboxName::NOBODY), true)
                 };
                 (reader.rest, reader.is_begun_own) = (head.len as usize, is_own);

@@ -133,8 +133,11 @@ class Table:
         self.failed, self.width, self.names = 0, width, Names()
         print(f"{'figure':{width}} {'':6} {'':>8} {'(spread)':22} {'n':>3}  aim")
 
-    def row(self, what, values, aim=None, places=3, kind="median", spread=lambda values: (min(values), max(values)), value=None):
-        """The figure is of that kind, of `values`; a figure of another kind is `value`, and `values` those of the rounds."""
+    def row(self, what, values, aim=None, places=3, kind="median", spread=lambda values: (min(values), max(values)), value=None, control=None):
+        """The figure is of that kind, of `values`; a figure of another kind is `value`, and `values` those of the rounds.
+
+        `control`: the same figure of what the aim is not about. If it misses the aim, too, a miss says nothing.
+        """
         name = self.names.of(what)
         if not values:
             print(f"{what:{self.width}} did not run")
@@ -145,7 +148,10 @@ class Table:
             value = {"median": statistics.median, "mean": statistics.mean, "sum": sum, "max": max}[kind](values)
         least, most = spread(values)
         shown = f"({least:.{places}f}..{most:.{places}f})"
-        verdict = judged(name, value, aim, least, most, places)
+        if aim and control is not None and not is_met(value, aim) and not is_met(control, aim):
+            aim, verdict = None, f"inconclusive: {aim[0]} {aim[1]} is missed by the control, too, {control:.{places}f}"
+        else:
+            verdict = judged(name, value, aim, least, most, places)
         said = f"{aim[0]} {aim[1]:<4} {verdict}" if aim else verdict
         print(f"{what:{self.width}} {kind:6} {value:8.{places}f} {shown:22} {len(values):3}  {said}", flush=True)
 

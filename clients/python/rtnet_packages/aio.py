@@ -77,6 +77,9 @@ class Router(Client):
                 except asyncio.CancelledError:
                     pass
             if self._writer is not None:
+                if self._writer.transport.get_write_buffer_size() > 0:
+                    # The router does not read.
+                    self._writer.transport.abort()
                 self._writer.close()
                 # The loop may end behind this: it closes the socket in its next turn.
                 await asyncio.sleep(0)
@@ -146,9 +149,9 @@ class Router(Client):
 
     def _ask_later(self) -> None:
         """Has the next question sent when it is due."""
-        wait = self._session.wait_to_ask(time.monotonic())
-        if self._asks is None and wait < math.inf:
-            self._asks = asyncio.get_running_loop().call_later(wait, self._ask)
+        at = self._session.asks_at()
+        if self._asks is None and at < math.inf:
+            self._asks = asyncio.get_running_loop().call_later(at - time.monotonic(), self._ask)
 
     def _ask(self) -> None:
         self._asks = None

@@ -1,5 +1,6 @@
 """Mailboxes for threads: a call waits until it has its answer."""
 
+import math
 import selectors
 import socket
 import ssl
@@ -147,7 +148,7 @@ class Router(Client):
     def _flush(self) -> None:
         """Writes what the connection takes. The thread writes the rest, and asks what the router has read."""
         self._write()
-        if self._session.outgoing.waits or time.monotonic() + self._session.wait_to_ask(time.monotonic()) < self._looks_at:
+        if self._session.outgoing.waits or self._session.asks_at() < self._looks_at:
             self._looks_at = 0.0
             self._bell.ring()
 
@@ -223,17 +224,16 @@ class Router(Client):
                         # With unread bytes the kernel would reset the connection, and drop those that it has not sent.
                         return
                     # The next question is written as soon as all else is.
-                    patience = self._session.wait(now) if outgoing.waits else min(self._session.wait(now), self._session.wait_to_ask(now))
-                    if self._session.is_closed:
-                        patience = min(patience, self._end - now)
-                    self._looks_at = now + patience
+                    asks_at = math.inf if outgoing.waits else self._session.asks_at()
+                    ends_at = self._end if self._session.is_closed else math.inf
+                    self._looks_at = min(now + self._session.wait(now), asks_at, ends_at)
                     wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if outgoing.waits else 0)
                 if data:
                     continue
                 if wanted != events:
                     selector.modify(connection, wanted)
                     events = wanted
-                for key, _ in selector.select(patience):
+                for key, _ in selector.select(max(self._looks_at - now, 0.0)):
                     if key.fileobj is self._bell:
                         self._bell.silence()
 

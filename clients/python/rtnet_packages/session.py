@@ -90,11 +90,11 @@ class Session:
         """Seconds until `step` has something to do without new bytes."""
         return max(min(self._again, self._heard + self._silence) - now, 0.0)
 
-    def wait_to_ask(self, now: float) -> float:
-        """Seconds until `to_write` has a question without a new package, if all else has left."""
+    def asks_at(self) -> float:
+        """When `to_write` has a question without a new package, if all else has left."""
         if self.outgoing.is_settled or self._requests.has_question or not self.is_open:
             return math.inf
-        return max(self._confirm_at(self.outgoing.sent) - now, 0.0)
+        return self._confirm_at(self.outgoing.sent)
 
     def step(self, data: Optional[bytes], now: float) -> bytes:
         """Takes the bytes that have come, or None if none have; returns the bytes to send.

@@ -100,7 +100,7 @@ class Fate(unittest.TestCase):
             it.outgoing.put(DATA.encode())
         answers(it, written(it, 0.0), waiting=2)
         self.assertEqual(written(it, 0.09), b"")
-        self.assertAlmostEqual(it.wait_to_ask(0.09), 0.01)
+        self.assertAlmostEqual(it.asks_at(), 0.1)
         again = written(it, 0.1)
         self.assertEqual(kinds(again), [ACCOUNT, DELETE_ANSWERED])
         answers(it, again, 0, 0, 0, 0, 0, 0, 99, waiting=1)
@@ -112,9 +112,9 @@ class Fate(unittest.TestCase):
         for _ in range(2):
             it.outgoing.put(DATA.encode())
             answers(it, written(it, 0.0))
-        self.assertAlmostEqual(it.wait_to_ask(0.0), CONFIRM_EVERY)
+        self.assertAlmostEqual(it.asks_at(), CONFIRM_EVERY)
         it.is_closed = True
-        self.assertEqual(it.wait_to_ask(0.0), 0.0)
+        self.assertEqual(it.asks_at(), 0.0)
 
     def test_a_deletion_follows_the_packages_before_it(self) -> None:
         it = session()

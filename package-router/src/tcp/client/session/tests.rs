@@ -84,7 +84,7 @@ fn a_refused_name_is_asked_for_again_until_it_is_free() {
     session.set_names(&names(&[PILOT]));
     written(&mut session);
     came(&mut session, &reply(ERROR, 1), 100);
-    assert_eq!((session.names(), session.next_due()), ((0, 1), 100 + RETRY));
+    assert_eq!((session.names(), session.next_due(true)), ((0, 1), 100 + RETRY));
     session.retry(99 + RETRY);
     assert!(written(&mut session).is_empty());
     session.retry(100 + RETRY);

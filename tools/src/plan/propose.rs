@@ -5,18 +5,22 @@ use rtnet::time::Span;
 use rtnet::wire::ethernet::HEADER_LEN;
 
 use crate::report::figures::Role;
-use crate::scenario::{Scenario, ScenarioError, StationPlan, Uniform};
+use crate::scenario::{Scenario, ScenarioError, StationPlan, Uniform, default_duration};
 
 /// No slave follows a longer one.
 const LONGEST_MICROS: i64 = 100_000_000;
 
-/// The network of the shortest cycle, in whole microseconds, that has room for `network`'s stations; its own cycle does
-/// not count. A `lab run` with the same options and a shorter one is refused.
+/// The network of the shortest cycle, in whole microseconds, that has room for `network`'s stations; its own cycle and duration do
+/// not count: it lasts as long as a file of that cycle does that gives no duration. A `lab run` with the same options and a shorter
+/// cycle is refused.
 ///
 /// # Errors
 /// No cycle has.
 pub fn shortest(network: &Uniform) -> Result<Scenario, ScenarioError> {
-    let with = |micros: i64| Uniform { cycle: Span::from_micros(micros), ..network.clone() }.scenario();
+    let with = |micros: i64| {
+        let cycle = Span::from_micros(micros);
+        Uniform { cycle, duration: default_duration(cycle), ..network.clone() }.scenario()
+    };
     // Whatever is wrong with the longest is wrong with all.
     with(LONGEST_MICROS)?;
     let (mut low, mut high) = (1, LONGEST_MICROS);
@@ -96,6 +100,14 @@ mod tests {
         let shortest = shortest(&network(20, 200, 100_000_000, 50)).unwrap();
         // 80us + 20 x (19.04us + 50us) = 1460.8us.
         assert_eq!((shortest.cycle, shortest.sync_window), (Span::from_micros(1_461), Span::from_micros(80)));
+    }
+
+    /// Ten cycles of it last longer than 10 s.
+    #[test]
+    fn a_cycle_of_seconds_is_read_as_it_was_proposed() {
+        let scenario = shortest(&network(3, 933, 1_000, 0)).unwrap();
+        assert_eq!(scenario.duration, scenario.cycle * 10);
+        assert_eq!(Source::new("net.toml", &file(&scenario)).parse().unwrap(), scenario);
     }
 
     #[test]

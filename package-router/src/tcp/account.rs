@@ -1,46 +1,24 @@
 //! The account of a connection: its packages that its router has read and not passed on, by reason, and those that still wait there.
 
-macro_rules! reasons {
-    ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
-        /// Packages by the reason for which the router did not pass them on. Commands among them were answered NOT_AVAILABLE.
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-        pub struct Lost {
-            $($(#[$doc])* pub $name: u64,)+
-        }
+use super::numbers::numbers;
 
-        impl Lost {
-            const REASONS: usize = [$(stringify!($name)),+].len();
-
-            /// Each with its name.
-            pub fn each(&self) -> impl Iterator<Item = (&'static str, u64)> {
-                [$((stringify!($name), self.$name)),+].into_iter()
-            }
-
-            fn of(numbers: [u64; Self::REASONS]) -> Self {
-                let [$($name),+] = numbers;
-                Self { $($name),+ }
-            }
-
-            fn numbers(&self) -> [u64; Self::REASONS] {
-                [$(self.$name),+]
-            }
-        }
-    };
-}
-
-reasons! {
-    /// To names that nobody had.
-    nobody_there,
-    /// In the name of another connection.
-    foreign_senders,
-    /// Not allowed by a rule.
-    forbidden,
-    /// They found their receiver's queue full.
-    receiver_full,
-    /// They made room for more urgent ones in their receiver's queue.
-    overtaken,
-    /// They waited for their receiver when its connection ended.
-    receiver_gone,
+numbers! {
+    /// Packages by the reason for which the router did not pass them on. Commands among them were answered NOT_AVAILABLE.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub struct Lost {
+        /// To names that nobody had.
+        nobody_there,
+        /// In the name of another connection.
+        foreign_senders,
+        /// Not allowed by a rule.
+        forbidden,
+        /// They found their receiver's queue full.
+        receiver_full,
+        /// They made room for more urgent ones in their receiver's queue.
+        overtaken,
+        /// They waited for their receiver when its connection ended.
+        receiver_gone,
+    }
 }
 
 impl Lost {
@@ -58,11 +36,6 @@ impl Lost {
     pub fn max(&self, other: &Self) -> Self {
         self.with(other, u64::max)
     }
-
-    fn with(&self, other: &Self, each: fn(u64, u64) -> u64) -> Self {
-        let (ours, theirs) = (self.numbers(), other.numbers());
-        Self::of(core::array::from_fn(|at| each(ours[at], theirs[at])))
-    }
 }
 
 /// The account of a connection.
@@ -76,7 +49,7 @@ pub struct Account {
 
 impl Account {
     /// Bytes of the answer's body: a number of 8 bytes of those that wait, and one for each reason.
-    pub const LEN: usize = (Lost::REASONS + 1) * size_of::<u64>();
+    pub const LEN: usize = (Lost::COUNT + 1) * size_of::<u64>();
 
     /// The body of an answer, little-endian.
     pub fn to_bytes(&self) -> [u8; Self::LEN] {

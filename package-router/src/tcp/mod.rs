@@ -16,6 +16,7 @@ pub mod control;
 mod dial;
 pub mod frames;
 pub mod keys;
+mod numbers;
 pub mod outgoing;
 mod requests;
 pub mod router;

@@ -196,8 +196,8 @@ impl Outgoing {
     }
 
     /// Drops all that waits. The heads of packages go to `dropped`, with their sources.
-    pub fn drop_all(&mut self, mut dropped: impl FnMut(Head, Source)) {
-        for level in core::mem::take(&mut self.levels) {
+    pub fn drop_all(self, mut dropped: impl FnMut(Head, Source)) {
+        for level in self.levels {
             let mut begun = self.begun.filter(|(priority, _)| *priority == level.priority);
             let mut at = 0;
             for Waiting { len, source, .. } in level.waiting {
@@ -209,7 +209,6 @@ impl Outgoing {
                 head.into_iter().for_each(|head| dropped(head, source));
             }
         }
-        *self = Self { own_most: self.own_most, ..Self::new(self.most) };
     }
 
     /// Milliseconds that the oldest of them has waited.

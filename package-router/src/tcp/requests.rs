@@ -52,11 +52,8 @@ impl<T> Requests<T> {
     }
 
     /// Whether such a request is open.
-    pub fn has(&self, what: &T) -> bool
-    where
-        T: PartialEq,
-    {
-        self.open.iter().any(|(_, open)| open == what)
+    pub fn has(&self, is_such: impl Fn(&T) -> bool) -> bool {
+        self.open.iter().any(|(_, open)| is_such(open))
     }
 
     /// Forgets all: their connection is over.

@@ -335,7 +335,7 @@ impl Router {
         self.held -= client.held();
         self.trusted -= usize::from(client.trust == Trust::Full);
         client.counters.lost_at_close += client.outgoing.packages() as u64;
-        self.give_up(&mut client.outgoing, now);
+        self.give_up(client.outgoing, now);
         self.counters.add(&client.counters);
         *self.counted_endings.entry(why.reason()).or_default() += 1;
         self.closed.truncate(CLOSED - 1);
@@ -375,13 +375,12 @@ impl Router {
             }
             self.end(whom, Ending::NoMemory);
             self.held -= held;
-            let mut outgoing = Outgoing::new(self.limits.queue);
-            if let Some(client) = self.client(whom) {
-                client.counters.lost_at_close += client.outgoing.packages() as u64;
-                client.frames = Frames::default();
-                core::mem::swap(&mut client.outgoing, &mut outgoing);
-            }
-            self.give_up(&mut outgoing, now);
+            let empty = Outgoing::new(self.limits.queue);
+            let Some(client) = self.client(whom) else { return };
+            client.counters.lost_at_close += client.outgoing.packages() as u64;
+            client.frames = Frames::default();
+            let outgoing = core::mem::replace(&mut client.outgoing, empty);
+            self.give_up(outgoing, now);
         }
     }
 

@@ -56,8 +56,6 @@ pub struct Session {
     last_heard: u64,
     /// Packages of all connections that the router has confirmed, or that are counted as lost or unconfirmed.
     settled: u64,
-    /// Whether the router is asked for a confirmation.
-    is_confirming: bool,
     /// The packages that it was asked about last, and when it is asked about the same again.
     asked: u64,
     ask_again: u64,
@@ -144,7 +142,7 @@ impl Session {
         self.counters.lost += self.ends.len() as u64;
         self.counters.unconfirmed += self.counters.sent - self.settled;
         (self.settled, self.read, self.asked) = (self.counters.sent, self.counters.sent, self.counters.sent);
-        (self.waiting_there, self.is_confirming) = (0, false);
+        self.waiting_there = 0;
         self.frames = Frames::default();
         self.requests.clear();
         self.own.clear();
@@ -275,9 +273,14 @@ impl Session {
         self.counters
     }
 
+    /// Whether the router is asked for a confirmation.
+    fn is_confirming(&self) -> bool {
+        self.requests.has(|open| matches!(open, Asked::Confirmation(_)))
+    }
+
     /// Whether there are packages that are not settled, and the router is not asked about them.
     fn has_unsettled(&self) -> bool {
-        !self.is_confirming && self.counters.sent > self.settled
+        !self.is_confirming() && self.counters.sent > self.settled
     }
 
     fn register(&mut self, name: MailboxName) {
@@ -305,21 +308,18 @@ impl Session {
             return;
         }
         let Self { requests, names, waiting, .. } = self;
-        let mut is_confirmation_lost = false;
         // Other packages of the router answer nothing that was asked.
         let answered = requests.answered(head.id, |lost| match lost {
             Asked::Name(name) if names.contains_key(&name) => _ = waiting.insert(name),
             // A router of another make does not answer it.
-            Asked::Name(_) | Asked::Account => {}
-            Asked::Confirmation(_) => is_confirmation_lost = true,
+            Asked::Name(_) | Asked::Account | Asked::Confirmation(_) => {}
         });
-        self.is_confirming &= !is_confirmation_lost;
         match answered {
             Some(Asked::Confirmation(sent)) => {
                 // No answer confirms packages that have not left, or that wait at the router.
                 self.read = self.read.max(sent.min(self.counters.sent));
                 let settled = self.read.saturating_sub(self.waiting_there);
-                (self.settled, self.is_confirming) = (self.settled.max(settled), false);
+                self.settled = self.settled.max(settled);
             }
             Some(Asked::Account) => {
                 // A router of another make has none.
@@ -330,7 +330,7 @@ impl Session {
                 }
             }
             // A mailbox that went and came again is asked for a second time, which decides.
-            Some(asked @ Asked::Name(_)) if requests.has(&asked) => {}
+            Some(asked @ Asked::Name(_)) if requests.has(|open| *open == asked) => {}
             Some(Asked::Name(name)) => self.registered(name, head.kind == OK, now),
             None => {}
         }
@@ -361,8 +361,8 @@ impl Session {
         }
         let sent = self.counters.sent + self.ends.len() as u64;
         let is_due = sent > self.asked || self.has_unsettled() && self.now >= self.ask_again;
-        if !self.is_confirming && is_due {
-            (self.is_confirming, self.asked, self.ask_again) = (true, sent, self.now + CONFIRM_AGAIN);
+        if is_due && !self.is_confirming() {
+            (self.asked, self.ask_again) = (sent, self.now + CONFIRM_AGAIN);
             // In this order: packages that are confirmed are accounted for.
             self.ask(Asked::Account);
             self.ask(Asked::Confirmation(sent));

@@ -140,7 +140,7 @@ impl Router {
     }
 
     /// Drops all that waits for a receiver that is gone: it is counted at its senders, and commands are answered.
-    pub(super) fn give_up(&mut self, outgoing: &mut Outgoing, now: u64) {
+    pub(super) fn give_up(&mut self, outgoing: Outgoing, now: u64) {
         let mut dropped = Vec::new();
         outgoing.drop_all(|head, source| dropped.push((head, source)));
         for (head, source) in dropped {

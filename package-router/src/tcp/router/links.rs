@@ -196,7 +196,7 @@ impl Router {
         });
         match answered {
             // A mailbox that went and came again is asked for a second time, which decides.
-            Some(asked @ Asked::Name(_)) if requests.has(&asked) => {}
+            Some(asked @ Asked::Name(_)) if requests.has(|open| *open == asked) => {}
             Some(Asked::Name(name)) if head.kind != OK => {
                 refused.insert(name);
                 client.counters.names_refused += 1;

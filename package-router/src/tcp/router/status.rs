@@ -6,71 +6,59 @@ use std::collections::BTreeMap;
 use super::{Ending, Rates, Router};
 use crate::name::MailboxName;
 use crate::tcp::account::Lost;
+use crate::tcp::numbers::numbers;
 
-macro_rules! counters {
-    ($($(#[$doc:meta])* $name:ident),+ $(,)?) => {
-        /// Counters of a connection, or sums over all.
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-        pub struct Counters {
-            $($(#[$doc])* pub $name: u64,)+
-        }
-
-        impl Counters {
-            /// Adds those of another.
-            pub fn add(&mut self, other: &Self) {
-                $(self.$name += other.$name;)+
-            }
-
-            /// Each with its name.
-            pub fn each(&self) -> impl Iterator<Item = (&'static str, u64)> {
-                [$((stringify!($name), self.$name)),+].into_iter()
-            }
-        }
-    };
-}
-
-counters! {
-    /// Packages of this connection that were passed on.
-    packages_in,
-    /// Their bytes.
-    bytes_in,
-    /// Packages for this connection that were queued.
-    packages_out,
-    /// Their bytes.
-    bytes_out,
-    /// Its packages to names that nobody has.
-    nobody_there,
-    /// Its packages whose sender is another connection's name.
-    foreign_senders,
-    /// Its packages that no rule allows.
-    forbidden,
-    /// Its packages that found their receiver's queue full.
-    receiver_full,
-    /// Its packages that made room for more urgent ones in their receiver's queue.
-    overtaken,
-    /// Its packages that waited for their receiver when its connection ended.
-    receiver_gone,
-    /// Packages for it that found its queue full.
-    queue_full,
-    /// Packages for it that made room for more urgent ones.
-    displaced,
-    /// Packages that waited for it when it was closed.
-    lost_at_close,
-    /// Answers of the router that it did not read in time.
-    answers_lost,
-    /// Names that it might not register or delete.
-    names_refused,
-    /// Its control packages of unknown kinds.
-    controls_ignored,
-    /// Its control packages with a wrong body.
-    controls_malformed,
-    /// Connections beyond the limit.
-    connections_refused,
-    /// Files that were read again and had an error: the rules before stayed in force.
-    rules_refused,
+numbers! {
+    /// Counters of a connection, or sums over all.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+    pub struct Counters {
+        /// Packages of this connection that were passed on.
+        packages_in,
+        /// Their bytes.
+        bytes_in,
+        /// Packages for this connection that were queued.
+        packages_out,
+        /// Their bytes.
+        bytes_out,
+        /// Its packages to names that nobody has.
+        nobody_there,
+        /// Its packages whose sender is another connection's name.
+        foreign_senders,
+        /// Its packages that no rule allows.
+        forbidden,
+        /// Its packages that found their receiver's queue full.
+        receiver_full,
+        /// Its packages that made room for more urgent ones in their receiver's queue.
+        overtaken,
+        /// Its packages that waited for their receiver when its connection ended.
+        receiver_gone,
+        /// Packages for it that found its queue full.
+        queue_full,
+        /// Packages for it that made room for more urgent ones.
+        displaced,
+        /// Packages that waited for it when it was closed.
+        lost_at_close,
+        /// Answers of the router that it did not read in time.
+        answers_lost,
+        /// Names that it might not register or delete.
+        names_refused,
+        /// Its control packages of unknown kinds.
+        controls_ignored,
+        /// Its control packages with a wrong body.
+        controls_malformed,
+        /// Connections beyond the limit.
+        connections_refused,
+        /// Files that were read again and had an error: the rules before stayed in force.
+        rules_refused,
+    }
 }
 
 impl Counters {
+    /// Adds those of another.
+    pub fn add(&mut self, other: &Self) {
+        *self = self.with(other, |ours, theirs| ours + theirs);
+    }
+
     /// Its packages that were not passed on.
     pub fn lost(&self) -> Lost {
         let Self {

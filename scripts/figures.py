@@ -77,7 +77,7 @@ def chosen_lengths(options):
 class Report:
     """The lines for scripts/bench, their parts parted by tabs:
 
-        FIGURE  name  value  unit  aim  met or MISSED  least..most
+        FIGURE  name  value  unit  aim  met, MISSED or inconclusive  least..most
         SKIP    name  why
         FAILED  name  why
     """
@@ -99,11 +99,13 @@ def is_met(value, aim):
     return value <= limit if sign == "<=" else value >= limit
 
 
-def judged(name, value, aim, least, most, places=3):
-    """`met` or `MISSED`, which scripts/bench is told of, too; `-` where nothing is aimed at."""
+def judged(name, value, aim, least, most, places=3, interval=None):
+    """`met` or `MISSED`, which scripts/bench is told of, too; `-` where nothing is aimed at. A figure that lies between two
+    others by all that is known is `inconclusive` where only one of them meets the aim."""
     if not aim:
         return "-"
-    verdict = "met" if is_met(value, aim) else "MISSED"
+    met = {is_met(bound, aim) for bound in interval or [value]}
+    verdict = "inconclusive" if len(met) == 2 else "met" if met == {True} else "MISSED"
     what, _, unit = name.rpartition(", ")
     what, unit = (what, unit) if unit in UNITS else (name, "")
     spread = f"{least:.{places}f}..{most:.{places}f}"
@@ -133,10 +135,10 @@ class Table:
         self.failed, self.width, self.names = 0, width, Names()
         print(f"{'figure':{width}} {'':6} {'':>8} {'(spread)':22} {'n':>3}  aim")
 
-    def row(self, what, values, aim=None, places=3, kind="median", spread=lambda values: (min(values), max(values)), value=None, control=None):
+    def row(self, what, values, aim=None, places=3, kind="median", spread=lambda values: (min(values), max(values)), value=None, interval=None):
         """The figure is of that kind, of `values`; a figure of another kind is `value`, and `values` those of the rounds.
 
-        `control`: the same figure of what the aim is not about. If it misses the aim, too, a miss says nothing.
+        `interval`: between what `value` lies; it is shown in place of the spread.
         """
         name = self.names.of(what)
         if not values:
@@ -146,12 +148,9 @@ class Table:
             return
         if value is None:
             value = {"median": statistics.median, "mean": statistics.mean, "sum": sum, "max": max}[kind](values)
-        least, most = spread(values)
+        least, most = interval or spread(values)
         shown = f"({least:.{places}f}..{most:.{places}f})"
-        if aim and control is not None and not is_met(value, aim) and not is_met(control, aim):
-            aim, verdict = None, f"inconclusive: {aim[0]} {aim[1]} is missed by the control, too, {control:.{places}f}"
-        else:
-            verdict = judged(name, value, aim, least, most, places)
+        verdict = judged(name, value, aim, least, most, places, interval)
         said = f"{aim[0]} {aim[1]:<4} {verdict}" if aim else verdict
         print(f"{what:{self.width}} {kind:6} {value:8.{places}f} {shown:22} {len(values):3}  {said}", flush=True)
 

@@ -51,13 +51,6 @@ class Program:
         self.process.wait()
 
 
-def busy_ns(core):
-    """The time that a core has had anything to do."""
-    line = next(line for line in Path("/proc/stat").read_text().splitlines() if line.startswith(f"cpu{core} "))
-    user, nice, system, _, _, irq, softirq = map(int, line.split()[1:8])
-    return (user + nice + system + irq + softirq) * 10**9 // os.sysconf("SC_CLK_TCK")
-
-
 @contextmanager
 def signals_later():
     """Ctrl-C and SIGTERM take effect behind this block."""

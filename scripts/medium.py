@@ -10,6 +10,8 @@ PACKAGES_PORT = 8192
 RTMAC_ETHERTYPE, IPV4_ETHERTYPE = b"\x90\x21", b"\x08\x00"
 # RTmac's head, then TDMA's version and its number of a synchronisation.
 SYNC = bytes.fromhex("0001 02 00 0201 0000".replace(" ", ""))
+# The clocks of a lab, and the stamps of its capture, are less apart.
+EARLY_NS = 20_000
 
 
 def frames(path):
@@ -72,12 +74,12 @@ class Schedule:
         return self.scheduled[place] + self.least[self.part(stamp)] + self.drift * (stamp - self.first)
 
 
-def slots(capture, address, slot, windows):
-    """Slot errors, cycles, missed ones, packages and the time between them, of a station in all windows of each kind.
+def slots(capture, address, period_ns, offsets_ns, windows):
+    """Slot errors, slots, missed ones, packages and the time between them, of a station in all windows of each kind.
 
-    `slot`: period and offset in the cycle. `windows`: kind, begin, end.
+    `offsets_ns`: where its slots begin in the cycle. `windows`: kind, begin, end.
     """
-    (period_ns, offset_ns), since, until = slot, windows[0][1] - 10**8, windows[-1][2] + 10**8
+    offsets, since, until = sorted(offsets_ns), windows[0][1] - 10**8, windows[-1][2] + 10**8
     syncs, sent = [], []
     for stamp, frame in frames(capture):
         if not since <= stamp <= until:
@@ -92,25 +94,26 @@ def slots(capture, address, slot, windows):
     sent.sort()
     schedule, stamps, figures = Schedule(syncs), [stamp for stamp, _ in sent], {}
     for kind, begun, ended in windows:
-        of = figures.setdefault(kind, {"errors": [], "cycles": 0, "missed": 0, "packages": 0, "between_ns": 0})
-        # Slots that begin in the window; a frame of the last one comes after it.
-        first = begun + (schedule.last_begin(begun) + offset_ns - begun) % period_ns
+        of = figures.setdefault(kind, {"errors": [], "slots": 0, "missed": 0, "packages": 0, "between_ns": 0})
+        # Cycles whose first slot begins in the window; frames of the last one come after it.
+        first = begun + (schedule.last_begin(begun) + offsets[0] - begun) % period_ns
         cycles, used = int((ended - first) // period_ns), set()
         asked = []
-        half = period_ns / 2
-        for place in range(bisect_left(stamps, begun - period_ns), bisect_right(stamps, ended + period_ns)):
+        for place in range(bisect_left(stamps, begun - period_ns), bisect_right(stamps, ended + 2 * period_ns)):
             stamp, is_question = sent[place]
-            # Where a sync is missing, the last one is some cycles ago.
-            error = (stamp - schedule.last_begin(stamp) - offset_ns + half) % period_ns - half
-            number = round((stamp - error - first) / period_ns)
+            # Since the first slot; where a sync is missing, the last one is some cycles ago.
+            since_first = (stamp - schedule.last_begin(stamp) - offsets[0] + EARLY_NS) % period_ns - EARLY_NS
+            number = round((stamp - since_first - first) / period_ns)
             if not 0 <= number < cycles:
                 continue
             if is_question:
                 asked.append(stamp)
-            used.add(number)
-            of["errors"].append(error)
-        of["cycles"] += cycles
-        of["missed"] += cycles - len(used)
+            # A frame comes in its slot or later, never before it.
+            slot = bisect_right(offsets, since_first + offsets[0] + EARLY_NS) - 1
+            used.add((number, slot))
+            of["errors"].append(since_first + offsets[0] - offsets[slot])
+        of["slots"] += cycles * len(offsets)
+        of["missed"] += cycles * len(offsets) - len(used)
         if len(asked) > 1:
             of["packages"] += len(asked) - 1
             of["between_ns"] += asked[-1] - asked[0]

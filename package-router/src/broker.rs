@@ -54,6 +54,8 @@ pub struct Broker {
     beyond: Option<Box<dyn Beyond>>,
     /// Whether a TCP client of this process may have the mailbox of name 0.
     has_tcp: bool,
+    /// Whether all are served: not before a TCP client that is to come has its mailbox. Until then there would be no way to it.
+    is_open: bool,
 }
 
 /// What is beyond a station's own mailboxes.
@@ -105,6 +107,7 @@ impl Broker {
             priorities: Priorities::default(),
             beyond: None,
             has_tcp: false,
+            is_open: true,
         })
     }
 
@@ -122,7 +125,7 @@ impl Broker {
 
     /// The same with a way to a TCP router, by a client in this process.
     pub fn with_tcp(mut self) -> Self {
-        self.has_tcp = true;
+        (self.has_tcp, self.is_open) = (true, false);
         self
     }
 
@@ -141,7 +144,8 @@ impl Broker {
             }
         }
         for (seat, is_ready) in seats.into_iter().zip(of_seats) {
-            if !is_ready || self.answer(&seat) {
+            let is_held = !self.is_open && seat.pid != std::process::id();
+            if !is_ready || is_held || self.answer(&seat) {
                 self.seats.push(seat);
             } else {
                 self.left(seat);
@@ -259,6 +263,7 @@ impl Broker {
         // A process that has come again may have its own names again.
         let is_former = |id| self.lingering.iter().any(|gone| gone.id == id && gone.pid == by.pid);
         let is_tcp = self.has_tcp && name == MailboxName::NOBODY && by.pid == std::process::id();
+        self.is_open |= is_tcp;
         let created = match is_tcp {
             true => self.registry.create_tcp(by.id, shape),
             false => self.registry.create_beside(by.id, is_former, name, shape),

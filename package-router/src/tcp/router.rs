@@ -75,6 +75,17 @@ enum Trust {
     Full,
 }
 
+/// Whether a connection shows that its client is alive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Life {
+    /// Something has come since it was asked, or it has not been asked.
+    Shown,
+    /// It is to be asked, and has no room for the question.
+    Unasked,
+    /// It was asked, and nothing has come since.
+    Asked,
+}
+
 struct Client {
     /// Its number among all connections so far.
     number: u32,
@@ -87,8 +98,7 @@ struct Client {
     outgoing: Outgoing,
     names: BTreeSet<MailboxName>,
     watchdog: bool,
-    /// A sign of life was asked for, and nothing has come since.
-    is_asked: bool,
+    life: Life,
     /// It is among those that are to be written to.
     is_awake: bool,
     /// It is to be closed: nothing that it sends counts any more.
@@ -182,6 +192,11 @@ impl Router {
         self.rules_error = Some(why);
     }
 
+    /// Counts a connection that could not be taken: for want of descriptors, say.
+    pub fn accept_failed(&mut self) {
+        self.counters.accepts_failed += 1;
+    }
+
     /// A connection from there is open.
     pub fn connect(&mut self, peer: SocketAddr, now: u64) -> Result<Connection, TooMany> {
         if self.is_full() {
@@ -210,7 +225,7 @@ impl Router {
             return;
         };
         match proof {
-            Some(proof) => (client.trust, client.is_asked) = (Trust::Proof(proof), false),
+            Some(proof) => (client.trust, client.life) = (Trust::Proof(proof), Life::Shown),
             None => self.trust(connection),
         }
     }
@@ -223,7 +238,7 @@ impl Router {
         }
         self.trusted += 1;
         if let Some(client) = self.client(connection) {
-            (client.trust, client.is_asked) = (Trust::Full, false);
+            (client.trust, client.life) = (Trust::Full, Life::Shown);
         }
     }
 
@@ -247,7 +262,7 @@ impl Router {
             outgoing: Outgoing::new(self.limits.queue),
             names: BTreeSet::new(),
             watchdog: true,
-            is_asked: false,
+            life: Life::Shown,
             is_awake: false,
             is_ending: false,
             waits: 0,
@@ -270,7 +285,9 @@ impl Router {
     pub fn received(&mut self, from: Connection, bytes: &[u8], now: u64) {
         let Some(client) = self.client(from).filter(|client| !client.is_ending) else { return };
         // A handshake that takes long is no sign of life.
-        client.is_asked &= client.trust != Trust::Full;
+        if client.trust == Trust::Full {
+            client.life = Life::Shown;
+        }
         let mut frames = core::mem::take(&mut client.frames);
         self.held -= frames.begun();
         let cut = frames.cut_runs(bytes, |head, body, rest| self.package(from, &head, (body, rest), now));

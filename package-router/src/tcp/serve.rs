@@ -202,6 +202,7 @@ impl Server {
                         .raw_os_error()
                         .is_some_and(|of| [libc::ECONNABORTED, libc::EINTR].contains(&of)) => {}
                 Err(_) => {
+                    self.router.accept_failed();
                     self.accepts_again = Some(self.now() + REST);
                     return;
                 }

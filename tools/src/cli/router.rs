@@ -4,6 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use package_router::name::Pattern;
 use package_router::tcp::address::is_host_name;
 
 use crate::control::parse_name;
@@ -46,7 +47,8 @@ pub struct RouterRunArgs {
     /// Clients come by TLS, with a certificate or a secret: the keys of a router as `rtnet router keys` makes them. For --listen
     #[arg(long, value_name = "DIRECTORY", requires = "listen")]
     pub keys: Option<PathBuf>,
-    /// Listen without TLS on addresses that other hosts reach: whoever reaches them can register names, and send to all
+    /// Listen without TLS on addresses that other hosts reach: whoever reaches them can register names, and send to all. --metrics may
+    /// be such an address, too
     #[arg(long)]
     pub insecure: bool,
     /// Serve its figures for Prometheus by HTTP, at /metrics
@@ -65,6 +67,9 @@ pub enum RouterVerb {
         /// Which router
         #[arg(default_value = "router", value_parser = parse_name)]
         name: String,
+        /// Only connections with such a mailbox, as 0.Camera.* [default: the 100 with the most bytes waiting]
+        #[arg(long, value_name = "PATTERN")]
+        mailbox: Option<Pattern>,
         /// As JSON
         #[arg(long)]
         json: bool,

@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
+use package_router::name::Pattern;
 use package_router::tcp::config::{Link, Listen, RouterFile};
 use package_router::tcp::keys::{ClientKeys, RouterKeys};
 use package_router::tcp::serve::{LinkTo, Remote, Server};
@@ -39,9 +40,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
     match &args.verb {
         None => run(&args.run),
-        Some(RouterVerb::Status { name, json }) => {
+        Some(RouterVerb::Status { name, mailbox, json }) => {
             let directory = Directory::of_user().map_err(Failure::Usage)?;
-            let shown = control::router_status(&directory, name).map_err(Failure::Usage)?;
+            let shown = control::router_status(&directory, name, *mailbox).map_err(Failure::Usage)?;
             print(*json, &shown, describe).map_err(Failure::Run)?;
             Ok(0)
         }
@@ -75,7 +76,7 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
     let routes = std::thread::Builder::new().name("router".into()).spawn(move || server.run());
     let routes = routes.context("a thread for the router").map_err(Failure::Run)?;
     while !stop.load(Ordering::Relaxed) && !routes.is_finished() {
-        let status = || shown(name, &listen, begun, &remote);
+        let status = |mailbox| shown(name, &listen, (begun, &remote), mailbox);
         control.serve(LOOK_EVERY, |packet, _| Envelope::pack(answer(packet, status)));
         if again.swap(false, Ordering::Relaxed) {
             read_again(args, &remote);
@@ -202,17 +203,23 @@ fn addresses(server: &Server) -> Result<Vec<String>> {
     Ok(server.addresses()?.iter().map(ToString::to_string).collect())
 }
 
-fn answer(packet: &[u8], status: impl Fn() -> Option<RouterShown>) -> RouterReply {
+fn answer(packet: &[u8], status: impl Fn(Option<Pattern>) -> Option<RouterShown>) -> RouterReply {
     match control::read(packet) {
-        Ok(RouterRequest::Status) => match status() {
-            Some(shown) => RouterReply::Status(Box::new(shown)),
-            None => RouterReply::Refused("its loop has not answered in time".into()),
+        Ok(RouterRequest::Status { mailbox }) => match mailbox.map(|of| of.parse()).transpose().map(status) {
+            Ok(Some(shown)) => RouterReply::Status(Box::new(shown)),
+            Ok(None) => RouterReply::Refused("its loop has not answered in time".into()),
+            Err(why) => RouterReply::Refused(format!("{why}")),
         },
         Err(why) => RouterReply::Refused(why),
     }
 }
 
-fn shown(name: &str, listen: &[String], begun: Instant, remote: &Remote) -> Option<RouterShown> {
+fn shown(
+    name: &str,
+    listen: &[String],
+    (begun, remote): (Instant, &Remote),
+    mailbox: Option<Pattern>,
+) -> Option<RouterShown> {
     let status = remote.status(PATIENCE)?;
-    Some(RouterShown::of(name, listen, begun.elapsed().as_millis() as u64, &status))
+    Some(RouterShown::of(name, listen, begun.elapsed().as_millis() as u64, &status, mailbox.as_ref()))
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
+use package_router::name::Pattern;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use socket2::{Domain, SockAddr, Socket, Type};
@@ -69,9 +70,13 @@ pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) ->
     }
 }
 
-/// The status of a router.
-pub fn router_status(directory: &Directory, name: &str) -> Result<RouterShown> {
-    let reply = exchange(&directory.router(name), RouterRequest::Status, PATIENCE);
+/// The status of a router, with the connections that have such a mailbox.
+pub fn router_status(directory: &Directory, name: &str, mailbox: Option<Pattern>) -> Result<RouterShown> {
+    let reply = exchange(
+        &directory.router(name),
+        RouterRequest::Status { mailbox: mailbox.map(|of| of.to_string()) },
+        PATIENCE,
+    );
     match reply.map_err(|error| explain(error, "router", name, Vec::new()))? {
         RouterReply::Status(shown) => Ok(*shown),
         RouterReply::Refused(why) => Err(anyhow!("router '{name}': {why}")),

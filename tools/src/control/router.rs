@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use package_router::name::{MailboxName, Pattern};
 use package_router::tcp::router::{ClientStatus, Closed, Counters, LinkStatus, Rates, Status};
 use serde::{Deserialize, Serialize};
 
@@ -18,7 +19,11 @@ const MS: u64 = 1_000_000;
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum RouterRequest {
     /// How it is.
-    Status,
+    Status {
+        /// Only the connections that have such a mailbox: a pattern.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        mailbox: Option<String>,
+    },
 }
 
 /// Its reply.
@@ -63,7 +68,7 @@ pub struct RouterShown {
     /// Its links to routers of other systems.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<LinkShown>,
-    /// The open connections, those with the most bytes waiting first; 100 at the most.
+    /// The open connections, or those that were asked for; those with the most bytes waiting first, 100 at the most.
     pub clients: Vec<ClientShown>,
     /// The last 64 connections that were closed, the newest first.
     pub closed: Vec<ClosedShown>,
@@ -110,7 +115,7 @@ pub struct ClientShown {
     pub open_ns: u64,
     /// How many mailboxes it has.
     pub names: usize,
-    /// The first 16 of them.
+    /// The first 16 of them, or of those that were asked for.
     pub first_names: Vec<String>,
     /// Its part: `client`, `router of system N`, or `link`.
     pub role: String,
@@ -151,9 +156,11 @@ pub struct ClosedShown {
 }
 
 impl RouterShown {
-    /// A router's status as people see it, `up_ms` milliseconds after its start.
-    pub fn of(name: &str, listen: &[String], up_ms: u64, status: &Status) -> Self {
-        let mut clients: Vec<&ClientStatus> = status.clients.iter().collect();
+    /// A router's status as people see it, `up_ms` milliseconds after its start, with the connections that have such a mailbox.
+    pub fn of(name: &str, listen: &[String], up_ms: u64, status: &Status, mailbox: Option<&Pattern>) -> Self {
+        let is_wanted = |name: &MailboxName| mailbox.is_none_or(|pattern| pattern.matches(*name));
+        let has_one = |client: &&ClientStatus| mailbox.is_none() || client.names.iter().any(is_wanted);
+        let mut clients: Vec<&ClientStatus> = status.clients.iter().filter(has_one).collect();
         clients.sort_by_key(|client| std::cmp::Reverse(client.waiting_bytes));
         clients.truncate(CLIENTS_SHOWN);
         Self {
@@ -169,7 +176,7 @@ impl RouterShown {
             rules_error: status.rules_error.clone(),
             rates: status.rates.map(RatesShown::of),
             links: status.links.iter().map(LinkShown::of).collect(),
-            clients: clients.into_iter().map(ClientShown::of).collect(),
+            clients: clients.into_iter().map(|client| ClientShown::of(client, is_wanted)).collect(),
             closed: status.closed.iter().map(|closed| ClosedShown::of(closed, up_ms)).collect(),
         }
     }
@@ -195,12 +202,12 @@ impl LinkShown {
 }
 
 impl ClientShown {
-    fn of(client: &ClientStatus) -> Self {
+    fn of(client: &ClientStatus, is_wanted: impl Fn(&MailboxName) -> bool) -> Self {
         Self {
             peer: client.peer.to_string(),
             open_ns: client.open_for * MS,
             names: client.names.len(),
-            first_names: first(&client.names),
+            first_names: first(client.names.iter().filter(|name| is_wanted(name))),
             role: client.role.clone(),
             watchdog: client.watchdog,
             waiting: client.waiting,
@@ -220,14 +227,14 @@ impl ClosedShown {
             ago_ns: now_ms.saturating_sub(closed.at) * MS,
             open_ns: closed.open_for * MS,
             names: closed.names.len(),
-            first_names: first(&closed.names),
+            first_names: first(closed.names.iter()),
             counters: counted(&closed.counters),
         }
     }
 }
 
-fn first(names: &[package_router::name::MailboxName]) -> Vec<String> {
-    names.iter().take(NAMES_SHOWN).map(ToString::to_string).collect()
+fn first<'a>(names: impl Iterator<Item = &'a MailboxName>) -> Vec<String> {
+    names.take(NAMES_SHOWN).map(ToString::to_string).collect()
 }
 
 fn counted(counters: &Counters) -> BTreeMap<String, u64> {

@@ -2,7 +2,7 @@
 
 use subtle::ConstantTimeEq;
 
-use super::{Connection, Counters, Ending, Router, Trust};
+use super::{Connection, Counters, Ending, Life, Router, Trust};
 use crate::name::MailboxName;
 use crate::tcp::account::Account;
 use crate::tcp::control::{Control, PROOF};
@@ -49,7 +49,7 @@ impl Router {
             Control::Watchdog(on) => {
                 self.client(from)
                     .into_iter()
-                    .for_each(|client| (client.watchdog, client.is_asked) = (on, false));
+                    .for_each(|client| (client.watchdog, client.life) = (on, Life::Shown));
                 None
             }
             Control::Proof | Control::Unknown => {

@@ -1,7 +1,7 @@
 //! The work of every [`LIFESIGN_EVERY`] milliseconds.
 
 use super::links::Role;
-use super::{Connection, Ending, LIFESIGN_EVERY, Router, Trust};
+use super::{Connection, Ending, LIFESIGN_EVERY, Life, Router, Trust};
 use crate::name::MailboxName;
 use crate::tcp::control::LIFESIGN;
 use crate::wire::Head;
@@ -26,14 +26,22 @@ impl Router {
             }
             let is_link = matches!(client.role, Role::Link(_));
             let is_trusted = client.trust == Trust::Full;
-            if core::mem::replace(&mut client.is_asked, true) {
+            let life = core::mem::replace(&mut client.life, Life::Asked);
+            if life == Life::Asked {
                 self.end(Connection(place), Ending::Silent);
             } else if is_link {
                 self.ask_again(Connection(place), now);
-            } else if is_trusted {
-                let is_asked = self.own(Connection(place), &lifesign, now);
-                self.client(Connection(place)).into_iter().for_each(|client| client.is_asked = is_asked);
+            } else if is_trusted && !self.own(Connection(place), &lifesign, now) {
+                self.has_no_room(Connection(place), life);
             }
+        }
+    }
+
+    /// A connection leaves no room for the question: it does not read the answers to its own. It is ended in the next round that finds it so.
+    fn has_no_room(&mut self, connection: Connection, life: Life) {
+        match self.client(connection) {
+            Some(client) if life == Life::Shown => client.life = Life::Unasked,
+            _ => self.end(connection, Ending::Silent),
         }
     }
 

@@ -48,6 +48,8 @@ numbers! {
         controls_malformed,
         /// Connections beyond the limit.
         connections_refused,
+        /// Attempts to take a connection that failed: for want of descriptors, say. It waits, and is tried again.
+        accepts_failed,
         /// Files that were read again and had an error: the rules before stayed in force.
         rules_refused,
     }

@@ -115,7 +115,7 @@ mod tests {
         let connection = router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
         router.disconnect(connection, Ending::NoMemory, 5);
         router.refuse_rules("a.toml:3: no such key".into());
-        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9)));
+        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9), None));
         for words in [
             "connections closed since its start: no memory 1; the newest first:",
             "counted since its start: rules refused 1",
@@ -129,14 +129,14 @@ mod tests {
     fn rates_are_shown_for_each_connection_and_in_sum() {
         let mut router = Router::new(Limits::default(), 0);
         router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
-        let before = RouterShown::of("r", &[], 9, &router.status(9));
+        let before = RouterShown::of("r", &[], 9, &router.status(9), None);
         assert!(before.rates.is_none() && !describe(&before).contains("a second"));
         let mut status = router.status(9);
         status.rates =
             Some(Rates { packages_in: 1, bytes_in: 2, packages_out: 30_000, bytes_out: 4_000_000 });
         status.clients[0].rates =
             Some(Rates { packages_in: 5_000, bytes_in: 6, packages_out: 70_000, bytes_out: 8 });
-        let shown = RouterShown::of("r", &[], 9, &status);
+        let shown = RouterShown::of("r", &[], 9, &status, None);
         let text = describe(&shown);
         let sum = "30 000 packages and 4 000 000 bytes a second, mean of the last round of 5 s";
         assert!(text.lines().any(|line| line == sum), "{text}");

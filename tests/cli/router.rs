@@ -48,8 +48,12 @@ struct Router {
 
 impl Router {
     fn start(what: &str, arguments: &[&str]) -> Self {
+        Self::start_by(rtnet(), what, arguments)
+    }
+
+    /// By a command that ends with the program.
+    fn start_by(mut command: Command, what: &str, arguments: &[&str]) -> Self {
         let name = unique(what);
-        let mut command = rtnet();
         command.args(["router", "--name", &name]).args(arguments).stderr(Stdio::piped());
         if arguments.is_empty() {
             command.args(["--listen", "127.0.0.1:0"]);
@@ -206,6 +210,13 @@ fn a_router_shows_its_clients_and_why_others_are_gone() {
     ] {
         assert!(shown.contains(words), "{words}: {shown}");
     }
+    let owners = |pattern: &str| {
+        let status = ["router", "status", &router.name, "--mailbox", pattern, "--json"];
+        let clients = json(rtnet().args(status))["clients"].clone();
+        let names = |client: &Value| client["first_names"].to_string();
+        clients.as_array().unwrap().iter().map(names).collect::<Vec<_>>()
+    };
+    assert_eq!((owners("0.Pilot.*"), owners("0.GPS.*")), (vec![r#"["Pilot(0/0)"]"#.to_owned()], vec![]));
     drop(chassis);
     wait_until("its client is gone", || router.clients() == 1);
     pilot.write_all(&package(21, 0x0011_0000, 0x0018_0000, &[])).unwrap();

@@ -47,3 +47,23 @@ fn a_router_takes_ten_thousand_connections() {
         &format!("{connections} connections, each with a name; {MORE} more were refused, and counted"),
     );
 }
+
+/// A router that may open a few descriptors only, as where the host's limit is low.
+#[test]
+fn connections_without_a_descriptor_wait_and_are_counted() {
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -n 30; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_rtnet")]);
+    let router = Router::start_by(command, "descriptors", &[]);
+    let mut first = router.connect();
+    register(&mut first, 1);
+    // The kernel opens them, and they wait there.
+    let mut others: Vec<TcpStream> = (0..40).map(|_| router.connect()).collect();
+    first.write_all(&package(-6, 1, 1, b"to itself")).unwrap();
+    assert_eq!(read(&mut first).1, b"to itself", "it goes on");
+    let mut last = others.pop().unwrap();
+    last.write_all(&package(13, 0, 0, &2u32.to_le_bytes())).unwrap();
+    thread::sleep(Duration::from_millis(300));
+    drop(others);
+    assert_eq!(read(&mut last).0.kind, OK, "it has its turn");
+    wait_until("it is counted", || router.status()["counters"]["accepts_failed"].as_u64() > Some(0));
+}

@@ -4,6 +4,8 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
+use nix::unistd::Pid;
+
 use super::clients;
 use crate::cell::text;
 use crate::host::skip;
@@ -27,6 +29,11 @@ impl Program {
         let mut line = String::new();
         self.says.read_line(&mut line).unwrap();
         line.trim_end().to_owned()
+    }
+
+    /// Its process.
+    pub fn pid(&self) -> Pid {
+        Pid::from_raw(self.child.id() as i32)
     }
 
     /// Ends its standard input.

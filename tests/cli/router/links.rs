@@ -9,10 +9,15 @@ use package_router::mailbox::Shape;
 use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::wire::{NOT_AVAILABLE, OK};
+use serde_json::Value;
+use tools::lab::namespace::Segment;
 
 use super::tls::Keys;
 use super::{Router, not_started};
 use crate::cell::wait_until;
+use crate::host::{shared, unique};
+use crate::rtnet;
+use crate::station::{Medium, Station, set};
 
 const PATIENCE: Duration = Duration::from_secs(30);
 /// A command or an answer that comes later is asked for again.
@@ -82,7 +87,7 @@ fn mailboxes_of_two_systems_meet_by_a_link() {
     asks(&mut leg_mailbox, &mut arm);
     let roles = |router: &Router| {
         let status = router.status();
-        let role = |client: &serde_json::Value| client["role"].as_str().unwrap().to_owned();
+        let role = |client: &Value| client["role"].as_str().unwrap().to_owned();
         let mut roles: Vec<_> = status["clients"].as_array().unwrap().iter().map(role).collect();
         roles.sort_unstable();
         roles
@@ -102,6 +107,49 @@ fn mailboxes_of_two_systems_meet_by_a_link() {
     wait_until("it is registered again", || leg.tcp().unwrap().status().names == 1);
     asks(&mut arm, &mut leg_mailbox);
     asks(&mut leg_mailbox, &mut arm);
+}
+
+/// Two robots: a station of system 1 at its router, a link, and a station of system 2 at its own.
+#[test]
+fn stations_of_two_systems_meet_by_their_routers() {
+    let test = "stations_of_two_systems_meet_by_their_routers";
+    shared(test, || {
+        let medium = Medium::new();
+        set(&medium.a, "lo", true);
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("router.toml");
+        let router = |text: &str| {
+            fs::write(&file, text).unwrap();
+            let start = || Router::start("robot", &["--listen", "127.0.0.1:0", file.to_str().unwrap()]);
+            medium.a.run(start).unwrap()
+        };
+        let second = router("system = 2");
+        let first = router(&format!("system = 1\n[[link]]\nrouter = \"{}\"\nsystems = [2]", second.at));
+        // The second robot has a network of its own; only its router is reached from here.
+        let mut segment = Segment::new().unwrap();
+        segment.attach(&medium.a, "port2", "rt1", [2, 0, 0, 0, 0, 0xc]).unwrap();
+        let station = |router: &Router, interface: &str, system: u8| {
+            let (name, at, system) = (unique("robot"), router.at.to_string(), system.to_string());
+            let net =
+                ["--interface", interface, "--discipline", "nomac", "--ip", "10.0.0.1/24", "--name", &name];
+            let packages = ["--packages", "--package-system", &system, "--router", &at];
+            let station = Station::start(&medium.a, &[&net[..], &packages].concat());
+            wait_until("it has joined its router", || {
+                let shown = rtnet().args(["stat", "-S", &name, "--json"]).output().unwrap().stdout;
+                serde_json::from_slice(&shown).is_ok_and(|shown: Value| shown["tcp"]["connected"] == true)
+            });
+            (name, station)
+        };
+        let (arm, _arm) = station(&first, "rt0", 1);
+        let (leg, _leg) = station(&second, "rt1", 2);
+        let mailbox = |station: &str, system: u8| {
+            let component = Component::named(station).unwrap();
+            component.mailbox(MailboxName::new(system, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap()
+        };
+        let (mut arm, mut leg) = (mailbox(&arm, 1), mailbox(&leg, 2));
+        asks(&mut arm, &mut leg);
+        asks(&mut leg, &mut arm);
+    });
 }
 
 #[test]
@@ -160,8 +208,7 @@ fn a_link_to_the_router_itself_by_a_name_is_refused() {
     let router = Router::start("itself", &[file.to_str().unwrap(), "--listen", &at]);
     wait_until("it is refused", || {
         let closed = router.status()["closed"].clone();
-        let why =
-            |of: &serde_json::Value| of["why"].as_str().unwrap().contains("takes no link of this system");
+        let why = |of: &Value| of["why"].as_str().unwrap().contains("takes no link of this system");
         closed.as_array().unwrap().iter().any(why)
     });
     assert_eq!(router.status()["links"][0]["open"], false);

@@ -4,12 +4,13 @@ use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::net::TcpStream;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::Duration;
 
 use nix::sched::{CloneFlags, setns};
-use package_router::component::{Component, Mailbox, SendError, Times};
+use nix::sys::signal::{Signal, kill};
+use package_router::component::{Component, Mailbox, SendError, Sender, Times};
 use package_router::mailbox::Shape;
 use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
@@ -18,10 +19,12 @@ use package_router::wire::OK;
 use super::languages::{Program, in_c, in_python};
 use super::{AtEnd, forget};
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::network;
+use crate::host::{network, stop};
 use crate::rtnet;
+use crate::station::PATIENCE;
 
 const ASK: i8 = 21;
+const DATA: i8 = -6;
 /// The router's addresses: for hosts in the clear, and for stations by TLS, as their lab's file says.
 const ROUTER: &str = "10.1.0.4:2000";
 const BY_TLS: &str = "10.1.0.4:2001";
@@ -29,6 +32,18 @@ const BY_TLS: &str = "10.1.0.4:2001";
 /// The last is of another system.
 const NAMES: [MailboxName; 6] =
     [name(1), name(2), name(3), name(4), name(5), MailboxName::new(1, Class(0x80), 6, 0)];
+
+/// So far is the clock of the leg's host ahead, as the lab's file says.
+const AHEAD: Duration = Duration::from_secs(100);
+
+/// A component's news.
+#[derive(Default)]
+struct Met {
+    /// All others have answered.
+    all: AtomicBool,
+    /// The global time at which a package of a host was delivered, in ns.
+    delivered: AtomicU64,
+}
 
 const fn name(instance: u8) -> MailboxName {
     MailboxName::new(0, Class(0x80), instance, 0)
@@ -41,9 +56,9 @@ fn start(cell: &Cell, station: &str, words: &[&str]) -> Program {
     Program::start(&mut command)
 }
 
-/// Asks all others until each has answered, and answers them until it is over. Packages of hosts that come to a station have the station's
-/// time.
-fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, is_over: &AtomicBool) {
+/// Asks all others until each has answered, and answers them until it is over. Packages of hosts that come to a station have the global
+/// time of their delivery, the last of which is kept.
+fn meets((times, mailbox): &mut (Option<Times>, Mailbox), met: &Met, is_over: &AtomicBool) {
     let mut left: BTreeSet<_> = NAMES.into_iter().filter(|name| *name != mailbox.name()).collect();
     let mut senders: Vec<_> = left.iter().map(|name| mailbox.sender(*name).unwrap()).collect();
     while !is_over.load(Ordering::Relaxed) {
@@ -59,7 +74,8 @@ fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, 
             if let Some(times) = times.as_ref().filter(|_| NAMES[3..].contains(&head.from)) {
                 let journey = times.journey(&package);
                 assert!(journey.is_from_elsewhere && journey.sent.is_none());
-                assert!(journey.delivered.is_some() && journey.delivered <= journey.received);
+                assert!(journey.delivered <= journey.received);
+                met.delivered.store(journey.delivered.unwrap().nanos(), Ordering::Relaxed);
             }
             if let Some(times) = times.as_ref().filter(|_| NAMES[..3].contains(&head.from)) {
                 assert!(times.journey(&package).came.is_some(), "from a station it comes by the LAN");
@@ -74,7 +90,7 @@ fn meets((times, mailbox): &mut (Option<Times>, Mailbox), has_met: &AtomicBool, 
                 OK => _ = left.remove(&head.from),
                 _ => {}
             }
-            has_met.store(left.is_empty(), Ordering::Relaxed);
+            met.all.store(left.is_empty(), Ordering::Relaxed);
         }
     }
 }
@@ -161,17 +177,25 @@ fn components_of_stations_and_hosts_meet_by_name() {
         let mut in_rust = [first, second, of_host.join().unwrap()];
 
         let is_over = AtomicBool::new(false);
-        let has_met = [const { AtomicBool::new(false) }; 3];
+        let met: [Met; 3] = Default::default();
         thread::scope(|scope| {
             let _ends = AtEnd(&is_over);
-            for (mailbox, has_met) in in_rust.iter_mut().zip(&has_met) {
+            for (mailbox, met) in in_rust.iter_mut().zip(&met) {
                 let is_over = &is_over;
-                scope.spawn(move || meets(mailbox, has_met, is_over));
+                scope.spawn(move || meets(mailbox, met, is_over));
             }
             programs.iter_mut().for_each(|program| assert_eq!(program.line(), "met"));
-            wait_until("all have met", || has_met.iter().all(|met| met.load(Ordering::Relaxed)));
+            wait_until("all have met", || met.iter().all(|met| met.all.load(Ordering::Relaxed)));
+            // The clock of one of these stations is far ahead of the other's.
+            let [at_master, at_leg] = [0, 1].map(|station| met[station].delivered.load(Ordering::Relaxed));
+            let apart = Duration::from_nanos(at_master.abs_diff(at_leg));
+            assert!(
+                at_master > 0 && at_leg > 0 && apart < AHEAD / 2,
+                "global time is the same everywhere: {apart:?} apart"
+            );
             shows_ways(&cell);
             shows_losses(&cell);
+            stations_go_on_without(&router, &cell);
             is_over.store(true, Ordering::Relaxed);
         });
         drop((in_rust, programs, router));
@@ -179,6 +203,25 @@ fn components_of_stations_and_hosts_meet_by_name() {
         cell.down();
         forget(&name);
     });
+}
+
+/// Packages of stations pass on the LAN while the router hangs, and the queue to it is full.
+fn stations_go_on_without(router: &Program, cell: &Cell) {
+    stop(router.pid());
+    let [arm, leg] = [("arm", NAMES[1]), ("leg", NAMES[2])].map(|(station, name)| {
+        let beside = MailboxName::new(0, name.class(), name.instance(), 1);
+        Component::named(&cell.place(station)).unwrap().mailbox(beside, Shape::new(8, 64)).unwrap()
+    });
+    let [mut by_lan, mut by_tcp] = [arm.name(), NAMES[4]].map(|to| leg.sender(to).unwrap());
+    let is_full = |sender: &mut Sender| sender.send(DATA, &[0; 64]).is_err();
+    wait_until("the queue to the router is full", || (0..1_000).any(|_| is_full(&mut by_tcp)));
+    let mut arm = arm;
+    for number in 0..50u8 {
+        by_lan.send(DATA, &[number]).unwrap();
+        assert_eq!(arm.receive(Some(PATIENCE)).unwrap().body().to_vec(), [number]);
+    }
+    assert!((0..1_000).any(|_| is_full(&mut by_tcp)), "it is so still");
+    kill(router.pid(), Signal::SIGCONT).unwrap();
 }
 
 /// The station shows what the router did not pass on.

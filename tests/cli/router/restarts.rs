@@ -46,18 +46,20 @@ struct Calls {
     timed_out: u64,
     /// Refused at once: as many wait as may.
     full: u64,
+    /// The calls whose answers have come.
+    seen: BTreeSet<u64>,
 }
 
 impl Calls {
     fn check(&self) {
-        let Self { made, answered, not_available, timed_out, full } = self;
+        let Self { made, answered, not_available, timed_out, full, .. } = self;
         assert_eq!(*made, answered + not_available + timed_out + full, "each has one end");
     }
 }
 
 impl Display for Calls {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let Self { made, answered, not_available, timed_out, full } = self;
+        let Self { made, answered, not_available, timed_out, full, .. } = self;
         write!(
             f,
             "{made} calls: {answered} answered, {not_available} not available, {timed_out} timed out, {full} refused"
@@ -120,11 +122,15 @@ fn call(sender: &mut Sender, mailbox: &mut Mailbox, calls: &mut Calls) {
                 calls.not_available += 1;
                 return;
             }
-            OK if package.body().to_vec() == calls.made.to_le_bytes() => {
-                calls.answered += 1;
-                return;
+            OK => {
+                let number = u64::from_le_bytes(package.body().to_vec()[..].try_into().unwrap());
+                assert!(calls.seen.insert(number), "the answer to {number} came twice");
+                // Or it is the answer to an earlier call, which has been counted.
+                if number == calls.made {
+                    calls.answered += 1;
+                    return;
+                }
             }
-            // An answer to an earlier call, which has been counted.
             _ => {}
         }
     }

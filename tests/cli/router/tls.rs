@@ -1,9 +1,14 @@
 //! A router that is reached by TLS: clients with a certificate or the secret come in, and nobody else.
 
+use std::collections::VecDeque;
 use std::fs;
 use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 use std::time::Duration;
 
 use package_router::component::{Component, Mailbox};
@@ -13,7 +18,7 @@ use package_router::tcp::client::TcpOptions;
 use package_router::tcp::keys::{ClientKeys, SECRET_AT_LEAST};
 
 use super::languages::{Program, in_c};
-use super::{Router, not_started, package, refusal};
+use super::{AtEnd, Router, not_started, package, refusal};
 use crate::cell::{text, wait_until};
 use crate::rtnet;
 
@@ -54,10 +59,14 @@ fn name(instance: u8) -> MailboxName {
 
 /// A component on a host without a station, which may be let in or not.
 fn component(router: &Router, keys: &Path, instance: u8) -> (Component, Mailbox) {
+    component_at(router.at, keys, instance)
+}
+
+fn component_at(at: SocketAddr, keys: &Path, instance: u8) -> (Component, Mailbox) {
     let options = TcpOptions {
         keys: Some(ClientKeys::read(keys).unwrap()),
         largest_body: 200_000,
-        ..TcpOptions::new(router.at.to_string().parse().unwrap())
+        ..TcpOptions::new(at.to_string().parse().unwrap())
     };
     let component = Component::of_router(&options).unwrap();
     let mailbox = component.mailbox(name(instance), Shape::new(4, 200_000)).unwrap();
@@ -121,7 +130,7 @@ fn strangers_are_kept_out_and_named() {
         assert_eq!(router.status()["names"], 0, "{words}");
     };
 
-    // Garbage, and packages in the clear.
+    // Packages in the clear.
     let mut plain = router.connect();
     plain.write_all(&package(13, 0, 0, &0x0080_0100u32.to_le_bytes())).unwrap();
     let mut alert = Vec::new();
@@ -159,6 +168,85 @@ fn strangers_are_kept_out_and_named() {
     let endings = router.status()["endings"].clone();
     let count = |reason: &str| endings[reason].as_u64().unwrap();
     assert!(count("tls") >= 3 && count("stranger") >= 2, "{endings}");
+}
+
+/// Passes bytes on from a client to a router, and back. While `breaks` is set it changes one byte of those to the router, and clears it.
+fn passes_on(from: &TcpListener, to: SocketAddr, breaks: &Arc<AtomicBool>) {
+    for client in from.incoming() {
+        let (Ok(mut client), Ok(mut router)) = (client, TcpStream::connect(to)) else { return };
+        let (mut back_from, mut back_to) = (router.try_clone().unwrap(), client.try_clone().unwrap());
+        thread::spawn(move || std::io::copy(&mut back_from, &mut back_to));
+        let breaks = breaks.clone();
+        thread::spawn(move || {
+            let mut room = [0; 4096];
+            while let Ok(count @ 1..) = client.read(&mut room) {
+                // The last byte of a record is of what proves that nobody has changed it.
+                room[count - 1] ^= u8::from(breaks.swap(false, Ordering::Relaxed));
+                if router.write_all(&room[..count]).is_err() {
+                    break;
+                }
+            }
+            // Closed already where the router has ended it.
+            let _ = [&client, &router].map(|stream| stream.shutdown(Shutdown::Both));
+        });
+    }
+}
+
+#[test]
+fn garbage_ends_its_own_session_only_and_is_counted() {
+    let keys = Keys::new();
+    let router = keys.router("garbage");
+    let counted = || router.status()["endings"]["tls"].as_u64().unwrap();
+    let (well, _mailbox) = component(&router, &keys.of("client"), 1);
+    registered(&well);
+
+    // Before a session: no TLS; a head of it and other bytes behind; a record of the wrong type.
+    let all = [&[0xff; 600][..], &[&[0x16, 3, 1, 2, 0][..], &[0xa5; 512]].concat(), &[0x17, 3, 3, 0, 1, 7]];
+    for (number, garbage) in all.into_iter().enumerate() {
+        let mut stranger = router.connect();
+        stranger.write_all(garbage).unwrap();
+        // It may be reset before it is read.
+        let _ = stranger.read_to_end(&mut Vec::new());
+        wait_until("it is counted", || counted() == number as u64 + 1);
+    }
+
+    // In the middle of a session, whose client comes again.
+    let (listener, breaks) = (TcpListener::bind("127.0.0.1:0").unwrap(), Arc::new(AtomicBool::new(false)));
+    let (at, to, set) = (listener.local_addr().unwrap(), router.at, breaks.clone());
+    thread::spawn(move || passes_on(&listener, to, &set));
+    let (broken, mailbox) = component_at(at, &keys.of("client"), 2);
+    registered(&broken);
+    breaks.store(true, Ordering::Relaxed);
+    // Its answer to the next question, at the latest, is the record that is changed.
+    mailbox.sender(name(9)).unwrap().send(-6, b"to nobody").unwrap();
+    wait_until("it is counted", || counted() == 4);
+    wait_until("it is back", || broken.tcp().unwrap().status().connections == 2);
+    registered(&broken);
+    assert_eq!(well.tcp().unwrap().status().connections, 1, "the others go on");
+}
+
+#[test]
+fn strangers_who_crowd_keep_no_client_out() {
+    let keys = Keys::new();
+    let router = keys.router("crowded");
+    let (at, is_over) = (router.at, AtomicBool::new(false));
+    thread::scope(|scope| {
+        let _ends = AtEnd(&is_over);
+        // They say nothing; each makes room for the next, and the router closes it.
+        scope.spawn(|| {
+            let mut open = VecDeque::new();
+            while !is_over.load(Ordering::Relaxed) {
+                open.extend(TcpStream::connect(at).ok());
+                if open.len() > 500 {
+                    open.pop_front();
+                }
+            }
+        });
+        wait_until("they crowd", || router.status()["endings"]["crowded"].as_u64() > Some(0));
+        let (client, _mailbox) = component(&router, &keys.of("client"), 1);
+        registered(&client);
+        assert_eq!(router.status()["names"], 1);
+    });
 }
 
 #[test]

@@ -10,7 +10,7 @@ use rtnet::time::{GlobalTime, Span};
 use serde_json::Value;
 
 use crate::cell::{Cell, text};
-use crate::host::{figure, network, skip};
+use crate::host::{figure, shared, skip};
 use crate::packages::{PATIENCE, ROUTES, component, lab_of, name};
 use crate::rtnet;
 
@@ -40,7 +40,7 @@ fn journeys(cell: &Cell) -> Vec<(usize, Journey)> {
 
 #[test]
 fn a_package_from_another_station_tells_how_old_it_is_and_where_the_time_went() {
-    network("a_package_from_another_station_tells_how_old_it_is_and_where_the_time_went", || {
+    shared("a_package_from_another_station_tells_how_old_it_is_and_where_the_time_went", || {
         let cell = lab_of("ages", ROUTES, "");
         let all = journeys(&cell);
         let mut ages = Vec::new();
@@ -75,7 +75,7 @@ fn a_package_from_another_station_tells_how_old_it_is_and_where_the_time_went() 
 
 #[test]
 fn stations_that_are_not_to_say_so_send_packages_of_unknown_age() {
-    network("stations_that_are_not_to_say_so_send_packages_of_unknown_age", || {
+    shared("stations_that_are_not_to_say_so_send_packages_of_unknown_age", || {
         let cell = lab_of("ageless", ROUTES, "package_times = false\n");
         for (_, journey) in journeys(&cell) {
             assert_eq!((journey.age(), journey.sent, journey.left), (None, None, None));
@@ -87,7 +87,7 @@ fn stations_that_are_not_to_say_so_send_packages_of_unknown_age() {
 
 #[test]
 fn a_package_that_never_left_its_station_was_in_its_mailbox_all_the_time() {
-    network("a_package_that_never_left_its_station_was_in_its_mailbox_all_the_time", || {
+    shared("a_package_that_never_left_its_station_was_in_its_mailbox_all_the_time", || {
         let cell = lab_of("stays", ROUTES, "");
         let arm = Component::named(&cell.place("arm")).unwrap();
         let (times, mut camera) = (arm.times(), arm.mailbox(name("0.Camera.0"), Shape::new(4, 8)).unwrap());
@@ -109,7 +109,7 @@ fn a_package_that_never_left_its_station_was_in_its_mailbox_all_the_time() {
 #[test]
 fn tshark_takes_packages_with_times_for_sound_datagrams() {
     let test = "tshark_takes_packages_with_times_for_sound_datagrams";
-    network(test, || {
+    shared(test, || {
         if Command::new("tshark").arg("--version").output().is_err() {
             return skip(test, "tshark is not installed");
         }

@@ -15,7 +15,7 @@ use tools::observe::watch::{Watch, When};
 use tools::report::histogram::SignedHistogram;
 
 use crate::cell::status;
-use crate::host::{is_sound, network, skip, unique};
+use crate::host::{is_sound, network, shared, skip, unique};
 use crate::{rtnet, schema};
 
 /// A lab that goes when the test is done with it.
@@ -80,7 +80,7 @@ fn text(bytes: &[u8]) -> String {
 #[test]
 fn observers_tell_of_a_lab_what_it_does_and_send_nothing() {
     let test = "observers_tell_of_a_lab_what_it_does_and_send_nothing";
-    network(test, || {
+    shared(test, || {
         let lab = Lab::up("observed", "3");
         let dir = tempfile::tempdir().unwrap();
         let (pcap, report) = (dir.path().join("frames.pcapng"), dir.path().join("jitter.json"));
@@ -157,7 +157,7 @@ fn decoded_by_tshark(test: &str, pcap: &Path) {
 #[test]
 fn ctrl_c_ends_a_dump_with_a_complete_file() {
     let test = "ctrl_c_ends_a_dump_with_a_complete_file";
-    network(test, || {
+    shared(test, || {
         let lab = Lab::up("interrupted", "2");
         let dir = tempfile::tempdir().unwrap();
         let pcap = dir.path().join("frames.pcapng");
@@ -198,7 +198,7 @@ fn what_cannot_be_listened_to_is_named_with_a_remedy() {
 #[test]
 fn an_interface_without_a_master_is_told_to_be_silent() {
     use tools::lab::namespace::{Namespace, Segment};
-    network("an_interface_without_a_master_is_told_to_be_silent", || {
+    shared("an_interface_without_a_master_is_told_to_be_silent", || {
         let (namespace, mut segment) = (Namespace::new().unwrap(), Segment::new().unwrap());
         segment.attach(&namespace, "port0", "rt0", [2, 0, 0, 0, 0, 1]).unwrap();
         let mut command = rtnet();

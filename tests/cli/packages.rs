@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use crate::ages::assert_tells_its_age;
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{figure, network};
+use crate::host::{figure, network, shared};
 use crate::{rtnet, schema};
 
 const LAB: &str = include_str!("packages.toml");
@@ -80,7 +80,7 @@ fn ask(cell: &Cell, station: &str, words: &[&str]) -> Value {
 
 #[test]
 fn components_of_three_stations_exchange_packages_by_name_and_one_moves_by_its_route() {
-    network("components_of_three_stations_exchange_packages_by_name_and_one_moves_by_its_route", || {
+    shared("components_of_three_stations_exchange_packages_by_name_and_one_moves_by_its_route", || {
         let cell = lab("exchange", ROUTES);
         let mut all = [("master", "0.Pilot.0"), ("arm", "0.Camera.0"), ("leg", "0.Joystick.0")]
             .map(|(station, mailbox)| component(&cell, station, mailbox));
@@ -121,7 +121,7 @@ fn components_of_three_stations_exchange_packages_by_name_and_one_moves_by_its_r
 /// The network's slots take one frame of each station in a cycle: what waits for them at the sender is sorted by who sends.
 #[test]
 fn an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station() {
-    network("an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station", || {
+    shared("an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station", || {
         let cell = lab("overtakes", ROUTES);
         let mut pilot = component(&cell, "master", "0.Pilot.0");
         let slow = component(&cell, "arm", "0.0xe0.0");
@@ -154,7 +154,7 @@ fn an_urgent_package_overtakes_a_backlog_on_its_way_to_another_station() {
 
 #[test]
 fn what_people_see_of_mailboxes_is_what_components_do() {
-    network("what_people_see_of_mailboxes_is_what_components_do", || {
+    shared("what_people_see_of_mailboxes_is_what_components_do", || {
         let cell = lab("seen", ROUTES);
         let place = |station: &str| cell.place(station);
         assert_eq!(ask(&cell, "arm", &["mailbox", "list"]), Value::Array(Vec::new()));
@@ -242,7 +242,7 @@ fn what_people_see_of_mailboxes_is_what_components_do() {
 
 #[test]
 fn a_lab_without_packages_says_how_to_have_some() {
-    network("a_lab_without_packages_says_how_to_have_some", || {
+    shared("a_lab_without_packages_says_how_to_have_some", || {
         let cell = Cell::up("no-packages");
         let output = rtnet().args(["mailbox", "-S", &cell.place("slave1"), "list"]).output().unwrap();
         assert_eq!(output.status.code(), Some(2));
@@ -257,7 +257,7 @@ fn a_lab_without_packages_says_how_to_have_some() {
 
 #[test]
 fn who_asks_a_mailbox_that_is_not_there_is_told_so_by_its_station_and_all_that_a_station_ends() {
-    network(
+    shared(
         "who_asks_a_mailbox_that_is_not_there_is_told_so_by_its_station_and_all_that_a_station_ends",
         || {
             let cell = lab("not-there", ROUTES);

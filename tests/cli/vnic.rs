@@ -22,8 +22,10 @@ use crate::cell::{Cell, text, wait_until};
 use crate::host::skip;
 use crate::rtnet;
 
-/// Four stations with a slot 1 for the tunnel in each cycle of two milliseconds.
+/// Four stations with a slot 1 for the tunnel in each cycle.
 const TUNNEL: &str = include_str!("vnic/tunnel.toml");
+/// Its cycles.
+const CYCLES_A_SECOND: u64 = 250;
 /// What goes through the devices of a lab: Ethernet frames, or packets of IP.
 const MODES: [&str; 2] = ["tap", "tun"];
 /// The largest inner payload.
@@ -42,7 +44,14 @@ fn lab(what: &str, file: &str, mode: &str) -> Cell {
     Cell::with(&format!("{what}-{mode}"), |_| file)
 }
 
-/// A network whose tunnels are tried by ping, as nearly all of these are.
+/// A network whose tunnels are tried by ping, as nearly all of these are: its slots are as far apart as on a shared core.
+fn shared(test: &str, body: impl Fn()) {
+    if are_there(test, &[("ping", "iputils-ping")]) {
+        crate::host::shared(test, body);
+    }
+}
+
+/// The same where they are nearer.
 fn network(test: &str, body: impl Fn()) {
     if are_there(test, &[("ping", "iputils-ping")]) {
         crate::host::network(test, body);

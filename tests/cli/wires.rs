@@ -8,7 +8,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 use tools::lab::netlink::Netlink;
 
-use crate::host::{is_sound, network};
+use crate::host::{is_sound, network, shared};
 use crate::lab::{eventually, is_there, running};
 use crate::rtnet;
 
@@ -131,7 +131,7 @@ fn a_sync_that_is_changed_on_its_way_silences_nobody_without_a_cause() {
 #[test]
 fn a_station_whose_interface_went_while_it_was_dead_comes_back_to_its_wire_as_it_is_by_then() {
     let name = "a_station_whose_interface_went_while_it_was_dead_comes_back_to_its_wire_as_it_is_by_then";
-    network(name, || {
+    shared(name, || {
         let mut run = Run::of(LOSSY_AND_UNPLUGGED);
         let is_slave2 = |pid: &i32| {
             let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap();

@@ -26,8 +26,9 @@ use serde_json::Value;
 
 /// The shares of this host's cores that no network has.
 static CORES: Cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
-/// Networks that share a core: at a cycle of 4 ms each takes some 6 % of it, half a millisecond of guard band is room for the
-/// turns of the others, and no kernel stops real-time threads that take less than 80 % of a core together.
+/// Networks that share a core: of three stations in a cycle of 2 ms, or four in 4 ms, each takes some tenth of it, half a millisecond
+/// of guard band is room for the turns of the others, and no kernel stops real-time threads that take less than 80 % of a core
+/// together.
 const SHARES: usize = 4;
 /// A network that fails while its host stood still for so long, several cycles, says nothing of the network: not even what
 /// is most urgent on a core ran meanwhile. What fails by its own doing fails again.
@@ -85,7 +86,7 @@ pub fn network(test: &str, body: impl Fn()) {
     on_cores(test, Need::Core, body);
 }
 
-/// The same on a core with other networks like it: for slots that are half a millisecond apart, in cycles of 4 ms and more.
+/// The same on a core with other networks like it: for slots that are about half a millisecond apart, in cycles of 2 ms and more.
 pub fn shared(test: &str, body: impl Fn()) {
     on_cores(test, Need::Share, body);
 }

@@ -38,7 +38,7 @@ fn serves(mut mailbox: Mailbox) -> JoinHandle<()> {
 
 #[test]
 fn a_server_of_another_station_answers_calls_and_whatever_goes_wrong_says_what() {
-    network("a_server_of_another_station_answers_calls_and_whatever_goes_wrong_says_what", || {
+    shared("a_server_of_another_station_answers_calls_and_whatever_goes_wrong_says_what", || {
         let cell = lab("calls", ROUTES);
         let server = serves(component(&cell, "arm", SERVER));
         let pilot = Component::named(&cell.place("master")).unwrap();

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tools::lab::namespace::{Namespace, Segment};
 
-use super::{are_there, network, refused, status_of, vnic_of};
+use super::{are_there, refused, shared, status_of, vnic_of};
 use crate::cell::{json, text, wait_until};
 use crate::host::unique;
 use crate::rtnet;
@@ -23,7 +23,7 @@ fn started_by(script: &str, medium: &Medium, name: &str) -> Station {
 #[test]
 fn without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on() {
     let test = "without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on";
-    network(test, || {
+    shared(test, || {
         if !are_there(test, &[("unshare", "util-linux"), ("setpriv", "util-linux")]) {
             return;
         }
@@ -59,7 +59,7 @@ fn without_a_device_or_the_right_to_it_one_line_says_so_and_the_station_runs_on(
 
 #[test]
 fn a_station_that_was_not_to_have_one_says_what_to_start_it_with() {
-    network("a_station_that_was_not_to_have_one_says_what_to_start_it_with", || {
+    shared("a_station_that_was_not_to_have_one_says_what_to_start_it_with", || {
         let (medium, name) = (Medium::new(), unique("plain"));
         let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name];
         let _station = started(&medium.a, &options);
@@ -80,7 +80,7 @@ fn ticks_of(station: &Station) -> [u64; 2] {
 
 #[test]
 fn a_station_without_a_master_sleeps_though_linux_has_something_to_send() {
-    network("a_station_without_a_master_sleeps_though_linux_has_something_to_send", || {
+    shared("a_station_without_a_master_sleeps_though_linux_has_something_to_send", || {
         for more in [&["--ip", "10.0.0.2/24"][..], &[]] {
             let (medium, name) = (Medium::new(), unique("alone"));
             let role =
@@ -108,7 +108,7 @@ fn started(namespace: &Namespace, options: &[&str]) -> Station {
 
 #[test]
 fn two_stations_of_one_namespace_have_a_device_each() {
-    network("two_stations_of_one_namespace_have_a_device_each", || {
+    shared("two_stations_of_one_namespace_have_a_device_each", || {
         let (host, other) = (Namespace::new().unwrap(), Namespace::new().unwrap());
         let mut segment = Segment::new().unwrap();
         segment.attach(&host, "port0", "rt0", [2, 0, 0, 0, 0, 0xa]).unwrap();
@@ -140,7 +140,7 @@ fn two_stations_of_one_namespace_have_a_device_each() {
 
 #[test]
 fn a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools() {
-    network("a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools", || {
+    shared("a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools", || {
         let (medium, name) = (Medium::new(), unique("counts"));
         for with_ip in [&[][..], &["--ip", "10.0.0.1/24"]] {
             let options = ["--interface", "rt0", "--master", "--cycle", "5ms", "--slot", "0=1ms"];
@@ -179,7 +179,7 @@ fn a_station_with_a_vnic_and_no_sockets_shows_what_it_counts_and_its_pools() {
 
 #[test]
 fn a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line() {
-    network("a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line", || {
+    shared("a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line", || {
         let (mut medium, name) = (Medium::new(), unique("gone"));
         let options = ["--interface", "rt0", "--discipline", "nomac", "--name", &name];
         let mut station = started(&medium.a, &[&options[..], &["--vnic", "10.1.0.1/24"]].concat());
@@ -194,7 +194,7 @@ fn a_station_with_a_vnic_whose_interface_is_gone_ends_with_a_clear_line() {
 #[test]
 fn packets_and_frames_find_each_other_by_arp() {
     // No ping is needed: sockets of this process do.
-    crate::host::network("packets_and_frames_find_each_other_by_arp", || {
+    crate::host::shared("packets_and_frames_find_each_other_by_arp", || {
         let medium = Medium::new();
         let names = ["tap", "tun"].map(|mode| unique(&format!("arp-{mode}")));
         let common = ["--interface", "rt0", "--discipline", "nomac", "--vnic-name", "vnic0"];

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use rtnet::wire::ethernet::EtherType;
 use tools::lab::namespace::Namespace;
 
-use super::{are_there, done, network, status_of};
+use super::{are_there, done, shared, status_of};
 use crate::cell::wait_until;
 use crate::host::unique;
 use crate::observe::each_frame;
@@ -113,7 +113,7 @@ impl Behind {
 #[test]
 fn a_host_behind_a_vnic_that_forwards_keeps_its_source_and_is_reached() {
     let test = "a_host_behind_a_vnic_that_forwards_keeps_its_source_and_is_reached";
-    network(test, || {
+    shared(test, || {
         if !are_there(test, &[("ip", "iproute2")]) {
             return;
         }
@@ -128,7 +128,7 @@ fn a_host_behind_a_vnic_that_forwards_keeps_its_source_and_is_reached() {
 #[test]
 fn a_host_behind_a_vnic_that_does_not_forward_loses_its_source_as_with_rtnet() {
     let test = "a_host_behind_a_vnic_that_does_not_forward_loses_its_source_as_with_rtnet";
-    network(test, || {
+    shared(test, || {
         if !are_there(test, &[("ip", "iproute2")]) {
             return;
         }

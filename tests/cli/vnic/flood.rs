@@ -13,7 +13,10 @@ use rtnet::live::interface::Interface;
 use serde_json::Value;
 use tools::lab::enter::enter;
 
-use super::{EVERY, MODES, Running, TUNNEL, alone, assert_answers, done, lab, program, said, status, vnic};
+use super::{
+    CYCLES_A_SECOND, EVERY, MODES, Running, TUNNEL, alone, assert_answers, done, lab, program, said, status,
+    vnic,
+};
 use crate::bare::Bare;
 use crate::cell::{Cell, STATIONS, wait_until};
 use crate::host::figure;
@@ -26,7 +29,7 @@ const FLOOD: &str = "\
 const PORT: u16 = 9;
 /// A socket waits while so much of its own is in the queue as it may have there: only several are more than that takes.
 const SOCKETS: usize = 3;
-const SECONDS: u64 = 3;
+const SECONDS: u64 = 2;
 /// Those of four stations in each cycle.
 const SLOTS: u64 = 8;
 /// What stations refuse of their own calibration, which they do anew after a host that stood still.
@@ -122,7 +125,7 @@ impl Told {
 /// Waits for as many cycles as a flood lasts.
 fn for_a_while(cell: &Cell) {
     let cycles = || cell.status()["cycles"].as_u64().unwrap();
-    let until = cycles() + SECONDS * 500;
+    let until = cycles() + SECONDS * CYCLES_A_SECOND;
     wait_until("it goes on", || cycles() >= until);
 }
 
@@ -165,13 +168,13 @@ fn linux_floods_the_tunnel_and_real_time_loses_nothing() {
             let shown = status(&cell, "slave3");
             let lost = shown["lost"]["device_down"].as_u64().unwrap_or(0);
             assert!(
-                turns[0] >= SECONDS * 500 && lost >= took,
+                turns[0] >= SECONDS * CYCLES_A_SECOND && lost >= took,
                 "what a device that is down gets is counted: {shown:#}"
             );
             assert!(dropped > 0 && wanted > took, "a flood: {wanted} frames, {dropped} dropped, {took} came");
             // Its tunnel goes on: Linux drops what finds no room where nobody reads.
             let (came, full) = (received("master") - unread, dropped_by_socket(&cell, "master"));
-            assert!(turns[1] >= SECONDS * 500 && full > 0, "{came} came, {full} found no room");
+            assert!(turns[1] >= SECONDS * CYCLES_A_SECOND && full > 0, "{came} came, {full} found no room");
             drop(unread_sockets);
             // It comes up again, and all is as before.
             done(vnic(&cell, "slave3", &["up"]));

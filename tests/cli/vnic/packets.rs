@@ -1,6 +1,6 @@
 //! Single packets: the largest that goes through, and who is found by IPv6.
 
-use super::{MODES, MTU, TUNNEL, assert_answers, lab, network, program, said};
+use super::{MODES, MTU, TUNNEL, assert_answers, lab, program, said, shared};
 use crate::cell::text;
 
 /// Headers of an echo: of IPv4 or IPv6, and of its own.
@@ -9,7 +9,7 @@ const HEAD_OF_IPV6: usize = 48;
 
 #[test]
 fn an_unfragmented_ping_of_the_mtu_passes_and_one_byte_more_is_refused_by_linux() {
-    network("an_unfragmented_ping_of_the_mtu_passes_and_one_byte_more_is_refused_by_linux", || {
+    shared("an_unfragmented_ping_of_the_mtu_passes_and_one_byte_more_is_refused_by_linux", || {
         for mode in MODES {
             let cell = lab("df", TUNNEL, mode);
             for (to, head) in [("10.1.0.1", HEAD), ("fd00::1", HEAD_OF_IPV6)] {
@@ -31,7 +31,7 @@ fn an_unfragmented_ping_of_the_mtu_passes_and_one_byte_more_is_refused_by_linux(
 
 #[test]
 fn stations_find_each_other_by_ipv6() {
-    network("stations_find_each_other_by_ipv6", || {
+    shared("stations_find_each_other_by_ipv6", || {
         for mode in MODES {
             let cell = lab("ipv6", TUNNEL, mode);
             for (to, address) in [("fd00::1", "02:00:00:00:00:01"), ("fd00::4", "02:00:00:00:00:04")] {

@@ -7,7 +7,7 @@ use rtnet::live::interface::Interface;
 use rtnet::wire::ethernet::EtherType;
 use tools::lab::namespace::{Namespace, Segment};
 
-use super::{EVERY, network};
+use super::{EVERY, shared};
 use crate::bare::Bare;
 use crate::captures;
 use crate::host::{figure, unique};
@@ -117,7 +117,7 @@ fn next(socket: &Bare, what: &str, is_it: impl Fn(&[u8]) -> bool) -> Vec<u8> {
 #[test]
 fn what_real_stations_tunnelled_is_read_at_the_device_and_linux_answers_as_they_did() {
     let test = "what_real_stations_tunnelled_is_read_at_the_device_and_linux_answers_as_they_did";
-    network(test, || {
+    shared(test, || {
         let mut frames = captures::read("rtnet-real.pcap");
         frames.retain(|frame| is_tunnelled(&frame.bytes));
         // Each of the two stations is ours once.
@@ -143,7 +143,7 @@ fn what_real_stations_tunnelled_is_read_at_the_device_and_linux_answers_as_they_
 #[test]
 fn the_example_frames_are_read_at_the_device_and_linux_answers_them() {
     let test = "the_example_frames_are_read_at_the_device_and_linux_answers_them";
-    network(test, || {
+    shared(test, || {
         let between = Between::start("vectors", ASKED, ASKER);
         let [ping, arp] = [7, 8].map(|number| vector(number).bytes);
         // Who answers is the sender then, and who asked the target.

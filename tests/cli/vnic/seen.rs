@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use super::{MODES, TUNNEL, are_there, assert_answers, done, lab, network, said};
+use super::{MODES, TUNNEL, are_there, assert_answers, done, lab, said, shared};
 use crate::cell::text;
 use crate::host::figure;
 use crate::rtnet;
@@ -12,7 +12,7 @@ const PINGS: usize = 5;
 #[test]
 fn tshark_decodes_tunnelled_frames_with_the_packet_inside() {
     let test = "tshark_decodes_tunnelled_frames_with_the_packet_inside";
-    network(test, || {
+    shared(test, || {
         if !are_there(test, &[("tshark", "tshark")]) {
             return;
         }
@@ -21,7 +21,7 @@ fn tshark_decodes_tunnelled_frames_with_the_packet_inside() {
             let pcap = dir.path().join("frames.pcapng");
             assert_answers(&cell, "slave1", "10.1.0.1");
             let mut dump = rtnet();
-            dump.args(["dump", "--lab", &cell.name, "--duration", "3s", "--write"]).arg(&pcap);
+            dump.args(["dump", "--lab", &cell.name, "--duration", "2s", "--write"]).arg(&pcap);
             std::thread::scope(|scope| {
                 let dump = scope.spawn(move || dump.output().unwrap());
                 while !dump.is_finished() {

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use super::{
-    MODES, MTU, PATIENCE, Running, TUNNEL, alone, are_there, assert_answers, bytes, lab, network, program,
-    said,
+    CYCLES_A_SECOND, MODES, MTU, PATIENCE, Running, TUNNEL, alone, are_there, assert_answers, bytes, lab,
+    network, program, said, shared,
 };
 use crate::cell::{Cell, text};
 use crate::host::{figure, skip};
@@ -62,8 +62,8 @@ fn iperf3_fills_the_slots_and_loses_nothing_below_them() {
         for mode in MODES {
             let cell = lab("iperf", TUNNEL, mode);
             assert_answers(&cell, "slave1", MASTER);
-            // A frame leaves in each cycle of two milliseconds.
-            let allowed = |head| (MTU - head) as f64 * 8.0 * 500.0;
+            // A frame leaves in each cycle.
+            let allowed = |head| (MTU - head) as f64 * 8.0 * CYCLES_A_SECOND as f64;
             let mut tries = Vec::new();
             while tries.last().is_none_or(|&(goodput, carried)| goodput * 2.0 < carried) {
                 assert!(tries.len() < TRIES, "less than half of what slots carried, each time: {tries:?}");
@@ -94,7 +94,7 @@ fn iperf3_fills_the_slots_and_loses_nothing_below_them() {
 #[test]
 fn nc_copies_every_byte() {
     let test = "nc_copies_every_byte";
-    network(test, || {
+    shared(test, || {
         let help = Command::new("nc").arg("-h").output();
         if !help.is_ok_and(|help| (text(&help.stdout) + &text(&help.stderr)).contains("OpenBSD")) {
             return skip(test, "no nc of OpenBSD: apt-get install netcat-openbsd");

@@ -100,8 +100,8 @@ def is_met(value, aim):
 
 
 def judged(name, value, aim, least, most, places=3, interval=None):
-    """`met` or `MISSED`, which scripts/bench is told of, too; `-` where nothing is aimed at. A figure that lies between two
-    others by all that is known is `inconclusive` where only one of them meets the aim."""
+    """`met` or `MISSED`, also for scripts/bench; `-` if there is no aim. With an interval in which the figure lies: `inconclusive` if only
+    one of its ends meets the aim."""
     if not aim:
         return "-"
     met = {is_met(bound, aim) for bound in interval or [value]}

@@ -10,7 +10,7 @@ PACKAGES_PORT = 8192
 RTMAC_ETHERTYPE, IPV4_ETHERTYPE = b"\x90\x21", b"\x08\x00"
 # RTmac's head, then TDMA's version and its number of a synchronisation.
 SYNC = bytes.fromhex("0001 02 00 0201 0000".replace(" ", ""))
-# The clocks of a lab, and the stamps of its capture, are less apart.
+# The clocks of a lab, and the stamps of its capture, differ by less than this.
 EARLY_NS = 20_000
 
 

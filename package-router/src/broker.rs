@@ -144,8 +144,7 @@ impl Broker {
             }
         }
         for (seat, is_ready) in seats.into_iter().zip(of_seats) {
-            let is_held = !self.is_open && seat.pid != std::process::id();
-            if !is_ready || is_held || self.answer(&seat) {
+            if !is_ready || self.is_held(&seat) || self.answer(&seat) {
                 self.seats.push(seat);
             } else {
                 self.left(seat);
@@ -166,13 +165,19 @@ impl Broker {
     }
 
     fn wait(&self, at_most: Duration) -> Vec<bool> {
-        let seats = self.seats.iter().map(|seat| seat.socket.as_fd());
-        let fds = seats.chain(self.lingering.iter().map(|gone| gone.process.as_fd()));
-        let listener = (!self.is_full).then_some(self.listener.as_fd());
-        let mut fds: Vec<_> = fds.chain(listener).map(|fd| PollFd::new(fd, PollFlags::POLLIN)).collect();
+        let asks = |seat| if self.is_held(seat) { PollFlags::empty() } else { PollFlags::POLLIN };
+        let seats = self.seats.iter().map(|seat| PollFd::new(seat.socket.as_fd(), asks(seat)));
+        let others = self.lingering.iter().map(|gone| gone.process.as_fd());
+        let others = others.chain((!self.is_full).then_some(self.listener.as_fd()));
+        let mut fds: Vec<_> = seats.chain(others.map(|fd| PollFd::new(fd, PollFlags::POLLIN))).collect();
         // Interrupted, or nothing came: nobody is ready.
         let _ = poll(&mut fds, PollTimeout::try_from(at_most).unwrap_or(PollTimeout::MAX));
         fds.iter().map(|fd| fd.revents().is_some_and(|events| !events.is_empty())).collect()
+    }
+
+    /// Whether a component waits until the TCP client of this process is there.
+    fn is_held(&self, seat: &Seat) -> bool {
+        !self.is_open && seat.pid != std::process::id()
     }
 
     fn admit(&mut self) {
@@ -263,7 +268,6 @@ impl Broker {
         // A process that has come again may have its own names again.
         let is_former = |id| self.lingering.iter().any(|gone| gone.id == id && gone.pid == by.pid);
         let is_tcp = self.has_tcp && name == MailboxName::NOBODY && by.pid == std::process::id();
-        self.is_open |= is_tcp;
         let created = match is_tcp {
             true => self.registry.create_tcp(by.id, shape),
             false => self.registry.create_beside(by.id, is_former, name, shape),
@@ -281,6 +285,7 @@ impl Broker {
         match made {
             Ok((memory, of_router)) => {
                 self.memories[place] = Some(memory);
+                self.is_open |= is_tcp;
                 self.show(place);
                 self.board.moved();
                 self.tell_tcp();

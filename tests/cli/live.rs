@@ -381,11 +381,10 @@ fn a_lab_that_was_killed_leaves_its_name_to_the_next() {
         let keeper = nix::unistd::Pid::from_raw(pid(&status) as i32);
         nix::sys::signal::kill(keeper, nix::sys::signal::Signal::SIGKILL).unwrap();
         let stations = status["stations"].as_array().unwrap();
-        // Of each of its threads: the last one gives back the name.
-        let gone = |of: &Value| {
-            let threads =
-                std::fs::read_dir(format!("/proc/{}/task", pid(of))).into_iter().flatten().flatten();
-            threads.into_iter().all(|thread| !thread.path().join("ns/net").exists())
+        // The last of its threads gives back the name.
+        let gone = |of: &Value| match std::fs::read_dir(format!("/proc/{}/task", pid(of))) {
+            Ok(threads) => threads.flatten().all(|thread| !thread.path().join("ns/net").exists()),
+            Err(error) => error.kind() == std::io::ErrorKind::NotFound,
         };
         wait_until("it is gone, and its stations with it", || gone(&status) && stations.iter().all(gone));
         let refused = refusal(&rtnet().args(["lab", "status", &cell.name]).output().unwrap());

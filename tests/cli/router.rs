@@ -217,6 +217,16 @@ fn a_router_shows_its_clients_and_why_others_are_gone() {
         clients.as_array().unwrap().iter().map(names).collect::<Vec<_>>()
     };
     assert_eq!((owners("0.Pilot.*"), owners("0.GPS.*")), (vec![r#"["Pilot(0/0)"]"#.to_owned()], vec![]));
+    let said = |pattern: &str| {
+        let status = ["router", "status", &router.name, "--mailbox", pattern];
+        text(&rtnet().args(status).output().unwrap().stdout)
+    };
+    let (pilots, none) = (said("0.Pilot.*"), said("0.GPS.*"));
+    assert!(
+        pilots.contains("Pilot(0/0)") && !pilots.contains("Chassis") && !pilots.contains(" more"),
+        "{pilots}"
+    );
+    assert!(none.contains("\nno connection has such a mailbox\n"), "{none}");
     drop(chassis);
     wait_until("its client is gone", || router.clients() == 1);
     pilot.write_all(&package(21, 0x0011_0000, 0x0018_0000, &[])).unwrap();

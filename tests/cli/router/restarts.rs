@@ -125,7 +125,7 @@ fn call(sender: &mut Sender, mailbox: &mut Mailbox, calls: &mut Calls) {
             OK => {
                 let number = u64::from_le_bytes(package.body().to_vec()[..].try_into().unwrap());
                 assert!(calls.seen.insert(number), "the answer to {number} came twice");
-                // Or it is the answer to an earlier call, which has been counted.
+                // The answer to an earlier call comes too late: that call has been counted.
                 if number == calls.made {
                     calls.answered += 1;
                     return;

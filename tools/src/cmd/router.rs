@@ -43,7 +43,7 @@ pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
         Some(RouterVerb::Status { name, mailbox, json }) => {
             let directory = Directory::of_user().map_err(Failure::Usage)?;
             let shown = control::router_status(&directory, name, *mailbox).map_err(Failure::Usage)?;
-            print(*json, &shown, describe).map_err(Failure::Run)?;
+            print(*json, &shown, |shown| describe(shown, mailbox.is_some())).map_err(Failure::Run)?;
             Ok(0)
         }
         Some(RouterVerb::Keys { directory, host }) => {
@@ -76,7 +76,10 @@ fn run(args: &RouterRunArgs) -> Result<u8, Failure> {
     let routes = std::thread::Builder::new().name("router".into()).spawn(move || server.run());
     let routes = routes.context("a thread for the router").map_err(Failure::Run)?;
     while !stop.load(Ordering::Relaxed) && !routes.is_finished() {
-        let status = |mailbox| shown(name, &listen, (begun, &remote), mailbox);
+        let status = |mailbox: Option<Pattern>| {
+            let (up_ms, status) = (begun.elapsed().as_millis() as u64, remote.status(PATIENCE)?);
+            Some(RouterShown::of(name, &listen, up_ms, &status, mailbox.as_ref()))
+        };
         control.serve(LOOK_EVERY, |packet, _| Envelope::pack(answer(packet, status)));
         if again.swap(false, Ordering::Relaxed) {
             read_again(args, &remote);
@@ -204,22 +207,14 @@ fn addresses(server: &Server) -> Result<Vec<String>> {
 }
 
 fn answer(packet: &[u8], status: impl Fn(Option<Pattern>) -> Option<RouterShown>) -> RouterReply {
-    match control::read(packet) {
-        Ok(RouterRequest::Status { mailbox }) => match mailbox.map(|of| of.parse()).transpose().map(status) {
-            Ok(Some(shown)) => RouterReply::Status(Box::new(shown)),
-            Ok(None) => RouterReply::Refused("its loop has not answered in time".into()),
-            Err(why) => RouterReply::Refused(format!("{why}")),
-        },
+    let mailbox = match control::read(packet) {
+        Ok(RouterRequest::Status) => Ok(None),
+        Ok(RouterRequest::StatusOf(pattern)) => pattern.parse().map(Some).map_err(|why| format!("{why}")),
+        Err(why) => Err(why),
+    };
+    match mailbox.map(status) {
+        Ok(Some(shown)) => RouterReply::Status(Box::new(shown)),
+        Ok(None) => RouterReply::Refused("its loop has not answered in time".into()),
         Err(why) => RouterReply::Refused(why),
     }
-}
-
-fn shown(
-    name: &str,
-    listen: &[String],
-    (begun, remote): (Instant, &Remote),
-    mailbox: Option<Pattern>,
-) -> Option<RouterShown> {
-    let status = remote.status(PATIENCE)?;
-    Some(RouterShown::of(name, listen, begun.elapsed().as_millis() as u64, &status, mailbox.as_ref()))
 }

@@ -72,11 +72,8 @@ pub fn ask_stack(directory: &Directory, place: &Place, request: StackRequest) ->
 
 /// The status of a router, with the connections that have such a mailbox.
 pub fn router_status(directory: &Directory, name: &str, mailbox: Option<Pattern>) -> Result<RouterShown> {
-    let reply = exchange(
-        &directory.router(name),
-        RouterRequest::Status { mailbox: mailbox.map(|of| of.to_string()) },
-        PATIENCE,
-    );
+    let request = mailbox.map_or(RouterRequest::Status, |of| RouterRequest::StatusOf(of.to_string()));
+    let reply = exchange(&directory.router(name), request, PATIENCE);
     match reply.map_err(|error| explain(error, "router", name, Vec::new()))? {
         RouterReply::Status(shown) => Ok(*shown),
         RouterReply::Refused(why) => Err(anyhow!("router '{name}': {why}")),

@@ -19,11 +19,9 @@ const MS: u64 = 1_000_000;
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum RouterRequest {
     /// How it is.
-    Status {
-        /// Only the connections that have such a mailbox: a pattern.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        mailbox: Option<String>,
-    },
+    Status,
+    /// The same, with the connections only that have a mailbox of this pattern.
+    StatusOf(String),
 }
 
 /// Its reply.

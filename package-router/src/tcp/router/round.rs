@@ -37,7 +37,8 @@ impl Router {
         }
     }
 
-    /// A connection leaves no room for the question: it does not read the answers to its own. It is ended in the next round that finds it so.
+    /// A connection leaves no room for the question: it does not read the answers to its own. It is ended if the next round finds the same,
+    /// and nothing has come from it.
     fn has_no_room(&mut self, connection: Connection, life: Life) {
         match self.client(connection) {
             Some(client) if life == Life::Shown => client.life = Life::Unasked,

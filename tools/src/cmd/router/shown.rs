@@ -9,7 +9,8 @@ const WIDTH: usize = 120;
 /// Counters of packages that went on: all others are shown together.
 const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_out"];
 
-pub(super) fn describe(router: &RouterShown) -> String {
+/// A router's status; `is_chosen`: with those connections and mailboxes only that were asked for.
+pub(super) fn describe(router: &RouterShown, is_chosen: bool) -> String {
     let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
     let up = duration(router.up_ns);
     let mut lines = vec![format!(
@@ -29,7 +30,7 @@ pub(super) fn describe(router: &RouterShown) -> String {
     lines.extend(router.rules_error.iter().map(|why| {
         format!("its file was read again and has an error, so the rules before are in force: {why}")
     }));
-    lines.extend(clients_of(router));
+    lines.extend(clients_of(router, is_chosen));
     let dropped = counted(router.counters.iter().filter(|(name, _)| !TRAFFIC.contains(&name.as_str())));
     if !dropped.is_empty() {
         lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
@@ -65,17 +66,18 @@ fn described(link: &LinkShown) -> String {
     format!("link to {}, for systems {to}: {state}", link.router)
 }
 
-fn names_of(client: &ClientShown) -> String {
-    let more = client.names - client.first_names.len();
+fn names_of(client: &ClientShown, is_chosen: bool) -> String {
+    let more = if is_chosen { 0 } else { client.names - client.first_names.len() };
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{}{more}", client.first_names.join(" "))
 }
 
 /// The table of open connections.
-fn clients_of(router: &RouterShown) -> Vec<String> {
+fn clients_of(router: &RouterShown, is_chosen: bool) -> Vec<String> {
     let clients = &router.clients;
     if clients.is_empty() {
-        return Vec::new();
+        let nothing = [String::new(), "no connection has such a mailbox".into()];
+        return if is_chosen { nothing.into() } else { Vec::new() };
     }
     let count = |of: &BTreeMap<String, u64>, name: &str| grouped(of.get(name).copied().unwrap_or(0));
     let column = |head: [&'static str; 2], of: &dyn Fn(&ClientShown) -> String| {
@@ -93,11 +95,11 @@ fn clients_of(router: &RouterShown) -> Vec<String> {
         column(["packages/s", "out"], &|client| rate(client, |rates| rates.packages_out_per_s)),
         column(["", "waiting"], &|client| grouped(client.waiting as u64)),
         column(["", "oldest"], &|client| client.oldest_ns.map_or("-".into(), duration)),
-        Column::left(["", "mailboxes"], clients.iter().map(names_of)),
+        Column::left(["", "mailboxes"], clients.iter().map(|client| names_of(client, is_chosen))),
     ];
     let mut lines = vec![String::new()];
     lines.extend(table(&columns, WIDTH));
-    if router.connections > clients.len() {
+    if !is_chosen && router.connections > clients.len() {
         lines.push(format!("... and {} more", router.connections - clients.len()));
     }
     lines
@@ -115,7 +117,7 @@ mod tests {
         let connection = router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
         router.disconnect(connection, Ending::NoMemory, 5);
         router.refuse_rules("a.toml:3: no such key".into());
-        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9), None));
+        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9), None), false);
         for words in [
             "connections closed since its start: no memory 1; the newest first:",
             "counted since its start: rules refused 1",
@@ -130,14 +132,14 @@ mod tests {
         let mut router = Router::new(Limits::default(), 0);
         router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
         let before = RouterShown::of("r", &[], 9, &router.status(9), None);
-        assert!(before.rates.is_none() && !describe(&before).contains("a second"));
+        assert!(before.rates.is_none() && !describe(&before, false).contains("a second"));
         let mut status = router.status(9);
         status.rates =
             Some(Rates { packages_in: 1, bytes_in: 2, packages_out: 30_000, bytes_out: 4_000_000 });
         status.clients[0].rates =
             Some(Rates { packages_in: 5_000, bytes_in: 6, packages_out: 70_000, bytes_out: 8 });
         let shown = RouterShown::of("r", &[], 9, &status, None);
-        let text = describe(&shown);
+        let text = describe(&shown, false);
         let sum = "30 000 packages and 4 000 000 bytes a second, mean of the last round of 5 s";
         assert!(text.lines().any(|line| line == sum), "{text}");
         let row = text.lines().find(|line| line.starts_with("10.0.0.9:4000")).unwrap();

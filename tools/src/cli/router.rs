@@ -62,12 +62,13 @@ pub struct RouterRunArgs {
 /// Verbs for a router that runs.
 #[derive(Debug, Subcommand)]
 pub enum RouterVerb {
-    /// Its connections, their mailboxes, what waits for each, what was dropped and why, and the last 64 that were closed
+    /// The 100 connections for which most bytes wait, 16 mailboxes of each, what was dropped and why, and the last 64 that were closed
     Status {
         /// Which router
         #[arg(default_value = "router", value_parser = parse_name)]
         name: String,
-        /// Only connections with such a mailbox, as 0.Camera.* [default: the 100 with the most bytes waiting]
+        /// Show only connections with a mailbox of this pattern, as 0.Camera.*, and only such mailboxes; 100 connections at the most,
+        /// and 16 mailboxes of each
         #[arg(long, value_name = "PATTERN")]
         mailbox: Option<Pattern>,
         /// As JSON

@@ -218,16 +218,12 @@ fn stations_go_on_without(router: &Program, cell: &Cell) {
         Err(SendError::Mailbox(mailbox::SendError::Full(_))) => true,
         Err(error) => panic!("{error}"),
     };
-    wait_until("nothing leaves any more", || {
-        while !is_full() {}
-        thread::sleep(Duration::from_millis(50));
-        is_full()
-    });
     for number in 0..50u8 {
+        // The kernel still takes some now and then: it makes its buffers larger.
+        while !is_full() {}
         by_lan.send(DATA, &[number]).unwrap();
         assert_eq!(arm.receive(Some(PATIENCE)).unwrap().body().to_vec(), [number]);
     }
-    assert!(is_full(), "the router has hung all the while");
     kill(router.pid(), Signal::SIGCONT).unwrap();
 }
 

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::cell::{self, Cell};
-use crate::host::{shared, unique};
+use crate::host::{again, shared, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station, asked, wait_until};
 
@@ -42,7 +42,7 @@ fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
                 break;
             }
             assert!(said.contains("calibration_timeout") && attempt < 4, "{said}");
-            eprintln!("AGAIN {slave}: attempt {attempt}: {said}");
+            again("calibration_that_was_asked_for", &format!("attempt {attempt}: {said}"));
             ask();
         }
         let after = wait_until("it is done", slave, |status| {

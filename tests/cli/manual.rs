@@ -92,7 +92,7 @@ fn every_command_has_a_manual_page_that_names_its_verbs() {
     written.sort();
     expected.sort();
     assert_eq!(written, expected, "and there are no others");
-    println!("FIGURE manual pages: {}", written.len());
+    figure(name, &format!("{} pages", written.len()));
 }
 
 #[test]

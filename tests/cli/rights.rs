@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use caps::{CapSet, Capability};
 
 use crate::cell::{Cell, STATIONS};
-use crate::host::{shared, skip, unique};
+use crate::host::{figure, shared, skip, unique};
 use crate::program::copy_program;
 use crate::rtnet;
 use crate::station::{Medium, PATIENCE, Station};
@@ -59,7 +59,7 @@ fn no_thread_of_a_running_station_keeps_a_capability() {
         let medium = Medium::new();
         let master = Station::master(&medium, &unique("bare"));
         let threads = assert_gives_up_all(master.child.id());
-        println!("FIGURE threads of a station without any capability: {threads}");
+        figure("threads_of_a_station_without_any_capability", &threads.to_string());
     });
 }
 

@@ -13,7 +13,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 use crate::cell::{Cell, json, text, wait_until};
-use crate::host::{figure, network, shared, stop, unique};
+use crate::host::{again, figure, network, shared, stop, unique};
 use crate::rtnet;
 use crate::station::{Medium, Station};
 
@@ -81,7 +81,7 @@ impl Lab {
             }
             let said = text(&output.stderr);
             assert!(BY_THE_HOST.iter().any(|why| said.contains(why)), "{said}");
-            eprintln!("AGAIN {}: attempt {number}: {said}", self.cell.place("master"));
+            again("change_of_a_schedule", &format!("attempt {number}: {}", said.trim_end()));
             wait_until("the master gives the time", || self.cell.station("master")["mastery"] == "active");
             // If anything is proposed still.
             self.schedule("master", &["cancel"]);

@@ -1,7 +1,7 @@
 //! What runs come to, from the outside: the word, its reasons, and the exit status.
 
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 
 use serde_json::Value;
 use tools::report::html::markup::escape;
@@ -90,9 +90,41 @@ fn verdict_is_not_ok_when_frames_collide_that_no_file_allows() {
     assert_eq!(simulated(&some, &[]).0, Some(1), "that there are some allows no number of them");
 }
 
+const RING: &str =
+    "discipline = \"token\"\nduration = \"100ms\"\n[[station]]\nname = \"a\"\n[[station]]\nname = \"b\"\n";
+
+/// Ctrl-C in the middle of an hour of virtual time: the report is of what was measured by then.
+#[test]
+fn an_interrupted_simulation_reports_what_it_has_measured() {
+    let hour = |text: &str| text.replace("6s", "3600s").replace("100ms", "3600s");
+    for text in [hour(ARM), hour(RING)] {
+        let place = tempfile::tempdir().unwrap();
+        let [file, json] = ["net.toml", "net.json"].map(|name| place.path().join(name));
+        std::fs::write(&file, text).unwrap();
+        let interrupted = |seconds: u32| {
+            let mut command = Command::new("timeout");
+            command.args(["--preserve-status", "-s", "INT", &seconds.to_string()]);
+            command.args([env!("CARGO_BIN_EXE_rtnet"), "sim", "run"]).arg(&file).arg("--json").arg(&json);
+            command.output().unwrap()
+        };
+        // On a busy host the stations have not joined after a second.
+        let early =
+            |output: &Output| output.stderr.starts_with(b"rtnet: INTERRUPTED before anything was measured: ");
+        let output = [1, 2, 4, 8, 16].into_iter().map(interrupted).find(|output| !early(output)).unwrap();
+        let screen = String::from_utf8(output.stdout).unwrap();
+        let last = screen.lines().last().unwrap_or_default();
+        assert_eq!(output.status.code(), Some(130), "{screen}{}", String::from_utf8_lossy(&output.stderr));
+        assert!(last.starts_with("INTERRUPTED after ") && last.contains(" of 3600s"), "{last}");
+        let report = crate::schema::read(std::fs::read(&json).unwrap());
+        assert_eq!(report["verdict"]["word"], "interrupted", "{last}");
+        let seen = report["frames_seen"].as_u64().unwrap();
+        assert!(seen > 0, "{screen}");
+    }
+}
+
 #[test]
 fn a_ring_has_no_slots_to_miss() {
-    let ring = "discipline = \"token\"\nduration = \"100ms\"\n[[station]]\nname = \"a\"\n[[station]]\nname = \"b\"\n";
+    let ring = RING;
     let (status, last, verdict) = simulated(ring, &[]);
     assert_eq!((status, &verdict["word"]), (Some(0), &"ok".into()), "{last}");
     let place = tempfile::tempdir().unwrap();

@@ -19,7 +19,7 @@ use rtnet::wire::ethernet::EtherType;
 use serde_json::Value;
 
 use crate::cell::{Cell, text, wait_until};
-use crate::host::skip;
+use crate::host::{again, skip};
 use crate::rtnet;
 
 /// Four stations with a slot 1 for the tunnel in each cycle.
@@ -93,7 +93,7 @@ fn vnic_of(station: &str, arguments: &[&str]) -> Output {
         if !text(&output.stderr).contains("has not answered within 2s: ask how it is, and again") {
             return output;
         }
-        eprintln!("AGAIN vnic: {arguments:?} of {station} was not answered within 2s");
+        again("request_to_a_vnic", &format!("{arguments:?} of {station} was not answered within 2s"));
     }
     ask()
 }

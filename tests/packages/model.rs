@@ -13,10 +13,11 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::process::{Child, Command, Stdio};
 
 use package_router::component::{Error, ReceiveError, SendError};
-use package_router::mailbox::{self, TooSmall, WhenFull, of_owner, of_sender};
+use package_router::mailbox::{self, TooSmall, WhenFull, of_sender};
 use package_router::registry::Refused;
 use package_router::wire::Head;
 use rtnet::sim::Random;
+use tests::host::figure;
 use tests::seeds;
 
 use super::*;
@@ -28,6 +29,8 @@ const MEMBER_OF: &str = "RTNET_MEMBER_OF";
 const TEST: &str = "model::what_processes_do_with_mailboxes_is_what_simple_lists_would";
 /// Unless RTNET_OPERATIONS says otherwise.
 const OPERATIONS: u64 = 20_000;
+/// Seeds that share them.
+const SEEDS: usize = 5;
 const MEMBERS: usize = 5;
 /// Senders that each of them has at the most.
 const HANDLES: usize = 6;
@@ -216,13 +219,46 @@ fn what_processes_do_with_mailboxes_is_what_simple_lists_would() {
     if let Ok(of) = std::env::var(MEMBER_OF) {
         be_a_member(&of);
     }
-    let number = |variable, default| std::env::var(variable).map_or(default, |n: String| n.parse().unwrap());
-    let (operations, seed) = (number("RTNET_OPERATIONS", OPERATIONS), seeds::one(TEST));
+    let operations =
+        std::env::var("RTNET_OPERATIONS").map_or(OPERATIONS, |operations| operations.parse().unwrap());
+    let seeds = seeds::drawn(TEST, SEEDS);
+    let mut counted = Counted::default();
+    for seed in &seeds {
+        course(*seed, operations / seeds.len() as u64, &mut counted);
+    }
+    let Counted { count, done, outcomes } = counted;
+    let kinds: Vec<String> = ALL.iter().zip(done).map(|(what, n)| format!("{what:?} {n}")).collect();
+    let [_, sent, received, nothing, too_small, _, not_sent, refused, _] = outcomes;
+    figure(
+        TEST.trim_start_matches("model::"),
+        &format!(
+            "{count} operations of {MEMBERS} processes by seeds {seeds:?}, each as the model says: {}; {sent} packages sent, \
+             {received} seen or received, {nothing} times nothing, {too_small} times too little room, {not_sent} not sent, {refused} \
+             refused",
+            kinds.join(", ")
+        ),
+    );
+    assert!(
+        done.iter().all(|n| *n > 0)
+            && [sent, received, nothing, too_small, not_sent, refused].iter().all(|n| *n > 0)
+    );
+}
+
+/// What happened so far.
+#[derive(Default)]
+struct Counted {
+    count: u64,
+    /// Commands of each kind.
+    done: [u64; ALL.len()],
+    /// Answers, by their first word.
+    outcomes: [u64; 9],
+}
+
+/// So many operations, or a few more, by this seed.
+fn course(seed: u64, operations: u64, Counted { count: all, done, outcomes }: &mut Counted) {
     let station = Station::new();
     let mut members = driven(&station);
     let (mut model, mut dice) = (Model::default(), Random::new(seed));
-    let mut done = [0u64; ALL.len()];
-    let mut outcomes = [0u64; 9];
     let mut count = 0;
     let mut lately: Vec<(usize, Order)> = Vec::new();
     let mut note = |member: usize, order: &Order, expected: &Told, told: Words| {
@@ -269,18 +305,5 @@ fn what_processes_do_with_mailboxes_is_what_simple_lists_would() {
         }
         count += orders.len() as u64;
     }
-    let kinds: Vec<String> = ALL.iter().zip(done).map(|(what, n)| format!("{what:?} {n}")).collect();
-    let [_, sent, received, nothing, too_small, _, not_sent, refused, _] = outcomes;
-    println!(
-        "FIGURE {}: {count} operations of {MEMBERS} processes by seed {seed}, each as the model says: {}; {sent} packages sent, \
-         {received} seen or received, {nothing} times nothing, {too_small} times too little room, {not_sent} not sent, {refused} \
-         refused",
-        TEST.trim_start_matches("model::"),
-        kinds.join(", ")
-    );
-    assert!(
-        done.iter().all(|n| *n > 0)
-            && [sent, received, nothing, too_small, not_sent, refused].iter().all(|n| *n > 0)
-    );
-    let _ = of_owner::RECEIVED;
+    *all += count;
 }

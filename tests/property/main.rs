@@ -9,6 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use tests::chance::Case;
 use tests::course::Account;
+use tests::host::figure;
 use tests::seeds;
 
 const SEEDS: &str = include_str!("seeds.txt");
@@ -62,6 +63,6 @@ fn networks_by_chance_overlap_for_a_cause_only_and_settle_in_time() {
             break;
         }
     }
-    println!("FIGURE networks_by_chance: {cases} networks: {total}");
+    figure("networks_by_chance", &format!("{cases} networks: {total}"));
     assert!(failed.is_empty(), "seeds that failed: {failed:?}");
 }

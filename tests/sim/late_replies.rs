@@ -5,6 +5,7 @@ use rtmac::tdma::change::{Activation, Book};
 use rtnet::discipline::{EventKind, SyncState};
 use rtnet::sim::Host;
 use rtnet::time::Span;
+use tests::host::figure;
 use tests::networks::{Lab, Plan};
 use tests::seeds;
 
@@ -37,7 +38,8 @@ fn peers_get_ready_under_a_master_late_in_its_slots() {
         let given_up = counters.replies_given_up;
         assert!(given_up <= again, "{given_up} given up, ours asked again {again} times");
         let (late_replies, overruns) = (judge.late_replies, counters.overruns);
-        println!("FIGURE late_replies: {late_replies} late replies, {overruns} of the master's slots missed");
+        let figures = format!("{late_replies} late replies, {overruns} of the master's slots missed");
+        figure("late_replies", &figures);
         assert!(late_replies > 0 && overruns > 0, "it is late: {late_replies} {overruns}");
     });
 }
@@ -89,7 +91,7 @@ fn a_switch_leaves_no_calibration_request_unanswered() {
         let asked: u64 = [2, 3, 4].map(|id| lab.peer_status(id).requests_sent).iter().sum();
         let waiting = asked + lab.status(1).counters.requests_sent - counters.replies_sent;
         assert!(waiting <= 3, "of each peer one at the most: {waiting}");
-        println!("FIGURE replies_at_switches: {turns} late replies at 24 switches");
+        figure("replies_at_switches", &format!("{turns} late replies at 24 switches"));
         assert!(turns >= 10, "peers ask in every other cycle: {turns}");
     });
 }

@@ -4,6 +4,8 @@ use rtnet::discipline::SyncState;
 use rtnet::sim::StationId;
 use rtnet::time::Span;
 use tests::networks::{Lab, Plan};
+use tests::seeds;
+use tools::scenario::Source;
 
 const LENGTHS: [i64; 4] = [31, 50, 100, 1_000];
 
@@ -41,6 +43,24 @@ fn drift_is_known_from_calibration_at_any_cycle_length() {
         lab.run_cycles(5);
         check_drift(&lab, millis);
     }
+}
+
+/// Slots of the cycle in which the last calibration reply comes are neither missed nor late.
+#[test]
+fn stations_that_join_miss_none_of_their_slots() {
+    let text = "cycle = \"50ms\"\n[[station]]\nname = \"master\"\nrole = \"master\"\nslots = [{ id = 0, offset = \"1ms\" }]\n\
+                [[station]]\nname = \"arm\"\nrole = \"slave\"\nrounds = 10\nslots = [{ id = 0, offset = \"20ms\" }, { id = 1, offset = \"23ms\" }]\n";
+    seeds::each(10, move |seed| {
+        let scenario = Source::new("net.toml", text).parse().unwrap().with_seed(seed);
+        let mut lab = Plan::of_scenario(scenario).build();
+        lab.run_until_locked();
+        lab.run_cycles(50);
+        for id in 0..2 {
+            let status = lab.status(id);
+            assert_eq!((status.state, status.counters.overruns), (SyncState::Locked, 0), "station {id}");
+            assert!(status.counters.frames_sent > 40, "station {id}");
+        }
+    });
 }
 
 #[test]

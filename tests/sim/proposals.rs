@@ -1,9 +1,12 @@
 //! Whatever a plan says works comes up on ideal hosts: proposals, divided cycles, and files with slots of all kinds.
 
+use std::sync::LazyLock;
+
 use proptest::prelude::*;
 
 use rtmac::tdma::schedule::Rate;
 use rtnet::time::Span;
+use tests::seeds;
 use tools::plan::{Plan, propose};
 use tools::scenario::{Scenario, Source, Uniform};
 use tools::sim::{self, Options};
@@ -11,6 +14,7 @@ use tools::sim::{self, Options};
 /// Cycles that are looked at once all are locked.
 const CYCLES: i64 = 20;
 const MEGA: u64 = 1_000_000;
+static SEED: LazyLock<u64> = LazyLock::new(|| seeds::one("proposals"));
 
 fn uniform(stations: usize, cycle: i64, guard: Option<i64>, payload: usize, mbits: u64) -> Uniform {
     Uniform {
@@ -20,7 +24,7 @@ fn uniform(stations: usize, cycle: i64, guard: Option<i64>, payload: usize, mbit
         payload,
         rate: Rate::from_bits_per_second(mbits * MEGA),
         guard: guard.map(Span::from_nanos),
-        seed: 1,
+        seed: *SEED,
         vnic: None,
     }
 }

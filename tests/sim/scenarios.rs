@@ -11,7 +11,7 @@ use tests::seeds;
 use tools::report::figures::MissKind;
 use tools::report::histogram::SignedHistogram;
 use tools::report::screen;
-use tools::scenario::{self, Event, Expectation, Happening, Measure, Place, Relation};
+use tools::scenario::{self, Event, Expectation, Happening, Measure, Place, Relation, Scenario};
 use tools::sim::seeds::Subject;
 use tools::sim::{self, EXAMPLE, Ended, Options};
 
@@ -21,9 +21,13 @@ fn directory() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("sim")
 }
 
+/// A file of this directory, with a drawn seed.
+fn loaded(file: &str) -> Scenario {
+    scenario::load(&directory().join(file)).unwrap().with_seed(seeds::one(file))
+}
+
 pub fn run(file: &str) -> Ended {
-    let scenario = scenario::load(&directory().join(file)).unwrap();
-    sim::run(&scenario, &Options::default()).unwrap()
+    sim::run(&loaded(file), &Options::default()).unwrap()
 }
 
 /// Seeds of each file that are drawn: all files with one seed take 3.4 s of a core, so these take a minute.
@@ -98,6 +102,7 @@ scenarios! {
 #[test]
 fn the_example_runs_and_is_as_it_says() {
     let scenario = scenario::Source::new("example.toml", EXAMPLE).parse().unwrap();
+    let scenario = scenario.with_seed(seeds::one("example.toml"));
     let ended = sim::run(&scenario, &Options::default()).unwrap();
     assert_eq!(ended.figures.figures.verdict.reasons, Vec::<String>::new());
 }
@@ -127,8 +132,7 @@ fn who_gave_the_time_at_once_is_named_with_the_one_that_was_silent_then() {
 
 #[test]
 fn what_is_expected_counts_besides_what_is_wrong_with_any_run() {
-    let mut scenario =
-        scenario::load(&directory().join("frames_are_lost_doubled_late_and_changed.toml")).unwrap();
+    let mut scenario = loaded("frames_are_lost_doubled_late_and_changed.toml");
     let reasons = |scenario: &_| {
         sim::run(scenario, &Options::default()).unwrap().figures.figures.verdict.reasons.join("; ")
     };
@@ -184,8 +188,7 @@ fn a_queued_frame_waits_for_as_long_as_can_be_worked_out_at_the_most() {
 
 #[test]
 fn what_is_lost_of_queued_frames_is_told_by_priority_and_counts_unless_it_is_lost_on_purpose() {
-    let file = directory().join("queued_frames_that_are_lost_are_counted.toml");
-    let mut scenario = scenario::load(&file).unwrap();
+    let mut scenario = loaded("queued_frames_that_are_lost_are_counted.toml");
     scenario.conditions.expectations.clear();
     let run = |scenario: &_| sim::run(scenario, &Options::default()).unwrap().figures.figures;
     let (arm, camera) = (1, 2);
@@ -220,7 +223,7 @@ fn what_is_lost_of_queued_frames_is_told_by_priority_and_counts_unless_it_is_los
 
 #[test]
 fn a_capture_tells_of_each_frame_which_cycle_and_slot_it_is_of_and_how_late() {
-    let mut scenario = scenario::load(&directory().join("urgent_frames_overtake_a_backlog.toml")).unwrap();
+    let mut scenario = loaded("urgent_frames_overtake_a_backlog.toml");
     scenario.duration = Span::from_millis(100);
     let directory = tempfile::tempdir().unwrap();
     let pcap = directory.path().join("frames.pcapng");
@@ -259,7 +262,7 @@ fn comments(pcap: &Path) -> Vec<String> {
 #[test]
 fn whatever_is_not_as_expected_has_the_cycle_in_which_it_was_worst_or_is_said_to_have_none() {
     let failed = |file: &str, measures: &[Measure]| {
-        let mut scenario = scenario::load(&directory().join(file)).unwrap();
+        let mut scenario = loaded(file);
         scenario.duration = scenario.duration.min(Span::from_millis(4_000));
         scenario.conditions.events.clear();
         let line = |&measure| Expectation {
@@ -295,8 +298,7 @@ fn whatever_is_not_as_expected_has_the_cycle_in_which_it_was_worst_or_is_said_to
 
 #[test]
 fn the_cycle_that_is_shown_is_the_one_of_the_worst_frame() {
-    let mut scenario =
-        scenario::load(&directory().join("late_frames_without_a_guard_are_told_of.toml")).unwrap();
+    let mut scenario = loaded("late_frames_without_a_guard_are_told_of.toml");
     let expected = &mut scenario.conditions.expectations[0];
     (expected.measure, expected.relation, expected.limit) = (Measure::LatestFrame, Relation::Less, i64::MIN);
     let ended = sim::run(&scenario, &Options::default()).unwrap();
@@ -310,7 +312,7 @@ fn the_cycle_that_is_shown_is_the_one_of_the_worst_frame() {
 
 #[test]
 fn a_run_ends_when_its_time_is_up() {
-    let scenario = scenario::load(&directory().join("ten_megabits_on_a_hub.toml")).unwrap();
+    let scenario = loaded("ten_megabits_on_a_hub.toml");
     let until = Some(Span::from_millis(10_000));
     let figures = sim::run(&scenario, &Options { until, ..Options::default() }).unwrap().figures;
     assert!(figures.simulation.virtual_ns <= 10_100_000_000, "{}", figures.simulation.virtual_ns);
@@ -319,8 +321,7 @@ fn a_run_ends_when_its_time_is_up() {
 
 #[test]
 fn an_expectation_that_does_not_hold_names_its_cycle_and_the_frames_around_it() {
-    let mut scenario =
-        scenario::load(&directory().join("late_frames_without_a_guard_are_told_of.toml")).unwrap();
+    let mut scenario = loaded("late_frames_without_a_guard_are_told_of.toml");
     let expected = scenario.conditions.expectations.iter_mut().find(|of| of.measure == Measure::OutOfSlot);
     expected.expect("it does").limit = 0;
     let ended = sim::run(&scenario, &Options::default()).unwrap();
@@ -335,7 +336,7 @@ fn an_expectation_that_does_not_hold_names_its_cycle_and_the_frames_around_it() 
 }
 
 /// A network in a file, with a drawn seed.
-pub fn parse(text: &str) -> scenario::Scenario {
+pub fn parse(text: &str) -> Scenario {
     scenario::Source::new("net.toml", text).parse().unwrap().with_seed(seeds::one("net.toml"))
 }
 
@@ -422,7 +423,7 @@ fn a_run_that_has_too_little_time_leaves_the_capture_of_another_as_it_was() {
 
 #[test]
 fn a_clock_that_is_set_back_keeps_no_run_beyond_its_end() {
-    let scenario = scenario::load(&directory().join("masters_clock_is_set_back.toml")).unwrap();
+    let scenario = loaded("masters_clock_is_set_back.toml");
     let ran = |until| {
         let figures = sim::run(&scenario, &Options { until, ..Options::default() }).unwrap().figures;
         (figures.simulation.virtual_ns, figures.figures.unexplained, figures.simulation.measured_ns)

@@ -60,6 +60,11 @@ pub fn figure(test: &str, text: &str) {
     let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
 }
 
+/// Says aloud that something is tried again, and why: `scripts/soak` counts it.
+pub fn again(test: &str, why: &str) {
+    let _ = writeln!(std::io::stderr(), "AGAIN {test}: {why}");
+}
+
 /// Whether a run that ended so kept what it promises, as far as its host let it: OK, or, aloud, DEGRADED or INCONCLUSIVE.
 /// NOT OK and INTERRUPTED are not.
 pub fn is_sound(test: &str, status: Option<i32>, verdict: &Value) -> bool {
@@ -107,9 +112,7 @@ fn on_cores(test: &str, need: Need, body: impl Fn()) {
         let outcome = catch_unwind(AssertUnwindSafe(&body));
         (outcome, watch.over())
     };
-    attempts(attempt, |why| {
-        let _ = writeln!(std::io::stderr(), "AGAIN {test}: {why}");
-    });
+    attempts(attempt, |why| again(test, why));
 }
 
 /// A name with this beginning that no other station or lab of the tests has.

@@ -11,7 +11,7 @@ use super::{
     network, program, said, shared,
 };
 use crate::cell::{Cell, text};
-use crate::host::{figure, skip};
+use crate::host::{again, figure, skip};
 
 /// Seven turns a cycle for who serves.
 const DOWNLOAD: &str = include_str!("../download.toml");
@@ -66,6 +66,9 @@ fn iperf3_fills_the_slots_and_loses_nothing_below_them() {
             let allowed = |head| (MTU - head) as f64 * 8.0 * CYCLES_A_SECOND as f64;
             let mut tries = Vec::new();
             while tries.last().is_none_or(|&(goodput, carried)| goodput * 2.0 < carried) {
+                if let Some(last) = tries.last() {
+                    again(test, &format!("{mode}: less than half of what slots carried: {last:?}"));
+                }
                 assert!(tries.len() < TRIES, "less than half of what slots carried, each time: {tries:?}");
                 tries.push(tcp(&cell, allowed(HEAD_OF_TCP)));
             }

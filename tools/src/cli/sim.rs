@@ -20,8 +20,9 @@ pub enum SimVerb {
     ///
     /// Exit status: 0 OK: all is as expected, or, where nothing is, well; 1 NOT OK: the cycle and the frames around
     /// it are shown, or a file could not be written; 2 bad usage, or a scenario that cannot be; 3 INCONCLUSIVE: nothing was
-    /// measured; 4 DEGRADED: more was missed than --max-miss, all for known causes. With --seeds: 0 all runs are OK,
-    /// 1 some are not, 130 it was interrupted, and what had ended by then is shown.
+    /// measured; 4 DEGRADED: more was missed than --max-miss, all for known causes; 130 INTERRUPTED: the report is of
+    /// what was measured by then. With --seeds: 0 all runs are OK, 1 some are not, 130 it was interrupted, whatever
+    /// had ended by then, which is shown.
     Run(SimRunArgs),
     /// Print a scenario that says what can be said, and runs
     Example,

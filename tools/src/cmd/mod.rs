@@ -36,12 +36,11 @@ use anyhow::{Context, anyhow, ensure};
 use serde::Serialize;
 
 use self::delivery::Delivery;
-use crate::lab::Interrupted;
 use crate::remedy::explained;
 use crate::report::document::{Document, Documents, Kind};
 use crate::report::draft::{can_be_written, is_standard_output};
 use crate::report::screen::WIDTH_MIN;
-use crate::report::verdict::Word;
+use crate::report::verdict::{Interrupted, Word};
 use crate::ring::{self, RingFigures};
 
 /// Columns of a report when the terminal does not say.

@@ -1,8 +1,11 @@
 //! `rtnet sim`.
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::anyhow;
+use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::delivery::Delivery;
 use super::lab_run::NO_MAX_MISS;
@@ -31,7 +34,11 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     all_writable(&[args.json.as_ref(), args.pcap.as_ref(), args.html.as_ref()], Some(file))
         .map_err(Failure::Usage)?;
     let pictures = args.html.is_some();
-    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).map_err(|error| Failure::Run(error.into()))?;
+    }
+    let options = Options { pcap: args.pcap.clone(), until: args.until, around: None, pictures, stop };
     let scenario = match network {
         Network::Slots(scenario) => {
             let max_miss_ppm = args.max_miss.unwrap_or(scenario.max_miss_ppm);
@@ -45,8 +52,9 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
     };
     let Ended { figures, slot_error_abs, kept, .. } = sim::run(&scenario, &options).map_err(failure)?;
     let width = screen_width();
-    let around =
-        frames_around(&scenario, &options, &figures.simulation.expectations).map_err(Failure::Run)?;
+    // A run that was interrupted is not repeated.
+    let checked = if options.is_stopped() { &[][..] } else { &figures.simulation.expectations };
+    let around = frames_around(&scenario, &options, checked).map_err(Failure::Run)?;
     let text = sim_screen::render(&figures, around.as_ref(), width)
         + "\n"
         + &screen::render(&figures.figures, width, &slot_error_abs);
@@ -66,7 +74,10 @@ pub fn sim_run(args: &SimRunArgs) -> Result<u8, Failure> {
 
 /// Too little time is bad usage: nothing ran that could have shown anything.
 fn failure(error: anyhow::Error) -> Failure {
-    if error.is::<Hurried>() { Failure::Usage(error) } else { Failure::Run(error) }
+    let otherwise = |error: anyhow::Error| {
+        if error.is::<Hurried>() { Failure::Usage(error) } else { Failure::Run(error) }
+    };
+    Failure::of_lab(error, otherwise)
 }
 
 /// The same of a ring.

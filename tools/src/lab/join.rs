@@ -9,7 +9,8 @@ use super::launch::{Resume, arguments};
 use super::load::calibrating_at_once;
 use super::members::Member;
 use super::processes::Process;
-use super::run::{Interrupted, Lab, SETTLE_CYCLES};
+use super::run::{Lab, SETTLE_CYCLES};
+use crate::report::verdict::Interrupted;
 use crate::scenario::Scenario;
 
 /// Cycles that a lab waits at the most for clocks to settle once all stations are locked: at 1 ms they take some 1300, at 5 ms some 500.

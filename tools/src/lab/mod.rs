@@ -53,4 +53,4 @@ pub fn check_files(stations: usize) -> anyhow::Result<()> {
 pub use keep::keep;
 pub use load::Core;
 pub use processes::this_program;
-pub use run::{Interrupted, Lab, RunOptions};
+pub use run::{Lab, RunOptions};

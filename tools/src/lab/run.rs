@@ -31,6 +31,7 @@ use crate::judge::givers::TrueMaster;
 use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::{Capture, CaptureFile};
 use crate::report::host::HostFacts;
+use crate::report::verdict::Interrupted;
 use crate::scenario::Scenario;
 use crate::station::link::{self, Report};
 
@@ -55,11 +56,6 @@ const PROGRESS_EVERY: Duration = Duration::from_secs(1);
 pub(crate) fn port_name(station: usize) -> String {
     format!("port{station}")
 }
-
-/// Somebody ended it before there was anything to report.
-#[derive(Debug, thiserror::Error)]
-#[error("INTERRUPTED before anything was measured: {0}")]
-pub struct Interrupted(pub(crate) String);
 
 /// How to run a scenario.
 #[derive(Clone, Debug)]

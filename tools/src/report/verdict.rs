@@ -22,6 +22,11 @@ pub enum Word {
     Interrupted,
 }
 
+/// It was ended before there was anything to report.
+#[derive(Debug, thiserror::Error)]
+#[error("INTERRUPTED before anything was measured: {0}")]
+pub struct Interrupted(pub(crate) String);
+
 impl Word {
     /// Every one.
     pub const ALL: [Word; 5] = [Word::Ok, Word::Degraded, Word::Inconclusive, Word::NotOk, Word::Interrupted];
@@ -120,10 +125,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_word_has_its_own_exit_status_and_none_is_bad_usage() {
-        let mut all = Word::ALL.map(Word::exit_status).to_vec();
-        all.sort_unstable();
-        assert_eq!(all, [0, 1, 3, 4, 130]);
+    fn every_word_has_its_exit_status() {
+        let all = Word::ALL.map(|word| (word.name(), word.exit_status()));
+        assert_eq!(
+            all,
+            [("OK", 0), ("DEGRADED", 4), ("INCONCLUSIVE", 3), ("NOT OK", 1), ("INTERRUPTED", 130)]
+        );
     }
 
     #[test]

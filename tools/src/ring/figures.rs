@@ -236,7 +236,8 @@ pub fn of(
         stations.map(|(id, (seat, known))| station(scenario, id, (seat, known), &judged)).collect();
     let throughout = judged.seats.iter().zip(known).filter(|(_, known)| known.throughout);
     let mut recovery_ns = SignedHistogram::new();
-    judged.recoveries.iter().for_each(|recovery| recovery_ns.record(recovery.took().nanos()));
+    let found = judged.recoveries.len() - usize::from(judged.is_lost);
+    judged.recoveries[..found].iter().for_each(|recovery| recovery_ns.record(recovery.took().nanos()));
     let sum = |of: fn(&RingStation) -> u64| per_station.iter().map(of).sum();
     let mut figures = RingFigures {
         discipline: "token",
@@ -258,7 +259,7 @@ pub fn of(
         causes: judged.causes.clone(),
         rotation_ns: merged(judged.seats.iter().map(|seat| (&seat.rotation, seat.rotation_gaps))),
         delivery_ns: merged(judged.seats.iter().map(|seat| (&seat.delivery, seat.delivery_gaps))),
-        recovery_ns: recovery_ns.summary(),
+        recovery_ns: recovery_ns.summary().with_gaps(judged.is_lost.into()),
         queueing: queueing(&judged.seats, known),
         bounds: Bounds::of(ring),
         recoveries: recoveries(scenario, &judged, begin),

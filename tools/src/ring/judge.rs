@@ -82,6 +82,8 @@ pub struct Judged {
     pub tokens: Tokens,
     /// What was lost, and found again.
     pub recoveries: Vec<Recovery>,
+    /// The last of them had not been found when the run ended.
+    pub is_lost: bool,
     /// Times at which two frames were on the air at once.
     pub overlaps: u64,
     /// Of overlaps and recoveries: those without a known cause.
@@ -331,8 +333,9 @@ impl Judge {
 
     /// All has been seen and told.
     pub fn finish(mut self, now: True) -> Judged {
-        let still_lost = self.open.take().map(|open| open.over(now));
-        self.recoveries.extend(still_lost);
+        let lost = self.open.take().map(|open| open.over(now));
+        let is_lost = lost.is_some();
+        self.recoveries.extend(lost);
         let mut late: Vec<u64> = self.seats.iter().map(|seat| seat.late + seat.given_up).collect();
         let (mut causes, mut unexplained) = (BTreeMap::<String, u64>::new(), self.dropped);
         let shows = doubling_bound(&self.config, 0) + recovery_bound(&self.config, 1, 0);
@@ -371,6 +374,7 @@ impl Judge {
             seats: self.seats,
             tokens: self.tokens,
             recoveries: self.recoveries,
+            is_lost,
             overlaps: self.overlaps_in_all,
             unexplained,
             causes,

@@ -29,12 +29,13 @@ use crate::lab::launch::clock;
 use crate::lab::load::too_much;
 use crate::lab::namespace::{Namespace, Segment};
 use crate::lab::processes::{Process, Told};
-use crate::lab::run::{INTERFACE, Interrupted, port_name};
+use crate::lab::run::{INTERFACE, port_name};
 use crate::lab::wires::Wires;
 use crate::lab::{Core, RunOptions};
 use crate::report::capture::{Capture, CaptureFile};
 use crate::report::host::{HostFacts, HostWatch};
 use crate::report::text::about;
+use crate::report::verdict::Interrupted;
 use crate::scenario::RingScenario;
 use crate::station::link::{self, Report};
 

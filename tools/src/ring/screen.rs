@@ -67,7 +67,7 @@ pub(super) fn kinds(figures: &RingFigures) -> [(&'static str, &'static str, &Sum
     let bounds = &figures.bounds;
     let round = "from one time that the token came to a station to the next; the bound is for one in which nothing is lost; gaps: it was absent meanwhile";
     let delivery = "from the begin of a station's usual frame to the end of its next one: so long is a value under way that just missed one; gaps: a new process began meanwhile";
-    let recovery = "from the last token before one was lost to the next frame; the bound is for one station dead, each more has its own";
+    let recovery = "from the last token before one was lost to the next frame; the bound is for one station dead, each more has its own; gaps: it was still lost at the end";
     [
         ("round", round, &figures.rotation_ns, Some(bounds.rotation_ns)),
         ("delivery", delivery, &figures.delivery_ns, None),

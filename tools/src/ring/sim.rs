@@ -21,6 +21,7 @@ use super::verdict::{Observed, no_part};
 use crate::judge::delivery::{Delivery, Heard, Meant};
 use crate::report::capture::{Capture, CaptureFile};
 use crate::report::host::HostFacts;
+use crate::report::verdict::Interrupted;
 use crate::scenario::{Act, Happening, Part, RingScenario, acts};
 use crate::sim::world::{self, Counted, EPOCH, UPTIME};
 use crate::sim::{Hurried, Options, faults};
@@ -64,6 +65,8 @@ struct Run<'a> {
     before: Vec<Counted>,
     /// When the measurement began, and ended.
     measured: (True, True),
+    /// It was stopped before its time.
+    interrupted: bool,
 }
 
 impl Watch {
@@ -123,6 +126,7 @@ impl<'a> Run<'a> {
             anew: (0..n).map(|id| !is_there(id)).collect(),
             before: vec![Counted::default(); n],
             measured: (0, 0),
+            interrupted: false,
         })
     }
 
@@ -145,6 +149,11 @@ impl<'a> Run<'a> {
         let allowed = allowed.min(JOIN_AT_MOST);
         let deadline = UPTIME + allowed.nanos() as u64;
         while !self.all_take_part() {
+            if self.options.is_stopped() {
+                let there = (0..n).filter(|&id| self.present[id]);
+                let here = there.clone().filter(|&id| self.status(id).visits >= VISITS).count();
+                bail!(Interrupted(format!("{here} of {} stations took part", there.count())));
+            }
             let next = self.network.now() + network.cycle.nanos() as u64;
             if let Some(until) = self.options.until
                 && next > UPTIME + until.nanos() as u64
@@ -181,16 +190,29 @@ impl<'a> Run<'a> {
         self.network.start_over();
         self.before = (0..self.present.len()).map(|id| self.counted(id)).collect();
         for act in acts(&plan.conditions.events, begin).into_iter().take_while(|act| act.at <= end) {
-            self.network.run_until(act.at.max(self.network.now()));
+            self.pass_until(act.at);
+            if self.interrupted {
+                break;
+            }
             self.act(&act)?;
         }
-        self.network.run_until(end);
+        self.pass_until(end);
+        end = end.min(self.network.now());
         self.watch.borrow_mut().judge.end();
         self.bound_deliveries(Arrivals::count_until);
         self.measured = (begin, end);
         // What was sent last is still on its way.
         self.network.run_until(end + linger);
         Ok(())
+    }
+
+    /// Lets time pass, unless the run is stopped.
+    fn pass_until(&mut self, until: True) {
+        while self.network.now() < until && !self.interrupted {
+            let next = self.network.now() + self.scenario.network.cycle.nanos() as u64;
+            self.network.run_until(next.min(until));
+            self.interrupted = self.options.is_stopped();
+        }
     }
 
     fn counted(&self, id: usize) -> Counted {
@@ -270,8 +292,8 @@ impl<'a> Run<'a> {
         watch.capture.finish();
         let (begin, end) = self.measured;
         let judged = watch.judge.finish(now);
-        let seen =
-            Observed { capture_failed: watch.capture.failed().map(str::to_owned), ..Observed::default() };
+        let capture_failed = watch.capture.failed().map(str::to_owned);
+        let seen = Observed { capture_failed, interrupted: self.interrupted, ..Observed::default() };
         let host = HostFacts::of_virtual_time();
         let figures = figures::of(self.scenario, judged, &known, (begin, end - begin), &seen, host);
         Ok(RingFigures { seed: Some(self.scenario.network.seed), ..figures })

@@ -4,6 +4,8 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, bail};
 use rtmac::tdma::{DEFAULT_LEAD, TdmaStatus};
@@ -29,6 +31,7 @@ use crate::judge::outcome::{self, Outcome, Parts};
 use crate::report::capture::{Capture, CaptureFile};
 use crate::report::histogram::SignedHistogram;
 use crate::report::host::HostFacts;
+use crate::report::verdict::Interrupted;
 use crate::scenario::{Scenario, acts, over};
 use crate::station::traffic::Arrivals;
 
@@ -60,6 +63,15 @@ pub struct Options {
     pub around: Option<(u32, u32)>,
     /// Keep what the pictures of a report show.
     pub pictures: bool,
+    /// End, and report what was measured, as soon as this is set.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Options {
+    /// Whether the run is to end.
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
 }
 
 /// What was asked for does not let a network join, or leaves no time to measure it.
@@ -112,6 +124,8 @@ struct Run<'a> {
     unlocked: True,
     /// How all were in the last cycles.
     at_end: Vec<AtEnd>,
+    /// It was stopped before its time.
+    interrupted: bool,
 }
 
 impl<'a> Run<'a> {
@@ -149,6 +163,7 @@ impl<'a> Run<'a> {
             over: 0,
             unlocked: 0,
             at_end: vec![AtEnd::UNSEEN; n],
+            interrupted: false,
         })
     }
 
@@ -176,8 +191,13 @@ impl<'a> Run<'a> {
         (0..self.present.len()).filter(|&id| self.present[id]).all(|id| are(self, id))
     }
 
-    /// Lets a cycle pass; fails if time is up.
+    /// Lets a cycle pass; fails if time is up, or the run is stopped.
     fn step(&mut self) -> Result<()> {
+        if self.options.is_stopped() {
+            let there = (0..self.present.len()).filter(|&id| self.present[id]);
+            let (joined, all) = (there.clone().filter(|&id| self.has_joined(id)).count(), there.count());
+            bail!(Interrupted(format!("{joined} of {all} stations were locked")));
+        }
         let next = self.now() + self.cycle;
         if let Some(until) = self.options.until
             && next > UPTIME + until.nanos() as u64
@@ -228,6 +248,10 @@ impl<'a> Run<'a> {
         self.over = begin + over(&self.scenario.conditions.events).nanos() as u64;
         let mut acts = acts(&self.scenario.conditions.events, begin).into_iter().peekable();
         while self.now() < end {
+            self.interrupted = self.options.is_stopped();
+            if self.interrupted {
+                break;
+            }
             let next = (self.now() + self.cycle).min(end);
             while let Some(act) = acts.next_if(|act| act.at <= next) {
                 self.pass_until(act.at);
@@ -239,7 +263,7 @@ impl<'a> Run<'a> {
             self.judge();
         }
         // Cycles are as long as the clock of who gives the time has them: by a slow one the last is over later.
-        if self.options.until.is_none() {
+        if self.options.until.is_none() && !self.interrupted {
             let over = self.watch.borrow().analysis.end_of_window().unwrap_or(end);
             self.pass_until(over.min(end + (end - begin) / DRIFT_AT_MOST + self.cycle));
         }
@@ -360,7 +384,7 @@ impl<'a> Run<'a> {
             wall_steps: 0,
             distrusted: 0,
             capture_failed: capture.failed().map(str::to_owned),
-            interrupted: false,
+            interrupted: self.interrupted,
             ended_early: self.options.until.is_some(),
         };
         let mut outcome = outcome::of(self.scenario, parts, HostFacts::of_virtual_time());

@@ -125,6 +125,16 @@ fn a_token_that_is_lost_for_no_reason_is_unexplained_and_takes_until_the_next_fr
     assert_eq!((recovery.took(), &recovery.victims[..], recovery.sends), (Span::from_millis(3), &[1][..], 2));
     assert_eq!((judged.unexplained, recovery.cause), (1, "unexplained"));
     assert_eq!((judged.tokens.repeated, judged.tokens.skipped), (1, 1));
+    assert!(!judged.is_lost);
+}
+
+#[test]
+fn a_token_that_is_lost_at_the_end_is_a_gap() {
+    let mut medium = Medium::new();
+    medium.passes();
+    medium.skips();
+    let judged = medium.finish();
+    assert_eq!((judged.recoveries.len(), judged.is_lost), (1, true));
 }
 
 #[test]

@@ -33,8 +33,8 @@ fn a_slave_is_calibrated_anew_when_it_is_asked_to_and_says_what_was_measured() {
             assert!(said.contains(&format!("{slave}: calibrates anew, from cycle ")), "{said}");
         };
         ask();
-        let again = asked(&["tdma", "-S", slave, "calibrate"]).unwrap_err();
-        assert!(again.contains("calibrates already: ask again when that is done"), "{again}");
+        let refused = asked(&["tdma", "-S", slave, "calibrate"]).unwrap_err();
+        assert!(refused.contains("calibrates already: ask again when that is done"), "{refused}");
         // It gives up where the host lets too few requests be answered.
         for attempt in 1.. {
             let said = second.wait_for("calibrat");

@@ -16,7 +16,7 @@ numbers! {
         receiver_full,
         /// They made room for more urgent ones in their receiver's queue.
         overtaken,
-        /// They waited for their receiver when its connection ended.
+        /// They waited for their receiver when its connection ended, or its kernel had not confirmed them.
         receiver_gone,
     }
 }
@@ -43,7 +43,7 @@ impl Lost {
 pub struct Account {
     /// Packages that were not passed on.
     pub lost: Lost,
-    /// Packages that wait for their receivers.
+    /// Packages that wait at the router, and those that the kernels of their receivers have not confirmed.
     pub waiting: u64,
 }
 

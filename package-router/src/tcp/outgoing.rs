@@ -68,7 +68,7 @@ struct Waiting {
 }
 
 /// The connection that a package came by. Its place is another's once it has been closed; its number is not.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Source {
     /// Its place.
     pub place: u32,

@@ -2,6 +2,7 @@
 
 mod controls;
 mod ending;
+mod flight;
 mod forward;
 mod links;
 mod rates;
@@ -20,6 +21,7 @@ use super::outgoing::{Outgoing, Source};
 use super::rules::Rules;
 use crate::name::MailboxName;
 use crate::wire::{HEAD_LEN, Head, MAX_LEN};
+use flight::Flight;
 use links::{Reach, Role};
 use rates::Meter;
 
@@ -96,6 +98,7 @@ struct Client {
     since: u64,
     frames: Frames,
     outgoing: Outgoing,
+    flight: Flight,
     names: BTreeSet<MailboxName>,
     watchdog: bool,
     life: Life,
@@ -103,7 +106,7 @@ struct Client {
     is_awake: bool,
     /// It is to be closed: nothing that it sends counts any more.
     is_ending: bool,
-    /// Its packages that wait for their receivers.
+    /// Its packages that wait here, or are in flight to their receivers.
     waits: u64,
     counters: Counters,
     meter: Meter,
@@ -260,6 +263,7 @@ impl Router {
             since: now,
             frames: Frames::default(),
             outgoing: Outgoing::new(self.limits.queue),
+            flight: Flight::default(),
             names: BTreeSet::new(),
             watchdog: true,
             life: Life::Shown,
@@ -314,11 +318,9 @@ impl Router {
         let Some(client) = self.client(to) else { return Ok(true) };
         let before = client.outgoing.held();
         let written = client.outgoing.write(send, &mut gone);
+        gone.drain(..).for_each(|(source, count)| client.flight.takes(source, count));
         let left = before - client.outgoing.held();
         self.held -= left;
-        for (source, count) in gone.drain(..) {
-            self.source(source).into_iter().for_each(|sender| sender.waits -= count);
-        }
         self.gone = gone;
         written
     }
@@ -352,6 +354,11 @@ impl Router {
         self.held -= client.held();
         self.trusted -= usize::from(client.trust == Trust::Full);
         client.counters.lost_at_close += client.outgoing.packages() as u64;
+        for (source, count) in client.flight.all() {
+            let Some(sender) = self.source(source) else { continue };
+            sender.waits -= count;
+            sender.counters.receiver_gone += count;
+        }
         self.give_up(client.outgoing, now);
         self.counters.add(&client.counters);
         *self.counted_endings.entry(why.reason()).or_default() += 1;

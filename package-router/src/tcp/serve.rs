@@ -1,5 +1,6 @@
 //! The router's loop over sockets: one thread.
 
+mod arrivals;
 mod awake;
 mod links;
 mod remote;
@@ -54,6 +55,9 @@ pub struct Server {
     readable: Vec<Connection>,
     /// Events of one wait: of each connection at most one. So each that has bytes has been read from after it.
     events: usize,
+    /// Connections to which packages may be in flight, and when it looks for those that have arrived.
+    in_flight: Vec<Connection>,
+    looks_again: u64,
     /// Listeners that may have more connections.
     accepting: Vec<usize>,
     /// When listeners are tried again.
@@ -82,6 +86,8 @@ impl Server {
             links: Vec::new(),
             sockets: Vec::new(),
             readable: Vec::new(),
+            in_flight: Vec::new(),
+            looks_again: 0,
             events: limits.connections + UNTRUSTED + 2 * addresses.len() + 1,
             accepting: Vec::new(),
             accepts_again: None,
@@ -120,6 +126,7 @@ impl Server {
             for event in &events {
                 self.event(event);
             }
+            self.look_for_arrivals();
             self.read(&mut room);
             // Each connection that has bytes has been read from by now: they are signs of life.
             if self.now() >= self.router.next_round() {
@@ -237,7 +244,7 @@ impl Server {
             Ok(session) => Stream::new(stream, session.map(Into::into)),
             Err(error) => return self.router.disconnect(connection, Ending::Tls(error.to_string()), now),
         };
-        self.keep(connection, Socket { stream, keys, is_readable: false, is_ended: false });
+        self.keep(connection, Socket::new(stream, keys));
     }
 
     fn keep(&mut self, connection: Connection, socket: Socket) {
@@ -307,6 +314,7 @@ impl Server {
         };
         let mut write = || -> io::Result<()> {
             while socket.stream.flush_tls()? {
+                self.router.written(connection, socket.stream.taken());
                 let is_all = self.router.write(connection, |slices| socket.stream.write_vectored(slices))?;
                 // TLS takes a part at a time, and more once that has left.
                 if is_all || !socket.stream.is_in_parts() {
@@ -315,7 +323,9 @@ impl Server {
             }
             Ok(())
         };
-        if let Err(error) = write() {
+        let written = write();
+        self.flies_to(connection);
+        if let Err(error) = written {
             self.disconnect(connection, broken(&error));
         }
     }
@@ -327,8 +337,12 @@ impl Server {
     }
 
     fn disconnect(&mut self, connection: Connection, why: Ending) {
+        self.looks_at(connection);
         // Closed before its number is another's.
         if let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::take) {
+            if socket.is_in_flight {
+                self.in_flight.retain(|in_flight| *in_flight != connection);
+            }
             drop(socket);
             let now = self.now();
             if let Some(place) = self.router.place_of_link(connection) {

@@ -1,6 +1,7 @@
 //! A connection of TCP, with TLS or without, that does not wait.
 
 use std::io::{self, IoSlice, Read, Write};
+use std::os::fd::AsRawFd;
 
 use mio::net::TcpStream;
 use rustls::Connection;
@@ -14,6 +15,8 @@ pub struct Stream {
     /// The socket.
     pub tcp: TcpStream,
     tls: Option<Box<Connection>>,
+    /// Bytes that the socket has taken, encrypted ones if they are.
+    taken: u64,
 }
 
 impl Stream {
@@ -21,7 +24,18 @@ impl Stream {
     pub fn new(tcp: TcpStream, tls: Option<Connection>) -> Self {
         let mut tls = tls.map(Box::new);
         tls.iter_mut().for_each(|tls| tls.set_buffer_limit(Some(ENCRYPTED)));
-        Self { tcp, tls }
+        Self { tcp, tls, taken: 0 }
+    }
+
+    /// Bytes that the socket has taken.
+    pub fn taken(&self) -> u64 {
+        self.taken
+    }
+
+    /// How many of these the peer's kernel has confirmed.
+    pub fn arrived(&self) -> u64 {
+        // A kernel that does not say has confirmed none.
+        unconfirmed(&self.tcp).map_or(0, |bytes| self.taken.saturating_sub(bytes))
     }
 
     /// Its TLS session, if it has one.
@@ -58,7 +72,7 @@ impl Stream {
         let Some(tls) = &mut self.tls else { return Ok(true) };
         while tls.wants_write() {
             match tls.write_tls(&mut Quiet(&self.tcp)) {
-                Ok(_) => {}
+                Ok(sent) => self.taken += sent as u64,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error),
@@ -71,7 +85,7 @@ impl Stream {
         let Some(tls) = &mut self.tls else { return Ok(()) };
         if let Err(error) = tls.process_new_packets() {
             // The alert says why, to a peer that still reads.
-            let _ = tls.write_tls(&mut Quiet(&self.tcp));
+            self.taken += tls.write_tls(&mut Quiet(&self.tcp)).unwrap_or(0) as u64;
             return Err(io::Error::new(io::ErrorKind::InvalidData, error));
         }
         Ok(())
@@ -95,6 +109,15 @@ impl Read for Stream {
         }
         Err(io::ErrorKind::Interrupted.into())
     }
+}
+
+/// Bytes that a socket has taken, and its peer's kernel has not confirmed.
+#[expect(unsafe_code, reason = "no crate here asks a socket for it")]
+fn unconfirmed(tcp: &TcpStream) -> io::Result<u64> {
+    let mut bytes: libc::c_int = 0;
+    // SAFETY: the descriptor is open, and the kernel writes one number.
+    let answer = unsafe { libc::ioctl(tcp.as_raw_fd(), libc::TIOCOUTQ, &raw mut bytes) };
+    Ok(nix::errno::Errno::result(answer).map(|_| bytes.max(0) as u64)?)
 }
 
 /// A socket whose writes end in an error, and in no signal, if the peer has gone: a program in C may not ignore SIGPIPE.
@@ -124,7 +147,11 @@ impl Write for Stream {
             return Err(io::ErrorKind::WouldBlock.into());
         }
         match &mut self.tls {
-            None => Quiet(&self.tcp).write_vectored(slices),
+            None => {
+                let sent = Quiet(&self.tcp).write_vectored(slices)?;
+                self.taken += sent as u64;
+                Ok(sent)
+            }
             Some(tls) if tls.is_handshaking() => Err(io::ErrorKind::WouldBlock.into()),
             Some(tls) => {
                 let taken = tls.writer().write_vectored(slices)?;

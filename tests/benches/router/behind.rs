@@ -1,12 +1,17 @@
-//! Signs of life, answers of the router, and an urgent package, behind packages that wait for the same client.
+//! Signs of life, answers of the router, and an urgent package, behind packages that wait for the same client; and a client's own answer.
 
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
+use package_router::component::{Component, Mailbox, SendError};
+use package_router::mailbox::{self, Shape};
 use package_router::name::MailboxName;
+use package_router::tcp::client::TcpOptions;
 use package_router::tcp::control::{CONFIRM, LIFESIGN, WATCHED, request};
 use package_router::wire::{HEAD_LEN, Head, OK};
 use serde_json::{Value, json};
@@ -21,6 +26,8 @@ const WAITING: usize = 10_000;
 const URGENT: u8 = 200;
 /// The receiver's socket buffer, which would grow else: most packages wait in the router.
 const BUFFER: usize = 64 << 10;
+/// Until a client's kernel takes no more of what its router does not read.
+const BACKLOG: Duration = Duration::from_millis(50);
 
 /// Time from a question to its answer, and from sending an urgent package to reading it, and how many waiting packages came first.
 pub fn behind(at: SocketAddr, time: Duration) -> Result<Value> {
@@ -63,6 +70,58 @@ pub fn lifesigns(at: SocketAddr, rounds: usize) -> Result<Value> {
         [&mut receiver, &mut other].into_iter().try_for_each(|of| of.write_all(&answer))?;
     }
     Ok(json!({ "lifesign": came.shown() }))
+}
+
+/// Time from a router's question for a sign of life, behind packages for a client, to the client's answer, behind packages of its own. The
+/// router is this program: it has read nothing of the client for a while.
+pub fn answers(rounds: usize) -> Result<Value> {
+    let listener = Socket::new(Domain::IPV4, Type::STREAM, None)?;
+    listener.set_recv_buffer_size(BUFFER)?;
+    listener.bind(&SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into())?;
+    listener.listen(1)?;
+    let listener = TcpListener::from(listener);
+    let component = Component::of_router(&TcpOptions::new(listener.local_addr()?.to_string().parse()?))?;
+    let mailbox = component.mailbox(name(0), Shape::new(8, 64))?;
+    let (mut router, _) = listener.accept()?;
+    router.set_nodelay(true)?;
+    router.set_read_timeout(Some(PATIENCE))?;
+    router.set_write_timeout(Some(PATIENCE))?;
+    let ours = protocols::named("ours")?;
+    let question = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
+    let many = [&ours.package(0, 1).repeat(WAITING)[..], &question[..]].concat();
+    let is_answer =
+        |head: &Head| (head.kind, head.to, head.from) == (OK, MailboxName::NOBODY, MailboxName::NOBODY);
+    let mut answered = Figures::new()?;
+    for _ in 0..rounds {
+        let is_over = AtomicBool::new(false);
+        thread::scope(|scope| {
+            scope.spawn(|| sends(&mailbox, WAITING, &is_over));
+            // Until the client's kernel takes no more.
+            thread::sleep(BACKLOG);
+            let asked = Instant::now();
+            let round = router
+                .write_all(&many)
+                .map_err(Into::into)
+                .and_then(|()| answered.until(&mut router, ours, asked, is_answer));
+            is_over.store(true, Ordering::Relaxed);
+            round
+        })?;
+    }
+    Ok(json!({ "own": answered.shown() }))
+}
+
+/// Sends packages to a mailbox elsewhere, each once there is room for it, until that is over.
+fn sends(mailbox: &Mailbox, packages: usize, is_over: &AtomicBool) {
+    let mut sender = mailbox.sender(name(1)).expect("a mailbox elsewhere");
+    for _ in 0..packages {
+        while let Err(why) = sender.send(-6, &[0x55; 48]) {
+            if is_over.load(Ordering::Relaxed) {
+                return;
+            }
+            assert!(matches!(why, SendError::Mailbox(mailbox::SendError::Full(_))), "{why}");
+            thread::sleep(Duration::from_micros(100));
+        }
+    }
 }
 
 /// Waits for the router's question for a sign of life.
@@ -128,7 +187,7 @@ impl Figures {
             if is_it(&head) {
                 self.times.record(since.elapsed().as_nanos() as u64)?;
                 before = Some(waited);
-            } else {
+            } else if head.kind == -6 {
                 waited += 1;
             }
         }

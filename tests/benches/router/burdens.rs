@@ -1,6 +1,6 @@
 //! A router with clients that are a burden, compared with one without.
 
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
@@ -14,6 +14,10 @@ use crate::protocols::{Ours, Protocol};
 
 /// Connections that say nothing.
 const SILENT: usize = 1_000;
+/// Connections that begin a TLS session and go no further. A router keeps a few more of these (256), and closes the oldest for another.
+const BEGUN: usize = 250;
+/// The head of a TLS record of 512 bytes, and of the hello of a client within it.
+const HELLO: [u8; 9] = [22, 3, 1, 2, 0, 1, 0, 1, 252];
 /// The clients that are a burden, after all others.
 const DEAF: u32 = 900_000;
 /// Bytes for the client that does not read, before anything is measured: more than its queue and the kernel take.
@@ -28,9 +32,12 @@ const PAIRS: u32 = 8;
 const WINDOW: Duration = Duration::from_millis(100);
 
 /// Clients that are a burden, until they are killed: one is sent to and does not read, one sends a byte a second, a thousand say
-/// nothing, and come again when the router has closed them.
-pub fn burden(at: SocketAddr) -> Result<Value> {
-    let mut silent = (0..SILENT).map(|_| mute(at)).collect::<Result<Vec<_>>>()?;
+/// nothing, 250 have begun a TLS session, and all these come again when the router has closed them.
+pub fn burden(at: SocketAddr, by_tls: SocketAddr) -> Result<Value> {
+    let begins = [(SILENT, at, &[][..]), (BEGUN, by_tls, &HELLO)];
+    let begins = begins.into_iter().flat_map(|(count, at, says)| std::iter::repeat_n((at, says), count));
+    let mut half_open =
+        begins.map(|begin| Ok((begin, opened(begin)?))).collect::<Result<Vec<(Begin, TcpStream)>>>()?;
     let (_deaf, mut sender, mut slow) =
         (joined(&Ours, at, DEAF)?, joined(&Ours, at, DEAF + 1)?, joined(&Ours, at, DEAF + 2)?);
     let batch = Ours.package(DEAF, DEAF + 1).repeat(BATCH);
@@ -44,14 +51,14 @@ pub fn burden(at: SocketAddr) -> Result<Value> {
         if beat % BEATS == 0 {
             slow.write_all(&slowly[beat / BEATS % slowly.len()..][..1])?;
         }
-        for stream in silent.iter_mut().skip(beat % BEATS).step_by(BEATS) {
+        for (begin, stream) in half_open.iter_mut().skip(beat % BEATS).step_by(BEATS) {
             // It has a question for a sign of life, or nothing, or it is closed.
-            let has_ended = match stream.peek(&mut [0]) {
+            let has_ended = match stream.read(&mut [0; 64]) {
                 Ok(length) => length == 0,
                 Err(error) => error.kind() != ErrorKind::WouldBlock,
             };
             if has_ended {
-                *stream = mute(at)?;
+                *stream = opened(*begin)?;
             }
         }
         std::thread::sleep(BEAT);
@@ -59,8 +66,12 @@ pub fn burden(at: SocketAddr) -> Result<Value> {
     Ok(Value::Null)
 }
 
-fn mute(at: SocketAddr) -> Result<TcpStream> {
-    let stream = TcpStream::connect(at)?;
+/// A router, and all that a connection says to it.
+type Begin = (SocketAddr, &'static [u8]);
+
+fn opened((at, says): Begin) -> Result<TcpStream> {
+    let mut stream = TcpStream::connect(at)?;
+    stream.write_all(says)?;
     stream.set_nonblocking(true)?;
     Ok(stream)
 }

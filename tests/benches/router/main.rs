@@ -8,7 +8,9 @@
 //! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after CLIENTS clients have joined
 //! router behind PORT SECONDS                    an answer of the router and an urgent package, behind 10 000 packages that wait
 //! router lifesigns PORT ROUNDS                  a question for a sign of life behind them, in ROUNDS rounds of 5 s
-//! router burden PORT                            a client that does not read, one that sends a byte a second, 1000 that say nothing
+//! router answers ROUNDS                         a client's answer to such a question, behind 10 000 packages of both
+//! router burden PORT TLS-PORT                   a client that does not read, one that sends a byte a second, 1000 that say nothing, and
+//!                                               250 that begin a TLS session and go no further
 //! router compare PORT PORT SECONDS PID ..       a router that has these burdens, its process and theirs, with one that has none
 //! ```
 
@@ -59,7 +61,8 @@ fn asked(words: &[&str]) -> Result<serde_json::Value> {
         }
         ["behind", port, time] => behind::behind(at(port)?, seconds(time)?),
         ["lifesigns", port, rounds] => behind::lifesigns(at(port)?, rounds.parse()?),
-        ["burden", port] => burdens::burden(at(port)?),
+        ["answers", rounds] => behind::answers(rounds.parse()?),
+        ["burden", port, by_tls] => burdens::burden(at(port)?, at(by_tls)?),
         ["compare", burdened, free, time, ref pids @ ..] => {
             burdens::compare(at(burdened)?, at(free)?, pids, seconds(time)?)
         }

@@ -30,7 +30,7 @@ numbers! {
         receiver_full,
         /// Its packages that made room for more urgent ones in their receiver's queue.
         overtaken,
-        /// Its packages that waited for their receiver when its connection ended.
+        /// Its packages that waited for their receiver when its connection ended, or that its kernel had not confirmed.
         receiver_gone,
         /// Packages for it that found its queue full.
         queue_full,

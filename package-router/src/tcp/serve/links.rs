@@ -106,7 +106,7 @@ impl Server {
             self.links[place].ended(&why, now);
             return self.router.disconnect(connection, why, now);
         }
-        self.keep(connection, Socket { stream, keys: None, is_readable: true, is_ended: false });
+        self.keep(connection, Socket { is_readable: true, ..Socket::new(stream, None) });
         self.readable.push(connection);
     }
 }

@@ -14,6 +14,8 @@ pub(super) struct Socket {
     pub is_readable: bool,
     /// The peer has ended its side: reads go on until they say so.
     pub is_ended: bool,
+    /// Packages may be in flight to it.
+    pub is_in_flight: bool,
 }
 
 /// Whether a TLS session has begun.
@@ -25,6 +27,11 @@ pub(super) enum Begun {
 }
 
 impl Socket {
+    /// Nothing has come by it, nor left.
+    pub fn new(stream: Stream, keys: Option<RouterKeys>) -> Self {
+        Self { stream, keys, is_readable: false, is_ended: false, is_in_flight: false }
+    }
+
     /// Begins its TLS session, if it has one, as far as that goes without waiting.
     pub fn begin(&mut self) -> io::Result<Begun> {
         let Some(keys) = &self.keys else { return Ok(Begun::Before) };

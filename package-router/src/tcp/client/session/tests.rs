@@ -258,8 +258,12 @@ fn packages_that_wait_at_the_router_are_not_confirmed() {
     joined.sends(CHASSIS, 0, CONFIRM_AGAIN - 1);
     assert_eq!(unsettled(&joined), 3, "it is not asked before");
     joined.sends(CHASSIS, 0, CONFIRM_AGAIN);
+    assert_eq!(unsettled(&joined), 3, "they have left, and not arrived");
+    joined.router.written(receiver, 1);
+    joined.router.arrived(receiver, 1);
+    joined.sends(CHASSIS, 0, 2 * CONFIRM_AGAIN);
     assert_eq!(unsettled(&joined), 0);
-    joined.sends(CHASSIS, 2, CONFIRM_AGAIN);
+    joined.sends(CHASSIS, 2, 2 * CONFIRM_AGAIN);
     joined.session.disconnected();
     assert_eq!((joined.session.counters().sent, joined.session.counters().unconfirmed), (5, 2));
 }

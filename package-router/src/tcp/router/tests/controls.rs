@@ -73,6 +73,39 @@ fn an_account_is_of_what_was_not_passed_on() {
 }
 
 #[test]
+fn packages_wait_until_their_receivers_kernel_has_them() {
+    let mut net = Net::of(2);
+    net.register(1, 2);
+    net.send(0, &[package(-6, 2, 1, b"x"), package(21, 2, 1, b"command")].concat());
+    model::read(&mut net, 1, usize::MAX);
+    let waiting =
+        |waiting, receiver_gone| Account { waiting, lost: Lost { receiver_gone, ..Lost::default() } };
+    let to = Connection(1);
+    net.router.written(to, 100);
+    net.router.arrived(to, 99);
+    assert_eq!(account(&mut net, 0), waiting(2, 0));
+    // A third is behind the mark.
+    net.send(0, &package(-6, 2, 1, b"x"));
+    model::read(&mut net, 1, usize::MAX);
+    net.router.arrived(to, 100);
+    assert_eq!(account(&mut net, 0), waiting(1, 0));
+    net.router.written(to, 117);
+    net.router.arrived(to, 116);
+    assert!(net.router.has_in_flight(to));
+    net.router.arrived(to, 117);
+    assert!(!net.router.has_in_flight(to));
+    assert_eq!(account(&mut net, 0), waiting(0, 0));
+    // The receiver goes with one in front of a mark and one behind it.
+    net.send(0, &package(-6, 2, 1, b"x"));
+    model::read(&mut net, 1, usize::MAX);
+    net.router.written(to, 134);
+    net.send(0, &package(-6, 2, 1, b"x"));
+    model::read(&mut net, 1, usize::MAX);
+    net.router.disconnect(to, Ending::Left, 0);
+    assert_eq!(account(&mut net, 0), waiting(0, 2));
+}
+
+#[test]
 fn packages_for_a_receiver_that_goes_are_their_senders_loss() {
     let mut net = Net::of(3);
     net.register(1, 2);

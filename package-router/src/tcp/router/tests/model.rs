@@ -17,8 +17,19 @@ enum Step {
     Register(usize, u32),
     Delete(usize, u32),
     Purge(usize),
-    Send { client: usize, to: u32, from: u32, command: bool, priority: u8, body: usize },
+    Send {
+        client: usize,
+        to: u32,
+        from: u32,
+        command: bool,
+        priority: u8,
+        body: usize,
+    },
     Read(usize, usize),
+    /// Its kernel has all that has left.
+    Arrives(usize),
+    /// Its kernel has all but so many bytes of that.
+    ArrivesInPart(usize, u64),
     Leaves(usize),
 }
 
@@ -42,6 +53,8 @@ fn step() -> impl Strategy<Value = Step> {
         1 => client.clone().prop_map(Step::Purge),
         12 => send,
         4 => (client.clone(), prop_oneof![1..200usize, Just(1_000_000)]).prop_map(|(client, bytes)| Step::Read(client, bytes)),
+        1 => client.clone().prop_map(Step::Arrives),
+        2 => (client.clone(), 0..100u64).prop_map(|(client, less)| Step::ArrivesInPart(client, less)),
         1 => client.prop_map(Step::Leaves),
     ]
 }
@@ -62,6 +75,13 @@ struct Reader {
     /// Bytes of the last package in `read` that are still to come, and that package if it is not the router's.
     rest: usize,
     begun: Option<Waiting>,
+    /// Bytes that have left, and how many of them its kernel has.
+    left: u64,
+    arrived: u64,
+    /// Where packages ended that have left, and their senders, while those stay connected: until all has arrived.
+    flight: Vec<(u64, Option<usize>)>,
+    /// Its own packages whose receiver has gone, without those that had arrived there, and with those that may not be known to have.
+    receiver_gone: [u64; 2],
     /// Heads of packages whose first byte has left.
     read: Vec<Head>,
     is_begun_own: bool,
@@ -126,12 +146,38 @@ impl Model {
         let waiting =
             self.readers.iter_mut().flat_map(|reader| reader.waiting.iter_mut().chain(&mut reader.begun));
         waiting.filter(|of| of.sender == Some(client)).for_each(|of| of.sender = None);
-        let Reader { waiting: mut waited, begun, rest, .. } = core::mem::take(&mut self.readers[client]);
+        let flights = self.readers.iter_mut().flat_map(|reader| &mut reader.flight);
+        flights.filter(|(_, sender)| *sender == Some(client)).for_each(|(_, sender)| *sender = None);
+        let Reader { waiting: mut waited, begun, rest, flight, arrived, .. } =
+            core::mem::take(&mut self.readers[client]);
         waited.extend(begun.filter(|_| rest > 0));
         waited.sort_by_key(|of| (core::cmp::Reverse(of.priority), of.number));
+        let waiting = waited.iter().map(|of| (u64::MAX, of.sender));
+        for (end, sender) in waiting.chain(flight).filter_map(|(end, sender)| Some((end, sender?))) {
+            let [surely, at_most] = &mut self.readers[sender].receiver_gone;
+            *surely += u64::from(end > arrived);
+            *at_most += 1;
+        }
         for Waiting { head, sender, .. } in waited {
             sender.into_iter().for_each(|sender| self.unavailable(sender, &head));
         }
+    }
+
+    /// The packages of a client that wait, and those in flight: without those that have arrived, and with those that may not be known to
+    /// have.
+    fn waits(&self, client: usize) -> [u64; 2] {
+        let mut sums = [0; 2];
+        for reader in &self.readers {
+            let begun = reader.begun.iter().filter(|_| reader.rest > 0);
+            let waiting = reader.waiting.iter().chain(begun).map(|of| (u64::MAX, of.sender));
+            let of_client =
+                waiting.chain(reader.flight.iter().copied()).filter(|(_, sender)| *sender == Some(client));
+            for (end, _) in of_client {
+                sums[0] += u64::from(end > reader.arrived);
+                sums[1] += 1;
+            }
+        }
+        sums
     }
 
     /// The packages that made room; `None` if there is no room.
@@ -178,6 +224,10 @@ impl Model {
             }
             let now = reader.rest.min(bytes);
             (reader.rest, bytes) = (reader.rest - now, bytes - now);
+            reader.left += now as u64;
+            if reader.rest == 0 && !reader.is_begun_own {
+                reader.flight.extend(reader.begun.as_ref().map(|of| (reader.left, of.sender)));
+            }
         }
     }
 }
@@ -192,6 +242,18 @@ pub(super) fn read(net: &mut Net, of: usize, bytes: usize) {
         if now.is_empty() { Err(io::ErrorKind::WouldBlock.into()) } else { Ok(now.len()) }
     };
     net.router.write(Connection(of as u32), send).unwrap();
+}
+
+/// All that has left for a connection arrives.
+fn arrives(net: &mut Net, of: usize) {
+    let to = Connection(of as u32);
+    let end = net.read[of].len() as u64;
+    // A mark, and what is behind it.
+    for _ in 0..2 {
+        net.router.written(to, end);
+        net.router.arrived(to, end);
+    }
+    assert!(!net.router.has_in_flight(to));
 }
 
 fn runs(steps: Vec<Step>) {
@@ -233,8 +295,18 @@ fn runs(steps: Vec<Step>) {
                 }
             }
             Step::Read(client, bytes) => {
+                net.router.written(Connection(client as u32), net.read[client].len() as u64);
                 read(&mut net, client, bytes);
                 model.reads(client, bytes);
+            }
+            Step::Arrives(client) => {
+                arrives(&mut net, client);
+                model.readers[client].flight.clear();
+            }
+            Step::ArrivesInPart(client, less) => {
+                let reader = &mut model.readers[client];
+                reader.arrived = reader.arrived.max(reader.left.saturating_sub(less));
+                net.router.arrived(Connection(client as u32), reader.arrived);
             }
             Step::Leaves(client) => {
                 net.router.disconnect(Connection(client as u32), Ending::Left, 0);
@@ -242,6 +314,13 @@ fn runs(steps: Vec<Step>) {
                 net.read[client].clear();
                 model.leaves(client);
             }
+        }
+    }
+    for (client, reader) in model.readers.iter().enumerate() {
+        let waits = net.router.clients[client].as_ref().unwrap().waits;
+        let gone = net.counters(client).receiver_gone;
+        for (count, [surely, at_most]) in [(waits, model.waits(client)), (gone, reader.receiver_gone)] {
+            assert!((surely..=at_most).contains(&count), "client {client}: {count} of {surely} to {at_most}");
         }
     }
     for client in 0..CLIENTS {
@@ -257,6 +336,7 @@ fn runs(steps: Vec<Step>) {
     }
     let begun: usize = net.router.clients.iter().flatten().map(|client| client.frames.begun()).sum();
     assert_eq!((net.router.held, begun), (0, 0));
+    (0..CLIENTS).for_each(|client| arrives(&mut net, client));
     assert!(net.router.clients.iter().flatten().all(|client| client.waits == 0));
     let owned: usize = net.router.status(0).clients.iter().map(|client| client.names.len()).sum();
     assert_eq!((owned, net.router.table.len()), (model.owners.len(), model.owners.len()));

@@ -1,8 +1,10 @@
 """The bytes that wait for the router, and the end of each package."""
 
+import heapq
+import itertools
 import struct
 from collections import deque
-from typing import Callable, Deque, Dict, Optional, Tuple
+from typing import Callable, Deque, Dict, List, Optional, Tuple
 
 from .wire import OK, control
 
@@ -25,7 +27,8 @@ class Leaving:
 
 
 class Outgoing:
-    """Packages in their order. Requests and answers of the session overtake them: they wait for one batch at the most."""
+    """Packages that wait: the most urgent leaves first, of equals the oldest. Requests and answers of the session overtake them: they wait
+    for one batch at the most."""
 
     def __init__(self) -> None:
         #: Packages that have left.
@@ -43,7 +46,9 @@ class Outgoing:
         #: The router waits for a sign of life.
         self.is_asked = False
         self._first = b""
-        self._waiting: Deque[Leaving] = deque()
+        self._waiting: List[Tuple[int, int, int, Leaving]] = []
+        #: How many requests kept their place so far: no package overtakes one, nor the reverse. And numbers of packages and of these.
+        self._section, self._number = 0, itertools.count()
         #: The rest of the batch that is being written, and where in the batch that is.
         self._batch, self._written = memoryview(b""), 0
         #: Where in the batch its packages end.
@@ -65,7 +70,9 @@ class Outgoing:
     def put(self, data: bytes, counts: bool = True) -> Leaving:
         """Adds a package; or a request, which does not count as one, and follows the packages before it."""
         leaving = Leaving(data, counts)
-        self._waiting.append(leaving)
+        # The third byte of a package is its priority. A request is the last of its section.
+        heapq.heappush(self._waiting, (self._section, -data[2] if counts else 1, next(self._number), leaving))
+        self._section += not counts
         self._requests += not counts
         self.size += len(data)
         return leaving
@@ -91,7 +98,7 @@ class Outgoing:
             first = control(OK).encode() + self._first if self.is_asked else self._first
             batch, length, sent = [first], len(first), self.sent
             while self._waiting and length < BATCH:
-                leaving = self._waiting.popleft()
+                leaving = heapq.heappop(self._waiting)[3]
                 batch.append(leaving.data)
                 length += len(leaving.data)
                 sent += leaving.counts
@@ -128,7 +135,7 @@ class Outgoing:
 
     def end(self) -> None:
         """The connection has ended: counts all that waited."""
-        waiting = [leaving for _, leaving in self._ends] + list(self._waiting)
+        waiting = [leaving for _, leaving in self._ends] + [place[3] for place in self._waiting]
         for leaving in waiting:
             leaving.has_left = False
             self.lost += leaving.counts

@@ -61,6 +61,17 @@ class Overtaking(unittest.TestCase):
         self.assertEqual(it.outgoing.sent, 1000)
 
 
+    def test_urgent_packages_overtake_the_others(self) -> None:
+        it = session()
+        for number, priority in enumerate([0, 5, 0, 5, 255]):
+            it.outgoing.put(Package(9, 7, -6, bytes(8), priority, number).encode())
+        it.outgoing.put(control(DELETE, bytes(4)).encode(), counts=False)
+        it.outgoing.put(Package(9, 7, -6, bytes(8), 255, 6).encode())
+        packages = Decoder().feed(written(it, 0.0))
+        left = [package.id if package.kind == -6 else package.kind for package in packages]
+        self.assertEqual(left, [4, 1, 3, 0, 2, DELETE, 6, ACCOUNT, DELETE_ANSWERED], "none overtakes a deletion")
+
+
 class Fate(unittest.TestCase):
     def test_sent_packages_are_unconfirmed_until_the_router_answers(self) -> None:
         it = session()

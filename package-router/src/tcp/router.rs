@@ -150,6 +150,9 @@ pub struct Router {
     /// The rate of all connections.
     meter: Meter,
     next_round: u64,
+    /// When the round that has begun did, and the place of the connection whose turn is next.
+    round_from: u64,
+    round_at: usize,
     /// Bytes that wait for all connections, and of packages that have begun.
     held: usize,
     /// Memory for [`Self::write`].
@@ -179,6 +182,8 @@ impl Router {
             rules_error: None,
             meter: Meter::new(now),
             next_round: now + LIFESIGN_EVERY,
+            round_from: now,
+            round_at: 0,
             held: 0,
             gone: Vec::new(),
         }
@@ -209,17 +214,27 @@ impl Router {
         Ok(self.add(peer, Trust::Full, now))
     }
 
-    /// A connection from there is open, whose TLS session has not begun. The oldest of too many such makes room for it: a client that
-    /// may come proves that within moments. They take no place of [`Limits::connections`].
+    /// A connection from there is open, whose TLS session has not begun. Of too many such one makes room for it, the oldest of the address
+    /// that has the most: a client that may come proves that within moments. They take no place of [`Limits::connections`].
     pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Connection {
         let connection = self.add(peer, Trust::Handshake, now);
         self.untrusted.push_back(connection);
         if self.untrusted.len() > UNTRUSTED
-            && let Some(oldest) = self.untrusted.pop_front()
+            && let Some(crowding) = self.crowding()
         {
-            self.end(oldest, Ending::Crowded);
+            self.untrusted.retain(|untrusted| *untrusted != crowding);
+            self.end(crowding, Ending::Crowded);
         }
         connection
+    }
+
+    /// The oldest connection that is not trusted yet, of the address that has the most.
+    fn crowding(&self) -> Option<Connection> {
+        let address = |of: &Connection| Some(self.clients.get(of.0 as usize)?.as_ref()?.peer.ip());
+        let mut counts = BTreeMap::new();
+        self.untrusted.iter().filter_map(address).for_each(|of| *counts.entry(of).or_insert(0) += 1);
+        let (crowded, _) = counts.into_iter().max_by_key(|(_, count)| *count)?;
+        self.untrusted.iter().copied().find(|of| address(of) == Some(crowded))
     }
 
     /// The TLS session of a connection has begun. With a proof, its first package has to be that.

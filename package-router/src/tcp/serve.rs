@@ -2,6 +2,7 @@
 
 mod arrivals;
 mod awake;
+mod handshakes;
 mod links;
 mod remote;
 mod socket;
@@ -24,11 +25,12 @@ use super::keys::RouterKeys;
 use super::router::{Connection, Ending, Limits, Router, Status, UNTRUSTED};
 use super::stream::Stream;
 use awake::{AWAKE_AT_MOST, Awake};
+use handshakes::Handshakes;
 pub use links::LinkTo;
 use links::OwnLink;
 use remote::Order;
 pub use remote::Remote;
-use socket::{Begun, Socket};
+use socket::Socket;
 
 /// Connections of one listener that are accepted before the others have their turn.
 const ACCEPTS: usize = 64;
@@ -51,6 +53,7 @@ pub struct Server {
     /// Connections to the routers of other systems.
     links: Vec<OwnLink>,
     sockets: Vec<Option<Socket>>,
+    handshakes: Handshakes,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
     /// Events of one wait: of each connection at most one. So each that has bytes has been read from after it.
@@ -85,6 +88,7 @@ impl Server {
             listeners,
             links: Vec::new(),
             sockets: Vec::new(),
+            handshakes: Handshakes::default(),
             readable: Vec::new(),
             in_flight: Vec::new(),
             looks_again: 0,
@@ -138,7 +142,7 @@ impl Server {
             self.close();
             self.obey();
         }
-        Ok(())
+        self.finish(&mut events)
     }
 
     /// Waits for events: awake as long as they follow each other closely, else asleep.
@@ -175,7 +179,9 @@ impl Server {
         }
         let links = self.links.iter().filter_map(OwnLink::due);
         let next = links.chain(self.accepts_again).fold(self.router.next_round(), u64::min);
-        Some(Duration::from_millis(next.saturating_sub(self.now())))
+        let next = Duration::from_millis(next.saturating_sub(self.now()));
+        let step = self.handshakes.wait(monotonic()).map(Duration::from_nanos);
+        Some(step.map_or(next, |step| step.min(next)))
     }
 
     fn event(&mut self, event: &Event) {
@@ -258,18 +264,18 @@ impl Server {
     /// Reads once from each connection that has something.
     fn read(&mut self, room: &mut [u8]) {
         let now = self.now();
+        while let Some(connection) = self.handshakes.due(monotonic()) {
+            self.begin(connection);
+        }
         for connection in core::mem::take(&mut self.readable) {
             let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
                 continue;
             };
-            let read = socket.begin().and_then(|begun| match begun {
-                Begun::NotYet => Err(io::ErrorKind::WouldBlock.into()),
-                Begun::Now(proof) => {
-                    self.router.secured(connection, proof);
-                    socket.stream.read(room)
-                }
-                Begun::Before => socket.stream.read(room),
-            });
+            if socket.keys.is_some() {
+                self.handshakes.postpone(connection);
+                continue;
+            }
+            let read = socket.stream.read(room);
             let ending = match read {
                 Ok(0) => Some(Ending::Left),
                 Ok(length) => {
@@ -349,6 +355,7 @@ impl Server {
                 self.links[place].ended(&why, now);
             }
             self.readable.retain(|readable| *readable != connection);
+            self.handshakes.forget(connection);
             self.router.disconnect(connection, why, self.now());
         }
     }
@@ -371,19 +378,20 @@ impl Server {
 
 fn broken(error: &io::Error) -> Ending {
     match error.kind() {
-        io::ErrorKind::InvalidData => return Ending::Tls(of_tls(error)),
-        io::ErrorKind::UnexpectedEof => return Ending::Left,
-        _ => {}
+        io::ErrorKind::InvalidData => of_tls(error),
+        io::ErrorKind::UnexpectedEof => Ending::Left,
+        _ => Ending::Broken(error.raw_os_error().unwrap_or(libc::EIO)),
     }
-    Ending::Broken(error.raw_os_error().unwrap_or(libc::EIO))
 }
 
 /// An error of a TLS session.
-fn of_tls(error: &io::Error) -> String {
+fn of_tls(error: &io::Error) -> Ending {
+    use rustls::Error::{InvalidCertificate, InvalidMessage, NoCertificatesPresented};
     match error.get_ref().and_then(|of| of.downcast_ref()) {
-        Some(rustls::Error::InvalidMessage(_)) => {
-            format!("it does not speak TLS, which this address asks for: {error}")
+        Some(InvalidMessage(_)) => {
+            Ending::Tls(format!("it does not speak TLS, which this address asks for: {error}"))
         }
-        _ => error.to_string(),
+        Some(InvalidCertificate(_) | NoCertificatesPresented) => Ending::Certificate(error.to_string()),
+        _ => Ending::Tls(error.to_string()),
     }
 }

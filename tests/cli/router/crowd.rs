@@ -1,8 +1,10 @@
 //! As many connections as a router takes.
 
+use std::time::Instant;
+
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
-use package_router::tcp::control::UNWATCHED;
+use package_router::tcp::control::LIFESIGN;
 
 use super::*;
 use crate::host::figure;
@@ -10,6 +12,8 @@ use crate::host::figure;
 /// The router's limit.
 const CONNECTIONS: u32 = 10_000;
 const MORE: u32 = 10;
+/// From one question for a sign of life to the next.
+const ROUND: Duration = Duration::from_secs(5);
 /// Descriptors of all else in this process.
 const OTHERS: u64 = 1_000;
 
@@ -26,8 +30,6 @@ fn a_router_takes_ten_thousand_connections() {
     let mut clients: Vec<TcpStream> = (1..=CONNECTIONS)
         .map(|name| {
             let mut client = router.connect();
-            // Nothing here answers questions for a sign of life.
-            client.write_all(&package(UNWATCHED, 0, 0, &[])).unwrap();
             register(&mut client, name);
             client
         })
@@ -36,16 +38,70 @@ fn a_router_takes_ten_thousand_connections() {
         // It is closed at once, or reset.
         assert_eq!(router.connect().read(&mut [0]).unwrap_or(0), 0);
     }
-    clients[0].write_all(&package(-6, CONNECTIONS, 1, b"to the last")).unwrap();
-    assert_eq!(read(clients.last_mut().unwrap()).1, b"to the last");
+    let last = clients.pop().unwrap();
+    let pair = [clients.swap_remove(0), last];
+    let is_over = AtomicBool::new(false);
+    let (trips, longest) = thread::scope(|scope| {
+        let _ends = AtEnd(&is_over);
+        let trips = scope.spawn(|| trips(pair, &is_over));
+        live(&mut clients, 2 * ROUND + ROUND / 5);
+        is_over.store(true, Ordering::Relaxed);
+        trips.join().unwrap()
+    });
     let status = router.status();
     let [connections, names] = ["connections", "names"].map(|of| status[of].as_u64().unwrap());
     assert_eq!((connections, names), (CONNECTIONS.into(), CONNECTIONS.into()));
     assert_eq!(status["counters"]["connections_refused"], MORE);
+    assert_eq!(status["endings"]["silent"], 0, "{}", status["endings"]);
     figure(
         test,
-        &format!("{connections} connections, each with a name; {MORE} more were refused, and counted"),
+        &format!(
+            "{connections} connections, each with a name, lived for two rounds; {MORE} more were refused, and counted; of {trips} trips \
+             there and back meanwhile the longest took {:.1} ms",
+            longest.as_secs_f64() * 1e3
+        ),
     );
+}
+
+/// Answers each question for a sign of life for so long.
+fn live(clients: &mut [TcpStream], time: Duration) {
+    clients.iter().for_each(|client| client.set_nonblocking(true).unwrap());
+    let begun = Instant::now();
+    while begun.elapsed() < time {
+        for client in &mut *clients {
+            let mut head = [0; HEAD_LEN];
+            while let Ok(HEAD_LEN) = client.read(&mut head) {
+                assert_eq!(Head::parse(&head).unwrap().kind, LIFESIGN);
+                client.write_all(&package(0, 0, 0, &[])).unwrap();
+            }
+        }
+        thread::sleep(Duration::from_millis(100));
+    }
+}
+
+/// Packages there and back between the first client and the last, a thousand a second: their number, and the longest time.
+fn trips([mut first, mut last]: [TcpStream; 2], is_over: &AtomicBool) -> (u64, Duration) {
+    let (there, back) = (package(-6, CONNECTIONS, 1, b"there"), package(-6, 1, CONNECTIONS, b"back"));
+    let (mut trips, mut longest) = (0, Duration::ZERO);
+    while !is_over.load(Ordering::Relaxed) {
+        let begun = Instant::now();
+        first.write_all(&there).unwrap();
+        comes(&mut last, b"there");
+        last.write_all(&back).unwrap();
+        comes(&mut first, b"back");
+        (trips, longest) = (trips + 1, longest.max(begun.elapsed()));
+        thread::sleep(Duration::from_millis(1));
+    }
+    (trips, longest)
+}
+
+/// Reads a package. A question for a sign of life may come before it: the packages that are sent answer it.
+fn comes(client: &mut TcpStream, body: &[u8]) {
+    let mut package = read(client);
+    while package.0.kind == LIFESIGN {
+        package = read(client);
+    }
+    assert_eq!(package.1, body);
 }
 
 /// A router that may open a few descriptors only, as where the host's limit is low.

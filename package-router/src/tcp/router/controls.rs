@@ -66,9 +66,12 @@ impl Router {
         }
     }
 
-    /// Registers a name. Returns whether this connection owns it from now on. Without an answer, a second registration and the name 0
-    /// are not counted as refused.
+    /// Registers a name. Returns whether this connection owns it from now on, or it is 0, which no connection owns. Without an answer, a
+    /// second registration is not counted as refused.
     fn register(&mut self, from: Connection, name: MailboxName, is_answered: bool, now: u64) -> bool {
+        if name == MailboxName::NOBODY {
+            return true;
+        }
         let owner = self.table.get(&name).copied();
         let has_room = self.table.len() < self.limits.all_names;
         let (system, most) = (self.system, self.limits.names);
@@ -78,10 +81,9 @@ impl Router {
         let is_new = self.rules.may_register(client.peer.ip(), name)
             && client.role.may_have(name, system)
             && has_room
-            && name != MailboxName::NOBODY
             && owner.is_none()
             && client.names.len() < most;
-        let is_idle = !is_answered && (name == MailboxName::NOBODY || owner == Some(from));
+        let is_idle = !is_answered && owner == Some(from);
         if is_new {
             client.names.insert(name);
             self.table.insert(name, from);

@@ -22,6 +22,9 @@ pub enum Ending {
         "the router there takes no link of this system: it has the same number (`system`), or is of another make"
     )]
     SameSystem,
+    /// Its certificate is missing, or none that this router's keys have signed.
+    #[error("TLS: {0}")]
+    Certificate(String),
     /// Its TLS session did not begin, or broke.
     #[error("TLS: {0}")]
     Tls(String),
@@ -44,11 +47,12 @@ pub enum Ending {
 
 impl Ending {
     /// All reasons by which connections that were closed are counted.
-    pub const REASONS: [&'static str; 11] = [
+    pub const REASONS: [&'static str; 12] = [
         "left",
         "silent",
         "stranger",
         "same_system",
+        "certificate",
         "tls",
         "crowded",
         "too_many",
@@ -65,6 +69,7 @@ impl Ending {
             Self::Silent => "silent",
             Self::Stranger => "stranger",
             Self::SameSystem => "same_system",
+            Self::Certificate(_) => "certificate",
             Self::Tls(_) => "tls",
             Self::Crowded => "crowded",
             Self::TooMany => "too_many",
@@ -89,6 +94,7 @@ mod tests {
             Ending::Silent,
             Ending::Stranger,
             Ending::SameSystem,
+            Ending::Certificate("of another".into()),
             Ending::Tls("an alert".into()),
             Ending::Crowded,
             Ending::TooMany,

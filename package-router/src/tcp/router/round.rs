@@ -6,19 +6,31 @@ use crate::name::MailboxName;
 use crate::tcp::control::LIFESIGN;
 use crate::wire::Head;
 
+/// Connections of a part of a round, and milliseconds from one part to the next: 10,000 take 400 ms.
+const PART: usize = 256;
+const PART_EVERY: u64 = 10;
+
 impl Router {
     /// When [`Self::round`] is due.
     pub fn next_round(&self) -> u64 {
         self.next_round
     }
 
-    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life; measures rates. The caller
-    /// hands over all bytes that have come before: so a router that was stopped for a while ends no connection that is alive.
+    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life; measures rates. Of many
+    /// connections it is the turn of a part at a time: packages pass in between. The caller hands over all bytes that have come before: so
+    /// a router that was stopped for a while ends no connection that is alive.
     pub fn round(&mut self, now: u64) {
-        self.next_round = now + LIFESIGN_EVERY;
-        self.measure(now);
+        if self.round_at == 0 {
+            self.round_from = now;
+            self.measure(now);
+        }
+        let (begin, end) = (self.round_at, self.clients.len().min(self.round_at + PART));
+        (self.round_at, self.next_round) = match end == self.clients.len() {
+            true => (0, self.round_from + LIFESIGN_EVERY),
+            false => (end, now + PART_EVERY),
+        };
         let lifesign = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY);
-        for place in 0..self.clients.len() as u32 {
+        for place in begin as u32..end as u32 {
             let Some(client) = &mut self.clients[place as usize] else { continue };
             client.outgoing.shrink();
             if !client.watchdog {

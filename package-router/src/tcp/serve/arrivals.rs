@@ -1,12 +1,19 @@
 //! Which packages have arrived at the kernels of their receivers.
 
-use super::Server;
+use std::io;
+use std::time::Duration;
+
+use mio::Events;
+
+use super::{LINKS, Server};
 use crate::tcp::router::Connection;
 
 /// Milliseconds from one look for packages that have arrived to the next, at the least.
 const LOOKS_EVERY: u64 = 10;
 /// Connections in flight that make it a millisecond longer: a look takes a microsecond for each at the most.
 const CONNECTIONS_A_MILLISECOND: u64 = 100;
+/// Milliseconds that a router takes at its end, at the most.
+const ENDS_WITHIN: u64 = 1_000;
 
 impl Server {
     /// Something was written to a connection: it is looked at if packages are in flight to it.
@@ -56,5 +63,22 @@ impl Server {
             self.router.arrived(connection, arrived);
         }
         self.router.has_in_flight(connection)
+    }
+
+    /// Writes what waits, until all of it has arrived, for a second at the most. Nothing is read any more.
+    pub(super) fn finish(&mut self, events: &mut Events) -> io::Result<()> {
+        let until = self.now() + ENDS_WITHIN;
+        while self.now() < until && (self.router.has_waiting() || !self.in_flight.is_empty()) {
+            match self.poll.poll(events, Some(Duration::from_millis(LOOKS_EVERY))) {
+                Err(error) if error.kind() != io::ErrorKind::Interrupted => return Err(error),
+                _ => {}
+            }
+            let writable = events.iter().filter(|event| event.is_writable()).map(|event| event.token().0);
+            for place in writable.filter(|place| *place < LINKS) {
+                self.write_to(Connection(place as u32));
+            }
+            self.look_for_arrivals();
+        }
+        Ok(())
     }
 }

@@ -18,13 +18,8 @@ pub(super) struct Socket {
     pub is_in_flight: bool,
 }
 
-/// Whether a TLS session has begun.
-pub(super) enum Begun {
-    NotYet,
-    /// Just now; with the proof that its client has to give, if any.
-    Now(Option<Proof>),
-    Before,
-}
+/// A TLS session has begun; with the proof that its client has to give, if any.
+pub(super) struct Begun(pub Option<Proof>);
 
 impl Socket {
     /// Nothing has come by it, nor left.
@@ -32,15 +27,15 @@ impl Socket {
         Self { stream, keys, is_readable: false, is_ended: false, is_in_flight: false }
     }
 
-    /// Begins its TLS session, if it has one, as far as that goes without waiting.
-    pub fn begin(&mut self) -> io::Result<Begun> {
-        let Some(keys) = &self.keys else { return Ok(Begun::Before) };
+    /// Begins its TLS session, as far as that goes without waiting.
+    pub fn begin(&mut self) -> io::Result<Option<Begun>> {
+        let Some(keys) = &self.keys else { return Ok(None) };
         if !self.stream.begin()? {
-            return Ok(Begun::NotYet);
+            return Ok(None);
         }
         let proof = self.stream.tls().map(|session| keys.proof(session)).transpose();
         let proof = proof.map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
         self.keys = None;
-        Ok(Begun::Now(proof.flatten()))
+        Ok(Some(Begun(proof.flatten())))
     }
 }

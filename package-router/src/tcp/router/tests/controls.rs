@@ -48,7 +48,8 @@ fn no_name_is_everybodys() {
     let mut net = Net::of(1);
     net.send(0, &control(11, &[0; 4]));
     assert_eq!((net.reads(0).len(), net.counters(0).names_refused), (0, 0), "let pass silently");
-    assert_eq!(net.register(0, 0), wire::ERROR);
+    assert_eq!((net.register(0, 0), net.counters(0).names_refused), (wire::OK, 0));
+    assert!(net.router.status(0).clients[0].names.is_empty());
     net.send(0, &package(4, 0, 7, &[]));
     assert_eq!(Head::parse(&net.reads(0)).unwrap().kind, wire::NOT_AVAILABLE, "0 is nobody");
 }

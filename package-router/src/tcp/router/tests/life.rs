@@ -47,3 +47,30 @@ fn silence_ends_a_connection_in_the_round_after_it_was_asked() {
     assert_eq!(round(&mut net), [(3, Ending::Silent)]);
     assert_eq!(round(&mut net), [(2, Ending::Silent), (0, Ending::Silent)], "3 is on its way out already");
 }
+
+#[test]
+fn each_of_many_is_asked_once_in_a_round() {
+    const MANY: usize = 1_000;
+    let mut net = Net::of(MANY);
+    let mut asked = vec![0; MANY];
+    let mut most = 0;
+    for now in 0..2 * LIFESIGN_EVERY {
+        if now < net.router.next_round() {
+            continue;
+        }
+        net.now = now;
+        net.router.round(now);
+        let mut at_once = 0;
+        for (of, count) in asked.iter_mut().enumerate() {
+            let read = net.reads(of);
+            if !read.is_empty() {
+                assert_eq!(Head::parse(&read).unwrap().kind, LIFESIGN);
+                net.send(of, &control(0, &[]));
+                (*count, at_once) = (*count + 1, at_once + 1);
+            }
+        }
+        most = most.max(at_once);
+    }
+    assert!(asked.iter().all(|count| *count == 1), "the second round begins at 10 s");
+    assert_eq!((most, net.endings()), (256, vec![]));
+}

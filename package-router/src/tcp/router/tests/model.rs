@@ -104,7 +104,7 @@ impl Model {
         if is_new {
             self.owners.insert(name, client);
         }
-        self.answer(client, if is_new { wire::OK } else { wire::ERROR });
+        self.answer(client, if is_new || name == 0 { wire::OK } else { wire::ERROR });
     }
 
     fn deletes(&mut self, client: usize, name: u32) {

@@ -148,3 +148,15 @@ fn strangers_take_no_connection_of_clients() {
     net.router.disconnect(strangers[3], Ending::Left, 0);
     assert!(net.router.connect(PEER, 0).is_ok(), "one has left");
 }
+
+#[test]
+fn a_crowd_of_one_address_makes_room_for_others() {
+    let from = |last: u8, port: u16| SocketAddr::from(([10, 0, 0, last], port));
+    let mut router = Router::new(Limits::default(), 0);
+    let client = router.connect_by_tls(from(1, 1), 0);
+    let crowd: Vec<_> = (0..10_000).map(|port| router.connect_by_tls(from(2, port), 0)).collect();
+    let ended: Vec<_> = core::iter::from_fn(|| router.next_ending()).map(|(of, _)| of).collect();
+    let expected: Vec<_> = crowd[..10_000 + 1 - UNTRUSTED].iter().rev().copied().collect();
+    assert_eq!(ended, expected, "the oldest of the crowd");
+    assert!(!ended.contains(&client));
+}

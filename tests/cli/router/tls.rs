@@ -9,17 +9,18 @@ use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use package_router::component::{Component, Mailbox};
+use package_router::component::{Component, Mailbox, Sender};
 use package_router::mailbox::Shape;
 use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
 use package_router::tcp::keys::{ClientKeys, SECRET_AT_LEAST};
 
-use super::languages::{Program, in_c};
+use super::languages::{Program, in_c, in_python};
 use super::{AtEnd, Router, not_started, package, refusal};
 use crate::cell::{text, wait_until};
+use crate::host::figure;
 use crate::rtnet;
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -251,6 +252,54 @@ fn strangers_who_crowd_keep_no_client_out() {
         wait_until("they still do", || crowded() > before);
         assert_eq!(router.status()["names"], 1, "the client stays");
     });
+}
+
+/// Each session that they begin takes the router as long as a thousand packages.
+#[test]
+fn strangers_who_begin_sessions_leave_time_for_clients() {
+    let test = "strangers_who_begin_sessions_leave_time_for_clients";
+    let Some((python, _)) = in_python(test, "strangers.py") else { return };
+    let keys = Keys::new();
+    let router = keys.router("begun");
+    let (_first, first) = component(&router, &keys.of("client"), 1);
+    let (second, mut other) = component(&router, &keys.of("client"), 2);
+    registered(&second);
+    let port = router.at.port().to_string();
+    let strangers = [(); 2].map(|()| {
+        let mut command = Command::new("python3");
+        command.arg(&python).args(["127.0.0.1", &port]).arg(keys.of("client").join("ca.pem"));
+        let mut program = Program::start(&mut command);
+        assert_eq!(program.line(), "begins");
+        program
+    });
+    let begun = || {
+        let endings = router.status()["endings"].clone();
+        endings.as_object().unwrap().values().map(|count| count.as_u64().unwrap()).sum::<u64>()
+    };
+    wait_until("they begin sessions", || begun() > 20);
+    let mut sender = first.sender(other.name()).unwrap();
+    let (before, from) = (begun(), Instant::now());
+    let mut trips: Vec<_> = (0..500).map(|_| there(&mut sender, &mut other)).collect();
+    let (sessions, time) = (begun() - before, from.elapsed());
+    let (newcomer, _mailbox) = component(&router, &keys.of("client"), 3);
+    registered(&newcomer);
+    drop(strangers);
+    assert!(sessions > 0, "they went on");
+    trips.sort_unstable();
+    let [half, most] = [trips[250], trips[499]].map(|trip| trip.as_secs_f64() * 1e3);
+    let rate = sessions as f64 / time.as_secs_f64();
+    figure(
+        test,
+        &format!("a package took {half:.2} ms (p50), {most:.1} ms (max) beside {rate:.0} sessions a second"),
+    );
+}
+
+/// The time of a package from one component to another.
+fn there(sender: &mut Sender, receiver: &mut Mailbox) -> Duration {
+    let begun = Instant::now();
+    sender.send(-6, b"there").unwrap();
+    assert_eq!(receiver.receive(Some(PATIENCE)).unwrap().body().to_vec(), b"there");
+    begun.elapsed()
 }
 
 #[test]

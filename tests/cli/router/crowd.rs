@@ -39,11 +39,11 @@ fn a_router_takes_ten_thousand_connections() {
         assert_eq!(router.connect().read(&mut [0]).unwrap_or(0), 0);
     }
     let last = clients.pop().unwrap();
-    let pair = [clients.swap_remove(0), last];
+    let mut pair = [clients.swap_remove(0), last];
     let is_over = AtomicBool::new(false);
     let (trips, longest) = thread::scope(|scope| {
         let _ends = AtEnd(&is_over);
-        let trips = scope.spawn(|| trips(pair, &is_over));
+        let trips = scope.spawn(|| trips(&mut pair, &is_over));
         live(&mut clients, 2 * ROUND + ROUND / 5);
         is_over.store(true, Ordering::Relaxed);
         trips.join().unwrap()
@@ -80,15 +80,15 @@ fn live(clients: &mut [TcpStream], time: Duration) {
 }
 
 /// Packages there and back between the first client and the last, a thousand a second: their number, and the longest time.
-fn trips([mut first, mut last]: [TcpStream; 2], is_over: &AtomicBool) -> (u64, Duration) {
+fn trips([first, last]: &mut [TcpStream; 2], is_over: &AtomicBool) -> (u64, Duration) {
     let (there, back) = (package(-6, CONNECTIONS, 1, b"there"), package(-6, 1, CONNECTIONS, b"back"));
     let (mut trips, mut longest) = (0, Duration::ZERO);
     while !is_over.load(Ordering::Relaxed) {
         let begun = Instant::now();
         first.write_all(&there).unwrap();
-        comes(&mut last, b"there");
+        comes(last, b"there");
         last.write_all(&back).unwrap();
-        comes(&mut first, b"back");
+        comes(first, b"back");
         (trips, longest) = (trips + 1, longest.max(begun.elapsed()));
         thread::sleep(Duration::from_millis(1));
     }

@@ -11,7 +11,7 @@ mod status;
 #[cfg(test)]
 mod tests;
 
-use core::net::SocketAddr;
+use core::net::{IpAddr, SocketAddr};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, IoSlice};
 
@@ -33,6 +33,8 @@ pub use status::{ClientStatus, Closed, Counters, LinkStatus, Status};
 pub const LIFESIGN_EVERY: u64 = 5_000;
 /// Connections that are not trusted yet, at the most: strangers leave room for clients.
 pub(super) const UNTRUSTED: usize = 256;
+/// A network has more than its share of them with more than one of so many.
+const SHARE: usize = 8;
 /// Closed connections that are remembered.
 const CLOSED: usize = 64;
 
@@ -150,8 +152,7 @@ pub struct Router {
     /// The rate of all connections.
     meter: Meter,
     next_round: u64,
-    /// When the round that has begun did, and the place of the connection whose turn is next.
-    round_from: u64,
+    /// The place of the connection whose turn is next in a round that has begun.
     round_at: usize,
     /// Bytes that wait for all connections, and of packages that have begun.
     held: usize,
@@ -182,7 +183,6 @@ impl Router {
             rules_error: None,
             meter: Meter::new(now),
             next_round: now + LIFESIGN_EVERY,
-            round_from: now,
             round_at: 0,
             held: 0,
             gone: Vec::new(),
@@ -214,8 +214,8 @@ impl Router {
         Ok(self.add(peer, Trust::Full, now))
     }
 
-    /// A connection from there is open, whose TLS session has not begun. Of too many such one makes room for it, the oldest of the address
-    /// that has the most: a client that may come proves that within moments. They take no place of [`Limits::connections`].
+    /// A connection from there is open, whose TLS session has not begun. One of too many such makes room for it: a client that may come
+    /// proves that within moments. They take no place of [`Limits::connections`].
     pub fn connect_by_tls(&mut self, peer: SocketAddr, now: u64) -> Connection {
         let connection = self.add(peer, Trust::Handshake, now);
         self.untrusted.push_back(connection);
@@ -228,13 +228,14 @@ impl Router {
         connection
     }
 
-    /// The oldest connection that is not trusted yet, of the address that has the most.
+    /// The oldest connection that is not trusted yet; of those of one network, if that has more than its share.
     fn crowding(&self) -> Option<Connection> {
-        let address = |of: &Connection| Some(self.clients.get(of.0 as usize)?.as_ref()?.peer.ip());
+        let network = |of: &Connection| Some(network(self.clients.get(of.0 as usize)?.as_ref()?.peer.ip()));
         let mut counts = BTreeMap::new();
-        self.untrusted.iter().filter_map(address).for_each(|of| *counts.entry(of).or_insert(0) += 1);
-        let (crowded, _) = counts.into_iter().max_by_key(|(_, count)| *count)?;
-        self.untrusted.iter().copied().find(|of| address(of) == Some(crowded))
+        self.untrusted.iter().filter_map(network).for_each(|of| *counts.entry(of).or_insert(0) += 1);
+        let (fullest, count) = counts.into_iter().max_by_key(|(_, count)| *count)?;
+        let has_more = count > UNTRUSTED / SHARE;
+        self.untrusted.iter().copied().find(|of| !has_more || network(of) == Some(fullest))
     }
 
     /// The TLS session of a connection has begun. With a proof, its first package has to be that.
@@ -443,5 +444,13 @@ impl Router {
             None => return self.forward(from, head, (body, rest), now),
         }
         0
+    }
+}
+
+/// The network of an address: a host has as many addresses of IPv6 as it likes, all with the same 64 bits in front.
+fn network(of: IpAddr) -> IpAddr {
+    match of {
+        IpAddr::V4(_) => of,
+        IpAddr::V6(of) => IpAddr::V6((u128::from(of) >> 64 << 64).into()),
     }
 }

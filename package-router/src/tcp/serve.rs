@@ -2,13 +2,13 @@
 
 mod arrivals;
 mod awake;
-mod handshakes;
 mod links;
 mod remote;
 mod socket;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::io::{self, Read, Write};
 use std::net::SocketAddr;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -25,12 +25,11 @@ use super::keys::RouterKeys;
 use super::router::{Connection, Ending, Limits, Router, Status, UNTRUSTED};
 use super::stream::Stream;
 use awake::{AWAKE_AT_MOST, Awake};
-use handshakes::Handshakes;
 pub use links::LinkTo;
 use links::OwnLink;
 use remote::Order;
 pub use remote::Remote;
-use socket::Socket;
+use socket::{Begun, Socket};
 
 /// Connections of one listener that are accepted before the others have their turn.
 const ACCEPTS: usize = 64;
@@ -53,7 +52,8 @@ pub struct Server {
     /// Connections to the routers of other systems.
     links: Vec<OwnLink>,
     sockets: Vec<Option<Socket>>,
-    handshakes: Handshakes,
+    /// Connections whose TLS sessions have a step to take, the oldest first.
+    handshakes: VecDeque<Connection>,
     /// Connections that may have more to be read.
     readable: Vec<Connection>,
     /// Events of one wait: of each connection at most one. So each that has bytes has been read from after it.
@@ -88,7 +88,7 @@ impl Server {
             listeners,
             links: Vec::new(),
             sockets: Vec::new(),
-            handshakes: Handshakes::default(),
+            handshakes: VecDeque::new(),
             readable: Vec::new(),
             in_flight: Vec::new(),
             looks_again: 0,
@@ -174,14 +174,13 @@ impl Server {
 
     /// How long it waits for events.
     fn patience(&self) -> Option<Duration> {
-        if !self.readable.is_empty() || !self.accepting.is_empty() || self.router.has_awake() {
+        let has_read = self.readable.is_empty() && self.handshakes.is_empty();
+        if !has_read || !self.accepting.is_empty() || self.router.has_awake() {
             return Some(Duration::ZERO);
         }
         let links = self.links.iter().filter_map(OwnLink::due);
         let next = links.chain(self.accepts_again).fold(self.router.next_round(), u64::min);
-        let next = Duration::from_millis(next.saturating_sub(self.now()));
-        let step = self.handshakes.wait(monotonic()).map(Duration::from_nanos);
-        Some(step.map_or(next, |step| step.min(next)))
+        Some(Duration::from_millis(next.saturating_sub(self.now())))
     }
 
     fn event(&mut self, event: &Event) {
@@ -261,18 +260,19 @@ impl Server {
         self.sockets[place] = Some(socket);
     }
 
-    /// Reads once from each connection that has something.
+    /// Reads once from each connection that has something. One TLS session takes a step: that is as long as a thousand packages take, so
+    /// that strangers who begin sessions delay clients by one such step a turn.
     fn read(&mut self, room: &mut [u8]) {
-        let now = self.now();
-        while let Some(connection) = self.handshakes.due(monotonic()) {
+        if let Some(connection) = self.handshakes.pop_front() {
             self.begin(connection);
         }
+        let now = self.now();
         for connection in core::mem::take(&mut self.readable) {
             let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
                 continue;
             };
             if socket.keys.is_some() {
-                self.handshakes.postpone(connection);
+                self.handshakes.push_back(connection);
                 continue;
             }
             let read = socket.stream.read(room);
@@ -304,6 +304,21 @@ impl Server {
             if let Some(why) = ending {
                 self.disconnect(connection, why);
             }
+        }
+    }
+
+    /// Takes a step of a handshake.
+    fn begin(&mut self, connection: Connection) {
+        let Some(socket) = self.sockets.get_mut(connection.0 as usize).and_then(Option::as_mut) else {
+            return;
+        };
+        match socket.begin() {
+            Ok(Some(Begun(proof))) => {
+                self.router.secured(connection, proof);
+                self.readable.push(connection);
+            }
+            Ok(None) => socket.is_readable = false,
+            Err(error) => self.disconnect(connection, broken(&error)),
         }
     }
 
@@ -355,7 +370,7 @@ impl Server {
                 self.links[place].ended(&why, now);
             }
             self.readable.retain(|readable| *readable != connection);
-            self.handshakes.forget(connection);
+            self.handshakes.retain(|waiting| *waiting != connection);
             self.router.disconnect(connection, why, self.now());
         }
     }

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
-use package_router::tcp::control::LIFESIGN;
+use package_router::tcp::control::{LIFESIGN, UNWATCHED, WATCHED};
 
 use super::*;
 use crate::host::figure;
@@ -30,6 +30,8 @@ fn a_router_takes_ten_thousand_connections() {
     let mut clients: Vec<TcpStream> = (1..=CONNECTIONS)
         .map(|name| {
             let mut client = router.connect();
+            // It is not asked for a sign of life before all are there.
+            client.write_all(&package(UNWATCHED, 0, 0, &[])).unwrap();
             register(&mut client, name);
             client
         })
@@ -38,6 +40,7 @@ fn a_router_takes_ten_thousand_connections() {
         // It is closed at once, or reset.
         assert_eq!(router.connect().read(&mut [0]).unwrap_or(0), 0);
     }
+    clients.iter_mut().for_each(|client| client.write_all(&package(WATCHED, 0, 0, &[])).unwrap());
     let last = clients.pop().unwrap();
     let mut pair = [clients.swap_remove(0), last];
     let is_over = AtomicBool::new(false);

@@ -22,7 +22,7 @@ pub enum Ending {
         "the router there takes no link of this system: it has the same number (`system`), or is of another make"
     )]
     SameSystem,
-    /// Its certificate is missing, or none that this router's keys have signed.
+    /// Its certificate is not valid here, or it has none where one is needed.
     #[error("TLS: {0}")]
     Certificate(String),
     /// Its TLS session did not begin, or broke.

@@ -65,7 +65,7 @@ impl Router {
         }
     }
 
-    /// Whether packages wait for any connection.
+    /// Whether anything waits for a connection.
     pub fn has_waiting(&self) -> bool {
         self.clients.iter().flatten().any(|client| !client.is_ending && !client.outgoing.is_empty())
     }

@@ -16,17 +16,18 @@ impl Router {
         self.next_round
     }
 
-    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life; measures rates. Of many
-    /// connections it is the turn of a part at a time: packages pass in between. The caller hands over all bytes that have come before: so
+    /// Ends connections that have sent nothing since the last round, and asks the others for a sign of life; measures rates. Many
+    /// connections have their turn in parts: packages pass in between. The caller hands over all bytes that have come before: so
     /// a router that was stopped for a while ends no connection that is alive.
     pub fn round(&mut self, now: u64) {
         if self.round_at == 0 {
-            self.round_from = now;
             self.measure(now);
         }
         let (begin, end) = (self.round_at, self.clients.len().min(self.round_at + PART));
+        // The last part has as long until its next turn as all others.
+        let before = (begin / PART) as u64 * PART_EVERY;
         (self.round_at, self.next_round) = match end == self.clients.len() {
-            true => (0, self.round_from + LIFESIGN_EVERY),
+            true => (0, now + LIFESIGN_EVERY.saturating_sub(before)),
             false => (end, now + PART_EVERY),
         };
         let lifesign = Head::new(LIFESIGN, MailboxName::NOBODY, MailboxName::NOBODY);

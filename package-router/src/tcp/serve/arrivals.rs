@@ -69,6 +69,9 @@ impl Server {
     pub(super) fn finish(&mut self, events: &mut Events) -> io::Result<()> {
         let until = self.now() + ENDS_WITHIN;
         while self.now() < until && (self.router.has_waiting() || !self.in_flight.is_empty()) {
+            // Answers for packages that will not arrive, too.
+            self.write();
+            self.close();
             match self.poll.poll(events, Some(Duration::from_millis(LOOKS_EVERY))) {
                 Err(error) if error.kind() != io::ErrorKind::Interrupted => return Err(error),
                 _ => {}

@@ -29,7 +29,7 @@ impl Socket {
 
     /// Begins its TLS session, as far as that goes without waiting.
     pub fn begin(&mut self) -> io::Result<Option<Begun>> {
-        let Some(keys) = &self.keys else { return Ok(None) };
+        let Some(keys) = &self.keys else { return Ok(Some(Begun(None))) };
         if !self.stream.begin()? {
             return Ok(None);
         }

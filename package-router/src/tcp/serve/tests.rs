@@ -47,6 +47,15 @@ impl Drop for Running {
     }
 }
 
+/// Sets a flag when dropped, also by a panic: threads of a scope that look at it end.
+struct AtEnd<'a>(&'a AtomicBool);
+
+impl Drop for AtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 fn package(kind: i8, to: u32, from: u32, body: &[u8]) -> Vec<u8> {
     let head = Head::new(kind, MailboxName(to), MailboxName(from)).with_body(body.len()).unwrap();
     [&head.to_bytes()[..], body].concat()
@@ -246,20 +255,20 @@ fn floods_keep_no_lifesign_from_the_others() {
                 }
             });
         }
+        let _ends = AtEnd(&is_over);
         // Replies are due within 1 s. A busy host may take a single one longer.
-        let mut replies = [Duration::ZERO; 9];
-        for (reply, name) in replies.iter_mut().zip(100..) {
+        let (mut replies, mut is_asked) = ([Duration::ZERO; 9], false);
+        for (reply, name) in replies.iter_mut().zip(100u32..) {
             let begun = Instant::now();
-            register(&mut quiet, name);
+            quiet.write_all(&package(13, 0, 0, &name.to_le_bytes())).unwrap();
+            while read(&mut quiet).0.kind == LIFESIGN {
+                is_asked = true;
+            }
             *reply = begun.elapsed();
         }
-        let mut head = [0; HEAD_LEN];
-        let came = quiet.read_exact(&mut head);
-        is_over.store(true, Ordering::Relaxed);
         replies.sort_unstable();
         assert!(replies[4] < Duration::from_secs(1), "{replies:?}");
-        came.unwrap();
-        assert_eq!(Head::parse(&head).unwrap().kind, crate::tcp::control::LIFESIGN);
+        assert!(is_asked || read(&mut quiet).0.kind == LIFESIGN);
     });
 }
 
@@ -273,12 +282,16 @@ fn a_ghost_is_closed_and_its_name_is_free_again() {
     heir.write_all(&package(19, 0, 0, &[])).unwrap();
     heir.write_all(&package(13, 0, 0, &7u32.to_le_bytes())).unwrap();
     assert_eq!(read(&mut heir).0.kind, wire::ERROR);
+    // It is closed at the second question.
+    let mut room = Vec::new();
+    ghost.set_read_timeout(Some(PATIENCE)).unwrap();
+    let _ = ghost.read_to_end(&mut room);
     eventually(&running, |status| status.endings["silent"] == 1);
     register(&mut heir, 7);
     let status = running.status();
     let [closed] = &status.closed[..] else { panic!("{status:?}") };
     assert_eq!((&closed.why, &closed.names[..]), (&Ending::Silent, &[MailboxName(7)][..]));
-    assert!((5_000..).contains(&closed.open_for), "{closed:?}");
+    assert!((5_000..20_000).contains(&closed.open_for), "{closed:?}");
 }
 
 /// The kernel resets a connection that is closed with unread bytes: what it has not sent yet is lost then.
@@ -294,10 +307,16 @@ fn what_waits_at_the_end_arrives() {
     let talker =
         std::thread::spawn(move || while talks.write_all(&package(-6, 9, 2, &[0; 10_000])).is_ok() {});
     let end = std::thread::spawn(move || drop(running));
-    let mut came = 0;
-    while came < PACKAGES {
-        came += usize::from(read(&mut b).0.kind == -6);
+    let (mut came, mut bytes) = (0, Vec::new());
+    let _ = b.read_to_end(&mut bytes);
+    let mut rest = &bytes[..];
+    while let Ok(head) = Head::parse(rest)
+        && let Some((_, behind)) = rest.split_at_checked(head.len as usize)
+    {
+        came += usize::from(head.kind == -6);
+        rest = behind;
     }
+    assert_eq!(came, PACKAGES);
     end.join().unwrap();
     talker.join().unwrap();
 }

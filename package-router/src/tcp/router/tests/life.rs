@@ -74,3 +74,21 @@ fn each_of_many_is_asked_once_in_a_round() {
     assert!(asked.iter().all(|count| *count == 1), "the second round begins at 10 s");
     assert_eq!((most, net.endings()), (256, vec![]));
 }
+
+#[test]
+fn a_router_that_stands_still_in_a_round_ends_none_alive() {
+    const MANY: usize = 300;
+    let mut net = Net::of(MANY);
+    // The second part has its turn 6 s after the first.
+    net.router.round(LIFESIGN_EVERY);
+    net.now = LIFESIGN_EVERY + 6_000;
+    net.router.round(net.now);
+    assert_eq!(net.router.next_round(), net.now + LIFESIGN_EVERY - 10, "the first part goes first again");
+    // They answer just in time.
+    (0..MANY).for_each(|of| net.send(of, &control(0, &[])));
+    for _ in 0..2 {
+        net.now = net.router.next_round();
+        net.router.round(net.now);
+    }
+    assert_eq!(net.endings(), []);
+}

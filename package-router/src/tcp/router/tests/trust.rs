@@ -149,14 +149,32 @@ fn strangers_take_no_connection_of_clients() {
     assert!(net.router.connect(PEER, 0).is_ok(), "one has left");
 }
 
+/// The connections that made room for others, in that order.
+fn crowded(router: &mut Router) -> Vec<Connection> {
+    let mut ended: Vec<_> = core::iter::from_fn(|| router.next_ending()).map(|(of, _)| of).collect();
+    ended.reverse();
+    ended
+}
+
 #[test]
-fn a_crowd_of_one_address_makes_room_for_others() {
-    let from = |last: u8, port: u16| SocketAddr::from(([10, 0, 0, last], port));
+fn a_crowd_of_one_network_makes_room_for_others() {
+    for networks in [["10.0.0.1", "10.0.0.2"], ["2001:db8::1", "2001:db8:0:1::1"]] {
+        let [one, other] = networks.map(|of| of.parse::<IpAddr>().unwrap());
+        let mut router = Router::new(Limits::default(), 0);
+        let client = router.connect_by_tls((one, 1).into(), 0);
+        let addresses = (0..10_000u16).map(|number| match other {
+            IpAddr::V4(_) => (other, number).into(),
+            IpAddr::V6(of) => (IpAddr::V6((u128::from(of) + u128::from(number)).into()), 1).into(),
+        });
+        let crowd: Vec<_> = addresses.map(|peer| router.connect_by_tls(peer, 0)).collect();
+        assert_eq!(crowded(&mut router), crowd[..10_000 + 1 - UNTRUSTED], "its oldest; {client:?} stays");
+    }
+}
+
+#[test]
+fn the_oldest_makes_room_where_no_network_crowds() {
     let mut router = Router::new(Limits::default(), 0);
-    let client = router.connect_by_tls(from(1, 1), 0);
-    let crowd: Vec<_> = (0..10_000).map(|port| router.connect_by_tls(from(2, port), 0)).collect();
-    let ended: Vec<_> = core::iter::from_fn(|| router.next_ending()).map(|(of, _)| of).collect();
-    let expected: Vec<_> = crowd[..10_000 + 1 - UNTRUSTED].iter().rev().copied().collect();
-    assert_eq!(ended, expected, "the oldest of the crowd");
-    assert!(!ended.contains(&client));
+    let from = |number: u16| SocketAddr::from(([10, 0, (number >> 8) as u8, number as u8], 1));
+    let all: Vec<_> = (0..1_000).rev().map(|number| router.connect_by_tls(from(number), 0)).collect();
+    assert_eq!(crowded(&mut router), all[..1_000 - UNTRUSTED]);
 }

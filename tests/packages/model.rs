@@ -244,7 +244,7 @@ fn what_processes_do_with_mailboxes_is_what_simple_lists_would() {
     );
 }
 
-/// What happened so far.
+/// Counts of the operations so far.
 #[derive(Default)]
 struct Counted {
     count: u64,
@@ -254,7 +254,7 @@ struct Counted {
     outcomes: [u64; 9],
 }
 
-/// So many operations, or a few more, by this seed.
+/// Does this many operations, or a few more, by this seed.
 fn course(seed: u64, operations: u64, Counted { count: all, done, outcomes }: &mut Counted) {
     let station = Station::new();
     let mut members = driven(&station);

@@ -55,7 +55,7 @@ impl Server {
         // TLS that has to wait for room in the socket is looked at another time.
         let is_flushed = socket.stream.flush_tls().unwrap_or(false);
         let (taken, arrived) = (socket.stream.taken(), socket.stream.arrived());
-        // Those in front of the mark, then those behind it.
+        // The packages in front of the mark, then the others.
         for _ in 0..2 {
             if is_flushed {
                 self.router.written(connection, taken);

@@ -355,6 +355,11 @@ impl Router {
         !self.awake.is_empty()
     }
 
+    /// Whether anything waits to be written.
+    pub fn has_waiting(&self) -> bool {
+        self.clients.iter().flatten().any(|client| !client.is_ending && !client.outgoing.is_empty())
+    }
+
     /// The next connection that is to be closed, and why.
     pub fn next_ending(&mut self) -> Option<(Connection, Ending)> {
         self.endings.pop()

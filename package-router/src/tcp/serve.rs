@@ -174,8 +174,8 @@ impl Server {
 
     /// How long it waits for events.
     fn patience(&self) -> Option<Duration> {
-        let has_read = self.readable.is_empty() && self.handshakes.is_empty();
-        if !has_read || !self.accepting.is_empty() || self.router.has_awake() {
+        let has_work = !self.readable.is_empty() || !self.handshakes.is_empty() || !self.accepting.is_empty();
+        if has_work || self.router.has_awake() {
             return Some(Duration::ZERO);
         }
         let links = self.links.iter().filter_map(OwnLink::due);

@@ -65,11 +65,6 @@ impl Router {
         }
     }
 
-    /// Whether anything waits for a connection.
-    pub fn has_waiting(&self) -> bool {
-        self.clients.iter().flatten().any(|client| !client.is_ending && !client.outgoing.is_empty())
-    }
-
     /// Whether packages are in flight to a connection.
     pub fn has_in_flight(&mut self, to: Connection) -> bool {
         self.client(to).is_some_and(|client| client.flight.is_in_flight())

@@ -90,7 +90,7 @@ fn what_is_not_measured_is_a_line_with_the_remedy() {
 fn an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not() {
     let name = "an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not";
     let skip = |why: &str| {
-        let _ = writeln!(std::io::stderr(), "SKIP {name}: {why}");
+        let _ = std::io::stderr().write_all(format!("SKIP {name}: {why}\n").as_bytes());
     };
     if !nix::unistd::geteuid().is_root() {
         return skip("needs root, to be somebody else");

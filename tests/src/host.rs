@@ -50,19 +50,23 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Says aloud, past the test harness, that a test did not run.
 pub fn skip(test: &str, why: &str) {
-    // Nothing better can be done about standard error that is closed.
-    let _ = writeln!(std::io::stderr(), "SKIP {test}: {why}");
+    aloud(&format!("SKIP {test}: {why}\n"));
 }
 
 /// Says aloud what a test has measured, for `scripts/accept`.
 pub fn figure(test: &str, text: &str) {
-    // Whoever does not listen misses nothing.
-    let _ = writeln!(std::io::stderr(), "FIGURE {test}: {text}");
+    aloud(&format!("FIGURE {test}: {text}\n"));
 }
 
 /// Says aloud that something is tried again, and why: `scripts/soak` counts it.
 pub fn again(test: &str, why: &str) {
-    let _ = writeln!(std::io::stderr(), "AGAIN {test}: {why}");
+    aloud(&format!("AGAIN {test}: {why}\n"));
+}
+
+/// In one write: the harness writes its lines meanwhile, and those are read by programs, too.
+fn aloud(line: &str) {
+    // Nothing better can be done about standard error that is closed.
+    let _ = std::io::stderr().write_all(line.as_bytes());
 }
 
 /// Whether a run that ended so kept what it promises, as far as its host let it: OK, or, aloud, DEGRADED or INCONCLUSIVE.

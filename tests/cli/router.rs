@@ -39,6 +39,8 @@ struct Router {
     name: String,
     child: Child,
     at: SocketAddr,
+    /// Its other addresses.
+    also: Vec<SocketAddr>,
     /// Where its figures are, if it has any.
     figures: Option<SocketAddr>,
     /// Whether the kernel keeps it from files and ports that it does not need.
@@ -62,7 +64,7 @@ impl Router {
         let mut child = command.spawn().unwrap();
         let said = lines(child.stderr.take().unwrap());
         let at = SocketAddr::from(([0, 0, 0, 0], 0));
-        let mut router = Self { name, child, at, figures: None, is_confined: true, said };
+        let mut router = Self { name, child, at, also: Vec::new(), figures: None, is_confined: true, said };
         router.begun();
         router
     }
@@ -70,8 +72,9 @@ impl Router {
     /// Reads its first lines: where its figures are, if anywhere, and where it listens.
     fn begun(&mut self) {
         while let Ok(line) = self.said.recv_timeout(PATIENCE) {
-            if let Some((_, at)) = line.rsplit_once("listens at ") {
-                self.at = at.parse().unwrap();
+            if let Some((_, all)) = line.rsplit_once("listens at ") {
+                self.also = all.split(", ").map(|at| at.parse().unwrap()).collect();
+                self.at = self.also.remove(0);
                 return;
             }
             if line.starts_with(NO_LANDLOCK) {
@@ -107,6 +110,14 @@ impl Router {
     fn clients(&self) -> usize {
         self.status()["clients"].as_array().unwrap().len()
     }
+}
+
+/// Waits until a station has joined its router.
+fn has_joined(station: &str) {
+    wait_until("it has joined its router", || {
+        let shown = rtnet().args(["stat", "-S", station, "--json"]).output().unwrap().stdout;
+        serde_json::from_slice(&shown).is_ok_and(|shown: Value| shown["tcp"]["connected"] == true)
+    });
 }
 
 /// Sets a flag when dropped, also by a panic: threads of a scope that look at it end, and the scope with them.
@@ -214,7 +225,7 @@ fn a_router_shows_its_clients_and_why_others_are_gone() {
     let owners = |pattern: &str| {
         let status = ["router", "status", &router.name, "--mailbox", pattern, "--json"];
         let clients = json(rtnet().args(status))["clients"].clone();
-        let names = |client: &Value| client["first_names"].to_string();
+        let names = |client: &Value| client["mailboxes"].to_string();
         clients.as_array().unwrap().iter().map(names).collect::<Vec<_>>()
     };
     assert_eq!((owners("0.Pilot.*"), owners("0.GPS.*")), (vec![r#"["Pilot(0/0)"]"#.to_owned()], vec![]));

@@ -134,7 +134,7 @@ fn assert_answers(cell: &Cell, from: &str, ip: &str) {
 }
 
 /// Whether all these are installed; says aloud which are not.
-fn are_there(test: &str, tools: &[(&str, &str)]) -> bool {
+pub fn are_there(test: &str, tools: &[(&str, &str)]) -> bool {
     let found = |tool: &str| {
         let paths = std::env::var_os("PATH").unwrap_or_default();
         std::env::split_paths(&paths).any(|path| path.join(tool).is_file())

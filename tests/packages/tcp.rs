@@ -239,8 +239,17 @@ fn commands_are_answered_and_counted_where_the_queue_is_full() {
     assert_eq!(answered, [[false; 8].as_slice(), &[true; 4]].concat(), "8 wait for the router");
     let ends = calls.into_iter().skip(8).map(|call| proxy.finish(call, Duration::ZERO).err());
     assert!(ends.into_iter().all(|end| end == Some(CallError::NotAvailable(name(0x15, 0)))));
-    eventually("each is counted", || status(&component).local.queue_full == refused + 4);
-    assert_eq!(status(&component).local.waiting, 16);
+    refused += 4;
+    // One of each id at once: the first 8 wait for the router.
+    let mut many = component.mailbox(name(0x80, 2), Shape::new(256, 64)).unwrap();
+    let mut asks = many.sender(name(0x15, 0)).unwrap();
+    let ids: Vec<u8> = (0..264).map(|_| asks.send(1, &body).unwrap()).skip(8).collect();
+    for id in ids {
+        let package = many.receive(Some(PATIENCE)).unwrap();
+        assert_eq!((package.head().kind, package.head().id), (NOT_AVAILABLE, id));
+    }
+    eventually("each is counted", || status(&component).local.queue_full == refused + 256);
+    assert_eq!(status(&component).local.waiting, 24);
 }
 
 #[test]

@@ -268,10 +268,10 @@ class Mailbox(Sender):
         """Sends a package as it is, such as a reply. NotConnected, Full: it was not sent."""
         self._router._send(package.encode())
 
-    async def call(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, timeout: float = 2.0) -> Package:
+    async def call(self, to: Name, kind: int, body: bytes = b"", priority: Optional[int] = None, timeout: float = 2.0) -> Package:
         """Sends a command and returns its reply. NotAvailable, Failed, TimedOut: there is none; NotConnected, Full: nothing was sent."""
         number = name(to)
-        call, data = self._session.call(Package(number, self.name, kind, body, priority))
+        call, data = self._session.call(self._package(number, kind, body, priority))
         try:
             self._router._send(data)
             await self._router._wait(lambda: self._session.answers.get(call), timeout)

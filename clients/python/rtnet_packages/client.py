@@ -339,11 +339,11 @@ class Mailbox(Sender):
         with self._router._changed:
             self._router._send(data)
 
-    def call(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, timeout: float = 2.0) -> Package:
+    def call(self, to: Name, kind: int, body: bytes = b"", priority: Optional[int] = None, timeout: float = 2.0) -> Package:
         """Sends a command and returns its reply. NotAvailable, Failed, TimedOut: there is none; NotConnected: nothing was sent."""
         number = name(to)
         with self._router._changed:
-            call, data = self._session.call(Package(number, self.name, kind, body, priority))
+            call, data = self._session.call(self._package(number, kind, body, priority))
             try:
                 self._router._send(data)
                 self._router._wait(lambda: self._session.answers.get(call), timeout)

@@ -1,8 +1,8 @@
 """The parts of a client and of a mailbox that wait for nothing, the same in both fronts."""
 
-from typing import Dict
+from typing import Dict, Optional
 
-from .names import Name, name
+from .names import Name, name, priority_of
 from .session import Session
 from .wire import OK, Package
 
@@ -48,9 +48,15 @@ class Sender:
         """Sends a package as it is, such as a reply."""
         raise NotImplementedError
 
-    def send(self, to: Name, kind: int, body: bytes = b"", priority: int = 0, id: int = 0) -> None:
-        """Sends a package; the errors are those of `forward`. Whether it arrives is not known: `call` waits for an answer."""
-        self.forward(Package(name(to), self.name, kind, body, priority, id))
+    def send(self, to: Name, kind: int, body: bytes = b"", priority: Optional[int] = None, id: int = 0) -> None:
+        """Sends a package, of the priority of this mailbox's class unless another is given; the errors are those of `forward`.
+
+        Whether it arrives is not known: `call` waits for an answer.
+        """
+        self.forward(self._package(name(to), kind, body, priority, id))
+
+    def _package(self, to: int, kind: int, body: bytes, priority: Optional[int], id: int = 0) -> Package:
+        return Package(to, self.name, kind, body, priority_of(self.name) if priority is None else priority, id)
 
     def reply(self, command: Package, kind: int = OK, body: bytes = b"") -> None:
         """Answers a command that was received here."""

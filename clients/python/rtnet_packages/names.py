@@ -46,6 +46,11 @@ def name(of: Name) -> int:
     return _number(of, system, 0xFF) << 24 | number << 16 | _number(of, instance, 0xFF) << 8 | _number(of, local, 0xFF)
 
 
+def priority_of(sender: int) -> int:
+    """The priority of a mailbox's packages where none is given: 255 for the classes 0 to 15, and 8 less for each 16 further."""
+    return 255 - 8 * (sender >> 20 & 0xF)
+
+
 def _number(of: str, text: str, most: int) -> int:
     try:
         number = int(text, 16) if text.lower().startswith("0x") else int(text)

@@ -173,9 +173,10 @@ class RouterThatDoesNotRead(unittest.TestCase):
 class SlowRouter(unittest.TestCase):
     def test_threads_wait_as_long_as_it_reads_something(self) -> None:
         def slowly(connection: socket.socket) -> None:
-            # It never answers. In all it takes 4.8 s at the least, longer than `timeout`; on a busy host a pause takes longer, too.
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
-            while connection.recv(COUNT * len(BODY) // 80):
+            # It never answers. In all it takes 6 s at the least, longer than `timeout`; on a busy host a pause takes longer, too. Its buffer
+            # holds several segments of loopback: else the kernel sends by its timer for closed windows only, which takes seconds.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 200_000)
+            while connection.recv(COUNT * len(BODY) // 100):
                 time.sleep(0.06)
 
         with FakeRouter(slowly) as router:

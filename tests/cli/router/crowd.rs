@@ -1,5 +1,6 @@
 //! As many connections as a router takes.
 
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
@@ -52,6 +53,7 @@ fn a_router_takes_ten_thousand_connections() {
         trips.join().unwrap()
     });
     let status = router.status();
+    shows_each(&router, &status);
     let [connections, names] = ["connections", "names"].map(|of| status[of].as_u64().unwrap());
     assert_eq!((connections, names), (CONNECTIONS.into(), CONNECTIONS.into()));
     assert_eq!(status["counters"]["connections_refused"], MORE);
@@ -64,6 +66,19 @@ fn a_router_takes_ten_thousand_connections() {
             longest.as_secs_f64() * 1e3
         ),
     );
+}
+
+/// The status has each connection with its name; on the screen it is the first 100, or all.
+fn shows_each(router: &Router, status: &Value) {
+    let each = status["clients"].as_array().unwrap().iter();
+    let names: BTreeSet<String> = each.map(|client| client["mailboxes"].to_string()).collect();
+    assert_eq!(names.len(), CONNECTIONS as usize);
+    let lines = |options: &[&str]| {
+        let shown = rtnet().args(["router", "status", &router.name]).args(options).output().unwrap().stdout;
+        text(&shown).lines().filter(|line| line.starts_with("127.0.0.1:")).count()
+    };
+    let closed = status["closed"].as_array().unwrap().len();
+    assert_eq!((lines(&[]), lines(&["--all"])), (100 + closed, CONNECTIONS as usize + closed));
 }
 
 /// Answers each question for a sign of life for so long.

@@ -1,5 +1,6 @@
-/* A client of tests/cli/router/restarts.rs: it sends numbers to a mailbox until its standard input ends, and answers questions. Then it
- * says, again and again, how many packages were taken, were lost of these, were not passed on, and are unconfirmed.
+/* A client of tests/cli/router/restarts.rs: it sends numbers to a mailbox until its standard input ends, answers questions, and receives
+ * numbers, each larger than the one before. Then it says, again and again, how many packages were taken, were lost of these, were not passed
+ * on, and are unconfirmed; and how many numbers came, and how many of those were not larger.
  *     flood HOST:PORT OWN TO      mailboxes as numbers */
 #include <inttypes.h>
 #include <poll.h>
@@ -30,7 +31,7 @@ int main(int argc, char **argv) {
     struct rtnet_head head;
     char body[64];
     int is_over = 0;
-    uint64_t taken = 0;
+    uint64_t taken = 0, came = 0, again = 0, newest = 0;
     if (argc != 4) {
         return 2;
     }
@@ -43,8 +44,8 @@ int main(int argc, char **argv) {
         if (is_over) {
             struct rtnet_router_status of;
             checked(rtnet_component_router_status(component, &of), "its connection");
-            printf("%" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 "\n", taken, of.not_connected + of.not_written, of.lost_at_router,
-                   of.unconfirmed);
+            printf("%" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 "\n", taken, of.not_connected + of.not_written,
+                   of.lost_at_router, of.unconfirmed, came, again);
             fflush(stdout);
         } else {
             uint8_t number[8];
@@ -54,7 +55,18 @@ int main(int argc, char **argv) {
             /* One that finds no room is not taken. */
             taken += rtnet_sender_send(to, DATA, number, sizeof number) >= 0;
         }
-        if (rtnet_mailbox_receive(own, &head, body, sizeof body, is_over ? SAYS_EVERY : SENDS_EVERY) >= 0 && head.kind == ASK) {
+        if (rtnet_mailbox_receive(own, &head, body, sizeof body, is_over ? SAYS_EVERY : SENDS_EVERY) < 0) {
+            continue;
+        }
+        if (head.kind == DATA) {
+            uint64_t number = 0;
+            for (int byte = 0; byte < 8; byte++) {
+                number |= (uint64_t)(uint8_t)body[byte] << 8 * byte;
+            }
+            came++;
+            again += number <= newest;
+            newest = number;
+        } else if (head.kind == ASK) {
             checked(rtnet_sender_bind(own, head.from, &back), "a sender for an answer");
             head.kind = RTNET_OK;
             rtnet_sender_send_with(back, &head, body, head.len);

@@ -1,5 +1,6 @@
-"""A client of tests/cli/router/restarts.rs: it sends numbers to a mailbox until its standard input ends, and answers questions. Then it
-says, again and again, how many packages were taken, were lost of these, were not passed on, and are unconfirmed.
+"""A client of tests/cli/router/restarts.rs: it sends numbers to a mailbox until its standard input ends, answers questions, and receives
+numbers, each larger than the one before. Then it says, again and again, how many packages were taken, were lost of these, were not passed on,
+and are unconfirmed; and how many numbers came, and how many of those were not larger.
 
 flood.py HOST PORT OWN TO      mailboxes as numbers
 """
@@ -20,11 +21,15 @@ is_over = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.read(), is_over.set()), daemon=True).start()
 with Router(host, port, timeout=30.0) as router:
     mailbox, taken, shown = router.mailbox(own), 0, 0.0
+    came, again, newest = 0, 0, 0
     while True:
         try:
             package = mailbox.receive(timeout=SENDS_EVERY)
             if package is not None and package.kind == ASK:
                 mailbox.reply(package, OK, package.body)
+            if package is not None and package.kind == DATA:
+                number = struct.unpack("<Q", package.body)[0]
+                came, again, newest = came + 1, again + (number <= newest), number
             if not is_over.is_set():
                 mailbox.send(to, DATA, struct.pack("<Q", taken))
                 taken += 1
@@ -33,4 +38,4 @@ with Router(host, port, timeout=30.0) as router:
             pass
         if is_over.is_set() and time.monotonic() > shown + 0.1:
             shown = time.monotonic()
-            print(taken, 0, sum(router.lost_at_router.values()), router.unconfirmed, flush=True)
+            print(taken, 0, sum(router.lost_at_router.values()), router.unconfirmed, came, again, flush=True)

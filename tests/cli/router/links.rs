@@ -13,10 +13,9 @@ use serde_json::Value;
 use tools::lab::namespace::Segment;
 
 use super::tls::Keys;
-use super::{Router, not_started};
+use super::{Router, has_joined, not_started};
 use crate::cell::wait_until;
 use crate::host::{shared, unique};
-use crate::rtnet;
 use crate::station::{Medium, Station, set};
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -134,10 +133,7 @@ fn stations_of_two_systems_meet_by_their_routers() {
                 ["--interface", interface, "--discipline", "nomac", "--ip", "10.0.0.1/24", "--name", &name];
             let packages = ["--packages", "--package-system", &system, "--router", &at];
             let station = Station::start(&medium.a, &[&net[..], &packages].concat());
-            wait_until("it has joined its router", || {
-                let shown = rtnet().args(["stat", "-S", &name, "--json"]).output().unwrap().stdout;
-                serde_json::from_slice(&shown).is_ok_and(|shown: Value| shown["tcp"]["connected"] == true)
-            });
+            has_joined(&name);
             (name, station)
         };
         let (arm, _arm) = station(&first, "rt0", 1);

@@ -62,16 +62,18 @@ pub struct RouterRunArgs {
 /// Verbs for a router that runs.
 #[derive(Debug, Subcommand)]
 pub enum RouterVerb {
-    /// The 100 connections for which most bytes wait, 16 mailboxes of each, what was dropped and why, and the last 64 that were closed
+    /// Connections and their mailboxes, what was dropped and why, and the last 64 connections that were closed
     Status {
         /// Which router
         #[arg(default_value = "router", value_parser = parse_name)]
         name: String,
-        /// Show only connections with a mailbox of this pattern, as 0.Camera.*, and only such mailboxes; 100 connections at the most,
-        /// and 16 mailboxes of each
+        /// Show only connections with a mailbox of this pattern, as 0.Camera.*, and only such mailboxes
         #[arg(long, value_name = "PATTERN")]
         mailbox: Option<Pattern>,
-        /// As JSON
+        /// Show all: without, the 100 connections for which the most bytes wait, and 16 mailboxes of each
+        #[arg(long)]
+        all: bool,
+        /// As JSON, with all connections and mailboxes
         #[arg(long)]
         json: bool,
     },

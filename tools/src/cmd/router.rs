@@ -40,10 +40,10 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
     match &args.verb {
         None => run(&args.run),
-        Some(RouterVerb::Status { name, mailbox, json }) => {
+        Some(RouterVerb::Status { name, mailbox, all, json }) => {
             let directory = Directory::of_user().map_err(Failure::Usage)?;
             let shown = control::router_status(&directory, name, *mailbox).map_err(Failure::Usage)?;
-            print(*json, &shown, |shown| describe(shown, mailbox.is_some())).map_err(Failure::Run)?;
+            print(*json, &shown, |shown| describe(shown, *all)).map_err(Failure::Run)?;
             Ok(0)
         }
         Some(RouterVerb::Keys { directory, host }) => {

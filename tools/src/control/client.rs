@@ -1,6 +1,6 @@
 //! The other end: one request, one reply.
 
-use std::io::{ErrorKind, Read};
+use std::io::ErrorKind;
 use std::net::Shutdown;
 use std::path::Path;
 use std::time::Duration;
@@ -13,6 +13,7 @@ use socket2::{Domain, SockAddr, Socket, Type};
 
 use super::places::{Directory, Place};
 use super::protocol::{Envelope, LabReply, LabRequest, LabStatus, Reply, Request, StationStatus, read};
+use super::reply;
 use super::router::{RouterReply, RouterRequest, RouterShown};
 use super::sockets::{StackReply, StackRequest};
 
@@ -20,8 +21,6 @@ use super::sockets::{StackReply, StackRequest};
 const PATIENCE: Duration = Duration::from_secs(5);
 /// A lab that ends waits for its stations, which may be stopped, or be closed slowly by a busy kernel.
 const DOWN_WITHIN: Duration = Duration::from_secs(60);
-/// Longest reply: a lab with 250 stations.
-const REPLY_AT_MOST: usize = 192 * 1024;
 
 /// Asks a station.
 pub fn ask(directory: &Directory, place: &Place, request: Request) -> Result<Reply> {
@@ -144,15 +143,11 @@ impl Question {
     pub fn answer<B: DeserializeOwned>(&mut self, within: Duration) -> Result<Option<B>> {
         // A timeout of 0 would be for ever.
         self.connection.set_read_timeout(Some(within.max(Duration::from_micros(1))))?;
-        let mut reply = vec![0; REPLY_AT_MOST + 1];
-        let length = match self.connection.read(&mut reply) {
-            Err(error) if NOT_YET.contains(&error.kind()) => return Ok(None),
-            length => length?,
-        };
-        match &reply[..length] {
-            [] => bail!(std::io::Error::from(ErrorKind::ConnectionReset)),
-            long if long.len() > REPLY_AT_MOST => bail!("its reply is longer than {REPLY_AT_MOST} bytes"),
-            reply => read(reply).map_err(|error| anyhow!(error)).context("its reply").map(Some),
+        match reply::receive(&self.connection) {
+            Err(error) if NOT_YET.contains(&error.kind()) => Ok(None),
+            Err(error) => Err(error.into()),
+            Ok(reply) if reply.is_empty() => bail!(std::io::Error::from(ErrorKind::ConnectionReset)),
+            Ok(reply) => read(&reply).map_err(|error| anyhow!(error)).context("its reply").map(Some),
         }
     }
 

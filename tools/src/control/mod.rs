@@ -16,6 +16,7 @@ mod loads;
 mod places;
 mod programs;
 mod protocol;
+mod reply;
 mod ring;
 mod router;
 mod schedule;

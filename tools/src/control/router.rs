@@ -8,9 +8,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::document::document;
 
-/// Connections that are shown one by one, those with the most bytes waiting; and names of each.
-pub const CLIENTS_SHOWN: usize = 100;
-const NAMES_SHOWN: usize = 16;
 /// Nanoseconds of a millisecond, in which the router counts.
 const MS: u64 = 1_000_000;
 
@@ -66,13 +63,13 @@ pub struct RouterShown {
     /// Its links to routers of other systems.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<LinkShown>,
-    /// The open connections, or those that were asked for; those with the most bytes waiting first, 100 at the most.
+    /// The open connections, or those that were asked for; those with the most bytes waiting first.
     pub clients: Vec<ClientShown>,
     /// The last 64 connections that were closed, the newest first.
     pub closed: Vec<ClosedShown>,
 }
 
-document!(RouterShown, "router-status", router_status_schema_is_kept);
+document!(RouterShown, "router-status", 2, router_status_schema_is_kept);
 
 /// Packages and bytes a second, rounded up: the mean of the router's last round of 5 s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -113,8 +110,8 @@ pub struct ClientShown {
     pub open_ns: u64,
     /// How many mailboxes it has.
     pub names: usize,
-    /// The first 16 of them, or of those that were asked for.
-    pub first_names: Vec<String>,
+    /// Their names, or the names that were asked for.
+    pub mailboxes: Vec<String>,
     /// Its part: `client`, `router of system N`, or `link`.
     pub role: String,
     /// Whether it is asked for signs of life.
@@ -147,8 +144,8 @@ pub struct ClosedShown {
     pub open_ns: u64,
     /// How many mailboxes it had.
     pub names: usize,
-    /// The first 16 of them.
-    pub first_names: Vec<String>,
+    /// Their names.
+    pub mailboxes: Vec<String>,
     /// Its counters that are not 0.
     pub counters: BTreeMap<String, u64>,
 }
@@ -160,7 +157,6 @@ impl RouterShown {
         let has_one = |client: &&ClientStatus| mailbox.is_none() || client.names.iter().any(is_wanted);
         let mut clients: Vec<&ClientStatus> = status.clients.iter().filter(has_one).collect();
         clients.sort_by_key(|client| std::cmp::Reverse(client.waiting_bytes));
-        clients.truncate(CLIENTS_SHOWN);
         Self {
             name: name.into(),
             pid: std::process::id(),
@@ -205,7 +201,7 @@ impl ClientShown {
             peer: client.peer.to_string(),
             open_ns: client.open_for * MS,
             names: client.names.len(),
-            first_names: first(client.names.iter().filter(|name| is_wanted(name))),
+            mailboxes: client.names.iter().filter(|name| is_wanted(name)).map(ToString::to_string).collect(),
             role: client.role.clone(),
             watchdog: client.watchdog,
             waiting: client.waiting,
@@ -225,14 +221,10 @@ impl ClosedShown {
             ago_ns: now_ms.saturating_sub(closed.at) * MS,
             open_ns: closed.open_for * MS,
             names: closed.names.len(),
-            first_names: first(closed.names.iter()),
+            mailboxes: closed.names.iter().map(ToString::to_string).collect(),
             counters: counted(&closed.counters),
         }
     }
-}
-
-fn first<'a>(names: impl Iterator<Item = &'a MailboxName>) -> Vec<String> {
-    names.take(NAMES_SHOWN).map(ToString::to_string).collect()
 }
 
 fn counted(counters: &Counters) -> BTreeMap<String, u64> {

@@ -20,6 +20,7 @@ use rtnet::api::listener::Listener;
 
 use super::programs::{Answers, Program, Requests};
 use super::protocol::{Envelope, Reply};
+use super::reply;
 use crate::remedy::{SOCKET_PATH_AT_MOST, explained};
 
 /// Longest request: a schedule with as many slots as one can have.
@@ -222,14 +223,14 @@ impl Server {
         if length > REQUEST_AT_MOST {
             self.traffic.too_long += 1;
             let why = format!("a request is {REQUEST_AT_MOST} bytes at most: send less at a time");
-            let _ = client.send(&refusal(why));
+            let _ = reply::send(&client.socket, &refusal(why));
             return Outcome::Goes;
         }
         if client.has_taken_back() {
             self.traffic.taken_back += 1;
             // Who has hung up does not hear it.
-            let _ =
-                client.send(&refusal("nothing is done: it was taken back before it was looked at".into()));
+            let refusal = refusal("nothing is done: it was taken back before it was looked at".into());
+            let _ = reply::send(&client.socket, &refusal);
             return Outcome::Goes;
         }
         self.traffic.answered += 1;
@@ -238,7 +239,7 @@ impl Server {
         }
         let reply = answers.answer(&packet[..length], self.traffic);
         // The socket does not block: who has not taken earlier replies does not get this one.
-        let taken = client.send(&reply).is_ok();
+        let taken = reply::send(&client.socket, &reply).is_ok();
         self.traffic.not_taken += u64::from(!taken);
         if taken { Outcome::Stays(client) } else { Outcome::Goes }
     }
@@ -293,10 +294,6 @@ impl Server {
 }
 
 impl Client {
-    fn send(&self, packet: &[u8]) -> io::Result<usize> {
-        self.socket.send_with_flags(packet, nix::libc::MSG_NOSIGNAL)
-    }
-
     /// Whoever hangs up, or sends no more, does not want what it has asked for any more: it was told that it failed.
     fn has_taken_back(&self) -> bool {
         // Being hung up on is always told of.

@@ -16,8 +16,12 @@ pub trait Kind: Serialize {
 /// What a type is as a document; its schema is kept in `docs/schema`, which a test of that name sees to.
 macro_rules! document {
     ($of:ty, $kind:literal, $test:ident) => {
+        $crate::report::document::document!($of, $kind, 1, $test);
+    };
+    ($of:ty, $kind:literal, $version:literal, $test:ident) => {
         impl $crate::report::document::Kind for $of {
             const KIND: &'static str = $kind;
+            const VERSION: u32 = $version;
         }
 
         #[cfg(test)]

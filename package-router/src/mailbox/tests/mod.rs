@@ -286,16 +286,17 @@ fn refused_commands_are_kept_for_the_owner_to_answer() {
     }
     // Five times as many as are kept at once.
     for turn in 0..5 {
-        for id in 0..MOST_KEPT as u8 {
-            assert_eq!(senders[1].send(&head(1, 9, turn * 20 + id), &[0; 8], &at(2)), Ok(turn > 0));
+        let ids = (0..MOST_KEPT).map(|count| (count + turn) as u8);
+        for id in ids.clone() {
+            assert_eq!(senders[1].send(&head(1, 9, id), &[0; 8], &at(2)), Ok(turn > 0));
         }
-        let (one_more, full) = (head(1, 9, 255), Err(SendError::Full(1)));
-        assert_eq!(senders[1].send(&one_more, &[], &at(2)), full, "16 of one sender are kept");
-        let kept: Vec<_> = (0..MOST_KEPT as u8).map(|id| (1, turn * 20 + id)).collect();
+        let (one_more, full) = (head(1, 9, turn as u8), Err(SendError::Full(1)));
+        assert_eq!(senders[1].send(&one_more, &[], &at(2)), full, "one of each id is kept");
+        let kept: Vec<_> = ids.map(|id| (1, id)).collect();
         assert_eq!((refused(&mut inbox), refused(&mut inbox)), (kept, vec![]));
         assert!(!inbox.falls_asleep(), "two packages wait, but a refused command wakes it");
     }
-    assert_eq!(inbox.refused(), 2 + 5 * 17);
+    assert_eq!(inbox.refused(), 2 + 5 * (MOST_KEPT as u64 + 1));
     assert_eq!(all(&mut inbox), [(0, 0), (1, 0)]);
     assert_eq!(senders[0].send(&head(0, 9, 2), &[], &at(3)), Ok(false), "a package does not wake it");
 }

@@ -127,16 +127,17 @@ impl Router {
         pushed
     }
 
-    /// Whether a connection may send in this name: it owns the name, or the name is free and it may register it.
+    /// Whether a connection may send in this name: it owns the name, or the name is free and it may register it. Where two routers have
+    /// a link to each other, the names of one come by its link, and their packages by either.
     fn is_sender(&self, from: Connection, name: MailboxName) -> bool {
-        let Some(client) = self.clients.get(from.0 as usize).and_then(Option::as_ref) else { return false };
-        let might_have = || {
-            name == MailboxName::NOBODY
-                || matches!(client.role, Role::Link(_))
-                || self.rules.may_register(client.peer.ip(), name)
-        };
-        client.role.may_have(name, self.system)
-            && self.table.get(&name).map_or_else(might_have, |owner| *owner == from)
+        let client = |of: Connection| self.clients.get(of.0 as usize).and_then(Option::as_ref);
+        let is_of_router = |owner| client(owner).is_some_and(|owner| owner.role == Role::Peer(name.system()));
+        let Some(client) = client(from) else { return false };
+        let is_link = matches!(client.role, Role::Link(_));
+        let might_have =
+            || name == MailboxName::NOBODY || is_link || self.rules.may_register(client.peer.ip(), name);
+        let is_owner = |owner: &Connection| *owner == from || is_link && is_of_router(*owner);
+        client.role.may_have(name, self.system) && self.table.get(&name).map_or_else(might_have, is_owner)
     }
 
     /// Drops all that waits for a receiver that is gone: it is counted at its senders, and commands are answered.

@@ -9,8 +9,12 @@ const WIDTH: usize = 120;
 /// Counters of packages that went on: all others are shown together.
 const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_out"];
 
-/// A router's status; `is_chosen`: with those connections and mailboxes only that were asked for.
-pub(super) fn describe(router: &RouterShown, is_chosen: bool) -> String {
+/// Connections that are shown unless all are asked for, those with the most bytes waiting; and mailboxes of each.
+const CONNECTIONS: usize = 100;
+const MAILBOXES: usize = 16;
+
+/// A router's status, of 100 connections and 16 mailboxes of each, or of `all`.
+pub(super) fn describe(router: &RouterShown, all: bool) -> String {
     let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
     let up = duration(router.up_ns);
     let mut lines = vec![format!(
@@ -30,7 +34,7 @@ pub(super) fn describe(router: &RouterShown, is_chosen: bool) -> String {
     lines.extend(router.rules_error.iter().map(|why| {
         format!("its file was read again and has an error, so the rules before are in force: {why}")
     }));
-    lines.extend(clients_of(router, is_chosen));
+    lines.extend(clients_of(router, all));
     let dropped = counted(router.counters.iter().filter(|(name, _)| !TRAFFIC.contains(&name.as_str())));
     if !dropped.is_empty() {
         lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
@@ -66,18 +70,21 @@ fn described(link: &LinkShown) -> String {
     format!("link to {}, for systems {to}: {state}", link.router)
 }
 
-fn names_of(client: &ClientShown, is_chosen: bool) -> String {
-    let more = if is_chosen { 0 } else { client.names - client.first_names.len() };
+fn names_of(client: &ClientShown, most: usize) -> String {
+    let shown = client.mailboxes.len().min(most);
+    let more = client.mailboxes.len() - shown;
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!("{}{more}", client.first_names.join(" "))
+    format!("{}{more}", client.mailboxes[..shown].join(" "))
 }
 
 /// The table of open connections.
-fn clients_of(router: &RouterShown, is_chosen: bool) -> Vec<String> {
-    let clients = &router.clients;
+fn clients_of(router: &RouterShown, all: bool) -> Vec<String> {
+    let (most, most_names) = if all { (usize::MAX, usize::MAX) } else { (CONNECTIONS, MAILBOXES) };
+    let clients = &router.clients[..router.clients.len().min(most)];
     if clients.is_empty() {
+        // Of others some were not asked for.
         let nothing = [String::new(), "no connection has such a mailbox".into()];
-        return if is_chosen { nothing.into() } else { Vec::new() };
+        return if router.connections > 0 { nothing.into() } else { Vec::new() };
     }
     let count = |of: &BTreeMap<String, u64>, name: &str| grouped(of.get(name).copied().unwrap_or(0));
     let column = |head: [&'static str; 2], of: &dyn Fn(&ClientShown) -> String| {
@@ -95,12 +102,12 @@ fn clients_of(router: &RouterShown, is_chosen: bool) -> Vec<String> {
         column(["packages/s", "out"], &|client| rate(client, |rates| rates.packages_out_per_s)),
         column(["", "waiting"], &|client| grouped(client.waiting as u64)),
         column(["", "oldest"], &|client| client.oldest_ns.map_or("-".into(), duration)),
-        Column::left(["", "mailboxes"], clients.iter().map(|client| names_of(client, is_chosen))),
+        Column::left(["", "mailboxes"], clients.iter().map(|client| names_of(client, most_names))),
     ];
     let mut lines = vec![String::new()];
     lines.extend(table(&columns, WIDTH));
-    if !is_chosen && router.connections > clients.len() {
-        lines.push(format!("... and {} more", router.connections - clients.len()));
+    if router.clients.len() > clients.len() {
+        lines.push(format!("... and {} more (--all shows them)", router.clients.len() - clients.len()));
     }
     lines
 }

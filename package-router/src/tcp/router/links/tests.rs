@@ -7,8 +7,8 @@ const PEER: &str = "127.0.0.1:9";
 /// Routers of systems 1, 2, ..., each with a link to the next one.
 struct Systems {
     routers: Vec<Router>,
-    /// Both ends of each link.
-    links: Vec<[Connection; 2]>,
+    /// Both ends of each link, and the routers there.
+    links: Vec<[(usize, Connection); 2]>,
     now: u64,
 }
 
@@ -29,7 +29,7 @@ impl Systems {
     fn link(&mut self, from: usize, to: usize) {
         let there = self.routers[to].connect(PEER.parse().unwrap(), self.now).unwrap();
         let here = self.routers[from].link(0, PEER.parse().unwrap(), None, self.now).unwrap();
-        self.links.push([here, there]);
+        self.links.push([(from, here), (to, there)]);
         self.settle();
     }
 
@@ -51,11 +51,11 @@ impl Systems {
     /// Carries all bytes of links.
     fn settle(&mut self) {
         for _ in 0..20 {
-            for (place, [here, there]) in self.links.clone().into_iter().enumerate() {
-                let bytes = self.taken(place, here);
-                self.routers[place + 1].received(there, &bytes, self.now);
-                let bytes = self.taken(place + 1, there);
-                self.routers[place].received(here, &bytes, self.now);
+            for [one, other] in self.links.clone() {
+                for (from, to) in [(one, other), (other, one)] {
+                    let bytes = self.taken(from.0, from.1);
+                    self.routers[to.0].received(to.1, &bytes, self.now);
+                }
             }
         }
     }
@@ -111,6 +111,36 @@ fn mailboxes_of_two_systems_meet_by_one_link() {
     assert_eq!(systems.status(0).clients[0].role, "link");
 }
 
+/// Each has a link to the other.
+#[test]
+fn systems_that_link_to_each_other_meet() {
+    let mut systems = Systems::new(2);
+    let (first, second) = (systems.connect(0), systems.connect(1));
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    systems.link(1, 0);
+    assert_eq!(systems.registers(1, second, PILOT_2), OK);
+    for (system, from, to) in
+        [(0, (first, PILOT_1), (second, PILOT_2)), (1, (second, PILOT_2), (first, PILOT_1))]
+    {
+        systems.sends(system, from.0, 21, to.1, from.1, b"");
+        let there = systems.heads(1 - system, to.0)[0];
+        assert_eq!((there.kind, there.from.0), (21, from.1));
+        systems.sends(1 - system, to.0, OK, from.1, to.1, b"");
+        assert_eq!(systems.heads(system, from.0)[0].kind, OK);
+    }
+    // A client that has such a name is no router.
+    assert_eq!(systems.registers(1, second, 0x0177_0000), OK);
+    systems.sends(0, first, 21, PILOT_2, 0x0177_0000, b"");
+    assert!(systems.heads(1, second).is_empty());
+    assert_eq!(systems.status(1).counters.foreign_senders, 1);
+    // One of the links ends: the other is enough.
+    let [(_, here), (_, there)] = systems.links.remove(0);
+    systems.routers[0].disconnect(here, Ending::Left, 0);
+    systems.routers[1].disconnect(there, Ending::Left, 0);
+    systems.sends(0, first, 21, PILOT_2, PILOT_1, b"");
+    assert_eq!(systems.heads(1, second)[0].kind, 21);
+}
+
 #[test]
 fn a_link_that_opens_later_registers_what_is_there() {
     let mut systems = Systems::new(1);
@@ -152,10 +182,9 @@ fn another_router_has_no_names_but_its_systems() {
     assert!(systems.heads(1, second).is_empty());
     assert_eq!(systems.status(1).counters.foreign_senders, 1);
     // Nor does a router take packages in its own system's names from a link.
-    let [_, there] = systems.links[0];
+    let [(_, here), (_, there)] = systems.links[0];
     systems.sends(1, second, 21, PILOT_1, PILOT_2, b"");
     let forged = Head::new(21, MailboxName(PILOT_1), MailboxName(0x0177_0000)).to_bytes();
-    let [here, _] = systems.links[0];
     systems.routers[0].received(here, &forged, 0);
     assert_eq!(systems.status(0).counters.foreign_senders, 1);
     assert!(systems.routers[1].place_of_link(there).is_none());
@@ -166,7 +195,7 @@ fn a_link_to_a_router_of_the_same_system_is_refused() {
     let mut systems = Systems::new(1);
     systems.add(1);
     systems.link(0, 1);
-    let [here, _] = systems.links[0];
+    let [(_, here), _] = systems.links[0];
     assert_eq!(systems.routers[0].next_ending(), Some((here, Ending::SameSystem)));
 }
 
@@ -256,7 +285,7 @@ fn a_link_to_one_system_brings_nothing_of_another() {
     systems.link(0, 1);
     let client = systems.connect(0);
     assert_eq!(systems.registers(0, client, PILOT_1), OK);
-    let [here, _] = systems.links[0];
+    let [(_, here), _] = systems.links[0];
     for (from, came) in [(PILOT_3, 0), (PILOT_2, 1)] {
         let head = Head::new(-6, MailboxName(PILOT_1), MailboxName(from));
         systems.routers[0].received(here, &head.to_bytes(), 0);
@@ -285,7 +314,7 @@ fn links_answer_for_their_life_and_end_in_silence() {
         systems.settle();
         assert!(systems.routers.iter_mut().all(|router| router.next_ending().is_none()));
     }
-    let [here, _] = systems.links[0];
+    let [(_, here), _] = systems.links[0];
     systems.links.clear();
     systems.routers[0].round(20_000);
     assert_eq!(systems.routers[0].next_ending(), None);

@@ -1,0 +1,59 @@
+//! Replies of any length: what no packet of a local socket holds goes along as a file.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, Write};
+use std::os::fd::AsFd;
+
+use nix::sys::memfd::{MFdFlags, memfd_create};
+use rtnet::api::letters;
+
+/// The longest reply that is a packet: the kernel takes 208 KiB, with what it adds, unless it was set otherwise.
+const PACKET_AT_MOST: usize = 192 * 1024;
+/// The packet with which a file comes.
+const IN_FILE: &[u8] = b"the reply is in the file that comes along";
+
+/// Sends one. It does not wait if the socket does not.
+pub(super) fn send(to: impl AsFd, reply: &[u8]) -> io::Result<()> {
+    if reply.len() <= PACKET_AT_MOST {
+        return letters::send(to, reply, &[]);
+    }
+    let mut file = File::from(memfd_create(c"rtnet-reply", MFdFlags::MFD_CLOEXEC)?);
+    file.write_all(reply)?;
+    file.rewind()?;
+    letters::send(to, IN_FILE, &[file.as_fd()])
+}
+
+/// Receives one; an empty one of an end that has hung up.
+pub(super) fn receive(from: impl AsFd) -> io::Result<Vec<u8>> {
+    let mut reply = vec![0; PACKET_AT_MOST];
+    let (length, files) = letters::receive(from, &mut reply)?;
+    reply.truncate(length);
+    for file in files {
+        reply.clear();
+        File::from(file).read_to_end(&mut reply)?;
+    }
+    Ok(reply)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use socket2::{Domain, Socket, Type};
+
+    use super::*;
+
+    #[test]
+    fn a_reply_of_any_length_comes_whole() {
+        let (one, other) = Socket::pair(Domain::UNIX, Type::SEQPACKET, None).unwrap();
+        for length in [1, PACKET_AT_MOST - 1, PACKET_AT_MOST, PACKET_AT_MOST + 1, 100 * PACKET_AT_MOST] {
+            let reply: Vec<u8> = (0..length).map(|at| at as u8).collect();
+            send(&one, &reply).unwrap();
+            assert!(receive(&other).unwrap() == reply, "{length} bytes");
+        }
+        other.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        assert_eq!(receive(&other).unwrap_err().kind(), io::ErrorKind::WouldBlock);
+        drop(one);
+        assert!(receive(&other).unwrap().is_empty(), "it has hung up");
+    }
+}

@@ -1,19 +1,25 @@
 //! Two systems with a router each, and a link between them.
 
 use std::fs;
-use std::net::TcpListener;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use package_router::component::{Component, Mailbox};
 use package_router::mailbox::Shape;
 use package_router::name::{Class, MailboxName};
 use package_router::tcp::client::TcpOptions;
+use package_router::tcp::control::ROUTER;
+use package_router::tcp::keys::ClientKeys;
 use package_router::wire::{NOT_AVAILABLE, OK};
 use serde_json::Value;
+use tempfile::TempDir;
 use tools::lab::namespace::Segment;
 
-use super::tls::Keys;
-use super::{Router, has_joined, not_started};
+use super::tls::{Keys, crowds};
+use super::{AtEnd, Router, has_joined, not_started, package};
 use crate::cell::wait_until;
 use crate::host::{shared, unique};
 use crate::station::{Medium, Station, set};
@@ -21,15 +27,6 @@ use crate::station::{Medium, Station, set};
 const PATIENCE: Duration = Duration::from_secs(30);
 /// A command or an answer that comes later is asked for again.
 const ANSWERED_WITHIN: Duration = Duration::from_millis(500);
-
-fn component(router: &Router, system: u8) -> (Component, Mailbox) {
-    let options = TcpOptions::new(router.at.to_string().parse().unwrap());
-    let component = Component::of_router(&options).unwrap();
-    let name = MailboxName::new(system, Class(0x80), 0, 0);
-    let mailbox = component.mailbox(name, Shape::new(8, 64)).unwrap();
-    wait_until("it is registered", || component.tcp().unwrap().status().names == 1);
-    (component, mailbox)
-}
 
 /// Asks until the other answers: until the link is open nobody is there.
 fn asks(from: &mut Mailbox, to: &mut Mailbox) {
@@ -54,58 +51,133 @@ fn asks(from: &mut Mailbox, to: &mut Mailbox) {
     }
 }
 
+/// Two routers that are reached by TLS, the first with a link to the second, and a client of each.
+struct Pair {
+    keys: Keys,
+    file: PathBuf,
+    first: Router,
+    second: Router,
+    clients: [Component; 2],
+    mailboxes: [Mailbox; 2],
+    _dir: TempDir,
+}
+
+impl Pair {
+    fn new() -> Self {
+        let (keys, dir) = (Keys::new(), tempfile::tempdir().unwrap());
+        let file = dir.path().join("router.toml");
+        fs::write(&file, "system = 2\n").unwrap();
+        let second = Self::start(&keys, &file, "127.0.0.1:0");
+        let (address, of_client) = (second.at, keys.of("client"));
+        let link = format!("[[link]]\nrouter = \"{address}\"\nkeys = {of_client:?}\nsystems = [2]\n");
+        fs::write(&file, format!("system = 1\n{link}")).unwrap();
+        let first = Self::start(&keys, &file, "127.0.0.1:0");
+        let clients = [&first, &second].map(|router| {
+            let keys = Some(ClientKeys::read(&keys.of("client")).unwrap());
+            let at = router.at.to_string().parse().unwrap();
+            Component::of_router(&TcpOptions { keys, ..TcpOptions::new(at) }).unwrap()
+        });
+        let mailbox = |client: &Component, system| {
+            client.mailbox(MailboxName::new(system, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap()
+        };
+        let mailboxes = [mailbox(&clients[0], 1), mailbox(&clients[1], 2)];
+        Self { keys, file, first, second, clients, mailboxes, _dir: dir }
+    }
+
+    fn start(keys: &Keys, file: &Path, listen: &str) -> Router {
+        let keys = keys.of("router");
+        Router::start(
+            "linked",
+            &[file.to_str().unwrap(), "--listen", listen, "--keys", keys.to_str().unwrap()],
+        )
+    }
+
+    /// Each mailbox asks the other, which answers.
+    fn meet(&mut self) {
+        for client in &self.clients {
+            wait_until("it is registered", || client.tcp().unwrap().status().names == 1);
+        }
+        let [one, other] = &mut self.mailboxes;
+        asks(one, other);
+        asks(other, one);
+    }
+}
+
+fn roles(router: &Router) -> Vec<String> {
+    let status = router.status();
+    let role = |client: &Value| client["role"].as_str().unwrap().to_owned();
+    let mut roles: Vec<_> = status["clients"].as_array().unwrap().iter().map(role).collect();
+    roles.sort_unstable();
+    roles
+}
+
 #[test]
 fn mailboxes_of_two_systems_meet_by_a_link() {
-    let keys = Keys::new();
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("router.toml");
-    fs::write(&file, "system = 2\n").unwrap();
-    let of_router = keys.of("router");
-    let text = |address: &str| {
-        let keys = keys.of("client");
-        format!("system = 1\n[[link]]\nrouter = \"{address}\"\nkeys = {keys:?}\nsystems = [2]\n")
-    };
-    let start = |listen: &str| {
-        let keys = of_router.to_str().unwrap();
-        Router::start("second", &[file.to_str().unwrap(), "--listen", listen, "--keys", keys])
-    };
-    let second = start("127.0.0.1:0");
-    fs::write(&file, text(&second.at.to_string())).unwrap();
-    let first = Router::start("first", &[file.to_str().unwrap(), "--listen", "127.0.0.1:0"]);
-
-    let (_arm, mut arm) = component(&first, 1);
-    // Clients of the second system have keys of their own there.
-    let options = TcpOptions {
-        keys: Some(package_router::tcp::keys::ClientKeys::read(&keys.of("client")).unwrap()),
-        ..TcpOptions::new(second.at.to_string().parse().unwrap())
-    };
-    let leg = Component::of_router(&options).unwrap();
-    let mut leg_mailbox = leg.mailbox(MailboxName::new(2, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap();
-    wait_until("it is registered", || leg.tcp().unwrap().status().names == 1);
-    asks(&mut arm, &mut leg_mailbox);
-    asks(&mut leg_mailbox, &mut arm);
-    let roles = |router: &Router| {
-        let status = router.status();
-        let role = |client: &Value| client["role"].as_str().unwrap().to_owned();
-        let mut roles: Vec<_> = status["clients"].as_array().unwrap().iter().map(role).collect();
-        roles.sort_unstable();
-        roles
-    };
-    assert_eq!(
-        (roles(&first), roles(&second)),
-        (
-            vec!["client".to_owned(), "link".to_owned()],
-            vec!["client".to_owned(), "router of system 1".to_owned()],
-        )
-    );
+    let mut pair = Pair::new();
+    pair.meet();
+    let expected = [["client", "link"], ["client", "router of system 1"]];
+    assert_eq!([roles(&pair.first), roles(&pair.second)], expected);
     // The other router is killed, and comes back.
-    let at = second.at.to_string();
-    drop(second);
-    fs::write(&file, "system = 2\n").unwrap();
-    let _second = start(&at);
-    wait_until("it is registered again", || leg.tcp().unwrap().status().names == 1);
-    asks(&mut arm, &mut leg_mailbox);
-    asks(&mut leg_mailbox, &mut arm);
+    let at = pair.second.at.to_string();
+    pair.second.child.kill().unwrap();
+    pair.second.child.wait().unwrap();
+    fs::write(&pair.file, "system = 2\n").unwrap();
+    pair.second = Pair::start(&pair.keys, &pair.file, &at);
+    pair.meet();
+}
+
+/// They try to be the router of a system, to take a client's name, and to use up what the routers have.
+#[test]
+fn strangers_harm_neither_of_two_linked_systems() {
+    let mut pair = Pair::new();
+    pair.meet();
+    let others = Keys::new();
+    // They believe the routers, and have a certificate of somebody else.
+    fs::copy(pair.keys.of("client").join("ca.pem"), others.of("client").join("ca.pem")).unwrap();
+    let at = [pair.first.at, pair.second.at];
+    let names = || [&pair.first, &pair.second].map(|router| router.status()["names"].clone());
+    let before = names();
+    for (at, system) in at.into_iter().zip([2u8, 1]) {
+        let mut plain = TcpStream::connect(at).unwrap();
+        plain.write_all(&package(ROUTER, 0, 0, &u32::from(system).to_le_bytes())).unwrap();
+        // It may be reset before it is read.
+        let _ = plain.read_to_end(&mut Vec::new());
+    }
+    let strangers = at.map(|at| {
+        let keys = Some(ClientKeys::read(&others.of("client")).unwrap());
+        let options = TcpOptions { keys, ..TcpOptions::new(at.to_string().parse().unwrap()) };
+        let stranger = Component::of_router(&options).unwrap();
+        let mailboxes = [1, 2].map(|system| {
+            stranger.mailbox(MailboxName::new(system, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap()
+        });
+        (stranger, mailboxes)
+    });
+    let counted = |router: &Router, reason: &str| router.status()["endings"][reason].as_u64().unwrap();
+    for router in [&pair.first, &pair.second] {
+        wait_until("they are kept out", || {
+            counted(router, "tls") >= 1 && counted(router, "certificate") >= 3
+        });
+    }
+    assert_eq!(names(), before);
+    for (stranger, mut mailboxes) in strangers {
+        // None has come in: all that they sent, or were to receive, is here.
+        assert_eq!(stranger.tcp().unwrap().status().names, 0);
+        assert!(mailboxes.iter_mut().all(|mailbox| mailbox.try_receive().unwrap().is_none()));
+    }
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let _ends = AtEnd(&is_over);
+        let is_over = &is_over;
+        for at in at {
+            scope.spawn(move || crowds(at, is_over));
+        }
+        for router in [&pair.first, &pair.second] {
+            wait_until("they crowd", || counted(router, "crowded") > 0);
+        }
+        (0..10).for_each(|_| pair.meet());
+    });
+    assert_eq!(pair.first.status()["links"][0]["open"], true);
+    assert_eq!(roles(&pair.second).iter().filter(|role| *role != "client").count(), 1);
 }
 
 /// Two robots: a station of system 1 at its router, a link, and a station of system 2 at its own.

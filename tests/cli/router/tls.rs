@@ -226,6 +226,18 @@ fn garbage_ends_its_own_session_only_and_is_counted() {
     assert_eq!(well.tcp().unwrap().status().connections, 1, "the others go on");
 }
 
+/// Opens connections that say nothing; each makes room for the next, and the router closes it.
+pub fn crowds(at: SocketAddr, is_over: &AtomicBool) {
+    let mut open = VecDeque::new();
+    while !is_over.load(Ordering::Relaxed) {
+        open.extend(TcpStream::connect(at).ok());
+        if open.len() > 300 {
+            open.pop_front();
+        }
+        thread::sleep(Duration::from_millis(1));
+    }
+}
+
 #[test]
 fn strangers_who_crowd_keep_no_client_out() {
     let keys = Keys::new();
@@ -233,17 +245,7 @@ fn strangers_who_crowd_keep_no_client_out() {
     let (at, is_over) = (router.at, AtomicBool::new(false));
     thread::scope(|scope| {
         let _ends = AtEnd(&is_over);
-        // They say nothing; each makes room for the next, and the router closes it.
-        scope.spawn(|| {
-            let mut open = VecDeque::new();
-            while !is_over.load(Ordering::Relaxed) {
-                open.extend(TcpStream::connect(at).ok());
-                if open.len() > 300 {
-                    open.pop_front();
-                }
-                thread::sleep(Duration::from_millis(1));
-            }
-        });
+        scope.spawn(|| crowds(at, &is_over));
         let crowded = || router.status()["endings"]["crowded"].as_u64().unwrap();
         wait_until("they crowd", || crowded() > 0);
         let before = crowded();

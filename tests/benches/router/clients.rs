@@ -2,10 +2,14 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
+use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use serde_json::{Value, json};
 
 use crate::protocols::Protocol;
@@ -37,9 +41,10 @@ pub fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStr
     Ok(stream)
 }
 
-/// Clients of which the first and the last exchange packages.
+/// Clients of which the first and the last exchange packages. The others answer for their lives.
 pub struct Trips {
-    all: Vec<TcpStream>,
+    pair: [TcpStream; 2],
+    _others: Others,
     there: Vec<u8>,
     back: Vec<u8>,
     room: [Vec<u8>; 2],
@@ -47,11 +52,13 @@ pub struct Trips {
 
 impl Trips {
     pub fn join(protocol: &dyn Protocol, at: SocketAddr, clients: u32) -> Result<Self> {
-        let all = (0..clients).map(|me| joined(protocol, at, me)).collect::<Result<Vec<_>>>()?;
         let last = clients - 1;
+        let pair = [joined(protocol, at, 0)?, joined(protocol, at, last)?];
+        let others = (1..last).map(|me| joined(protocol, at, me)).collect::<Result<Vec<_>>>()?;
+        let others = Others::live(protocol, others)?;
         let (there, back) = (protocol.package(last, 0), protocol.package(0, last));
         let room = [last, 0].map(|to| vec![0; protocol.comes(to)]);
-        let mut trips = Self { all, there, back, room };
+        let mut trips = Self { pair, _others: others, there, back, room };
         for _ in 0..WARM {
             trips.once()?;
         }
@@ -59,13 +66,12 @@ impl Trips {
     }
 
     fn once(&mut self) -> Result<u64> {
-        let Self { all, there, back, room: [at_last, at_first] } = self;
-        let last = all.len() - 1;
+        let Self { pair: [first, last], there, back, room: [at_last, at_first], .. } = self;
         let begun = Instant::now();
-        all[0].write_all(there)?;
-        all[last].read_exact(at_last)?;
-        all[last].write_all(back)?;
-        all[0].read_exact(at_first)?;
+        first.write_all(there)?;
+        last.read_exact(at_last)?;
+        last.write_all(back)?;
+        first.read_exact(at_first)?;
         Ok(begun.elapsed().as_nanos() as u64)
     }
 
@@ -76,6 +82,46 @@ impl Trips {
             times.record(self.once()?)?;
         }
         Ok(())
+    }
+}
+
+/// Clients that do nothing but answer questions for signs of life, on a thread of their own.
+#[derive(Default)]
+struct Others {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Others {
+    fn live(protocol: &dyn Protocol, mut all: Vec<TcpStream>) -> Result<Self> {
+        let answers = all.iter_mut().map(|client| protocol.watched(client)).collect::<Result<Vec<_>>>()?;
+        let Some(answer) = answers.into_iter().flatten().next() else { return Ok(Self::default()) };
+        let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        for (client, stream) in all.iter().enumerate() {
+            ready.add(stream, EpollEvent::new(EpollFlags::EPOLLIN, client as u64))?;
+        }
+        let is_over = Arc::new(AtomicBool::new(false));
+        let ends = is_over.clone();
+        let thread = std::thread::spawn(move || {
+            let (mut events, mut room) = ([EpollEvent::empty(); 64], [0; 1 << 10]);
+            while !ends.load(Ordering::Relaxed) {
+                let count = ready.wait(&mut events, 100u8).unwrap_or(0);
+                for event in &events[..count] {
+                    let mut client = &all[event.data() as usize];
+                    // One that the router has closed is not answered for: the router counts it.
+                    let _ = client.read(&mut room).and_then(|_| client.write_all(&answer));
+                }
+            }
+        });
+        Ok(Self { is_over, thread: Some(thread) })
+    }
+}
+
+impl Drop for Others {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        // Their names are free once it has ended.
+        let _ = self.thread.take().map(JoinHandle::join);
     }
 }
 

@@ -5,7 +5,7 @@ use std::net::TcpStream;
 
 use anyhow::{Result, bail, ensure};
 use package_router::name::MailboxName;
-use package_router::tcp::control::UNWATCHED;
+use package_router::tcp::control::{UNWATCHED, WATCHED};
 use package_router::wire::{HEAD_LEN, Head, OK};
 
 /// Bytes behind the 16 of a head.
@@ -19,6 +19,10 @@ pub trait Protocol {
     fn package(&self, to: u32, from: u32) -> Vec<u8>;
     /// Bytes of that package at its receiver.
     fn comes(&self, to: u32) -> usize;
+    /// Has a client that has joined asked for signs of life, as it is unless it says otherwise: its answer to each, if there are such.
+    fn watched(&self, _: &mut TcpStream) -> Result<Option<Vec<u8>>> {
+        Ok(None)
+    }
 }
 
 /// By its name.
@@ -55,6 +59,12 @@ impl Protocol for Ours {
 
     fn comes(&self, _: u32) -> usize {
         HEAD_LEN + BODY
+    }
+
+    fn watched(&self, stream: &mut TcpStream) -> Result<Option<Vec<u8>>> {
+        let to_router = |kind| Head::new(kind, MailboxName::NOBODY, MailboxName::NOBODY).to_bytes();
+        stream.write_all(&to_router(WATCHED))?;
+        Ok(Some(to_router(OK).to_vec()))
     }
 }
 

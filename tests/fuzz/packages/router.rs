@@ -2,10 +2,13 @@
 
 use core::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::collections::BTreeSet;
+use std::io;
 
+use package_router::tcp::client::session::Session;
 use package_router::tcp::config::RouterFile;
 use package_router::tcp::frames::Frames;
 use package_router::tcp::router::{Connection, Ending, Limits, Router};
+use package_router::wire::OK;
 
 use super::*;
 
@@ -14,8 +17,9 @@ const CONNECTIONS: u32 = 5;
 const UNTRUSTED: u32 = 3;
 const LINK: u32 = 4;
 const PROOF: [u8; 32] = [7; 32];
-/// Bytes before each piece: its connection, and its length.
+/// Bytes before each piece: its connection, and its length in bytes; of a long one in KiB, all of which are the same byte.
 const HEAD: usize = 2;
+const LONG: u8 = 0x40;
 
 /// Names registered by two connections, packages between them, a question of the router answered.
 fn seeds() -> Vec<Vec<u8>> {
@@ -41,7 +45,16 @@ fn seeds() -> Vec<Vec<u8>> {
         piece(4, "0311000000000000000000001000000003ff0002000000000000000010000000"),
         piece(0, "0015000002001000001001000000001568656c6c6f"),
     ];
-    vec![all.concat(), all[0].clone(), [&all[1][..], &all[2]].concat()]
+    // To a receiver, the longest but one KiB; and of a length that is none.
+    let long = [piece(0, "00154d2a00100200001001000003fc10"), vec![LONG, 255]].concat();
+    let too_long = [piece(0, "00154d2a00100200001001000004000100"), vec![LONG, 255]].concat();
+    vec![
+        all.concat(),
+        all[0].clone(),
+        [&all[1][..], &all[2]].concat(),
+        [&all[0][..], &all[1], &long, &all[2]].concat(),
+        [&all[0][..], &too_long].concat(),
+    ]
 }
 
 #[test]
@@ -55,10 +68,16 @@ fn routed(bytes: &[u8]) -> Vec<u64> {
     (0..CONNECTIONS).for_each(|which| assert_eq!(connected(&mut router, which, 0), Connection(which)));
     let (mut rest, mut now, mut steps) = (bytes, 0, Vec::new());
     while let Some((&[whose, length], behind)) = rest.split_first_chunk::<HEAD>() {
-        let (piece, behind) = behind.split_at(usize::from(length).min(behind.len()));
-        (rest, now) = (behind, now + 1);
-        let connection = Connection(u32::from(whose) % CONNECTIONS);
-        router.received(connection, piece, now);
+        now += 1;
+        let connection = Connection(u32::from(whose & !LONG) % CONNECTIONS);
+        if whose & LONG != 0 {
+            rest = behind;
+            router.received(connection, &vec![length; usize::from(length) << 10], now);
+        } else {
+            let (piece, behind) = behind.split_at(usize::from(length).min(behind.len()));
+            rest = behind;
+            router.received(connection, piece, now);
+        }
         if whose & 0x80 != 0 {
             router.round(now);
         }
@@ -116,6 +135,86 @@ fn left(router: &mut Router, now: u64) -> u64 {
     kinds.truncate(4);
     let counters = status.counters.each().map(|(_, count)| count.min(2));
     outcome(kinds.into_iter().chain(counters))
+}
+
+/// Mailboxes of a client.
+const OWN: [MailboxName; 2] = [MailboxName(0x0010_0100), MailboxName(0x0010_0200)];
+
+/// A client of a router: answers to its registrations and questions, packages, a question for a sign of life.
+#[test]
+fn router_client_takes_any_bytes() {
+    // It writes, then that comes, and it writes again.
+    let comes = |hex: &str| {
+        let bytes = unhex(hex);
+        [&[0x40, 0, 1, bytes.len() as u8], &bytes[..], &[0x40, 0]].concat()
+    };
+    let answer = |id: u8| format!("030000{id:02x}000000000000000010000000");
+    let account = format!("0300000200000000000000004800000005{}", "00".repeat(55));
+    let package = "0015000002001001000000150000001568656c6c6f";
+    let all = [
+        comes(&answer(0)),
+        comes(&format!("{}{}", answer(0), answer(1))),
+        comes(&[answer(0), answer(1), account.clone(), answer(3)].concat()),
+        comes(&account),
+        comes("03010001000000000000000010000000"),
+        comes("030c000000000000000000001000000003000000000000000000000011000000"),
+        comes(package),
+    ];
+    let seeds = [&all[..], &[all.concat()]].concat();
+    fuzz(&Target { name: "router_client", seeds, has_corpus: false, mutate: mutate::bytes, run: answered });
+}
+
+fn answered(bytes: &[u8]) -> Vec<u64> {
+    let mut session = Session::default();
+    session.set_names(&OWN.into());
+    session.connected(0, None);
+    let (mut rest, mut now, mut written, mut steps) = (bytes, 0, Vec::new(), Vec::new());
+    while let Some((&[what, length], behind)) = rest.split_first_chunk::<HEAD>() {
+        now += u64::from(what & 0x3f);
+        session.retry(now);
+        rest = behind;
+        if what & 0x40 != 0 {
+            // The connection takes so many bytes of two packages and all else.
+            let (mut left, mut room) = (2, 4 * usize::from(length) + HEAD_LEN);
+            let next = |batch: &mut Vec<u8>| {
+                let package = Head::new(-6, MailboxName(9), OWN[0]).to_bytes();
+                (left > 0).then(|| batch.extend_from_slice(&package)).map(|()| left -= 1).is_some()
+            };
+            let send = |bytes: &[u8]| {
+                let taken = bytes.len().min(core::mem::take(&mut room));
+                written.extend_from_slice(&bytes[..taken]);
+                if taken > 0 { Ok(taken) } else { Err(io::ErrorKind::WouldBlock.into()) }
+            };
+            session.write(next, send).expect("nothing fails");
+        } else {
+            let piece;
+            (piece, rest) = behind.split_at(usize::from(length).min(behind.len()));
+            let mut came = Vec::new();
+            if session.received(piece, now, |head, _| came.push(*head)).is_err() || what & 0x80 != 0 {
+                session.disconnected();
+                session.connected(now, None);
+                written.clear();
+            }
+            came.iter().filter(|head| head.is_command()).for_each(|head| session.answer(&head.answer(OK)));
+        }
+        let counters = session.counters();
+        let (registered, waiting) = session.names();
+        assert_eq!(registered + waiting, OWN.len());
+        assert!(counters.unconfirmed <= counters.sent && session.next_due(true) <= session.next_due(false));
+        let mut kinds = Vec::new();
+        let cut = Frames::default().cut(&written, |head, _| kinds.push(head.kind as u64 & 0xff));
+        assert_eq!(cut, Ok(()), "it writes packages");
+        kinds.truncate(4);
+        let few = [
+            registered as u64,
+            counters.sent,
+            counters.received,
+            counters.unconfirmed,
+            counters.lost_at_router.sum(),
+        ];
+        steps.push(outcome(kinds.into_iter().chain(few.map(|count| count.min(3)))));
+    }
+    in_turn(&steps)
 }
 
 #[test]

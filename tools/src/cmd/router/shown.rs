@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use package_router::tcp::account::Lost;
+
 use crate::control::{ClientShown, LinkShown, RatesShown, RouterShown};
 use crate::report::text::{Column, duration, grouped, table};
 
@@ -70,6 +72,12 @@ fn described(link: &LinkShown) -> String {
     format!("link to {}, for systems {to}: {state}", link.router)
 }
 
+/// Packages of a client that were not passed on, for whatever reason.
+fn lost(client: &ClientShown) -> u64 {
+    let reasons = Lost::default();
+    reasons.each().filter_map(|(reason, _)| client.counters.get(reason)).sum()
+}
+
 fn names_of(client: &ClientShown, most: usize) -> String {
     let shown = client.mailboxes.len().min(most);
     let more = client.mailboxes.len() - shown;
@@ -98,6 +106,7 @@ fn clients_of(router: &RouterShown, all: bool) -> Vec<String> {
         column(["", "open"], &|client| duration(client.open_ns)),
         column(["packages", "in"], &|client| count(&client.counters, "packages_in")),
         column(["packages", "out"], &|client| count(&client.counters, "packages_out")),
+        column(["packages", "lost"], &|client| grouped(lost(client))),
         column(["packages/s", "in"], &|client| rate(client, |rates| rates.packages_in_per_s)),
         column(["packages/s", "out"], &|client| rate(client, |rates| rates.packages_out_per_s)),
         column(["", "waiting"], &|client| grouped(client.waiting as u64)),
@@ -114,7 +123,9 @@ fn clients_of(router: &RouterShown, all: bool) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use package_router::name::MailboxName;
     use package_router::tcp::router::{Ending, Limits, Rates, Router};
+    use package_router::wire::Head;
 
     use super::*;
 
@@ -134,6 +145,26 @@ mod tests {
         }
     }
 
+    /// A client has a package waiting, and has sent two in vain.
+    #[test]
+    fn what_waits_and_what_is_lost_is_shown() {
+        let mut router = Router::new(Limits::default(), 0);
+        let client = router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
+        let own = MailboxName(0x0018_0000);
+        let package = |kind, to, body: &[u8]| {
+            let head = Head::new(kind, MailboxName(to), if kind == 13 { MailboxName::NOBODY } else { own });
+            [&head.with_body(body.len()).unwrap().to_bytes()[..], body].concat()
+        };
+        router.received(client, &package(13, 0, &own.0.to_le_bytes()), 0);
+        router.write(client, |slices| Ok(slices.iter().map(|slice| slice.len()).sum())).unwrap();
+        let all = [package(-6, 7, b""), package(-6, 8, b""), package(-6, own.0, b"1234")];
+        router.received(client, &all.concat(), 1_000);
+        let text = describe(&RouterShown::of("r", &[], 4_000, &router.status(4_000), None), false);
+        let row = text.lines().find(|line| line.starts_with("10.0.0.9:4000")).unwrap();
+        let figures: Vec<_> = row.split("  ").filter(|word| !word.is_empty()).map(str::trim).collect();
+        assert_eq!(figures[1..], ["4s", "1", "1", "2", "-", "-", "1", "3s Pilot(0/0)"], "{text}");
+    }
+
     #[test]
     fn rates_are_shown_for_each_connection_and_in_sum() {
         let mut router = Router::new(Limits::default(), 0);
@@ -151,7 +182,7 @@ mod tests {
         assert!(text.lines().any(|line| line == sum), "{text}");
         let row = text.lines().find(|line| line.starts_with("10.0.0.9:4000")).unwrap();
         let figures: Vec<_> = row.split("  ").filter(|word| !word.is_empty()).map(str::trim).collect();
-        assert_eq!(figures[1..], ["9ms", "0", "0", "5 000", "70 000", "0", "-"], "{text}");
+        assert_eq!(figures[1..], ["9ms", "0", "0", "0", "5 000", "70 000", "0", "-"], "{text}");
         let rates = shown.clients[0].rates.unwrap();
         assert_eq!((rates.bytes_in_per_s, rates.bytes_out_per_s), (6, 8));
     }

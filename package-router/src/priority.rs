@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! class of the sender ─► package priority 0..255 ─► transmit level 0..30
-//! 0x18 Pilot             239                         1                    by the rule: the class's highest 4 bits
+//! 0x18 Pilot             247                         1                    by the rule: the class's highest 4 bits
 //!                        larger is more urgent       0 is the most urgent; 31 is never a package's
 //! ```
 //!

@@ -4,12 +4,16 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 
+use package_router::component::Component;
+use package_router::mailbox::Shape;
+use package_router::name::{Class, MailboxName};
 use serde_json::Value;
 use tools::lab::namespace::Namespace;
 
 use crate::cell::{json, text, wait_until};
 use crate::host::{shared, unique};
 use crate::rights::assert_gives_up_all;
+use crate::router::{Router, has_joined};
 use crate::rtnet;
 use crate::station::{Medium, Station};
 
@@ -36,6 +40,13 @@ fn value(page: &str, name: &str) -> Option<f64> {
     Some(line.parse().unwrap())
 }
 
+/// Where a station's figures are.
+fn figures_of(station: &Station) -> SocketAddr {
+    let line = station.wait_for("figures for Prometheus are at ");
+    let at = line.rsplit_once("http://").and_then(|(_, at)| at.strip_suffix("/metrics"));
+    at.unwrap_or_else(|| panic!("{line}")).parse().unwrap()
+}
+
 /// The counters of these groups, by group and name.
 fn counters(stat: &Value) -> BTreeMap<(&'static str, String), f64> {
     let of = |group| {
@@ -53,9 +64,7 @@ fn a_station_has_figures_for_prometheus() {
         let role = ["--interface", "rt0", "--master", "--cycle", "5ms", "--sync-window", "800us"];
         let more = ["--ip", "10.0.0.1/24", "--metrics", "127.0.0.1:0", "--name", &name];
         let master = Station::start(&medium.a, &[&role[..], &more].concat());
-        let line = master.wait_for("figures for Prometheus are at ");
-        let at = line.rsplit_once("http://").and_then(|(_, at)| at.strip_suffix("/metrics"));
-        let at: SocketAddr = at.unwrap_or_else(|| panic!("{line}")).parse().unwrap();
+        let at = figures_of(&master);
         master.wait_for("master_active");
         assert_gives_up_all(master.child.id());
 
@@ -75,6 +84,34 @@ fn a_station_has_figures_for_prometheus() {
         }
         assert!(value(&page, "rtnet_cpu_seconds_total") > Some(0.0), "{page}");
         assert_eq!(master.end(), Some(0));
+    });
+}
+
+/// By the names that its router has, too.
+#[test]
+fn a_station_at_a_router_has_its_figures() {
+    shared("a_station_at_a_router_has_its_figures", || {
+        let medium = Medium::new();
+        let router = ["--listen", "127.0.0.1:0", "--metrics", "127.0.0.1:0"];
+        let router = medium.a.run(|| Router::start("figures", &router)).unwrap();
+        let (name, at) = (unique("figures"), router.at.to_string());
+        let net = ["--interface", "rt0", "--discipline", "nomac", "--ip", "10.0.0.1/24", "--name", &name];
+        let more = ["--packages", "--router", &at, "--metrics", "127.0.0.1:0"];
+        let station = Station::start(&medium.a, &[&net[..], &more].concat());
+        let at = [figures_of(&station), router.figures.unwrap()];
+        has_joined(&name);
+        let component = Component::named(&name).unwrap();
+        let own = MailboxName::new(0, Class(0x80), 1, 0);
+        let _mailbox = component.mailbox(own, Shape::new(8, 64)).unwrap();
+        for at in at {
+            let has = |figure: &str, expected: f64| value(&page(&medium.a, at), figure) == Some(expected);
+            wait_until("it is registered", || has("rtnet_mailboxes", 1.0));
+            assert!(has("rtnet_connections", 1.0) && has("rtnet_waiting_packages", 0.0));
+            assert!(value(&page(&medium.a, at), "rtnet_up_seconds") > Some(0.0));
+        }
+        let lost = "rtnet_events_total{group=\"tcp_lost_at_router\",reason=\"nobody_there\"}";
+        assert_eq!(value(&page(&medium.a, at[0]), lost), Some(0.0));
+        assert_eq!(station.end(), Some(0));
     });
 }
 

@@ -35,14 +35,14 @@ use crate::station::PATIENCE;
 const NO_LANDLOCK: &str = "rtnet: landlock: ";
 
 /// A router on a port of its own; killed when dropped.
-struct Router {
+pub struct Router {
     name: String,
     child: Child,
-    at: SocketAddr,
+    pub at: SocketAddr,
     /// Its other addresses.
     also: Vec<SocketAddr>,
     /// Where its figures are, if it has any.
-    figures: Option<SocketAddr>,
+    pub figures: Option<SocketAddr>,
     /// Whether the kernel keeps it from files and ports that it does not need.
     is_confined: bool,
     /// Lines of its standard error.
@@ -50,7 +50,7 @@ struct Router {
 }
 
 impl Router {
-    fn start(what: &str, arguments: &[&str]) -> Self {
+    pub fn start(what: &str, arguments: &[&str]) -> Self {
         Self::start_by(rtnet(), what, arguments)
     }
 
@@ -113,7 +113,7 @@ impl Router {
 }
 
 /// Waits until a station has joined its router.
-fn has_joined(station: &str) {
+pub fn has_joined(station: &str) {
     wait_until("it has joined its router", || {
         let shown = rtnet().args(["stat", "-S", station, "--json"]).output().unwrap().stdout;
         serde_json::from_slice(&shown).is_ok_and(|shown: Value| shown["tcp"]["connected"] == true)

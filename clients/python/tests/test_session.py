@@ -6,6 +6,7 @@ from typing import List, Optional, Sequence
 from rtnet_packages import ERROR, NOT_AVAILABLE, OK, Failed, NameTaken, NotAvailable, NotConnected, Package, ProtocolError, TimedOut
 from rtnet_packages.errors import checked
 from rtnet_packages.inbox import Inbox
+from rtnet_packages.mailbox import Sender
 from rtnet_packages.session import Session
 from rtnet_packages.wire import LIFESIGN, REGISTER, Decoder, control
 
@@ -35,6 +36,17 @@ def names(data: bytes) -> List[int]:
     return [int.from_bytes(request.body, "little") for request in requests(data)]
 
 
+class Kept(Sender):
+    """A mailbox whose packages stay here."""
+
+    def __init__(self, of: Session, number: int) -> None:
+        super().__init__(of, number)
+        self.sent: List[Package] = []
+
+    def forward(self, package: Package) -> None:
+        self.sent.append(package)
+
+
 class Packages(unittest.TestCase):
     def test_a_full_inbox_refuses_and_counts(self) -> None:
         inbox = Inbox(3)
@@ -43,6 +55,14 @@ class Packages(unittest.TestCase):
         taken = [inbox.take() for _ in range(4)]
         self.assertEqual([package.body[0] if package else None for package in taken], [1, 0, 2, None])
         self.assertEqual(inbox.refused, 1)
+
+    def test_a_package_has_the_priority_of_its_senders_class(self) -> None:
+        of_class = {0x00: 255, 0x18: 247, 0x80: 191, 0xFF: 135}
+        for number, priority in of_class.items():
+            mailbox = Kept(session(), number << 16)
+            mailbox.send("0.Odometry.0", -6)
+            mailbox.send("0.Odometry.0", -6, priority=0)
+            self.assertEqual([package.priority for package in mailbox.sent], [priority, 0])
 
     def test_a_lifesign_is_answered(self) -> None:
         it = session()

@@ -2,9 +2,9 @@
 //! gives up its mailboxes.
 //!
 //! ```text
-//! ask     "RTP3"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
+//! ask     "RTP4"  what 1  shape 13  name 4  from 4  lane 20  pattern 8  station 4
 //!         and, to `Create`: the owner's file, the lanes', the set that its bells hang in
-//! answer  "RTP3"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
+//! answer  "RTP4"  what 1  shape 13  name 4  detail 24  generation 8  lane 20  station 4  priority 1  channel 1
 //!         and, to `Attach`: the board; to `Create`: the router's file, if there is one; to `Look`: the owner's, the lanes';
 //!         to `Bind` here: the owner's, the lanes', a bell
 //! shape   when full 1  slots 4  largest body 4  senders 4           lane    place 4  lane 4  mailbox 8  generation 4           numbers little-endian
@@ -21,7 +21,7 @@ pub use crate::registry::LaneId as Lane;
 use crate::registry::Refused;
 
 /// Begins every packet.
-const MAGIC: [u8; 4] = *b"RTP3";
+const MAGIC: [u8; 4] = *b"RTP4";
 /// Bytes of an ask.
 pub const ASK_LEN: usize = size_of::<RawAsk>();
 /// Bytes of an answer.

@@ -2,7 +2,6 @@
 //! priority, which labs beside it would suffer from: hence this file of its own, whose tests share one run.
 
 use std::fs;
-use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -11,6 +10,9 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde_json::Value;
 
+#[allow(dead_code)] // marks of other tests
+#[path = "../src/aloud.rs"]
+mod aloud;
 #[path = "../src/program.rs"]
 mod program;
 #[path = "../src/schema.rs"]
@@ -89,9 +91,7 @@ fn what_is_not_measured_is_a_line_with_the_remedy() {
 #[test]
 fn an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not() {
     let name = "an_ordinary_user_is_told_of_a_lab_s_namespaces_what_they_give_and_what_not";
-    let skip = |why: &str| {
-        let _ = std::io::stderr().write_all(format!("SKIP {name}: {why}\n").as_bytes());
-    };
+    let skip = |why: &str| aloud::skip(name, why);
     if !nix::unistd::geteuid().is_root() {
         return skip("needs root, to be somebody else");
     }

@@ -53,12 +53,14 @@ mod wires;
 
 // Of the other tests, whose package depends on the command's, which cannot depend on it: not all of it is used here.
 #[allow(dead_code)]
+#[path = "../src/aloud.rs"]
+mod aloud;
+#[allow(dead_code)]
 #[path = "../src/bare.rs"]
 mod bare;
 #[allow(dead_code)]
 #[path = "../src/captures.rs"]
 mod captures;
-#[allow(dead_code)]
 #[path = "../src/host.rs"]
 mod host;
 #[path = "../src/program.rs"]

@@ -10,7 +10,6 @@
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -23,6 +22,8 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, gettid};
 use rtnet::live::realtime::{self, RealTime};
 use serde_json::Value;
+
+pub use crate::aloud::{again, figure, skip};
 
 /// The shares of this host's cores that no network has.
 static CORES: Cores = Cores { free: Mutex::new(None), given_back: Condvar::new() };
@@ -47,27 +48,6 @@ const ATTEMPTS: usize = 4;
 const WORDS_AT_MOST: usize = 120;
 /// Long enough for whatever is sure to come.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Says aloud, past the test harness, that a test did not run.
-pub fn skip(test: &str, why: &str) {
-    aloud(&format!("SKIP {test}: {why}\n"));
-}
-
-/// Says aloud what a test has measured, for `scripts/accept`.
-pub fn figure(test: &str, text: &str) {
-    aloud(&format!("FIGURE {test}: {text}\n"));
-}
-
-/// Says aloud that something is tried again, and why: `scripts/soak` counts it.
-pub fn again(test: &str, why: &str) {
-    aloud(&format!("AGAIN {test}: {why}\n"));
-}
-
-/// In one write: the harness writes its lines meanwhile, and those are read by programs, too.
-fn aloud(line: &str) {
-    // Nothing better can be done about standard error that is closed.
-    let _ = std::io::stderr().write_all(line.as_bytes());
-}
 
 /// Whether a run that ended so kept what it promises, as far as its host let it: OK, or, aloud, DEGRADED or INCONCLUSIVE.
 /// NOT OK and INTERRUPTED are not.

@@ -16,6 +16,7 @@
 //! tunnels    stations with tunnels, and a simulated Linux at the mouth of each
 //! ```
 
+pub mod aloud;
 pub mod bare;
 pub mod bench;
 pub mod captures;

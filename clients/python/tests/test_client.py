@@ -11,6 +11,8 @@ from rtnet_packages import Failed, NameTaken, NotAvailable, NotConnected, Router
 from .running import RunningRouter
 
 PATIENCE = 30.0
+#: The priority of the class, which a reply has, too.
+OF_PILOT = 247
 
 
 class Clients(unittest.TestCase):
@@ -47,7 +49,8 @@ class Clients(unittest.TestCase):
 
             thread = threading.Thread(target=serve)
             thread.start()
-            self.assertEqual(asks.call("0.Odometry.1", 21, b"abc", timeout=PATIENCE).body, b"cba")
+            reply = asks.call("0.Odometry.1", 21, b"abc", timeout=PATIENCE)
+            self.assertEqual((reply.body, reply.priority), (b"cba", OF_PILOT))
             with self.assertRaises(Failed):
                 asks.call("0.Odometry.1", 21, timeout=PATIENCE)
             thread.join()
@@ -123,7 +126,7 @@ class Asyncio(unittest.TestCase):
                 serves.reply(command, -21, command.body[::-1])
 
             reply, _ = await asyncio.gather(asks.call("0.Odometry.0", 21, b"abc", timeout=PATIENCE), serve())
-            self.assertEqual(reply.body, b"cba")
+            self.assertEqual((reply.body, reply.priority), (b"cba", OF_PILOT))
             with self.assertRaises(NotAvailable):
                 await asks.call("0.Odometry.99", 21, timeout=PATIENCE)
             self.assertIsNone(await asks.receive(timeout=0.01))

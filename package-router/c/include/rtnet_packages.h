@@ -126,7 +126,7 @@ void rtnet_sender_unbind(rtnet_sender *sender);
 
 /* Copies a package into the mailbox, in little-endian, with an id of its own: the id, 0 to 255. It never waits. -ENOBUFS: all slots
  * of this sender wait to be read, or to be sent to a TCP router. In the second case a command is answered RTNET_NOT_AVAILABLE, and
- * refused only while 16 wait for that answer. -EMSGSIZE: no slot holds it; -ENOENT: the mailbox is there no more, bind to it again; -EBADF: it
+ * refused only while 256 wait for that answer. -EMSGSIZE: no slot holds it; -ENOENT: the mailbox is there no more, bind to it again; -EBADF: it
  * goes elsewhere, and the mailbox that it is from is there no more. */
 int32_t rtnet_sender_send(rtnet_sender *sender, int8_t kind, const void *body, uint32_t len);
 /* The same with that head's kind, priority, id and order; the rest is what it is. So a command is answered:

@@ -179,7 +179,7 @@ impl Sender {
     }
 
     /// Sends a package. It does not wait, whatever its receiver does. Returns the package's number, which a reply has, too. A command
-    /// that finds the queue to a TCP router full is answered NOT_AVAILABLE; while 16 of them wait for that, further ones are refused.
+    /// that finds the queue to a TCP router full is answered NOT_AVAILABLE; while 256 of them wait for that, further ones are refused.
     #[inline]
     pub fn send(&mut self, kind: i8, body: &[u8]) -> Result<u8, SendError> {
         self.id = self.id.wrapping_add(1);

@@ -24,7 +24,7 @@ use crate::wire::HEAD_LEN;
 /// Words of a cache line.
 pub const LINE: usize = 8;
 
-/// Refused commands of a sender that may wait to be answered: one of each id. A sender could not tell the answers of more. A power of two.
+/// Refused commands of a sender that may wait to be answered: as many as there are ids. A power of two.
 pub const MOST_KEPT: usize = 256;
 /// Words of a head.
 pub const HEAD: usize = HEAD_LEN / size_of::<u64>();

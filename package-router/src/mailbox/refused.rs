@@ -9,7 +9,7 @@ use crate::wire::{HEAD_LEN, Head};
 
 impl<Own: Segment, Theirs: Segment> LaneSender<Own, Theirs> {
     /// Keeps a refused command for the owner to answer. Returns whether the owner sleeps and is to be woken. The refusal stays if the
-    /// package is no command, if the owner answers none, and while 256 wait to be answered, one of each id.
+    /// package is no command, if the owner answers none, and while 256 wait to be answered, as many as there are ids.
     #[cold]
     pub(super) fn keep_command(&mut self, head: &Head, refusal: SendError) -> Result<bool, SendError> {
         let Self { own, theirs, layout, lane, .. } = self;

@@ -33,7 +33,7 @@ pub enum WhenFull {
     /// It takes the place of the oldest of the least urgent that its sender has waiting there, unless that is more urgent.
     Replace,
     /// It is refused, but a command counts as sent: its head is kept, and the owner [answers](super::Inbox::take_refused_commands) it.
-    /// While 16 of a sender wait for that, its commands are refused, too. The TCP client alone has such a mailbox.
+    /// While 256 of a sender wait for that, its commands are refused, too. The TCP client alone has such a mailbox.
     Answer,
 }
 

@@ -108,8 +108,11 @@ impl Others {
                 let count = ready.wait(&mut events, 100u8).unwrap_or(0);
                 for event in &events[..count] {
                     let mut client = &all[event.data() as usize];
-                    // One that the router has closed is not answered for: the router counts it.
-                    let _ = client.read(&mut room).and_then(|_| client.write_all(&answer));
+                    let is_open =
+                        matches!(client.read(&mut room), Ok(1..)) && client.write_all(&answer).is_ok();
+                    if !is_open {
+                        let _ = ready.delete(client);
+                    }
                 }
             }
         });

@@ -52,6 +52,9 @@ fn a_router_takes_ten_thousand_connections() {
         is_over.store(true, Ordering::Relaxed);
         trips.join().unwrap()
     });
+    // None answers any more.
+    let all = clients.iter_mut().chain(&mut pair);
+    all.for_each(|client| client.write_all(&package(UNWATCHED, 0, 0, &[])).unwrap());
     let status = router.status();
     shows_each(&router, &status);
     let [connections, names] = ["connections", "names"].map(|of| status[of].as_u64().unwrap());

@@ -132,7 +132,7 @@ fn strangers_harm_neither_of_two_linked_systems() {
     let mut pair = Pair::new();
     pair.meet();
     let others = Keys::new();
-    // They believe the routers, and have a certificate of somebody else.
+    // They believe the routers, and have a certificate of another authority.
     fs::copy(pair.keys.of("client").join("ca.pem"), others.of("client").join("ca.pem")).unwrap();
     let at = [pair.first.at, pair.second.at];
     let names = || [&pair.first, &pair.second].map(|router| router.status()["names"].clone());

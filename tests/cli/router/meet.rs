@@ -35,8 +35,8 @@ const BY_TLS: &str = "10.1.0.4:2001";
 const NAMES: [MailboxName; 6] =
     [name(1), name(2), name(3), name(4), name(5), MailboxName::new(1, Class(0x80), 6, 0)];
 
-/// Stations of one lab differ in global time by less, whatever their clocks show: a fifth of the cycle. Those of the master and the leg are
-/// 100 s apart, as the file says.
+/// Stations that keep their slots, which are 400 us apart, differ in global time by less, whatever their clocks show. Those of the master
+/// and the leg are 100 s apart, as the file says.
 const DIFFER: Span = Span::from_millis(1);
 
 const fn name(instance: u8) -> MailboxName {

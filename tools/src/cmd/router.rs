@@ -43,7 +43,7 @@ pub fn router(args: &RouterArgs) -> Result<u8, Failure> {
         Some(RouterVerb::Status { name, mailbox, all, json }) => {
             let directory = Directory::of_user().map_err(Failure::Usage)?;
             let shown = control::router_status(&directory, name, *mailbox).map_err(Failure::Usage)?;
-            print(*json, &shown, |shown| describe(shown, *all)).map_err(Failure::Run)?;
+            print(*json, &shown, |shown| describe(shown, mailbox.is_some(), *all)).map_err(Failure::Run)?;
             Ok(0)
         }
         Some(RouterVerb::Keys { directory, host }) => {

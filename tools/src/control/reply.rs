@@ -11,6 +11,8 @@ use rtnet::api::letters;
 const PACKET_AT_MOST: usize = 192 * 1024;
 /// The packet with which a file comes.
 const IN_FILE: &[u8] = b"the reply is in the file that comes along";
+/// The longest file that is read: far more than a router with all connections and mailboxes that it may have has to say.
+const FILE_AT_MOST: u64 = 1 << 30;
 
 /// Sends one. It does not wait if the socket does not.
 pub(super) fn send(to: impl AsFd, reply: &[u8]) -> io::Result<()> {
@@ -28,9 +30,12 @@ pub(super) fn receive(from: impl AsFd) -> io::Result<Vec<u8>> {
     let mut reply = vec![0; PACKET_AT_MOST];
     let (length, files) = letters::receive(from, &mut reply)?;
     reply.truncate(length);
-    for file in files {
+    if reply == IN_FILE
+        && let Some(file) = files.into_iter().next().map(File::from)
+        && file.metadata()?.is_file()
+    {
         reply.clear();
-        File::from(file).read_to_end(&mut reply)?;
+        file.take(FILE_AT_MOST).read_to_end(&mut reply)?;
     }
     Ok(reply)
 }

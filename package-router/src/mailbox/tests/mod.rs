@@ -291,7 +291,7 @@ fn refused_commands_are_kept_for_the_owner_to_answer() {
             assert_eq!(senders[1].send(&head(1, 9, id), &[0; 8], &at(2)), Ok(turn > 0));
         }
         let (one_more, full) = (head(1, 9, turn as u8), Err(SendError::Full(1)));
-        assert_eq!(senders[1].send(&one_more, &[], &at(2)), full, "one of each id is kept");
+        assert_eq!(senders[1].send(&one_more, &[], &at(2)), full, "as many as there are ids are kept");
         let kept: Vec<_> = ids.map(|id| (1, id)).collect();
         assert_eq!((refused(&mut inbox), refused(&mut inbox)), (kept, vec![]));
         assert!(!inbox.falls_asleep(), "two packages wait, but a refused command wakes it");

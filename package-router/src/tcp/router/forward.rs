@@ -128,15 +128,16 @@ impl Router {
     }
 
     /// Whether a connection may send in this name: it owns the name, or the name is free and it may register it. Where two routers have
-    /// a link to each other, the names of one come by its link, and their packages by either.
+    /// a link to each other, names of a system come by the link of its router, and packages by either, if this router's names that system.
     fn is_sender(&self, from: Connection, name: MailboxName) -> bool {
         let client = |of: Connection| self.clients.get(of.0 as usize).and_then(Option::as_ref);
         let is_of_router = |owner| client(owner).is_some_and(|owner| owner.role == Role::Peer(name.system()));
         let Some(client) = client(from) else { return false };
         let is_link = matches!(client.role, Role::Link(_));
+        let is_its_link = client.role.is_link_of(name.system());
         let might_have =
             || name == MailboxName::NOBODY || is_link || self.rules.may_register(client.peer.ip(), name);
-        let is_owner = |owner: &Connection| *owner == from || is_link && is_of_router(*owner);
+        let is_owner = |owner: &Connection| *owner == from || is_its_link && is_of_router(*owner);
         client.role.may_have(name, self.system) && self.table.get(&name).map_or_else(might_have, is_owner)
     }
 

@@ -85,6 +85,11 @@ impl Role {
         }
     }
 
+    /// Whether it is a link whose configuration names that system.
+    pub fn is_link_of(&self, system: u8) -> bool {
+        matches!(self, Role::Link(Link { reach: Reach::Only(systems), .. }) if systems.contains(&system))
+    }
+
     /// Whether a mailbox may be of whoever is at the other end, in a network of which this router has `own` system.
     pub fn may_have(&self, name: MailboxName, own: u8) -> bool {
         match self {

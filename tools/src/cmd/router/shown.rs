@@ -15,8 +15,8 @@ const TRAFFIC: [&str; 4] = ["packages_in", "bytes_in", "packages_out", "bytes_ou
 const CONNECTIONS: usize = 100;
 const MAILBOXES: usize = 16;
 
-/// A router's status, of 100 connections and 16 mailboxes of each, or of `all`.
-pub(super) fn describe(router: &RouterShown, all: bool) -> String {
+/// A router's status, of 100 connections and 16 mailboxes of each, or of `all`; `is_chosen`: of those only that were asked for.
+pub(super) fn describe(router: &RouterShown, is_chosen: bool, all: bool) -> String {
     let RouterShown { name, pid, listen, connections, names, waiting, .. } = router;
     let up = duration(router.up_ns);
     let mut lines = vec![format!(
@@ -36,7 +36,7 @@ pub(super) fn describe(router: &RouterShown, all: bool) -> String {
     lines.extend(router.rules_error.iter().map(|why| {
         format!("its file was read again and has an error, so the rules before are in force: {why}")
     }));
-    lines.extend(clients_of(router, all));
+    lines.extend(clients_of(router, is_chosen, all));
     let dropped = counted(router.counters.iter().filter(|(name, _)| !TRAFFIC.contains(&name.as_str())));
     if !dropped.is_empty() {
         lines.extend([String::new(), format!("counted since its start: {}", dropped.join(", "))]);
@@ -86,13 +86,12 @@ fn names_of(client: &ClientShown, most: usize) -> String {
 }
 
 /// The table of open connections.
-fn clients_of(router: &RouterShown, all: bool) -> Vec<String> {
+fn clients_of(router: &RouterShown, is_chosen: bool, all: bool) -> Vec<String> {
     let (most, most_names) = if all { (usize::MAX, usize::MAX) } else { (CONNECTIONS, MAILBOXES) };
     let clients = &router.clients[..router.clients.len().min(most)];
     if clients.is_empty() {
-        // Of others some were not asked for.
         let nothing = [String::new(), "no connection has such a mailbox".into()];
-        return if router.connections > 0 { nothing.into() } else { Vec::new() };
+        return if is_chosen { nothing.into() } else { Vec::new() };
     }
     let count = |of: &BTreeMap<String, u64>, name: &str| grouped(of.get(name).copied().unwrap_or(0));
     let column = |head: [&'static str; 2], of: &dyn Fn(&ClientShown) -> String| {
@@ -135,7 +134,7 @@ mod tests {
         let connection = router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
         router.disconnect(connection, Ending::NoMemory, 5);
         router.refuse_rules("a.toml:3: no such key".into());
-        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9), None), false);
+        let text = describe(&RouterShown::of("r", &[], 9, &router.status(9), None), false, false);
         for words in [
             "connections closed since its start: no memory 1; the newest first:",
             "counted since its start: rules refused 1",
@@ -147,7 +146,7 @@ mod tests {
 
     /// A client has a package waiting, and has sent two in vain.
     #[test]
-    fn what_waits_and_what_is_lost_is_shown() {
+    fn status_shows_what_waits_and_what_is_lost() {
         let mut router = Router::new(Limits::default(), 0);
         let client = router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
         let own = MailboxName(0x0018_0000);
@@ -159,7 +158,7 @@ mod tests {
         router.write(client, |slices| Ok(slices.iter().map(|slice| slice.len()).sum())).unwrap();
         let all = [package(-6, 7, b""), package(-6, 8, b""), package(-6, own.0, b"1234")];
         router.received(client, &all.concat(), 1_000);
-        let text = describe(&RouterShown::of("r", &[], 4_000, &router.status(4_000), None), false);
+        let text = describe(&RouterShown::of("r", &[], 4_000, &router.status(4_000), None), false, false);
         let row = text.lines().find(|line| line.starts_with("10.0.0.9:4000")).unwrap();
         let figures: Vec<_> = row.split("  ").filter(|word| !word.is_empty()).map(str::trim).collect();
         assert_eq!(figures[1..], ["4s", "1", "1", "2", "-", "-", "1", "3s Pilot(0/0)"], "{text}");
@@ -170,14 +169,14 @@ mod tests {
         let mut router = Router::new(Limits::default(), 0);
         router.connect("10.0.0.9:4000".parse().unwrap(), 0).unwrap();
         let before = RouterShown::of("r", &[], 9, &router.status(9), None);
-        assert!(before.rates.is_none() && !describe(&before, false).contains("a second"));
+        assert!(before.rates.is_none() && !describe(&before, false, false).contains("a second"));
         let mut status = router.status(9);
         status.rates =
             Some(Rates { packages_in: 1, bytes_in: 2, packages_out: 30_000, bytes_out: 4_000_000 });
         status.clients[0].rates =
             Some(Rates { packages_in: 5_000, bytes_in: 6, packages_out: 70_000, bytes_out: 8 });
         let shown = RouterShown::of("r", &[], 9, &status, None);
-        let text = describe(&shown, false);
+        let text = describe(&shown, false, false);
         let sum = "30 000 packages and 4 000 000 bytes a second, mean of the last round of 5 s";
         assert!(text.lines().any(|line| line == sum), "{text}");
         let row = text.lines().find(|line| line.starts_with("10.0.0.9:4000")).unwrap();

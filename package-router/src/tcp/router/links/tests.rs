@@ -111,10 +111,15 @@ fn mailboxes_of_two_systems_meet_by_one_link() {
     assert_eq!(systems.status(0).clients[0].role, "link");
 }
 
-/// Each has a link to the other.
+/// Each has a link to the other, which names it.
 #[test]
 fn systems_that_link_to_each_other_meet() {
-    let mut systems = Systems::new(2);
+    let mut systems = Systems::new(1);
+    systems.add(2);
+    [2, 1].into_iter().zip([1, 2]).for_each(|(to, of)| {
+        systems.routers[usize::from(of) - 1].set_links(of, vec![BTreeSet::from([to])]);
+    });
+    systems.link(0, 1);
     let (first, second) = (systems.connect(0), systems.connect(1));
     assert_eq!(systems.registers(0, first, PILOT_1), OK);
     systems.link(1, 0);
@@ -139,6 +144,23 @@ fn systems_that_link_to_each_other_meet() {
     systems.routers[1].disconnect(there, Ending::Left, 0);
     systems.sends(0, first, 21, PILOT_2, PILOT_1, b"");
     assert_eq!(systems.heads(1, second)[0].kind, 21);
+}
+
+/// The second router has a client that sends in a name of system 3, whose router has a link here.
+#[test]
+fn a_link_to_all_brings_nothing_in_the_name_of_another() {
+    let mut systems = Systems::new(2);
+    let (first, third) = (systems.connect(0), systems.connect(0));
+    assert_eq!(systems.registers(0, first, PILOT_1), OK);
+    systems.sends(0, third, ROUTER, 0, 0, &3u32.to_le_bytes());
+    assert_eq!(systems.registers(0, third, PILOT_3), OK);
+    let forger = systems.connect(1);
+    assert_eq!(systems.registers(1, forger, PILOT_3), OK);
+    systems.sends(1, forger, 21, PILOT_1, PILOT_3, b"");
+    assert!(systems.heads(0, first).is_empty());
+    assert_eq!(systems.status(0).counters.foreign_senders, 1);
+    systems.sends(0, third, 21, PILOT_1, PILOT_3, b"");
+    assert_eq!(systems.heads(0, first)[0].kind, 21);
 }
 
 #[test]

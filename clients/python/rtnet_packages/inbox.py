@@ -16,12 +16,14 @@ class Inbox:
         #: Packages that found it full.
         self.refused = 0
 
-    def put(self, package: Package) -> None:
-        """Adds a package, or refuses it."""
-        if len(self._waiting) < self._slots:
+    def put(self, package: Package) -> bool:
+        """Adds a package, or refuses it; tells whether it was added."""
+        is_taken = len(self._waiting) < self._slots
+        if is_taken:
             heapq.heappush(self._waiting, (-package.priority, next(self._number), package))
         else:
             self.refused += 1
+        return is_taken
 
     def take(self) -> Optional[Package]:
         """Removes and returns the first package; None if there is none."""

@@ -36,6 +36,17 @@ class Client:
         return dict(self._session.outgoing.lost_at_router)
 
 
+    @property
+    def strays(self) -> int:
+        """Packages for mailboxes that are gone. A command among them is answered NOT_AVAILABLE, as one that finds its mailbox full."""
+        return self._session.strays
+
+    @property
+    def answers_lost(self) -> int:
+        """Such answers that were not sent, since too many waited."""
+        return self._session.answers_lost
+
+
 class Sender:
     """A mailbox that sends."""
 

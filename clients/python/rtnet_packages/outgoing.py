@@ -78,6 +78,11 @@ class Outgoing:
         return leaving
 
     @property
+    def said(self) -> int:
+        """Bytes of the session's own that wait for a batch."""
+        return len(self._first)
+
+    @property
     def waits(self) -> bool:
         """Whether there is anything to write."""
         return bool(self._batch or self._first or self._waiting or self.is_asked)

@@ -9,7 +9,7 @@ from .inbox import Inbox
 from .names import NOBODY, shown
 from .outgoing import Outgoing
 from .requests import Requests
-from .wire import ACCOUNT, DELETE, LIFESIGN, OK, Decoder, Package, control
+from .wire import ACCOUNT, DELETE, LIFESIGN, NOT_AVAILABLE, OK, Decoder, Package, control
 
 #: Seconds of rest before an attempt to connect again: the first, and the longest.
 FIRST, LONGEST = 0.05, 1.0
@@ -21,6 +21,9 @@ CONFIRM_EVERY = 0.01
 CONFIRM_AGAIN = 0.1
 #: Seconds without a byte after which a router counts as gone. It asks for a sign of life every 5 s.
 SILENCE = 15.0
+
+#: Bytes of requests and answers up to which a command that no mailbox takes is answered: a router that does not read gets no more.
+ANSWERS = 64 << 10
 
 #: The key of an open call: the mailbox, its peer, and the id.
 Call = Tuple[int, int, int]
@@ -35,8 +38,9 @@ class Session:
     def __init__(self) -> None:
         self.inboxes: Dict[int, Inbox] = {}
         self.answers: Dict[Call, Package] = {}
-        #: Packages for mailboxes that are gone.
-        self.strays = 0
+        #: Packages for mailboxes that are gone; and answers that were not sent, since as many wait as may.
+        self.strays = self.answers_lost = 0
+        self._answers = b""
         #: Whether there is a connection; whether the user has closed the client.
         self.is_open = self.is_closed = False
         self.outgoing = Outgoing()
@@ -111,7 +115,8 @@ class Session:
         if now >= self._again:
             self._again = now + AGAIN
             self._requests.add_refused()
-        return self._requests.registrations()
+        answers, self._answers = self._answers, b""
+        return self._requests.registrations() + answers
 
     @property
     def is_ready(self) -> bool:
@@ -197,7 +202,17 @@ class Session:
                     self._answered(package)
             elif package.kind <= 0 and call in self._calls and call not in self.answers:
                 self.answers[call] = package
-            elif package.to in self.inboxes:
-                self.inboxes[package.to].put(package)
-            else:
+            elif package.to not in self.inboxes:
                 self.strays += 1
+                self._refuse(package)
+            elif not self.inboxes[package.to].put(package):
+                self._refuse(package)
+
+    def _refuse(self, package: Package) -> None:
+        """Answers a command that no mailbox takes."""
+        if package.kind <= 0:
+            return
+        if len(self._answers) + self.outgoing.said < ANSWERS:
+            self._answers += package.reply(NOT_AVAILABLE).encode()
+        else:
+            self.answers_lost += 1

@@ -64,6 +64,20 @@ class Packages(unittest.TestCase):
             mailbox.send("0.Odometry.0", -6, priority=0)
             self.assertEqual([package.priority for package in mailbox.sent], [priority, 0])
 
+    def test_a_command_that_no_mailbox_takes_is_answered(self) -> None:
+        it = session([7])
+        command = Package(7, 9, 21, priority=5, id=3)
+        data = b"".join(Package(7, 9, -6).encode() for _ in range(4))
+        self.assertEqual(it.step(data + command.encode(), 0.0), command.reply(NOT_AVAILABLE).encode())
+        self.assertEqual(it.inboxes[7].refused, 1)
+        stray = Package(8, 9, 21, id=4)
+        self.assertEqual(it.step(Package(8, 9, -6).encode() + stray.encode(), 0.0), stray.reply(NOT_AVAILABLE).encode())
+        self.assertEqual((it.strays, it.answers_lost), (2, 0))
+        # The router asks, and does not read.
+        while not it.answers_lost:
+            it.outgoing.say(it.step(stray.encode() * 100, 0.0))
+            self.assertLess(it.outgoing.said, 70_000)
+
     def test_a_lifesign_is_answered(self) -> None:
         it = session()
         self.assertEqual(it.step(control(LIFESIGN).encode(), 0.0), b"")

@@ -24,6 +24,12 @@ pub struct RtnetRouterStatus {
     unconfirmed: u64,
     lost_at_router: u64,
     names_refused: u64,
+    queue_full: u64,
+    nobody_there: u64,
+    receiver_full: u64,
+    too_large: u64,
+    foreign_senders: u64,
+    answers_lost: u64,
     is_connected: u32,
     mailboxes: u32,
     mailboxes_waiting: u32,
@@ -32,7 +38,7 @@ pub struct RtnetRouterStatus {
 }
 
 // As the header says.
-const _: () = assert!(size_of::<RtnetRouterStatus>() == 240);
+const _: () = assert!(size_of::<RtnetRouterStatus>() == 288);
 
 impl From<&TcpStatus> for RtnetRouterStatus {
     fn from(status: &TcpStatus) -> Self {
@@ -45,6 +51,12 @@ impl From<&TcpStatus> for RtnetRouterStatus {
             unconfirmed: status.session.unconfirmed,
             lost_at_router: status.session.lost_at_router.sum(),
             names_refused: status.session.names_refused,
+            queue_full: status.local.queue_full,
+            nobody_there: status.local.no_mailbox,
+            receiver_full: status.local.full,
+            too_large: status.local.too_large,
+            foreign_senders: status.local.forged,
+            answers_lost: status.session.answers_lost,
             is_connected: status.is_connected.into(),
             mailboxes: count(status.names),
             mailboxes_waiting: count(status.names_waiting),

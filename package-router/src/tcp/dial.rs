@@ -124,9 +124,14 @@ impl Dial {
         }
     }
 
-    /// Whether no connection is open, nor being opened.
+    /// Whether no connection is open, and the attempt that is under way, if one is, follows one that failed: it may fail, too, after
+    /// seconds.
     pub fn is_down(&self) -> bool {
-        matches!(self.state, State::Down(_) | State::Looking(..))
+        match self.state {
+            State::Down(_) | State::Looking(..) => true,
+            State::Opening(..) => self.back_off > *BACK_OFF.start(),
+            State::Open => false,
+        }
     }
 
     fn look_up(&mut self, now: u64) -> io::Result<Option<Opened>> {
@@ -222,6 +227,22 @@ mod tests {
         assert_eq!([rest(&mut dial), rest(&mut dial)], [50, 100]);
         dial.refused(70);
         assert_eq!(dial.due(), Some(70 + REFUSED));
+    }
+
+    /// Packages wait for the first attempt, and for no other.
+    #[test]
+    fn a_router_is_down_while_it_is_tried_again() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let (poll, port) = (Poll::new().unwrap(), listener.local_addr().unwrap().port());
+        let mut dial = Dial::new(Address { host: "127.0.0.1".into(), port }, None);
+        assert!(dial.is_down());
+        let begins =
+            |dial: &mut Dial, now| assert!(dial.go_on(poll.registry(), Token(1), now).unwrap().is_none());
+        begins(&mut dial, 0);
+        assert!(!dial.is_down());
+        dial.lost(0);
+        begins(&mut dial, 50);
+        assert!(matches!(dial.state, State::Opening(..)) && dial.is_down());
     }
 
     #[test]

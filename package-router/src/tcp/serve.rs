@@ -380,7 +380,9 @@ impl Server {
             match self.orders.try_recv() {
                 Ok(Order::Status(asked)) => {
                     // A question that was given up meanwhile has no answer.
-                    let links = self.links.iter().map(OwnLink::status).collect();
+                    let links = self.links.iter().enumerate();
+                    let links =
+                        links.map(|(place, link)| link.status(self.router.unnamed_system(place))).collect();
                     let _ = asked.send(Status { links, ..self.router.status(self.now()) });
                 }
                 Ok(Order::Rules(Ok(rules))) => self.router.set_rules(rules),

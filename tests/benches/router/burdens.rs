@@ -98,7 +98,7 @@ pub fn compare(burdened: SocketAddr, free: SocketAddr, pids: &[&str], time: Dura
     let processes = Burdened(pids);
     // An earlier comparison may have been killed.
     processes.send(Signal::SIGCONT)?;
-    let mut rates = [Pairs::join(&Ours, burdened, PAIRS)?, Pairs::join(&Ours, free, PAIRS)?];
+    let mut rates = [Pairs::join(&Ours, burdened, PAIRS, false)?, Pairs::join(&Ours, free, PAIRS, false)?];
     let mut sums = [(0, 0.0); 2];
     in_turns(&processes, time, |at| {
         let (came, seconds) = rates[at].run(WINDOW)?;

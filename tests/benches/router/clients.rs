@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use hdrhistogram::Histogram;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use serde_json::{Value, json};
@@ -44,7 +44,7 @@ pub fn joined(protocol: &dyn Protocol, at: SocketAddr, me: u32) -> Result<TcpStr
 /// Clients of which the first and the last exchange packages. The others answer for their lives.
 pub struct Trips {
     pair: [TcpStream; 2],
-    _others: Others,
+    others: Others,
     there: Vec<u8>,
     back: Vec<u8>,
     room: [Vec<u8>; 2],
@@ -58,7 +58,7 @@ impl Trips {
         let others = Others::live(protocol, others)?;
         let (there, back) = (protocol.package(last, 0), protocol.package(0, last));
         let room = [last, 0].map(|to| vec![0; protocol.comes(to)]);
-        let mut trips = Self { pair, _others: others, there, back, room };
+        let mut trips = Self { pair, others, there, back, room };
         for _ in 0..WARM {
             trips.once()?;
         }
@@ -89,7 +89,8 @@ impl Trips {
 #[derive(Default)]
 struct Others {
     is_over: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    /// Returns how many were closed.
+    thread: Option<JoinHandle<usize>>,
 }
 
 impl Others {
@@ -103,7 +104,7 @@ impl Others {
         let is_over = Arc::new(AtomicBool::new(false));
         let ends = is_over.clone();
         let thread = std::thread::spawn(move || {
-            let (mut events, mut room) = ([EpollEvent::empty(); 64], [0; 1 << 10]);
+            let (mut events, mut room, mut closed) = ([EpollEvent::empty(); 64], [0; 1 << 10], 0);
             while !ends.load(Ordering::Relaxed) {
                 let count = ready.wait(&mut events, 100u8).unwrap_or(0);
                 for event in &events[..count] {
@@ -111,20 +112,28 @@ impl Others {
                     let is_open =
                         matches!(client.read(&mut room), Ok(1..)) && client.write_all(&answer).is_ok();
                     if !is_open {
+                        closed += 1;
                         let _ = ready.delete(client);
                     }
                 }
             }
+            closed
         });
         Ok(Self { is_over, thread: Some(thread) })
     }
 }
 
-impl Drop for Others {
-    fn drop(&mut self) {
+impl Others {
+    /// Ends them: their names are free then. An error if some have been closed before.
+    fn end(mut self) -> Result<()> {
         self.is_over.store(true, Ordering::Relaxed);
-        // Their names are free once it has ended.
-        let _ = self.thread.take().map(JoinHandle::join);
+        let closed = self
+            .thread
+            .take()
+            .map_or(Ok(0), JoinHandle::join)
+            .map_err(|_| anyhow!("their thread has panicked"))?;
+        ensure!(closed == 0, "the router has closed {closed} of the others");
+        Ok(())
     }
 }
 
@@ -141,8 +150,9 @@ pub fn shown(times: &Histogram<u64>) -> Value {
 
 /// Round trips between the first and the last of `clients` clients.
 pub fn trips(protocol: &dyn Protocol, at: SocketAddr, time: Duration, clients: u32) -> Result<Value> {
-    let mut times = histogram()?;
-    Trips::join(protocol, at, clients)?.run(time, &mut times)?;
+    let (mut times, mut trips) = (histogram()?, Trips::join(protocol, at, clients)?);
+    trips.run(time, &mut times)?;
+    trips.others.end()?;
     Ok(shown(&times))
 }
 
@@ -159,19 +169,22 @@ struct Pair {
 }
 
 impl Pair {
-    fn join(protocol: &dyn Protocol, at: SocketAddr, pair: u32) -> Result<Self> {
-        let (from, to) = (2 * pair, 2 * pair + 1);
-        let (sender, receiver) = (joined(protocol, at, from)?, joined(protocol, at, to)?);
+    /// Its sender sends to `to` receivers, one after the other: to its own, or to those of all of so many pairs.
+    fn join(protocol: &dyn Protocol, at: SocketAddr, pair: u32, to: u32) -> Result<Self> {
+        let (from, own) = (2 * pair, 2 * pair + 1);
+        let (sender, receiver) = (joined(protocol, at, from)?, joined(protocol, at, own)?);
         sender.set_nonblocking(true)?;
         receiver.set_nonblocking(true)?;
-        let batch = protocol.package(to, from).repeat(BATCH);
-        Ok(Self { sender, receiver, batch, left: 0, sent: 0, comes: protocol.comes(to), came: 0 })
+        let receiver_of = |package: u32| 2 * if to == 1 { pair } else { (pair + package) % to } + 1;
+        let batch =
+            (0..BATCH as u32).flat_map(|package| protocol.package(receiver_of(package), from)).collect();
+        Ok(Self { sender, receiver, batch, left: 0, sent: 0, comes: protocol.comes(own), came: 0 })
     }
 
-    /// Sends and reads what goes without waiting, no further batch after the end; returns whether anything did.
-    fn turn(&mut self, room: &mut [u8], is_over: bool) -> Result<bool> {
-        let mut moved = false;
-        while self.left > 0 || !is_over && self.on_the_way() + BATCH <= ON_THE_WAY {
+    /// Sends and reads what goes without waiting, of new batches up to `quota` packages; returns whether anything did.
+    fn turn(&mut self, room: &mut [u8], quota: usize) -> Result<bool> {
+        let (mut moved, before) = (false, self.sent);
+        while self.left > 0 || self.sent - before + BATCH <= quota {
             match self.sender.write(&self.batch[self.left..]) {
                 Ok(length) => {
                     moved = true;
@@ -202,16 +215,31 @@ impl Pair {
     }
 }
 
-/// Senders, each with a receiver of its own.
+/// Senders, each with a receiver of its own, or all with all receivers in turn.
 pub struct Pairs {
     all: Vec<Pair>,
+    /// Each sender sends to all receivers.
+    to_all: bool,
     room: Vec<u8>,
 }
 
 impl Pairs {
-    pub fn join(protocol: &dyn Protocol, at: SocketAddr, pairs: u32) -> Result<Self> {
-        let all = (0..pairs).map(|pair| Pair::join(protocol, at, pair)).collect::<Result<Vec<_>>>()?;
-        Ok(Self { all, room: vec![0; 256 << 10] })
+    pub fn join(protocol: &dyn Protocol, at: SocketAddr, pairs: u32, to_all: bool) -> Result<Self> {
+        let to = if to_all { pairs } else { 1 };
+        let all = (0..pairs).map(|pair| Pair::join(protocol, at, pair, to)).collect::<Result<Vec<_>>>()?;
+        Ok(Self { all, to_all, room: vec![0; 256 << 10] })
+    }
+
+    /// Packages of all that have left and not come.
+    fn on_the_way(&self) -> usize {
+        self.all.iter().map(|pair| pair.sent).sum::<usize>() - self.came()
+    }
+
+    /// Packages that a pair may send now: of its own, or its share of those of all.
+    fn quota(&self, pair: usize) -> usize {
+        let on_the_way =
+            if self.to_all { self.on_the_way() / self.all.len() } else { self.all[pair].on_the_way() };
+        ON_THE_WAY.saturating_sub(on_the_way)
     }
 
     /// Sends for that time, and receives until each package has come: how many came, and in how many seconds.
@@ -220,12 +248,13 @@ impl Pairs {
         let mut moved = begun;
         loop {
             let is_over = begun.elapsed() >= time;
-            if is_over && self.all.iter().all(|pair| pair.left == 0 && pair.on_the_way() == 0) {
+            if is_over && self.on_the_way() == 0 && self.all.iter().all(|pair| pair.left == 0) {
                 return Ok((self.came() - before, begun.elapsed().as_secs_f64()));
             }
             let mut any = false;
-            for pair in &mut self.all {
-                any |= pair.turn(&mut self.room, is_over)?;
+            for pair in 0..self.all.len() {
+                let quota = if is_over { 0 } else { self.quota(pair) };
+                any |= self.all[pair].turn(&mut self.room, quota)?;
             }
             if any {
                 moved = Instant::now();
@@ -241,9 +270,15 @@ impl Pairs {
     }
 }
 
-/// Packages received per second by `pairs` receivers.
-pub fn rate(protocol: &dyn Protocol, at: SocketAddr, time: Duration, pairs: u32) -> Result<Value> {
-    let mut pairs = Pairs::join(protocol, at, pairs)?;
+/// Packages received per second by `pairs` receivers, each from its own sender, or from all.
+pub fn rate(
+    protocol: &dyn Protocol,
+    at: SocketAddr,
+    time: Duration,
+    pairs: u32,
+    to_all: bool,
+) -> Result<Value> {
+    let mut pairs = Pairs::join(protocol, at, pairs, to_all)?;
     pairs.run(time / 4)?;
     let (came, seconds) = pairs.run(time * 3 / 4)?;
     Ok(json!({ "rate": came as f64 / seconds, "n": came }))

@@ -5,6 +5,7 @@
 //! router bare PORT                              forwards bytes between each two connections, and does nothing else
 //! router trips PROTOCOL PORT SECONDS CLIENTS    64 bytes there and back between two of CLIENTS clients, one after the other
 //! router rate PROTOCOL PORT SECONDS PAIRS       64 bytes from PAIRS senders, each to its own receiver
+//! router spread PROTOCOL PORT SECONDS PAIRS     the same from each sender to all receivers in turn
 //! router idle PROTOCOL PORT PID CLIENTS         memory of a process before and after CLIENTS clients have joined
 //! router behind PORT SECONDS                    an answer of the router and an urgent package, behind 10 000 packages that wait
 //! router lifesigns PORT ROUNDS                  a question for a sign of life behind them, in ROUNDS rounds of 5 s
@@ -53,8 +54,9 @@ fn asked(words: &[&str]) -> Result<serde_json::Value> {
         ["trips", protocol, port, time, clients] => {
             clients::trips(protocols::named(protocol)?, at(port)?, seconds(time)?, clients.parse()?)
         }
-        ["rate", protocol, port, time, pairs] => {
-            clients::rate(protocols::named(protocol)?, at(port)?, seconds(time)?, pairs.parse()?)
+        [which @ ("rate" | "spread"), protocol, port, time, pairs] => {
+            let protocol = protocols::named(protocol)?;
+            clients::rate(protocol, at(port)?, seconds(time)?, pairs.parse()?, which == "spread")
         }
         ["idle", protocol, port, pid, count] => {
             clients::idle(protocols::named(protocol)?, at(port)?, pid.parse()?, count.parse()?)

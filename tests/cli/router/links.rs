@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
@@ -51,6 +51,12 @@ fn asks(from: &mut Mailbox, to: &mut Mailbox) {
     }
 }
 
+const FORGED: &[u8] = b"forged";
+
+fn of_system(system: u8) -> MailboxName {
+    MailboxName::new(system, Class(0x80), 0, 0)
+}
+
 /// Two routers that are reached by TLS, the first with a link to the second, and a client of each.
 struct Pair {
     keys: Keys,
@@ -77,9 +83,8 @@ impl Pair {
             let at = router.at.to_string().parse().unwrap();
             Component::of_router(&TcpOptions { keys, ..TcpOptions::new(at) }).unwrap()
         });
-        let mailbox = |client: &Component, system| {
-            client.mailbox(MailboxName::new(system, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap()
-        };
+        let mailbox =
+            |client: &Component, system| client.mailbox(of_system(system), Shape::new(8, 64)).unwrap();
         let mailboxes = [mailbox(&clients[0], 1), mailbox(&clients[1], 2)];
         Self { keys, file, first, second, clients, mailboxes, _dir: dir }
     }
@@ -126,6 +131,35 @@ fn mailboxes_of_two_systems_meet_by_a_link() {
     pair.meet();
 }
 
+/// A client that no router lets in, with a mailbox that has the name of another.
+struct Stranger {
+    client: Component,
+    mailbox: Mailbox,
+}
+
+impl Stranger {
+    fn new(at: SocketAddr, keys: &Keys, system: u8) -> Self {
+        let keys = Some(ClientKeys::read(&keys.of("client")).unwrap());
+        let options = TcpOptions { keys, ..TcpOptions::new(at.to_string().parse().unwrap()) };
+        let client = Component::of_router(&options).unwrap();
+        let mailbox = client.mailbox(of_system(system), Shape::new(8, 64)).unwrap();
+        Self { client, mailbox }
+    }
+
+    fn sends(&mut self) {
+        let other = of_system(3 - self.mailbox.name().system());
+        self.mailbox.sender(other).unwrap().send(21, FORGED).unwrap();
+    }
+
+    /// Its own component has answered; nothing has come from a router.
+    fn has_nothing(&mut self) {
+        let kind = self.mailbox.receive(Some(PATIENCE)).unwrap().head().kind;
+        assert!(kind == NOT_AVAILABLE && self.mailbox.try_receive().unwrap().is_none());
+        let status = self.client.tcp().unwrap().status();
+        assert_eq!((status.names, status.session.received), (0, 0));
+    }
+}
+
 /// They try to be the router of a system, to take a client's name, and to use up what the routers have.
 #[test]
 fn strangers_harm_neither_of_two_linked_systems() {
@@ -143,26 +177,27 @@ fn strangers_harm_neither_of_two_linked_systems() {
         // It may be reset before it is read.
         let _ = plain.read_to_end(&mut Vec::new());
     }
-    let strangers = at.map(|at| {
-        let keys = Some(ClientKeys::read(&others.of("client")).unwrap());
-        let options = TcpOptions { keys, ..TcpOptions::new(at.to_string().parse().unwrap()) };
-        let stranger = Component::of_router(&options).unwrap();
-        let mailboxes = [1, 2].map(|system| {
-            stranger.mailbox(MailboxName::new(system, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap()
-        });
-        (stranger, mailboxes)
-    });
+    // One of them knows a secret, and another one than the routers'.
+    let without = Keys::new().has_only_a_secret();
+    fs::copy(pair.keys.of("client").join("ca.pem"), without.of("client").join("ca.pem")).unwrap();
+    let all = at.into_iter().flat_map(|at| [(at, &others), (at, &without)]);
+    let all = all.flat_map(|(at, keys)| [1, 2].map(|system| Stranger::new(at, keys, system)));
+    let mut strangers: Vec<Stranger> = all.collect();
     let counted = |router: &Router, reason: &str| router.status()["endings"][reason].as_u64().unwrap();
     for router in [&pair.first, &pair.second] {
         wait_until("they are kept out", || {
-            counted(router, "tls") >= 1 && counted(router, "certificate") >= 3
+            ["tls", "certificate", "stranger"].into_iter().all(|reason| counted(router, reason) >= 1)
         });
     }
     assert_eq!(names(), before);
-    for (stranger, mut mailboxes) in strangers {
-        // None has come in: all that they sent, or were to receive, is here.
-        assert_eq!(stranger.tcp().unwrap().status().names, 0);
-        assert!(mailboxes.iter_mut().all(|mailbox| mailbox.try_receive().unwrap().is_none()));
+    // While the mailboxes exchange packages, strangers send in their names, and would receive by them.
+    strangers.iter_mut().for_each(Stranger::sends);
+    pair.meet();
+    strangers.iter_mut().for_each(Stranger::has_nothing);
+    for mailbox in &mut pair.mailboxes {
+        while let Some(package) = mailbox.try_receive().unwrap() {
+            assert_ne!(package.body().to_vec(), FORGED);
+        }
     }
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -212,7 +247,7 @@ fn stations_of_two_systems_meet_by_their_routers() {
         let (leg, _leg) = station(&second, "rt1", 2);
         let mailbox = |station: &str, system: u8| {
             let component = Component::named(station).unwrap();
-            component.mailbox(MailboxName::new(system, Class(0x80), 0, 0), Shape::new(8, 64)).unwrap()
+            component.mailbox(of_system(system), Shape::new(8, 64)).unwrap()
         };
         let (mut arm, mut leg) = (mailbox(&arm, 1), mailbox(&leg, 2));
         asks(&mut arm, &mut leg);

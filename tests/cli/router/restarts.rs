@@ -200,10 +200,16 @@ impl Account {
         )
     }
 
-    /// Whether each package has come, or is counted. The receiver counts packages that find its mailbox `full`.
+    /// Whether each package has come, or is counted, most of them as confirmed. The receiver counts packages that find its mailbox `full`.
     fn is_whole(&self, came: u64, full: u64) -> bool {
         let surely = came + self.lost;
-        (surely..=surely + self.unconfirmed + full).contains(&self.taken)
+        (surely..=surely + self.unconfirmed + full).contains(&self.taken) && self.unconfirmed < came
+    }
+
+    /// Whether that holds for all together: each that found the mailbox full is one sender's.
+    fn are_whole<'a>(all: impl Iterator<Item = (&'a Self, u64)>, full: u64) -> bool {
+        let missing = all.map(|(of, came)| (of.taken - came - of.lost).saturating_sub(of.unconfirmed));
+        missing.sum::<u64>() <= full
     }
 }
 
@@ -282,18 +288,19 @@ fn come_back(test: &str, place: Option<&Namespace>) {
     };
     wait_until("all are registered", || are_back(1, &router));
 
-    let (is_over, is_read, came) = (AtomicBool::new(false), AtomicBool::new(false), Came::default());
+    let (is_over, is_read) = (AtomicBool::new(false), AtomicBool::new(false));
+    let (came, answered) = (Came::default(), AtomicU64::new(0));
     let is_here = [true, true, at_station.is_some(), !programs.is_empty(), !programs.is_empty()];
     let counts = || {
         let here = came.iter().zip(is_here).filter(|(_, is_here)| *is_here);
         here.map(|(of, _)| of.load(Ordering::Relaxed)).collect::<Vec<_>>()
     };
     thread::scope(|scope| {
-        let (is_over, is_read, came) = (&is_over, &is_read, &came);
+        let (is_over, is_read, came, answered) = (&is_over, &is_read, &came, &answered);
         let _ends = [AtEnd(is_over), AtEnd(is_read)];
         scope.spawn(move || echoes(&mut echo.mailbox, came, is_read));
         scope.spawn(|| feeds(&feed.mailbox, is_over));
-        let calls = scope.spawn(|| calls(&mut caller.mailbox, is_over));
+        let calls = scope.spawn(|| calls(&mut caller.mailbox, answered, is_over));
         let flooded = [Some(&flood), Some(&by_tls), at_station.as_ref().map(|at| &at.host)];
         let flooded: Vec<_> = flooded
             .into_iter()
@@ -309,8 +316,10 @@ fn come_back(test: &str, place: Option<&Namespace>) {
             let begun = Instant::now();
             wait_until("all are back", || are_back(restart + 1, &router));
             let back_after = begun.elapsed();
-            wait_until("packages of all come again", || {
+            let is_answered = answered.load(Ordering::Relaxed);
+            wait_until("packages of all come again, and an answer", || {
                 counts().iter().zip(&before).all(|(now, before)| now > before)
+                    && answered.load(Ordering::Relaxed) > is_answered
             });
             back_after
         });
@@ -325,11 +334,11 @@ fn come_back(test: &str, place: Option<&Namespace>) {
             accounts.extend(at_station.iter().map(|at| at.account(flooded[2].0)));
             accounts.extend(programs.iter_mut().map(Account::of));
             full = of_echo.status().local.full;
-            accounts.iter().zip(counts()).all(|(account, came)| account.is_whole(came, full))
+            let each = accounts.iter().zip(counts());
+            each.clone().all(|(account, came)| account.is_whole(came, full)) && Account::are_whole(each, full)
         });
         let calls = calls.join().unwrap();
         is_read.store(true, Ordering::Relaxed);
-        calls.check();
         wait_until("refused packages are counted", || of_flood.status().local.queue_full == flooded[0].1);
         let each: Vec<String> = accounts.iter().zip(counts()).map(|(of, came)| of.shown(came)).collect();
         let back = shown(back_after);

@@ -46,7 +46,7 @@ impl Keys {
     }
 
     /// A client without a certificate.
-    fn has_only_a_secret(self) -> Self {
+    pub fn has_only_a_secret(self) -> Self {
         for file in ["client.pem", "client.key"] {
             fs::remove_file(self.of("client").join(file)).unwrap();
         }

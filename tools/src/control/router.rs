@@ -95,7 +95,7 @@ pub struct LinkShown {
     pub systems: Vec<u8>,
     /// Whether it is open.
     pub open: bool,
-    /// The failure of the last attempt to open it, or its end; none while it is open.
+    /// The failure of the last attempt to open it, or its end; while it is open, what keeps packages from it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_error: Option<String>,
 }

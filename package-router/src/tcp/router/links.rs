@@ -148,6 +148,18 @@ impl Router {
         }
     }
 
+    /// A system whose router is connected here, and that an open link leads to without naming it: perhaps the same router's. Packages
+    /// that come by the link in names that are registered here are refused.
+    pub fn unnamed_system(&self, place: usize) -> Option<u8> {
+        let reach = self.links.get(place).filter(|reach| matches!(reach, Reach::AllBut(_)))?;
+        let is_open = self.open_links.iter().any(|(_, open)| *open == place);
+        let systems = self.clients.iter().flatten().filter_map(|client| match client.role {
+            Role::Peer(system) => Some(system),
+            _ => None,
+        });
+        systems.filter(|system| is_open && reach.contains(*system)).min()
+    }
+
     /// The link that leads to the system of a mailbox, if one does.
     pub(super) fn way_out(&self, to: MailboxName) -> Option<Connection> {
         if to.system() == self.system {

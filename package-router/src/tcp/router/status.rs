@@ -121,7 +121,7 @@ pub struct LinkStatus {
     pub systems: Vec<u8>,
     /// Whether it is open, and the other router has sent something.
     pub is_open: bool,
-    /// The failure of the last attempt to open it, or its end; none while it is open.
+    /// The failure of the last attempt to open it, or its end; while it is open, what keeps packages from it.
     pub last_error: Option<String>,
 }
 

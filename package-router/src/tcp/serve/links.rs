@@ -44,12 +44,19 @@ impl OwnLink {
         self.dial.due()
     }
 
-    pub fn status(&self) -> LinkStatus {
+    /// As it is; `unnamed` is a system whose router has a link here, too, and that this one does not name.
+    pub fn status(&self, unnamed: Option<u8>) -> LinkStatus {
+        let hint = |system| {
+            format!(
+                "the router of system {system} has a link here: if this one leads there, name the system in its `systems`, or packages \
+                 of its clients that come by it are refused"
+            )
+        };
         LinkStatus {
             router: self.router.to_string(),
             systems: self.systems.iter().copied().collect(),
             is_open: self.is_open,
-            last_error: self.last_error.clone(),
+            last_error: unnamed.map(hint).or_else(|| self.last_error.clone()),
         }
     }
 

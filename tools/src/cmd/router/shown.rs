@@ -65,7 +65,8 @@ fn described(link: &LinkShown) -> String {
     let systems: Vec<String> = link.systems.iter().map(u8::to_string).collect();
     let to = if systems.is_empty() { "that no other link names".into() } else { systems.join(", ") };
     let state = match (link.open, &link.last_error) {
-        (true, _) => "open".into(),
+        (true, None) => "open".into(),
+        (true, Some(why)) => format!("open, but {why}"),
         (false, Some(why)) => format!("not open: {why}"),
         (false, None) => "not open yet".into(),
     };

@@ -159,6 +159,7 @@ fn a_link_to_all_brings_nothing_in_the_name_of_another() {
     systems.sends(1, forger, 21, PILOT_1, PILOT_3, b"");
     assert!(systems.heads(0, first).is_empty());
     assert_eq!(systems.status(0).counters.foreign_senders, 1);
+    assert_eq!((systems.routers[0].unnamed_system(0), systems.routers[1].unnamed_system(0)), (Some(3), None));
     systems.sends(0, third, 21, PILOT_1, PILOT_3, b"");
     assert_eq!(systems.heads(0, first)[0].kind, 21);
 }

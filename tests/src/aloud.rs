@@ -1,4 +1,4 @@
-//! What tests print past their harness, for people, `scripts/accept` and `scripts/soak`.
+//! Lines that tests print past their harness, for people, `scripts/accept` and `scripts/soak`.
 
 use std::io::Write;
 

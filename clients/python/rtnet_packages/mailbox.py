@@ -32,9 +32,8 @@ class Client:
 
     @property
     def lost_at_router(self) -> Dict[str, int]:
-        """Packages that the router has read and not passed on, by the reasons in its status."""
+        """Packages, and answers, that the router has read and not passed on, by the reasons in its status."""
         return dict(self._session.outgoing.lost_at_router)
-
 
     @property
     def strays(self) -> int:

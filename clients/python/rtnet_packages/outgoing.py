@@ -53,8 +53,8 @@ class Outgoing:
         self._batch, self._written = memoryview(b""), 0
         #: Where in the batch its packages end.
         self._ends: Deque[Tuple[int, Leaving]] = deque()
-        #: Requests that keep their place among the packages that wait.
-        self._requests = 0
+        #: Requests and answers that keep their place among the packages that wait, and their bytes.
+        self._requests = self._requests_size = 0
         #: Packages that the router has read; those of them that do not wait there; and those that wait there, as it said last.
         self._read, self._confirmed, self._waiting_there = 0, 0, 0
         #: The losses at routers of earlier connections.
@@ -74,13 +74,14 @@ class Outgoing:
         heapq.heappush(self._waiting, (self._section, -data[2] if counts else 1, next(self._number), leaving))
         self._section += not counts
         self._requests += not counts
+        self._requests_size += 0 if counts else len(data)
         self.size += len(data)
         return leaving
 
     @property
-    def said(self) -> int:
-        """Bytes of the session's own that wait for a batch."""
-        return len(self._first)
+    def own(self) -> int:
+        """Bytes of the session's requests and answers that wait for a batch."""
+        return len(self._first) + self._requests_size
 
     @property
     def waits(self) -> bool:
@@ -108,6 +109,7 @@ class Outgoing:
                 length += len(leaving.data)
                 sent += leaving.counts
                 self._requests -= not leaving.counts
+                self._requests_size -= 0 if leaving.counts else len(leaving.data)
                 self._ends.append((length, leaving))
             self.size -= length - len(first)
             if sent > self._confirmed:
@@ -145,7 +147,7 @@ class Outgoing:
             leaving.has_left = False
             self.lost += leaving.counts
         self.unconfirmed += self.sent - self._confirmed
-        self.size, self._requests, self._first, self.is_asked = 0, 0, b"", False
+        self.size, self._requests, self._requests_size, self._first, self.is_asked = 0, 0, 0, b"", False
         self._read, self._confirmed, self._waiting_there = self.sent, self.sent, 0
         self._lost_before = dict(self.lost_at_router)
         self._batch = memoryview(b"")

@@ -212,7 +212,7 @@ class Session:
         """Answers a command that no mailbox takes."""
         if package.kind <= 0:
             return
-        if len(self._answers) + self.outgoing.said < ANSWERS:
+        if len(self._answers) + self.outgoing.own < ANSWERS:
             self._answers += package.reply(NOT_AVAILABLE).encode()
         else:
             self.answers_lost += 1

@@ -8,7 +8,7 @@ from rtnet_packages.errors import checked
 from rtnet_packages.inbox import Inbox
 from rtnet_packages.mailbox import Sender
 from rtnet_packages.session import Session
-from rtnet_packages.wire import LIFESIGN, REGISTER, Decoder, control
+from rtnet_packages.wire import DELETE, LIFESIGN, REGISTER, Decoder, control
 
 
 def session(names: Sequence[int] = ()) -> Session:
@@ -73,10 +73,14 @@ class Packages(unittest.TestCase):
         stray = Package(8, 9, 21, id=4)
         self.assertEqual(it.step(Package(8, 9, -6).encode() + stray.encode(), 0.0), stray.reply(NOT_AVAILABLE).encode())
         self.assertEqual((it.strays, it.answers_lost), (2, 0))
-        # The router asks, and does not read.
-        while not it.answers_lost:
-            it.outgoing.say(it.step(stray.encode() * 100, 0.0))
-            self.assertLess(it.outgoing.said, 70_000)
+        # The router asks, and does not read; a request that keeps its place waits, too.
+        for waits in [b"", control(DELETE).encode()]:
+            if waits:
+                it.outgoing.put(waits, counts=False)
+            before = it.answers_lost
+            while it.answers_lost == before:
+                it.outgoing.say(it.step(stray.encode() * 100, 0.0))
+                self.assertLess(it.outgoing.own, 70_000)
 
     def test_a_lifesign_is_answered(self) -> None:
         it = session()

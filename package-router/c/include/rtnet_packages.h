@@ -96,15 +96,15 @@ struct rtnet_router_status {
     uint64_t not_connected; /* packages dropped while there was no connection; commands were answered */
     uint64_t not_written;   /* packages lost with a connection before they were written */
     uint64_t unconfirmed;   /* packages of `sent` whose connection was lost before the router had confirmed them: some may have arrived */
-    uint64_t lost_at_router; /* packages that the router has read and not passed on: no connection has the name, or that has ended; no rule
+    uint64_t lost_at_router; /* packages, and answers, that the router has read and not passed on: no connection has the name, or that has ended; no rule
                               * allows it; the queue is full */
     uint64_t names_refused; /* registrations that the router refused */
     uint64_t queue_full;    /* packages for the router that found its queue here full; commands were answered */
-    uint64_t nobody_there;  /* packages from the router for a mailbox that is not here, */
-    uint64_t receiver_full; /* that found their mailbox full, */
-    uint64_t too_large;     /* and that no slot of it holds: commands were answered */
+    uint64_t nobody_there;  /* packages from the router for a mailbox that is not here; commands were answered */
+    uint64_t receiver_full; /* packages from the router that found their mailbox full; commands were answered */
+    uint64_t too_large;     /* packages from the router that no slot of their mailbox holds; commands were answered */
     uint64_t foreign_senders; /* packages from the router in the name of a mailbox here */
-    uint64_t answers_lost;  /* such answers that were not sent, since too many waited */
+    uint64_t answers_lost;  /* answers to the router that were not sent, since too many waited */
     uint32_t is_connected;  /* 1: there is a connection */
     uint32_t mailboxes;     /* registered at the router */
     uint32_t mailboxes_waiting; /* not registered: there is no connection, or another client has the name, or a rule forbids it */

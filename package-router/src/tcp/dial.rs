@@ -124,7 +124,7 @@ impl Dial {
         }
     }
 
-    /// Whether no connection is open, and the attempt that is under way, if one is, follows one that failed: it may fail, too, after
+    /// Whether no connection is open, nor being opened for the first time. An attempt that follows one that failed may fail, too, after
     /// seconds.
     pub fn is_down(&self) -> bool {
         match self.state {

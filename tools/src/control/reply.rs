@@ -1,7 +1,7 @@
 //! Replies of any length: what no packet of a local socket holds goes along as a file.
 
 use std::fs::File;
-use std::io::{self, Read, Seek, Write};
+use std::io::{self, ErrorKind, Read, Seek, Write};
 use std::os::fd::AsFd;
 
 use nix::sys::memfd::{MFdFlags, memfd_create};
@@ -27,16 +27,26 @@ pub(super) fn send(to: impl AsFd, reply: &[u8]) -> io::Result<()> {
 
 /// Receives one; an empty one of an end that has hung up.
 pub(super) fn receive(from: impl AsFd) -> io::Result<Vec<u8>> {
+    receive_up_to(from, FILE_AT_MOST)
+}
+
+fn receive_up_to(from: impl AsFd, most: u64) -> io::Result<Vec<u8>> {
     let mut reply = vec![0; PACKET_AT_MOST];
     let (length, files) = letters::receive(from, &mut reply)?;
     reply.truncate(length);
-    if reply == IN_FILE
-        && let Some(file) = files.into_iter().next().map(File::from)
-        && file.metadata()?.is_file()
-    {
-        reply.clear();
-        file.take(FILE_AT_MOST).read_to_end(&mut reply)?;
+    if reply != IN_FILE {
+        return Ok(reply);
     }
+    let file = files.into_iter().next().map(File::from);
+    let Some(file) = file.filter(|file| file.metadata().is_ok_and(|of| of.is_file() && of.len() <= most))
+    else {
+        return Err(io::Error::new(
+            ErrorKind::InvalidData,
+            format!("the reply has no file, or more than {most} bytes"),
+        ));
+    };
+    reply.clear();
+    file.take(most).read_to_end(&mut reply)?;
     Ok(reply)
 }
 
@@ -56,8 +66,16 @@ mod tests {
             send(&one, &reply).unwrap();
             assert!(receive(&other).unwrap() == reply, "{length} bytes");
         }
+        send(&one, &vec![0; PACKET_AT_MOST + 1]).unwrap();
+        let most = PACKET_AT_MOST as u64;
+        assert_eq!(receive_up_to(&other, most).unwrap_err().kind(), ErrorKind::InvalidData);
+        let (pipe, _end) = nix::unistd::pipe().unwrap();
+        for files in [&[][..], &[pipe.as_fd()]] {
+            letters::send(&one, IN_FILE, files).unwrap();
+            assert_eq!(receive(&other).unwrap_err().kind(), ErrorKind::InvalidData);
+        }
         other.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
-        assert_eq!(receive(&other).unwrap_err().kind(), io::ErrorKind::WouldBlock);
+        assert_eq!(receive(&other).unwrap_err().kind(), ErrorKind::WouldBlock);
         drop(one);
         assert!(receive(&other).unwrap().is_empty(), "it has hung up");
     }

@@ -43,9 +43,6 @@ const FILES_OF_PROGRAM: u64 = 5;
 /// Descriptors that programs leave for everything else: clients, what is the station's, what goes along with an answer.
 const FILES_BESIDE: u64 = CLIENTS_AT_MOST as u64 + 64;
 
-/// The remedy where descriptors are used up.
-const FILES: &str = "let more files be open, `ulimit -n`";
-
 /// What a server counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Traffic {
@@ -244,7 +241,7 @@ impl Server {
         // The socket does not block: who has not taken earlier replies does not get this one.
         let taken = match reply::send(&client.socket, &reply) {
             Err(error) if error.kind() != ErrorKind::WouldBlock => {
-                let why = format!("its reply of {} bytes cannot be sent: {error} ({FILES})", reply.len());
+                let why = format!("its reply of {} bytes cannot be sent: {}", reply.len(), explained(error));
                 reply::send(&client.socket, &refusal(why)).is_ok()
             }
             sent => sent.is_ok(),
@@ -292,7 +289,7 @@ impl Server {
         self.traffic.not_let_in += 1;
         if self.traffic.not_let_in == 1 {
             let remedy = match error.raw_os_error() {
-                Some(nix::libc::EMFILE | nix::libc::ENFILE) => FILES,
+                Some(nix::libc::EMFILE | nix::libc::ENFILE) => "let more files be open, `ulimit -n`",
                 _ => "it is tried again, and counted as `not_let_in`",
             };
             let path = self.listener.path().display();

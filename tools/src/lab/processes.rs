@@ -129,9 +129,23 @@ impl Process {
                 Ok(None) => break,
             }
         }
+        let threads = self.threads();
         // It was told and did not: it is ours to end.
         self.kill();
-        Err("it did not end when it was told to, and was killed".into())
+        Err(format!("it did not end when it was told to, and was killed; its threads: {threads}"))
+    }
+
+    /// Its threads, each with the function of the kernel that it waits in; 0: it runs, or that is not known.
+    fn threads(&self) -> String {
+        let threads = std::fs::read_dir(format!("/proc/{}/task", self.pid())).into_iter().flatten().flatten();
+        let shown = threads.map(|thread| {
+            let [name, waits_in] = ["comm", "wchan"].map(|file| {
+                // It may end meanwhile.
+                std::fs::read_to_string(thread.path().join(file)).unwrap_or_default()
+            });
+            format!("{} in {}", name.trim_end(), waits_in)
+        });
+        shown.collect::<Vec<_>>().join(", ")
     }
 
     /// Tells it what is to happen to it; whether there was room for that. Who has ended is told nothing.

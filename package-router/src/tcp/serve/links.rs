@@ -56,7 +56,7 @@ impl OwnLink {
             router: self.router.to_string(),
             systems: self.systems.iter().copied().collect(),
             is_open: self.is_open,
-            last_error: unnamed.map(hint).or_else(|| self.last_error.clone()),
+            last_error: unnamed.filter(|_| self.is_open).map(hint).or_else(|| self.last_error.clone()),
         }
     }
 

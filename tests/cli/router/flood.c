@@ -14,7 +14,7 @@
 #define DATA (-6)
 
 static const struct rtnet_shape SHAPE = {8, 64, 16, 0};
-static const int64_t SENDS_EVERY = 1000000, SAYS_EVERY = 100000000;
+static const int64_t SENDS_EVERY = 2000000, SAYS_EVERY = 100000000;
 
 static int32_t checked(int32_t result, const char *what) {
     if (result < 0) {

@@ -13,7 +13,7 @@ import time
 from rtnet_packages import NotConnected, Router
 
 ASK, DATA, OK = 21, -6, 0
-SENDS_EVERY = 0.001
+SENDS_EVERY = 0.002
 
 host, port = sys.argv[1], int(sys.argv[2])
 own, to = (int(name, 0) for name in sys.argv[3:])

@@ -47,7 +47,7 @@ const DATA: i8 = -6;
 /// How long a call waits for its answer.
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 /// From one package to the next, and from one call to the next: a load for the router, and none for the labs of other tests.
-const SENDS_EVERY: Duration = Duration::from_millis(1);
+const SENDS_EVERY: Duration = Duration::from_millis(2);
 
 struct Host {
     component: Component,

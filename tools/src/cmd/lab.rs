@@ -25,8 +25,6 @@ use crate::report::verdict::Word;
 
 /// How long a lab that has answered may take to be gone: its stations end one beside the other.
 const GONE_WITHIN: Duration = END_WITHIN.saturating_mul(2);
-/// The kernel takes 50 to 100 ms to close all that a lab had open, on a busy host longer.
-const CLOSED_WITHIN: Duration = Duration::from_secs(1);
 /// How long a station that was restarted is waited for: it ends first. Calibration takes some hundred cycles.
 const LOCKED_WITHIN: Duration = END_WITHIN.saturating_mul(2);
 /// And so many cycles: twice what 100 calibration rounds take.
@@ -82,26 +80,15 @@ fn down_one(directory: &Directory, lab: &str) -> Result<Option<LabStatus>> {
         }
         Ok(LabReply::Refused(why)) => Err(anyhow!("lab '{lab}': {why}")),
         Ok(_) => bail!("lab '{lab}' answers what it was not asked"),
-        Err(error) if directory.has(lab) => match take_dead(directory, lab) {
-            Some(held) => {
+        // Who holds no lock any more is dead: its directory is ours to take, and goes with that.
+        Err(error) if directory.has(lab) => match directory.take_lab(lab) {
+            Ok(held) => {
                 end_dead(lab, &held);
                 Ok(None)
             }
-            None => Err(error),
+            Err(_) => Err(error),
         },
         Err(error) => Err(error),
-    }
-}
-
-/// The directory of a lab that is dead, and holds no lock any more, or is about to be: the kernel closes its socket before its lock.
-fn take_dead(directory: &Directory, lab: &str) -> Option<Held> {
-    let deadline = Instant::now() + CLOSED_WITHIN;
-    loop {
-        match directory.take_lab(lab) {
-            Ok(held) => return Some(held),
-            Err(_) if Instant::now() > deadline => return None,
-            Err(_) => std::thread::sleep(Duration::from_millis(5)),
-        }
     }
 }
 

@@ -36,8 +36,9 @@ const NAME_AT_MOST: usize = 32;
 const NOTE: &str = ".namespaces";
 /// The begin of the file names of a router of packages: no station's name begins with a dot.
 const ROUTER: &str = ".router-";
-/// How long a lock is waited for that somebody may only have looked at.
-const LOCKED_WITHIN: Duration = Duration::from_millis(50);
+/// How long a lock is waited for. Its holder may only look at it, or die: the kernel takes 50 to 100 ms to close what a lab had open, on a
+/// busy host longer.
+const LOCKED_WITHIN: Duration = Duration::from_secs(1);
 
 /// `[LAB/]STATION`, as it stands behind `-S`.
 #[derive(Clone, Debug, PartialEq, Eq)]

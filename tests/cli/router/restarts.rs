@@ -41,7 +41,7 @@ const FEED: MailboxName = MailboxName::new(0, Class(0x80), 7, 0);
 /// All that send data to the first, as far as they can run here.
 const SENDERS: [MailboxName; 5] = [FLOOD, BY_TLS, AT_STATION, IN_C, IN_PYTHON];
 const ASK: i8 = 21;
-/// Slots of a mailbox for what comes by TCP: all that all send in an eighth of a second.
+/// Slots of a mailbox for packages that come by TCP: all that all send in a quarter of a second.
 const SLOTS: usize = 1_024;
 const DATA: i8 = -6;
 /// How long a call waits for its answer.

@@ -130,9 +130,8 @@ impl Process {
             }
         }
         let threads = self.threads();
-        // It was told and did not: it is ours to end.
         self.kill();
-        Err(format!("it did not end when it was told to, and was killed; its threads: {threads}"))
+        Err(format!("it did not end in time, and was killed; its threads: {threads}"))
     }
 
     /// Its threads, each with the function of the kernel that it waits in; 0: it runs, or that is not known.
